@@ -1,0 +1,112 @@
+"""Every constant of the world and of the rules, as frozen dataclasses (SI units, radians, quaternions xyzw).
+
+The defaults are HandoverSim's (Chao et al., ICRA 2022); official figures exist for these values only.
+"""
+
+from dataclasses import dataclass, field
+
+Vector3 = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+
+PANDA_DOF = 9
+HAND_DOF = 51
+OBJECT_DOF = 6
+MAX_OBJECTS = 5
+N_KEYPOINTS = 16
+
+
+@dataclass(frozen=True)
+class MotorConfig:
+    """Position control of a group of joints.
+
+    Attributes:
+        force: Largest motor force (N) or torque (N m).
+        position_gain: Share of the position error that one step corrects (1).
+        velocity_gain: Share of the velocity error that one step corrects (1).
+    """
+
+    force: float
+    position_gain: float
+    velocity_gain: float = 1.0
+
+
+@dataclass(frozen=True)
+class PandaConfig:
+    """Franka Panda: where it stands, how it starts and how its nine joints are driven."""
+
+    base_position: Vector3 = (0.61, -0.50, 0.875)
+    base_orientation: Quaternion = (0.0, 0.0, 0.7071068, 0.7071068)
+    start_joints: tuple[float, ...] = (0.0, -1.285, 0.0, -2.356, 0.0, 1.571, 0.785, 0.04, 0.04)
+    lower_limits: tuple[float, ...] = (-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973, 0.0, 0.0)
+    upper_limits: tuple[float, ...] = (2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.752, 2.8973, 0.04, 0.04)
+    motor: MotorConfig = MotorConfig(force=250.0, position_gain=0.01)
+
+
+@dataclass(frozen=True)
+class ObjectConfig:
+    """Objects on their six-joint chain: three prismatic, three continuous."""
+
+    translation_motor: MotorConfig = MotorConfig(force=50.0, position_gain=0.2)
+    rotation_motor: MotorConfig = MotorConfig(force=5.0, position_gain=0.2)
+
+
+@dataclass(frozen=True)
+class HandConfig:
+    """The human hand: a base on six joints and 45 finger joints."""
+
+    translation_motor: MotorConfig = MotorConfig(force=50.0, position_gain=0.2)
+    rotation_motor: MotorConfig = MotorConfig(force=5.0, position_gain=0.2)
+    finger_motor: MotorConfig = MotorConfig(force=0.5, position_gain=0.1)
+    friction: float = 5.0
+    restitution: float = 0.5
+    base_damping: float = 10.0
+
+
+@dataclass(frozen=True)
+class PhysicsConfig:
+    """The simulated world. `time_step` (s), `gravity` (m/s^2 along world z)."""
+
+    time_step: float = 0.001
+    gravity: float = -9.8
+    table_position: Vector3 = (0.61, 0.28, 0.0)
+    panda: PandaConfig = field(default_factory=PandaConfig)
+    objects: ObjectConfig = field(default_factory=ObjectConfig)
+    hand: HandConfig = field(default_factory=HandConfig)
+
+
+@dataclass(frozen=True)
+class ProtocolConfig:
+    """When the human lets go, and when an episode is won or lost.
+
+    Attributes:
+        release_steps: Steps in a row that a release condition must hold.
+        region_lower: Lower corner of the grasp region in a finger link's frame (m), exclusive.
+        region_upper: Upper corner of the grasp region in a finger link's frame (m), exclusive.
+        goal_center: Where the gripper must bring the object, world frame (m).
+        goal_radius: How near the Panda's hand link must be to the goal (m).
+        success_steps: Steps in a row that the object must be held at the goal.
+        drop_height: An object whose origin is lower than this has fallen, world z (m).
+        horizon_steps: Steps after which an episode without success times out.
+    """
+
+    release_steps: int = 100
+    region_lower: Vector3 = (-0.011, -0.009, 0.0)
+    region_upper: Vector3 = (0.011, 0.009, 0.055)
+    goal_center: Vector3 = (0.61, -0.20, 1.25)
+    goal_radius: float = 0.15
+    success_steps: int = 100
+    drop_height: float = 0.92
+    horizon_steps: int = 13_000
+
+
+@dataclass(frozen=True)
+class CameraConfig:
+    """A pinhole camera that looks over the robot's shoulder at the person (m, degrees, pixels)."""
+
+    width: int = 640
+    height: int = 480
+    vertical_fov: float = 60.0
+    near: float = 0.1
+    far: float = 10.0
+    position: Vector3 = (1.2127, -0.5531, 1.4090)
+    target: Vector3 = (0.08, 0.24, 1.19)
