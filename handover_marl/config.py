@@ -37,7 +37,17 @@ class PandaConfig:
     base_position: Vector3 = (0.61, -0.50, 0.875)
     base_orientation: Quaternion = (0.0, 0.0, 0.7071068, 0.7071068)
     start_joints: tuple[float, ...] = (0.0, -1.285, 0.0, -2.356, 0.0, 1.571, 0.785, 0.04, 0.04)
-    lower_limits: tuple[float, ...] = (-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973, 0.0, 0.0)
+    lower_limits: tuple[float, ...] = (
+        -2.8973,
+        -1.7628,
+        -2.8973,
+        -3.0718,
+        -2.8973,
+        -0.0175,
+        -2.8973,
+        0.0,
+        0.0,
+    )
     upper_limits: tuple[float, ...] = (2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.752, 2.8973, 0.04, 0.04)
     motor: MotorConfig = MotorConfig(force=250.0, position_gain=0.01)
 

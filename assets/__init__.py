@@ -1,0 +1,1 @@
+"""Models the library makes itself."""

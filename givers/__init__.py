@@ -1,0 +1,1 @@
+"""Policies for the giver, the human side."""

@@ -1,0 +1,197 @@
+"""DexYCB motion in the folder layout of the official HandoverSim data.
+
+<data_dir>/dex-ycb-cache/meta_NNN.json   name, ycb_ids, ycb_grasp_ind, mano_sides, mano_betas
+<data_dir>/dex-ycb-cache/pose_NNN.npz    pose_y (T, n, 6), pose_m (T, 1, 51) at 1 kHz in the table frame
+<data_dir>/assets/                       URDFs of the objects, hands, Panda and table; grasps/<class>.npy
+"""
+
+import json
+import zipfile
+import zlib
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.config import HAND_DOF, MAX_OBJECTS, OBJECT_DOF
+from handover_marl.datasets.base import Dataset
+from handover_marl.datasets.grasps import load_grasps
+from handover_marl.datasets.ycb import CLASS_NAMES
+from handover_marl.errors import DataFormatError, DataNotFoundError
+from handover_marl.scene import Scene, SceneAssets, SceneInfo
+
+#: World height of the table frame's origin (m), added in float32 as the reference does.
+TABLE_HEIGHT = np.float32(0.92)
+
+
+class OfficialDataset(Dataset):
+    """DexYCB scenes from a folder in HandoverSim's layout.
+
+    Args:
+        data_dir: The folder that holds `dex-ycb-cache/` and `assets/`.
+
+    Raises:
+        DataNotFoundError: The folder or one of these two is missing.
+    """
+
+    name = "dexycb"
+
+    def __init__(self, data_dir: Path) -> None:
+        self.data_dir = data_dir
+        for folder in (data_dir, data_dir / "dex-ycb-cache", data_dir / "assets"):
+            if not folder.is_dir():
+                raise DataNotFoundError(
+                    f"data folder {folder} does not exist. Give the folder that holds dex-ycb-cache/ and assets/ "
+                    "(HandoverSim's handover/data) as data_dir=, --data-dir or HANDOVER_MARL_DATA."
+                )
+        self._info = lru_cache(maxsize=None)(self._read_info)
+        self._grasps = lru_cache(maxsize=None)(self._read_grasps)
+
+    @property
+    def panda_urdf(self) -> Path:
+        """The Panda with its gripper, as the reference loads it."""
+        return self._asset("franka_panda/panda_gripper.urdf")
+
+    def info(self, scene_id: int) -> SceneInfo:
+        """A scene's meta file.
+
+        Raises:
+            SceneError: No such scene number.
+            DataNotFoundError: The meta file is missing.
+            DataFormatError: It lacks a key or names an unknown class, subject side or grasped object.
+        """
+        self.check_scene_id(scene_id)
+        return self._info(scene_id)[0]
+
+    def scene(self, scene_id: int) -> Scene:
+        """A scene with its motion in the world frame.
+
+        Raises:
+            SceneError, DataNotFoundError, DataFormatError: As `info`, and for the pose file and the models.
+        """
+        self.check_scene_id(scene_id)
+        info, order = self._info(scene_id)
+        object_dof, hand_dof = self._read_motion(scene_id, order)
+        present = np.flatnonzero(hand_dof.any(axis=1))
+        object_dof[:, :, 2] += TABLE_HEIGHT
+        hand_dof[present, 2] += TABLE_HEIGHT
+        return Scene(
+            info=info,
+            dataset=self.name,
+            assets=self._scene_assets(info),
+            object_dof=object_dof,
+            hand_dof=hand_dof,
+            hand_first=int(present[0]) if len(present) else None,
+            hand_last=int(present[-1]) if len(present) else None,
+        )
+
+    def grasps(self, object_name: str) -> npt.NDArray[np.float64] | None:
+        """The official grasps of an object class, or None (master chef can and wood block have none).
+
+        Raises:
+            UnsafeFileError, DataFormatError: The file holds foreign content or is damaged.
+        """
+        return self._grasps(object_name)
+
+    def check_scenes(self, scene_ids: tuple[int, ...]) -> None:
+        """Raise `DataNotFoundError` naming the first missing file of the scenes."""
+        for scene_id in scene_ids:
+            self._scene_assets(self.info(scene_id))
+            self._existing(self._pose_path(scene_id))
+
+    def _pose_path(self, scene_id: int) -> Path:
+        return self.data_dir / "dex-ycb-cache" / f"pose_{scene_id:03d}.npz"
+
+    def _existing(self, path: Path) -> Path:
+        if not path.is_file():
+            raise DataNotFoundError(
+                f"{path} is missing. The data folder is incomplete: copy or expand the HandoverSim data again."
+            )
+        return path
+
+    def _asset(self, relative: str) -> Path:
+        return self._existing(self.data_dir / "assets" / relative)
+
+    def _scene_assets(self, info: SceneInfo) -> SceneAssets:
+        return SceneAssets(
+            table=self._asset("table/table.urdf"),
+            panda=self.panda_urdf,
+            objects=tuple(self._asset(f"{name}/model_normalized.urdf") for name in info.object_names),
+            hand=self._asset(f"{info.subject}_{info.side}/mano.urdf"),
+        )
+
+    def _read_grasps(self, object_name: str) -> npt.NDArray[np.float64] | None:
+        path = self.data_dir / "assets" / "grasps" / f"{object_name}.npy"
+        return load_grasps(path) if path.is_file() else None
+
+    def _read_info(self, scene_id: int) -> tuple[SceneInfo, list[int]]:
+        path = self._existing(self.data_dir / "dex-ycb-cache" / f"meta_{scene_id:03d}.json")
+        try:
+            meta = json.loads(path.read_text())
+            ids = [int(number) for number in meta["ycb_ids"]]
+            grasped, sides, name = int(meta["ycb_grasp_ind"]), list(meta["mano_sides"]), str(meta["name"])
+        except (ValueError, KeyError, TypeError) as error:
+            raise DataFormatError(
+                f"{path}: not a scene's meta file ({type(error).__name__}: {error}). It needs name, ycb_ids, "
+                "ycb_grasp_ind and mano_sides; copy it again from the HandoverSim data."
+            ) from error
+        _check_meta(path, ids, grasped, sides)
+        order = [grasped, *(index for index in range(len(ids)) if index != grasped)]
+        ids = [ids[index] for index in order]
+        info = SceneInfo(
+            scene_id=scene_id,
+            name=name,
+            subject=name.split("/")[0],
+            side=sides[0],
+            object_ids=tuple(ids),
+            object_names=tuple(CLASS_NAMES[number] for number in ids),
+        )
+        return info, order
+
+    def _read_motion(
+        self, scene_id: int, order: list[int]
+    ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+        path = self._existing(self._pose_path(scene_id))
+        arrays = _read_npz(path, ("pose_y", "pose_m"))
+        objects, hand = arrays["pose_y"], arrays["pose_m"]
+        n_objects = len(order)
+        if objects.ndim != 3 or objects.shape[1:] != (n_objects, OBJECT_DOF) or len(objects) == 0:
+            raise DataFormatError(
+                f"{path}: pose_y has shape {objects.shape}, expected (T, {n_objects}, {OBJECT_DOF}) "
+                "for the objects that its meta file lists"
+            )
+        if hand.shape != (len(objects), 1, HAND_DOF):
+            raise DataFormatError(
+                f"{path}: pose_m has shape {hand.shape}, expected ({len(objects)}, 1, {HAND_DOF})"
+            )
+        if not (np.isfinite(objects).all() and np.isfinite(hand).all()):
+            raise DataFormatError(f"{path}: the motion is not finite everywhere; copy the file again")
+        return objects[:, order], hand[:, 0].copy()
+
+
+def _check_meta(path: Path, ids: list[int], grasped: int, sides: list[Any]) -> None:
+    unknown = [number for number in ids if number not in CLASS_NAMES]
+    if unknown:
+        raise DataFormatError(
+            f"{path}: unknown object class {unknown[0]} in ycb_ids; classes are numbered "
+            f"{min(CLASS_NAMES)} to {max(CLASS_NAMES)}"
+        )
+    if not 1 <= len(ids) <= MAX_OBJECTS:
+        raise DataFormatError(f"{path}: {len(ids)} objects in ycb_ids, expected 1 to {MAX_OBJECTS}")
+    if not 0 <= grasped < len(ids):
+        raise DataFormatError(f"{path}: ycb_grasp_ind {grasped} is not an index into {len(ids)} ycb_ids")
+    if sides not in (["right"], ["left"]):
+        raise DataFormatError(f"{path}: mano_sides is {sides}, expected ['right'] or ['left']")
+
+
+def _read_npz(path: Path, keys: tuple[str, ...]) -> dict[str, npt.NDArray[np.float32]]:
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            return {key: np.asarray(archive[key], dtype=np.float32) for key in keys}
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        raise DataFormatError(
+            f"{path}: not a readable pose file ({type(error).__name__}: {error}). It may be truncated; "
+            "copy or expand it again."
+        ) from error

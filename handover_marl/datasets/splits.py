@@ -1,0 +1,88 @@
+"""The official evaluation setups S0-S3 and their splits, as pure functions of the scene number.
+
+A scene's number is 100 * subject + 5 * object + trial, with ten subjects, twenty objects and five trials.
+Source: Chao et al., HandoverSim, ICRA 2022, Table I.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from handover_marl.errors import UnknownNameError
+
+N_SCENES = 1000
+SETUPS = ("s0", "s1", "s2", "s3")
+SPLITS = ("train", "val", "test")
+
+#: Objects (master chef can, wood block) too large for the gripper, in no split.
+SKIPPED_OBJECTS = frozenset({0, 15})
+
+_ALL_SUBJECTS = frozenset(range(10))
+_ALL_OBJECTS = frozenset(range(20))
+_ALL_TRIALS = frozenset(range(5))
+_LATER_SUBJECTS = frozenset(range(2, 10))
+
+
+@dataclass(frozen=True)
+class _Filter:
+    """Which scenes belong to a split; `side` None takes both hands."""
+
+    subjects: frozenset[int] = _ALL_SUBJECTS
+    objects: frozenset[int] = _ALL_OBJECTS
+    trials: frozenset[int] = _ALL_TRIALS
+    side: str | None = None
+
+
+_FILTERS = {
+    ("s0", "train"): _Filter(trials=frozenset({0, 1, 2, 3})),
+    ("s0", "val"): _Filter(subjects=frozenset({0, 1}), trials=frozenset({4})),
+    ("s0", "test"): _Filter(subjects=_LATER_SUBJECTS, trials=frozenset({4})),
+    ("s1", "train"): _Filter(subjects=frozenset({0, 1, 2, 3, 4, 5, 9})),
+    ("s1", "val"): _Filter(subjects=frozenset({6})),
+    ("s1", "test"): _Filter(subjects=frozenset({7, 8})),
+    ("s2", "train"): _Filter(side="right"),
+    ("s2", "val"): _Filter(subjects=frozenset({0, 1}), side="left"),
+    ("s2", "test"): _Filter(subjects=_LATER_SUBJECTS, side="left"),
+    ("s3", "train"): _Filter(objects=_ALL_OBJECTS - {3, 7, 11, 15, 19}),
+    ("s3", "val"): _Filter(objects=frozenset({3, 19})),
+    ("s3", "test"): _Filter(objects=frozenset({7, 11, 15})),
+}
+
+
+def check_setup_and_split(setup: str, split: str) -> None:
+    """Raise `UnknownNameError` unless both names exist."""
+    if setup not in SETUPS:
+        raise UnknownNameError("setup", setup, SETUPS)
+    if split not in SPLITS:
+        raise UnknownNameError("split", split, SPLITS)
+
+
+def split_scenes(setup: str, split: str, side_of_scene: Callable[[int], str]) -> tuple[int, ...]:
+    """Scene ids of a split, ascending; their positions are the official result files' numbers.
+
+    Args:
+        setup: "s0" seen everything, "s1" unseen subjects, "s2" unseen handedness, "s3" unseen objects.
+        split: "train", "val" or "test".
+        side_of_scene: Gives "right" or "left" for a scene id. Asked only for trial 4 of setup s2, where the
+            hand was the subject's choice; trials 0-1 are right-handed and 2-3 left-handed by design.
+
+    Raises:
+        UnknownNameError: No such setup or split.
+    """
+    check_setup_and_split(setup, split)
+    chosen = _FILTERS[setup, split]
+    return tuple(scene for scene in range(N_SCENES) if _belongs(scene, chosen, side_of_scene))
+
+
+def _belongs(scene: int, chosen: _Filter, side_of_scene: Callable[[int], str]) -> bool:
+    subject, obj, trial = scene // 100, scene // 5 % 20, scene % 5
+    if obj in SKIPPED_OBJECTS or subject not in chosen.subjects:
+        return False
+    if obj not in chosen.objects or trial not in chosen.trials:
+        return False
+    return chosen.side is None or chosen.side == _side(scene, trial, side_of_scene)
+
+
+def _side(scene: int, trial: int, side_of_scene: Callable[[int], str]) -> str:
+    if trial < 2:
+        return "right"
+    return "left" if trial < 4 else side_of_scene(scene)

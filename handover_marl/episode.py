@@ -1,0 +1,114 @@
+"""One handover as it is played: giver's clock, world and referee, advanced together."""
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.config import CameraConfig, PhysicsConfig, ProtocolConfig
+from handover_marl.errors import ResetNeededError, UnknownNameError
+from handover_marl.motion import Playback
+from handover_marl.observations import Observation, observe
+from handover_marl.protocol.referee import Referee
+from handover_marl.protocol.status import EpisodeStatus
+from handover_marl.scene import Scene
+from handover_marl.sim.world import World
+
+#: The kinds of physics.
+PHYSICS = ("exact",)
+
+
+class Episode:
+    """Plays scenes one after another. The PettingZoo environment and the benchmark both stand on it.
+
+    Args:
+        physics: "exact" is HandoverSim's simulation to the bit.
+        physics_config: Constants of the world.
+        protocol_config: Constants of the rules.
+        window: Whether to show PyBullet's window.
+    """
+
+    def __init__(
+        self,
+        physics: str = "exact",
+        physics_config: PhysicsConfig | None = None,
+        protocol_config: ProtocolConfig | None = None,
+        window: bool = False,
+    ) -> None:
+        if physics not in PHYSICS:
+            raise UnknownNameError("physics", physics, PHYSICS)
+        self._physics_config = physics_config or PhysicsConfig()
+        self._protocol_config = protocol_config or ProtocolConfig()
+        self._window = window
+        self._world: World | None = None
+        self._playback: Playback | None = None
+        self._referee = Referee(self._protocol_config)
+
+    def reset(self, scene: Scene) -> None:
+        """Go to the start of a scene."""
+        if self._world is None:
+            self._world = World(self._physics_config, self._window)
+        self._playback = Playback(scene)
+        self._referee = Referee(self._protocol_config)
+        self._world.reset(scene, self._playback.target)
+
+    def advance(self, robot_target: npt.NDArray[np.float32], steps: int) -> None:
+        """Simulate up to `steps` physics steps under one receiver action; stop early at the episode's end.
+
+        Args:
+            robot_target: (9,) float32 target joint positions, 7 arm (rad) and 2 fingers (m).
+            steps: Physics steps of 1 ms.
+        """
+        world, playback, referee = self._running()
+        target = robot_target.tolist()
+        for _ in range(steps):
+            world.step(target, playback.advance())
+            released_before = referee.released
+            if referee.update(world.contacts(released_before)):
+                break
+            if referee.released and not released_before:
+                world.release_target()
+
+    def observe(self) -> Observation:
+        """What the agents see now."""
+        world, playback, referee = self._running()
+        time = referee.steps * self._physics_config.time_step
+        return observe(world.state(), playback.scene.info.object_ids, referee.released, time)
+
+    def render(self, camera: CameraConfig) -> npt.NDArray[np.uint8]:
+        """An RGB picture (height, width, 3) of the present state."""
+        return self._running()[0].render(camera)
+
+    @property
+    def world(self) -> World:
+        """The simulated world of the scene being played."""
+        return self._running()[0]
+
+    @property
+    def scene(self) -> Scene:
+        """The scene being played."""
+        return self._running()[1].scene
+
+    @property
+    def status(self) -> EpisodeStatus:
+        """The verdict so far."""
+        return self._referee.status
+
+    @property
+    def steps(self) -> int:
+        """Physics steps simulated since the reset."""
+        return self._referee.steps
+
+    @property
+    def release_step(self) -> int | None:
+        """The step whose contacts made the human let go, or None."""
+        return self._referee.release_step
+
+    def close(self) -> None:
+        """Free the simulation."""
+        if self._world is not None:
+            self._world.close()
+        self._world = self._playback = None
+
+    def _running(self) -> tuple[World, Playback, Referee]:
+        if self._world is None or self._playback is None:
+            raise ResetNeededError("no scene is being played; call reset() first")
+        return self._world, self._playback, self._referee

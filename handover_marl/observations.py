@@ -1,0 +1,79 @@
+"""What an agent sees: named arrays of fixed shape, all float32."""
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+
+from handover_marl.config import HAND_DOF, MAX_OBJECTS, N_KEYPOINTS, PANDA_DOF
+from handover_marl.datasets.ycb import CLASS_NAMES
+from handover_marl.sim.world import WorldState
+
+Observation = dict[str, npt.NDArray[np.float32]]
+
+_POSE = 7
+
+
+def observation_space() -> spaces.Dict:
+    """The space of `observe`'s result, for both agents.
+
+    | key | shape | meaning (world frame; m, rad, s; quaternions xyzw) |
+    |---|---|---|
+    | robot_joint_position | (9,) | seven arm joints, two fingers |
+    | robot_joint_velocity | (9,) | |
+    | gripper_pose | (7,) | pose of the Panda's hand link |
+    | object_poses | (5, 7) | poses of the objects, the one to be handed over first; zeros where there is none |
+    | object_mask | (5,) | 1 where there is an object |
+    | object_classes | (5,) | YCB class number 1-21, 0 where there is none |
+    | hand_dof_position | (51,) | the human hand's base and finger joints; zeros without a hand |
+    | hand_keypoints | (16, 3) | wrist and 15 finger-joint origins; zeros without a hand |
+    | hand_present | (1,) | 1 when there is a hand |
+    | released | (1,) | 1 once the human has let go |
+    | time | (1,) | since the start of the episode |
+    """
+    everywhere = {"low": -np.inf, "high": np.inf, "dtype": np.float32}
+    flag = {"low": 0.0, "high": 1.0, "dtype": np.float32}
+    return spaces.Dict(
+        {
+            "robot_joint_position": spaces.Box(shape=(PANDA_DOF,), **everywhere),
+            "robot_joint_velocity": spaces.Box(shape=(PANDA_DOF,), **everywhere),
+            "gripper_pose": spaces.Box(shape=(_POSE,), **everywhere),
+            "object_poses": spaces.Box(shape=(MAX_OBJECTS, _POSE), **everywhere),
+            "object_mask": spaces.Box(shape=(MAX_OBJECTS,), **flag),
+            "object_classes": spaces.Box(0.0, float(max(CLASS_NAMES)), (MAX_OBJECTS,), np.float32),
+            "hand_dof_position": spaces.Box(shape=(HAND_DOF,), **everywhere),
+            "hand_keypoints": spaces.Box(shape=(N_KEYPOINTS, 3), **everywhere),
+            "hand_present": spaces.Box(shape=(1,), **flag),
+            "released": spaces.Box(shape=(1,), **flag),
+            "time": spaces.Box(0.0, np.inf, (1,), np.float32),
+        }
+    )
+
+
+def observe(state: WorldState, object_ids: tuple[int, ...], released: bool, time: float) -> Observation:
+    """The observation of a world state.
+
+    Args:
+        state: What the world shows.
+        object_ids: Class numbers of the objects in the state's order.
+        released: Whether the human has let go.
+        time: Simulated time since the reset (s).
+    """
+    n_objects = len(object_ids)
+    poses = np.zeros((MAX_OBJECTS, _POSE), dtype=np.float32)
+    mask = np.zeros(MAX_OBJECTS, dtype=np.float32)
+    classes = np.zeros(MAX_OBJECTS, dtype=np.float32)
+    poses[:n_objects], mask[:n_objects], classes[:n_objects] = state.object_poses, 1.0, object_ids
+    hand, keypoints = state.hand_dof_position, state.hand_keypoints
+    return {
+        "robot_joint_position": state.robot_joint_position,
+        "robot_joint_velocity": state.robot_joint_velocity,
+        "gripper_pose": state.gripper_pose,
+        "object_poses": poses,
+        "object_mask": mask,
+        "object_classes": classes,
+        "hand_dof_position": np.zeros(HAND_DOF, dtype=np.float32) if hand is None else hand,
+        "hand_keypoints": np.zeros((N_KEYPOINTS, 3), dtype=np.float32) if keypoints is None else keypoints,
+        "hand_present": np.array([hand is not None], dtype=np.float32),
+        "released": np.array([released], dtype=np.float32),
+        "time": np.array([time], dtype=np.float32),
+    }

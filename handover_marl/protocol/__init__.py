@@ -1,0 +1,1 @@
+"""The rules of the benchmark as small state machines over contacts. No simulator in here."""

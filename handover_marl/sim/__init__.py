@@ -1,0 +1,1 @@
+"""The simulated world. The only room that touches PyBullet."""

@@ -1,0 +1,52 @@
+"""The human hand: a base on six joints and fifteen finger joints of three axes each."""
+
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.config import HandConfig
+from handover_marl.sim.body import Body
+from handover_marl.sim.client import BulletClient, load_urdf
+
+#: The hand's own collision group: of all bodies, only the Panda's mask admits it.
+HAND_MASK = 2**22
+
+_BASE_JOINTS = 6
+_WRIST_LINK = 6
+
+
+class Hand(Body):
+    """A hand at the pose it appears with."""
+
+    def __init__(self, client: BulletClient, urdf: Path, start: list[float], config: HandConfig) -> None:
+        body_id = load_urdf(client, urdf, useFixedBase=True)
+        motors = [config.translation_motor] * 3 + [config.rotation_motor] * 3 + [config.finger_motor] * 45
+        super().__init__(client, body_id, motors)
+        client.changeDynamics(
+            body_id, -1, linearDamping=config.base_damping, angularDamping=config.base_damping
+        )
+        for link in range(-1, self.n_links):
+            client.changeDynamics(
+                body_id,
+                link,
+                lateralFriction=config.friction,
+                spinningFriction=config.friction,
+                restitution=config.restitution,
+            )
+        self.collide(HAND_MASK)
+        self.place(start)
+        # Every third finger joint is the first of its three axes; its link frame is the joint's origin.
+        self._keypoint_links = [_WRIST_LINK, *self.joints[_BASE_JOINTS::3]]
+
+    def keypoints(self) -> npt.NDArray[np.float32]:
+        """(16, 3) world positions (m) of the wrist and of the 15 finger-joint origins, float32.
+
+        Order as in MANO: wrist, then index, middle, little, ring finger and thumb, three joints each from
+        the knuckle outwards.
+        """
+        return self.link_poses(self._keypoint_links)[:, :3]
+
+    def remove(self) -> None:
+        """Take the hand out of the world."""
+        self.client.removeBody(self.id)

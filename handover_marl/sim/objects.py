@@ -1,0 +1,40 @@
+"""The objects on the table, each on a chain of three prismatic and three continuous joints."""
+
+from pathlib import Path
+
+from handover_marl.config import ObjectConfig
+from handover_marl.datasets.ycb import SCENE_CLASSES
+from handover_marl.sim.body import Body
+from handover_marl.sim.client import BulletClient, load_urdf
+from handover_marl.sim.hand import HAND_MASK
+
+#: A released object collides with everything but the hand.
+RELEASED_MASK = -1 - HAND_MASK
+
+
+class Object(Body):
+    """One object, driven along its trajectory until it is released.
+
+    Attributes:
+        link_id: Number of the link that carries the mesh; its pose is the object's pose.
+    """
+
+    def __init__(
+        self, client: BulletClient, urdf: Path, class_id: int, start: list[float], config: ObjectConfig
+    ) -> None:
+        body_id = load_urdf(client, urdf, useFixedBase=True)
+        super().__init__(client, body_id, [config.translation_motor] * 3 + [config.rotation_motor] * 3)
+        self.link_id = self.n_links - 1
+        self.collide(object_mask(class_id))
+        self.place(start)
+
+    def release(self) -> None:
+        """Let it move freely and touch table and other objects from now on."""
+        self.go_limp()
+        # On the mesh's link only: masks set on the whole chain change the order of Bullet's pairs.
+        self.collide(RELEASED_MASK, links=[self.link_id])
+
+
+def object_mask(class_id: int) -> int:
+    """Collision group of a class: each has its own, so that objects touch the robot but not each other."""
+    return int(2 ** (SCENE_CLASSES.index(class_id) + 1))
