@@ -1,6 +1,8 @@
-"""Rigid poses as arrays (..., 7): position xyz (m), quaternion xyzw. Float64 inside, nothing is normalised.
+"""Rigid poses as arrays (..., 7): position xyz (m), quaternion xyzw.
 
-A pose `a_from_b` maps coordinates in frame b to coordinates in frame a.
+A pose `a_from_b` maps coordinates in frame b to coordinates in frame a. Nothing is normalised and nothing is
+cast: products of float32 entries are float32, mixed ones float64, because a method's set-points, and with them
+whole episodes, depend on the last bit.
 """
 
 import numpy as np
@@ -9,25 +11,65 @@ import numpy.typing as npt
 
 def quaternion_multiply(left: npt.ArrayLike, right: npt.ArrayLike) -> npt.NDArray[np.float64]:
     """Hamilton product of quaternions (..., 4) xyzw: the rotation `right`, then `left`."""
-    a, b = np.asarray(left, dtype=np.float64), np.asarray(right, dtype=np.float64)
-    vector_a, vector_b, scalar_a, scalar_b = a[..., :3], b[..., :3], a[..., 3:], b[..., 3:]
-    vector = scalar_a * vector_b + scalar_b * vector_a + np.cross(vector_a, vector_b)
-    scalar = scalar_a * scalar_b - (vector_a * vector_b).sum(axis=-1, keepdims=True)
-    return np.concatenate([vector, scalar], axis=-1)
+    ax, ay, az, aw = _components(left)
+    bx, by, bz, bw = _components(right)
+    return np.stack(
+        [
+            aw * bx + bw * ax + ay * bz - by * az,
+            aw * by + bw * ay + az * bx - bz * ax,
+            aw * bz + bw * az + ax * by - bx * ay,
+            aw * bw - ax * bx - ay * by - az * bz,
+        ],
+        axis=-1,
+    )
 
 
 def rotate(quaternion: npt.ArrayLike, points: npt.ArrayLike) -> npt.NDArray[np.float64]:
     """Rotate points (..., 3) by unit quaternions (..., 4) xyzw."""
-    q, p = np.asarray(quaternion, dtype=np.float64), np.asarray(points, dtype=np.float64)
-    vector, scalar = q[..., :3], q[..., 3:]
-    twice = 2.0 * np.cross(vector, p)
-    return p + scalar * twice + np.cross(vector, twice)
+    return compose_point(np.concatenate([np.zeros((*np.shape(quaternion)[:-1], 3)), quaternion], axis=-1), points)
+
+
+def compose_point(a_from_b: npt.ArrayLike, points: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    """Points (..., 3) given in frame b, in frame a's coordinates."""
+    tx, ty, tz, *quaternion = _components(a_from_b)
+    x, y, z, w = quaternion
+    px, py, pz = _components(points)
+    return np.stack(
+        [
+            tx + px + 2.0 * (-(y * y + z * z) * px + (x * y - w * z) * py + (w * y + x * z) * pz),
+            ty + py + 2.0 * ((w * z + x * y) * px - (x * x + z * z) * py + (y * z - w * x) * pz),
+            tz + pz + 2.0 * ((x * z - w * y) * px + (w * x + y * z) * py - (x * x + y * y) * pz),
+        ],
+        axis=-1,
+    )
+
+
+def quaternion_from_matrix(matrix: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    """Unit quaternion (4) xyzw of a rotation matrix (3, 3), by Shepperd's method.
+
+    SciPy's conversion also orthogonalises in recent versions and not in older ones, which changes the eighth
+    digit for matrices stored as float32; this one is the same everywhere.
+    """
+    m = np.asarray(matrix, dtype=np.float64)
+    trace = m[0, 0] + m[1, 1] + m[2, 2]
+    largest = int(np.argmax([m[0, 0], m[1, 1], m[2, 2], trace]))
+    if largest == 3:
+        q = np.array([m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1], 1.0 + trace])
+    else:
+        i, j, k = largest, (largest + 1) % 3, (largest + 2) % 3
+        q = np.empty(4)
+        q[i] = 1.0 - trace + 2.0 * m[i, i]
+        q[j] = m[j, i] + m[i, j]
+        q[k] = m[k, i] + m[i, k]
+        q[3] = m[k, j] - m[j, k]
+    unit: npt.NDArray[np.float64] = q / np.sqrt(np.dot(q, q))
+    return unit
 
 
 def compose(a_from_b: npt.ArrayLike, b_from_c: npt.ArrayLike) -> npt.NDArray[np.float64]:
     """The pose `a_from_c` (..., 7)."""
-    outer, inner = np.asarray(a_from_b, dtype=np.float64), np.asarray(b_from_c, dtype=np.float64)
-    position = outer[..., :3] + rotate(outer[..., 3:], inner[..., :3])
+    outer, inner = np.asarray(a_from_b), np.asarray(b_from_c)
+    position = compose_point(outer, inner[..., :3])
     return np.concatenate([position, quaternion_multiply(outer[..., 3:], inner[..., 3:])], axis=-1)
 
 
@@ -42,3 +84,7 @@ def rotation_angle(first: npt.ArrayLike, second: npt.ArrayLike) -> float:
     """Angle (rad, 0 to pi) between two rotations given as quaternions (4) xyzw of either sign."""
     a, b = np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)
     return float(np.arccos(np.clip(2.0 * np.dot(a, b) ** 2 - 1.0, -1.0, 1.0)))
+
+
+def _components(vectors: npt.ArrayLike) -> npt.NDArray[np.floating]:
+    return np.moveaxis(np.asarray(vectors), -1, 0)

@@ -1,0 +1,74 @@
+"""Kinematics of the Panda for receivers, in a physics server of its own."""
+
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.config import PandaConfig
+from handover_marl.geometry import rotation_angle
+from handover_marl.sim.client import connect, load_urdf
+
+ARM_JOINTS = 7
+
+_POSITION_TOLERANCE = 1e-3
+_ANGLE_TOLERANCE = 0.1
+_MAX_ROUNDS = 1000
+
+
+class PandaKinematics:
+    """Inverse kinematics as HandoverSim's baselines compute it.
+
+    Args:
+        urdf: The Panda's model file.
+        config: Where the Panda stands.
+    """
+
+    def __init__(self, urdf: Path, config: PandaConfig) -> None:
+        self._client = connect()
+        self._body = load_urdf(self._client, urdf)
+        # Unlike in the world the base is not fixed and its pose stays double: the answers depend on both.
+        self._client.resetBasePositionAndOrientation(
+            self._body, list(config.base_position), list(config.base_orientation)
+        )
+        names = [
+            self._client.getJointInfo(self._body, joint)[12].decode()
+            for joint in range(self._client.getNumJoints(self._body))
+        ]
+        self._hand_link = names.index("panda_hand")
+
+    def solve(
+        self, start: npt.ArrayLike, position: npt.ArrayLike, orientation: npt.ArrayLike | None = None
+    ) -> npt.NDArray[np.float64] | None:
+        """Arm joints that bring the hand link to a pose, or None if the search does not converge.
+
+        Repeats Bullet's damped steps until the hand is within 1 mm and 0.1 rad of the target. Joint limits are
+        not respected, as in the reference.
+
+        Args:
+            start: Nine joint positions to start from (rad, m); fingers are ignored.
+            position: World position of the hand link (m).
+            orientation: World orientation, quaternion xyzw; None leaves it free.
+
+        Returns:
+            (7,) arm joint positions (rad).
+        """
+        target = np.asarray(position, dtype=np.float64)
+        rest = [float(value) for value in np.asarray(start)]
+        options = {} if orientation is None else {"targetOrientation": np.asarray(orientation, np.float64).tolist()}
+        self._place(rest)
+        for _ in range(_MAX_ROUNDS):
+            rest = self._client.calculateInverseKinematics(
+                self._body, self._hand_link, target.tolist(), restPoses=rest, **options
+            )
+            self._place(rest)
+            reached, rotation = self._client.getLinkState(self._body, self._hand_link)[:2]
+            if np.linalg.norm(np.array(reached) - target) < _POSITION_TOLERANCE and (
+                orientation is None or rotation_angle(rotation, orientation) < _ANGLE_TOLERANCE
+            ):
+                return np.array(rest[:ARM_JOINTS])
+        return None
+
+    def _place(self, joints: list[float]) -> None:
+        for joint in range(ARM_JOINTS):
+            self._client.resetJointState(self._body, joint, joints[joint])

@@ -1,0 +1,19 @@
+"""A receiver that waits and never moves: the floor of every comparison."""
+
+import numpy as np
+
+from handover_marl.observations import Observation
+from handover_marl.receivers.base import Action, Receiver
+
+
+class HoldReceiver(Receiver):
+    """Stays at the start pose with open fingers."""
+
+    name = "hold"
+
+    def reset(self, seed: int | None = None) -> None:
+        """Nothing to forget."""
+
+    def act(self, observation: Observation) -> Action:
+        """The start pose."""
+        return np.array(self.context.panda.start_joints, dtype=np.float32)

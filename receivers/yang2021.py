@@ -1,0 +1,238 @@
+"""Reactive human-to-robot handovers by grasp selection (Yang et al., ICRA 2021), as HandoverSim evaluates it.
+
+Every 0.1 s the receiver ranks the object's known grasps by how near their standoff poses are to the pose chosen
+last and to a preferred pose, moves to the best standoff that it can reach, and from there straight onto the
+grasp; then it closes the fingers and carries the object to the goal. It knows the object's true pose and does
+not look at the human hand.
+"""
+
+from dataclasses import dataclass
+from enum import Enum, auto
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.datasets.ycb import CLASS_NAMES
+from handover_marl.geometry import compose, quaternion_from_matrix, rotation_angle
+from handover_marl.observations import Observation
+from handover_marl.receivers.base import WAITING_JOINTS, Action, Receiver, ReceiverContext
+from handover_marl.sim.kinematics import ARM_JOINTS, PandaKinematics
+
+Pose = npt.NDArray[np.float64]
+
+OPEN, CLOSED = 0.04, 0.0
+
+
+@dataclass(frozen=True)
+class YangConfig:
+    """Constants of the method (m, rad, s), as HandoverSim sets them.
+
+    Attributes:
+        wait_time: How long to stay at the waiting pose.
+        decision_period: Time between decisions while approaching.
+        close_time: How long the fingers close.
+        gripper_from_hand: Pose of the hand link in the grasp files' gripper frame.
+        standoff: Pose of the standoff in the hand link's frame at the grasp.
+        preferred_pose: World pose of the hand that standoffs are drawn to.
+        rotation_weight: Weight of rotations against squared distances.
+        max_candidates: How many grasps are tried for reachability, cheapest first.
+        region_width: Half width of the approach region at zero length.
+        region_slope: Growth of the width with the region's length (1/m), relative to `region_width`.
+        region_max_width: Largest half width.
+        angle_tolerance: How well the hand must be turned, in the region and at the grasp.
+        advance: Distance of one step from standoff to grasp.
+        grasp_tolerance: How near to the grasp the fingers may close.
+    """
+
+    wait_time: float = 3.0
+    decision_period: float = 0.1
+    close_time: float = 0.5
+    gripper_from_hand: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.7071068, -0.7071068)
+    standoff: tuple[float, ...] = (0.0, 0.0, -0.2, 0.0, 0.0, 0.0, 1.0)
+    preferred_pose: tuple[float, ...] = (
+        *(0.6914180, -0.4314530, 1.5511079),
+        *(0.6429956, 0.6701149, 0.2626269, -0.2617819),
+    )
+    rotation_weight: float = 0.5
+    max_candidates: int = 25
+    region_width: float = 0.015
+    region_slope: float = 50.0
+    region_max_width: float = 0.04
+    angle_tolerance: float = float(np.radians(15.0))
+    advance: float = 0.05
+    grasp_tolerance: float = 0.005
+
+
+@dataclass(frozen=True)
+class Approach:
+    """A chosen grasp: world poses (7) of the hand link at the standoff and at the grasp."""
+
+    standoff: Pose
+    grasp: Pose
+
+
+class Phase(Enum):
+    """What the receiver is doing."""
+
+    WAIT = auto()
+    APPROACH = auto()
+    CLOSE = auto()
+    RETREAT = auto()
+
+
+class Yang2021Receiver(Receiver):
+    """The Yang et al. baseline.
+
+    Asked every millisecond while the fingers close (the arm is then told to stay where it is), every 0.1 s
+    before, and once after.
+    """
+
+    name = "yang2021"
+    control_period = 0.1
+
+    def __init__(self, context: ReceiverContext, config: YangConfig | None = None) -> None:
+        super().__init__(context)
+        self.config = config or YangConfig()
+        self._kinematics: PandaKinematics | None = None
+        self._grippers: dict[str, Pose | None] = {}
+        self.reset()
+
+    def reset(self, seed: int | None = None) -> None:
+        """Forget the chosen grasp; nothing here is random."""
+        # A fresh solver per episode, so that no episode can depend on the one before.
+        self._kinematics = None
+        self._phase = Phase.WAIT
+        self._approach: Approach | None = None
+        self._reference: Pose | None = None
+        self._close_until = 0.0
+        self._retreat: Action | None = None
+
+    @property
+    def hold_time(self) -> float:
+        """Until the wait is over, the next decision, the next millisecond while closing, or for ever."""
+        if self._phase is Phase.WAIT:
+            return self.config.wait_time
+        if self._phase is Phase.APPROACH:
+            return self.config.decision_period
+        return 0.001 if self._phase is Phase.CLOSE else float("inf")
+
+    def act(self, observation: Observation) -> Action:
+        """The next nine target joint positions."""
+        time = round(float(observation["time"][0]), 3)
+        if time < self.config.wait_time:
+            return np.array(WAITING_JOINTS, dtype=np.float32)
+        if self._phase is Phase.WAIT:
+            self._phase = Phase.APPROACH
+        if self._phase is Phase.APPROACH:
+            arm = self._decide(observation)
+            if arm is not None:
+                return _action(arm, OPEN)
+            self._phase = Phase.CLOSE
+            self._close_until = round(time + self.config.close_time, 3)
+        if self._phase is Phase.CLOSE and time < self._close_until:
+            return _action(_arm(observation), CLOSED)
+        if self._retreat is None:
+            self._phase = Phase.RETREAT
+            self._retreat = _action(self._arm_at_goal(observation), CLOSED)
+        return self._retreat
+
+    def _decide(self, observation: Observation) -> npt.NDArray[np.floating] | None:
+        """Arm joints to go to next, or None when the hand is at the grasp."""
+        hand = observation["gripper_pose"]
+        if self._approach is None or not self._in_region(hand, self._approach):
+            return self._to_standoff(observation)
+        if self._at_grasp(hand, self._approach.grasp):
+            return None
+        return self._towards_grasp(observation, self._approach.grasp)
+
+    def _to_standoff(self, observation: Observation) -> npt.NDArray[np.floating]:
+        grasps = self._world_grasps(observation)
+        if grasps is None:
+            return _arm(observation)
+        standoffs = compose(grasps, np.array(self.config.standoff))
+        cheapest = np.argsort(self._costs(standoffs, observation["gripper_pose"]), kind="stable")
+        for index in cheapest[: self.config.max_candidates]:
+            arm = self._solve(observation, standoffs[index])
+            if arm is not None:
+                self._approach = Approach(standoff=standoffs[index], grasp=grasps[index])
+                self._reference = standoffs[index]
+                return arm
+        self._reference = None
+        return _arm(observation)
+
+    def _towards_grasp(self, observation: Observation, grasp: Pose) -> npt.NDArray[np.floating]:
+        hand = observation["gripper_pose"][:3]
+        way = grasp[:3] - hand
+        distance = float(np.linalg.norm(way))
+        target = grasp.copy()
+        if distance >= self.config.advance:
+            # The reference rounds this set-point to float32, like the observation that it starts from.
+            target[:3] = (hand + way / distance * self.config.advance).astype(np.float32)
+        arm = self._solve(observation, target)
+        return _arm(observation) if arm is None else arm
+
+    def _arm_at_goal(self, observation: Observation) -> npt.NDArray[np.floating]:
+        goal = self.context.protocol.goal_center
+        arm = self._solver().solve(observation["robot_joint_position"], goal)
+        return _arm(observation) if arm is None else arm
+
+    def _world_grasps(self, observation: Observation) -> Pose | None:
+        """(n, 7) world poses of the hand link at the target object's grasps, or None if it has none."""
+        grippers = self._gripper_poses(CLASS_NAMES[int(observation["object_classes"][0])])
+        if grippers is None:
+            return None
+        world_from_gripper = compose(observation["object_poses"][0], grippers)
+        return compose(world_from_gripper, np.array(self.config.gripper_from_hand))
+
+    def _gripper_poses(self, object_name: str) -> Pose | None:
+        if object_name not in self._grippers:
+            transforms = self.context.grasps(object_name)
+            if transforms is None or len(transforms) == 0:
+                self._grippers[object_name] = None
+            else:
+                rotations = np.stack([quaternion_from_matrix(matrix) for matrix in transforms[:, :3, :3]])
+                self._grippers[object_name] = np.concatenate([transforms[:, :3, 3], rotations], axis=1)
+        return self._grippers[object_name]
+
+    def _costs(self, standoffs: Pose, hand: npt.NDArray[np.float32]) -> npt.NDArray[np.float64]:
+        reference = hand if self._reference is None else self._reference
+        return self._distance(reference, standoffs) + self._distance(
+            np.array(self.config.preferred_pose), standoffs
+        )
+
+    def _distance(self, pose: npt.ArrayLike, poses: Pose) -> npt.NDArray[np.float64]:
+        one = np.asarray(pose, dtype=np.float64)
+        translation: npt.NDArray[np.float64] = ((poses[:, :3] - one[:3]) ** 2).sum(axis=1)
+        return translation + self.config.rotation_weight * (1.0 - (poses[:, 3:] @ one[3:]) ** 2)
+
+    def _in_region(self, hand: npt.NDArray[np.float32], approach: Approach) -> bool:
+        standoff, grasp = approach.standoff, approach.grasp
+        angle = min(rotation_angle(hand[3:], standoff[3:]), rotation_angle(hand[3:], grasp[3:]))
+        axis = grasp[:3] - standoff[:3]
+        length = float(np.linalg.norm(axis))
+        # The projection is divided by the length twice and clipped in between: the reference's own arithmetic.
+        share = float(np.clip(np.dot(hand[:3] - standoff[:3], axis) / length, 0.0, 1.0)) / length
+        distance = float(np.linalg.norm(standoff[:3] + share * axis - hand[:3]))
+        config = self.config
+        width = config.region_width * (1.0 + config.region_slope * length)
+        return distance < min(width, config.region_max_width) and angle < config.angle_tolerance
+
+    def _at_grasp(self, hand: npt.NDArray[np.float32], grasp: Pose) -> bool:
+        near = float(np.linalg.norm(grasp[:3] - hand[:3])) < self.config.grasp_tolerance
+        return near and rotation_angle(hand[3:], grasp[3:]) < self.config.angle_tolerance
+
+    def _solve(self, observation: Observation, pose: Pose) -> npt.NDArray[np.float64] | None:
+        return self._solver().solve(observation["robot_joint_position"], pose[:3], pose[3:])
+
+    def _solver(self) -> PandaKinematics:
+        if self._kinematics is None:
+            self._kinematics = PandaKinematics(self.context.panda_urdf, self.context.panda)
+        return self._kinematics
+
+
+def _arm(observation: Observation) -> npt.NDArray[np.float32]:
+    return observation["robot_joint_position"][:ARM_JOINTS]
+
+
+def _action(arm: npt.NDArray[np.floating], fingers: float) -> Action:
+    return np.concatenate([arm, [fingers, fingers]]).astype(np.float32)
