@@ -1,1 +1,28 @@
-"""Policies for the giver, the human side."""
+"""Policies for the giver, the human side, by name.
+
+`replay` plays the recorded motion. Packages add their own through the entry-point group `handover_marl.givers`.
+"""
+
+from typing import cast
+
+from handover_marl.givers.base import Action, Giver
+
+from handover_marl import registry
+
+GROUP = "handover_marl.givers"
+
+__all__ = ["Action", "Giver", "available", "make"]
+
+
+def available() -> tuple[str, ...]:
+    """Names of the givers that can be made."""
+    return registry.available(GROUP)
+
+
+def make(name: str) -> Giver:
+    """A giver by name.
+
+    Raises:
+        UnknownNameError: No giver of this name is registered.
+    """
+    return cast(type[Giver], registry.load(GROUP, name, Giver))()

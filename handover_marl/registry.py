@@ -30,7 +30,11 @@ def load(group: str, name: str, base: type) -> type:
     try:
         found = point.load()
     except (ImportError, AttributeError) as error:
-        raise OptionError(f"{kind} {name!r} is registered as {point.value} but cannot be imported: {error}") from error
+        raise OptionError(
+            f"{kind} {name!r} is registered as {point.value} but cannot be imported: {error}"
+        ) from error
     if not (isinstance(found, type) and issubclass(found, base)):
-        raise OptionError(f"{kind} {name!r} ({point.value}) must be a subclass of {base.__module__}.{base.__name__}")
+        raise OptionError(
+            f"{kind} {name!r} ({point.value}) must be a subclass of {base.__module__}.{base.__name__}"
+        )
     return found

@@ -11,11 +11,12 @@ from enum import Enum, auto
 
 import numpy as np
 import numpy.typing as npt
+from handover_marl.receivers.base import WAITING_JOINTS, Action, Receiver, ReceiverContext
 
 from handover_marl.datasets.ycb import CLASS_NAMES
+from handover_marl.errors import ResetNeededError
 from handover_marl.geometry import compose, quaternion_from_matrix, rotation_angle
 from handover_marl.observations import Observation
-from handover_marl.receivers.base import WAITING_JOINTS, Action, Receiver, ReceiverContext
 from handover_marl.sim.kinematics import ARM_JOINTS, PandaKinematics
 
 Pose = npt.NDArray[np.float64]
@@ -95,17 +96,14 @@ class Yang2021Receiver(Receiver):
         self.config = config or YangConfig()
         self._kinematics: PandaKinematics | None = None
         self._grippers: dict[str, Pose | None] = {}
-        self.reset()
+        self._forget()
 
     def reset(self, seed: int | None = None) -> None:
         """Forget the chosen grasp; nothing here is random."""
-        # A fresh solver per episode, so that no episode can depend on the one before.
-        self._kinematics = None
-        self._phase = Phase.WAIT
-        self._approach: Approach | None = None
-        self._reference: Pose | None = None
-        self._close_until = 0.0
-        self._retreat: Action | None = None
+        if self._kinematics is None:
+            # Loaded here rather than at the first decision, where it would count as planning time.
+            self._kinematics = PandaKinematics(self.context.panda_urdf, self.context.panda)
+        self._forget()
 
     @property
     def hold_time(self) -> float:
@@ -226,8 +224,15 @@ class Yang2021Receiver(Receiver):
 
     def _solver(self) -> PandaKinematics:
         if self._kinematics is None:
-            self._kinematics = PandaKinematics(self.context.panda_urdf, self.context.panda)
+            raise ResetNeededError("receiver 'yang2021' was asked to act before reset()")
         return self._kinematics
+
+    def _forget(self) -> None:
+        self._phase = Phase.WAIT
+        self._approach: Approach | None = None
+        self._reference: Pose | None = None
+        self._close_until = 0.0
+        self._retreat: Action | None = None
 
 
 def _arm(observation: Observation) -> npt.NDArray[np.float32]:

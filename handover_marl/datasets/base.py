@@ -42,6 +42,10 @@ class Dataset(ABC):
     def check_scenes(self, scene_ids: tuple[int, ...]) -> None:
         """Raise `DataNotFoundError` if a file of one of the scenes is missing, before hours are spent."""
 
+    @abstractmethod
+    def fingerprint(self, scene_id: int) -> str:
+        """A short text that changes when the scene's motion or models do."""
+
     def split(self, setup: str, split: str) -> tuple[int, ...]:
         """Scene ids of an official split, ascending."""
         return split_scenes(setup, split, lambda scene_id: self.info(scene_id).side)

@@ -5,6 +5,7 @@
 <data_dir>/assets/                       URDFs of the objects, hands, Panda and table; grasps/<class>.npy
 """
 
+import hashlib
 import json
 import zipfile
 import zlib
@@ -101,6 +102,18 @@ class OfficialDataset(Dataset):
             self._scene_assets(self.info(scene_id))
             self._existing(self._pose_path(scene_id))
 
+    def fingerprint(self, scene_id: int) -> str:
+        """Hash of the scene's meta file, pose file and URDFs (not of their meshes)."""
+        assets = self._scene_assets(self.info(scene_id))
+        motion = (self._meta_path(scene_id), self._existing(self._pose_path(scene_id)))
+        digest = hashlib.sha256()
+        for path in (*motion, assets.table, assets.panda, assets.hand, *assets.objects):
+            digest.update(path.read_bytes())
+        return digest.hexdigest()[:16]
+
+    def _meta_path(self, scene_id: int) -> Path:
+        return self._existing(self.data_dir / "dex-ycb-cache" / f"meta_{scene_id:03d}.json")
+
     def _pose_path(self, scene_id: int) -> Path:
         return self.data_dir / "dex-ycb-cache" / f"pose_{scene_id:03d}.npz"
 
@@ -127,7 +140,7 @@ class OfficialDataset(Dataset):
         return load_grasps(path) if path.is_file() else None
 
     def _read_info(self, scene_id: int) -> tuple[SceneInfo, list[int]]:
-        path = self._existing(self.data_dir / "dex-ycb-cache" / f"meta_{scene_id:03d}.json")
+        path = self._meta_path(scene_id)
         try:
             meta = json.loads(path.read_text())
             ids = [int(number) for number in meta["ycb_ids"]]

@@ -13,6 +13,22 @@ N_SCENES = 1000
 SETUPS = ("s0", "s1", "s2", "s3")
 SPLITS = ("train", "val", "test")
 
+#: Official number of scenes in every split (Table I).
+SPLIT_SIZES = {
+    ("s0", "train"): 720,
+    ("s0", "val"): 36,
+    ("s0", "test"): 144,
+    ("s1", "train"): 630,
+    ("s1", "val"): 90,
+    ("s1", "test"): 180,
+    ("s2", "train"): 449,
+    ("s2", "val"): 91,
+    ("s2", "test"): 360,
+    ("s3", "train"): 700,
+    ("s3", "val"): 100,
+    ("s3", "test"): 100,
+}
+
 #: Objects (master chef can, wood block) too large for the gripper, in no split.
 SKIPPED_OBJECTS = frozenset({0, 15})
 

@@ -5,14 +5,31 @@ import functools
 import inspect
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pybullet
 
 from handover_marl.errors import SimulationError
+
+
+@contextlib.contextmanager
+def _silenced() -> Iterator[None]:
+    """Send what C code writes to stderr nowhere: PyBullet greets with its build time."""
+    sys.stderr.flush()
+    kept = os.dup(2)
+    try:
+        with Path(os.devnull).open("w") as nowhere:
+            os.dup2(nowhere.fileno(), 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+
+
+with _silenced():
+    import pybullet
 
 
 class BulletClient:

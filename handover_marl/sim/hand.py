@@ -23,9 +23,7 @@ class Hand(Body):
         body_id = load_urdf(client, urdf, useFixedBase=True)
         motors = [config.translation_motor] * 3 + [config.rotation_motor] * 3 + [config.finger_motor] * 45
         super().__init__(client, body_id, motors)
-        client.changeDynamics(
-            body_id, -1, linearDamping=config.base_damping, angularDamping=config.base_damping
-        )
+        client.changeDynamics(body_id, -1, linearDamping=config.base_damping, angularDamping=config.base_damping)
         for link in range(-1, self.n_links):
             client.changeDynamics(
                 body_id,

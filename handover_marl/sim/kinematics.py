@@ -55,7 +55,9 @@ class PandaKinematics:
         """
         target = np.asarray(position, dtype=np.float64)
         rest = [float(value) for value in np.asarray(start)]
-        options = {} if orientation is None else {"targetOrientation": np.asarray(orientation, np.float64).tolist()}
+        options = (
+            {} if orientation is None else {"targetOrientation": np.asarray(orientation, np.float64).tolist()}
+        )
         self._place(rest)
         for _ in range(_MAX_ROUNDS):
             rest = self._client.calculateInverseKinematics(

@@ -77,9 +77,7 @@ class World:
         self._panda = Panda(client, scene.assets.panda, config.panda)
         self._objects = [
             Object(client, urdf, class_id, dof, config.objects)
-            for urdf, class_id, dof in zip(
-                scene.assets.objects, scene.info.object_ids, start.objects, strict=True
-            )
+            for urdf, class_id, dof in zip(scene.assets.objects, scene.info.object_ids, start.objects, strict=True)
         ]
         self._hand = None
         self._place_hand(start.hand)

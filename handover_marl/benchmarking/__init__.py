@@ -1,0 +1,1 @@
+"""HandoverSim's official protocol: running it, keeping results on disk, reporting them."""

@@ -1,0 +1,136 @@
+"""The official metrics of a run, with intervals, as numbers, table and JSON."""
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from handover_marl.benchmarking.episodes import EpisodeResult
+from handover_marl.benchmarking.results import RunSettings
+from handover_marl.config import PhysicsConfig
+from handover_marl.protocol.status import EpisodeStatus
+from handover_marl.statistics import mean_interval, wilson_interval
+
+FAILURES = (EpisodeStatus.HUMAN_CONTACT, EpisodeStatus.OBJECT_DROP, EpisodeStatus.TIMEOUT)
+
+
+@dataclass(frozen=True)
+class Report:
+    """Metrics of the scenes that were run. `str(report)` is the official table.
+
+    Attributes:
+        settings: What was run on what.
+        episodes: One result a scene, in the split's order.
+        n_split: Scenes in the whole split; fewer episodes make the report partial.
+    """
+
+    settings: RunSettings
+    episodes: tuple[EpisodeResult, ...]
+    n_split: int
+
+    @property
+    def success_rate(self) -> float:
+        """Share of episodes with success alone (0..1)."""
+        return self._rate(EpisodeStatus.SUCCESS)
+
+    @property
+    def contact_rate(self) -> float:
+        """Share of episodes in which the robot touched the person (0..1)."""
+        return self._rate(EpisodeStatus.HUMAN_CONTACT)
+
+    @property
+    def drop_rate(self) -> float:
+        """Share of episodes in which the object fell (0..1)."""
+        return self._rate(EpisodeStatus.OBJECT_DROP)
+
+    @property
+    def timeout_rate(self) -> float:
+        """Share of episodes that took 13 s without success (0..1)."""
+        return self._rate(EpisodeStatus.TIMEOUT)
+
+    @property
+    def time_exec(self) -> float | None:
+        """Mean simulated time to success (s), over successes; None without any."""
+        return _mean(self.exec_times())
+
+    @property
+    def time_plan(self) -> float | None:
+        """Mean wall-clock time in the policy (s), over successes; None without any."""
+        return _mean(self.plan_times())
+
+    @property
+    def time_total(self) -> float | None:
+        """`time_exec` + `time_plan` (s); None without successes."""
+        if self.time_exec is None or self.time_plan is None:
+            return None
+        return self.time_exec + self.time_plan
+
+    @property
+    def partial(self) -> bool:
+        """Whether scenes of the split are missing."""
+        return len(self.episodes) < self.n_split
+
+    def count(self, status: EpisodeStatus) -> int:
+        """Episodes with a flag."""
+        return sum(bool(episode.status & status) for episode in self.episodes)
+
+    def exec_times(self) -> list[float]:
+        """Simulated time of every success (s)."""
+        time_step = PhysicsConfig().time_step
+        return [episode.steps * time_step for episode in self.episodes if episode.success]
+
+    def plan_times(self) -> list[float]:
+        """Policy time of every success (s)."""
+        return [episode.plan_time for episode in self.episodes if episode.success]
+
+    def machine_label(self) -> str:
+        """Where planning was timed."""
+        machines = sorted({episode.machine or "an unknown machine" for episode in self.episodes})
+        return " and ".join(machines)
+
+    def data_label(self) -> str:
+        """The dataset in words."""
+        counts = {episode.n_objects for episode in self.episodes}
+        name = {"dexycb": "DexYCB"}.get(self.settings.dataset, self.settings.dataset)
+        return f"{name}, grasped object only" if counts == {1} else name
+
+    def to_json(self) -> dict[str, object]:
+        """Everything, ready for `json.dump`; rates 0..1, intervals 95 %, times in s."""
+        n = len(self.episodes)
+        flags = {
+            "success": EpisodeStatus.SUCCESS,
+            "contact": FAILURES[0],
+            "drop": FAILURES[1],
+            "timeout": FAILURES[2],
+        }
+        return {
+            **asdict(self.settings),
+            "data": self.data_label(),
+            "machine": self.machine_label(),
+            "episodes_run": n,
+            "episodes_in_split": self.n_split,
+            "rates": {
+                name: {"rate": self._rate(flag), "interval_95": wilson_interval(self.count(flag), n)}
+                for name, flag in flags.items()
+            },
+            "times": {
+                "exec": {"mean": self.time_exec, "interval_95": mean_interval(self.exec_times())},
+                "plan": {"mean": self.time_plan, "interval_95": mean_interval(self.plan_times())},
+                "total": {"mean": self.time_total},
+            },
+            "episodes": [
+                {**asdict(episode), "status": int(episode.status), "outcome": episode.status.label}
+                for episode in self.episodes
+            ],
+        }
+
+    def __str__(self) -> str:
+        from handover_marl.benchmarking.tables import report_text
+
+        return report_text(self)
+
+    def _rate(self, status: EpisodeStatus) -> float:
+        return self.count(status) / len(self.episodes)
+
+
+def _mean(values: list[float]) -> float | None:
+    return float(np.mean(values)) if values else None

@@ -1,0 +1,121 @@
+"""A report in words and tables, readable in a terminal and as Markdown."""
+
+from collections.abc import Iterable, Sequence
+
+from tabulate import tabulate
+
+from handover_marl.benchmarking.episodes import EpisodeResult
+from handover_marl.benchmarking.published import PUBLISHED, PublishedRow
+from handover_marl.benchmarking.report import FAILURES, Report
+from handover_marl.protocol.status import EpisodeStatus
+from handover_marl.statistics import mean_interval, wilson_interval
+
+NO_VALUE = "-"
+
+_METRICS = ["success %", "exec s", "plan s", "total s", "contact %", "drop %", "timeout %"]
+_RATES = (EpisodeStatus.SUCCESS, *FAILURES)
+
+
+def report_text(report: Report) -> str:
+    """Heading, official table, per-object breakdown."""
+    return "\n\n".join([heading(report), official_table(report), object_table(report), _notes(report)])
+
+
+def report_markdown(report: Report) -> str:
+    """The report with every scene, as a Markdown file."""
+    return f"# Handover benchmark\n\n{report_text(report)}\n\n## Scenes\n\n{scene_table(report.episodes)}\n"
+
+
+def heading(report: Report) -> str:
+    """What was run on what."""
+    settings, n = report.settings, len(report.episodes)
+    extent = f"{n} of {report.n_split} scenes (partial)" if report.partial else f"all {n} scenes"
+    return (
+        f"{settings.setup} {settings.split}, {extent}. Receiver {settings.receiver}, giver {settings.giver}, "
+        f"{settings.physics} physics, data: {report.data_label()}."
+    )
+
+
+def official_table(report: Report) -> str:
+    """The official metrics, their 95 % intervals, and the published rows where they are comparable."""
+    n = len(report.episodes)
+    rates = [f"{100 * report.count(flag) / n:.2f} ({report.count(flag)}/{n})" for flag in _RATES]
+    times = [_seconds(report.time_exec), _seconds(report.time_plan), _seconds(report.time_total)]
+    intervals = [_percent_interval(report.count(flag), n) for flag in _RATES]
+    time_intervals = [_seconds_interval(report.exec_times()), _seconds_interval(report.plan_times()), NO_VALUE]
+    rows = [
+        [report.settings.receiver, rates[0], *times, *rates[1:]],
+        ["95 % interval", intervals[0], *time_intervals, *intervals[1:]],
+        *(_published_row(row) for row in _comparable(report)),
+    ]
+    return _table(["", *_METRICS], rows)
+
+
+def object_table(report: Report) -> str:
+    """Outcomes by object class."""
+    names = sorted({episode.object_name for episode in report.episodes if episode.object_name})
+    rows = []
+    for name in names:
+        episodes = [episode for episode in report.episodes if episode.object_name == name]
+        counts = [sum(bool(episode.status & flag) for episode in episodes) for flag in _RATES]
+        interval = _percent_interval(counts[0], len(episodes))
+        rows.append([name, len(episodes), *counts, f"{100 * counts[0] / len(episodes):.1f}", interval])
+    header = ["object", "scenes", "success", "contact", "drop", "timeout", "success %", "95 % interval"]
+    return _table(header, rows)
+
+
+def scene_table(episodes: Iterable[EpisodeResult]) -> str:
+    """One row a scene."""
+    header = ["scene", "object", "subject", "hand", "outcome", "steps", "release step", "plan s"]
+    return _table(header, [_scene_cells(episode) for episode in episodes])
+
+
+def _scene_cells(episode: EpisodeResult) -> list[str]:
+    """A scene's row: scene, object, subject, hand, outcome, steps, release step, plan time."""
+    cells = (episode.scene_id, episode.object_name, episode.subject, episode.side, episode.status.label)
+    release = NO_VALUE if episode.release_step is None else str(episode.release_step)
+    texts = [NO_VALUE if cell is None else str(cell) for cell in cells]
+    return [*texts, str(episode.steps), release, f"{episode.plan_time:.3f}"]
+
+
+def _comparable(report: Report) -> tuple[PublishedRow, ...]:
+    settings = report.settings
+    if settings.split != "test" or settings.dataset != "dexycb" or settings.physics != "exact":
+        return ()
+    return PUBLISHED[settings.setup]
+
+
+def _published_row(row: PublishedRow) -> list[str]:
+    rates = [f"{rate:.2f}" for rate in (row.success, row.contact, row.drop, row.timeout)]
+    times = [_seconds(value) for value in (row.time_exec, row.time_plan, row.time_total)]
+    return [f"published: {row.method}", rates[0], *times, *rates[1:]]
+
+
+def _notes(report: Report) -> str:
+    lines = [
+        "Rates over all scenes, times over successes. Intervals: Wilson for rates, Student's t for mean times.",
+        f"plan s is wall clock, measured on {report.machine_label()}.",
+    ]
+    if _comparable(report):
+        lines.append(
+            "Published: Chao et al., ICRA 2022, Table II; DexYCB with all objects and MANO hands, their machine."
+        )
+    return "\n".join(lines)
+
+
+def _seconds(value: float | None) -> str:
+    return NO_VALUE if value is None else f"{value:.3f}"
+
+
+def _seconds_interval(values: Sequence[float]) -> str:
+    interval = mean_interval(values)
+    return NO_VALUE if interval is None else f"{interval[0]:.3f} to {interval[1]:.3f}"
+
+
+def _percent_interval(count: int, n: int) -> str:
+    low, high = wilson_interval(count, n)
+    return f"{100 * low:.1f} to {100 * high:.1f}"
+
+
+def _table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
+    return str(tabulate(rows, headers=header, tablefmt="github", disable_numparse=True))
