@@ -8,6 +8,10 @@ whole episodes, depend on the last bit.
 import numpy as np
 import numpy.typing as npt
 
+#: The pose that changes nothing.
+IDENTITY = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+IDENTITY.flags.writeable = False
+
 
 def quaternion_multiply(left: npt.ArrayLike, right: npt.ArrayLike) -> npt.NDArray[np.float64]:
     """Hamilton product of quaternions (..., 4) xyzw: the rotation `right`, then `left`."""
@@ -71,6 +75,13 @@ def compose(a_from_b: npt.ArrayLike, b_from_c: npt.ArrayLike) -> npt.NDArray[np.
     outer, inner = np.asarray(a_from_b), np.asarray(b_from_c)
     position = compose_point(outer, inner[..., :3])
     return np.concatenate([position, quaternion_multiply(outer[..., 3:], inner[..., 3:])], axis=-1)
+
+
+def inverse(a_from_b: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    """The pose `b_from_a` (..., 7)."""
+    pose = np.asarray(a_from_b)
+    conjugate = pose[..., 3:] * np.array([-1.0, -1.0, -1.0, 1.0])
+    return np.concatenate([-rotate(conjugate, pose[..., :3]), conjugate], axis=-1)
 
 
 def inverse_transform_points(a_from_b: npt.ArrayLike, points: npt.ArrayLike) -> npt.NDArray[np.float64]:

@@ -21,7 +21,7 @@ Version history: v0, initial.
 import os
 import time
 import warnings
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -70,7 +70,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         DataNotFoundError: There is no data folder.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {
+    metadata: dict[str, Any] = {
         "name": "handover_v0",
         "render_modes": list(RENDER_MODES),
         "render_fps": 10,
@@ -172,8 +172,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         """Everything observed as one vector, for centralised critics; an element of `state_space`."""
         if self._observation is None:
             raise ResetNeededError("there is no state yet; call reset() before state()")
-        flat: npt.NDArray[np.float32] = spaces.flatten(self._observation_spaces[RECEIVER], self._observation)
-        return flat
+        return np.asarray(spaces.flatten(self._observation_spaces[RECEIVER], self._observation))
 
     def render(self) -> npt.NDArray[np.uint8] | None:
         """An RGB picture (height, width, 3) with "rgb_array"; with "human" the window shows itself."""
@@ -195,8 +194,8 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
             return int(rng.choice(self.scene_ids))
         if scene_id not in self.scene_ids:
             raise SceneError(
-                f"scene {scene_id!r} is not in {self.setup} {self.split}, which has {len(self.scene_ids)} scenes from "
-                f"{self.scene_ids[0]} to {self.scene_ids[-1]}; env.scene_ids lists them"
+                f"scene {scene_id!r} is not in {self.setup} {self.split}, which has {len(self.scene_ids)} scenes "
+                f"from {self.scene_ids[0]} to {self.scene_ids[-1]}; env.scene_ids lists them"
             )
         return int(scene_id)
 

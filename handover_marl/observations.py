@@ -30,23 +30,29 @@ def observation_space() -> spaces.Dict:
     | released | (1,) | 1 once the human has let go |
     | time | (1,) | since the start of the episode |
     """
-    everywhere = {"low": -np.inf, "high": np.inf, "dtype": np.float32}
-    flag = {"low": 0.0, "high": 1.0, "dtype": np.float32}
     return spaces.Dict(
         {
-            "robot_joint_position": spaces.Box(shape=(PANDA_DOF,), **everywhere),
-            "robot_joint_velocity": spaces.Box(shape=(PANDA_DOF,), **everywhere),
-            "gripper_pose": spaces.Box(shape=(_POSE,), **everywhere),
-            "object_poses": spaces.Box(shape=(MAX_OBJECTS, _POSE), **everywhere),
-            "object_mask": spaces.Box(shape=(MAX_OBJECTS,), **flag),
+            "robot_joint_position": _unbounded((PANDA_DOF,)),
+            "robot_joint_velocity": _unbounded((PANDA_DOF,)),
+            "gripper_pose": _unbounded((_POSE,)),
+            "object_poses": _unbounded((MAX_OBJECTS, _POSE)),
+            "object_mask": _flags((MAX_OBJECTS,)),
             "object_classes": spaces.Box(0.0, float(max(CLASS_NAMES)), (MAX_OBJECTS,), np.float32),
-            "hand_dof_position": spaces.Box(shape=(HAND_DOF,), **everywhere),
-            "hand_keypoints": spaces.Box(shape=(N_KEYPOINTS, 3), **everywhere),
-            "hand_present": spaces.Box(shape=(1,), **flag),
-            "released": spaces.Box(shape=(1,), **flag),
+            "hand_dof_position": _unbounded((HAND_DOF,)),
+            "hand_keypoints": _unbounded((N_KEYPOINTS, 3)),
+            "hand_present": _flags((1,)),
+            "released": _flags((1,)),
             "time": spaces.Box(0.0, np.inf, (1,), np.float32),
         }
     )
+
+
+def _unbounded(shape: tuple[int, ...]) -> spaces.Box:
+    return spaces.Box(-np.inf, np.inf, shape, np.float32)
+
+
+def _flags(shape: tuple[int, ...]) -> spaces.Box:
+    return spaces.Box(0.0, 1.0, shape, np.float32)
 
 
 def observe(state: WorldState, object_ids: tuple[int, ...], released: bool, time: float) -> Observation:

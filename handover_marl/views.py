@@ -5,7 +5,7 @@
 """
 
 import os
-from typing import Any, ClassVar
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -59,7 +59,7 @@ class FrozenPartnerEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         UnknownNameError: No such agent or policy.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {**HandoverEnv.metadata, "name": "handover_frozen_partner_v0"}
+    metadata: dict[str, Any] = {**HandoverEnv.metadata, "name": "handover_frozen_partner_v0"}
 
     def __init__(self, agent: str = RECEIVER, partner: str | None = None, **options: Any) -> None:
         EzPickle.__init__(self, agent, partner, **options)
@@ -127,7 +127,7 @@ class FrozenPartnerEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         return {self.live_agent: by_agent[self.live_agent]}
 
 
-class SingleAgentEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]], EzPickle):
+class SingleAgentEnv(gymnasium.Env[Any, Any], EzPickle):
     """A Gymnasium environment of one agent, for libraries such as Stable-Baselines3.
 
     Args:
@@ -136,7 +136,7 @@ class SingleAgentEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]], EzPick
         options: As `HandoverEnv`.
     """
 
-    metadata: ClassVar[dict[str, Any]] = dict(HandoverEnv.metadata)
+    metadata: dict[str, Any] = dict(HandoverEnv.metadata)
 
     def __init__(self, agent: str = RECEIVER, partner: str | None = None, **options: Any) -> None:
         EzPickle.__init__(self, agent, partner, **options)

@@ -81,6 +81,25 @@ class Phase(Enum):
     RETREAT = auto()
 
 
+@dataclass
+class Memory:
+    """What the receiver carries from one decision to the next.
+
+    Attributes:
+        phase: What it is doing.
+        approach: The grasp chosen last.
+        reference: Standoff (7) that the next choice should stay near, if any.
+        close_until: When the fingers are closed (s).
+        retreat: The action that carries the object to the goal.
+    """
+
+    phase: Phase = Phase.WAIT
+    approach: Approach | None = None
+    reference: Pose | None = None
+    close_until: float = 0.0
+    retreat: Action | None = None
+
+
 class Yang2021Receiver(Receiver):
     """The Yang et al. baseline.
 
@@ -96,52 +115,52 @@ class Yang2021Receiver(Receiver):
         self.config = config or YangConfig()
         self._kinematics: PandaKinematics | None = None
         self._grippers: dict[str, Pose | None] = {}
-        self._forget()
+        self._memory = Memory()
 
     def reset(self, seed: int | None = None) -> None:
         """Forget the chosen grasp; nothing here is random."""
         if self._kinematics is None:
             # Loaded here rather than at the first decision, where it would count as planning time.
             self._kinematics = PandaKinematics(self.context.panda_urdf, self.context.panda)
-        self._forget()
+        self._memory = Memory()
 
     @property
     def hold_time(self) -> float:
         """Until the wait is over, the next decision, the next millisecond while closing, or for ever."""
-        if self._phase is Phase.WAIT:
+        if self._memory.phase is Phase.WAIT:
             return self.config.wait_time
-        if self._phase is Phase.APPROACH:
+        if self._memory.phase is Phase.APPROACH:
             return self.config.decision_period
-        return 0.001 if self._phase is Phase.CLOSE else float("inf")
+        return 0.001 if self._memory.phase is Phase.CLOSE else float("inf")
 
     def act(self, observation: Observation) -> Action:
         """The next nine target joint positions."""
         time = round(float(observation["time"][0]), 3)
         if time < self.config.wait_time:
             return np.array(WAITING_JOINTS, dtype=np.float32)
-        if self._phase is Phase.WAIT:
-            self._phase = Phase.APPROACH
-        if self._phase is Phase.APPROACH:
+        if self._memory.phase is Phase.WAIT:
+            self._memory.phase = Phase.APPROACH
+        if self._memory.phase is Phase.APPROACH:
             arm = self._decide(observation)
             if arm is not None:
                 return _action(arm, OPEN)
-            self._phase = Phase.CLOSE
-            self._close_until = round(time + self.config.close_time, 3)
-        if self._phase is Phase.CLOSE and time < self._close_until:
+            self._memory.phase = Phase.CLOSE
+            self._memory.close_until = round(time + self.config.close_time, 3)
+        if self._memory.phase is Phase.CLOSE and time < self._memory.close_until:
             return _action(_arm(observation), CLOSED)
-        if self._retreat is None:
-            self._phase = Phase.RETREAT
-            self._retreat = _action(self._arm_at_goal(observation), CLOSED)
-        return self._retreat
+        if self._memory.retreat is None:
+            self._memory.phase = Phase.RETREAT
+            self._memory.retreat = _action(self._arm_at_goal(observation), CLOSED)
+        return self._memory.retreat
 
     def _decide(self, observation: Observation) -> npt.NDArray[np.floating] | None:
         """Arm joints to go to next, or None when the hand is at the grasp."""
         hand = observation["gripper_pose"]
-        if self._approach is None or not self._in_region(hand, self._approach):
+        if self._memory.approach is None or not self._in_region(hand, self._memory.approach):
             return self._to_standoff(observation)
-        if self._at_grasp(hand, self._approach.grasp):
+        if self._at_grasp(hand, self._memory.approach.grasp):
             return None
-        return self._towards_grasp(observation, self._approach.grasp)
+        return self._towards_grasp(observation, self._memory.approach.grasp)
 
     def _to_standoff(self, observation: Observation) -> npt.NDArray[np.floating]:
         grasps = self._world_grasps(observation)
@@ -152,10 +171,10 @@ class Yang2021Receiver(Receiver):
         for index in cheapest[: self.config.max_candidates]:
             arm = self._solve(observation, standoffs[index])
             if arm is not None:
-                self._approach = Approach(standoff=standoffs[index], grasp=grasps[index])
-                self._reference = standoffs[index]
+                self._memory.approach = Approach(standoff=standoffs[index], grasp=grasps[index])
+                self._memory.reference = standoffs[index]
                 return arm
-        self._reference = None
+        self._memory.reference = None
         return _arm(observation)
 
     def _towards_grasp(self, observation: Observation, grasp: Pose) -> npt.NDArray[np.floating]:
@@ -193,7 +212,7 @@ class Yang2021Receiver(Receiver):
         return self._grippers[object_name]
 
     def _costs(self, standoffs: Pose, hand: npt.NDArray[np.float32]) -> npt.NDArray[np.float64]:
-        reference = hand if self._reference is None else self._reference
+        reference = hand if self._memory.reference is None else self._memory.reference
         return self._distance(reference, standoffs) + self._distance(
             np.array(self.config.preferred_pose), standoffs
         )
@@ -226,13 +245,6 @@ class Yang2021Receiver(Receiver):
         if self._kinematics is None:
             raise ResetNeededError("receiver 'yang2021' was asked to act before reset()")
         return self._kinematics
-
-    def _forget(self) -> None:
-        self._phase = Phase.WAIT
-        self._approach: Approach | None = None
-        self._reference: Pose | None = None
-        self._close_until = 0.0
-        self._retreat: Action | None = None
 
 
 def _arm(observation: Observation) -> npt.NDArray[np.float32]:

@@ -1,7 +1,7 @@
 """Official result folders: `config.yaml` and one `IDX.npz` a scene, IDX being its index within the split.
 
-Official keys: `action` (T, 9), `elapsed_time` (T,) policy time of every step (s), `elapsed_frame` = T, `result`, the
-status flags. Files written here hold the rest of an `EpisodeResult` besides, which official readers pass by.
+Official keys: `action` (T, 9), `elapsed_time` (T,) policy time of every step (s), `elapsed_frame` = T, `result`,
+the status flags. Files written here hold the rest of an `EpisodeResult` besides, which official readers pass by.
 """
 
 import io
@@ -111,15 +111,15 @@ class ResultFolder:
             actions: (T, 9) the action of every physics step.
             elapsed_time: (T,) policy time at every physics step (s), zero where the policy was not asked.
         """
-        stream = io.BytesIO()
-        np.savez_compressed(
-            stream,
-            action=actions,
-            elapsed_time=elapsed_time,
-            elapsed_frame=np.int64(result.steps),
-            result=np.int64(result.status),
+        arrays: dict[str, Any] = {
+            "action": actions,
+            "elapsed_time": elapsed_time,
+            "elapsed_frame": np.int64(result.steps),
+            "result": np.int64(result.status),
             **{key: np.array(value) for key in _EXTRAS if (value := getattr(result, key)) is not None},
-        )
+        }
+        stream = io.BytesIO()
+        np.savez_compressed(stream, **arrays)
         write_atomically(self.path / f"{result.index:03d}.npz", stream.getvalue())
 
 
@@ -175,7 +175,7 @@ def _read_result(path: Path) -> EpisodeResult:
             extras = {key: archive[key].item() for key in _EXTRAS if key in archive}
     except (*_READ_ERRORS, TypeError) as error:
         raise ResultsError(
-            f"{path}: not a readable result file ({type(error).__name__}: {error}); delete it and run its scene again"
+            f"{path}: no readable result file ({type(error).__name__}: {error}); delete it and run the scene again"
         ) from error
     if not 0 < status < 16 or (status & 1 and status != 1) or steps < 1 or not np.isfinite(plan_time):
         raise ResultsError(f"{path}: impossible result {status} after {steps} steps; run its scene again")

@@ -54,7 +54,7 @@ def benchmark(
     Raises:
         UnknownNameError: No such setup, split or receiver.
         SceneError: A scene is not in the split.
-        DataNotFoundError, DataFormatError: Files are missing or damaged; missing ones are noticed before the start.
+        DataNotFoundError, DataFormatError: Files are missing (noticed before the start) or damaged.
         ResultsError: `out` holds another run or cannot be written.
         ActionError: The receiver returned something that is no action.
     """

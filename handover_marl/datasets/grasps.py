@@ -7,7 +7,7 @@ object's frame. A pickle can run any code when it is loaded, so only numpy's own
 import io
 import pickle
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -24,7 +24,14 @@ def _encode_latin1(text: str, encoding: str) -> bytes:
 
 def _reconstruct(kind: type, shape: tuple[int, ...], dtype: Any) -> npt.NDArray[Any]:
     # numpy's own _reconstruct takes any class; here an array can only be an array.
-    return np.ndarray.__new__(np.ndarray, shape, dtype)
+    return np.empty(shape, dtype)
+
+
+def _from_buffer(
+    buffer: bytes, dtype: np.dtype[Any], shape: tuple[int, ...], order: Literal["C", "F"], *_: object
+) -> npt.NDArray[Any]:
+    # Stands in for numpy's private function of protocol-5 pickles; numpy refuses object arrays here.
+    return np.frombuffer(buffer, dtype=dtype).reshape(shape, order=order)
 
 
 _ADMITTED = {
@@ -32,6 +39,8 @@ _ADMITTED = {
     ("numpy", "dtype"): np.dtype,
     ("numpy.core.multiarray", "_reconstruct"): _reconstruct,
     ("numpy._core.multiarray", "_reconstruct"): _reconstruct,
+    ("numpy.core.numeric", "_frombuffer"): _from_buffer,
+    ("numpy._core.numeric", "_frombuffer"): _from_buffer,
     ("_codecs", "encode"): _encode_latin1,
 }
 

@@ -11,6 +11,15 @@ from handover_marl.sim.client import BulletClient, float32_list
 _JOINT_TYPE, _LINK_NAME = 2, 12
 
 
+def inertial_offset(client: BulletClient, body_id: int, link: int) -> npt.NDArray[np.float64]:
+    """Pose (7) of a link's centre of mass in the link's URDF frame, xyz (m) and quaternion xyzw; -1 is the base.
+
+    Bullet places bases and reports link states by centres of mass; models and tasks speak of link frames.
+    """
+    info = client.getDynamicsInfo(body_id, link)
+    return np.array([*info[3], *info[4]])
+
+
 class Body:
     """A loaded URDF whose moving joints are driven to positions.
 

@@ -24,4 +24,5 @@ def render(client: BulletClient, camera: CameraConfig) -> npt.NDArray[np.uint8]:
         renderer=client.ER_TINY_RENDERER,
         flags=client.ER_NO_SEGMENTATION_MASK,
     )
-    return np.asarray(pixels, dtype=np.uint8).reshape(height, width, 4)[..., :3].copy()
+    picture: npt.NDArray[np.uint8] = np.asarray(pixels, dtype=np.uint8).reshape(height, width, 4)
+    return picture[..., :3].copy()

@@ -6,8 +6,10 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.config import PandaConfig
-from handover_marl.geometry import rotation_angle
+from handover_marl.geometry import IDENTITY, compose, inverse, rotation_angle
+from handover_marl.sim.body import inertial_offset
 from handover_marl.sim.client import connect, load_urdf
+from handover_marl.sim.panda import place_base
 
 ARM_JOINTS = 7
 
@@ -28,14 +30,15 @@ class PandaKinematics:
         self._client = connect()
         self._body = load_urdf(self._client, urdf)
         # Unlike in the world the base is not fixed and its pose stays double: the answers depend on both.
-        self._client.resetBasePositionAndOrientation(
-            self._body, list(config.base_position), list(config.base_orientation)
-        )
+        place_base(self._client, self._body, config.base_position, config.base_orientation)
         names = [
             self._client.getJointInfo(self._body, joint)[12].decode()
             for joint in range(self._client.getNumJoints(self._body))
         ]
         self._hand_link = names.index("panda_hand")
+        hand_from_mass = inertial_offset(self._client, self._body, self._hand_link)
+        self._mass_is_hand = np.array_equal(hand_from_mass, IDENTITY)
+        self._mass_from_hand = inverse(hand_from_mass)
 
     def solve(
         self, start: npt.ArrayLike, position: npt.ArrayLike, orientation: npt.ArrayLike | None = None
@@ -64,12 +67,18 @@ class PandaKinematics:
                 self._body, self._hand_link, target.tolist(), restPoses=rest, **options
             )
             self._place(rest)
-            reached, rotation = self._client.getLinkState(self._body, self._hand_link)[:2]
-            if np.linalg.norm(np.array(reached) - target) < _POSITION_TOLERANCE and (
-                orientation is None or rotation_angle(rotation, orientation) < _ANGLE_TOLERANCE
+            hand = self._hand_pose()
+            if np.linalg.norm(hand[:3] - target) < _POSITION_TOLERANCE and (
+                orientation is None or rotation_angle(hand[3:], orientation) < _ANGLE_TOLERANCE
             ):
                 return np.array(rest[:ARM_JOINTS])
         return None
+
+    def _hand_pose(self) -> npt.NDArray[np.float64]:
+        # Items 0 and 1 are the centre of mass in double; Bullet rounds the link frame itself to float32.
+        position, orientation = self._client.getLinkState(self._body, self._hand_link)[:2]
+        world_from_mass = np.array([*position, *orientation])
+        return world_from_mass if self._mass_is_hand else compose(world_from_mass, self._mass_from_hand)
 
     def _place(self, joints: list[float]) -> None:
         for joint in range(ARM_JOINTS):

@@ -1,13 +1,29 @@
 """The Franka Panda in the world."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from handover_marl.config import PANDA_DOF, PandaConfig
-from handover_marl.sim.body import Body
+from handover_marl.geometry import IDENTITY, compose
+from handover_marl.sim.body import Body, inertial_offset
 from handover_marl.sim.client import BulletClient, float32_list, load_urdf
 
 #: The Panda collides with everything.
 PANDA_MASK = -1
+
+
+def place_base(
+    client: BulletClient, body_id: int, position: Sequence[float], orientation: Sequence[float]
+) -> None:
+    """Put the base link's frame at a world pose (m, quaternion xyzw)."""
+    offset = inertial_offset(client, body_id, -1)
+    if np.array_equal(offset, IDENTITY):
+        client.resetBasePositionAndOrientation(body_id, position, orientation)
+    else:
+        pose = compose(np.array([*position, *orientation]), offset)
+        client.resetBasePositionAndOrientation(body_id, pose[:3].tolist(), pose[3:].tolist())
 
 
 class Panda(Body):
@@ -30,7 +46,7 @@ class Panda(Body):
             flags=client.URDF_USE_SELF_COLLISION,
         )
         # loadURDF and this call round the base pose differently (1e-16); the reference does both.
-        client.resetBasePositionAndOrientation(body_id, position, orientation)
+        place_base(client, body_id, position, orientation)
         super().__init__(client, body_id, [config.motor] * PANDA_DOF)
         self.hand_link = self.link("panda_hand")
         self.finger_links = (self.link("panda_leftfinger"), self.link("panda_rightfinger"))

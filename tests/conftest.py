@@ -1,0 +1,63 @@
+import os
+from pathlib import Path
+
+import pytest
+
+from handover_marl.datasets import DATA_VARIABLE, OfficialDataset
+from tests.fake_layout import write_layout
+
+#: Folder with recordings of the reference simulator (`scene*.npz`, `yang_s0_val.json`).
+RECORDINGS_VARIABLE = "HANDOVER_MARL_RECORDINGS"
+
+REAL_DATA = os.environ.get(DATA_VARIABLE)
+RECORDINGS = os.environ.get(RECORDINGS_VARIABLE)
+
+
+@pytest.fixture(autouse=True)
+def _no_data_by_default(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Tests name their data; none may depend on what happens to be set."""
+    monkeypatch.delenv(DATA_VARIABLE, raising=False)
+
+
+@pytest.fixture(scope="session")
+def fake_data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small dataset in the official layout; do not write to it."""
+    return write_layout(tmp_path_factory.mktemp("data") / "layout")
+
+
+@pytest.fixture
+def own_data(tmp_path: Path) -> Path:
+    """The same, for tests that spoil it."""
+    return write_layout(tmp_path / "layout")
+
+
+@pytest.fixture(scope="session")
+def real_data() -> Path:
+    """DexYCB in the official layout."""
+    if not REAL_DATA:
+        pytest.skip(f"REAL DATA MISSING: set {DATA_VARIABLE} to a folder in HandoverSim's layout")
+    return Path(REAL_DATA)
+
+
+@pytest.fixture(scope="session")
+def real_dataset(real_data: Path) -> OfficialDataset:
+    return OfficialDataset(real_data)
+
+
+@pytest.fixture(scope="session")
+def recordings(real_data: Path) -> Path:
+    """Recordings of the reference simulator."""
+    if not RECORDINGS:
+        pytest.skip(f"REFERENCE RECORDINGS MISSING: set {RECORDINGS_VARIABLE} to their folder")
+    return Path(RECORDINGS)
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    missing = [
+        name for name, value in ((DATA_VARIABLE, REAL_DATA), (RECORDINGS_VARIABLE, RECORDINGS)) if not value
+    ]
+    if missing:
+        terminalreporter.write_sep("=", "NOT TESTED AGAINST THE REFERENCE", red=True, bold=True)
+        terminalreporter.write_line(
+            f"{' and '.join(missing)} not set: tests on real motion and on reference recordings were skipped."
+        )

@@ -1,0 +1,80 @@
+"""The exact physics against recordings of the reference simulator, bit for bit."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from handover_marl import receivers
+from handover_marl.benchmarking.runner import play
+from handover_marl.datasets import OfficialDataset
+from handover_marl.episode import Episode
+from tests.conftest import RECORDINGS
+
+STRIDE = 10
+NAMES = sorted(path.stem for path in Path(RECORDINGS).glob("scene*.npz")) if RECORDINGS else ["none"]
+YANG = [name for name in NAMES if name.endswith("yang")] or ["none"]
+
+
+def read_recording(recordings: Path, name: str) -> dict[str, np.ndarray]:
+    with np.load(recordings / f"{name}.npz") as archive:
+        return dict(archive)
+
+
+def assert_same_state(episode: Episode, expected: dict[str, np.ndarray], row: int) -> None:
+    seen = episode.observe()
+    pairs = {
+        "robot_joint_position": seen["robot_joint_position"],
+        "robot_joint_velocity": seen["robot_joint_velocity"],
+        "object_dof_position": episode.world.object_dof()[0],
+        "object_pose": seen["object_poses"][0],
+        "hand_dof_position": seen["hand_dof_position"],
+        "hand_link_pose": seen["gripper_pose"],
+    }
+    for key, value in pairs.items():
+        assert value.dtype == np.float32
+        np.testing.assert_array_equal(value, expected[key][row], err_msg=f"{key} after step {episode.steps}")
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_replayed_actions_give_the_recorded_states(
+    name: str, recordings: Path, real_dataset: OfficialDataset
+) -> None:
+    expected = read_recording(recordings, name)
+    episode = Episode("exact")
+    episode.reset(real_dataset.scene(int(expected["scene_id"])))
+    for step, action in enumerate(expected["action"]):
+        assert not episode.status, f"ended early, after {episode.steps} steps"
+        episode.advance(action, 1)
+        if step % STRIDE == 0:
+            assert_same_state(episode, expected, step // STRIDE)
+    assert episode.steps == expected["steps"]
+    assert episode.status == expected["status"]
+    assert (episode.release_step or -1) == expected["release_step"]
+    episode.close()
+
+
+@pytest.mark.parametrize("name", YANG)
+def test_yang_receiver_takes_the_recorded_actions(
+    name: str, recordings: Path, real_dataset: OfficialDataset
+) -> None:
+    expected = read_recording(recordings, name)
+    episode = Episode("exact")
+    policy = receivers.make("yang2021", real_dataset)
+    actions, times = play(episode, real_dataset.scene(int(expected["scene_id"])), policy)
+    np.testing.assert_array_equal(actions, expected["action"])
+    assert times.shape == (len(actions),)
+    episode.close()
+
+
+def test_yang_receiver_on_s0_val(recordings: Path, real_dataset: OfficialDataset) -> None:
+    expected = json.loads((recordings / "yang_s0_val.json").read_text())
+    episode = Episode("exact")
+    policy = receivers.make("yang2021", real_dataset)
+    outcomes = {}
+    for scene_id in real_dataset.split("s0", "val"):
+        play(episode, real_dataset.scene(scene_id), policy)
+        outcomes[str(scene_id)] = (int(episode.status), episode.steps, episode.release_step or -1)
+    assert outcomes == {key: (row["status"], row["steps"], row["release"]) for key, row in expected.items()}
+    episode.close()

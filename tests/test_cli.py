@@ -1,0 +1,52 @@
+from pathlib import Path
+
+import pytest
+
+from handover_marl.benchmarking import runner
+from handover_marl.cli import main, parse_scenes
+from handover_marl.errors import OptionError
+
+
+def test_benchmark_and_evaluate(fake_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    command = ["benchmark", "--setup", "s0", "--split", "val", "--receiver", "hold", "--scenes", "9"]
+    assert main([*command, "--data-dir", str(fake_data), "--out", str(tmp_path / "out")]) == 0
+    printed = capsys.readouterr()
+    assert "1 of 36 scenes (partial)" in printed.out
+    assert "timeout" in printed.err
+    assert main(["evaluate", str(tmp_path / "out")]) == 0
+    assert capsys.readouterr().out == printed.out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["benchmark"], "HANDOVER_MARL_DATA"),
+        (["benchmark", "--data-dir", "/nowhere"], "/nowhere does not exist"),
+        (["benchmark", "--setup", "s9"], "unknown setup 's9'; valid: s0, s1, s2, s3"),
+        (["benchmark", "--scenes", "1,x"], "--scenes"),
+        (["evaluate", "/nowhere"], "/nowhere does not exist"),
+    ],
+)
+def test_errors_are_one_message(arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(arguments) == 2
+    printed = capsys.readouterr()
+    assert message in printed.err
+    assert "Traceback" not in printed.err
+    assert not printed.out
+
+
+def test_ctrl_c(fake_data: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(runner, "play", interrupted)
+    assert main(["benchmark", "--split", "val", "--scenes", "9", "--data-dir", str(fake_data)]) == 130
+    assert "same command goes on" in capsys.readouterr().err
+
+
+def test_parse_scenes() -> None:
+    assert parse_scenes(None) is None
+    assert parse_scenes("209, 214") == [209, 214]
+    for text in ("", "1,", "a", "1.5"):
+        with pytest.raises(OptionError):
+            parse_scenes(text)

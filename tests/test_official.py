@@ -1,0 +1,141 @@
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from handover_marl.datasets import DATA_VARIABLE, OfficialDataset, open_dataset
+from handover_marl.errors import DataFormatError, DataNotFoundError, SceneError
+from tests.fake_layout import HAND_FIRST, HAND_LAST, N_FRAMES, evil_grasps
+
+
+def edit_meta(data: Path, scene_id: int, **changes: object) -> None:
+    path = data / "dex-ycb-cache" / f"meta_{scene_id:03d}.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), **changes}))
+
+
+def test_scene_in_the_world_frame(fake_data: Path) -> None:
+    scene = OfficialDataset(fake_data).scene(5)
+    with np.load(fake_data / "dex-ycb-cache" / "pose_005.npz") as file:
+        pose_y, pose_m = file["pose_y"], file["pose_m"][:, 0]
+    assert scene.n_frames == N_FRAMES
+    assert (scene.hand_first, scene.hand_last) == (HAND_FIRST, HAND_LAST)
+    np.testing.assert_array_equal(scene.object_dof[:, :, 2], pose_y[:, :, 2] + np.float32(0.92))
+    np.testing.assert_array_equal(np.delete(scene.object_dof, 2, axis=2), np.delete(pose_y, 2, axis=2))
+    shown = slice(HAND_FIRST, HAND_LAST + 1)
+    np.testing.assert_array_equal(scene.hand_dof[shown, 2], pose_m[shown, 2] + np.float32(0.92))
+    assert not scene.hand_dof[:HAND_FIRST].any()
+    assert scene.object_dof.dtype == scene.hand_dof.dtype == np.float32
+    with pytest.raises(ValueError, match="read-only"):
+        scene.object_dof[0, 0, 0] = 1.0
+
+
+def test_the_grasped_object_comes_first_and_the_others_keep_their_order(fake_data: Path) -> None:
+    dataset = OfficialDataset(fake_data)
+    scene = dataset.scene(14)
+    assert scene.info.object_ids == (3, 11, 21)
+    assert scene.info.target_name == "004_sugar_box"
+    assert [path.parent.name for path in scene.assets.objects] == list(scene.info.object_names)
+    moving = np.ptp(scene.object_dof[:, :, 2], axis=0) > 0.1
+    np.testing.assert_array_equal(moving, [True, False, False])
+
+
+def test_missing_folders_and_files_are_named(tmp_path: Path, own_data: Path) -> None:
+    with pytest.raises(DataNotFoundError, match=r"nowhere.*HANDOVER_MARL_DATA"):
+        open_dataset(tmp_path / "nowhere")
+    with pytest.raises(DataNotFoundError, match="no data folder given"):
+        open_dataset()
+    dataset = OfficialDataset(own_data)
+    with pytest.raises(DataNotFoundError, match="meta_019"):
+        dataset.scene(19)
+    (own_data / "assets" / "003_cracker_box" / "model_normalized.urdf").unlink()
+    with pytest.raises(DataNotFoundError, match="003_cracker_box"):
+        dataset.check_scenes((5,))
+
+
+def test_data_folder_from_the_environment(fake_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(DATA_VARIABLE, str(fake_data))
+    assert open_dataset().info(5).subject == "20200709-subject-01"
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"ycb_ids": [22]}, "unknown object class 22"),
+        ({"ycb_ids": [0]}, "unknown object class 0"),
+        ({"ycb_ids": []}, "0 objects"),
+        ({"ycb_ids": [1, 2, 3, 4, 5, 6]}, "6 objects"),
+        ({"ycb_grasp_ind": 1}, "ycb_grasp_ind 1"),
+        ({"ycb_grasp_ind": -1}, "ycb_grasp_ind -1"),
+        ({"ycb_ids": "box"}, "not a scene's meta file"),
+        ({"mano_sides": ["both"]}, "mano_sides"),
+        ({"mano_sides": []}, "mano_sides"),
+    ],
+)
+def test_bad_meta(own_data: Path, changes: dict[str, object], message: str) -> None:
+    edit_meta(own_data, 5, **changes)
+    with pytest.raises(DataFormatError, match=f"meta_005.*{message}"):
+        OfficialDataset(own_data).info(5)
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "{}", "null", '{"name": 3}'])
+def test_meta_that_is_no_meta(own_data: Path, text: str) -> None:
+    (own_data / "dex-ycb-cache" / "meta_005.json").write_text(text)
+    with pytest.raises(DataFormatError, match="meta_005"):
+        OfficialDataset(own_data).info(5)
+
+
+@settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@given(share=st.floats(0.0, 0.999))
+def test_truncated_motion(own_data: Path, share: float) -> None:
+    path = own_data / "dex-ycb-cache" / "pose_005.npz"
+    whole = path.read_bytes()
+    try:
+        path.write_bytes(whole[: int(len(whole) * share)])
+        with pytest.raises(DataFormatError, match=r"pose_005\.npz.*truncated"):
+            OfficialDataset(own_data).scene(5)
+    finally:
+        path.write_bytes(whole)
+
+
+@pytest.mark.parametrize(
+    ("pose_y", "pose_m"),
+    [
+        (np.zeros((10, 2, 6)), np.zeros((10, 1, 51))),
+        (np.zeros((10, 1, 7)), np.zeros((10, 1, 51))),
+        (np.zeros((10, 1, 6)), np.zeros((9, 1, 51))),
+        (np.zeros((10, 1, 6)), np.zeros((10, 1, 48))),
+        (np.zeros((0, 1, 6)), np.zeros((0, 1, 51))),
+        (np.full((10, 1, 6), np.nan), np.zeros((10, 1, 51))),
+    ],
+)
+def test_motion_of_the_wrong_shape(own_data: Path, pose_y: np.ndarray, pose_m: np.ndarray) -> None:
+    np.savez(own_data / "dex-ycb-cache" / "pose_005.npz", pose_y=pose_y, pose_m=pose_m)
+    with pytest.raises(DataFormatError, match="pose_005"):
+        OfficialDataset(own_data).scene(5)
+
+
+def test_grasps_are_read_safely(own_data: Path, tmp_path: Path) -> None:
+    path = own_data / "assets" / "grasps" / "003_cracker_box.npy"
+    assert OfficialDataset(own_data).grasps("003_cracker_box").shape == (100, 4, 4)
+    assert OfficialDataset(own_data).grasps("036_wood_block") is None
+    evil_grasps(path, tmp_path / "was_run")
+    with pytest.raises(DataFormatError, match="003_cracker_box"):
+        OfficialDataset(own_data).grasps("003_cracker_box")
+    assert not (tmp_path / "was_run").exists()
+
+
+@pytest.mark.parametrize("scene_id", [-1, 1000])
+def test_scene_numbers(fake_data: Path, scene_id: int) -> None:
+    with pytest.raises(SceneError, match="0 to 999"):
+        OfficialDataset(fake_data).scene(scene_id)
+
+
+def test_fingerprint_follows_the_data(own_data: Path) -> None:
+    before = OfficialDataset(own_data).fingerprint(5)
+    assert before == OfficialDataset(own_data).fingerprint(5)
+    assert before != OfficialDataset(own_data).fingerprint(6)
+    edit_meta(own_data, 5, name="20200709-subject-01/other")
+    assert before != OfficialDataset(own_data).fingerprint(5)

@@ -1,0 +1,91 @@
+from importlib.metadata import EntryPoint, EntryPoints
+from pathlib import Path
+
+import numpy as np
+import pytest
+from handover_marl.receivers import WAITING_JOINTS, Receiver
+
+from handover_marl import givers, receivers, registry
+from handover_marl.datasets import OfficialDataset
+from handover_marl.episode import Episode
+from handover_marl.errors import OptionError, ResetNeededError, UnknownNameError
+
+
+def test_names() -> None:
+    assert {"hold", "yang2021"} <= set(receivers.available())
+    assert "replay" in givers.available()
+
+
+def test_unknown_names(fake_data: Path) -> None:
+    with pytest.raises(UnknownNameError, match="receiver 'yang'; valid: hold, yang2021"):
+        receivers.make("yang", OfficialDataset(fake_data))
+    with pytest.raises(UnknownNameError, match="giver 3; valid: replay"):
+        givers.make(3)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        ("no_such_module:Thing", "cannot be imported"),
+        ("handover_marl.receivers.hold:Nothing", "cannot be imported"),
+        ("pathlib:Path", "must be a subclass"),
+    ],
+)
+def test_entry_points_that_lead_nowhere(monkeypatch: pytest.MonkeyPatch, value: str, message: str) -> None:
+    point = EntryPoint("mine", value, receivers.GROUP)
+    monkeypatch.setattr(registry, "entry_points", lambda **_: EntryPoints([point]))
+    with pytest.raises(OptionError, match=f"'mine'.*{message}"):
+        registry.load(receivers.GROUP, "mine", Receiver)
+
+
+def play(dataset: OfficialDataset, name: str, until: int) -> tuple[Episode, list[np.ndarray], Receiver]:
+    policy = receivers.make(name, dataset)
+    episode = Episode("exact")
+    episode.reset(dataset.scene(9))
+    policy.reset()
+    actions = []
+    while episode.steps < until and not episode.status:
+        actions.append(policy.act(episode.observe()))
+        episode.advance(actions[-1], round(policy.hold_time * 1000))
+    return episode, actions, policy
+
+
+def test_hold_stays_at_the_start(fake_data: Path) -> None:
+    episode, actions, policy = play(OfficialDataset(fake_data), "hold", 1000)
+    assert all(np.array_equal(action, np.float32(policy.context.panda.start_joints)) for action in actions)
+    assert np.abs(episode.observe()["robot_joint_position"] - actions[0]).max() < 0.02
+
+
+def test_yang_waits_then_goes_to_the_standoff_of_a_grasp(fake_data: Path) -> None:
+    episode, actions, policy = play(OfficialDataset(fake_data), "yang2021", 3001)
+    np.testing.assert_array_equal(actions[0], np.float32(WAITING_JOINTS))
+    assert all(action.shape == (9,) and action.dtype == np.float32 for action in actions)
+    target = episode.observe()["object_poses"][0, :3]
+    episode.world._panda.place(actions[-1].tolist())
+    # All grasps come from the robot's side, 0.1 m before the object; standoffs are 0.2 m farther.
+    np.testing.assert_allclose(episode.observe()["gripper_pose"][:3], target - [0.0, 0.3, 0.0], atol=2e-3)
+    np.testing.assert_allclose(actions[-1][7:], 0.04, rtol=1e-6)
+    assert policy.hold_time == 0.1
+
+
+def test_yang_holds_still_without_grasps(own_data: Path) -> None:
+    (own_data / "assets" / "grasps" / "003_cracker_box.npy").unlink()
+    episode, actions, _ = play(OfficialDataset(own_data), "yang2021", 3300)
+    seen = episode.observe()["robot_joint_position"]
+    assert np.abs(seen[:7] - np.float32(WAITING_JOINTS[:7])).max() < 0.02
+    assert np.abs(actions[-1][:7] - seen[:7]).max() < 0.01
+
+
+def test_yang_repeats_itself(fake_data: Path) -> None:
+    first = play(OfficialDataset(fake_data), "yang2021", 4000)[1]
+    second = play(OfficialDataset(fake_data), "yang2021", 4000)[1]
+    np.testing.assert_array_equal(first, second)
+
+
+def test_yang_needs_a_reset(fake_data: Path) -> None:
+    policy = receivers.make("yang2021", OfficialDataset(fake_data))
+    episode = Episode("exact")
+    episode.reset(OfficialDataset(fake_data).scene(9))
+    observation = {**episode.observe(), "time": np.array([3.0], dtype=np.float32)}
+    with pytest.raises(ResetNeededError, match="yang2021"):
+        policy.act(observation)

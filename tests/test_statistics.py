@@ -1,0 +1,28 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from handover_marl.statistics import mean_interval, wilson_interval
+
+
+def test_wilson_against_known_values() -> None:
+    # Newcombe (1998), Table I: 81/263 and 0/20.
+    np.testing.assert_allclose(wilson_interval(81, 263), (0.2553, 0.3662), atol=5e-5)
+    np.testing.assert_allclose(wilson_interval(0, 20), (0.0, 0.1611), atol=5e-5)
+
+
+@given(st.integers(1, 500).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n))))
+def test_wilson_holds_the_rate(count_and_n: tuple[int, int]) -> None:
+    count, n = count_and_n
+    low, high = wilson_interval(count, n)
+    assert 0.0 <= low <= count / n <= high <= 1.0
+    assert low < high
+
+
+def test_mean_interval() -> None:
+    low, high = mean_interval([1.0, 2.0, 3.0])
+    assert (low + high) / 2 == pytest.approx(2.0)
+    assert high - 2.0 == pytest.approx(4.302653 / np.sqrt(3), rel=1e-6)
+    assert mean_interval([1.0]) is None
+    assert mean_interval([]) is None
