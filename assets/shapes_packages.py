@@ -4,7 +4,9 @@ Sizes are those of the scanned objects of the YCB set (Calli et al., 2015) as De
 made upright around the origin and then moved to where the scan has it: centre, rotation vector in degrees.
 """
 
-from handover_marl.assets.shapes import Piece, block, ellipse, follow, label, loft, rectangle, stack
+from collections.abc import Sequence
+
+from handover_marl.assets.shapes import Piece, block, ellipse, follow, label, loft, rectangle, span, stack
 
 _SKIN = 0.3  # how far a label stands out of what it is glued to
 
@@ -25,16 +27,32 @@ def _labelled_box(
     return tuple(pieces)
 
 
+def _carton(rows: Sequence[tuple[float, float, float]], depth: float, colours: Sequence[str], cut: int) -> Piece:
+    """A standing carton as bent as the scanned one: z, lowest and highest x of its faces; `cut` splits its body."""
+    outlines = [span((low, -depth / 2), (high, depth / 2), 1.5) for _, low, high in rows]
+    return loft(stack(outlines, [row[0] for row in rows]), colours, (cut,))
+
+
 def cracker_box() -> tuple[Piece, ...]:
-    """003_cracker_box, 71.5 x 163.5 x 213.5."""
-    pieces = _labelled_box((71.2, 163.5, 213.5), ("red", "yellow", "white"), 0)
-    return tuple(piece.moved((-1.0, -1.8, -5.0), (0, -0.3, -0.3)) for piece in pieces)
+    """003_cracker_box, 71.5 x 163.5 x 213.5: squeezed to 63 at half its height."""
+    rows = (
+        (-111.6, -35.0, 34.0), (-95.0, -36.3, 35.2), (-50.0, -35.8, 32.5), (0.0, -35.8, 29.0), (45.0, -34.8, 28.2),
+        (75.0, -34.3, 31.5), (101.9, -34.0, 32.0),
+    )  # fmt: skip
+    colours = ("red", "red", "yellow", "red", "white", "red")
+    return (_carton(rows, 163.5, colours, 4).moved((0, -1.7, 0)),)
 
 
 def sugar_box() -> tuple[Piece, ...]:
-    """004_sugar_box, 45.1 x 92.2 x 176.1."""
-    pieces = _labelled_box((44.8, 92.2, 176.1), ("yellow", "white", "blue"), 0)
-    return tuple(piece.moved((1.3, -1.2, -4.6), (-0.8, -1.3, -2.6)) for piece in pieces)
+    """004_sugar_box, 42 x 92 x 176, leaning by 1.5 degrees."""
+    rows = (
+        (-92.3, -19.5, 24.7),
+        (-45.0, -20.5, 23.7),
+        (0.0, -21.2, 22.0),
+        (45.0, -21.8, 19.0),
+        (83.6, -23.0, 17.0),
+    )
+    return (_carton(rows, 91.5, ("yellow", "white", "yellow", "blue"), 2).moved((0, -1.4, 0), (0, 0, -2.6)),)
 
 
 def pudding_box() -> tuple[Piece, ...]:
