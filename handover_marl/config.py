@@ -111,12 +111,12 @@ class ProtocolConfig:
 
 @dataclass(frozen=True)
 class CameraConfig:
-    """A pinhole camera that looks over the robot's shoulder at the person (m, degrees, pixels)."""
+    """A pinhole camera; the default stands beside the table and sees robot, table and hand (m, degrees, pixels)."""
 
     width: int = 640
     height: int = 480
-    vertical_fov: float = 60.0
+    vertical_fov: float = 50.0
     near: float = 0.1
     far: float = 10.0
-    position: Vector3 = (1.2127, -0.5531, 1.4090)
-    target: Vector3 = (0.08, 0.24, 1.19)
+    position: Vector3 = (1.85, -0.05, 1.75)
+    target: Vector3 = (0.45, -0.05, 1.12)

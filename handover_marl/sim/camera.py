@@ -24,5 +24,6 @@ def render(client: BulletClient, camera: CameraConfig) -> npt.NDArray[np.uint8]:
         renderer=client.ER_TINY_RENDERER,
         flags=client.ER_NO_SEGMENTATION_MASK,
     )
-    picture: npt.NDArray[np.uint8] = np.asarray(pixels, dtype=np.uint8).reshape(height, width, 4)
-    return picture[..., :3].copy()
+    rgba = np.asarray(pixels, dtype=np.uint8).reshape(height, width, 4)
+    rgb: npt.NDArray[np.uint8] = rgba[..., :3].copy()
+    return rgb
