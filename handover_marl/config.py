@@ -111,7 +111,7 @@ class ProtocolConfig:
 
 @dataclass(frozen=True)
 class CameraConfig:
-    """A pinhole camera; the default stands beside the table and sees robot, table and hand (m, degrees, pixels)."""
+    """A pinhole camera; the default sees robot, table and hand from the side (m, degrees, pixels)."""
 
     width: int = 640
     height: int = 480
