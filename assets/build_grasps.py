@@ -10,6 +10,7 @@ import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -36,8 +37,9 @@ class Args:
         out: The `.npz` file to write.
         only: Class names to build, the file's other ones stay; all graspable ones if empty.
         n_grasps: Proven grasps per object.
-        n_free: Collision-free candidates to choose them from, per round.
-        n_rounds: Most rounds per object.
+        n_free: Collision-free candidates to choose them from.
+        n_drawn: Candidates drawn at a time, collisions or not.
+        n_draws: Most draws; an object with few places to grasp gives fewer candidates than `n_free`.
         seed: Seed of everything random; an object's grasps do not depend on the other objects.
     """
 
@@ -45,7 +47,8 @@ class Args:
     only: tuple[str, ...] = ()
     n_grasps: int = 100
     n_free: int = 600
-    n_rounds: int = 6
+    n_drawn: int = 8_000
+    n_draws: int = 20
     seed: int = 0
 
 
@@ -61,32 +64,34 @@ def build_object_grasps(name: str, args: Args, on_proven: Callable[[], None] = l
     """Proven grasps of one object.
 
     Raises:
-        HandoverError: Too few grasps held within the rounds allowed.
+        HandoverError: Too few grasps held.
     """
-    solid = ConvexSolid(load_collision_parts(name))
     trial = GraspTrial(object_urdf(name))
-    proven: list[Array] = []
-    n_trials = 0
     try:
-        for round_number in range(args.n_rounds):
-            seed = zlib.crc32(f"{name} {args.seed} {round_number}".encode())
-            free = _free_candidates(solid, trial, args.n_free, seed)
-            for index in spread_order(free) if len(free) else ():
-                n_trials += 1
-                if trial.holds(free[index]):
-                    proven.append(free[index])
-                    on_proven()
-                if len(proven) == args.n_grasps:
-                    return ObjectGrasps(np.stack(proven), n_trials)
+        free = _free_candidates(name, trial, args)
+        proven: list[Array] = []
+        for n_trials, index in enumerate(spread_order(free), start=1):
+            if trial.holds(free[index]):
+                proven.append(free[index])
+                on_proven()
+            if len(proven) == args.n_grasps:
+                return ObjectGrasps(np.stack(proven), n_trials)
     finally:
         trial.close()
-    raise HandoverError(f"{name}: only {len(proven)} of {args.n_grasps} grasps held after {n_trials} trials")
+    raise HandoverError(f"{name}: {len(free)} places to grasp, and only {len(proven)} of {args.n_grasps} held")
 
 
-def _free_candidates(solid: ConvexSolid, trial: GraspTrial, n: int, seed: int, n_drawn: int = 8_000) -> Array:
-    """Up to `n` candidates (k, 4, 4), rounded to float32 as they are stored, that the hand can reach."""
-    candidates = sample_candidates(solid, n_drawn, seed).astype(np.float32).astype(np.float64)
-    return np.array(list(itertools.islice(filter(trial.is_free, candidates), n)))
+def _free_candidates(name: str, trial: GraspTrial, args: Args) -> Array:
+    """Up to `args.n_free` grasps (k, 4, 4), rounded to float32 as they are stored, that the hand can reach."""
+    solid = ConvexSolid(load_collision_parts(name))
+    free: list[Array] = []
+    for draw in range(args.n_draws):
+        candidates = sample_candidates(solid, args.n_drawn, zlib.crc32(f"{name} {args.seed} {draw}".encode()))
+        stored = candidates.astype(np.float32).astype(np.float64)
+        free += itertools.islice(filter(trial.is_free, stored), args.n_free - len(free))
+        if len(free) == args.n_free:
+            break
+    return np.array(free).reshape(-1, 4, 4)
 
 
 def _known(path: Path) -> dict[str, Array]:
@@ -98,7 +103,8 @@ def _known(path: Path) -> dict[str, Array]:
 
 def _write(path: Path, grasps: dict[str, Array]) -> None:
     stream = io.BytesIO()
-    np.savez_compressed(stream, **{name: array.astype(np.float32) for name, array in sorted(grasps.items())})
+    arrays: dict[str, Any] = {name: array.astype(np.float32) for name, array in sorted(grasps.items())}
+    np.savez_compressed(stream, **arrays)
     path.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(path, stream.getvalue())
 

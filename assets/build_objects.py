@@ -74,7 +74,7 @@ def build_object(name: str, out: Path) -> Path:
 
 
 def _in_metres(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    return mesh.copy().apply_scale(_METRES)
+    return trimesh.Trimesh(mesh.vertices * _METRES, mesh.faces, process=False)
 
 
 def main(args: Args) -> None:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 import trimesh
+from handover_marl.assets.meshes import merge
 
 Array = npt.NDArray[np.float64]
 
@@ -32,15 +33,23 @@ class ConvexSolid:
     """A solid given as convex parts that may overlap."""
 
     def __init__(self, parts: Sequence[trimesh.Trimesh]) -> None:
-        self._surface: trimesh.Trimesh = trimesh.util.concatenate(list(parts))
+        self._surface = merge(parts)
         self._planes = [(part.face_normals.copy(), part.triangles[:, 0].copy()) for part in parts]
 
     def sample_surface(self, n: int, seed: int) -> tuple[Array, Array]:
         """Up to `n` points on the outside and their normals, both (k, 3)."""
         points, faces = trimesh.sample.sample_surface(self._surface, n, seed=seed)
         normals = self._surface.face_normals[faces]
-        outside = self._is_outside(points + 2e-4 * normals)
+        outside = self.is_outside(points + 2e-4 * normals)
         return np.asarray(points)[outside], np.asarray(normals)[outside]
+
+    def is_outside(self, points: Array) -> npt.NDArray[np.bool_]:
+        """Which of the points (k, 3) lie in no part."""
+        outside = np.ones(len(points), dtype=bool)
+        for normals, corners in self._planes:
+            heights = points @ normals.T - np.einsum("fi,fi->f", normals, corners)
+            outside &= (heights > 0).any(axis=1)
+        return outside
 
     def exits(self, points: Array, directions: Array, bridged: float) -> tuple[Array, Array]:
         """Lengths of rays (k, 3) entering the solid at `points`, and the normals (k, 3) where they leave it.
@@ -80,13 +89,6 @@ class ConvexSolid:
             normals.append(plane_normals[face])
         return np.stack(entries), np.stack(leaves), np.stack(normals)
 
-    def _is_outside(self, points: Array) -> npt.NDArray[np.bool_]:
-        outside = np.ones(len(points), dtype=bool)
-        for normals, corners in self._planes:
-            heights = points @ normals.T - np.einsum("fi,fi->f", normals, corners)
-            outside &= (heights > 0).any(axis=1)
-        return outside
-
 
 def sample_candidates(solid: ConvexSolid, n: int, seed: int, config: SamplingConfig | None = None) -> Array:
     """Grasps `object_from_gripper` (k, 4, 4), k below `n`, that pinch the solid between opposite surface points.
@@ -120,6 +122,8 @@ def spread_order(grasps: Array, tip_depth: float = 0.1, length_per_turn: float =
     Two grasps are near if the points between the fingertips are (m), the approach directions are and the closing
     axes, whichever finger comes first, are; `length_per_turn` (m) weighs directions against positions.
     """
+    if not len(grasps):
+        return np.zeros(0, dtype=np.intp)
     tips = grasps[:, :3, 3] + tip_depth * grasps[:, :3, 2]
     axes = np.einsum("ki,kj->kij", grasps[:, :3, 0], grasps[:, :3, 0]).reshape(-1, 9)
     features = np.concatenate([tips, length_per_turn * grasps[:, :3, 2], length_per_turn * axes], axis=1)

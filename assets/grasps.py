@@ -38,7 +38,8 @@ def load_object_grasps(name: str, path: Path = GRASPS_PATH) -> npt.NDArray[np.fl
         raise DataFormatError(
             f"{path}: no grasps for {name}; rebuild with `python -m handover_marl.assets.build_grasps`"
         )
-    return grasps[name].copy()
+    own_copy: npt.NDArray[np.float64] = grasps[name].copy()
+    return own_copy
 
 
 @functools.cache

@@ -100,6 +100,15 @@ def read_parts(path: Path) -> list[trimesh.Trimesh]:
         ) from error
 
 
+def merge(meshes: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:
+    """One mesh of the vertices and faces of all."""
+    firsts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
+    faces = [mesh.faces + first for mesh, first in zip(meshes, firsts, strict=False)]
+    return trimesh.Trimesh(
+        np.concatenate([mesh.vertices for mesh in meshes]), np.concatenate(faces), process=False
+    )
+
+
 def _submesh(points: npt.NDArray[np.float64], faces: npt.NDArray[np.int64]) -> trimesh.Trimesh:
     used, compact = np.unique(faces, return_inverse=True)
     return trimesh.Trimesh(points[used], compact.reshape(-1, 3), process=False)

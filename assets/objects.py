@@ -101,6 +101,6 @@ def collision_mesh(name: str, root: Path = OBJECTS_ROOT) -> "trimesh.Trimesh":
         UnknownNameError: There is no such class.
         DataNotFoundError: The files are missing under `root`.
     """
-    import trimesh
+    from handover_marl.assets.meshes import merge
 
-    return trimesh.util.concatenate(load_collision_parts(name, root))
+    return merge(load_collision_parts(name, root))

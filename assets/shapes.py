@@ -62,9 +62,10 @@ def rectangle(size_x: float, size_y: float, corner: float, n_corner: int = 4) ->
 def span(low: Sequence[float], high: Sequence[float], corner: float = 0.0, exponent: float = 0.0) -> Array:
     """Outline between two corners of its bounding box: superelliptic if `exponent` is given, else a rectangle."""
     lower, upper = np.asarray(low, dtype=float), np.asarray(high, dtype=float)
-    size = upper - lower
-    outline = ellipse(*(size / 2), exponent=exponent) if exponent else rectangle(*size, corner)
-    return outline + (lower + upper) / 2
+    x, y = (upper - lower).tolist()
+    outline = ellipse(x / 2, y / 2, exponent=exponent) if exponent else rectangle(x, y, corner)
+    centred: Array = outline + (lower + upper) / 2
+    return centred
 
 
 def stack(outlines: Iterable[Array], heights: Iterable[float]) -> Array:
@@ -179,7 +180,8 @@ def label(low: Sequence[float], high: Sequence[float], colour: str) -> Piece:
 
 def hull(points: Array) -> trimesh.Trimesh:
     """The convex hull of points (..., 3)."""
-    return trimesh.convex.convex_hull(points.reshape(-1, 3))
+    body: trimesh.Trimesh = trimesh.convex.convex_hull(points.reshape(-1, 3))
+    return body
 
 
 def _turned(section: Array, n: int) -> Array:

@@ -28,7 +28,7 @@ def _labelled_box(
 
 
 def _carton(rows: Sequence[tuple[float, float, float]], depth: float, colours: Sequence[str], cut: int) -> Piece:
-    """A standing carton as bent as the scanned one: z, lowest and highest x of its faces; `cut` splits its body."""
+    """A standing carton, bent as the scanned one: z, lowest and highest x of its faces; `cut` splits its body."""
     outlines = [span((low, -depth / 2), (high, depth / 2), 1.5) for _, low, high in rows]
     return loft(stack(outlines, [row[0] for row in rows]), colours, (cut,))
 

@@ -14,10 +14,12 @@ import numpy as np
 import numpy.typing as npt
 import pybullet_data
 
-from handover_marl.config import OBJECT_DOF, PandaConfig
-from handover_marl.geometry import compose_point, quaternion_from_matrix, rotation_angle
+from handover_marl.config import OBJECT_DOF, PandaConfig, ProtocolConfig
+from handover_marl.geometry import compose_point, inverse_transform_points, quaternion_from_matrix, rotation_angle
 from handover_marl.sim.client import BulletClient, connect, load_urdf
 
+# Fields of a PyBullet contact point.
+_LINK_A, _POSITION_ON_A, _NORMAL_FORCE = 3, 5, 9
 _HAND_LINKS = ("panda_hand", "panda_leftfinger", "panda_rightfinger")
 _OPEN = 0.04  # m, each finger
 _PAD_DEPTH = 0.1  # m, from the hand's frame to between the finger pads
@@ -136,9 +138,22 @@ class GraspTrial:
             self._client.stepSimulation()
 
     def _is_gripped(self) -> bool:
-        points = self._client.getContactPoints(self._object, self._hand)
-        touching = {point[4] for point in points if point[9] > 0.0}
-        return touching.issuperset(self._fingers)
+        """Whether either finger presses on the object where HandoverSim's human feels a grasp."""
+        rule = ProtocolConfig()
+        points = self._client.getContactPoints(self._hand, self._object)
+        for finger in self._fingers:
+            on_finger = [
+                point[_POSITION_ON_A]
+                for point in points
+                if point[_LINK_A] == finger and point[_NORMAL_FORCE] > 0.0
+            ]
+            if not on_finger:
+                return False
+            state = self._client.getLinkState(self._hand, finger, computeForwardKinematics=1)
+            local = inverse_transform_points(state[4] + state[5], np.array(on_finger))
+            if not ((local > rule.region_lower) & (local < rule.region_upper)).all(axis=1).any():
+                return False
+        return True
 
     def _held_pose(self, grasp: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Pose (7) in the fingers of the point of the object that was between the pads at first.

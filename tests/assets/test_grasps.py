@@ -1,0 +1,124 @@
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from handover_marl.assets.grasps import GRASPS_PATH, UNGRASPABLE, load_object_grasps
+from handover_marl.assets.objects import load_collision_parts, object_urdf
+
+from handover_marl.datasets.ycb import CLASS_NAMES
+from handover_marl.errors import DataFormatError, DataNotFoundError, UnknownNameError
+from handover_marl.sim.grasp_trial import GraspTrial, TrialConfig
+
+GRASPABLE = tuple(name for name in CLASS_NAMES.values() if name not in UNGRASPABLE)
+PROVEN_AGAIN = ("003_cracker_box", "024_bowl", "025_mug", "037_scissors", "040_large_marker")
+
+
+def _grasps(name: str) -> npt.NDArray[np.float64]:
+    grasps = load_object_grasps(name)
+    assert grasps is not None
+    return grasps
+
+
+@pytest.mark.parametrize("name", GRASPABLE)
+def test_poses_are_rigid(name: str) -> None:
+    grasps = _grasps(name)
+    assert grasps.shape == (100, 4, 4)
+    assert grasps.dtype == np.float64
+    rotations = grasps[:, :3, :3]
+    np.testing.assert_allclose(
+        rotations @ rotations.transpose(0, 2, 1), np.tile(np.eye(3), (100, 1, 1)), atol=1e-6
+    )
+    np.testing.assert_allclose(np.linalg.det(rotations), 1.0, atol=1e-6)
+    np.testing.assert_array_equal(grasps[:, 3], np.tile([0.0, 0, 0, 1], (100, 1)))
+
+
+@pytest.mark.parametrize("name", GRASPABLE)
+def test_object_lies_between_the_open_fingers(name: str) -> None:
+    pytest.importorskip("trimesh")
+    from handover_marl.assets.grasp_sampling import ConvexSolid
+
+    solid = ConvexSolid(load_collision_parts(name))
+    across = np.linspace(-0.04, 0.04, 61)  # between the open fingers, along the gripper frame's x
+    depths = np.linspace(0.07, 0.111, 8)  # from the palm to the fingertips
+    local = np.stack([*np.meshgrid(across, [0.0], depths, indexing="ij"), np.ones((61, 1, 8))], axis=-1)[:, 0]
+    for grasp in _grasps(name):
+        outside = solid.is_outside((local.reshape(-1, 4) @ grasp.T)[:, :3]).reshape(61, 8)
+        assert outside[[0, -1]].all()  # where the fingers are
+        assert not outside[:, 3:].all()  # between their pads
+
+
+@pytest.mark.parametrize("name", GRASPABLE)
+def test_grasps_differ(name: str) -> None:
+    grasps = _grasps(name)
+    tips = grasps[:, :3, 3] + 0.1 * grasps[:, :3, 2]
+    apart = np.linalg.norm(tips[:, None] - tips[None], axis=-1)
+    turned = np.arccos(np.clip(np.einsum("ai,bi->ab", grasps[:, :3, 2], grasps[:, :3, 2]), -1, 1))
+    rolled = np.arccos(np.clip(np.abs(np.einsum("ai,bi->ab", grasps[:, :3, 0], grasps[:, :3, 0])), 0, 1))
+    same = (apart < 0.003) & (turned < 0.1) & (rolled < 0.1)
+    assert same.sum() == len(grasps)  # each only with itself
+    assert np.linalg.norm(grasps[:, :3, 2].mean(axis=0)) < 0.9  # approaches do not all point one way
+
+
+@pytest.mark.parametrize("name", PROVEN_AGAIN)
+def test_shipped_grasps_hold_again(name: str) -> None:
+    trial = GraspTrial(object_urdf(name))
+    for grasp in _grasps(name)[::20]:
+        assert trial.is_free(grasp)
+        assert trial.holds(grasp)
+
+
+def test_trial_refuses_bad_grasps() -> None:
+    trial = GraspTrial(object_urdf("003_cracker_box"))
+    grasp = _grasps("003_cracker_box")[0]
+    missed, deep, turned = grasp.copy(), grasp.copy(), grasp.copy()
+    missed[:3, 3] -= 0.1 * grasp[:3, 2]
+    deep[:3, 3] += 0.05 * grasp[:3, 2]
+    turned[:3, :3] = grasp[:3, :3] @ np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    assert trial.is_free(missed)
+    assert not trial.holds(missed)
+    assert not trial.is_free(deep)
+    # The convention matters: a hand turned by 90 degrees does not fit over the box.
+    assert not trial.is_free(turned)
+
+
+def test_trial_notices_what_slips() -> None:
+    grasp = _grasps("040_large_marker")[0]
+    rough = replace(TrialConfig(), acceleration=2_000.0)
+    assert GraspTrial(object_urdf("040_large_marker")).holds(grasp)
+    assert not GraspTrial(object_urdf("040_large_marker"), rough).holds(grasp)
+
+
+def test_classes_without_grasps() -> None:
+    assert all(load_object_grasps(name) is None for name in UNGRASPABLE)
+    with np.load(GRASPS_PATH, allow_pickle=False) as archive:
+        assert sorted(archive.files) == sorted(GRASPABLE)
+
+
+def test_answer_is_the_callers_own() -> None:
+    first = _grasps("025_mug")
+    first[:] = 0.0
+    assert _grasps("025_mug").any()
+
+
+def test_rebuild_gives_the_shipped_grasps() -> None:
+    pytest.importorskip("trimesh")
+    from handover_marl.assets.build_grasps import Args, build_object_grasps
+
+    rebuilt = build_object_grasps("009_gelatin_box", Args(n_grasps=3)).transforms
+    np.testing.assert_allclose(rebuilt, _grasps("009_gelatin_box")[:3], atol=1e-6)
+
+
+def test_bad_names_and_files(tmp_path: Path) -> None:
+    with pytest.raises(UnknownNameError, match="025_cup"):
+        load_object_grasps("025_cup")
+    with pytest.raises(DataNotFoundError, match="build_grasps"):
+        load_object_grasps("025_mug", tmp_path / "none.npz")
+    damaged, lacking, misshapen = (tmp_path / f"{name}.npz" for name in ("damaged", "lacking", "misshapen"))
+    damaged.write_bytes(b"PK no archive")
+    np.savez(lacking, **{"024_bowl": np.zeros((1, 4, 4))})
+    np.savez(misshapen, **{"025_mug": np.zeros((4, 4))})
+    for path in (damaged, lacking, misshapen):
+        with pytest.raises(DataFormatError, match=path.stem):
+            load_object_grasps("025_mug", path)

@@ -1,0 +1,147 @@
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from handover_marl.assets.objects import (
+    COLLISION_NAME,
+    OBJECTS_ROOT,
+    REAL_BOUNDS,
+    VISUAL_NAME,
+    collision_mesh,
+    load_collision_parts,
+    load_visual,
+    object_urdf,
+)
+
+from handover_marl.config import ObjectConfig
+from handover_marl.datasets.ycb import CLASS_NAMES
+from handover_marl.errors import DataFormatError, DataNotFoundError, UnknownNameError
+from handover_marl.sim.client import BulletClient, connect
+from handover_marl.sim.objects import Object
+
+NAMES = tuple(CLASS_NAMES.values())
+
+
+@pytest.fixture
+def client() -> BulletClient:
+    return connect()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_urdf_is_the_official_chain(client: BulletClient, name: str) -> None:
+    body = client.loadURDF(str(object_urdf(name)), useFixedBase=True)
+    infos = [client.getJointInfo(body, joint) for joint in range(client.getNumJoints(body))]
+    assert [info[2] for info in infos] == [client.JOINT_PRISMATIC] * 3 + [client.JOINT_REVOLUTE] * 3
+    assert [info[12].decode() for info in infos] == [f"link{number}" for number in range(1, 7)]
+    assert [info[13] for info in infos] == [tuple(axis) for axis in np.eye(3).tolist() * 2]
+    dynamics = client.getDynamicsInfo(body, 5)
+    assert dynamics[:2] == (0.5, 0.9)
+    assert [len(client.getCollisionShapeData(body, link)) for link in range(-1, 5)] == [0] * 6
+    assert len(client.getVisualShapeData(body)) == 1
+
+
+@pytest.mark.parametrize("name", ["025_mug", "037_scissors", "061_foam_brick"])
+def test_every_convex_part_collides(client: BulletClient, name: str) -> None:
+    pytest.importorskip("trimesh")
+    body = client.loadURDF(str(object_urdf(name)), useFixedBase=True)
+    ball = client.createMultiBody(0, client.createCollisionShape(client.GEOM_SPHERE, radius=1e-4))
+    for part in load_collision_parts(name):
+        client.resetBasePositionAndOrientation(ball, part.center_mass.tolist(), (0, 0, 0, 1))
+        assert client.getClosestPoints(ball, body, 0.0)
+
+
+def test_world_takes_the_model(client: BulletClient) -> None:
+    start = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]
+    mug = Object(client, object_urdf("025_mug"), 14, start, ObjectConfig())
+    assert mug.link_id == 5
+    np.testing.assert_allclose(mug.joint_states()[0], start, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_size_and_frame_are_the_real_ones(name: str) -> None:
+    pytest.importorskip("trimesh")
+    for mesh in (load_visual(name), collision_mesh(name)):
+        np.testing.assert_allclose(mesh.bounds, REAL_BOUNDS[name], rtol=0, atol=0.003)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_parts_are_convex_and_closed(name: str) -> None:
+    pytest.importorskip("trimesh")
+    for part in load_collision_parts(name):
+        assert part.is_watertight
+        assert part.volume == pytest.approx(part.convex_hull.volume, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "point"),
+    [
+        ("024_bowl", (0.0, 0.0, 0.02)),
+        ("025_mug", (-0.004, 0.0, 0.0)),
+        ("025_mug", (0.047, 0.0, 0.0)),  # between wall and handle
+        ("037_scissors", (0.012, -0.036, 0.0)),  # inside a loop
+        ("052_extra_large_clamp", (-0.04, -0.004, 0.0)),  # between the jaws
+        ("019_pitcher_base", (0.045, 0.045, 0.02)),  # between body and handle
+    ],
+)
+def test_openings_are_open(client: BulletClient, name: str, point: tuple[float, float, float]) -> None:
+    client.loadURDF(str(object_urdf(name)), useFixedBase=True)
+    ball = client.createMultiBody(0, client.createCollisionShape(client.GEOM_SPHERE, radius=0.004), -1, point)
+    client.performCollisionDetection()
+    assert not client.getContactPoints(ball)
+
+
+def test_colours_show(client: BulletClient) -> None:
+    client.loadURDF(str(object_urdf("006_mustard_bottle")), useFixedBase=True)
+    view = client.computeViewMatrix((0.3, -0.25, 0.1), (0, 0, 0), (0, 0, 1))
+    projection = client.computeProjectionMatrixFOV(40, 1, 0.05, 2)
+    pixels = client.getCameraImage(96, 96, view, projection, renderer=client.ER_TINY_RENDERER)[2]
+    red, green, blue = np.asarray(pixels, dtype=int).reshape(-1, 4)[:, :3].T
+    assert ((red > 100) & (green > 80) & (blue < red / 2)).mean() > 0.03  # the yellow bottle
+    assert ((blue > red * 1.5) & (blue > 30)).mean() > 0.005  # its navy label
+
+
+@pytest.mark.parametrize("name", ["003_cracker_box", "024_bowl", "035_power_drill"])
+def test_rebuild_gives_the_shipped_bytes(tmp_path: Path, name: str) -> None:
+    pytest.importorskip("trimesh")
+    from handover_marl.assets.build_objects import build_object
+
+    rebuilt = build_object(name, tmp_path)
+    shipped = OBJECTS_ROOT / name
+    assert sorted(path.name for path in rebuilt.iterdir()) == sorted(path.name for path in shipped.iterdir())
+    for path in rebuilt.iterdir():
+        assert path.read_bytes() == (shipped / path.name).read_bytes(), path.name
+
+
+def test_models_are_small() -> None:
+    assert sum(path.stat().st_size for path in OBJECTS_ROOT.rglob("*") if path.is_file()) < 2_000_000
+
+
+def test_urdf_path_needs_no_mesh_library() -> None:
+    code = """
+import sys
+from handover_marl.assets.grasps import load_object_grasps
+from handover_marl.assets.objects import object_urdf
+object_urdf("025_mug")
+load_object_grasps("025_mug")
+assert "trimesh" not in sys.modules
+"""
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_bad_names_and_files(tmp_path: Path) -> None:
+    with pytest.raises(UnknownNameError, match="025_cup"):
+        object_urdf("025_cup")
+    with pytest.raises(DataNotFoundError, match="build_objects"):
+        object_urdf("025_mug", tmp_path)
+    pytest.importorskip("trimesh")
+    folder = tmp_path / "025_mug"
+    folder.mkdir()
+    (folder / "model_normalized.urdf").touch()
+    (folder / COLLISION_NAME).write_text("o convex_0\nv 0 0 zero\n")
+    (folder / VISUAL_NAME).write_text("o visual\nf 1/1 2/1 3/1\n")
+    with pytest.raises(DataFormatError, match=COLLISION_NAME):
+        load_collision_parts("025_mug", tmp_path)
+    with pytest.raises(DataFormatError, match=VISUAL_NAME):
+        load_visual("025_mug", tmp_path)
