@@ -33,7 +33,7 @@ class Args:
 
 def obj_text(mesh: trimesh.Trimesh, mirror: bool) -> str:
     """A mesh as Wavefront OBJ, coordinates in micrometre steps; mirrored in x if asked for."""
-    vertices, faces = mesh.vertices.copy(), mesh.faces
+    vertices, faces = np.array(mesh.vertices), np.array(mesh.faces)
     if mirror:
         vertices[:, 0] *= -1.0
         faces = faces[:, ::-1]

@@ -78,7 +78,7 @@ class HandModel:
     @property
     def bone_lengths(self) -> FloatArray:
         """(15) distance (m) from each finger joint to the next, or to the centre of the fingertip."""
-        return np.linalg.norm(self.tips, axis=1)
+        return np.asarray(np.linalg.norm(self.tips, axis=1))
 
     def forward(self, dof: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Poses of the palm and the 15 phalanges.
@@ -115,7 +115,7 @@ class HandModel:
 
     def _tip_reach(self) -> FloatArray:
         directions = self.tips / np.linalg.norm(self.tips, axis=1, keepdims=True)
-        return directions * self.radii[:, 1:]
+        return np.asarray(directions * self.radii[:, 1:])
 
 
 def euler_matrices(angles: npt.ArrayLike) -> FloatArray:
