@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import tyro
 from handover_marl.assets.hand import SIDES, SUBJECTS, HandModel, Side, hand_model
+from handover_marl.assets.hand_meshes import reference_hand
 from handover_marl.assets.human_grasps import ANGLE_STEP, GRASPED_OBJECTS, GRASPS_FILE
 from handover_marl.assets.human_grasps_candidates import GraspTarget, grasp_target
 from handover_marl.assets.human_grasps_selection import Grasps, choose, fit_to_hand, free_share, grasp_pool
@@ -21,7 +22,7 @@ from scipy.spatial.transform import Rotation
 #: What the file holds, by key.
 Arrays = dict[str, npt.NDArray[np.generic]]
 
-_BASE_GRASPS = 64
+_BASE_GRASPS = 60
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,9 @@ def object_grasps(name: str, side: Side, args: Args) -> list[Arrays]:
     if side == "left":
         target = target.mirrored()
     rng = np.random.default_rng([args.seed, GRASPED_OBJECTS.index(name), SIDES.index(side)])
-    base = choose(grasp_pool(target, name, rng), name, _BASE_GRASPS, rng)
+    pool = grasp_pool(target, name, rng)
+    room = free_share(target, reference_hand(), pool, 120)
+    base = choose(pool, name, _BASE_GRASPS, rng, room)
     results = []
     for subject in SUBJECTS:
         # Always a right hand: a left one's grasps are those of a right one on the mirrored object.

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+import trimesh
 from handover_marl.assets.hand import FloatArray, HandModel
 from handover_marl.assets.hand_meshes import reference_hand
 from handover_marl.assets.human_grasps_candidates import (
@@ -21,7 +22,7 @@ from handover_marl.assets.human_grasps_closing import (
     close,
     to_object,
 )
-from handover_marl.assets.human_grasps_statistics import wrist_distance_quantile
+from handover_marl.assets.human_grasps_statistics import FREE_SHARE_MEDIAN, wrist_distance_quantile
 from scipy.spatial.transform import Rotation
 
 #: A digit touches if its skin is at most this far from the object (m).
@@ -30,8 +31,10 @@ TOUCH_DISTANCE = 0.003
 _FREE_DISTANCE = 0.03
 # The palm's flesh gives way more than the fingers'.
 _PALM_YIELD = 0.003
-_WANTED_POOL, _MOST_ROUNDS, _ROUND = 400, 20, 20_000
-_VARIANTS = 4
+_MOST_ROUNDS, _ROUND = 5, 20_000
+# A pool is enough when it holds so many grasps in each of so many quantile bins of the wrist distance.
+_BINS, _LEAST_IN_BIN, _LARGEST_POOL = 8, 20, 1200
+_VARIANTS = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,17 +102,28 @@ def close_and_keep(
 
 def grasp_pool(target: GraspTarget, object_name: str, rng: np.random.Generator) -> Grasps:
     """Many grasps of the reference hand all over an object, at the distances people hold it at."""
-    nearest, furthest = wrist_distance_quantile(object_name, [0.0, 1.0])
+    goals = wrist_distance_quantile(object_name, np.linspace(0.0, 1.0, _BINS + 1))
+    limits = (float(goals[0]) - 0.01, float(goals[-1]) + 0.01)
     found: list[Grasps] = []
     for _ in range(_MOST_ROUNDS):
-        palms, opened = find_candidates(target, _ROUND, (nearest - 0.01, furthest + 0.01), rng)
-        rows = rng.permutation(len(opened))[:1000]
+        palms, opened = find_candidates(target, _ROUND, limits, rng)
+        # As many near as far ones, whatever the sampling favours.
+        share = _bins(palms[0], goals)
+        weight = 1.0 / np.bincount(share)[share]
+        size = min(len(share), 1000)
+        rows = rng.choice(len(share), size, replace=False, p=weight / weight.sum())
         palms, opened = (palms[0][rows], palms[1][rows]), opened[rows]
         found.append(close_and_keep(target, reference_hand(), palms, opened, np.arange(len(opened))))
-        if sum(map(len, found)) >= _WANTED_POOL:
+        have = np.bincount(np.concatenate([_bins(part.palms[0], goals) for part in found]), minlength=_BINS)
+        if have.min() >= _LEAST_IN_BIN:
             break
     pool = _joined(found)
-    return pool[np.arange(min(len(pool), 3 * _WANTED_POOL))]
+    return pool[rng.permutation(len(pool))[:_LARGEST_POOL]]
+
+
+def _bins(positions: FloatArray, goals: FloatArray) -> FloatArray:
+    """(n) which quantile bin the wrist distances of palm positions lie in."""
+    return np.asarray(np.searchsorted(goals[1:-1], np.linalg.norm(positions, axis=1)))
 
 
 def fit_to_hand(target: GraspTarget, model: HandModel, grasps: Grasps, rng: np.random.Generator) -> Grasps:
@@ -132,37 +146,43 @@ def fit_to_hand(target: GraspTarget, model: HandModel, grasps: Grasps, rng: np.r
     return close_and_keep(target, model, (position[rows], rotation[rows]), base.opened[rows], row[rows])
 
 
-def choose(grasps: Grasps, object_name: str, count: int, rng: np.random.Generator) -> Grasps:
+def choose(
+    grasps: Grasps, object_name: str, count: int, rng: np.random.Generator, free: FloatArray | None = None
+) -> Grasps:
     """A set whose wrist distances are spread as people's, otherwise varied and firmly held.
 
-    The k-th grasp is the one that best meets a distance between the quantiles k/count and (k+1)/count.
+    The k-th grasp is the one that best meets a distance between the quantiles k/count and (k+1)/count. Grasps that
+    leave less of the object free (`free`, shares (n)) than people do are avoided.
     """
     goals = wrist_distance_quantile(object_name, (np.arange(count) + rng.random(count)) / count)
     quality = 0.35 * grasps.touching.sum(axis=1) - 100.0 * grasps.overlap
+    if free is not None:
+        quality -= 12.0 * np.maximum(0.0, FREE_SHARE_MEDIAN[object_name] - free)
     crowd, chosen = np.zeros(len(grasps)), []
     for goal in goals[rng.permutation(count)]:
         cost = (np.abs(grasps.wrist_distance - goal) / 0.004) ** 2 - quality + crowd
         best = int(np.argmin(cost))
         chosen.append(best)
-        crowd += 1.5 * _likeness(grasps, best) + 4.0 * (grasps.base == grasps.base[best])
+        crowd += 3.0 * _likeness(grasps, best) + 8.0 * (grasps.base == grasps.base[best])
         crowd[best] = np.inf
     order = np.argsort(grasps.wrist_distance[chosen])
     return grasps[np.array(chosen)[order]]
 
 
-def free_share(target: GraspTarget, model: HandModel, grasps: Grasps) -> FloatArray:
+def free_share(target: GraspTarget, model: HandModel, grasps: Grasps, samples: int = 400) -> FloatArray:
     """(n) share of the object's surface further than 30 mm from the hand: room for a gripper."""
-    balls = HandBalls(model)
-    import trimesh
-
-    points, _ = trimesh.sample.sample_surface(target.mesh, 400, seed=0)
+    balls, n = HandBalls(model), len(grasps)
+    points, _ = trimesh.sample.sample_surface(target.mesh, samples, seed=0)
     phalanges, _ = balls.phalanges(grasps.closed.angles())
-    n = len(grasps)
     palm = np.broadcast_to(balls.palm[0], (n, *balls.palm[0].shape))
     centres = to_object(grasps.palms, np.concatenate([phalanges.reshape(n, -1, 3), palm], axis=1))
-    radii = np.concatenate([balls.radii.ravel(), balls.palm[1]])
-    distance = np.linalg.norm(points[None, :, None] - centres[:, None], axis=-1) - radii
-    return np.asarray((distance.min(axis=2) > _FREE_DISTANCE).mean(axis=1))
+    reach = _FREE_DISTANCE + np.concatenate([balls.radii.ravel(), balls.palm[1]])
+    squared = (
+        (centres**2).sum(axis=2)[:, None]
+        + (points**2).sum(axis=1)[:, None]
+        - 2.0 * points @ centres.swapaxes(1, 2)
+    )
+    return np.asarray((squared > reach**2).all(axis=2).mean(axis=1))
 
 
 def _likeness(grasps: Grasps, other: int) -> FloatArray:

@@ -39,6 +39,33 @@ WRIST_DISTANCE_QUANTILES: Final = MappingProxyType(
     }
 )
 
+#: Median share of the object's surface that is more than 30 mm from the hand, per class: 25 recordings each, with
+#: this library's capsules on the recorded joints.
+FREE_SHARE_MEDIAN: Final = MappingProxyType(
+    {
+        "002_master_chef_can": 0.61,
+        "003_cracker_box": 0.82,
+        "004_sugar_box": 0.63,
+        "005_tomato_soup_can": 0.41,
+        "006_mustard_bottle": 0.55,
+        "007_tuna_fish_can": 0.39,
+        "008_pudding_box": 0.55,
+        "009_gelatin_box": 0.53,
+        "010_potted_meat_can": 0.54,
+        "011_banana": 0.48,
+        "019_pitcher_base": 0.80,
+        "021_bleach_cleanser": 0.65,
+        "024_bowl": 0.72,
+        "025_mug": 0.55,
+        "035_power_drill": 0.62,
+        "036_wood_block": 0.74,
+        "037_scissors": 0.46,
+        "040_large_marker": 0.33,
+        "052_extra_large_clamp": 0.57,
+        "061_foam_brick": 0.43,
+    }
+)
+
 
 def wrist_distance_quantile(object_name: str, level: npt.ArrayLike) -> npt.NDArray[np.float64]:
     """Wrist distances (m) at quantile levels in 0 to 1, interpolated; the outermost values hold beyond."""

@@ -3,7 +3,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from handover_marl.assets.anthropometry import SKIN_COLOURS, SUBJECT_SIZES
-from handover_marl.assets.build_hands import write_meshes, write_urdf
 from handover_marl.assets.hand import (
     HANDS_FOLDER,
     SIDES,
@@ -14,7 +13,6 @@ from handover_marl.assets.hand import (
     hand_name,
     hand_urdf,
 )
-from handover_marl.assets.hand_meshes import MAX_COLLISION_VERTICES
 
 from handover_marl.config import HandConfig
 from handover_marl.errors import UnknownNameError
@@ -110,10 +108,14 @@ def test_collision_meshes_are_small():
     files = sorted(HANDS_FOLDER.glob("meshes/*/collision/*.obj"))
     assert len(files) == 32
     for path in files:
-        assert path.read_text().count("v ") <= MAX_COLLISION_VERTICES
+        assert path.read_text().count("v ") <= 60
 
 
 def test_shipped_files_are_what_a_rebuild_writes(tmp_path):
+    pytest.importorskip("trimesh")
+    pytest.importorskip("manifold3d")
+    from handover_marl.assets.build_hands import write_meshes, write_urdf
+
     write_meshes(tmp_path, "left")
     path = write_urdf(tmp_path, 3, "left")
     assert path == tmp_path / hand_name(3, "left") / "mano.urdf"
