@@ -1,4 +1,4 @@
-"""The command line: handover-marl benchmark | evaluate."""
+"""The command line: handover-marl benchmark | evaluate | render."""
 
 import sys
 from collections.abc import Sequence
@@ -21,6 +21,7 @@ def run_benchmark(
     receiver: str = "yang2021",
     scenes: _Scenes = None,
     data_dir: _Folder = None,
+    dataset: str = "auto",
     out: _Folder = None,
 ) -> None:
     """Run HandoverSim's official protocol and print its table.
@@ -31,12 +32,53 @@ def run_benchmark(
         receiver: Name of the receiver, e.g. yang2021 or hold.
         scenes: Only these scenes, e.g. 209,214.
         data_dir: Folder in HandoverSim's layout; default: the variable HANDOVER_MARL_DATA.
+        dataset: dexycb, synthetic, or auto: dexycb when there is a data folder, else synthetic.
         out: Folder for official result files and reports; an interrupted run goes on there.
     """
     from handover_marl.benchmarking.runner import benchmark
 
-    report = benchmark(setup, split, receiver, scenes=parse_scenes(scenes), data_dir=data_dir, out=out)
+    report = benchmark(
+        setup, split, receiver, scenes=parse_scenes(scenes), data_dir=data_dir, dataset=dataset, out=out
+    )
     print(report)
+
+
+@app.command(name="render")
+def run_render(
+    scene: int,
+    out: Annotated[str, tyro.conf.arg(metavar="FILE")],
+    dataset: str = "auto",
+    data_dir: _Folder = None,
+    receiver: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None,
+    key_frames: int = 6,
+    width: int = 640,
+    height: int = 480,
+) -> None:
+    """Draw a scene, or the episode that a receiver makes of it.
+
+    Args:
+        scene: Number of the scene, 0 to 999.
+        out: A .png is a sheet of key frames; .gif and .mp4 are films.
+        dataset: dexycb, synthetic, or auto: dexycb when there is a data folder, else synthetic.
+        data_dir: Folder in HandoverSim's layout; default: the variable HANDOVER_MARL_DATA.
+        receiver: Name of a receiver; without one the robot stays at rest.
+        key_frames: Pictures on a sheet.
+        width: Width of a picture in pixels.
+        height: Height of a picture in pixels.
+    """
+    from handover_marl.config import CameraConfig
+    from handover_marl.rendering import render_scene
+
+    path = render_scene(
+        scene,
+        out,
+        dataset=dataset,
+        data_dir=data_dir,
+        receiver=receiver,
+        key_frames=key_frames,
+        camera=CameraConfig(width=width, height=height),
+    )
+    print(path)
 
 
 @app.command(name="evaluate")

@@ -59,15 +59,16 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         setup: Official setup, "s0" to "s3".
         split: "train", "val" or "test".
         data_dir: Folder in HandoverSim's layout; default: the environment variable HANDOVER_MARL_DATA.
+        dataset: "dexycb", "synthetic", or "auto": DexYCB when there is a data folder, else synthetic.
         physics: "exact" is HandoverSim's simulation to the bit.
         control_period: How long an action holds (s); a whole number of milliseconds, 0.001 or more.
         render_mode: None, "rgb_array" (needs no screen) or "human" (PyBullet's window).
         camera: What "rgb_array" pictures show.
 
     Raises:
-        UnknownNameError: No such setup, split, physics or render mode.
+        UnknownNameError: No such setup, split, dataset, physics or render mode.
         OptionError: The control period is not a whole number of milliseconds.
-        DataNotFoundError: There is no data folder.
+        DataNotFoundError: The data folder is not there.
     """
 
     metadata: dict[str, Any] = {
@@ -82,18 +83,19 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         setup: str = "s0",
         split: str = "train",
         data_dir: str | os.PathLike[str] | None = None,
+        dataset: str = "auto",
         physics: str = "exact",
         control_period: float = 0.1,
         render_mode: str | None = None,
         camera: CameraConfig | None = None,
     ) -> None:
-        EzPickle.__init__(self, setup, split, data_dir, physics, control_period, render_mode, camera)
+        EzPickle.__init__(self, setup, split, data_dir, dataset, physics, control_period, render_mode, camera)
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise UnknownNameError("render_mode", render_mode, RENDER_MODES)
         if physics not in PHYSICS:
             raise UnknownNameError("physics", physics, PHYSICS)
         self.control_steps = control_steps(control_period)
-        self.dataset = open_dataset(data_dir)
+        self.dataset = open_dataset(dataset, data_dir)
         self.scene_ids = self.dataset.split(setup, split)
         self.setup, self.split = setup, split
         self.render_mode = render_mode

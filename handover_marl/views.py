@@ -16,35 +16,11 @@ from pettingzoo import ParallelEnv
 
 from handover_marl import givers, receivers
 from handover_marl.errors import UnknownNameError
-from handover_marl.givers import Giver
 from handover_marl.handover_env import AGENTS, GIVER, RECEIVER, HandoverEnv, StepResult
 from handover_marl.observations import Observation
-from handover_marl.receivers import Receiver
+from handover_marl.policy_clock import PolicyClock
 
 DEFAULT_PARTNERS = {RECEIVER: "replay", GIVER: "yang2021"}
-
-
-class PartnerClock:
-    """Asks a policy when it wants to be asked and repeats its last action in between."""
-
-    def __init__(self, policy: Giver | Receiver) -> None:
-        self.policy = policy
-        self._action: npt.NDArray[np.float32] | None = None
-        self._due_ms = 0
-
-    def reset(self, seed: int | None) -> None:
-        """Start an episode."""
-        self.policy.reset(seed)
-        self._action, self._due_ms = None, 0
-
-    def act(self, observation: Observation) -> npt.NDArray[np.float32]:
-        """The action for now, fresh or repeated."""
-        now_ms = round(float(observation["time"][0]) * 1000)
-        if self._action is None or now_ms >= self._due_ms:
-            self._action = self.policy.act(observation)
-            hold_time = self.policy.hold_time
-            self._due_ms = now_ms + round(hold_time * 1000) if np.isfinite(hold_time) else 2**62
-        return self._action
 
 
 class FrozenPartnerEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
@@ -69,7 +45,7 @@ class FrozenPartnerEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         self.partner_agent = GIVER if agent == RECEIVER else RECEIVER
         self.env = HandoverEnv(**options)
         name = DEFAULT_PARTNERS[agent] if partner is None else partner
-        self._partner = PartnerClock(
+        self._partner = PolicyClock(
             givers.make(name) if agent == RECEIVER else receivers.make(name, self.env.dataset)
         )
         self._partner_observation: Observation = {}
@@ -174,6 +150,7 @@ def benchmark_env(
     setup: str = "s0",
     split: str = "test",
     data_dir: str | os.PathLike[str] | None = None,
+    dataset: str = "auto",
     control_period: float = 0.1,
     render_mode: str | None = None,
 ) -> FrozenPartnerEnv:
@@ -184,6 +161,7 @@ def benchmark_env(
         setup=setup,
         split=split,
         data_dir=data_dir,
+        dataset=dataset,
         physics="exact",
         control_period=control_period,
         render_mode=render_mode,

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from handover_marl.receivers import Receiver
 
 import handover_marl
 from handover_marl import receivers
@@ -23,6 +22,7 @@ from handover_marl.errors import (
     SceneError,
     UnknownNameError,
 )
+from handover_marl.receivers import Receiver
 
 SCENES = (9, 14)
 HORIZON = 1300

@@ -20,7 +20,7 @@ def test_benchmark_and_evaluate(fake_data: Path, tmp_path: Path, capsys: pytest.
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["benchmark"], "HANDOVER_MARL_DATA"),
+        (["benchmark", "--dataset", "dexycb"], "HANDOVER_MARL_DATA"),
         (["benchmark", "--data-dir", "/nowhere"], "/nowhere does not exist"),
         (["benchmark", "--setup", "s9"], "unknown setup 's9'; valid: s0, s1, s2, s3"),
         (["benchmark", "--scenes", "1,x"], "--scenes"),

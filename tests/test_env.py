@@ -223,7 +223,8 @@ def test_bad_control_periods(fake_data: Path, period: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    "options", [{"setup": "s7"}, {"split": "dev"}, {"physics": "quick"}, {"render_mode": "ascii"}]
+    "options",
+    [{"setup": "s7"}, {"split": "dev"}, {"dataset": "coco"}, {"physics": "quick"}, {"render_mode": "ascii"}],
 )
 def test_unknown_names(fake_data: Path, options: dict[str, str]) -> None:
     with pytest.raises(UnknownNameError, match="valid"):
@@ -231,8 +232,10 @@ def test_unknown_names(fake_data: Path, options: dict[str, str]) -> None:
 
 
 def test_other_user_errors(fake_data: Path) -> None:
-    with pytest.raises(DataNotFoundError):
-        handover_marl.parallel_env()
+    with pytest.raises(DataNotFoundError, match="synthetic"):
+        handover_marl.parallel_env(dataset="dexycb")
+    with pytest.raises(OptionError, match="data_dir"):
+        handover_marl.parallel_env(dataset="synthetic", data_dir=fake_data)
     env = make(fake_data)
     for call in (env.state, env.render if env.render_mode else env.state):
         with pytest.raises(ResetNeededError):

@@ -44,9 +44,9 @@ def test_the_grasped_object_comes_first_and_the_others_keep_their_order(fake_dat
 
 def test_missing_folders_and_files_are_named(tmp_path: Path, own_data: Path) -> None:
     with pytest.raises(DataNotFoundError, match=r"nowhere.*HANDOVER_MARL_DATA"):
-        open_dataset(tmp_path / "nowhere")
+        open_dataset(data_dir=tmp_path / "nowhere")
     with pytest.raises(DataNotFoundError, match="no data folder given"):
-        open_dataset()
+        open_dataset("dexycb")
     dataset = OfficialDataset(own_data)
     with pytest.raises(DataNotFoundError, match="meta_019"):
         dataset.scene(19)

@@ -3,12 +3,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from handover_marl.receivers import WAITING_JOINTS, Receiver
 
 from handover_marl import givers, receivers, registry
 from handover_marl.datasets import OfficialDataset
 from handover_marl.episode import Episode
 from handover_marl.errors import OptionError, ResetNeededError, UnknownNameError
+from handover_marl.receivers import WAITING_JOINTS, Receiver
 
 
 def test_names() -> None:

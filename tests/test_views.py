@@ -9,7 +9,8 @@ from pettingzoo.test import parallel_api_test
 
 import handover_marl
 from handover_marl.errors import UnknownNameError
-from handover_marl.views import FrozenPartnerEnv, PartnerClock
+from handover_marl.policy_clock import PolicyClock
+from handover_marl.views import FrozenPartnerEnv
 from tests.test_env import REPLAY, START
 
 pytestmark = [
@@ -95,7 +96,7 @@ class CountingPolicy:
     ("hold_time", "expected"), [(0.1, [1, 2, 3, 4, 5]), (0.25, [1, 1, 1, 2, 2]), (float("inf"), [1] * 5)]
 )
 def test_partners_are_asked_when_they_want_to_be(hold_time: float, expected: list[int]) -> None:
-    clock = PartnerClock(CountingPolicy(hold_time))  # type: ignore[arg-type]
+    clock = PolicyClock(CountingPolicy(hold_time))
     clock.reset(None)
     times = np.arange(5, dtype=np.float32) * np.float32(0.1)
     assert [int(clock.act({"time": times[n : n + 1]})[0]) for n in range(5)] == expected

@@ -90,7 +90,9 @@ class Report:
     def data_label(self) -> str:
         """The dataset in words."""
         counts = {episode.n_objects for episode in self.episodes}
-        name = {"dexycb": "DexYCB"}.get(self.settings.dataset, self.settings.dataset)
+        name = {"dexycb": "DexYCB", "synthetic": "synthetic scenes"}.get(
+            self.settings.dataset, self.settings.dataset
+        )
         return f"{name}, grasped object only" if counts == {1} else name
 
     def to_json(self) -> dict[str, object]:

@@ -36,6 +36,7 @@ def benchmark(
     *,
     scenes: Sequence[int] | None = None,
     data_dir: str | os.PathLike[str] | None = None,
+    dataset: str = "auto",
     out: str | os.PathLike[str] | None = None,
     progress: bool = True,
 ) -> Report:
@@ -47,30 +48,31 @@ def benchmark(
         receiver: Name of a registered receiver.
         scenes: Only these scenes of the split; the report then says that it is partial.
         data_dir: Folder in HandoverSim's layout; default: the environment variable HANDOVER_MARL_DATA.
+        dataset: "dexycb", "synthetic", or "auto": DexYCB when there is a data folder, else synthetic.
         out: Folder for official result files, `report.json` and `report.md`. Scenes that are finished there are
             not run again, so that an interrupted run goes on where it was.
         progress: Whether to show a progress bar and a row for every scene, on stderr.
 
     Raises:
-        UnknownNameError: No such setup, split or receiver.
+        UnknownNameError: No such setup, split, dataset or receiver.
         SceneError: A scene is not in the split.
         DataNotFoundError, DataFormatError: Files are missing (noticed before the start) or damaged.
         ResultsError: `out` holds another run or cannot be written.
         ActionError: The receiver returned something that is no action.
     """
     check_setup_and_split(setup, split)
-    dataset = open_dataset(data_dir)
-    split_ids = dataset.split(setup, split)
+    data = open_dataset(dataset, data_dir)
+    split_ids = data.split(setup, split)
     chosen = _choose_scenes(split_ids, scenes, f"{setup} {split}")
-    policy = receivers.make(receiver, dataset)
-    dataset.check_scenes(chosen)
+    policy = receivers.make(receiver, data)
+    data.check_scenes(chosen)
     settings = RunSettings(
         setup=setup,
         split=split,
         receiver=receiver,
         giver=GIVER,
         physics=PHYSICS,
-        dataset=dataset.name,
+        dataset=data.name,
         version=__version__,
     )
     folder = None if out is None else ResultFolder(Path(out).expanduser(), settings)
@@ -80,10 +82,10 @@ def benchmark(
         with BenchmarkProgress(len(chosen), shown=progress) as bar:
             for scene_id in chosen:
                 index = split_ids.index(scene_id)
-                result = None if folder is None else folder.finished(index, dataset.fingerprint(scene_id))
+                result = None if folder is None else folder.finished(index, data.fingerprint(scene_id))
                 known = result is not None
                 if result is None:
-                    result = _run_scene(episode, dataset, policy, index, scene_id, folder)
+                    result = _run_scene(episode, data, policy, index, scene_id, folder)
                 results.append(result)
                 bar.add(result, known)
     finally:

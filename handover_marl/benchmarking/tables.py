@@ -96,6 +96,8 @@ def _notes(report: Report) -> str:
         "Rates over all scenes, times over successes. Intervals: Wilson for rates, Student's t for mean times.",
         f"plan s is wall clock, measured on {report.machine_label()}.",
     ]
+    if report.settings.dataset == "synthetic":
+        lines.append("Synthetic scenes are generated: not comparable with published results, which are on DexYCB.")
     if _comparable(report):
         lines.append(
             "Published: Chao et al., ICRA 2022, Table II; DexYCB with all objects and MANO hands, their machine."

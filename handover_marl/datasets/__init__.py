@@ -1,28 +1,48 @@
-"""Where scenes come from: the official layout on disk, and the official splits."""
+"""Where scenes come from: DexYCB in the official layout on disk, or generated ones; and the official splits."""
 
 import os
 from pathlib import Path
 
 from handover_marl.datasets.base import Dataset
 from handover_marl.datasets.official import OfficialDataset
-from handover_marl.errors import DataNotFoundError
+from handover_marl.errors import DataNotFoundError, OptionError, UnknownNameError
 
 #: Environment variable that names the data folder when no argument does.
 DATA_VARIABLE = "HANDOVER_MARL_DATA"
 
-__all__ = ["DATA_VARIABLE", "Dataset", "OfficialDataset", "open_dataset"]
+#: What can be asked for. "auto" takes DexYCB when a data folder is given or set, else the generated scenes.
+DATASETS = ("auto", "synthetic", "dexycb")
+
+__all__ = ["DATASETS", "DATA_VARIABLE", "Dataset", "OfficialDataset", "open_dataset"]
 
 
-def open_dataset(data_dir: str | os.PathLike[str] | None = None) -> Dataset:
-    """The dataset in `data_dir`, or in the folder that `HANDOVER_MARL_DATA` names.
+def open_dataset(dataset: str = "auto", data_dir: str | os.PathLike[str] | None = None) -> Dataset:
+    """A dataset by name.
+
+    Args:
+        dataset: One of `DATASETS`.
+        data_dir: Folder in HandoverSim's layout; default: the one that `HANDOVER_MARL_DATA` names.
 
     Raises:
-        DataNotFoundError: No folder was given, or it is not there.
+        UnknownNameError: No such dataset.
+        OptionError: A data folder was given for the synthetic scenes, which have none.
+        DataNotFoundError: DexYCB was asked for without a data folder, or the folder is not there.
     """
+    if dataset not in DATASETS:
+        raise UnknownNameError("dataset", dataset, DATASETS)
+    if dataset == "synthetic" and data_dir:
+        raise OptionError(
+            f"synthetic scenes need no data folder, but data_dir is {data_dir}; leave one of them out"
+        )
     chosen = data_dir or os.environ.get(DATA_VARIABLE)
+    if dataset == "synthetic" or (dataset == "auto" and not chosen):
+        # Only now, because it pulls in what DexYCB does not need.
+        from handover_marl.datasets.synthetic import SyntheticDataset
+
+        return SyntheticDataset()
     if not chosen:
         raise DataNotFoundError(
-            "no data folder given. Set data_dir=, --data-dir or HANDOVER_MARL_DATA to a folder in HandoverSim's "
-            "layout (dex-ycb-cache/ and assets/)."
+            "no data folder given. Set data_dir=, --data-dir or HANDOVER_MARL_DATA to a folder in "
+            "HandoverSim's layout (dex-ycb-cache/ and assets/), or take the synthetic scenes (dataset='synthetic')."
         )
     return OfficialDataset(Path(chosen).expanduser().resolve())

@@ -11,6 +11,9 @@ from handover_marl.datasets.splits import N_SCENES, split_scenes
 from handover_marl.errors import SceneError
 from handover_marl.scene import Scene, SceneInfo
 
+#: World height of the table frame's origin (m), added in float32 as the reference does.
+TABLE_HEIGHT = np.float32(0.92)
+
 
 class Dataset(ABC):
     """A thousand numbered scenes with the models and grasps that go with them.
@@ -24,6 +27,10 @@ class Dataset(ABC):
     @abstractmethod
     def info(self, scene_id: int) -> SceneInfo:
         """What is known of a scene without its motion."""
+
+    def side(self, scene_id: int) -> str:
+        """The hand that gives, "right" or "left"."""
+        return self.info(scene_id).side
 
     @abstractmethod
     def scene(self, scene_id: int) -> Scene:
@@ -48,7 +55,7 @@ class Dataset(ABC):
 
     def split(self, setup: str, split: str) -> tuple[int, ...]:
         """Scene ids of an official split, ascending."""
-        return split_scenes(setup, split, lambda scene_id: self.info(scene_id).side)
+        return split_scenes(setup, split, self.side)
 
     @staticmethod
     def check_scene_id(scene_id: int) -> None:

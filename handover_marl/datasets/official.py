@@ -17,14 +17,11 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.config import HAND_DOF, MAX_OBJECTS, OBJECT_DOF
-from handover_marl.datasets.base import Dataset
+from handover_marl.datasets.base import TABLE_HEIGHT, Dataset
 from handover_marl.datasets.grasps import load_grasps
 from handover_marl.datasets.ycb import CLASS_NAMES
 from handover_marl.errors import DataFormatError, DataNotFoundError
 from handover_marl.scene import Scene, SceneAssets, SceneInfo
-
-#: World height of the table frame's origin (m), added in float32 as the reference does.
-TABLE_HEIGHT = np.float32(0.92)
 
 
 class OfficialDataset(Dataset):

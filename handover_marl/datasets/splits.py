@@ -6,6 +6,7 @@ Source: Chao et al., HandoverSim, ICRA 2022, Table I.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 from handover_marl.errors import UnknownNameError
 
@@ -31,6 +32,9 @@ SPLIT_SIZES = {
 
 #: Objects (master chef can, wood block) too large for the gripper, in no split.
 SKIPPED_OBJECTS = frozenset({0, 15})
+
+#: Trials whose hand was prescribed, right for the first two and left for the others; the last was free.
+TRIALS_BY_DESIGN = range(4)
 
 _ALL_SUBJECTS = frozenset(range(10))
 _ALL_OBJECTS = frozenset(range(20))
@@ -95,10 +99,13 @@ def _belongs(scene: int, chosen: _Filter, side_of_scene: Callable[[int], str]) -
         return False
     if obj not in chosen.objects or trial not in chosen.trials:
         return False
-    return chosen.side is None or chosen.side == _side(scene, trial, side_of_scene)
+    return chosen.side is None or chosen.side == _side(scene, side_of_scene)
 
 
-def _side(scene: int, trial: int, side_of_scene: Callable[[int], str]) -> str:
-    if trial < 2:
-        return "right"
-    return "left" if trial < 4 else side_of_scene(scene)
+def designed_side(scene: int) -> Literal["left", "right"]:
+    """The hand of a scene whose trial is among `TRIALS_BY_DESIGN`."""
+    return "right" if scene % 5 < 2 else "left"
+
+
+def _side(scene: int, side_of_scene: Callable[[int], str]) -> str:
+    return designed_side(scene) if scene % 5 in TRIALS_BY_DESIGN else side_of_scene(scene)
