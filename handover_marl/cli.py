@@ -23,6 +23,7 @@ def run_benchmark(
     data_dir: _Folder = None,
     dataset: str = "auto",
     out: _Folder = None,
+    workers: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
 ) -> None:
     """Run HandoverSim's official protocol and print its table.
 
@@ -34,11 +35,19 @@ def run_benchmark(
         data_dir: Folder in HandoverSim's layout; default: the variable HANDOVER_MARL_DATA.
         dataset: dexycb, synthetic, or auto: dexycb when there is a data folder, else synthetic.
         out: Folder for official result files and reports; an interrupted run goes on there.
+        workers: Processes to play scenes in; default: one a core. Results do not depend on it.
     """
     from handover_marl.benchmarking.runner import benchmark
 
     report = benchmark(
-        setup, split, receiver, scenes=parse_scenes(scenes), data_dir=data_dir, dataset=dataset, out=out
+        setup,
+        split,
+        receiver,
+        scenes=parse_scenes(scenes),
+        data_dir=data_dir,
+        dataset=dataset,
+        out=out,
+        workers=workers,
     )
     print(report)
 

@@ -50,5 +50,9 @@ class SimulationError(HandoverError, RuntimeError):
     """The physics engine refused something, such as a model file or a window without a screen."""
 
 
+class WorkerError(HandoverError, RuntimeError):
+    """A worker process died, or the policy it ran failed."""
+
+
 class ResultsError(HandoverError, ValueError):
     """A result folder cannot be read, continued or written."""

@@ -10,7 +10,7 @@ import yaml
 
 import handover_marl
 from handover_marl import receivers
-from handover_marl.benchmarking import runner
+from handover_marl.benchmarking import playing
 from handover_marl.benchmarking.evaluation import evaluate
 from handover_marl.benchmarking.report import Report
 from handover_marl.config import ProtocolConfig
@@ -54,11 +54,11 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(receivers, "make", make_also_quick)
     short = functools.partial(ProtocolConfig, horizon_steps=HORIZON)
     monkeypatch.setattr("handover_marl.episode.ProtocolConfig", short)
-    monkeypatch.setattr("handover_marl.benchmarking.runner.ProtocolConfig", short)
+    monkeypatch.setattr("handover_marl.benchmarking.playing.ProtocolConfig", short)
 
 
 def run(data: Path, out: Path | None = None, **options: Any) -> Report:
-    named = {"setup": "s0", "split": "val", "receiver": "quick", "scenes": SCENES, "progress": False}
+    named = {"setup": "s0", "split": "val", "receiver": "quick", "scenes": SCENES, "progress": False, "workers": 1}
     return handover_marl.benchmark(data_dir=data, out=out, **{**named, **options})
 
 
@@ -95,7 +95,7 @@ def test_evaluation_recomputes_the_same_report(fake_data: Path, tmp_path: Path) 
 
 def test_an_interrupted_run_goes_on(fake_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     played = []
-    play = runner.play
+    play = playing.play
 
     def play_once(episode: Any, scene: Any, policy: Any) -> Any:
         if played:
@@ -103,12 +103,12 @@ def test_an_interrupted_run_goes_on(fake_data: Path, tmp_path: Path, monkeypatch
         played.append(scene.info.scene_id)
         return play(episode, scene, policy)
 
-    monkeypatch.setattr(runner, "play", play_once)
+    monkeypatch.setattr(playing, "play", play_once)
     with pytest.raises(KeyboardInterrupt):
         run(fake_data, tmp_path)
     assert played == [9]
     assert not (tmp_path / "report.json").exists()
-    monkeypatch.setattr(runner, "play", lambda *a: (played.append(a[1].info.scene_id), play(*a))[1])
+    monkeypatch.setattr(playing, "play", lambda *a: (played.append(a[1].info.scene_id), play(*a))[1])
     resumed = run(fake_data, tmp_path)
     assert played == [9, 14]
     assert untimed(resumed) == untimed(run(fake_data))

@@ -2,7 +2,7 @@ from pathlib import Path
 
 import pytest
 
-from handover_marl.benchmarking import runner
+from handover_marl.benchmarking import playing
 from handover_marl.cli import main, parse_scenes
 from handover_marl.errors import OptionError
 
@@ -39,7 +39,7 @@ def test_ctrl_c(fake_data: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(runner, "play", interrupted)
+    monkeypatch.setattr(playing, "play", interrupted)
     assert main(["benchmark", "--split", "val", "--scenes", "9", "--data-dir", str(fake_data)]) == 130
     assert "same command goes on" in capsys.readouterr().err
 

@@ -1,29 +1,22 @@
 """Running the official protocol: one episode a scene, the giver replays, physics are exact."""
 
+import contextlib
 import os
-import time
 from collections.abc import Sequence
 from pathlib import Path
-
-import numpy as np
-import numpy.typing as npt
 
 from handover_marl import receivers
 from handover_marl._version import __version__
 from handover_marl.benchmarking.episodes import EpisodeResult
-from handover_marl.benchmarking.machine import describe_machine
+from handover_marl.benchmarking.playing import Job, Task
 from handover_marl.benchmarking.progress import BenchmarkProgress
 from handover_marl.benchmarking.report import Report
 from handover_marl.benchmarking.results import ResultFolder, RunSettings
+from handover_marl.benchmarking.workers import check_workers, play_tasks
 from handover_marl.benchmarking.writing import write_report
-from handover_marl.config import PhysicsConfig, ProtocolConfig
 from handover_marl.datasets import Dataset, open_dataset
 from handover_marl.datasets.splits import check_setup_and_split
-from handover_marl.episode import Episode
-from handover_marl.errors import OptionError, SceneError
-from handover_marl.receivers import Receiver
-from handover_marl.scene import Scene
-from handover_marl.spaces import check_receiver_action
+from handover_marl.errors import SceneError
 
 GIVER = "replay"
 PHYSICS = "exact"
@@ -39,6 +32,7 @@ def benchmark(
     dataset: str = "auto",
     out: str | os.PathLike[str] | None = None,
     progress: bool = True,
+    workers: int | None = None,
 ) -> Report:
     """Run HandoverSim's official protocol and report its metrics.
 
@@ -51,6 +45,7 @@ def benchmark(
         dataset: "dexycb", "synthetic", or "auto": DexYCB when there is a data folder, else synthetic.
         out: Folder for official result files, `report.json` and `report.md`. Scenes that are finished there are
             not run again, so that an interrupted run goes on where it was.
+        workers: Processes to play scenes in; default: one a core. Results do not depend on it.
         progress: Whether to show a progress bar and a row for every scene, on stderr.
 
     Raises:
@@ -59,12 +54,15 @@ def benchmark(
         DataNotFoundError, DataFormatError: Files are missing (noticed before the start) or damaged.
         ResultsError: `out` holds another run or cannot be written.
         ActionError: The receiver returned something that is no action.
+        OptionError: `workers` is less than one.
+        WorkerError: A worker process died twice over the same scene, or the receiver failed in one.
     """
     check_setup_and_split(setup, split)
     data = open_dataset(dataset, data_dir)
     split_ids = data.split(setup, split)
     chosen = _choose_scenes(split_ids, scenes, f"{setup} {split}")
-    policy = receivers.make(receiver, data)
+    receivers.make(receiver, data)
+    n_workers = check_workers(workers)
     data.check_scenes(chosen)
     settings = RunSettings(
         setup=setup,
@@ -76,85 +74,40 @@ def benchmark(
         version=__version__,
     )
     folder = None if out is None else ResultFolder(Path(out).expanduser(), settings)
-    episode = Episode(PHYSICS)
-    results = []
-    try:
-        with BenchmarkProgress(len(chosen), shown=progress) as bar:
-            for scene_id in chosen:
-                index = split_ids.index(scene_id)
-                result = None if folder is None else folder.finished(index, data.fingerprint(scene_id))
-                known = result is not None
-                if result is None:
-                    result = _run_scene(episode, data, policy, index, scene_id, folder)
-                results.append(result)
-                bar.add(result, known)
-    finally:
-        episode.close()
-    report = Report(settings, tuple(results), len(split_ids))
+    tasks = [Task(split_ids.index(scene_id), scene_id) for scene_id in chosen]
+    job = Job(data.name, None if data_dir is None else os.fspath(data_dir), receiver, PHYSICS)
+    with BenchmarkProgress(len(tasks), shown=progress) as bar:
+        results = _run(job, tasks, n_workers, folder, data, bar)
+    report = Report(settings, tuple(results[task] for task in tasks), len(split_ids))
     if folder is not None:
         write_report(folder.path, report)
     return report
 
 
-def play(
-    episode: Episode, scene: Scene, policy: Receiver
-) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float64]]:
-    """Play a scene to its end.
-
-    Returns:
-        (T, 9) the action of every physics step, and (T,) the policy's wall-clock time at every step (s), zero
-        where it was not asked because its last action stood.
-    """
-    horizon = ProtocolConfig().horizon_steps
-    actions, times = np.zeros((horizon, 9), dtype=np.float32), np.zeros(horizon)
-    episode.reset(scene)
-    policy.reset(seed=scene.info.scene_id)
-    while not episode.status:
-        observation = episode.observe()
-        started = time.perf_counter()
-        action = policy.act(observation)
-        times[episode.steps] = time.perf_counter() - started
-        before = episode.steps
-        actions_now = check_receiver_action(action)
-        episode.advance(actions_now, _hold_steps(policy, horizon))
-        actions[before : episode.steps] = actions_now
-    return actions[: episode.steps], times[: episode.steps]
-
-
-def _run_scene(
-    episode: Episode,
-    dataset: Dataset,
-    policy: Receiver,
-    index: int,
-    scene_id: int,
+def _run(
+    job: Job,
+    tasks: Sequence[Task],
+    workers: int,
     folder: ResultFolder | None,
-) -> EpisodeResult:
-    actions, times = play(episode, dataset.scene(scene_id), policy)
-    info = episode.scene.info
-    result = EpisodeResult(
-        index=index,
-        status=episode.status,
-        steps=episode.steps,
-        plan_time=float(times.sum()),
-        scene_id=scene_id,
-        release_step=episode.release_step,
-        object_name=info.target_name,
-        subject=info.subject,
-        side=info.side,
-        n_objects=len(info.object_ids),
-        fingerprint=dataset.fingerprint(scene_id),
-        machine=describe_machine(),
-    )
-    if folder is not None:
-        folder.save(result, actions, times)
-    return result
-
-
-def _hold_steps(policy: Receiver, horizon: int) -> int:
-    hold_time = policy.hold_time
-    if not hold_time > 0.0:
-        raise OptionError(f"receiver {policy.name!r}: hold_time is {hold_time}; it must be positive (s)")
-    return max(1, round(min(hold_time / PhysicsConfig().time_step, horizon)))
+    data: Dataset,
+    bar: BenchmarkProgress,
+) -> dict[Task, EpisodeResult]:
+    """Take finished scenes from the folder and play the others."""
+    results: dict[Task, EpisodeResult] = {}
+    for task in tasks:
+        known = None if folder is None else folder.finished(task.index, data.fingerprint(task.scene_id))
+        if known is not None:
+            results[task] = known
+            bar.add(known, known=True)
+    left = [task for task in tasks if task not in results]
+    with contextlib.closing(play_tasks(job, left, workers)) as finished:
+        for played in finished:
+            if folder is not None:
+                folder.save(played.result, played.actions, played.times)
+            task = Task(played.result.index, played.result.scene_id or 0)
+            results[task] = played.result
+            bar.add(played.result, known=False)
+    return results
 
 
 def _choose_scenes(split_ids: tuple[int, ...], scenes: Sequence[int] | None, where: str) -> tuple[int, ...]:

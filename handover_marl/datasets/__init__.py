@@ -42,7 +42,7 @@ def open_dataset(dataset: str = "auto", data_dir: str | os.PathLike[str] | None 
         return SyntheticDataset()
     if not chosen:
         raise DataNotFoundError(
-            "no data folder given. Set data_dir=, --data-dir or HANDOVER_MARL_DATA to a folder in "
-            "HandoverSim's layout (dex-ycb-cache/ and assets/), or take the synthetic scenes (dataset='synthetic')."
+            "no data folder given. Set data_dir=, --data-dir or HANDOVER_MARL_DATA to a folder in HandoverSim's "
+            "layout (dex-ycb-cache/ and assets/), or take the synthetic scenes (dataset='synthetic')."
         )
     return OfficialDataset(Path(chosen).expanduser().resolve())

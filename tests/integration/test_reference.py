@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from handover_marl import receivers
-from handover_marl.benchmarking.runner import play
+from handover_marl.benchmarking.playing import play
 from handover_marl.datasets import OfficialDataset
 from handover_marl.episode import Episode
 from tests.conftest import RECORDINGS

@@ -1,0 +1,122 @@
+"""Playing scenes with a receiver, and what a scene leaves behind."""
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl import receivers
+from handover_marl.benchmarking.episodes import EpisodeResult
+from handover_marl.benchmarking.machine import describe_machine
+from handover_marl.config import PANDA_DOF, PhysicsConfig, ProtocolConfig
+from handover_marl.datasets import open_dataset
+from handover_marl.episode import Episode
+from handover_marl.errors import OptionError
+from handover_marl.receivers import Receiver
+from handover_marl.scene import Scene
+from handover_marl.spaces import check_receiver_action
+
+
+@dataclass(frozen=True)
+class Job:
+    """What is to be played; small and picklable, so that worker processes can build it.
+
+    Attributes:
+        dataset: Name of the dataset.
+        data_dir: Its folder, or None.
+        receiver: Name of the receiver.
+        physics: Kind of physics.
+    """
+
+    dataset: str
+    data_dir: str | None
+    receiver: str
+    physics: str
+
+
+@dataclass(frozen=True)
+class Task:
+    """One scene to play: its number, and its position in the split."""
+
+    index: int
+    scene_id: int
+
+
+@dataclass(frozen=True, eq=False)
+class Played:
+    """A finished scene.
+
+    Attributes:
+        result: Its outcome.
+        actions: (T, 9) the action of every physics step.
+        times: (T,) the policy's wall-clock time at every step (s), zero where it was not asked.
+    """
+
+    result: EpisodeResult
+    actions: npt.NDArray[np.float32]
+    times: npt.NDArray[np.float64]
+
+
+class Player:
+    """Plays the scenes of a job one after another in this process."""
+
+    def __init__(self, job: Job) -> None:
+        self._dataset = open_dataset(job.dataset, job.data_dir)
+        self._policy = receivers.make(job.receiver, self._dataset)
+        self._episode = Episode(job.physics)
+
+    def play(self, task: Task) -> Played:
+        """Play one scene to its end."""
+        actions, times = play(self._episode, self._dataset.scene(task.scene_id), self._policy)
+        info = self._episode.scene.info
+        result = EpisodeResult(
+            index=task.index,
+            status=self._episode.status,
+            steps=self._episode.steps,
+            plan_time=float(times.sum()),
+            scene_id=task.scene_id,
+            release_step=self._episode.release_step,
+            object_name=info.target_name,
+            subject=info.subject,
+            side=info.side,
+            n_objects=len(info.object_ids),
+            fingerprint=self._dataset.fingerprint(task.scene_id),
+            machine=describe_machine(),
+        )
+        return Played(result, actions, times)
+
+    def close(self) -> None:
+        """Free the simulation."""
+        self._episode.close()
+
+
+def play(
+    episode: Episode, scene: Scene, policy: Receiver
+) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float64]]:
+    """Play a scene to its end.
+
+    Returns:
+        (T, 9) the action of every physics step, and (T,) the policy's wall-clock time at every step (s), zero
+        where it was not asked because its last action stood.
+    """
+    horizon = ProtocolConfig().horizon_steps
+    actions, times = np.zeros((horizon, PANDA_DOF), dtype=np.float32), np.zeros(horizon)
+    episode.reset(scene)
+    policy.reset(seed=scene.info.scene_id)
+    while not episode.status:
+        observation, before = episode.observe(), episode.steps
+        started = time.perf_counter()
+        action = policy.act(observation)
+        times[before] = time.perf_counter() - started
+        checked = check_receiver_action(action)
+        episode.advance(checked, _hold_steps(policy, horizon))
+        actions[before : episode.steps] = checked
+    return actions[: episode.steps], times[: episode.steps]
+
+
+def _hold_steps(policy: Receiver, horizon: int) -> int:
+    hold_time = policy.hold_time
+    if not hold_time > 0.0:
+        raise OptionError(f"receiver {policy.name!r}: hold_time is {hold_time}; it must be positive (s)")
+    return max(1, round(min(hold_time / PhysicsConfig().time_step, horizon)))

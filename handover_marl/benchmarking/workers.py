@@ -1,0 +1,182 @@
+"""Playing scenes in several processes.
+
+Workers are started as programs of their own and spoken to through pipes. Unlike with multiprocessing the caller's
+script is not imported again in them, so that it needs no `if __name__ == "__main__"`.
+"""
+
+import os
+import signal
+import subprocess
+import sys
+import traceback
+from collections.abc import Iterator, Sequence
+from multiprocessing.connection import Connection, wait
+from types import TracebackType
+
+from handover_marl.benchmarking.playing import Job, Played, Player, Task
+from handover_marl.errors import HandoverError, OptionError, WorkerError
+
+_ATTEMPTS = 2
+_PATIENCE = 1.0
+
+
+def available_cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def check_workers(workers: int | None) -> int:
+    """The number of workers; None takes one a core.
+
+    Raises:
+        OptionError: It is not a whole number of at least one.
+    """
+    if workers is None:
+        return available_cores()
+    if isinstance(workers, bool) or not isinstance(workers, int) or workers < 1:
+        raise OptionError(f"workers={workers!r} must be a whole number, 1 or more")
+    return workers
+
+
+def play_tasks(job: Job, tasks: Sequence[Task], workers: int) -> Iterator[Played]:
+    """Play scenes, in this process or in several, and yield each as it is finished.
+
+    Raises:
+        WorkerError: A worker died twice over the same scene.
+        HandoverError: What a worker met, as it would have come up here.
+    """
+    if min(workers, len(tasks)) <= 1:
+        player = Player(job)
+        try:
+            yield from map(player.play, tasks)
+        finally:
+            player.close()
+        return
+    with _Crew(job, min(workers, len(tasks))) as crew:
+        yield from crew.play(tasks)
+
+
+class _Worker:
+    """A process that plays scenes, and the pipes to it."""
+
+    def __init__(self, job: Job) -> None:
+        from_parent, to_worker = os.pipe()
+        from_worker, to_parent = os.pipe()
+        command = [sys.executable, "-m", __name__, str(from_parent), str(to_parent)]
+        self.process = subprocess.Popen(
+            command, pass_fds=(from_parent, to_parent), stdin=subprocess.DEVNULL, start_new_session=True
+        )
+        os.close(from_parent)
+        os.close(to_parent)
+        self.task: Task | None = None
+        self.answers = Connection(from_worker, writable=False)
+        self._orders = Connection(to_worker, readable=False)
+        self._send(job)
+
+    def start(self, task: Task) -> None:
+        """Give it a scene."""
+        self.task = task
+        self._send(task)
+
+    def stop(self) -> None:
+        """End the process."""
+        self.process.terminate()
+        try:
+            self.process.wait(_PATIENCE)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
+        self.answers.close()
+        self._orders.close()
+
+    def _send(self, what: object) -> None:
+        try:
+            self._orders.send(what)
+        except OSError:
+            # It is dead already, which shows when its answer is waited for.
+            return
+
+
+class _Crew:
+    """Several workers on one list of scenes."""
+
+    def __init__(self, job: Job, size: int) -> None:
+        self._job = job
+        self._workers = [_Worker(job) for _ in range(size)]
+
+    def __enter__(self) -> "_Crew":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for worker in self._workers:
+            worker.stop()
+
+    def play(self, tasks: Sequence[Task]) -> Iterator[Played]:
+        waiting = list(reversed(tasks))
+        attempts = dict.fromkeys(tasks, 0)
+        while waiting or any(worker.task for worker in self._workers):
+            for worker in self._workers:
+                if worker.task is None and waiting:
+                    attempts[waiting[-1]] += 1
+                    worker.start(waiting.pop())
+            busy = {worker.answers: worker for worker in self._workers if worker.task}
+            for answers in wait(list(busy)):
+                played = self._answer(busy[answers], waiting, attempts)  # type: ignore[index]
+                if played is not None:
+                    yield played
+
+    def _answer(self, worker: _Worker, waiting: list[Task], attempts: dict[Task, int]) -> Played | None:
+        """What a worker has to say; None if it died and its scene has to be played again."""
+        task, worker.task = worker.task, None
+        try:
+            answer = worker.answers.recv()
+        except (EOFError, OSError):
+            self._replace(worker, task, waiting, attempts)
+            return None
+        if isinstance(answer, Played):
+            return answer
+        raise answer
+
+    def _replace(self, worker: _Worker, task: Task | None, waiting: list[Task], attempts: dict[Task, int]) -> None:
+        worker.stop()
+        scene = "starting" if task is None else f"playing scene {task.scene_id}"
+        if task is not None and attempts[task] < _ATTEMPTS:
+            print(
+                f"a worker died while {scene} (exit status {worker.process.returncode}); it is tried once more",
+                file=sys.stderr,
+            )
+            waiting.append(task)
+            self._workers[self._workers.index(worker)] = _Worker(self._job)
+            return
+        raise WorkerError(
+            f"a worker died twice while {scene} (exit status {worker.process.returncode}); finished scenes are "
+            "kept. Try fewer workers if memory is short, or workers=1 to see what happens."
+        )
+
+
+def serve(orders: Connection, answers: Connection) -> None:
+    """A worker's life: build the job, play scene after scene, until nobody gives orders any more."""
+    # Ctrl-C reaches the parent, which ends its workers itself.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    player: Player | None = None
+    job: Job = orders.recv()
+    while True:
+        try:
+            task: Task = orders.recv()
+        except EOFError:
+            return
+        try:
+            player = player or Player(job)
+            answers.send(player.play(task))
+        except HandoverError as error:
+            answers.send(error)
+        except Exception as error:
+            # Told in words: the type of a policy's own failure may not exist elsewhere.
+            words = f"scene {task.scene_id}: {type(error).__name__}: {error}\n{traceback.format_exc()}"
+            answers.send(WorkerError(words))
+
+
+if __name__ == "__main__":
+    serve(Connection(int(sys.argv[1]), writable=False), Connection(int(sys.argv[2]), readable=False))
