@@ -22,6 +22,7 @@ class ContactReader:
         self._contacts = client.getContactPoints
         self._panda = panda
         self._target = objects[0]
+        self._table_id = table_id
         self._supports = {table_id, *(other.id for other in objects[1:])}
 
     def read(self, hand: Hand | None, released: bool) -> Contacts:

@@ -18,7 +18,7 @@ from handover_marl.datasets.synthetic.casting import class_number, hand_side, su
 from handover_marl.datasets.synthetic.clutter import StandingObject, draw_clutter
 from handover_marl.datasets.synthetic.draws import VERSION
 from handover_marl.datasets.synthetic.motion import KeyMotion, draw_motion
-from handover_marl.datasets.synthetic.resampling import hand_trajectory, object_trajectory
+from handover_marl.datasets.synthetic.resampling import hand_trajectory, object_trajectory, rounded
 from handover_marl.datasets.synthetic.staging import draw_stage, hold
 from handover_marl.datasets.ycb import CLASS_NAMES
 from handover_marl.scene import Scene, SceneAssets, SceneInfo
@@ -93,7 +93,7 @@ def _generate(scene_id: int) -> tuple[SceneInfo, npt.NDArray[np.float32], npt.ND
     object_dof = np.repeat(given[:, None], 1 + len(clutter), axis=1)
     for column, thing in enumerate(clutter, start=1):
         angles = Rotation.from_matrix(thing.rotation).as_euler("XYZ")
-        object_dof[:, column] = np.round([*thing.position, *angles], 7).astype(np.float32)
+        object_dof[:, column] = rounded([*thing.position, *angles])
     hand_dof = hand_trajectory(motion)
     hand_first = motion.hand_first * (len(hand_dof) - 1) // (len(motion.fingers) - 1)
     object_dof[:, :, 2] += TABLE_HEIGHT

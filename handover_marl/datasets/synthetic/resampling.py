@@ -15,16 +15,16 @@ from handover_marl.datasets.synthetic.motion import KEY_PERIOD, KeyMotion
 #: Frames of 1 ms between two key poses.
 STRIDE = 40
 
-# Angles and metres are rounded here, so that the last bits of sines and splines, which differ between machines
-# and versions of NumPy, are gone before values become float32.
-_DECIMALS = 7
+# Angles and metres are rounded to this grid, so that the last bits of sines and splines, which differ between
+# machines and versions of NumPy, are gone. A power of two, because decimal figures in the inputs would make ties.
+_GRID = 2.0**-23
 
 
 def object_trajectory(motion: KeyMotion) -> npt.NDArray[np.float32]:
     """(T, 6) xyz (m) and XYZ Euler angles (rad) of the given object."""
     position = _spline(motion.object_position)
     angles = np.unwrap(_slerp(motion.object_rotation).as_euler("XYZ"), axis=0)
-    return _rounded(np.concatenate([position, angles], axis=1))
+    return rounded(np.concatenate([position, angles], axis=1))
 
 
 def hand_trajectory(motion: KeyMotion) -> npt.NDArray[np.float32]:
@@ -40,7 +40,7 @@ def hand_trajectory(motion: KeyMotion) -> npt.NDArray[np.float32]:
         axis=1,
     )
     trajectory = np.zeros((first * STRIDE + len(shown), HAND_DOF), dtype=np.float32)
-    trajectory[first * STRIDE :] = _rounded(shown)
+    trajectory[first * STRIDE :] = rounded(shown)
     return trajectory
 
 
@@ -59,5 +59,6 @@ def _slerp(keys: Rotation) -> Rotation:
     return Slerp(key_times, keys)(np.minimum(times, key_times[-1]))
 
 
-def _rounded(values: npt.NDArray[np.float64]) -> npt.NDArray[np.float32]:
-    return np.round(values, _DECIMALS).astype(np.float32)
+def rounded(values: npt.ArrayLike) -> npt.NDArray[np.float32]:
+    """Values on the grid, without negative zeros."""
+    return (np.round(np.asarray(values, dtype=np.float64) / _GRID) * _GRID + 0.0).astype(np.float32)

@@ -1,0 +1,89 @@
+import hashlib
+
+import numpy as np
+import pytest
+
+from handover_marl.assets.hand import SUBJECTS
+from handover_marl.datasets.splits import SETUPS, SKIPPED_OBJECTS, SPLIT_SIZES, SPLITS
+from handover_marl.datasets.synthetic import SyntheticDataset
+from handover_marl.datasets.synthetic.casting import hand_side
+from handover_marl.errors import SceneError
+from handover_marl.scene import Scene
+
+DATASET = SyntheticDataset()
+
+#: First digits of the scenes' hashes: they change with the generator's version and with nothing else.
+HASHES = {
+    0: "57c09712b0d84511",
+    9: "b6e074c86880a02f",
+    105: "fff17b420519896e",
+    209: "b0eeb5261d690848",
+    354: "698c0f38a6021033",
+    499: "c1db2ce137788777",
+    640: "35a52948e6ea2cc2",
+    777: "ae461bb2030c4083",
+    988: "c7fef780b59eade9",
+}
+
+
+def digest(scene: Scene) -> str:
+    content = scene.object_dof.tobytes() + scene.hand_dof.tobytes() + repr(scene.info).encode()
+    return hashlib.sha256(content).hexdigest()[:16]
+
+
+@pytest.mark.parametrize("scene_id", HASHES)
+def test_scenes_are_the_same_everywhere(scene_id: int) -> None:
+    assert digest(DATASET.scene(scene_id)) == HASHES[scene_id]
+
+
+def test_scenes_do_not_depend_on_the_order_they_are_asked_for() -> None:
+    first = digest(DATASET.scene(17))
+    for other in range(20, 26):
+        DATASET.scene(other)
+    assert digest(SyntheticDataset().scene(17)) == first
+
+
+@pytest.mark.parametrize("setup", SETUPS)
+@pytest.mark.parametrize("split", SPLITS)
+def test_splits_have_the_official_sizes(setup: str, split: str) -> None:
+    assert len(DATASET.split(setup, split)) == SPLIT_SIZES[setup, split]
+
+
+def test_sides() -> None:
+    assert all(hand_side(scene) == "right" for scene in range(1000) if scene % 5 < 2)
+    assert all(hand_side(scene) == "left" for scene in range(1000) if scene % 5 in (2, 3))
+    skipped = [scene for scene in range(4, 1000, 5) if scene // 5 % 20 in SKIPPED_OBJECTS]
+    assert 0 < sum(hand_side(scene) == "left" for scene in skipped) < len(skipped)
+    assert all(DATASET.info(scene).side == hand_side(scene) for scene in range(0, 1000, 97))
+
+
+@pytest.mark.parametrize("scene_id", range(0, 1000, 83))
+def test_scenes_look_like_recordings(scene_id: int) -> None:
+    scene = DATASET.scene(scene_id)
+    assert (scene.n_frames - 1) % 80 == 40
+    assert 65 <= (scene.n_frames - 1) / 40 <= 75
+    assert scene.object_dof.dtype == scene.hand_dof.dtype == np.float32
+    assert 3 <= len(scene.info.object_ids) <= 5
+    assert len(set(scene.info.object_ids)) == len(scene.info.object_ids)
+    assert scene.info.subject == f"synthetic-subject-{SUBJECTS[scene_id // 100]:02d}"
+    assert scene.hand_first is not None
+    assert scene.hand_first % 40 == 0
+    assert not scene.hand_dof[: scene.hand_first].any()
+    assert np.isfinite(scene.hand_dof).all()
+    # Nothing jumps: at most 5 m/s, and the other objects stand still.
+    assert np.abs(np.diff(scene.object_dof[:, 0, :3], axis=0)).max() < 0.005
+    assert np.abs(np.diff(scene.hand_dof[scene.hand_first :, :3], axis=0)).max() < 0.005
+    assert not np.ptp(scene.object_dof[:, 1:], axis=0).any()
+    assert all(path.is_file() for path in (*scene.assets.objects, scene.assets.hand, scene.assets.panda))
+
+
+@pytest.mark.parametrize("scene_id", [-1, 1000])
+def test_scene_numbers(scene_id: int) -> None:
+    for ask in (DATASET.info, DATASET.scene, DATASET.side):
+        with pytest.raises(SceneError, match="0 to 999"):
+            ask(scene_id)
+
+
+def test_grasps() -> None:
+    assert DATASET.grasps("003_cracker_box").shape == (100, 4, 4)
+    assert DATASET.grasps("036_wood_block") is None

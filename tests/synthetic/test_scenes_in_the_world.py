@@ -1,0 +1,103 @@
+"""What a person would notice in the generated scenes: things inside each other, a hand that does not hold."""
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from handover_marl.config import CameraConfig, PandaConfig
+from handover_marl.datasets.synthetic import SyntheticDataset
+from handover_marl.episode import Episode
+from handover_marl.motion import MotionTarget
+from handover_marl.sim.world import World
+
+SCENES = range(3, 1000, 71)
+
+
+@pytest.fixture(scope="module")
+def episode() -> Iterator[Episode]:
+    episode = Episode()
+    yield episode
+    episode.close()
+
+
+def deepest(world: World, first: int, second: int) -> float:
+    """Distance (m) of two bodies, negative where they overlap; inf beyond 5 cm."""
+    points = world._client.getClosestPoints(first, second, 0.05)
+    return min((point[8] for point in points), default=float("inf"))
+
+
+def show(episode: Episode, frame: int) -> World:
+    """Put everything where the recording has it."""
+    scene, world = episode.scene, episode.world
+    hand = scene.hand_dof[frame].tolist() if scene.hand_present(frame) else None
+    world._place_hand(hand)
+    if world._hand is not None and hand is not None:
+        world._hand.place(hand)
+    for body, dof in zip(world._objects, scene.object_dof[frame].tolist(), strict=True):
+        body.place(dof)
+    return world
+
+
+@pytest.mark.parametrize("scene_id", SCENES)
+def test_nothing_passes_through_anything(episode: Episode, scene_id: int) -> None:
+    episode.reset(SyntheticDataset().scene(scene_id))
+    table = episode.world._contacts._table_id
+    for frame in range(0, episode.scene.n_frames, 80):
+        world = show(episode, frame)
+        target, *others = (body.id for body in world._objects)
+        hand = [] if world._hand is None else [world._hand.id]
+        for moving in (target, *hand):
+            assert deepest(world, moving, table) > -0.003, f"frame {frame}"
+            for other in others:
+                assert deepest(world, moving, other) > 0.0, f"frame {frame}"
+        for other in others if frame == 0 else []:
+            assert -0.003 < deepest(world, other, table) < 0.003
+            assert all(deepest(world, other, another) > 0.0 for another in others if another != other)
+
+
+@pytest.mark.parametrize("scene_id", SCENES)
+def test_the_hand_holds_what_it_offers(episode: Episode, scene_id: int) -> None:
+    episode.reset(SyntheticDataset().scene(scene_id))
+    scene = episode.scene
+    world = show(episode, scene.n_frames - 1)
+    assert world._hand is not None
+    points = world._client.getClosestPoints(world._hand.id, world._objects[0].id, 0.004)
+    # Links of the digits, three axes each, in the order index, middle, little, ring, thumb.
+    digits = {(point[3] - 7) // 9 for point in points if point[3] >= 7}
+    assert 4 in digits, "the thumb holds"
+    assert len(digits) >= 3
+    assert min(point[8] for point in points) > -0.012
+    # People's hands keep 3 cm and more off the robot's start pose.
+    assert deepest(world, world._hand.id, world._panda.id) > 0.03
+
+
+def test_the_robot_stands_still_and_the_motors_follow(episode: Episode) -> None:
+    scene = SyntheticDataset().scene(209)
+    episode.reset(scene)
+    start = np.array(PandaConfig().start_joints, dtype=np.float32)
+    episode.advance(start, scene.n_frames + 200)
+    assert not episode.status
+    seen = episode.observe()
+    assert np.abs(seen["robot_joint_position"] - start).max() < 0.02
+    np.testing.assert_allclose(episode.world.object_dof(), scene.object_dof[-1], atol=2e-3)
+    np.testing.assert_allclose(seen["hand_dof_position"][:3], scene.hand_dof[-1, :3], atol=2e-3)
+
+
+@pytest.mark.parametrize("scene_id", [209, 333])
+def test_pictures_show_robot_hand_and_objects(episode: Episode, scene_id: int) -> None:
+    episode.reset(SyntheticDataset().scene(scene_id))
+    camera = CameraConfig(width=160, height=120)
+    before = episode.render(camera)
+    show(episode, episode.scene.n_frames - 1)
+    after = episode.render(camera)
+    assert before.std() > 20
+    assert 0.003 < (before != after).any(axis=2).mean() < 0.2
+
+
+def test_world_follows_the_target_it_is_given(episode: Episode) -> None:
+    scene = SyntheticDataset().scene(209)
+    episode.reset(scene)
+    rows = scene.object_dof[0].tolist()
+    episode.world.step(list(PandaConfig().start_joints), MotionTarget(tuple(rows), None))
+    np.testing.assert_allclose(episode.world.object_dof(), scene.object_dof[0], atol=1e-4)
