@@ -1,12 +1,12 @@
 """Sizes of human hands, from published tables of bone lengths and body measurements.
 
 Sources:
-    Buryanov and Kotiuk, "Proportions of hand segments", Int. J. Morphol. 28(3), 2010: mean lengths of the
-    bones of adult hands in radiographs, and of the soft tissue beyond the last bone.
-    Gordon et al., "1988 Anthropometric Survey of U.S. Army Personnel", Natick TR-89/044, and Greiner, "Hand
-    Anthropometry of U.S. Army Personnel", Natick TR-92/011: hand length and breadth of women and men.
-    Garrett, "The adult human hand: some anthropometric and biomechanical considerations", Human Factors 13(2),
-    1971: breadths and depths of the fingers.
+    Buryanov and Kotiuk, "Proportions of hand segments", Int. J. Morphol. 28(3):755-758, 2010: mean lengths of
+    the bones of 66 adults' hands in radiographs, and of the soft tissue beyond the last bone.
+    Gordon et al., "1988 Anthropometric Survey of U.S. Army Personnel: Methods and Summary Statistics", Natick
+    TR-89/044, 1989: hand length and breadth of women and men.
+    Greiner, "Hand Anthropometry of U.S. Army Personnel", Natick TR-92/011, 1991: the hands of the same survey in
+    detail; how thick fingers are.
 """
 
 from dataclasses import dataclass
@@ -40,8 +40,8 @@ DIGITS: Final = MappingProxyType(
     }
 )
 
-#: Length of the carpus between the wrist's centre and the base of each metacarpal (m): what makes the middle
-#: finger's chain a hand of average length, and the knuckles lie on an arc.
+#: Length of the carpus between the wrist's centre and the base of each metacarpal (m). Not measured: chosen so
+#: that the middle finger's chain makes a hand of about average length and the knuckles lie on an arc.
 CARPUS: Final = MappingProxyType({"index": 0.021, "middle": 0.0285, "ring": 0.0255, "little": 0.0215})
 
 
@@ -53,18 +53,18 @@ class HandSize:
     breadth: float
 
 
-#: Hand of the mean bone lengths; all others are scaled from it.
+#: Hand of the mean bone lengths, as broad as the mean of women and men; all others are scaled from it.
 REFERENCE_SIZE: Final = HandSize(
     length=CARPUS["middle"] + DIGITS["middle"].metacarpal + sum(DIGITS["middle"].phalanges) + DIGITS["middle"].tip,
     breadth=0.0850,
 )
 
-# Mean and standard deviation (m) of hand length and breadth (Gordon et al., 1989).
+# Mean and standard deviation (m) of hand length and breadth, after Gordon et al. (1989).
 _WOMEN = ((0.1805, 0.0097), (0.0794, 0.0038))
 _MEN = ((0.1938, 0.0098), (0.0904, 0.0042))
 
-# Standard scores of the 5th, 25th, 50th, 75th and 95th percentile of length. Breadth goes with length at a
-# correlation of about 0.6; the second number is a score chosen accordingly.
+# Standard scores of length (5th, 25th, 50th, 75th and 95th percentile) and of breadth. Breadth's rise with
+# length's at a slope of about 0.6, spread by hand around it so that there are slender and broad hands.
 _SCORES = ((-1.645, -1.3), (-0.674, 0.2), (0.0, -0.5), (0.674, 0.8), (1.645, 0.9))
 
 

@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import tyro
-from handover_marl.assets.grasp_sampling import ConvexSolid, sample_candidates, spread_order
-from handover_marl.assets.grasps import GRASPS_PATH, UNGRASPABLE
-from handover_marl.assets.objects import load_collision_parts, object_urdf
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+from handover_marl.assets.grasp_sampling import ConvexSolid, sample_candidates, spread_order
+from handover_marl.assets.grasps import GRASPS_PATH, UNGRASPABLE
+from handover_marl.assets.objects import load_collision_parts, object_urdf
 from handover_marl.datasets.ycb import CLASS_NAMES
 from handover_marl.errors import HandoverError
 from handover_marl.files import write_atomically

@@ -10,10 +10,11 @@ from pathlib import Path
 import numpy as np
 import trimesh
 import tyro
+from rich.progress import track
+
 from handover_marl.assets.anthropometry import SKIN_COLOURS
 from handover_marl.assets.hand import HANDS_FOLDER, SIDES, SUBJECTS, HandModel, Side, hand_model, hand_name
 from handover_marl.assets.hand_meshes import MESH_NAMES, collision_mesh, visual_mesh
-from rich.progress import track
 
 _PALM_MASS, _PHALANX_MASS = 0.2, 0.02
 _AXES = ("1 0 0", "0 1 0", "0 0 1")

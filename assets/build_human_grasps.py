@@ -10,14 +10,15 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 import tyro
+from rich.progress import Progress
+from scipy.spatial.transform import Rotation
+
 from handover_marl.assets.hand import SIDES, SUBJECTS, HandModel, Side, hand_model
 from handover_marl.assets.hand_meshes import reference_hand
 from handover_marl.assets.human_grasps import ANGLE_STEP, GRASPED_OBJECTS, GRASPS_FILE
 from handover_marl.assets.human_grasps_candidates import GraspTarget, grasp_target
 from handover_marl.assets.human_grasps_selection import Grasps, choose, fit_to_hand, free_share, grasp_pool
 from handover_marl.assets.objects import load_visual
-from rich.progress import Progress
-from scipy.spatial.transform import Rotation
 
 #: What the file holds, by key.
 Arrays = dict[str, npt.NDArray[np.generic]]

@@ -10,12 +10,13 @@ from types import MappingProxyType
 
 import trimesh
 import tyro
+from rich.progress import track
+
 from handover_marl.assets import shapes_packages, shapes_tools, shapes_vessels
 from handover_marl.assets.meshes import write_convex_parts, write_palette, write_visual
 from handover_marl.assets.objects import COLLISION_NAME, OBJECTS_ROOT, URDF_NAME, VISUAL_NAME
 from handover_marl.assets.shapes import Piece
 from handover_marl.assets.urdf_objects import chain_urdf
-from rich.progress import track
 
 _METRES = 0.001  # the shapes' tables are in millimetres
 

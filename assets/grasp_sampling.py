@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 import trimesh
+
 from handover_marl.assets.meshes import merge
 
 Array = npt.NDArray[np.float64]

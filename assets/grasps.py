@@ -11,8 +11,8 @@ from types import MappingProxyType
 
 import numpy as np
 import numpy.typing as npt
-from handover_marl.assets.objects import DATA_ROOT
 
+from handover_marl.assets.objects import DATA_ROOT
 from handover_marl.datasets.ycb import CLASS_NAMES
 from handover_marl.errors import DataFormatError, DataNotFoundError, UnknownNameError
 

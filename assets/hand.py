@@ -11,16 +11,18 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from types import MappingProxyType
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 import numpy.typing as npt
-from handover_marl.assets.anthropometry import CARPUS, DIGITS, REFERENCE_SIZE, SUBJECT_SIZES, HandSize
 
+from handover_marl.assets.anthropometry import CARPUS, DIGITS, REFERENCE_SIZE, SUBJECT_SIZES, HandSize
 from handover_marl.errors import DataNotFoundError, UnknownNameError
 
 Side = Literal["left", "right"]
 FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.integer[Any]]
+BoolArray = npt.NDArray[np.bool_]
 
 SIDES: Final[tuple[Side, Side]] = ("left", "right")
 SUBJECTS: Final = range(1, len(SUBJECT_SIZES) + 1)
@@ -40,7 +42,9 @@ _THUMB_ROOT: Final = (-0.0170, -0.0090, 0.0200)
 _THUMB_DIRECTION: Final = (-0.72, -0.42, 0.55)
 _PALM_OFFSET: Final = (0.0950, 0.0063, 0.0060)
 
-# Radii (m) at root, middle joint, end joint and tip (Garrett 1971: half the mean of breadth and depth).
+# Radii (m) at root, middle joint, end joint and tip. At the fingers' middle and end joints and the thumb's end
+# joint they lie 2 to 6 per cent below those of circles of the mean circumferences of men's joints (Greiner 1991),
+# scaled to the reference hand's breadth; the others continue the taper.
 _RADII: Final = MappingProxyType(
     {
         "index": (0.0112, 0.0096, 0.0083, 0.0069),

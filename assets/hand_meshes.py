@@ -3,9 +3,13 @@
 Needs the generators' libraries (trimesh, manifold3d); nothing at run time imports this.
 """
 
+from collections.abc import Callable
+
 import manifold3d
 import numpy as np
+import numpy.typing as npt
 import trimesh
+
 from handover_marl.assets.anthropometry import REFERENCE_SIZE
 from handover_marl.assets.hand import DIGIT_ORDER, FloatArray, HandModel, sized_hand
 from handover_marl.assets.hand_palm import forearm_capsules, palm_capsules
@@ -18,6 +22,9 @@ MESH_NAMES = ("palm", *(f"{digit}{joint}" for digit in DIGIT_ORDER for joint in 
 
 _EDGE_LENGTH = 0.0038
 _BLEND = 0.007
+
+# trimesh leaves its types open.
+_align_vectors: Callable[[npt.ArrayLike, npt.ArrayLike], FloatArray] = trimesh.geometry.align_vectors
 
 
 def reference_hand() -> HandModel:
@@ -36,14 +43,19 @@ def visual_mesh(link: int) -> trimesh.Trimesh:
 def collision_mesh(link: int) -> trimesh.Trimesh:
     """Convex mesh of a link of at most `MAX_COLLISION_VERTICES` vertices, in its own frame (m)."""
     if link > 0:
-        return trimesh.convex.convex_hull(_capsule(link, 8, 3, 1.0).vertices)
+        return _convex_hull(np.asarray(_capsule(link, 8, 3, 1.0).vertices))
     balls = [
         end + radius * _sphere_points(7, 1)
         for start, stop, first, last in palm_capsules(reference_hand())
         for end, radius in ((start, first), (stop, last))
     ]
-    hull = trimesh.convex.convex_hull(np.vstack(balls))
-    return trimesh.convex.convex_hull(_extreme_points(hull.vertices, MAX_COLLISION_VERTICES))
+    hull = _convex_hull(np.vstack(balls))
+    return _convex_hull(_extreme_points(np.asarray(hull.vertices), MAX_COLLISION_VERTICES))
+
+
+def _convex_hull(points: FloatArray) -> trimesh.Trimesh:
+    hull: trimesh.Trimesh = trimesh.convex.convex_hull(points)
+    return hull
 
 
 def _capsule(link: int, ring: int, profile: int, waist: float) -> trimesh.Trimesh:
@@ -61,7 +73,7 @@ def _capsule(link: int, ring: int, profile: int, waist: float) -> trimesh.Trimes
     line += [(last * np.cos(a), length + last * np.sin(a)) for a in end]
     line[0], line[-1] = (0.0, line[0][1]), (0.0, line[-1][1])
     mesh = trimesh.creation.revolve(np.array(line), sections=ring)
-    mesh.apply_transform(trimesh.geometry.align_vectors([0.0, 0.0, 1.0], tip / length))
+    mesh.apply_transform(_align_vectors([0.0, 0.0, 1.0], tip / length))
     return mesh
 
 

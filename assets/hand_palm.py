@@ -1,6 +1,7 @@
 """The palm's and forearm's shape as tapered capsules: what meshes are made of and contacts are searched with."""
 
 import numpy as np
+
 from handover_marl.assets.hand import FloatArray, HandModel
 
 #: A tapered capsule: start (3), end (3), radius at the start, radius at the end, all in metres.
@@ -39,7 +40,7 @@ def capsule_balls(capsules: list[Capsule], count: int) -> tuple[FloatArray, Floa
 
 
 def _stretch(hand: HandModel) -> FloatArray:
-    return hand.scale * np.array([-1.0 if hand.side == "left" else 1.0, 1.0, 1.0])
+    return np.asarray(hand.scale * np.array([-1.0 if hand.side == "left" else 1.0, 1.0, 1.0]))
 
 
 def _unscaled(hand: HandModel, points: FloatArray) -> FloatArray:

@@ -7,8 +7,8 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
-from handover_marl.assets.hand import SIDES, SUBJECTS, Side, euler_angles
 
+from handover_marl.assets.hand import SIDES, SUBJECTS, Side, euler_angles
 from handover_marl.datasets.ycb import CLASS_NAMES, SCENE_CLASSES
 from handover_marl.errors import DataNotFoundError, UnknownNameError
 from handover_marl.geometry import rotate

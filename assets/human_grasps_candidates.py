@@ -9,7 +9,9 @@ from functools import lru_cache
 import igl
 import numpy as np
 import trimesh
-from handover_marl.assets.hand import FloatArray, HandModel
+from scipy.spatial.transform import Rotation
+
+from handover_marl.assets.hand import FloatArray, HandModel, IntArray
 from handover_marl.assets.hand_meshes import reference_hand
 from handover_marl.assets.human_grasps_closing import (
     YIELD,
@@ -19,7 +21,6 @@ from handover_marl.assets.human_grasps_closing import (
     body_clearance,
     clearances,
 )
-from scipy.spatial.transform import Rotation
 
 #: A person's palm pose in the object's frame: positions (n, 3) (m) and rotations (n, 3, 3).
 Palms = tuple[FloatArray, FloatArray]
@@ -140,7 +141,7 @@ def find_candidates(
     return clear_ones(target.field, reference_hand(), (position[keep], rotation[keep]), openings[keep])
 
 
-def _across(target: GraspTarget, count: int, rng: np.random.Generator) -> tuple[Palms, FloatArray]:
+def _across(target: GraspTarget, count: int, rng: np.random.Generator) -> tuple[Palms, IntArray]:
     """Palms whose gap between thumb and fingers spans two opposite points, and the openings' numbers."""
     openings = reference_openings()
     finger_side, thumb_side = _opposite_points(target.mesh, count, rng)
@@ -160,7 +161,7 @@ def _across(target: GraspTarget, count: int, rng: np.random.Generator) -> tuple[
     return (middle - np.einsum("nij,nj->ni", rotation, grip), rotation), row
 
 
-def _by_palm(target: GraspTarget, count: int, rng: np.random.Generator) -> tuple[Palms, FloatArray]:
+def _by_palm(target: GraspTarget, count: int, rng: np.random.Generator) -> tuple[Palms, IntArray]:
     """Palms laid onto the surface with the fingers open, and the openings' numbers."""
     wide = np.flatnonzero(reference_openings().width > _WIDE_OPEN)
     points, faces = trimesh.sample.sample_surface(target.mesh, count, seed=int(rng.integers(2**31)))
@@ -216,7 +217,7 @@ def _shortest_rotations(source: FloatArray, goal: FloatArray) -> FloatArray:
     return np.asarray(Rotation.from_rotvec(scaled).as_matrix())
 
 
-def _rows(openings: Openings, rows: FloatArray) -> Openings:
+def _rows(openings: Openings, rows: IntArray) -> Openings:
     return Openings(openings.posture[rows], openings.centre[rows], openings.axis[rows], openings.width[rows])
 
 

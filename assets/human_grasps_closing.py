@@ -9,10 +9,11 @@ from functools import cache
 
 import numpy as np
 import trimesh
-from handover_marl.assets.hand import FloatArray, HandModel, euler_angles
+from scipy.ndimage import map_coordinates
+
+from handover_marl.assets.hand import BoolArray, FloatArray, HandModel, IntArray, euler_angles
 from handover_marl.assets.hand_meshes import collision_mesh
 from handover_marl.assets.hand_palm import capsule_balls, forearm_capsules, palm_capsules
-from scipy.ndimage import map_coordinates
 
 #: How far skin may be pressed in while closing (m).
 YIELD = 0.002
@@ -72,8 +73,8 @@ class Posture:
     def __len__(self) -> int:
         return len(self.bends)
 
-    def __getitem__(self, rows: object) -> "Posture":
-        return Posture(self.bends[rows], self.spread[rows], self.thumb_root[rows], self.thumb_axis[rows])  # type: ignore[index]
+    def __getitem__(self, rows: IntArray | BoolArray) -> "Posture":
+        return Posture(self.bends[rows], self.spread[rows], self.thumb_root[rows], self.thumb_axis[rows])
 
     def angles(self) -> FloatArray:
         """(n, 45) joint angles, intrinsic x-y-z Euler."""

@@ -4,7 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import trimesh
-from handover_marl.assets.hand import FloatArray, HandModel
+from scipy.spatial.transform import Rotation
+
+from handover_marl.assets.hand import BoolArray, FloatArray, HandModel, IntArray
 from handover_marl.assets.hand_meshes import reference_hand
 from handover_marl.assets.human_grasps_candidates import (
     GraspTarget,
@@ -23,7 +25,6 @@ from handover_marl.assets.human_grasps_closing import (
     to_object,
 )
 from handover_marl.assets.human_grasps_statistics import FREE_SHARE_MEDIAN, wrist_distance_quantile
-from scipy.spatial.transform import Rotation
 
 #: A digit touches if its skin is at most this far from the object (m).
 TOUCH_DISTANCE = 0.003
@@ -53,14 +54,14 @@ class Grasps:
     palms: Palms
     opened: Posture
     closed: Posture
-    touching: FloatArray
+    touching: BoolArray
     overlap: FloatArray
-    base: FloatArray
+    base: IntArray
 
     def __len__(self) -> int:
         return len(self.overlap)
 
-    def __getitem__(self, rows: FloatArray) -> "Grasps":
+    def __getitem__(self, rows: IntArray) -> "Grasps":
         palms = (self.palms[0][rows], self.palms[1][rows])
         return Grasps(
             palms, self.opened[rows], self.closed[rows], self.touching[rows], self.overlap[rows], self.base[rows]
@@ -72,9 +73,7 @@ class Grasps:
         return np.asarray(np.linalg.norm(self.palms[0], axis=1))
 
 
-def close_and_keep(
-    target: GraspTarget, model: HandModel, palms: Palms, opened: Posture, base: FloatArray
-) -> Grasps:
+def close_and_keep(target: GraspTarget, model: HandModel, palms: Palms, opened: Posture, base: IntArray) -> Grasps:
     """Close open hands and keep those that hold: thumb against at least two fingers, pads first."""
     balls, field = HandBalls(model), target.field
     closed = close(field, balls, palms, opened)
@@ -121,7 +120,7 @@ def grasp_pool(target: GraspTarget, object_name: str, rng: np.random.Generator) 
     return pool[rng.permutation(len(pool))[:_LARGEST_POOL]]
 
 
-def _bins(positions: FloatArray, goals: FloatArray) -> FloatArray:
+def _bins(positions: FloatArray, goals: FloatArray) -> IntArray:
     """(n) which quantile bin the wrist distances of palm positions lie in."""
     return np.asarray(np.searchsorted(goals[1:-1], np.linalg.norm(positions, axis=1)))
 
@@ -202,7 +201,7 @@ def _nearest_palm_balls(field: DistanceField, palms: Palms, balls: HandBalls) ->
     return np.asarray(points[np.arange(len(points)), nearest])
 
 
-def _opposed(by_pad: FloatArray, normal: FloatArray, palm_normal: FloatArray) -> FloatArray:
+def _opposed(by_pad: BoolArray, normal: FloatArray, palm_normal: FloatArray) -> BoolArray:
     """(n, 2) whether the touching fingers press against the thumb, and whether against the palm."""
     count = by_pad.sum(axis=1)
     verdicts = []
@@ -212,7 +211,7 @@ def _opposed(by_pad: FloatArray, normal: FloatArray, palm_normal: FloatArray) ->
     return np.stack(verdicts, axis=1)
 
 
-def _pad_directions(closed: Posture, rotations: FloatArray, nearest: FloatArray) -> FloatArray:
+def _pad_directions(closed: Posture, rotations: FloatArray, nearest: IntArray) -> FloatArray:
     """(n, 5, 3) where the touching phalanx's soft side looks, in the palm's frame."""
     n, phalanx = len(closed), nearest // 3
     frames = rotations.reshape(n, 5, 3, 3, 3)

@@ -5,6 +5,7 @@ flat in the xy plane.
 """
 
 import numpy as np
+
 from handover_marl.assets.shapes import Array, Piece, ellipse, follow, loft, rectangle, span, stack, strip
 
 #: The drill's barrel along x: x and radius.
