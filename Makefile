@@ -1,12 +1,15 @@
-# make test        a venv with everything, then all checks
-# make benchmark   a venv with the library, then the official s3 test (DATA=folder in HandoverSim's layout)
+# make benchmark   a venv with the library, then the official s3 test: on DexYCB with DATA=folder in HandoverSim's
+#                  layout, else on the synthetic scenes
+# make test        a venv with everything, then all tests
+# make check       style and types
 
 PYTHON ?= python3
 VENV ?= .venv
-EXTRAS ?= dev,train
+EXTRAS ?= assets,dev,render,train
 SETUP ?= s3
 DATA ?= $(HANDOVER_MARL_DATA)
-OUT ?= results/$(SETUP)-yang2021
+DATASET := $(if $(DATA),dexycb,synthetic)
+OUT ?= results/$(DATASET)-$(SETUP)-yang2021
 
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
@@ -17,8 +20,8 @@ test: $(VENV)/.tested-with
 	$(BIN)/python -m pytest
 
 benchmark: $(VENV)/.installed
-	@test -n "$(DATA)" || { echo "make benchmark needs DexYCB in HandoverSim's layout: make benchmark DATA=/path/to/handover/data"; exit 2; }
-	$(BIN)/handover-marl benchmark --setup $(SETUP) --receiver yang2021 --data-dir "$(DATA)" --out "$(OUT)"
+	$(BIN)/handover-marl benchmark --setup $(SETUP) --receiver yang2021 --dataset $(DATASET) \
+		$(if $(DATA),--data-dir "$(DATA)") --out "$(OUT)"
 
 # Style and types. Types are checked on an installed copy, where givers/, receivers/ and assets/ have their names.
 check: $(VENV)/.tested-with

@@ -5,9 +5,8 @@
 
 from typing import cast
 
-from handover_marl.givers.base import Action, Giver
-
 from handover_marl import registry
+from handover_marl.givers.base import Action, Giver
 
 GROUP = "handover_marl.givers"
 

@@ -1,8 +1,8 @@
 """The recorded person: no deviation at all."""
 
 import numpy as np
-from handover_marl.givers.base import Action, Giver
 
+from handover_marl.givers.base import Action, Giver
 from handover_marl.observations import Observation
 from handover_marl.spaces import GIVER_ACTION_SIZE
 

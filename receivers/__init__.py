@@ -6,10 +6,9 @@ the entry-point group `handover_marl.receivers`.
 
 from typing import cast
 
-from handover_marl.receivers.base import WAITING_JOINTS, Action, Receiver, ReceiverContext
-
 from handover_marl import registry
 from handover_marl.datasets import Dataset
+from handover_marl.receivers.base import WAITING_JOINTS, Action, Receiver, ReceiverContext
 
 GROUP = "handover_marl.receivers"
 

@@ -1,9 +1,9 @@
 """A receiver that waits and never moves: the floor of every comparison."""
 
 import numpy as np
-from handover_marl.receivers.base import Action, Receiver
 
 from handover_marl.observations import Observation
+from handover_marl.receivers.base import Action, Receiver
 
 
 class HoldReceiver(Receiver):

@@ -11,12 +11,12 @@ from enum import Enum, auto
 
 import numpy as np
 import numpy.typing as npt
-from handover_marl.receivers.base import WAITING_JOINTS, Action, Receiver, ReceiverContext
 
 from handover_marl.datasets.ycb import CLASS_NAMES
 from handover_marl.errors import ResetNeededError
 from handover_marl.geometry import compose, quaternion_from_matrix, rotation_angle
 from handover_marl.observations import Observation
+from handover_marl.receivers.base import WAITING_JOINTS, Action, Receiver, ReceiverContext
 from handover_marl.sim.kinematics import ARM_JOINTS, PandaKinematics
 
 Pose = npt.NDArray[np.float64]

@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 import traceback
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from multiprocessing.connection import Connection, wait
 from types import TracebackType
 
@@ -38,7 +38,7 @@ def check_workers(workers: int | None) -> int:
     return workers
 
 
-def play_tasks(job: Job, tasks: Sequence[Task], workers: int) -> Iterator[Played]:
+def play_tasks(job: Job, tasks: Sequence[Task], workers: int) -> Generator[Played, None, None]:
     """Play scenes, in this process or in several, and yield each as it is finished.
 
     Raises:

@@ -4,9 +4,9 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 import pytest
+
 from handover_marl.assets.grasps import GRASPS_PATH, UNGRASPABLE, load_object_grasps
 from handover_marl.assets.objects import load_collision_parts, object_urdf
-
 from handover_marl.datasets.ycb import CLASS_NAMES
 from handover_marl.errors import DataFormatError, DataNotFoundError, UnknownNameError
 from handover_marl.sim.grasp_trial import GraspTrial, TrialConfig

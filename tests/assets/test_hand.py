@@ -2,6 +2,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from handover_marl.assets.anthropometry import SKIN_COLOURS, SUBJECT_SIZES
 from handover_marl.assets.hand import (
     HANDS_FOLDER,
@@ -13,7 +14,6 @@ from handover_marl.assets.hand import (
     hand_name,
     hand_urdf,
 )
-
 from handover_marl.config import HandConfig
 from handover_marl.errors import UnknownNameError
 from handover_marl.geometry import rotate

@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
+
 from handover_marl.assets.hand import SIDES, SUBJECTS, hand_model, hand_urdf
 from handover_marl.assets.human_grasps import ANGLE_STEP, GRASPED_OBJECTS, GRASPS_FILE, HumanGrasps, human_grasps
 from handover_marl.assets.human_grasps_statistics import wrist_distance_quantile
 from handover_marl.assets.objects import object_urdf
-
 from handover_marl.config import HandConfig
 from handover_marl.errors import UnknownNameError
 from handover_marl.geometry import compose_point, rotate

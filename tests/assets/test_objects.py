@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from handover_marl.assets.objects import (
     COLLISION_NAME,
     OBJECTS_ROOT,
@@ -14,7 +15,6 @@ from handover_marl.assets.objects import (
     load_visual,
     object_urdf,
 )
-
 from handover_marl.config import ObjectConfig
 from handover_marl.datasets.ycb import CLASS_NAMES
 from handover_marl.errors import DataFormatError, DataNotFoundError, UnknownNameError

@@ -264,4 +264,4 @@ def _missing_height(
         return np.zeros(0)
     dof = np.concatenate([base[frames], rotation[frames].as_euler("XYZ"), fingers[frames]], axis=1)
     lowest = model.keypoints(dof)[..., 2].min(axis=1)
-    return np.maximum(0.0, JOINT_CLEARANCE - lowest)
+    return np.asarray(np.maximum(0.0, JOINT_CLEARANCE - lowest), dtype=np.float64)
