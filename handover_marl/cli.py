@@ -1,11 +1,13 @@
 """The command line: handover-marl benchmark | evaluate | render."""
 
+import os
 import sys
 from collections.abc import Sequence
 from typing import Annotated
 
 import tyro
 
+from handover_marl._version import __version__
 from handover_marl.errors import HandoverError, OptionError
 
 _Scenes = Annotated[str | None, tyro.conf.arg(metavar="N,N,...")]
@@ -120,14 +122,23 @@ def parse_scenes(text: str | None) -> list[int] | None:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; errors a user can mend come as one message and exit status 2, Ctrl-C as 130."""
+    arguments = sys.argv[1:] if arguments is None else arguments
+    if list(arguments) == ["--version"]:
+        print(f"handover-marl {__version__}")
+        return 0
     try:
         app.cli(prog="handover-marl", description="Human-to-robot handovers.", args=arguments)
+        sys.stdout.flush()
     except HandoverError as error:
         print(f"handover-marl: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("handover-marl: stopped; with --out, the same command goes on from here", file=sys.stderr)
         return 130
+    except BrokenPipeError:
+        # Who reads our output has seen enough; nothing more may be written to it at exit either.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 141
     return 0
 
 

@@ -46,9 +46,11 @@ class Episode:
         """Go to the start of a scene."""
         if self._world is None:
             self._world = World(self._physics_config, self._window)
-        self._playback = Playback(scene)
+        self._playback = None
         self._referee = Referee(self._protocol_config)
-        self._world.reset(scene, self._playback.target)
+        playback = Playback(scene)
+        self._world.reset(scene, playback.target)
+        self._playback = playback
 
     def advance(self, robot_target: npt.NDArray[np.float32], steps: int) -> None:
         """Simulate up to `steps` physics steps under one receiver action; stop early at the episode's end.

@@ -18,9 +18,11 @@ whose contacts made the person let go, or None.
 Version history: v0, initial.
 """
 
+import operator
 import os
 import time
 import warnings
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -32,7 +34,7 @@ from pettingzoo import ParallelEnv
 from handover_marl.config import CameraConfig, PhysicsConfig
 from handover_marl.datasets import open_dataset
 from handover_marl.episode import PHYSICS, Episode
-from handover_marl.errors import OptionError, ResetNeededError, SceneError, UnknownNameError
+from handover_marl.errors import ActionError, OptionError, ResetNeededError, SceneError, UnknownNameError
 from handover_marl.observations import Observation, observation_space
 from handover_marl.protocol.status import EpisodeStatus
 from handover_marl.rewards import sparse_reward
@@ -108,7 +110,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         self._observation_spaces = {agent: observation_space() for agent in AGENTS}
         self._action_spaces = {GIVER: giver_action_space(), RECEIVER: receiver_action_space()}
         self.state_space = spaces.flatten_space(self._observation_spaces[RECEIVER])
-        self.metadata = {**self.metadata, "render_fps": round(1.0 / control_period)}
+        self.metadata = {**self.metadata, "render_fps": max(1, round(1.0 / control_period))}
 
     def observation_space(self, agent: str) -> spaces.Dict:
         """The agent's observation space; both have the same."""
@@ -131,6 +133,9 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
             SceneError: The scene is not in the split.
             DataNotFoundError, DataFormatError: The scene's files are missing or damaged.
         """
+        # Should anything fail below, there is no episode.
+        self.agents = []
+        self._observation = None
         if seed is not None or self._rng is None:
             self._rng, _ = seeding.np_random(seed)
         self._episode.reset(self.dataset.scene(self._choose_scene(self._rng, options or {})))
@@ -150,9 +155,10 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         """
         if not self.agents:
             raise ResetNeededError("no episode is running; call reset() before step()")
-        check_giver_action(actions.get(GIVER))
-        target = check_receiver_action(actions.get(RECEIVER))
+        target = self._check_actions(actions)
         started = time.monotonic()
+        # Should the simulation fail below, there is no episode any more.
+        self.agents = []
         self._episode.advance(target, self.control_steps)
         if self.render_mode == "human":
             self._keep_pace(started)
@@ -160,8 +166,8 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         observations, infos = self._observe(), self._infos()
         ended = bool(status & ~EpisodeStatus.TIMEOUT)
         timed_out = bool(status & EpisodeStatus.TIMEOUT)
-        if ended or timed_out:
-            self.agents = []
+        if not (ended or timed_out):
+            self.agents = list(AGENTS)
         return (
             observations,
             dict.fromkeys(AGENTS, sparse_reward(status)),
@@ -186,20 +192,36 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         """Free the simulation."""
         self._episode.close()
         self.agents = []
+        self._observation = None
+
+    def _check_actions(self, actions: dict[str, Any]) -> npt.NDArray[np.float32]:
+        if not isinstance(actions, Mapping):
+            raise ActionError(f"step() takes a dict of actions by agent, not {type(actions).__name__}")
+        unknown = sorted(map(str, actions.keys() - set(AGENTS)))
+        if unknown:
+            raise ActionError(f"there is no agent {unknown[0]!r}; actions are for {' and '.join(AGENTS)}")
+        check_giver_action(actions.get(GIVER))
+        return check_receiver_action(actions.get(RECEIVER))
 
     def _choose_scene(self, rng: np.random.Generator, options: dict[str, Any]) -> int:
+        if not isinstance(options, Mapping):
+            raise OptionError(f"reset() takes options as a dict, not {type(options).__name__}")
         unknown = sorted(map(str, options.keys() - {"scene_id"}))
         if unknown:
             warnings.warn(f"reset() knows no option {', '.join(unknown)}; valid: scene_id", stacklevel=3)
         scene_id = options.get("scene_id")
         if scene_id is None:
             return int(rng.choice(self.scene_ids))
-        if scene_id not in self.scene_ids:
+        try:
+            chosen = operator.index(scene_id)
+        except TypeError:
+            chosen = -1
+        if chosen not in self.scene_ids:
             raise SceneError(
                 f"scene {scene_id!r} is not in {self.setup} {self.split}, which has {len(self.scene_ids)} scenes "
                 f"from {self.scene_ids[0]} to {self.scene_ids[-1]}; env.scene_ids lists them"
             )
-        return int(scene_id)
+        return chosen
 
     def _observe(self) -> dict[str, Observation]:
         self._observation = self._episode.observe()

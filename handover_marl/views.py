@@ -103,8 +103,15 @@ class FrozenPartnerEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         return {self.live_agent: by_agent[self.live_agent]}
 
 
+def _without_none(info: dict[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in info.items() if value is not None}
+
+
 class SingleAgentEnv(gymnasium.Env[Any, Any], EzPickle):
     """A Gymnasium environment of one agent, for libraries such as Stable-Baselines3.
+
+    `info` has `release_step` only once there is one: Gymnasium's vector environments make arrays of infos and
+    cannot take None.
 
     Args:
         agent: The live one, "receiver" or "giver".
@@ -129,13 +136,14 @@ class SingleAgentEnv(gymnasium.Env[Any, Any], EzPickle):
         """Start an episode; `options={"scene_id": n}` chooses the scene."""
         super().reset(seed=seed)
         observations, infos = self.view.reset(seed, options)
-        return observations[self.agent], infos[self.agent]
+        return observations[self.agent], _without_none(infos[self.agent])
 
     def step(self, action: npt.NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Act for one control period."""
         observations, rewards, ended, timed_out, infos = self.view.step({self.agent: action})
         agent = self.agent
-        return observations[agent], rewards[agent], ended[agent], timed_out[agent], infos[agent]
+        info = _without_none(infos[agent])
+        return observations[agent], rewards[agent], ended[agent], timed_out[agent], info
 
     def render(self) -> Any:
         """As `HandoverEnv.render`."""

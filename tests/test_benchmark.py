@@ -93,6 +93,13 @@ def test_evaluation_recomputes_the_same_report(fake_data: Path, tmp_path: Path) 
     assert again.to_json() == report.to_json()
 
 
+@pytest.mark.parametrize("scenes", [np.array([14, 9]), (n for n in (9, 14, 9)), [np.int64(9), 14]])
+def test_any_numbers_are_scenes(fake_data: Path, tmp_path: Path, scenes: Any) -> None:
+    report = run(fake_data, tmp_path, scenes=scenes)
+    assert [episode.scene_id for episode in report.episodes] == [9, 14]
+    assert (tmp_path / "report.json").exists()
+
+
 def test_an_interrupted_run_goes_on(fake_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     played = []
     play = playing.play
@@ -172,6 +179,8 @@ def test_a_full_disk_loses_nothing(fake_data: Path, tmp_path: Path, monkeypatch:
         ({"receiver": "nobody"}, UnknownNameError, "receiver 'nobody'; valid: hold, yang2021"),
         ({"scenes": [9, 10]}, SceneError, "scene 10 is not in s0 val"),
         ({"scenes": []}, SceneError, "no scene"),
+        ({"scenes": 9}, SceneError, "expected scene numbers"),
+        ({"scenes": "9"}, SceneError, "expected scene numbers"),
         ({"scenes": None}, DataNotFoundError, "meta_019"),
         ({"scenes": [19]}, DataNotFoundError, "meta_019"),
     ],
@@ -186,7 +195,7 @@ def test_errors_leave_no_output(
 
 def test_receivers_that_misbehave(fake_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(QuickReceiver, "act", lambda self, seen: np.full(9, np.nan))
-    with pytest.raises(ActionError, match="not finite"):
+    with pytest.raises(ActionError, match="'quick' in scene 9: .*not finite"):
         run(fake_data, tmp_path / "out")
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["config.yaml"]
     monkeypatch.setattr(QuickReceiver, "act", lambda self, seen: seen["robot_joint_position"])

@@ -1,3 +1,5 @@
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -42,6 +44,33 @@ def test_ctrl_c(fake_data: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest
     monkeypatch.setattr(playing, "play", interrupted)
     assert main(["benchmark", "--split", "val", "--scenes", "9", "--data-dir", str(fake_data)]) == 130
     assert "same command goes on" in capsys.readouterr().err
+
+
+def test_a_reader_that_goes_away(fake_data: Path) -> None:
+    code = "import sys; from handover_marl.cli import main; sys.exit(main())"
+    arguments = [
+        "benchmark",
+        "--split",
+        "val",
+        "--receiver",
+        "hold",
+        "--scenes",
+        "9",
+        "--data-dir",
+        str(fake_data),
+    ]
+    process = subprocess.Popen(
+        [sys.executable, "-c", code, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None
+    process.stdout.close()
+    assert "Traceback" not in process.communicate()[1]
+    assert process.returncode == 141
+
+
+def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out.startswith("handover-marl ")
 
 
 def test_parse_scenes() -> None:

@@ -236,13 +236,53 @@ def test_other_user_errors(fake_data: Path) -> None:
         handover_marl.parallel_env(dataset="dexycb")
     with pytest.raises(OptionError, match="data_dir"):
         handover_marl.parallel_env(dataset="synthetic", data_dir=fake_data)
-    env = make(fake_data)
-    for call in (env.state, env.render if env.render_mode else env.state):
+    env = make(fake_data, render_mode="rgb_array")
+    for call in (env.state, env.render):
         with pytest.raises(ResetNeededError):
             call()
-    for scene_id in (5, 10_000, "9"):
+    for scene_id in (5, 10_000, "9", 9.5, [9], np.array([9, 14])):
         with pytest.raises(SceneError, match="s0 val"):
             env.reset(options={"scene_id": scene_id})
+
+
+def test_numpy_scene_numbers(fake_data: Path) -> None:
+    env = make(fake_data)
+    assert env.reset(options={"scene_id": np.int64(14)})[1]["giver"]["scene_id"] == 14
+
+
+@pytest.mark.parametrize("actions", [None, START, {"giver": REPLAY, "reciever": START}])
+def test_malformed_steps(fake_data: Path, actions: Any) -> None:
+    env = make(fake_data)
+    env.reset(options={"scene_id": 9})
+    with pytest.raises(ActionError):
+        env.step(actions)
+    with pytest.raises(OptionError, match="options"):
+        env.reset(options=[1])  # type: ignore[arg-type]
+
+
+def test_after_a_failed_reset_there_is_no_episode(own_data: Path) -> None:
+    env = make(own_data)
+    env.reset(options={"scene_id": 9})
+    (own_data / "assets" / "004_sugar_box" / "model_normalized.urdf").write_text("no robot")
+    with pytest.raises(SimulationError, match="004_sugar_box"):
+        env.reset(options={"scene_id": 14})
+    assert env.agents == []
+    for call in (lambda: env.step(both(START)), env.state):
+        with pytest.raises(ResetNeededError):
+            call()
+    env.reset(options={"scene_id": 9})
+    assert env.step(both(START))[4]["giver"]["steps"] == 100
+
+
+def test_after_closing(fake_data: Path) -> None:
+    env = make(fake_data)
+    env.reset(options={"scene_id": 9})
+    env.close()
+    env.close()
+    with pytest.raises(ResetNeededError):
+        env.state()
+    env.reset(options={"scene_id": 9})
+    assert len(env.step(both(START))) == 5
 
 
 def test_pictures_without_a_screen(fake_data: Path) -> None:

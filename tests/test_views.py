@@ -59,6 +59,17 @@ def test_gymnasium_and_stable_baselines_accept_the_view(fake_data: Path, name: s
     env.close()
 
 
+def test_infos_fit_into_vector_environments(fake_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    envs = gymnasium.make_vec("HandoverMARL/Receiver-v0", 2, vectorization_mode="sync", data_dir=fake_data)
+    envs.reset(seed=[1, 2])
+    referee = envs.envs[0].unwrapped.view.env._episode._referee
+    monkeypatch.setattr(referee, "release_step", 7)
+    *_, infos = envs.step(np.stack([START, START]))
+    np.testing.assert_array_equal(infos["_release_step"], [True, False])
+    assert infos["release_step"][0] == 7
+    envs.close()
+
+
 def test_the_frozen_receiver_moves_the_robot(fake_data: Path) -> None:
     env = FrozenPartnerEnv("giver", "yang2021", data_dir=fake_data)
     observations, _ = env.reset(options={"scene_id": 9})

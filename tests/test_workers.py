@@ -45,6 +45,14 @@ def test_results_do_not_depend_on_workers_even_if_one_is_killed(
     assert f"a worker died while playing scene {killed[0]}" in capfd.readouterr().err
 
 
+def test_workers_search_where_the_caller_does(
+    fake_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "numpy.py").write_text("raise SystemExit('not the real one')")
+    monkeypatch.chdir(tmp_path)
+    assert run(fake_data, 2) == run(fake_data, 1)
+
+
 def test_a_scene_that_kills_every_worker_ends_the_run(
     fake_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -8,11 +8,10 @@ import numpy.typing as npt
 
 from handover_marl import receivers
 from handover_marl.benchmarking.episodes import EpisodeResult
-from handover_marl.benchmarking.machine import describe_machine
 from handover_marl.config import PANDA_DOF, PhysicsConfig, ProtocolConfig
 from handover_marl.datasets import open_dataset
 from handover_marl.episode import Episode
-from handover_marl.errors import OptionError
+from handover_marl.errors import ActionError, OptionError
 from handover_marl.receivers import Receiver
 from handover_marl.scene import Scene
 from handover_marl.spaces import check_receiver_action
@@ -27,12 +26,14 @@ class Job:
         data_dir: Its folder, or None.
         receiver: Name of the receiver.
         physics: Kind of physics.
+        machine: Where it is played, in words.
     """
 
     dataset: str
     data_dir: str | None
     receiver: str
     physics: str
+    machine: str
 
 
 @dataclass(frozen=True)
@@ -48,11 +49,13 @@ class Played:
     """A finished scene.
 
     Attributes:
+        task: What was asked for.
         result: Its outcome.
         actions: (T, 9) the action of every physics step.
         times: (T,) the policy's wall-clock time at every step (s), zero where it was not asked.
     """
 
+    task: Task
     result: EpisodeResult
     actions: npt.NDArray[np.float32]
     times: npt.NDArray[np.float64]
@@ -65,10 +68,15 @@ class Player:
         self._dataset = open_dataset(job.dataset, job.data_dir)
         self._policy = receivers.make(job.receiver, self._dataset)
         self._episode = Episode(job.physics)
+        self._machine = job.machine
 
     def play(self, task: Task) -> Played:
         """Play one scene to its end."""
-        actions, times = play(self._episode, self._dataset.scene(task.scene_id), self._policy)
+        scene = self._dataset.scene(task.scene_id)
+        try:
+            actions, times = play(self._episode, scene, self._policy)
+        except (ActionError, OptionError) as error:
+            raise type(error)(f"receiver {self._policy.name!r} in scene {task.scene_id}: {error}") from error
         info = self._episode.scene.info
         result = EpisodeResult(
             index=task.index,
@@ -82,9 +90,9 @@ class Player:
             side=info.side,
             n_objects=len(info.object_ids),
             fingerprint=self._dataset.fingerprint(task.scene_id),
-            machine=describe_machine(),
+            machine=self._machine,
         )
-        return Played(result, actions, times)
+        return Played(task, result, actions, times)
 
     def close(self) -> None:
         """Free the simulation."""
@@ -118,5 +126,5 @@ def play(
 def _hold_steps(policy: Receiver, horizon: int) -> int:
     hold_time = policy.hold_time
     if not hold_time > 0.0:
-        raise OptionError(f"receiver {policy.name!r}: hold_time is {hold_time}; it must be positive (s)")
+        raise OptionError(f"hold_time is {hold_time}; it must be positive (s)")
     return max(1, round(min(hold_time / PhysicsConfig().time_step, horizon)))

@@ -1,13 +1,15 @@
 """Running the official protocol: one episode a scene, the giver replays, physics are exact."""
 
 import contextlib
+import operator
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from handover_marl import receivers
 from handover_marl._version import __version__
 from handover_marl.benchmarking.episodes import EpisodeResult
+from handover_marl.benchmarking.machine import describe_machine
 from handover_marl.benchmarking.playing import Job, Task
 from handover_marl.benchmarking.progress import BenchmarkProgress
 from handover_marl.benchmarking.report import Report
@@ -27,7 +29,7 @@ def benchmark(
     split: str = "test",
     receiver: str = "yang2021",
     *,
-    scenes: Sequence[int] | None = None,
+    scenes: Iterable[int] | None = None,
     data_dir: str | os.PathLike[str] | None = None,
     dataset: str = "auto",
     out: str | os.PathLike[str] | None = None,
@@ -45,7 +47,8 @@ def benchmark(
         dataset: "dexycb", "synthetic", or "auto": DexYCB when there is a data folder, else synthetic.
         out: Folder for official result files, `report.json` and `report.md`. Scenes that are finished there are
             not run again, so that an interrupted run goes on where it was.
-        workers: Processes to play scenes in; default: one a core. Results do not depend on it.
+        workers: Processes to play scenes in; default: one a core. Outcomes do not depend on it; planning times are
+            wall clock and may, when processes share cores, so that the number is told with them.
         progress: Whether to show a progress bar and a row for every scene, on stderr.
 
     Raises:
@@ -75,7 +78,8 @@ def benchmark(
     )
     folder = None if out is None else ResultFolder(Path(out).expanduser(), settings)
     tasks = [Task(split_ids.index(scene_id), scene_id) for scene_id in chosen]
-    job = Job(data.name, None if data_dir is None else os.fspath(data_dir), receiver, PHYSICS)
+    machine = f"{describe_machine()}, {min(n_workers, len(tasks))} at a time"
+    job = Job(data.name, None if data_dir is None else os.fspath(data_dir), receiver, PHYSICS, machine)
     with BenchmarkProgress(len(tasks), shown=progress) as bar:
         results = _run(job, tasks, n_workers, folder, data, bar)
     report = Report(settings, tuple(results[task] for task in tasks), len(split_ids))
@@ -104,21 +108,24 @@ def _run(
         for played in finished:
             if folder is not None:
                 folder.save(played.result, played.actions, played.times)
-            task = Task(played.result.index, played.result.scene_id or 0)
-            results[task] = played.result
+            results[played.task] = played.result
             bar.add(played.result, known=False)
     return results
 
 
-def _choose_scenes(split_ids: tuple[int, ...], scenes: Sequence[int] | None, where: str) -> tuple[int, ...]:
+def _choose_scenes(split_ids: tuple[int, ...], scenes: Iterable[int] | None, where: str) -> tuple[int, ...]:
     if scenes is None:
         return split_ids
-    foreign = [scene for scene in scenes if scene not in split_ids]
+    try:
+        wanted = sorted({operator.index(scene) for scene in scenes})
+    except TypeError as error:
+        raise SceneError(f"scenes={scenes!r}: expected scene numbers, such as [209, 214]") from error
+    foreign = [scene for scene in wanted if scene not in split_ids]
     if foreign:
         raise SceneError(
             f"scene {foreign[0]} is not in {where}, which has {len(split_ids)} scenes from {split_ids[0]} to "
-            f"{split_ids[-1]}; choose scenes of this split or another --setup or --split"
+            f"{split_ids[-1]}; choose scenes of this split or another setup or split"
         )
-    if not scenes:
+    if not wanted:
         raise SceneError(f"no scene chosen; leave scenes out to run all {len(split_ids)} of {where}")
-    return tuple(sorted(set(scenes)))
+    return tuple(wanted)

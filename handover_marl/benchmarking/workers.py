@@ -5,7 +5,6 @@ script is not imported again in them, so that it needs no `if __name__ == "__mai
 """
 
 import os
-import signal
 import subprocess
 import sys
 import traceback
@@ -62,9 +61,17 @@ class _Worker:
     def __init__(self, job: Job) -> None:
         from_parent, to_worker = os.pipe()
         from_worker, to_parent = os.pipe()
-        command = [sys.executable, "-m", __name__, str(from_parent), str(to_parent)]
+        # The caller's own search path, so that the worker finds what the caller finds and nothing else.
+        code = (
+            f"import sys; sys.path[:] = {sys.path!r}; from {__name__} import main; main(*map(int, sys.argv[1:]))"
+        )
+        command = [sys.executable, "-c", code, str(from_parent), str(to_parent)]
         self.process = subprocess.Popen(
-            command, pass_fds=(from_parent, to_parent), stdin=subprocess.DEVNULL, start_new_session=True
+            # A session of its own, because Ctrl-C is for the parent, which ends its workers itself.
+            command,
+            pass_fds=(from_parent, to_parent),
+            stdin=subprocess.DEVNULL,
+            start_new_session=True,
         )
         os.close(from_parent)
         os.close(to_parent)
@@ -158,8 +165,6 @@ class _Crew:
 
 def serve(orders: Connection, answers: Connection) -> None:
     """A worker's life: build the job, play scene after scene, until nobody gives orders any more."""
-    # Ctrl-C reaches the parent, which ends its workers itself.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
     player: Player | None = None
     job: Job = orders.recv()
     while True:
@@ -178,5 +183,6 @@ def serve(orders: Connection, answers: Connection) -> None:
             answers.send(WorkerError(words))
 
 
-if __name__ == "__main__":
-    serve(Connection(int(sys.argv[1]), writable=False), Connection(int(sys.argv[2]), readable=False))
+def main(orders: int, answers: int) -> None:
+    """Serve on two open file descriptors; what a worker process runs."""
+    serve(Connection(orders, writable=False), Connection(answers, readable=False))

@@ -34,6 +34,8 @@ def open_dataset(dataset: str = "auto", data_dir: str | os.PathLike[str] | None 
         raise OptionError(
             f"synthetic scenes need no data folder, but data_dir is {data_dir}; leave one of them out"
         )
+    if data_dir is not None and not isinstance(data_dir, (str, os.PathLike)):
+        raise OptionError(f"data_dir={data_dir!r} must be a path")
     chosen = data_dir or os.environ.get(DATA_VARIABLE)
     if dataset == "synthetic" or (dataset == "auto" and not chosen):
         # Only now, because it pulls in what DexYCB does not need.

@@ -14,6 +14,8 @@ from tests.conftest import RECORDINGS
 
 STRIDE = 10
 NAMES = sorted(path.stem for path in Path(RECORDINGS).glob("scene*.npz")) if RECORDINGS else ["none"]
+if RECORDINGS and not NAMES:
+    raise FileNotFoundError(f"no recordings (scene*.npz) in {RECORDINGS}")
 YANG = [name for name in NAMES if name.endswith("yang")] or ["none"]
 
 

@@ -1,6 +1,6 @@
 """The generated dataset, made scene by scene when it is asked for."""
 
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +19,7 @@ from handover_marl.datasets.synthetic.clutter import StandingObject, draw_clutte
 from handover_marl.datasets.synthetic.draws import VERSION
 from handover_marl.datasets.synthetic.motion import KeyMotion, draw_motion
 from handover_marl.datasets.synthetic.resampling import hand_trajectory, object_trajectory, rounded
+from handover_marl.datasets.synthetic.room import grasp_poses
 from handover_marl.datasets.synthetic.staging import draw_stage, hold
 from handover_marl.datasets.ycb import CLASS_NAMES
 from handover_marl.scene import Scene, SceneAssets, SceneInfo
@@ -81,9 +82,15 @@ def key_motion(scene_id: int) -> tuple[KeyMotion, tuple[StandingObject, ...]]:
     class_id = class_number(scene_id)
     name = CLASS_NAMES[class_id]
     model = hand_model(subject, side)
-    held = hold(class_id, name, model, human_grasps(name, subject, side))
+    held = hold(class_id, name, model, human_grasps(name, subject, side), _robot_grasps(name))
     motion = draw_motion(scene_id, draw_stage(scene_id, held, name), held, model)
     return motion, draw_clutter(scene_id, class_id, motion, model)
+
+
+@cache
+def _robot_grasps(name: str) -> npt.NDArray[np.float64] | None:
+    transforms = load_object_grasps(name)
+    return None if transforms is None else grasp_poses(transforms)
 
 
 @lru_cache(maxsize=4)

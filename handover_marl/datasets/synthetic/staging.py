@@ -12,9 +12,12 @@ from scipy.special import ndtr
 from handover_marl.assets.hand import HandModel, euler_matrices
 from handover_marl.assets.human_grasps import HumanGrasps
 from handover_marl.assets.human_grasps_statistics import wrist_distance_quantile
+from handover_marl.datasets.base import TABLE_HEIGHT
 from handover_marl.datasets.synthetic import calibration
 from handover_marl.datasets.synthetic.draws import Draws, at_level
+from handover_marl.datasets.synthetic.room import room
 from handover_marl.datasets.synthetic.shapes import hull_corners
+from handover_marl.geometry import quaternion_from_matrix
 
 Array = npt.NDArray[np.float64]
 
@@ -24,7 +27,12 @@ OBJECT_CLEARANCE = 0.0005
 
 _YAWS = 24
 _OFFER_TRIES = 40
+# A few grasps of about the same wrist distance and a few offers of each are compared with what was drawn. Only a
+# few, or tilt and room alone would decide how hands are turned.
+_GRASPS_COMPARED = 3
+_DISTANCE_SLACK = 0.006
 _OFFERS_COMPARED = 8
+_TILT_WEIGHT = 0.2
 # The person reaches from +y and somewhat from above; a hand may come from up to 75 degrees beside that, or else
 # up to 100 degrees.
 _REACHING = np.array([0.0, -0.94, -0.34])
@@ -56,6 +64,7 @@ class HeldObject:
         grasps: The person's grasps.
         object_from_hand: (g, 3, 3) rotations of the hand's base.
         keypoints: (g, 21, 3) wrist, finger joints and tips (m) in the object's frame, fingers closed.
+        robot_grasps: (n, 7) poses of the gripper's hand link in the object's frame, or None where there are none.
     """
 
     class_id: int
@@ -63,9 +72,12 @@ class HeldObject:
     grasps: HumanGrasps
     object_from_hand: Array
     keypoints: Array
+    robot_grasps: Array | None
 
 
-def hold(class_id: int, name: str, model: HandModel, grasps: HumanGrasps) -> HeldObject:
+def hold(
+    class_id: int, name: str, model: HandModel, grasps: HumanGrasps, robot_grasps: Array | None
+) -> HeldObject:
     """Gather what staging needs to know of an object in a person's hand."""
     dof = np.stack([grasps.hand_dof(row) for row in range(len(grasps))])
     return HeldObject(
@@ -74,6 +86,7 @@ def hold(class_id: int, name: str, model: HandModel, grasps: HumanGrasps) -> Hel
         grasps=grasps,
         object_from_hand=euler_matrices(dof[:, 3:6]),
         keypoints=model.keypoints(dof),
+        robot_grasps=robot_grasps,
     )
 
 
@@ -88,14 +101,18 @@ def draw_stage(scene_id: int, held: HeldObject, name: str) -> Stage:
     )
     offer_z = draws.quantile(calibration.OFFER_Z)
     distance = float(wrist_distance_quantile(name, draws.uniform()))
-    rotation, grasp = _lay_and_grasp(draws, held, distance)
-    start_z = OBJECT_CLEARANCE - float((held.corners @ rotation.T)[:, 2].min())
-    offer = _offer(draws, held, grasp, np.array([offer_x, offer_y, offer_z]), rotation)
-    return Stage((np.array([start_x, start_y, start_z]), rotation), offer, grasp)
+    tilt, wanted_room = np.radians(draws.quantile(calibration.TILT)), draws.quantile(calibration.ROOM)
+    stages = []
+    for rotation, grasp in _lay_and_grasp(draws, held, distance):
+        start_z = OBJECT_CLEARANCE - float((held.corners @ rotation.T)[:, 2].min())
+        start = (np.array([start_x, start_y, start_z]), rotation)
+        offers = _offers(draws, held, grasp, np.array([offer_x, offer_y, offer_z]))
+        stages += [Stage(start, offer, grasp) for offer in offers]
+    return min(stages, key=lambda stage: _misfit(held, stage, tilt, wanted_room))
 
 
-def _lay_and_grasp(draws: Draws, held: HeldObject, distance: float) -> tuple[Array, int]:
-    """Lay the object down on one of its sides so that it can be held at about the wished wrist distance."""
+def _lay_and_grasp(draws: Draws, held: HeldObject, distance: float) -> list[tuple[Array, int]]:
+    """Ways of laying the object on one of its sides and holding it at about the wished wrist distance."""
     axes = draws.order(calibration.UP_AXES[held.class_id])
     first_yaw = draws.uniform(0.0, 2.0 * np.pi)
     tie = draws.uniform()
@@ -105,13 +122,14 @@ def _lay_and_grasp(draws: Draws, held: HeldObject, distance: float) -> tuple[Arr
             allowed = np.stack([_reachable(held, rotation, limit) for rotation in rotations])
             if allowed.any():
                 off = np.where(allowed.any(axis=0), np.abs(held.grasps.wrist_distance - distance), np.inf)
-                grasp = int(np.argmin(off))
-                turns = np.flatnonzero(allowed[:, grasp])
-                return rotations[turns[int(tie * len(turns))]], grasp
+                nearest = [int(row) for row in np.argsort(off, kind="stable")[:_GRASPS_COMPARED]]
+                near = [row for row in nearest if off[row] < off[nearest[0]] + _DISTANCE_SLACK]
+                turns = {row: np.flatnonzero(allowed[:, row]) for row in near}
+                return [(rotations[turns[row][int(tie * len(turns[row]))]], row) for row in near]
     # Only the table is in the way of every grasp: hold it as far from the table as can be.
     rotation = laid(axes[0], first_yaw)
     lowest = (held.keypoints @ rotation.T)[..., 2].min(axis=1)
-    return rotation, int(np.argmax(lowest))
+    return [(rotation, int(np.argmax(lowest)))]
 
 
 def laid(axis: int, yaw: float) -> Array:
@@ -133,12 +151,9 @@ def _reachable(held: HeldObject, rotation: Array, limit: float) -> npt.NDArray[n
     return np.asarray(clear & towards)
 
 
-def _offer(
-    draws: Draws, held: HeldObject, grasp: int, position: Array, start_rotation: Array
-) -> tuple[Array, Array]:
-    """The offered pose: the drawn position, a hand turned as people turn theirs, an object about as tilted."""
-    tilt = np.radians(draws.quantile(calibration.TILT))
-    fitting: list[tuple[float, Array]] = []
+def _offers(draws: Draws, held: HeldObject, grasp: int, position: Array) -> list[tuple[Array, Array]]:
+    """Some ways of offering the object at the drawn position, the hand turned as people turn theirs."""
+    fitting: list[tuple[Array, Array]] = []
     highest = (-np.inf, np.eye(3))
     for _ in range(_OFFER_TRIES):
         rotation = _offered_hand(draws, held.grasps.side) @ held.object_from_hand[grasp].T
@@ -148,14 +163,23 @@ def _offer(
         )
         highest = max(highest, (lowest, rotation), key=lambda pair: pair[0])
         if position[2] + lowest > 0.0:
-            found = np.arccos(np.clip(start_rotation[2] @ rotation[2], -1.0, 1.0))
-            fitting.append((abs(found - tilt), rotation))
-        # The nearest of a few: of many it would be the tilt alone that decides how hands are turned.
+            fitting.append((position, rotation))
         if len(fitting) == _OFFERS_COMPARED:
-            break
-    if fitting:
-        return position, min(fitting, key=lambda pair: pair[0])[1]
-    return np.array([position[0], position[1], -highest[0]]), highest[1]
+            return fitting
+    return fitting or [(np.array([position[0], position[1], -highest[0]]), highest[1])]
+
+
+def _misfit(held: HeldObject, stage: Stage, tilt: float, wanted_room: float) -> float:
+    """How far a stage is from the drawn tilt and from the drawn room for a gripper."""
+    (_, start), (position, offer) = stage.start, stage.offer
+    found = float(np.arccos(np.clip(start[2] @ offer[2], -1.0, 1.0)))
+    misfit = _TILT_WEIGHT * abs(found - tilt)
+    if held.robot_grasps is not None:
+        pose = np.array([*position, *quaternion_from_matrix(offer)])
+        pose[2] += float(TABLE_HEIGHT)
+        points = held.keypoints[stage.grasp] @ offer.T + pose[:3]
+        misfit += abs(room(pose, points, held.robot_grasps) - wanted_room)
+    return misfit
 
 
 def _offered_hand(draws: Draws, side: str) -> Array:
