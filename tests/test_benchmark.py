@@ -195,7 +195,7 @@ def test_errors_leave_no_output(
 
 def test_receivers_that_misbehave(fake_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(QuickReceiver, "act", lambda self, seen: np.full(9, np.nan))
-    with pytest.raises(ActionError, match="'quick' in scene 9: .*not finite"):
+    with pytest.raises(ActionError, match=r"'quick' in scene 9: .*not finite"):
         run(fake_data, tmp_path / "out")
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["config.yaml"]
     monkeypatch.setattr(QuickReceiver, "act", lambda self, seen: seen["robot_joint_position"])

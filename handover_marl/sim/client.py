@@ -41,6 +41,9 @@ def _silenced() -> Iterator[None]:
 with _silenced():
     import pybullet
 
+#: What PyBullet raises when it refuses something.
+pybullet_error: type[Exception] = pybullet.error
+
 
 class BulletClient:
     """PyBullet's functions and constants, bound to a physics server of its own.

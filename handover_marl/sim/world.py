@@ -7,12 +7,13 @@ import numpy.typing as npt
 import pybullet_data
 
 from handover_marl.config import CameraConfig, PhysicsConfig
+from handover_marl.errors import SimulationError
 from handover_marl.motion import MotionTarget
 from handover_marl.protocol.contacts import Contacts
 from handover_marl.scene import Scene
 from handover_marl.sim.body import Body
-from handover_marl.sim.camera import render
-from handover_marl.sim.client import BulletClient, connect, float32_list, load_urdf
+from handover_marl.sim.camera import render, without_drawing
+from handover_marl.sim.client import BulletClient, connect, float32_list, load_urdf, pybullet_error
 from handover_marl.sim.contacts import ContactReader
 from handover_marl.sim.hand import Hand
 from handover_marl.sim.objects import Object
@@ -62,8 +63,15 @@ class World:
 
         Bullet is deterministic for equal call sequences only, so all is loaded anew and in a fixed order.
         """
-        client, config = self._client, self._config
         self._scene = scene
+        try:
+            with without_drawing(self._client):
+                self._rebuild(scene, start)
+        except pybullet_error as error:
+            raise self._lost(error) from error
+
+    def _rebuild(self, scene: Scene, start: MotionTarget) -> None:
+        client, config = self._client, self._config
         client.resetSimulation()
         client.setGravity(0.0, 0.0, config.gravity)
         client.setPhysicsEngineParameter(
@@ -100,7 +108,10 @@ class World:
             body.drive(target)
         if self._hand is not None and motion.hand is not None:
             self._hand.drive(motion.hand)
-        self._client.stepSimulation()
+        try:
+            self._client.stepSimulation()
+        except pybullet_error as error:
+            raise self._lost(error) from error
 
     def release_target(self) -> None:
         """Let go of the target object; takes effect in the next step."""
@@ -131,6 +142,12 @@ class World:
     def render(self, camera: CameraConfig) -> npt.NDArray[np.uint8]:
         """An RGB picture (height, width, 3) of the present state."""
         return render(self._client, camera)
+
+    @staticmethod
+    def _lost(error: Exception) -> SimulationError:
+        return SimulationError(
+            f"PyBullet stopped ({error}); if its window was closed, close() this environment and reset() it again"
+        )
 
     def close(self) -> None:
         """Disconnect from PyBullet."""
