@@ -49,16 +49,31 @@ def check_giver_action(action: object) -> npt.NDArray[np.float32]:
 
 
 def _as_float32(agent: str, action: object, size: int, meaning: str) -> npt.NDArray[np.float32]:
-    try:
-        with np.errstate(over="ignore"):
-            values = np.asarray(action).astype(np.float32)
-    except (TypeError, ValueError) as error:
+    if action is None:
+        raise ActionError(
+            f"the {agent} is missing from the actions (or its action is None): pass {size} numbers, {meaning}, "
+            f'under the key "{agent}"'
+        )
+    values = _real_numbers(action)
+    if values is None:
         raise ActionError(
             f"the {agent}'s action is not numeric ({type(action).__name__}); expected {size} numbers, {meaning}"
-        ) from error
+        )
     if values.shape != (size,):
         raise ActionError(f"the {agent}'s action has shape {values.shape}; expected ({size},), {meaning}")
     if not np.isfinite(values).all():
         bad = int(np.flatnonzero(~np.isfinite(values))[0])
         raise ActionError(f"the {agent}'s action is not finite: component {bad} is {values[bad]}")
     return values
+
+
+def _real_numbers(action: object) -> npt.NDArray[np.float32] | None:
+    """The action rounded to float32, or None if it is not made of real numbers."""
+    try:
+        values = np.asarray(action)
+    except (TypeError, ValueError, RuntimeError):  # ragged lists; tensors on a GPU or with a gradient
+        return None
+    if values.dtype.kind not in "biuf":
+        return None
+    with np.errstate(over="ignore"):
+        return values.astype(np.float32)

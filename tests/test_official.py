@@ -1,4 +1,7 @@
 import json
+import pickle
+import random
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +11,7 @@ from hypothesis import strategies as st
 
 from handover_marl.datasets import DATA_VARIABLE, OfficialDataset, open_dataset
 from handover_marl.errors import DataFormatError, DataNotFoundError, SceneError
-from tests.fake_layout import HAND_FIRST, HAND_LAST, N_FRAMES, evil_grasps
+from tests.fake_layout import HAND_FIRST, HAND_LAST, N_FRAMES, FakeScene, evil_grasps, write_grasps, write_scene
 
 
 def edit_meta(data: Path, scene_id: int, **changes: object) -> None:
@@ -69,6 +72,13 @@ def test_data_folder_from_the_environment(fake_data: Path, monkeypatch: pytest.M
         ({"ycb_ids": [1, 2, 3, 4, 5, 6]}, "6 objects"),
         ({"ycb_grasp_ind": 1}, "ycb_grasp_ind 1"),
         ({"ycb_grasp_ind": -1}, "ycb_grasp_ind -1"),
+        ({"ycb_ids": [19]}, "unknown object class 19"),
+        ({"ycb_ids": [float("inf")]}, "not a scene's meta file"),
+        ({"ycb_ids": [2.7]}, "not a scene's meta file .*2.7"),
+        ({"ycb_ids": [True]}, "not a scene's meta file .*True"),
+        ({"ycb_ids": ["2"]}, "not a scene's meta file"),
+        ({"ycb_grasp_ind": 0.5}, "not a scene's meta file .*0.5"),
+        ({"ycb_grasp_ind": False}, "not a scene's meta file .*False"),
         ({"ycb_ids": "box"}, "not a scene's meta file"),
         ({"mano_sides": ["both"]}, "mano_sides"),
         ({"mano_sides": []}, "mano_sides"),
@@ -80,7 +90,7 @@ def test_bad_meta(own_data: Path, changes: dict[str, object], message: str) -> N
         OfficialDataset(own_data).info(5)
 
 
-@pytest.mark.parametrize("text", ["", "{", "[]", "{}", "null", '{"name": 3}'])
+@pytest.mark.parametrize("text", ["", "{", "[]", "{}", "null", '{"name": 3}', "[" * 100_000])
 def test_meta_that_is_no_meta(own_data: Path, text: str) -> None:
     (own_data / "dex-ycb-cache" / "meta_005.json").write_text(text)
     with pytest.raises(DataFormatError, match="meta_005"):
@@ -117,6 +127,46 @@ def test_motion_of_the_wrong_shape(own_data: Path, pose_y: np.ndarray, pose_m: n
         OfficialDataset(own_data).scene(5)
 
 
+def test_motion_files_of_another_kind(own_data: Path) -> None:
+    path = own_data / "dex-ycb-cache" / "pose_005.npz"
+    whole = path.read_bytes()
+
+    def refused() -> None:
+        with pytest.raises(DataFormatError, match=r"pose_005\.npz: not a readable pose file"):
+            OfficialDataset(own_data).scene(5)
+
+    with path.open("wb") as stream:
+        np.save(stream, np.zeros(3))
+    refused()
+    path.write_bytes(pickle.dumps({"pose_y": 1}))
+    refused()
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("pose_y.npy", b"\x93NUMPY\x01\x00\x06\x00{'a': \n")
+    refused()
+    # Flags of the first entry: encrypted; then compression 99, which zipfile does not know.
+    for offset, value in ((8, 1), (10, 99)):
+        start = whole.index(b"PK\x01\x02")
+        path.write_bytes(whole[: start + offset] + bytes([value]) + whole[start + offset + 1 :])
+        refused()
+
+
+def test_flipped_bytes_in_motion_files(own_data: Path) -> None:
+    path, rng = own_data / "dex-ycb-cache" / "pose_005.npz", random.Random(0)
+    whole = path.read_bytes()
+    refused = 0
+    for _ in range(400):
+        spoilt = bytearray(whole)
+        for _ in range(rng.choice((1, 1, 2, 8))):
+            # Headers stand at both ends; the compressed middle is guarded by checksums.
+            spoilt[rng.choice((rng.randrange(200), -1 - rng.randrange(250)))] = rng.randrange(256)
+        path.write_bytes(spoilt)
+        try:
+            OfficialDataset(own_data).scene(5)
+        except DataFormatError:
+            refused += 1
+    assert refused > 200
+
+
 def test_grasps_are_read_safely(own_data: Path, tmp_path: Path) -> None:
     path = own_data / "assets" / "grasps" / "003_cracker_box.npy"
     assert OfficialDataset(own_data).grasps("003_cracker_box").shape == (100, 4, 4)
@@ -125,6 +175,33 @@ def test_grasps_are_read_safely(own_data: Path, tmp_path: Path) -> None:
     with pytest.raises(DataFormatError, match="003_cracker_box"):
         OfficialDataset(own_data).grasps("003_cracker_box")
     assert not (tmp_path / "was_run").exists()
+
+
+@pytest.mark.parametrize("name", ["002_master_chef_can", "036_wood_block"])
+def test_classes_without_grasps(own_data: Path, name: str) -> None:
+    (own_data / "assets" / "grasps" / f"{name}.npy").unlink(missing_ok=True)
+    assert OfficialDataset(own_data).grasps(name) is None
+    write_grasps(own_data / "assets" / "grasps" / f"{name}.npy", n=3)
+    assert OfficialDataset(own_data).grasps(name).shape == (3, 4, 4)
+
+
+def test_missing_grasps_are_named(own_data: Path) -> None:
+    (own_data / "assets" / "grasps" / "003_cracker_box.npy").unlink()
+    dataset = OfficialDataset(own_data)
+    with pytest.raises(DataNotFoundError, match=r"003_cracker_box\.npy is missing"):
+        dataset.grasps("003_cracker_box")
+    with pytest.raises(DataNotFoundError, match=r"003_cracker_box\.npy is missing"):
+        dataset.check_scenes((14, 5))
+    dataset.check_scenes((14,))
+    with pytest.raises(DataNotFoundError, match=r"051_large_clamp\.npy"):
+        dataset.grasps("051_large_clamp")
+
+
+def test_scenes_of_classes_without_grasps_are_complete(own_data: Path) -> None:
+    write_scene(own_data, FakeScene(75))
+    (own_data / "assets" / "grasps" / "036_wood_block.npy").unlink()
+    OfficialDataset(own_data).check_scenes((75,))
+    assert OfficialDataset(own_data).fingerprint(75)
 
 
 @pytest.mark.parametrize("scene_id", [-1, 1000])
@@ -139,3 +216,21 @@ def test_fingerprint_follows_the_data(own_data: Path) -> None:
     assert before != OfficialDataset(own_data).fingerprint(6)
     edit_meta(own_data, 5, name="20200709-subject-01/other")
     assert before != OfficialDataset(own_data).fingerprint(5)
+
+
+def test_fingerprint_follows_grasps_and_meshes(own_data: Path) -> None:
+    assets = own_data / "assets"
+    urdf = assets / "003_cracker_box" / "model_normalized.urdf"
+    urdf.write_text(urdf.read_text().replace('<box size="0.05 0.05 0.08"/>', '<mesh filename="box.obj"/>'))
+    seen = [OfficialDataset(own_data).fingerprint(5)]
+    for change in (
+        lambda: (assets / "003_cracker_box" / "box.obj").write_text("v 0 0 0\n"),
+        lambda: (assets / "003_cracker_box" / "box.obj").write_text("v 0 0 0\nv 1 0 0\n"),
+        lambda: write_grasps(assets / "grasps" / "003_cracker_box.npy", n=5),
+        lambda: urdf.write_text(urdf.read_text() + " "),
+    ):
+        change()
+        seen.append(OfficialDataset(own_data).fingerprint(5))
+    assert len(set(seen)) == len(seen)
+    write_grasps(assets / "grasps" / "004_sugar_box.npy", n=5)
+    assert OfficialDataset(own_data).fingerprint(5) == seen[-1]

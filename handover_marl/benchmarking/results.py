@@ -6,8 +6,6 @@ the status flags. Files written here hold the rest of an `EpisodeResult` besides
 
 import io
 import re
-import zipfile
-import zlib
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -26,8 +24,16 @@ from handover_marl.protocol.status import EpisodeStatus
 CONFIG_FILE = "config.yaml"
 _RESULT_FILE = re.compile(r"(\d{3})\.npz")
 _OWN_SECTION = "HANDOVER_MARL"
-_EXTRAS = ("scene_id", "release_step", "object_name", "subject", "side", "n_objects", "fingerprint", "machine")
-_READ_ERRORS = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error)
+_EXTRAS = {
+    "scene_id": int,
+    "release_step": int,
+    "object_name": str,
+    "subject": str,
+    "side": str,
+    "n_objects": int,
+    "fingerprint": str,
+    "machine": str,
+}
 
 
 @dataclass(frozen=True)
@@ -127,32 +133,38 @@ def read_settings(path: Path) -> RunSettings:
     """Settings of a result folder, ours or the original code's.
 
     Raises:
-        ResultsError: There is no readable `config.yaml` with an official setup and split.
+        ResultsError: There is no readable `config.yaml` with an official setup and split, or our section of it
+            is not as this library writes it.
     """
     config_path = path / CONFIG_FILE
     try:
         config = yaml.safe_load(config_path.read_text())
-        setup, split = config["BENCHMARK"]["SETUP"], config["BENCHMARK"]["SPLIT"]
         own = config.get(_OWN_SECTION)
-        if own is not None:
-            return RunSettings(setup=setup, split=split, **own)
+        named = {"setup": config["BENCHMARK"]["SETUP"], "split": config["BENCHMARK"]["SPLIT"]}
+        settings = RunSettings(**named, **(_official_section(path) if own is None else own))
     except FileNotFoundError as error:
         raise ResultsError(f"{path} is no result folder: it has no {CONFIG_FILE}") from error
-    except (OSError, UnicodeDecodeError, yaml.YAMLError, KeyError, TypeError, AttributeError) as error:
+    except Exception as error:  # YAML lets errors of its constructors through
         raise ResultsError(
             f"{config_path}: not a readable configuration ({type(error).__name__}: {error})"
         ) from error
-    if setup not in SETUPS or split not in SPLITS:
-        raise ResultsError(f"{config_path}: unknown setup {setup!r} or split {split!r}")
-    return RunSettings(
-        setup=setup,
-        split=split,
-        receiver=_method_in_name(path.resolve().name),
-        giver="replay",
-        physics="exact",
-        dataset="dexycb",
-        version="HandoverSim",
-    )
+    if settings.setup not in SETUPS or settings.split not in SPLITS:
+        raise ResultsError(f"{config_path}: unknown setup {settings.setup!r} or split {settings.split!r}")
+    for key, value in asdict(settings).items():
+        if not isinstance(value, str):
+            raise ResultsError(f"{config_path}: {key} in section {_OWN_SECTION} is {value!r}, expected text")
+    return settings
+
+
+def _official_section(path: Path) -> dict[str, str]:
+    """What a folder of the original code stands for."""
+    return {
+        "receiver": _method_in_name(path.resolve().name),
+        "giver": "replay",
+        "physics": "exact",
+        "dataset": "dexycb",
+        "version": "HandoverSim",
+    }
 
 
 def read_results(path: Path) -> list[EpisodeResult]:
@@ -172,12 +184,12 @@ def _read_result(path: Path) -> EpisodeResult:
         with np.load(path, allow_pickle=False) as archive:
             status, steps = int(archive["result"]), int(archive["elapsed_frame"])
             plan_time = float(np.sum(archive["elapsed_time"]))
-            extras = {key: archive[key].item() for key in _EXTRAS if key in archive}
-    except (*_READ_ERRORS, TypeError) as error:
+            extras = {key: _extra(key, archive[key]) for key in _EXTRAS if key in archive}
+    except Exception as error:  # what NumPy and zipfile raise on damaged bytes has no end
         raise ResultsError(
             f"{path}: no readable result file ({type(error).__name__}: {error}); delete it and run the scene again"
         ) from error
-    if not 0 < status < 16 or (status & 1 and status != 1) or steps < 1 or not np.isfinite(plan_time):
+    if not 0 < status < 16 or (status & 1 and status != 1) or steps < 1 or not 0.0 <= plan_time < np.inf:
         raise ResultsError(f"{path}: impossible result {status} after {steps} steps; run its scene again")
     return EpisodeResult(
         index=int(path.stem),
@@ -186,6 +198,13 @@ def _read_result(path: Path) -> EpisodeResult:
         plan_time=plan_time,
         **extras,
     )
+
+
+def _extra(key: str, array: npt.NDArray[Any]) -> Any:
+    value = array.item()
+    if type(value) is not _EXTRAS[key]:
+        raise TypeError(f"{key} is {value!r}, expected {_EXTRAS[key].__name__}")
+    return value
 
 
 def _check_same_run(path: Path, found: RunSettings, wanted: RunSettings) -> None:

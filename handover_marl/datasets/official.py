@@ -7,8 +7,7 @@
 
 import hashlib
 import json
-import zipfile
-import zlib
+import re
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -19,9 +18,13 @@ import numpy.typing as npt
 from handover_marl.config import HAND_DOF, MAX_OBJECTS, OBJECT_DOF
 from handover_marl.datasets.base import TABLE_HEIGHT, Dataset
 from handover_marl.datasets.grasps import load_grasps
-from handover_marl.datasets.ycb import CLASS_NAMES
+from handover_marl.datasets.ycb import CLASS_NAMES, SCENE_CLASSES
 from handover_marl.errors import DataFormatError, DataNotFoundError
 from handover_marl.scene import Scene, SceneAssets, SceneInfo
+
+#: HandoverSim comes without grasps of these; its setups never ask for them.
+_WITHOUT_GRASPS = ("002_master_chef_can", "036_wood_block")
+_MESH_REFERENCE = re.compile(rb"""filename\s*=\s*["']([^"']+)["']""")
 
 
 class OfficialDataset(Dataset):
@@ -89,6 +92,7 @@ class OfficialDataset(Dataset):
         """The official grasps of an object class, or None (master chef can and wood block have none).
 
         Raises:
+            DataNotFoundError: The grasp file of another class is missing.
             UnsafeFileError, DataFormatError: The file holds foreign content or is damaged.
         """
         return self._grasps(object_name)
@@ -96,16 +100,23 @@ class OfficialDataset(Dataset):
     def check_scenes(self, scene_ids: tuple[int, ...]) -> None:
         """Raise `DataNotFoundError` naming the first missing file of the scenes."""
         for scene_id in scene_ids:
-            self._scene_assets(self.info(scene_id))
+            info = self.info(scene_id)
+            self._scene_assets(info)
             self._existing(self._pose_path(scene_id))
+            self._grasp_path(info.target_name)
 
     def fingerprint(self, scene_id: int) -> str:
-        """Hash of the scene's meta file, pose file and URDFs (not of their meshes)."""
-        assets = self._scene_assets(self.info(scene_id))
-        motion = (self._meta_path(scene_id), self._existing(self._pose_path(scene_id)))
+        """Hash of the scene's meta, pose and grasp file and its URDFs, and of the sizes of their meshes."""
+        info = self.info(scene_id)
+        assets = self._scene_assets(info)
+        data = [self._meta_path(scene_id), self._existing(self._pose_path(scene_id))]
+        grasps = self._grasp_path(info.target_name)
         digest = hashlib.sha256()
-        for path in (*motion, assets.table, assets.panda, assets.hand, *assets.objects):
+        for path in data if grasps is None else [*data, grasps]:
             digest.update(path.read_bytes())
+        for urdf in (assets.table, assets.panda, assets.hand, *assets.objects):
+            digest.update(urdf.read_bytes())
+            digest.update(_mesh_sizes(urdf))
         return digest.hexdigest()[:16]
 
     def _meta_path(self, scene_id: int) -> Path:
@@ -133,16 +144,20 @@ class OfficialDataset(Dataset):
         )
 
     def _read_grasps(self, object_name: str) -> npt.NDArray[np.float64] | None:
+        path = self._grasp_path(object_name)
+        return None if path is None else load_grasps(path)
+
+    def _grasp_path(self, object_name: str) -> Path | None:
         path = self.data_dir / "assets" / "grasps" / f"{object_name}.npy"
-        return load_grasps(path) if path.is_file() else None
+        return None if object_name in _WITHOUT_GRASPS and not path.is_file() else self._existing(path)
 
     def _read_info(self, scene_id: int) -> tuple[SceneInfo, list[int]]:
         path = self._meta_path(scene_id)
         try:
             meta = json.loads(path.read_text())
-            ids = [int(number) for number in meta["ycb_ids"]]
-            grasped, sides, name = int(meta["ycb_grasp_ind"]), list(meta["mano_sides"]), str(meta["name"])
-        except (ValueError, KeyError, TypeError) as error:
+            ids = [_whole(number) for number in meta["ycb_ids"]]
+            grasped, sides, name = _whole(meta["ycb_grasp_ind"]), list(meta["mano_sides"]), str(meta["name"])
+        except (ValueError, KeyError, TypeError, RecursionError) as error:
             raise DataFormatError(
                 f"{path}: not a scene's meta file ({type(error).__name__}: {error}). It needs name, ycb_ids, "
                 "ycb_grasp_ind and mano_sides; copy it again from the HandoverSim data."
@@ -181,12 +196,18 @@ class OfficialDataset(Dataset):
         return objects[:, order], hand[:, 0].copy()
 
 
+def _whole(number: object) -> int:
+    if type(number) is not int:  # True is an int too
+        raise TypeError(f"{number!r} is no whole number")
+    return number
+
+
 def _check_meta(path: Path, ids: list[int], grasped: int, sides: list[Any]) -> None:
-    unknown = [number for number in ids if number not in CLASS_NAMES]
+    unknown = [number for number in ids if number not in SCENE_CLASSES]
     if unknown:
         raise DataFormatError(
-            f"{path}: unknown object class {unknown[0]} in ycb_ids; classes are numbered "
-            f"{min(CLASS_NAMES)} to {max(CLASS_NAMES)}"
+            f"{path}: unknown object class {unknown[0]} in ycb_ids; classes of scenes are "
+            f"{', '.join(map(str, SCENE_CLASSES))}"
         )
     if not 1 <= len(ids) <= MAX_OBJECTS:
         raise DataFormatError(f"{path}: {len(ids)} objects in ycb_ids, expected 1 to {MAX_OBJECTS}")
@@ -196,11 +217,20 @@ def _check_meta(path: Path, ids: list[int], grasped: int, sides: list[Any]) -> N
         raise DataFormatError(f"{path}: mano_sides is {sides}, expected ['right'] or ['left']")
 
 
+def _mesh_sizes(urdf: Path) -> bytes:
+    """Names and sizes of the meshes that a model refers to; hashing their bytes would take seconds."""
+    sizes = []
+    for name in _MESH_REFERENCE.findall(urdf.read_bytes()):
+        mesh = urdf.parent / name.decode(errors="replace")
+        sizes.append(b"%s %d" % (name, mesh.stat().st_size if mesh.is_file() else -1))
+    return b"\n".join(sizes)
+
+
 def _read_npz(path: Path, keys: tuple[str, ...]) -> dict[str, npt.NDArray[np.float32]]:
     try:
         with np.load(path, allow_pickle=False) as archive:
             return {key: np.asarray(archive[key], dtype=np.float32) for key in keys}
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+    except Exception as error:  # what NumPy and zipfile raise on damaged bytes has no end
         raise DataFormatError(
             f"{path}: not a readable pose file ({type(error).__name__}: {error}). It may be truncated; "
             "copy or expand it again."

@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.config import MotorConfig
+from handover_marl.errors import SimulationError
 from handover_marl.sim.client import BulletClient, float32_list
 
 _JOINT_TYPE, _LINK_NAME = 2, 12
@@ -27,6 +28,9 @@ class Body:
         client: The physics server it was loaded into.
         body_id: PyBullet's number of the body.
         motors: One entry per moving joint, in joint order.
+
+    Raises:
+        SimulationError: The model has another number of moving joints than there are motors.
     """
 
     def __init__(self, client: BulletClient, body_id: int, motors: Sequence[MotorConfig]) -> None:
@@ -35,6 +39,10 @@ class Body:
         infos = [client.getJointInfo(body_id, joint) for joint in range(client.getNumJoints(body_id))]
         self.n_links = len(infos)
         self.joints = [joint for joint, info in enumerate(infos) if info[_JOINT_TYPE] != client.JOINT_FIXED]
+        if len(self.joints) != len(motors):
+            raise SimulationError(
+                f"{self._described()} has {len(self.joints)} moving joints, expected {len(motors)}; check its URDF"
+            )
         self._link_names = {info[_LINK_NAME].decode(): joint for joint, info in enumerate(infos)}
         self._position_gains = float32_list([motor.position_gain for motor in motors])
         self._velocity_gains = float32_list([motor.velocity_gain for motor in motors])
@@ -43,7 +51,16 @@ class Body:
         self._drive = client.setJointMotorControlArray
 
     def link(self, name: str) -> int:
-        """PyBullet's number of a link by its URDF name (numbers differ between Panda files)."""
+        """PyBullet's number of a link by its URDF name (numbers differ between Panda files).
+
+        Raises:
+            SimulationError: The model has no such link.
+        """
+        if name not in self._link_names:
+            raise SimulationError(
+                f"{self._described()} has no link {name!r} (its links: {', '.join(self._link_names)}); "
+                "check its URDF"
+            )
         return self._link_names[name]
 
     def place(self, positions: Sequence[float]) -> None:
@@ -90,3 +107,7 @@ class Body:
         """(n, 7) world poses of link frames, xyz (m) and quaternion xyzw, float32."""
         states = self.client.getLinkStates(self.id, links, computeForwardKinematics=1)
         return np.array([state[4] + state[5] for state in states], dtype=np.float32)
+
+    def _described(self) -> str:
+        model = self.client.getBodyInfo(self.id)[1].decode(errors="replace")
+        return f"the model {model!r} loaded as {type(self).__name__}"

@@ -32,6 +32,9 @@ class Panda(Body):
     Attributes:
         hand_link: Number of the hand link, whose pose is the gripper pose.
         finger_links: Numbers of the left and right finger links.
+
+    Raises:
+        SimulationError: The model cannot be loaded, has not nine moving joints, or lacks one of these links.
     """
 
     def __init__(self, client: BulletClient, urdf: Path, config: PandaConfig) -> None:

@@ -1,0 +1,96 @@
+from collections.abc import Callable
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from handover_marl.errors import ActionError
+from handover_marl.spaces import (
+    check_giver_action,
+    check_receiver_action,
+    giver_action_space,
+    receiver_action_space,
+)
+
+
+class Tensor:
+    """Refuses to become an array as a torch tensor with a gradient does."""
+
+    def __array__(self, *_: object, **__: object) -> np.ndarray:
+        raise RuntimeError("Can't call numpy() on Tensor that requires grad")
+
+
+@pytest.mark.parametrize(
+    "action",
+    [
+        [0.1] * 9,
+        np.full(9, 0.1),
+        np.full(9, 0.1, dtype=np.float16),
+        np.ones(9, dtype=bool),
+        np.arange(9),
+        np.arange(9, dtype=np.uint8),
+    ],
+)
+def test_real_numbers_are_rounded_to_float32(action: object) -> None:
+    checked = check_receiver_action(action)
+    assert checked.dtype == np.float32
+    np.testing.assert_array_equal(checked, np.asarray(action).astype(np.float32))
+
+
+@pytest.mark.parametrize(
+    "action",
+    [
+        ["0.1"] * 9,
+        "0.1",
+        [b"1"] * 9,
+        [None] + [0.0] * 8,
+        np.zeros(9, dtype=complex),
+        [Fraction(1, 2)] * 9,
+        [10**400] * 9,
+        [[0.0], [0.0, 1.0]],
+        {"joints": 3},
+        np.zeros(9, dtype="datetime64[s]"),
+        Tensor(),
+    ],
+)
+def test_what_is_no_number_is_refused(action: object) -> None:
+    with pytest.raises(ActionError, match=r"the receiver's action is not numeric .*expected 9 numbers"):
+        check_receiver_action(action)
+
+
+@pytest.mark.parametrize(
+    ("check", "agent", "size"), [(check_receiver_action, "receiver", 9), (check_giver_action, "giver", 8)]
+)
+def test_agents_without_an_action_are_named(check: Callable[[object], object], agent: str, size: int) -> None:
+    with pytest.raises(
+        ActionError, match=f'the {agent} is missing from the actions.*{size} numbers.*key "{agent}"'
+    ):
+        check(None)
+
+
+@pytest.mark.parametrize(
+    ("action", "message"),
+    [
+        (np.zeros(8), r"shape \(8,\); expected \(9,\)"),
+        (np.zeros((9, 1)), r"shape \(9, 1\)"),
+        ([0.0] * 8 + [float("nan")], "component 8 is nan"),
+        ([1e300] + [0.0] * 8, "component 0 is inf"),
+    ],
+)
+def test_shape_and_finiteness(action: object, message: str) -> None:
+    with pytest.raises(ActionError, match=message):
+        check_receiver_action(action)
+
+
+def test_the_giver_can_only_replay() -> None:
+    np.testing.assert_array_equal(check_giver_action(giver_action_space().sample()), np.zeros(8))
+    with pytest.raises(ActionError, match="must be zero"):
+        check_giver_action([0.0] * 7 + [1e-3])
+
+
+def test_every_sample_is_an_action() -> None:
+    space = receiver_action_space()
+    space.seed(0)
+    for _ in range(20):
+        sample = space.sample()
+        np.testing.assert_array_equal(check_receiver_action(sample), sample)
