@@ -9,6 +9,7 @@ from handover_marl.datasets import OfficialDataset
 from handover_marl.episode import Episode
 from handover_marl.errors import OptionError, ResetNeededError, UnknownNameError
 from handover_marl.receivers import WAITING_JOINTS, Receiver
+from tests.fake_layout import FakeScene, write_scene
 
 
 def test_names() -> None:
@@ -38,10 +39,12 @@ def test_entry_points_that_lead_nowhere(monkeypatch: pytest.MonkeyPatch, value: 
         registry.load(receivers.GROUP, "mine", Receiver)
 
 
-def play(dataset: OfficialDataset, name: str, until: int) -> tuple[Episode, list[np.ndarray], Receiver]:
+def play(
+    dataset: OfficialDataset, name: str, until: int, scene_id: int = 9
+) -> tuple[Episode, list[np.ndarray], Receiver]:
     policy = receivers.make(name, dataset)
     episode = Episode("exact")
-    episode.reset(dataset.scene(9))
+    episode.reset(dataset.scene(scene_id))
     policy.reset()
     actions = []
     while episode.steps < until and not episode.status:
@@ -69,8 +72,9 @@ def test_yang_waits_then_goes_to_the_standoff_of_a_grasp(fake_data: Path) -> Non
 
 
 def test_yang_holds_still_without_grasps(own_data: Path) -> None:
-    (own_data / "assets" / "grasps" / "003_cracker_box.npy").unlink()
-    episode, actions, _ = play(OfficialDataset(own_data), "yang2021", 3300)
+    write_scene(own_data, FakeScene(75))
+    (own_data / "assets" / "grasps" / "036_wood_block.npy").unlink()
+    episode, actions, _ = play(OfficialDataset(own_data), "yang2021", 3300, scene_id=75)
     seen = episode.observe()["robot_joint_position"]
     assert np.abs(seen[:7] - np.float32(WAITING_JOINTS[:7])).max() < 0.02
     assert np.abs(actions[-1][:7] - seen[:7]).max() < 0.01

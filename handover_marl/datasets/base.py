@@ -38,7 +38,11 @@ class Dataset(ABC):
 
     @abstractmethod
     def grasps(self, object_name: str) -> npt.NDArray[np.float64] | None:
-        """(n, 4, 4) gripper poses in the object's frame (m), or None where the dataset has none."""
+        """(n, 4, 4) gripper poses in the object's frame (m), or None for a class that has none by design.
+
+        Raises:
+            DataNotFoundError: A file that should be there is not.
+        """
 
     @property
     @abstractmethod
@@ -51,7 +55,7 @@ class Dataset(ABC):
 
     @abstractmethod
     def fingerprint(self, scene_id: int) -> str:
-        """A short text that changes when the scene's motion or models do."""
+        """A short text that changes when the scene's motion, its models or its target's grasps do."""
 
     def split(self, setup: str, split: str) -> tuple[int, ...]:
         """Scene ids of an official split, ascending."""
