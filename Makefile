@@ -29,7 +29,7 @@ check: $(VENV)/.tested-with
 	$(BIN)/ruff format --check .
 	rm -rf build
 	$(PIP) install --quiet --no-deps --target build/typed .
-	MYPYPATH=build/typed $(BIN)/mypy -p handover_marl
+	MYPYPATH=build/typed $(BIN)/mypy --cache-dir build/mypy -p handover_marl
 
 $(VENV)/.installed: setup.cfg constraints.txt
 	$(PYTHON) -m venv $(VENV)
