@@ -33,11 +33,11 @@ check: $(VENV)/.tested-with
 
 $(VENV)/.installed: setup.cfg constraints.txt
 	$(PYTHON) -m venv $(VENV)
-	$(PIP) install --quiet --progress-bar on -c constraints.txt -e .
+	$(PIP) install --progress-bar on -c constraints.txt -e .
 	touch $@
 
 $(VENV)/.tested-with: $(VENV)/.installed
-	$(PIP) install --quiet --progress-bar on -c constraints.txt -e ".[$(EXTRAS)]"
+	$(PIP) install --progress-bar on -c constraints.txt -e ".[$(EXTRAS)]"
 	touch $@
 
 clean:
