@@ -28,7 +28,7 @@ def test_bad_numbers_of_workers(fake_data: Path, tmp_path: Path, n_workers: Any)
 
 
 def test_results_do_not_depend_on_workers_even_if_one_is_killed(
-    fake_data: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+    fake_data: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     alone = run(fake_data, 1)
     assert run(fake_data, 2) == alone
@@ -41,8 +41,9 @@ def test_results_do_not_depend_on_workers_even_if_one_is_killed(
             worker.process.kill()
 
     monkeypatch.setattr(workers._Worker, "start", start_and_kill)
-    assert run(fake_data, 2) == alone
-    assert f"a worker died while playing scene {killed[0]}" in capfd.readouterr().err
+    with pytest.warns(RuntimeWarning, match="a worker died while playing scene (9|14) "):
+        assert run(fake_data, 2) == alone
+    assert killed
 
 
 def test_workers_search_where_the_caller_does(

@@ -8,6 +8,7 @@ import os
 import subprocess
 import sys
 import traceback
+import warnings
 from collections.abc import Generator, Iterator, Sequence
 from multiprocessing.connection import Connection, wait
 from types import TracebackType
@@ -150,9 +151,10 @@ class _Crew:
         worker.stop()
         scene = "starting" if task is None else f"playing scene {task.scene_id}"
         if task is not None and attempts[task] < _ATTEMPTS:
-            print(
+            warnings.warn(
                 f"a worker died while {scene} (exit status {worker.process.returncode}); it is tried once more",
-                file=sys.stderr,
+                RuntimeWarning,
+                stacklevel=2,
             )
             waiting.append(task)
             self._workers[self._workers.index(worker)] = _Worker(self._job)

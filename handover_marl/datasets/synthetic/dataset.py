@@ -5,13 +5,13 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-import pybullet_data
 from scipy.spatial.transform import Rotation
 
 from handover_marl.assets.grasps import load_object_grasps
 from handover_marl.assets.hand import hand_model, hand_urdf
 from handover_marl.assets.human_grasps import human_grasps
 from handover_marl.assets.objects import object_urdf
+from handover_marl.assets.robot import PANDA_URDF
 from handover_marl.assets.table import TABLE_URDF
 from handover_marl.datasets.base import TABLE_HEIGHT, Dataset
 from handover_marl.datasets.synthetic.casting import class_number, hand_side, subject_number
@@ -33,7 +33,7 @@ class SyntheticDataset(Dataset):
     @property
     def panda_urdf(self) -> Path:
         """PyBullet's own Panda."""
-        return Path(pybullet_data.getDataPath()) / "franka_panda" / "panda.urdf"
+        return PANDA_URDF
 
     def info(self, scene_id: int) -> SceneInfo:
         """Who gives what; the other objects are drawn with the motion."""
