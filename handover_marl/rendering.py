@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+from PIL import Image
 from rich.console import Console
 from rich.progress import track
 
@@ -20,7 +21,7 @@ from handover_marl.policy_clock import PolicyClock
 
 Picture = npt.NDArray[np.uint8]
 
-_NEEDED = {".png": ("PIL",), ".gif": ("PIL",), ".mp4": ("imageio", "imageio_ffmpeg")}
+_NEEDED: dict[str, tuple[str, ...]] = {".png": (), ".gif": (), ".mp4": ("imageio", "imageio_ffmpeg")}
 
 #: Kinds of files, by suffix.
 SUFFIXES = tuple(_NEEDED)
@@ -117,8 +118,6 @@ def _play_until(episode: Episode, clock: PolicyClock, time: int) -> None:
 
 
 def _sheet(pictures: list[Picture]) -> bytes:
-    from PIL import Image
-
     rows = [pictures[start : start + _SHEET_COLUMNS] for start in range(0, len(pictures), _SHEET_COLUMNS)]
     blank = np.full_like(pictures[0], 255)
     width = min(_SHEET_COLUMNS, len(pictures))
@@ -132,8 +131,6 @@ def _sheet(pictures: list[Picture]) -> bytes:
 def _encode(pictures: list[Picture], suffix: str) -> bytes:
     stream = io.BytesIO()
     if suffix == ".gif":
-        from PIL import Image
-
         first, *rest = [Image.fromarray(picture).quantize(64) for picture in pictures]
         first.save(
             stream,

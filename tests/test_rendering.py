@@ -2,6 +2,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from handover_marl import rendering
 from handover_marl.cli import main
@@ -10,7 +11,6 @@ from handover_marl.errors import HandoverError, OptionError, SceneError, Unknown
 from handover_marl.rendering import render_scene
 
 CAMERA = CameraConfig(width=96, height=72)
-image = pytest.importorskip("PIL.Image", reason="needs the extra `render`")
 
 
 def draw(out: Path, **options: object) -> Path:
@@ -18,7 +18,7 @@ def draw(out: Path, **options: object) -> Path:
 
 
 def test_a_sheet_of_key_frames(tmp_path: Path) -> None:
-    with image.open(draw(tmp_path / "new" / "sheet.png", key_frames=4)) as sheet:
+    with Image.open(draw(tmp_path / "new" / "sheet.png", key_frames=4)) as sheet:
         pixels = np.asarray(sheet)
     assert pixels.shape == (2 * 72, 3 * 96, 3)
     first, second = pixels[:72, :96], pixels[72:, :96]
@@ -36,14 +36,14 @@ def test_films(tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch) -> 
     head = path.read_bytes()[:12]
     assert head.startswith(b"GIF89a") if suffix == ".gif" else head[4:8] == b"ftyp"
     if suffix == ".gif":
-        with image.open(path) as film:
+        with Image.open(path) as film:
             assert film.n_frames >= 3
             assert film.size == (96, 72)
 
 
 def test_an_episode_goes_on_until_it_ends(tmp_path: Path) -> None:
     path = draw(tmp_path / "episode.png", receiver="yang2021", key_frames=4)
-    with image.open(path) as sheet:
+    with Image.open(path) as sheet:
         pixels = np.asarray(sheet)
     assert (pixels[:72, :96] != pixels[:72, 96:192]).any(axis=2).mean() > 0.02
 
