@@ -37,7 +37,7 @@ def run_benchmark(
         data_dir: Folder in HandoverSim's layout; default: the variable HANDOVER_MARL_DATA.
         dataset: dexycb, synthetic, or auto: dexycb when there is a data folder, else synthetic.
         out: Folder for official result files and reports; an interrupted run goes on there.
-        workers: Processes to play scenes in; default: one a core. Results do not depend on it.
+        workers: Processes to play scenes in; default: one a core. Outcomes do not depend on it.
     """
     from handover_marl.benchmarking.runner import benchmark
 

@@ -70,6 +70,13 @@ def quaternion_from_matrix(matrix: npt.ArrayLike) -> npt.NDArray[np.float64]:
     return unit
 
 
+def poses_from_matrices(matrices: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    """Poses (n, 7) of homogeneous matrices (n, 4, 4)."""
+    transforms = np.asarray(matrices)
+    rotations = np.stack([quaternion_from_matrix(matrix) for matrix in transforms[:, :3, :3]])
+    return np.concatenate([transforms[:, :3, 3], rotations], axis=1)
+
+
 def compose(a_from_b: npt.ArrayLike, b_from_c: npt.ArrayLike) -> npt.NDArray[np.float64]:
     """The pose `a_from_c` (..., 7)."""
     outer, inner = np.asarray(a_from_b), np.asarray(b_from_c)

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from handover_marl.datasets.ycb import CLASS_NAMES
 from handover_marl.errors import ResetNeededError
-from handover_marl.geometry import compose, quaternion_from_matrix, rotation_angle
+from handover_marl.geometry import compose, poses_from_matrices, rotation_angle
 from handover_marl.observations import Observation
 from handover_marl.receivers.base import WAITING_JOINTS, Action, Receiver, ReceiverContext
 from handover_marl.sim.kinematics import ARM_JOINTS, PandaKinematics
@@ -207,8 +207,7 @@ class Yang2021Receiver(Receiver):
             if transforms is None or len(transforms) == 0:
                 self._grippers[object_name] = None
             else:
-                rotations = np.stack([quaternion_from_matrix(matrix) for matrix in transforms[:, :3, :3]])
-                self._grippers[object_name] = np.concatenate([transforms[:, :3, 3], rotations], axis=1)
+                self._grippers[object_name] = poses_from_matrices(transforms)
         return self._grippers[object_name]
 
     def _costs(self, standoffs: Pose, hand: npt.NDArray[np.float32]) -> npt.NDArray[np.float64]:

@@ -8,6 +8,7 @@ from handover_marl.geometry import (
     compose,
     inverse,
     inverse_transform_points,
+    poses_from_matrices,
     quaternion_from_matrix,
     quaternion_multiply,
     rotate,
@@ -56,6 +57,9 @@ def test_matrix_to_quaternion_equals_scipy(vector: np.ndarray) -> None:
     found = quaternion_from_matrix(matrix)
     np.testing.assert_allclose(Rotation.from_quat(found).as_matrix(), matrix, atol=1e-12)
     np.testing.assert_allclose(np.linalg.norm(found), 1.0, atol=1e-14)
+    transform = np.eye(4)
+    transform[:3, :3], transform[:3, 3] = matrix, (1.0, 2.0, 3.0)
+    np.testing.assert_array_equal(poses_from_matrices([transform]), [[1.0, 2.0, 3.0, *found]])
 
 
 @given(ROTATION_VECTORS, st.floats(1e-3, np.pi - 1e-3))

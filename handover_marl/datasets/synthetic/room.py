@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.geometry import compose, quaternion_from_matrix
+from handover_marl.geometry import compose, poses_from_matrices
 
 Array = npt.NDArray[np.float64]
 
@@ -36,8 +36,7 @@ def _gripper_points() -> Array:
 
 def grasp_poses(transforms: Array) -> Array:
     """(n, 7) poses of the Panda's hand link in the object's frame from grasp matrices (n, 4, 4)."""
-    rotations = np.stack([quaternion_from_matrix(matrix) for matrix in transforms[:, :3, :3]])
-    return compose(np.concatenate([transforms[:, :3, 3], rotations], axis=1), _HAND_FROM_GRIPPER)
+    return compose(poses_from_matrices(transforms), _HAND_FROM_GRIPPER)
 
 
 def room(world_from_object: Array, hand_points: Array, grasps: Array) -> float:
