@@ -13,6 +13,7 @@ from handover_marl._version import __version__
 from handover_marl.registration import register_environments
 
 if TYPE_CHECKING:
+    from handover_marl.benchmarking.agreement import agreement
     from handover_marl.benchmarking.report import Report
     from handover_marl.benchmarking.runner import benchmark
     from handover_marl.handover_env import HandoverEnv
@@ -25,6 +26,7 @@ __all__ = [
     "HandoverEnv",
     "Report",
     "__version__",
+    "agreement",
     "benchmark",
     "benchmark_env",
     "env",
@@ -36,6 +38,7 @@ _HOMES = {
     "EpisodeStatus": "handover_marl.protocol.status",
     "HandoverEnv": "handover_marl.handover_env",
     "Report": "handover_marl.benchmarking.report",
+    "agreement": "handover_marl.benchmarking.agreement",
     "benchmark": "handover_marl.benchmarking.runner",
     "benchmark_env": "handover_marl.views",
     "env": "handover_marl.make",

@@ -1,4 +1,4 @@
-"""The command line: handover-marl benchmark | evaluate | render."""
+"""The command line: handover-marl benchmark | agreement | evaluate | render."""
 
 import os
 import sys
@@ -11,6 +11,7 @@ from handover_marl._version import __version__
 from handover_marl.errors import HandoverError, OptionError
 
 _Scenes = Annotated[str | None, tyro.conf.arg(metavar="N,N,...")]
+_Workers = Annotated[int | None, tyro.conf.arg(metavar="N")]
 _Folder = Annotated[str | None, tyro.conf.arg(metavar="DIR")]
 
 app = tyro.extras.SubcommandApp()
@@ -24,8 +25,9 @@ def run_benchmark(
     scenes: _Scenes = None,
     data_dir: _Folder = None,
     dataset: str = "auto",
+    physics: str = "exact",
     out: _Folder = None,
-    workers: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
+    workers: _Workers = None,
 ) -> None:
     """Run HandoverSim's official protocol and print its table.
 
@@ -36,6 +38,7 @@ def run_benchmark(
         scenes: Only these scenes, e.g. 209,214.
         data_dir: Folder in HandoverSim's layout; default: the variable HANDOVER_MARL_DATA.
         dataset: dexycb, synthetic, or auto: dexycb when there is a data folder, else synthetic.
+        physics: exact, as official results are, or fast.
         out: Folder for official result files and reports; an interrupted run goes on there.
         workers: Processes to play scenes in; default: one a core. Outcomes do not depend on it.
     """
@@ -48,10 +51,50 @@ def run_benchmark(
         scenes=parse_scenes(scenes),
         data_dir=data_dir,
         dataset=dataset,
+        physics=physics,
         out=out,
         workers=workers,
     )
     print(report)
+
+
+@app.command(name="agreement")
+def run_agreement(
+    setup: str = "s0",
+    split: str = "val",
+    receiver: str = "yang2021",
+    scenes: _Scenes = None,
+    data_dir: _Folder = None,
+    dataset: str = "auto",
+    out: _Folder = None,
+    workers: _Workers = None,
+) -> None:
+    """Play the same scenes in exact and in fast physics and compare the outcomes.
+
+    Args:
+        setup: Official setup: s0 seen, s1 unseen subjects, s2 unseen handedness, s3 unseen objects.
+        split: train, val or test.
+        receiver: Name of the receiver, e.g. yang2021 or hold.
+        scenes: Only these scenes, e.g. 209,214.
+        data_dir: Folder in HandoverSim's layout; default: the variable HANDOVER_MARL_DATA.
+        dataset: dexycb, synthetic, or auto: dexycb when there is a data folder, else synthetic.
+        out: Folder for both results and the comparison; an interrupted run goes on there.
+        workers: Processes to play scenes in; default: one a core.
+    """
+    from handover_marl.benchmarking.agreement import agreement
+
+    print(
+        agreement(
+            setup,
+            split,
+            receiver,
+            scenes=parse_scenes(scenes),
+            data_dir=data_dir,
+            dataset=dataset,
+            out=out,
+            workers=workers,
+        )
+    )
 
 
 @app.command(name="render")
@@ -61,6 +104,7 @@ def run_render(
     dataset: str = "auto",
     data_dir: _Folder = None,
     receiver: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None,
+    physics: str = "exact",
     key_frames: int = 6,
     width: int = 640,
     height: int = 480,
@@ -73,6 +117,7 @@ def run_render(
         dataset: dexycb, synthetic, or auto: dexycb when there is a data folder, else synthetic.
         data_dir: Folder in HandoverSim's layout; default: the variable HANDOVER_MARL_DATA.
         receiver: Name of a receiver; without one the robot stays at rest.
+        physics: exact or fast.
         key_frames: Pictures on a sheet.
         width: Width of a picture in pixels.
         height: Height of a picture in pixels.
@@ -86,6 +131,7 @@ def run_render(
         dataset=dataset,
         data_dir=data_dir,
         receiver=receiver,
+        physics=physics,
         key_frames=key_frames,
         camera=CameraConfig(width=width, height=height),
     )

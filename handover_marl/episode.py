@@ -5,22 +5,38 @@ import numpy.typing as npt
 
 from handover_marl.config import CameraConfig, PhysicsConfig, ProtocolConfig
 from handover_marl.errors import ResetNeededError, UnknownNameError
-from handover_marl.motion import Playback
+from handover_marl.motion import Motion, Playback
 from handover_marl.observations import Observation, observe
 from handover_marl.protocol.referee import Referee
 from handover_marl.protocol.status import EpisodeStatus
 from handover_marl.scene import Scene
+from handover_marl.sim.exact_world import ExactWorld
+from handover_marl.sim.fast_world import FastWorld
 from handover_marl.sim.world import World
 
-#: The kinds of physics.
-PHYSICS = ("exact",)
+#: The kinds of physics and the worlds that have them.
+WORLDS: dict[str, type[World]] = {"exact": ExactWorld, "fast": FastWorld}
+PHYSICS = tuple(WORLDS)
+
+# The giver's motion is worked out for so many steps (1 ms) ahead.
+_STRETCH = 100
+
+
+def check_physics(physics: str) -> None:
+    """Check the name of a kind of physics.
+
+    Raises:
+        UnknownNameError: There is none of that name.
+    """
+    if physics not in PHYSICS:
+        raise UnknownNameError("physics", physics, PHYSICS)
 
 
 class Episode:
     """Plays scenes one after another. The PettingZoo environment and the benchmark both stand on it.
 
     Args:
-        physics: "exact" is HandoverSim's simulation to the bit.
+        physics: "exact" is HandoverSim's simulation to the bit, "fast" leaves out what cannot touch.
         physics_config: Constants of the world.
         protocol_config: Constants of the rules.
         window: Whether to show PyBullet's window.
@@ -33,8 +49,8 @@ class Episode:
         protocol_config: ProtocolConfig | None = None,
         window: bool = False,
     ) -> None:
-        if physics not in PHYSICS:
-            raise UnknownNameError("physics", physics, PHYSICS)
+        check_physics(physics)
+        self._physics = physics
         self._physics_config = physics_config or PhysicsConfig()
         self._protocol_config = protocol_config or ProtocolConfig()
         self._window = window
@@ -45,11 +61,11 @@ class Episode:
     def reset(self, scene: Scene) -> None:
         """Go to the start of a scene."""
         if self._world is None:
-            self._world = World(self._physics_config, self._window)
+            self._world = WORLDS[self._physics](self._physics_config, self._window)
         self._playback = None
         self._referee = Referee(self._protocol_config)
         playback = Playback(scene)
-        self._world.reset(scene, playback.target)
+        self._world.reset(scene, playback.start())
         self._playback = playback
 
     def advance(self, robot_target: npt.NDArray[np.float32], steps: int) -> None:
@@ -59,10 +75,18 @@ class Episode:
             robot_target: (9,) float32 target joint positions, 7 arm (rad) and 2 fingers (m).
             steps: Physics steps of 1 ms.
         """
-        world, playback, referee = self._running()
+        _, playback, referee = self._running()
         target = robot_target.tolist()
-        for _ in range(steps):
-            world.step(target, playback.advance())
+        while steps > 0 and not referee.status:
+            stretch = min(steps, _STRETCH)
+            self._play(target, playback.advance(stretch))
+            steps -= stretch
+
+    def _play(self, robot_target: list[float], motion: Motion) -> None:
+        world, _, referee = self._running()
+        world.lead(motion)
+        for _ in range(len(motion)):
+            world.step(robot_target)
             released_before = referee.released
             if referee.update(world.contacts(released_before)):
                 break

@@ -49,32 +49,36 @@ def compose_point(a_from_b: npt.ArrayLike, points: npt.ArrayLike) -> npt.NDArray
 
 
 def quaternion_from_matrix(matrix: npt.ArrayLike) -> npt.NDArray[np.float64]:
-    """Unit quaternion (4) xyzw of a rotation matrix (3, 3), by Shepperd's method.
+    """Unit quaternions (..., 4) xyzw of rotation matrices (..., 3, 3), by Shepperd's method.
 
     SciPy's conversion also orthogonalises in recent versions and not in older ones, which changes the eighth
     digit for matrices stored as float32; this one is the same everywhere.
     """
     m = np.asarray(matrix, dtype=np.float64)
-    trace = m[0, 0] + m[1, 1] + m[2, 2]
-    largest = int(np.argmax([m[0, 0], m[1, 1], m[2, 2], trace]))
-    if largest == 3:
-        q = np.array([m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1], 1.0 + trace])
-    else:
-        i, j, k = largest, (largest + 1) % 3, (largest + 2) % 3
-        q = np.empty(4)
-        q[i] = 1.0 - trace + 2.0 * m[i, i]
-        q[j] = m[j, i] + m[i, j]
-        q[k] = m[k, i] + m[i, k]
-        q[3] = m[k, j] - m[j, k]
-    unit: npt.NDArray[np.float64] = q / np.sqrt(np.dot(q, q))
+    trace = m[..., 0, 0] + m[..., 1, 1] + m[..., 2, 2]
+    largest = np.argmax(np.stack([m[..., 0, 0], m[..., 1, 1], m[..., 2, 2], trace], axis=-1), axis=-1)
+    # Each row is the quaternion times four times one of its entries.
+    rows = np.empty((*trace.shape, 4, 4))
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        rows[..., i, i] = 1.0 - trace + 2.0 * m[..., i, i]
+        rows[..., i, j] = rows[..., j, i] = m[..., j, i] + m[..., i, j]
+        rows[..., i, 3] = rows[..., 3, i] = m[..., k, j] - m[..., j, k]
+    rows[..., 3, 3] = 1.0 + trace
+    q = np.take_along_axis(rows, largest[..., None, None], axis=-2)[..., 0, :]
+    unit: npt.NDArray[np.float64] = q / np.sqrt(q[..., None, :] @ q[..., :, None])[..., 0]
     return unit
 
 
 def poses_from_matrices(matrices: npt.ArrayLike) -> npt.NDArray[np.float64]:
     """Poses (n, 7) of homogeneous matrices (n, 4, 4)."""
     transforms = np.asarray(matrices)
-    rotations = np.stack([quaternion_from_matrix(matrix) for matrix in transforms[:, :3, :3]])
-    return np.concatenate([transforms[:, :3, 3], rotations], axis=1)
+    return poses_from_rotations(transforms[:, :3, 3], transforms[:, :3, :3])
+
+
+def poses_from_rotations(positions: npt.ArrayLike, rotations: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    """Poses (..., 7) of positions (..., 3) and rotation matrices (..., 3, 3)."""
+    return np.concatenate([np.asarray(positions), quaternion_from_matrix(rotations)], axis=-1)
 
 
 def compose(a_from_b: npt.ArrayLike, b_from_c: npt.ArrayLike) -> npt.NDArray[np.float64]:

@@ -33,7 +33,7 @@ from pettingzoo import ParallelEnv
 
 from handover_marl.config import CameraConfig, PhysicsConfig
 from handover_marl.datasets import open_dataset
-from handover_marl.episode import PHYSICS, Episode
+from handover_marl.episode import Episode, check_physics
 from handover_marl.errors import ActionError, OptionError, ResetNeededError, SceneError, UnknownNameError
 from handover_marl.observations import Observation, observation_space
 from handover_marl.protocol.status import EpisodeStatus
@@ -62,7 +62,8 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         split: "train", "val" or "test".
         data_dir: Folder in HandoverSim's layout; default: the environment variable HANDOVER_MARL_DATA.
         dataset: "dexycb", "synthetic", or "auto": DexYCB when there is a data folder, else synthetic.
-        physics: "exact" is HandoverSim's simulation to the bit.
+        physics: "exact" is HandoverSim's simulation to the bit; "fast", for training, simulates hand and objects
+            only while the robot is near them.
         control_period: How long an action holds (s); a whole number of milliseconds, 0.001 or more.
         render_mode: None, "rgb_array" (needs no screen) or "human" (PyBullet's window).
         camera: What "rgb_array" pictures show.
@@ -94,8 +95,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         EzPickle.__init__(self, setup, split, data_dir, dataset, physics, control_period, render_mode, camera)
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise UnknownNameError("render_mode", render_mode, RENDER_MODES)
-        if physics not in PHYSICS:
-            raise UnknownNameError("physics", physics, PHYSICS)
+        check_physics(physics)
         self.control_steps = control_steps(control_period)
         self.dataset = open_dataset(dataset, data_dir)
         self.scene_ids = self.dataset.split(setup, split)

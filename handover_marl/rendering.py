@@ -38,6 +38,7 @@ def render_scene(
     dataset: str = "auto",
     data_dir: str | os.PathLike[str] | None = None,
     receiver: str | None = None,
+    physics: str = "exact",
     key_frames: int = 6,
     camera: CameraConfig | None = None,
     progress: bool = True,
@@ -50,6 +51,7 @@ def render_scene(
         dataset: "dexycb", "synthetic" or "auto".
         data_dir: Folder in HandoverSim's layout.
         receiver: Name of a receiver; None shows the recording with the robot at rest.
+        physics: "exact" or "fast".
         key_frames: Pictures on a sheet.
         camera: Where to look from.
         progress: Whether to show a progress bar, on stderr.
@@ -71,7 +73,7 @@ def render_scene(
     _check_installed(path.suffix)
     data = open_dataset(dataset, data_dir)
     policy = receivers.make(receiver or "hold", data)
-    episode = Episode()
+    episode = Episode(physics)
     episode.reset(data.scene(scene_id))
     clock = PolicyClock(policy)
     clock.reset(scene_id)

@@ -74,8 +74,8 @@ class Scene:
         """Number of frames T (1 ms each); after the last one the motion stands still."""
         return len(self.object_dof)
 
-    def hand_present(self, frame: int) -> bool:
-        """Whether there is a hand in `frame`."""
+    def hand_present(self, frames: npt.NDArray[np.int_]) -> npt.NDArray[np.bool_]:
+        """Whether there is a hand in each of some frames."""
         if self.hand_first is None or self.hand_last is None:
-            return False
-        return self.hand_first <= frame <= self.hand_last
+            return np.zeros(frames.shape, dtype=bool)
+        return (self.hand_first <= frames) & (frames <= self.hand_last)

@@ -1,4 +1,4 @@
-"""Running the official protocol: one episode a scene, the giver replays, physics are exact."""
+"""Running the official protocol: one episode a scene, the giver replays."""
 
 import contextlib
 import operator
@@ -18,10 +18,10 @@ from handover_marl.benchmarking.workers import check_workers, play_tasks
 from handover_marl.benchmarking.writing import write_report
 from handover_marl.datasets import Dataset, open_dataset
 from handover_marl.datasets.splits import check_setup_and_split
+from handover_marl.episode import check_physics
 from handover_marl.errors import SceneError
 
 GIVER = "replay"
-PHYSICS = "exact"
 
 
 def benchmark(
@@ -32,6 +32,7 @@ def benchmark(
     scenes: Iterable[int] | None = None,
     data_dir: str | os.PathLike[str] | None = None,
     dataset: str = "auto",
+    physics: str = "exact",
     out: str | os.PathLike[str] | None = None,
     progress: bool = True,
     workers: int | None = None,
@@ -45,6 +46,7 @@ def benchmark(
         scenes: Only these scenes of the split; the report then says that it is partial.
         data_dir: Folder in HandoverSim's layout; default: the environment variable HANDOVER_MARL_DATA.
         dataset: "dexycb", "synthetic", or "auto": DexYCB when there is a data folder, else synthetic.
+        physics: "exact", as official results are, or "fast" to look a receiver over quickly.
         out: Folder for official result files, `report.json` and `report.md`. Scenes that are finished there are
             not run again, so that an interrupted run goes on where it was.
         workers: Processes to play scenes in; default: one a core. Outcomes do not depend on it; planning times are
@@ -52,7 +54,7 @@ def benchmark(
         progress: Whether to show a progress bar and a row for every scene, on stderr.
 
     Raises:
-        UnknownNameError: No such setup, split, dataset or receiver.
+        UnknownNameError: No such setup, split, dataset, physics or receiver.
         SceneError: A scene is not in the split.
         DataNotFoundError, DataFormatError: Files are missing (noticed before the start) or damaged.
         ResultsError: `out` holds another run or cannot be written.
@@ -61,6 +63,7 @@ def benchmark(
         WorkerError: A worker process died twice over the same scene, or the receiver failed in one.
     """
     check_setup_and_split(setup, split)
+    check_physics(physics)
     data = open_dataset(dataset, data_dir)
     split_ids = data.split(setup, split)
     chosen = _choose_scenes(split_ids, scenes, f"{setup} {split}")
@@ -72,14 +75,14 @@ def benchmark(
         split=split,
         receiver=receiver,
         giver=GIVER,
-        physics=PHYSICS,
+        physics=physics,
         dataset=data.name,
         version=__version__,
     )
     folder = None if out is None else ResultFolder(Path(out).expanduser(), settings)
     tasks = [Task(split_ids.index(scene_id), scene_id) for scene_id in chosen]
     machine = f"{describe_machine()}, {min(n_workers, len(tasks))} at a time"
-    job = Job(data.name, None if data_dir is None else os.fspath(data_dir), receiver, PHYSICS, machine)
+    job = Job(data.name, None if data_dir is None else os.fspath(data_dir), receiver, physics, machine)
     with BenchmarkProgress(len(tasks), shown=progress) as bar:
         results = _run(job, tasks, n_workers, folder, data, bar)
     report = Report(settings, tuple(results[task] for task in tasks), len(split_ids))

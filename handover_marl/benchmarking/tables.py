@@ -28,12 +28,17 @@ def report_markdown(report: Report) -> str:
 
 def heading(report: Report) -> str:
     """What was run on what."""
-    settings, n = report.settings, len(report.episodes)
-    extent = f"{n} of {report.n_split} scenes (partial)" if report.partial else f"all {n} scenes"
+    settings = report.settings
     return (
-        f"{settings.setup} {settings.split}, {extent}. Receiver {settings.receiver}, giver {settings.giver}, "
-        f"{settings.physics} physics, data: {report.data_label()}."
+        f"{settings.setup} {settings.split}, {report_extent(report)}. Receiver {settings.receiver}, giver "
+        f"{settings.giver}, {settings.physics} physics, data: {report.data_label()}."
     )
+
+
+def report_extent(report: Report) -> str:
+    """How much of the split was run."""
+    n = len(report.episodes)
+    return f"{n} of {report.n_split} scenes (partial)" if report.partial else f"all {n} scenes"
 
 
 def official_table(report: Report) -> str:
@@ -41,14 +46,14 @@ def official_table(report: Report) -> str:
     n = len(report.episodes)
     rates = [f"{100 * report.count(flag) / n:.2f} ({report.count(flag)}/{n})" for flag in _RATES]
     times = [_seconds(report.time_exec), _seconds(report.time_plan), _seconds(report.time_total)]
-    intervals = [_percent_interval(report.count(flag), n) for flag in _RATES]
+    intervals = [percent_interval(report.count(flag), n) for flag in _RATES]
     time_intervals = [_seconds_interval(report.exec_times()), _seconds_interval(report.plan_times()), NO_VALUE]
     rows = [
         [report.settings.receiver, rates[0], *times, *rates[1:]],
         ["95 % interval", intervals[0], *time_intervals, *intervals[1:]],
         *(_published_row(row) for row in _comparable(report)),
     ]
-    return _table(["", *_METRICS], rows)
+    return table(["", *_METRICS], rows)
 
 
 def object_table(report: Report) -> str:
@@ -58,16 +63,16 @@ def object_table(report: Report) -> str:
     for name in names:
         episodes = [episode for episode in report.episodes if episode.object_name == name]
         counts = [sum(bool(episode.status & flag) for episode in episodes) for flag in _RATES]
-        interval = _percent_interval(counts[0], len(episodes))
+        interval = percent_interval(counts[0], len(episodes))
         rows.append([name, len(episodes), *counts, f"{100 * counts[0] / len(episodes):.1f}", interval])
     header = ["object", "scenes", "success", "contact", "drop", "timeout", "success %", "95 % interval"]
-    return _table(header, rows)
+    return table(header, rows)
 
 
 def scene_table(episodes: Iterable[EpisodeResult]) -> str:
     """One row a scene."""
     header = ["scene", "object", "subject", "hand", "outcome", "steps", "release step", "plan s"]
-    return _table(header, [_scene_cells(episode) for episode in episodes])
+    return table(header, [_scene_cells(episode) for episode in episodes])
 
 
 def _scene_cells(episode: EpisodeResult) -> list[str]:
@@ -96,6 +101,8 @@ def _notes(report: Report) -> str:
         "Rates over all scenes, times over successes. Intervals: Wilson for rates, Student's t for mean times.",
         f"plan s is wall clock, measured on {report.machine_label()}.",
     ]
+    if report.settings.physics != "exact":
+        lines.append("Official results are in exact physics; how far these agree: handover-marl agreement.")
     if report.settings.dataset == "synthetic":
         lines.append("Synthetic scenes are generated: not comparable with published results, which are on DexYCB.")
     if _comparable(report):
@@ -114,10 +121,12 @@ def _seconds_interval(values: Sequence[float]) -> str:
     return NO_VALUE if interval is None else f"{interval[0]:.3f} to {interval[1]:.3f}"
 
 
-def _percent_interval(count: int, n: int) -> str:
+def percent_interval(count: int, n: int) -> str:
+    """Wilson's 95 % interval of a rate, in percent."""
     low, high = wilson_interval(count, n)
     return f"{100 * low:.1f} to {100 * high:.1f}"
 
 
-def _table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
+def table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
+    """A Markdown table."""
     return str(tabulate(rows, headers=header, tablefmt="github", disable_numparse=True))

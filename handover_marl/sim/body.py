@@ -63,10 +63,11 @@ class Body:
             )
         return self._link_names[name]
 
-    def place(self, positions: Sequence[float]) -> None:
-        """Put the moving joints at positions (m, rad) with zero velocity."""
-        for joint, position in zip(self.joints, positions, strict=True):
-            self.client.resetJointState(self.id, joint, position, 0.0)
+    def place(self, positions: Sequence[float], velocities: Sequence[float] | None = None) -> None:
+        """Put the moving joints at positions (m, rad) with velocities (m/s, rad/s), zero by default."""
+        speeds = [0.0] * len(self.joints) if velocities is None else velocities
+        for joint, position, velocity in zip(self.joints, positions, speeds, strict=True):
+            self.client.resetJointState(self.id, joint, position, velocity)
 
     def drive(self, target: list[float]) -> None:
         """Set the motors' target positions (m, rad), unless they have them already: Bullet keeps targets."""

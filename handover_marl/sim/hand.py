@@ -1,19 +1,34 @@
 """The human hand: a base on six joints and fifteen finger joints of three axes each."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.config import HandConfig
+from handover_marl.config import HandConfig, MotorConfig
 from handover_marl.sim.body import Body
 from handover_marl.sim.client import BulletClient, load_urdf
 
 #: The hand's own collision group: of all bodies, only the Panda's mask admits it.
 HAND_MASK = 2**22
 
-_BASE_JOINTS = 6
+#: Joints that carry the whole hand: three that slide, three that turn.
+BASE_JOINTS = 6
 _WRIST_LINK = 6
+
+
+def hand_motors(config: HandConfig) -> list[MotorConfig]:
+    """The motors of the 51 joints."""
+    return [config.translation_motor] * 3 + [config.rotation_motor] * 3 + [config.finger_motor] * 45
+
+
+def keypoint_links(joints: Sequence[int]) -> list[int]:
+    """Numbers of the wrist's link and of the 15 finger joints' first links, given those of the moving joints.
+
+    Every third finger joint is the first of its three axes; its link frame is the joint's origin.
+    """
+    return [_WRIST_LINK, *joints[BASE_JOINTS::3]]
 
 
 class Hand(Body):
@@ -21,8 +36,7 @@ class Hand(Body):
 
     def __init__(self, client: BulletClient, urdf: Path, start: list[float], config: HandConfig) -> None:
         body_id = load_urdf(client, urdf, useFixedBase=True)
-        motors = [config.translation_motor] * 3 + [config.rotation_motor] * 3 + [config.finger_motor] * 45
-        super().__init__(client, body_id, motors)
+        super().__init__(client, body_id, hand_motors(config))
         client.changeDynamics(body_id, -1, linearDamping=config.base_damping, angularDamping=config.base_damping)
         for link in range(-1, self.n_links):
             client.changeDynamics(
@@ -34,8 +48,7 @@ class Hand(Body):
             )
         self.collide(HAND_MASK)
         self.place(start)
-        # Every third finger joint is the first of its three axes; its link frame is the joint's origin.
-        self._keypoint_links = [_WRIST_LINK, *self.joints[_BASE_JOINTS::3]]
+        self._keypoint_links = keypoint_links(self.joints)
 
     def keypoints(self) -> npt.NDArray[np.float32]:
         """(16, 3) world positions (m) of the wrist and of the 15 finger-joint origins, float32.

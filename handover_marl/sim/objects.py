@@ -2,7 +2,10 @@
 
 from pathlib import Path
 
-from handover_marl.config import ObjectConfig
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.config import MotorConfig, ObjectConfig
 from handover_marl.datasets.ycb import SCENE_CLASSES
 from handover_marl.sim.body import Body
 from handover_marl.sim.client import BulletClient, load_urdf
@@ -23,16 +26,25 @@ class Object(Body):
         self, client: BulletClient, urdf: Path, class_id: int, start: list[float], config: ObjectConfig
     ) -> None:
         body_id = load_urdf(client, urdf, useFixedBase=True)
-        super().__init__(client, body_id, [config.translation_motor] * 3 + [config.rotation_motor] * 3)
+        super().__init__(client, body_id, object_motors(config))
         self.link_id = self.n_links - 1
         self.collide(object_mask(class_id))
         self.place(start)
+
+    def pose(self) -> npt.NDArray[np.float32]:
+        """World pose (7,) of the object, xyz (m) and quaternion xyzw, float32."""
+        return self.link_poses([self.link_id])[0]
 
     def release(self) -> None:
         """Let it move freely and touch table and other objects from now on."""
         self.go_limp()
         # On the mesh's link only: masks set on the whole chain change the order of Bullet's pairs.
         self.collide(RELEASED_MASK, links=[self.link_id])
+
+
+def object_motors(config: ObjectConfig) -> list[MotorConfig]:
+    """The motors of the chain's six joints."""
+    return [config.translation_motor] * 3 + [config.rotation_motor] * 3
 
 
 def object_mask(class_id: int) -> int:

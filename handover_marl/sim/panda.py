@@ -54,4 +54,10 @@ class Panda(Body):
         self.hand_link = self.link("panda_hand")
         self.finger_links = (self.link("panda_leftfinger"), self.link("panda_rightfinger"))
         self.collide(PANDA_MASK)
-        self.place(float32_list(config.start_joints))
+        self._start = float32_list(config.start_joints)
+        self.place(self._start)
+
+    def restart(self) -> None:
+        """Go back to the start pose, at rest; the motors wait for a target."""
+        self._target = None
+        self.place(self._start)

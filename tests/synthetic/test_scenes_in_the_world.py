@@ -8,8 +8,8 @@ import pytest
 from handover_marl.config import CameraConfig, PandaConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode import Episode
-from handover_marl.motion import MotionTarget
-from handover_marl.sim.world import World
+from handover_marl.motion import Motion
+from handover_marl.sim.exact_world import ExactWorld
 
 SCENES = range(3, 1000, 71)
 
@@ -21,16 +21,17 @@ def episode() -> Iterator[Episode]:
     episode.close()
 
 
-def deepest(world: World, first: int, second: int) -> float:
+def deepest(world: ExactWorld, first: int, second: int) -> float:
     """Distance (m) of two bodies, negative where they overlap; inf beyond 5 cm."""
     points = world._client.getClosestPoints(first, second, 0.05)
     return min((point[8] for point in points), default=float("inf"))
 
 
-def show(episode: Episode, frame: int) -> World:
+def show(episode: Episode, frame: int) -> ExactWorld:
     """Put everything where the recording has it."""
     scene, world = episode.scene, episode.world
-    hand = scene.hand_dof[frame].tolist() if scene.hand_present(frame) else None
+    assert isinstance(world, ExactWorld)
+    hand = scene.hand_dof[frame].tolist() if scene.hand_present(np.array(frame)) else None
     world._place_hand(hand)
     if world._hand is not None and hand is not None:
         world._hand.place(hand)
@@ -42,7 +43,7 @@ def show(episode: Episode, frame: int) -> World:
 @pytest.mark.parametrize("scene_id", SCENES)
 def test_nothing_passes_through_anything(episode: Episode, scene_id: int) -> None:
     episode.reset(SyntheticDataset().scene(scene_id))
-    table = episode.world._contacts._table_id
+    table = show(episode, 0)._table_id
     for frame in range(0, episode.scene.n_frames, 80):
         world = show(episode, frame)
         target, *others = (body.id for body in world._objects)
@@ -98,6 +99,6 @@ def test_pictures_show_robot_hand_and_objects(episode: Episode, scene_id: int) -
 def test_world_follows_the_target_it_is_given(episode: Episode) -> None:
     scene = SyntheticDataset().scene(209)
     episode.reset(scene)
-    rows = scene.object_dof[0].tolist()
-    episode.world.step(list(PandaConfig().start_joints), MotionTarget(tuple(rows), None))
+    episode.world.lead(Motion(scene.object_dof[:1], scene.hand_dof[:1], np.array([False])))
+    episode.world.step(list(PandaConfig().start_joints))
     np.testing.assert_allclose(episode.world.object_dof(), scene.object_dof[0], atol=1e-4)

@@ -1,0 +1,37 @@
+"""What stands in every world before objects and hand come: ground, table and Panda."""
+
+from dataclasses import dataclass
+
+import pybullet_data
+
+from handover_marl.config import PhysicsConfig
+from handover_marl.scene import SceneAssets
+from handover_marl.sim.body import Body
+from handover_marl.sim.client import BulletClient, float32_list, load_urdf
+from handover_marl.sim.panda import Panda
+
+TABLE_MASK = 1
+
+
+@dataclass(frozen=True)
+class Stage:
+    """The table's body number and the Panda, at its start pose."""
+
+    table_id: int
+    panda: Panda
+
+
+def set_stage(client: BulletClient, assets: SceneAssets, config: PhysicsConfig) -> Stage:
+    """Empty the physics server and load ground, table and Panda.
+
+    Bullet is deterministic for equal call sequences only, so the order is fixed.
+    """
+    client.resetSimulation()
+    client.setGravity(0.0, 0.0, config.gravity)
+    client.setPhysicsEngineParameter(
+        fixedTimeStep=config.time_step, numSubSteps=1, deterministicOverlappingPairs=1
+    )
+    load_urdf(client, f"{pybullet_data.getDataPath()}/plane_implicit.urdf")
+    table_id = load_urdf(client, assets.table, basePosition=float32_list(config.table_position), useFixedBase=True)
+    Body(client, table_id, ()).collide(TABLE_MASK)
+    return Stage(table_id, Panda(client, assets.panda, config.panda))
