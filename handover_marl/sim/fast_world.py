@@ -148,7 +148,8 @@ class FastWorld(World):
         row = self._row
         self._checked_target = robot_target
         self._clear_until = self._length
-        asleep: list[Sleeper] = [item for item in (self._hand_now, *self._objects) if not item.awake]
+        everything: list[Sleeper] = [self._hand_now, *self._objects]
+        asleep = [item for item in everything if not item.awake]
         if not asleep:
             return
         centers = np.stack([item.centers(row) for item in asleep], axis=1)

@@ -144,7 +144,8 @@ class KinematicHand:
 
     def dof(self, row: int) -> npt.NDArray[np.float32]:
         """(51,) its joints after step `row`, -1 being before the first (m, rad)."""
-        return self._path[row + 1].astype(np.float32)
+        joints: npt.NDArray[np.float32] = self._path[row + 1].astype(np.float32)
+        return joints
 
     def keypoints(self, row: int) -> npt.NDArray[np.float32]:
         """(16, 3) world positions (m) of the wrist and of the 15 finger-joint origins, as `Hand.keypoints`."""
@@ -153,7 +154,8 @@ class KinematicHand:
             moving = [link for link, joint in enumerate(self.model.tree.joints) if joint.kind != "fixed"]
             origins, _ = self.model.tree.frames(joints[None])
             self._seen = joints, origins[0, keypoint_links(moving)].astype(np.float32)
-        return self._seen[1].copy()
+        keypoints: npt.NDArray[np.float32] = self._seen[1].copy()
+        return keypoints
 
     def _shape_poses(self) -> npt.NDArray[np.float64]:
         if self._poses is None:

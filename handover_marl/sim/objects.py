@@ -33,7 +33,8 @@ class Object(Body):
 
     def pose(self) -> npt.NDArray[np.float32]:
         """World pose (7,) of the object, xyz (m) and quaternion xyzw, float32."""
-        return self.link_poses([self.link_id])[0]
+        pose: npt.NDArray[np.float32] = self.link_poses([self.link_id])[0]
+        return pose
 
     def release(self) -> None:
         """Let it move freely and touch table and other objects from now on."""

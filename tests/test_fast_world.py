@@ -1,0 +1,220 @@
+"""Fast physics beside exact physics, on generated scenes."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from handover_marl import receivers
+from handover_marl.benchmarking.playing import play
+from handover_marl.config import CameraConfig, PandaConfig, PhysicsConfig
+from handover_marl.datasets import OfficialDataset
+from handover_marl.datasets.synthetic import SyntheticDataset
+from handover_marl.episode import Episode
+from handover_marl.motion import Motion
+from handover_marl.protocol.status import EpisodeStatus
+from handover_marl.scene import Scene
+from handover_marl.sim.client import connect, load_urdf
+from handover_marl.sim.fast_world import FastWorld
+from handover_marl.sim.hand import Hand
+from handover_marl.sim.kinematic_hand import KinematicHand, read_hand
+from handover_marl.sim.kinematic_tree import read_tree
+
+START = np.array(PandaConfig().start_joints, dtype=np.float32)
+DATA = SyntheticDataset()
+#: Scenes of s0 val that Yang's receiver ends in different ways.
+SCENES = DATA.split("s0", "val")[:6]
+
+
+def outcome(episode: Episode) -> tuple[EpisodeStatus, int, int | None]:
+    return episode.status, episode.steps, episode.release_step
+
+
+def world_of(episode: Episode) -> FastWorld:
+    assert isinstance(episode.world, FastWorld)
+    return episode.world
+
+
+@pytest.fixture
+def fast() -> Episode:
+    return Episode("fast")
+
+
+@pytest.fixture
+def both() -> tuple[Episode, Episode]:
+    return Episode("exact"), Episode("fast")
+
+
+def test_far_from_the_robot_both_see_the_same(both: tuple[Episode, Episode]) -> None:
+    scene = DATA.scene(209)
+    for episode in both:
+        episode.reset(scene)
+    tolerances = {"hand_dof_position": 3e-3, "hand_keypoints": 5e-4, "object_poses": 1e-5}
+    for steps in (0, 1, 99, 400, 1000, 1500):
+        seen = []
+        for episode in both:
+            episode.advance(START, steps)
+            seen.append(episode.observe())
+        for key, exact in seen[0].items():
+            np.testing.assert_allclose(seen[1][key], exact, rtol=0, atol=tolerances.get(key, 0), err_msg=key)
+        np.testing.assert_allclose(both[1].world.object_dof(), both[0].world.object_dof(), atol=1e-5)
+    world = world_of(both[1])
+    assert world._hand is not None
+    assert not world._hand.bodies and not any(item.awake for item in world._objects), "nothing was near"
+
+
+@pytest.mark.parametrize("scene_id", SCENES)
+def test_yang_ends_alike(both: tuple[Episode, Episode], scene_id: int) -> None:
+    policy = receivers.make("yang2021", DATA)
+    outcomes = []
+    for episode in both:
+        play(episode, DATA.scene(scene_id), policy)
+        outcomes.append(outcome(episode))
+    assert outcomes[0][0] == outcomes[1][0]
+    assert abs(outcomes[0][1] - outcomes[1][1]) <= 100
+
+
+def test_a_used_world_is_as_good_as_a_new_one() -> None:
+    """Whatever was played before, and in whatever state it ended, an episode is the same to the bit."""
+    policy = receivers.make("yang2021", DATA)
+    used = Episode("fast")
+    for scene_id in (*SCENES[:4], *SCENES[2::-1]):
+        new = Episode("fast")
+        actions = []
+        for episode in (used, new):
+            actions.append(play(episode, DATA.scene(scene_id), policy)[0])
+        np.testing.assert_array_equal(*actions)
+        assert outcome(used) == outcome(new)
+        for key, value in used.observe().items():
+            np.testing.assert_array_equal(value, new.observe()[key])
+        new.close()
+
+
+def test_the_control_period_does_not_matter(fast: Episode) -> None:
+    scene = DATA.scene(SCENES[0])
+    goal = START + np.array([0.3, 0.2, 0.1, 0.1, 0.0, 0.2, 0.0, 0.0, 0.0], dtype=np.float32)
+    ends = []
+    for period in (1, 7, 100):
+        fast.reset(scene)
+        for first in range(0, 700, period):
+            fast.advance(goal, min(period, 700 - first))
+        ends.append({**fast.observe(), "dof": fast.world.object_dof()})
+    for end in ends[1:]:
+        for key, value in end.items():
+            np.testing.assert_allclose(value, ends[0][key], atol=2e-6, err_msg=key)
+
+
+def test_pictures_change_nothing(fast: Episode) -> None:
+    scene = DATA.scene(SCENES[1])
+    actions, _ = play(fast, scene, receivers.make("yang2021", DATA))
+    undisturbed = outcome(fast)
+    fast.reset(scene)
+    camera = CameraConfig(width=32, height=24)
+    for step, action in enumerate(actions):
+        if step % 500 == 0:
+            fast.render(camera)
+        fast.advance(action, 1)
+    assert outcome(fast) == undisturbed
+
+
+@pytest.mark.parametrize("frame", [0, 1500])
+def test_pictures_look_the_same(both: tuple[Episode, Episode], frame: int) -> None:
+    pictures = []
+    for episode in both:
+        episode.reset(DATA.scene(209))
+        episode.advance(START, frame)
+        pictures.append(episode.render(CameraConfig(width=160, height=120)).astype(int))
+    assert (np.abs(pictures[0] - pictures[1]).max(axis=2) > 40).mean() < 0.002
+
+
+def sweep(scene: Scene, aim: np.ndarray) -> list[tuple[EpisodeStatus, int]]:
+    """Drive the arm at something in both kinds of physics."""
+    ends = []
+    for physics in ("exact", "fast"):
+        episode = Episode(physics)
+        episode.reset(scene)
+        episode.advance(START, 2600)
+        episode.advance(aim.astype(np.float32), 600)
+        ends.append((episode.status, episode.steps))
+        episode.close()
+    return ends
+
+
+@settings(max_examples=12, deadline=None, derandomize=True)
+@given(
+    st.sampled_from(DATA.split("s0", "train")[:40]),
+    st.lists(st.floats(0.2, 0.8), min_size=7, max_size=7),
+)
+def test_no_contact_with_the_hand_is_missed(scene_id: int, shares: list[float]) -> None:
+    """Arms thrown about at full speed touch the person in fast physics when they do in exact physics."""
+    config = PandaConfig()
+    lower, upper = np.array(config.lower_limits), np.array(config.upper_limits)
+    aim = START.astype(np.float64)
+    aim[:7] = lower[:7] + np.array(shares) * (upper - lower)[:7]
+    exact, fast = sweep(DATA.scene(scene_id), aim)
+    assert (exact[0] & EpisodeStatus.HUMAN_CONTACT) == (fast[0] & EpisodeStatus.HUMAN_CONTACT)
+    if exact[0]:
+        assert abs(exact[1] - fast[1]) <= 3
+
+
+def test_hands_that_come_and_go(fake_data: Path, both: tuple[Episode, Episode]) -> None:
+    scene = OfficialDataset(fake_data).scene(14)
+    for episode in both:
+        episode.reset(scene)
+    for _ in range(45):
+        seen = []
+        for episode in both:
+            episode.advance(START, 10)
+            seen.append(episode.observe())
+        assert seen[0]["hand_present"] == seen[1]["hand_present"]
+        np.testing.assert_allclose(seen[1]["hand_keypoints"], seen[0]["hand_keypoints"], atol=1e-3)
+        np.testing.assert_allclose(seen[1]["object_poses"], seen[0]["object_poses"], atol=1e-3)
+
+
+HANDS: list[Callable[[Path], Path]] = [
+    lambda fake: DATA.scene(209).assets.hand,
+    lambda fake: OfficialDataset(fake).scene(14).assets.hand,
+]
+
+
+@pytest.mark.parametrize("hand_file", HANDS)
+def test_kinematics_are_bullets(hand_file: Callable[[Path], Path], fake_data: Path) -> None:
+    urdf = hand_file(fake_data)
+    client = connect()
+    body = load_urdf(client, urdf, useFixedBase=True)
+    hand = Hand(client, urdf, [0.0] * 51, PhysicsConfig().hand)
+    tree = read_tree(urdf)
+    joints = np.random.default_rng(0).uniform(-1.5, 1.5, (3, 51))
+    poses = tree.poses(joints, range(len(tree.joints)))
+    for row, dof in enumerate(joints):
+        hand.place(dof.tolist())
+        for link in range(client.getNumJoints(body)):
+            state = client.getLinkState(hand.id, link, computeForwardKinematics=1)
+            np.testing.assert_allclose(poses[row, link, :3], state[4], atol=1e-5)
+            assert abs(np.dot(poses[row, link, 3:], state[5])) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_the_bodies_stand_where_the_simulated_hand_would() -> None:
+    """Distances to a small ball at many places are those of the exact world's hand."""
+    scene = DATA.scene(209)
+    client = connect()
+    frame = np.array([scene.n_frames - 1])
+    still = Motion(scene.object_dof[frame], scene.hand_dof[frame], np.array([True]))
+    hand = KinematicHand(client, read_hand(client, scene.assets.hand), PhysicsConfig().hand, still)
+    hand.lead(still)
+    hand.wake(0)
+    hand.move(0)
+    whole = Hand(client, scene.assets.hand, scene.hand_dof[-1].tolist(), PhysicsConfig().hand)
+    ball = client.createMultiBody(0.0, client.createCollisionShape(client.GEOM_SPHERE, radius=0.005))
+    rng = np.random.default_rng(0)
+    for offset in rng.uniform(-0.15, 0.15, (40, 3)):
+        position = (scene.hand_dof[-1, :3] + offset).tolist()
+        client.resetBasePositionAndOrientation(ball, position, [0.0, 0.0, 0.0, 1.0])
+        nearest = [
+            min(point[8] for body in bodies for point in client.getClosestPoints(ball, body, 1.0))
+            for bodies in ([whole.id], hand.bodies)
+        ]
+        assert nearest[0] == pytest.approx(nearest[1], abs=1e-4)
