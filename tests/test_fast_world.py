@@ -25,8 +25,8 @@ from handover_marl.sim.kinematic_tree import read_tree
 
 START = np.array(PandaConfig().start_joints, dtype=np.float32)
 DATA = SyntheticDataset()
-#: Scenes of s0 val that Yang's receiver ends in different ways.
-SCENES = DATA.split("s0", "val")[:6]
+#: Scenes of s0 val that Yang's receiver ends in different ways and soon.
+SCENES = (9, 14, 19, 24, 34)
 
 
 def outcome(episode: Episode) -> tuple[EpisodeStatus, int, int | None]:
@@ -63,7 +63,8 @@ def test_far_from_the_robot_both_see_the_same(both: tuple[Episode, Episode]) -> 
         np.testing.assert_allclose(both[1].world.object_dof(), both[0].world.object_dof(), atol=1e-5)
     world = world_of(both[1])
     assert world._hand is not None
-    assert not world._hand.bodies and not any(item.awake for item in world._objects), "nothing was near"
+    assert not world._hand.bodies, "nothing was near"
+    assert not any(item.awake for item in world._objects)
 
 
 @pytest.mark.parametrize("scene_id", SCENES)
@@ -81,7 +82,7 @@ def test_a_used_world_is_as_good_as_a_new_one() -> None:
     """Whatever was played before, and in whatever state it ended, an episode is the same to the bit."""
     policy = receivers.make("yang2021", DATA)
     used = Episode("fast")
-    for scene_id in (*SCENES[:4], *SCENES[2::-1]):
+    for scene_id in (*SCENES, *SCENES[3::-1]):
         new = Episode("fast")
         actions = []
         for episode in (used, new):
@@ -143,7 +144,7 @@ def sweep(scene: Scene, aim: np.ndarray) -> list[tuple[EpisodeStatus, int]]:
     return ends
 
 
-@settings(max_examples=12, deadline=None, derandomize=True)
+@settings(max_examples=8, deadline=None, derandomize=True)
 @given(
     st.sampled_from(DATA.split("s0", "train")[:40]),
     st.lists(st.floats(0.2, 0.8), min_size=7, max_size=7),

@@ -58,6 +58,10 @@ class Panda(Body):
         self.place(self._start)
 
     def restart(self) -> None:
-        """Go back to the start pose, at rest; the motors wait for a target."""
+        """Be as after loading: at rest at the start pose, and forgotten by Bullet's contact cache."""
         self._target = None
+        self.place([0.0] * len(self.joints))
+        # Entering the broad phase anew drops all pairs and their remembered impulses, whose number and order
+        # would show in the last bits of what follows.
+        self.collide(PANDA_MASK)
         self.place(self._start)
