@@ -1,26 +1,39 @@
-"""What stepping the environment costs over the physics engine alone, in one process.
+"""What a step, an episode and a reset cost in exact and in fast physics, beside the physics engine alone.
 
-Two environments play the same scene with the same constant action, in turns of a few hundred steps so that the
-machine's drift cancels. The first is timed from outside; in the second only the calls of Bullet's
-`stepSimulation` are. Their ratio is the price of motors, rules and observations.
+All contestants run in turns of a few hundred steps in one process, so that the machine's drift cancels; ratios are
+taken within one run. `stepSimulation` is timed inside an exact and a fast environment, that is with the simulated
+hand and without.
 
-    python experiments/bench_speed.py --data-dir DIR
+    python experiments/bench_speed.py --data-dir DIR --out speed.md
 """
 
 import multiprocessing
 import time
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from datetime import date
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 import numpy as np
 import tyro
+from rich.console import Console
+from rich.progress import Progress
 from tabulate import tabulate
 
+from handover_marl import receivers
 from handover_marl.benchmarking.machine import describe_machine
+from handover_marl.benchmarking.playing import Job, Task, play
+from handover_marl.benchmarking.workers import play_tasks
 from handover_marl.config import PandaConfig
+from handover_marl.datasets import open_dataset
+from handover_marl.episode import PHYSICS, Episode
+from handover_marl.files import write_atomically
 from handover_marl.handover_env import HandoverEnv
 from handover_marl.spaces import GIVER_ACTION_SIZE
+
+REAL_TIME = 1000  # physics steps in a second
 
 
 @dataclass(frozen=True)
@@ -29,79 +42,225 @@ class Args:
 
     Attributes:
         data_dir: Folder in HandoverSim's layout; default: HANDOVER_MARL_DATA.
-        scene: The scene to play, in s0 train.
+        dataset: dexycb, synthetic or auto.
+        scene: The scene to play with a constant action, in s0 train.
         steps: Physics steps of one run; the episode must last that long.
         control_period: Time an action holds (s).
-        turn: Control steps before the other environment has its turn.
-        repeats: Runs; the table gives the median ratio and its range.
+        turn: Control steps before the next contestant has its turn.
+        repeats: Runs; the table gives median ratios and their range.
+        episodes: Scenes of s0 val that Yang's receiver plays from reset to end; 0 leaves this out.
+        workers: Numbers of worker processes to compare; empty leaves this out.
+        vector_envs: Fast environments to step side by side; 0 leaves this out.
+        out: Markdown file to write.
     """
 
     data_dir: str | None = None
+    dataset: str = "auto"
     scene: int = 105
     steps: int = 6000
     control_period: float = 0.1
     turn: int = 5
     repeats: int = 5
+    episodes: int = 36
+    workers: tuple[int, ...] = (1, 2)
+    vector_envs: int = 16
+    out: Path | None = None
 
 
 @dataclass
-class EngineClock:
-    """Adds up the time spent in `stepSimulation`."""
+class Contestant:
+    """One way to play the scene, and the seconds that it took in each run."""
 
-    seconds: float = 0.0
-
-    def watch(self, env: HandoverEnv) -> None:
-        """Time the engine of an environment that has been reset."""
-        client: Any = env._episode.world._client
-        step = client.stepSimulation
-
-        def timed_step() -> None:
-            started = time.perf_counter()
-            step()
-            self.seconds += time.perf_counter() - started
-
-        client.stepSimulation = timed_step
+    label: str
+    physics: str
+    engine_only: bool = False
+    seconds: list[float] = field(default_factory=list)
 
 
 def main(args: Args) -> None:
-    runs = [measure(args) for _ in range(args.repeats)]
-    env_rates = [args.steps / env_seconds for env_seconds, _ in runs]
-    engine_rates = [args.steps / engine_seconds for _, engine_seconds in runs]
-    ratios = [env_seconds / engine_seconds for env_seconds, engine_seconds in runs]
-    rows = [
-        ["stepSimulation alone", f"{np.median(engine_rates):.0f}", "1.000", "-"],
-        [
-            f"env.step, {args.control_period:g} s control period",
-            f"{np.median(env_rates):.0f}",
-            f"{np.median(ratios):.3f}",
-            f"{min(ratios):.3f} to {max(ratios):.3f}",
-        ],
+    sections = [
+        f"{describe_machine()}, {date.today().isoformat()}.",
+        step_table(args),
+        reset_table(args),
     ]
-    print(f"Scene {args.scene}, {args.steps} steps, exact physics, {args.repeats} runs, {describe_machine()}.\n")
-    print(tabulate(rows, headers=["", "steps/s", "cost", "range"], tablefmt="github", disable_numparse=True))
-    print(f"\nPeak memory of a process with one environment: {single_memory_mb(args)} MB.")
+    if args.episodes:
+        sections.append(episode_table(args))
+    if args.workers:
+        sections.append(worker_table(args))
+    if args.vector_envs:
+        sections.append(vector_table(args))
+    text = "\n\n".join(sections)
+    print(text)
+    if args.out is not None:
+        write_atomically(args.out, f"# Speed\n\n{text}\n")
 
 
-def measure(args: Args) -> tuple[float, float]:
-    """Seconds in `env.step`, and seconds in `stepSimulation` of the same steps."""
-    timed, watched = make_env(args), make_env(args)
-    clock = EngineClock()
-    clock.watch(watched)
-    control_steps = args.steps // timed.control_steps
-    env_seconds = 0.0
+def step_table(args: Args) -> str:
+    """Physics steps a second under a constant action."""
+    contestants = [
+        Contestant("exact, env.step", "exact"),
+        Contestant("fast, env.step", "fast"),
+        Contestant("stepSimulation alone, with hand", "exact", engine_only=True),
+        Contestant("stepSimulation alone, without hand", "fast", engine_only=True),
+    ]
+    for _ in progress(range(args.repeats), "steps"):
+        race(args, contestants)
+    exact = np.array(contestants[0].seconds)
+    rows = []
+    for contestant in contestants:
+        seconds = np.array(contestant.seconds)
+        rate, ratios = args.steps / np.median(seconds), exact / seconds
+        memory = "-" if contestant.engine_only else f"{single_memory_mb(args, contestant.physics)} MB"
+        rows.append(
+            [
+                contestant.label,
+                f"{rate:.0f}",
+                f"{np.median(ratios):.2f}",
+                f"{ratios.min():.2f} to {ratios.max():.2f}",
+                f"{rate / REAL_TIME:.1f}",
+                memory,
+            ]
+        )
+    head = ["", "steps/s", "ratio to exact", "range", "real-time factor", "peak memory"]
+    return (
+        f"Scene {args.scene}, {args.steps} steps, {args.control_period:g} s control period, constant action, "
+        f"{args.repeats} runs in turns:\n\n{table(head, rows)}"
+    )
+
+
+def race(args: Args, contestants: list[Contestant]) -> None:
+    """Let all play the scene once, in turns."""
+    envs = [make_env(args, contestant.physics) for contestant in contestants]
+    clocks = [
+        watch_engine(env) if contestant.engine_only else None
+        for env, contestant in zip(envs, contestants, strict=True)
+    ]
+    seconds = np.zeros(len(contestants))
+    control_steps = args.steps // envs[0].control_steps
     for first in range(0, control_steps, args.turn):
-        turn = min(args.turn, control_steps - first)
+        for number, env in enumerate(envs):
+            started = time.perf_counter()
+            act(env, min(args.turn, control_steps - first))
+            seconds[number] += time.perf_counter() - started
+    for contestant, env, clock, taken in zip(contestants, envs, clocks, seconds, strict=True):
+        contestant.seconds.append(float(taken) if clock is None else clock[0])
+        env.close()
+
+
+def watch_engine(env: HandoverEnv) -> list[float]:
+    """Add up the seconds that an environment which has been reset spends in `stepSimulation`."""
+    client: Any = env._episode.world._client
+    step, seconds = client.stepSimulation, [0.0]
+
+    def timed_step() -> None:
         started = time.perf_counter()
-        act(timed, turn)
-        env_seconds += time.perf_counter() - started
-        act(watched, turn)
-    timed.close()
-    watched.close()
-    return env_seconds, clock.seconds
+        step()
+        seconds[0] += time.perf_counter() - started
+
+    client.stepSimulation = timed_step
+    return seconds
 
 
-def make_env(args: Args) -> HandoverEnv:
-    env = HandoverEnv(data_dir=args.data_dir, control_period=args.control_period)
+def reset_table(args: Args) -> str:
+    """Time of env.reset over changing scenes."""
+    envs = {physics: make_env(args, physics) for physics in PHYSICS}
+    scenes = envs["exact"].scene_ids[: 100 * 7 : 7]
+    times: dict[str, list[float]] = {physics: [] for physics in PHYSICS}
+    for scene in progress(scenes, "resets"):
+        for physics, env in envs.items():
+            started = time.perf_counter()
+            env.reset(options={"scene_id": scene})
+            times[physics].append(1000 * (time.perf_counter() - started))
+    rows = []
+    for physics, taken in times.items():
+        rows.append([physics, *(f"{value:.1f}" for value in np.percentile(taken, [50, 95]))])
+        envs[physics].close()
+    return (
+        f"`env.reset`, {len(scenes)} scenes of s0 train, each read anew from {envs['exact'].dataset.name}:\n\n"
+        + table(["", "median ms", "95 % below ms"], rows)
+    )
+
+
+def episode_table(args: Args) -> str:
+    """Whole episodes with Yang's receiver, resets and policy included."""
+    data = open_dataset(args.dataset, args.data_dir)
+    policy = receivers.make("yang2021", data)
+    scenes = data.split("s0", "val")[: args.episodes]
+    seconds, planning, steps = (dict.fromkeys(PHYSICS, 0.0) for _ in range(3))
+    episodes = {physics: Episode(physics) for physics in PHYSICS}
+    for scene_id in progress(scenes, "episodes"):
+        for physics, episode in episodes.items():
+            started = time.perf_counter()
+            _, times = play(episode, data.scene(scene_id), policy)
+            seconds[physics] += time.perf_counter() - started
+            planning[physics] += float(times.sum())
+            steps[physics] += episode.steps
+    rows = [
+        [
+            physics,
+            f"{seconds[physics]:.1f}",
+            f"{planning[physics]:.1f}",
+            f"{steps[physics] / seconds[physics]:.0f}",
+            f"{seconds['exact'] / seconds[physics]:.2f}",
+        ]
+        for physics in PHYSICS
+    ]
+    return (
+        f"Whole episodes of yang2021, {len(scenes)} scenes of s0 val, reading, reset and policy included:\n\n"
+        + table(["", "seconds", "of it policy", "steps/s", "ratio to exact"], rows)
+    )
+
+
+def worker_table(args: Args) -> str:
+    """The same episodes spread over worker processes."""
+    data = open_dataset(args.dataset, args.data_dir)
+    tasks = [Task(index, scene) for index, scene in enumerate(data.split("s0", "val"))]
+    rows = []
+    for physics in PHYSICS:
+        job = Job(data.name, args.data_dir, "yang2021", physics, "")
+        taken = []
+        for workers in args.workers:
+            started = time.perf_counter()
+            for _ in progress(play_tasks(job, tasks, workers), f"{physics}, {workers} workers", len(tasks)):
+                pass
+            taken.append(time.perf_counter() - started)
+        rows += [
+            [physics, workers, f"{seconds:.1f}", f"{taken[0] / seconds:.2f}"]
+            for workers, seconds in zip(args.workers, taken, strict=True)
+        ]
+    head = ["", "workers", "seconds", f"ratio to {args.workers[0]} worker(s)"]
+    return f"The benchmark of yang2021 on s0 val, {len(tasks)} scenes, start-up included:\n\n{table(head, rows)}"
+
+
+def vector_table(args: Args) -> str:
+    """Fast environments side by side in Gymnasium's AsyncVectorEnv."""
+    envs = gymnasium.make_vec(
+        "HandoverMARL/Receiver-v0",
+        num_envs=args.vector_envs,
+        vectorization_mode="async",
+        physics="fast",
+        dataset=args.dataset,
+        data_dir=args.data_dir,
+    )
+    envs.reset(seed=0)
+    actions = np.tile(np.array(PandaConfig().start_joints, dtype=np.float32), (args.vector_envs, 1))
+    control_steps = 40
+    started = time.perf_counter()
+    for _ in range(control_steps):
+        envs.step(actions)
+    seconds = time.perf_counter() - started
+    envs.close()
+    rate = args.vector_envs * control_steps / seconds
+    return (
+        f"{args.vector_envs} fast environments in gymnasium's AsyncVectorEnv, 0.1 s control period, constant "
+        f"action: {rate:.0f} control steps/s, {rate * 0.1 * REAL_TIME:.0f} physics steps/s, all together."
+    )
+
+
+def make_env(args: Args, physics: str) -> HandoverEnv:
+    env = HandoverEnv(
+        data_dir=args.data_dir, dataset=args.dataset, control_period=args.control_period, physics=physics
+    )
     env.reset(seed=0, options={"scene_id": args.scene})
     return env
 
@@ -115,26 +274,31 @@ def act(env: HandoverEnv, control_steps: int) -> None:
         env.step(actions)
 
 
-def peak_memory_mb() -> int:
-    """Peak resident memory of this process (MB), from Linux's own account."""
+def memory_of_one(args: Args, physics: str, results: Any) -> None:
+    """Report the peak resident memory (MB) of a process with one environment, from Linux's own account."""
+    act(make_env(args, physics), 20)
     lines = Path("/proc/self/status").read_text().splitlines()
-    return next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) // 1024
+    results.put(next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) // 1024)
 
 
-def memory_of_one(args: Args, results: Any) -> None:
-    act(make_env(args), 20)
-    results.put(peak_memory_mb())
-
-
-def single_memory_mb(args: Args) -> int:
+def single_memory_mb(args: Args, physics: str) -> int:
     """Peak resident memory (MB) of a fresh process with one environment."""
     context = multiprocessing.get_context("spawn")
     results = context.Queue()
-    process = context.Process(target=memory_of_one, args=(args, results))
+    process = context.Process(target=memory_of_one, args=(args, physics, results))
     process.start()
     memory: int = results.get()
     process.join()
     return memory
+
+
+def progress(items: Iterable[Any], label: str, total: int | None = None) -> Iterable[Any]:
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+        yield from bar.track(items, total=total, description=label)
+
+
+def table(head: list[str], rows: list[list[Any]]) -> str:
+    return str(tabulate(rows, headers=head, tablefmt="github", disable_numparse=True))
 
 
 if __name__ == "__main__":

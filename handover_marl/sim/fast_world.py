@@ -95,8 +95,8 @@ class FastWorld(World):
             self._stage = None
             self._hand_models.clear()
             self._stage = set_stage(self._client, assets, self._config)
-            # In a server's first step of all, contacts of the Panda with itself come out otherwise (1e-8 m) than in
-            # any later one; with that step behind it, a new world is like one that has been used.
+            # In a server's first step of all, contacts of the Panda with itself come out otherwise (1e-8 m) than
+            # in any later one; with that step behind it, a new world is like one that has been used.
             self._client.stepSimulation()
             self._stage_files = files
             self._reader = ContactReader(self._client, self._stage.panda)

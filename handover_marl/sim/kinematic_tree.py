@@ -16,6 +16,7 @@ Array = npt.NDArray[np.float64]
 
 _TURNING = ("revolute", "continuous")
 _SLIDING = ("prismatic",)
+_ON_AXIS = 1e-6  # m
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,6 +102,51 @@ class KinematicTree:
         origins, rotations = self.frames(dof)
         chosen = list(links)
         return poses_from_rotations(origins[:, chosen], rotations[:, chosen])
+
+    def turning_joints(self, link: int) -> list[int]:
+        """Links of the turning joints that carry a link, from the base on.
+
+        Raises:
+            ValueError: A joint on the way slides.
+        """
+        path: list[int] = []
+        while link >= 0:
+            if self.joints[link].kind in _SLIDING:
+                raise ValueError(f"link {link} slides")
+            if self.joints[link].kind in _TURNING:
+                path.insert(0, link)
+            link = self.joints[link].parent
+        return path
+
+    def range_of(self, link: int) -> tuple[Array, float]:
+        """A fixed point in the base's frame (3,) and the farthest (m) that a link's origin can be from it.
+
+        Joint limits are not respected. A point on a joint's axis does not care how that joint turns, so distances
+        along runs of such joints are rigid; what is left is added up.
+
+        Raises:
+            ValueError: A joint on the way slides.
+        """
+        origins, rotations = (value[0] for value in self.frames(np.zeros((1, self.n_dof))))
+        path = self.turning_joints(link)
+
+        def on_axis(point: Array, joint: int) -> bool:
+            axis = rotations[joint] @ self.joints[joint].axis
+            return bool(np.linalg.norm(np.cross(point - origins[joint], axis)) < _ON_AXIS)
+
+        while path and on_axis(origins[link], path[-1]):
+            path.pop()
+        while len(path) > 1 and on_axis(origins[path[1]], path[0]):
+            path.pop(0)
+        if not path:
+            return origins[link], 0.0
+        center = anchor = origins[path[0]]
+        farthest = 0.0
+        for joint in path[1:]:
+            if not on_axis(anchor, joint):
+                farthest += float(np.linalg.norm(origins[joint] - anchor))
+                anchor = origins[joint]
+        return center, farthest + float(np.linalg.norm(origins[link] - anchor))
 
     def reach(self, link: int, spheres: Mapping[int, Sphere]) -> float:
         """How far (m) a link's shapes and all that it carries can be from its origin, however they turn.

@@ -7,8 +7,10 @@ import numpy.typing as npt
 
 from handover_marl.config import PandaConfig
 from handover_marl.geometry import IDENTITY, compose, inverse, rotation_angle
+from handover_marl.sim.arm_range import ArmRange
 from handover_marl.sim.body import inertial_offset
 from handover_marl.sim.client import connect, load_urdf
+from handover_marl.sim.kinematic_tree import read_tree
 from handover_marl.sim.panda import place_base
 
 ARM_JOINTS = 7
@@ -39,6 +41,8 @@ class PandaKinematics:
         hand_from_mass = inertial_offset(self._client, self._body, self._hand_link)
         self._mass_is_hand = np.array_equal(hand_from_mass, IDENTITY)
         self._mass_from_hand = inverse(hand_from_mass)
+        world_from_base = np.array([*config.base_position, *config.base_orientation])
+        self._range = ArmRange(read_tree(urdf), self._hand_link, world_from_base)
 
     def solve(
         self, start: npt.ArrayLike, position: npt.ArrayLike, orientation: npt.ArrayLike | None = None
@@ -57,6 +61,9 @@ class PandaKinematics:
             (7,) arm joint positions (rad).
         """
         target = np.asarray(position, dtype=np.float64)
+        if self._range.excludes(target, orientation, 2.0 * _POSITION_TOLERANCE, 1.1 * _ANGLE_TOLERANCE):
+            # The search would end so too, after minutes for an object that stays out of reach.
+            return None
         rest = [float(value) for value in np.asarray(start)]
         options = (
             {} if orientation is None else {"targetOrientation": np.asarray(orientation, np.float64).tolist()}

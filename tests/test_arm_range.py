@@ -1,0 +1,50 @@
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from handover_marl.config import PandaConfig
+from handover_marl.datasets.synthetic import SyntheticDataset
+from handover_marl.geometry import compose
+from handover_marl.sim.arm_range import ArmRange
+from handover_marl.sim.kinematic_tree import read_tree
+from handover_marl.sim.kinematics import PandaKinematics
+
+URDF = SyntheticDataset().panda_urdf
+TREE = read_tree(URDF)
+HAND = [joint.link for joint in TREE.joints].index("panda_hand")
+STAND = np.array([*PandaConfig().base_position, *PandaConfig().base_orientation])
+RANGE = ArmRange(TREE, HAND, STAND)
+
+
+def hand_pose(joints: list[float]) -> np.ndarray:
+    return compose(STAND, TREE.poses(np.array([[*joints, 0.0, 0.0]]), [HAND])[0, 0])
+
+
+@settings(max_examples=500, deadline=None)
+@given(st.lists(st.floats(-np.pi, np.pi), min_size=7, max_size=7))
+def test_nothing_that_the_arm_does_is_excluded(joints: list[float]) -> None:
+    pose = hand_pose(joints)
+    assert not RANGE.excludes(pose[:3], None, 1e-5, 0.0)
+    assert not RANGE.excludes(pose[:3], pose[3:], 1e-5, 0.0)
+
+
+def test_the_bounds_are_tight() -> None:
+    stretched = hand_pose([0.0, 0.0, 0.0, -0.467, 0.0, np.pi - 0.467 + 0.688, 0.0])
+    shoulder = np.array([0.61, -0.5, 0.875 + 0.333])
+    way = (stretched[:3] - shoulder) / np.linalg.norm(stretched[:3] - shoulder)
+    assert RANGE.excludes(shoulder + 0.8581 * way, None, 1e-4, 0.0)
+    assert not RANGE.excludes(shoulder + 0.8578 * way, None, 1e-4, 0.0)
+
+
+def test_a_hand_that_must_point_back_has_less_room() -> None:
+    """Straight ahead at 80 cm there is room for a hand that points away, and none for one that points back."""
+    kinematics = PandaKinematics(URDF, PandaConfig())
+    position = np.array([0.61, 0.29, 1.15])
+    away, back = np.array([-0.7071068, 0.0, 0.0, 0.7071068]), np.array([0.7071068, 0.0, 0.0, 0.7071068])
+    assert not RANGE.excludes(position, away, 2e-3, 0.11)
+    assert RANGE.excludes(position, back, 2e-3, 0.11)
+    start = PandaConfig().start_joints
+    assert kinematics.solve(start, position, away) is not None
+    assert kinematics.solve(start, position, back) is None
+    kinematics._range = ArmRange(TREE, HAND, STAND + np.array([*(position - STAND[:3]), 0, 0, 0, 0]))
+    assert kinematics.solve(start, position, back) is None, "searching finds nothing either"

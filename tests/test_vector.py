@@ -1,0 +1,58 @@
+"""Many environments in processes, as training libraries run them."""
+
+from collections.abc import Callable
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+
+NAME = "HandoverMARL/Receiver-v0"
+OPTIONS: dict[str, Any] = {"setup": "s0", "dataset": "synthetic", "physics": "fast"}
+STEPS = 135  # more than an episode's 130
+
+Rollout = tuple[dict[str, np.ndarray], np.ndarray]
+
+
+def gymnasium_rollout(n: int, seed: int, steps: int) -> Rollout:
+    envs = gymnasium.make_vec(NAME, num_envs=n, vectorization_mode="async", **OPTIONS)
+    envs.action_space.seed(seed)
+    envs.reset(seed=seed)
+    total = np.zeros(n)
+    for _ in range(steps):
+        seen, rewards, _, _, _ = envs.step(envs.action_space.sample())
+        total += rewards
+    envs.close()
+    return seen, total
+
+
+def sb3_rollout(n: int, seed: int, steps: int) -> Rollout:
+    vec_env = pytest.importorskip("stable_baselines3.common.vec_env", reason="needs the extra `train`")
+    envs = vec_env.SubprocVecEnv([lambda: gymnasium.make(NAME, **OPTIONS)] * n)
+    envs.seed(seed)
+    envs.reset()
+    rng = np.random.default_rng(seed)
+    low, high = envs.action_space.low, envs.action_space.high
+    total = np.zeros(n)
+    for _ in range(steps):
+        actions = rng.uniform(low, high, (n, len(low))).astype(np.float32)
+        seen, rewards, _, _ = envs.step(actions)
+        total += rewards
+    envs.close()
+    return seen, total
+
+
+@pytest.mark.parametrize("rollout", [gymnasium_rollout, sb3_rollout])
+def test_runs_repeat_from_their_seed(rollout: Callable[[int, int, int], Rollout]) -> None:
+    first, again, other = rollout(2, 5, STEPS), rollout(2, 5, STEPS), rollout(2, 6, STEPS)
+    for key, value in first[0].items():
+        np.testing.assert_array_equal(value, again[0][key])
+    np.testing.assert_array_equal(first[1], again[1])
+    assert not np.array_equal(first[0]["object_poses"], other[0]["object_poses"])
+    assert not np.array_equal(first[0]["object_poses"][0], first[0]["object_poses"][1]), "seeds of their own"
+
+
+def test_sixteen_run_side_by_side() -> None:
+    seen, _ = gymnasium_rollout(16, 0, 3)
+    assert seen["object_poses"].shape == (16, 5, 7)
+    np.testing.assert_allclose(seen["time"], 0.3, atol=1e-6)
