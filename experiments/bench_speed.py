@@ -235,7 +235,7 @@ def worker_table(args: Args) -> str:
 def vector_table(args: Args) -> str:
     """Fast environments side by side in Gymnasium's AsyncVectorEnv."""
     envs = gymnasium.make_vec(
-        "HandoverMARL/Receiver-v0",
+        "handover_marl:HandoverMARL/Receiver-v0",
         num_envs=args.vector_envs,
         vectorization_mode="async",
         physics="fast",

@@ -7,7 +7,8 @@ import gymnasium
 import numpy as np
 import pytest
 
-NAME = "HandoverMARL/Receiver-v0"
+# With the module in front, worker processes find the name too, however they were started.
+NAME = "handover_marl:HandoverMARL/Receiver-v0"
 OPTIONS: dict[str, Any] = {"setup": "s0", "dataset": "synthetic", "physics": "fast"}
 STEPS = 135  # more than an episode's 130
 

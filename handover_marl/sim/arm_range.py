@@ -12,9 +12,9 @@ Array = npt.NDArray[np.float64]
 class ArmRange:
     """Two necessary conditions on the pose of a hand link; joint limits are not looked at.
 
-    The hand must not be farther from the shoulder than the arm is long. With an orientation given, the wrist, which
-    is the origin of the last joint but one, can only be on a circle around the last joint's axis, and some of that
-    circle must be as near to the shoulder as the arm without the hand is long.
+    The hand must not be farther from the shoulder than the arm is long. With an orientation given, the wrist (the
+    origin of the last joint but one) can only be on a circle around the last joint's axis, and some of that circle
+    must be as near to the shoulder as the arm without the hand is long.
 
     Args:
         tree: The arm.
