@@ -14,6 +14,7 @@ from handover_marl.config import CameraConfig, PandaConfig, PhysicsConfig
 from handover_marl.datasets import OfficialDataset
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode import Episode
+from handover_marl.kinematic_tree import read_tree
 from handover_marl.motion import Motion
 from handover_marl.protocol.status import EpisodeStatus
 from handover_marl.scene import Scene
@@ -21,7 +22,6 @@ from handover_marl.sim.client import connect, load_urdf
 from handover_marl.sim.fast_world import FastWorld
 from handover_marl.sim.hand import Hand
 from handover_marl.sim.kinematic_hand import KinematicHand, read_hand
-from handover_marl.sim.kinematic_tree import read_tree
 
 START = np.array(PandaConfig().start_joints, dtype=np.float32)
 DATA = SyntheticDataset()

@@ -4,7 +4,7 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.geometry import compose_point, inverse_transform_points
-from handover_marl.sim.kinematic_tree import KinematicTree
+from handover_marl.kinematic_tree import KinematicTree
 
 Array = npt.NDArray[np.float64]
 

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from handover_marl.geometry import inverse_transform_points
+from handover_marl.kinematic_tree import Sphere
 from handover_marl.sim.client import connect, load_urdf
-from handover_marl.sim.kinematic_tree import Sphere
 
 
 def link_spheres(urdf: Path) -> dict[int, Sphere]:

@@ -7,8 +7,8 @@ import numpy.typing as npt
 
 from handover_marl.config import PANDA_DOF, PandaConfig
 from handover_marl.geometry import compose_point
+from handover_marl.kinematic_tree import read_tree
 from handover_marl.sim.bounds import link_spheres
-from handover_marl.sim.kinematic_tree import read_tree
 from handover_marl.sim.panda import Panda
 
 Array = npt.NDArray[np.float64]

@@ -7,10 +7,10 @@ import numpy.typing as npt
 
 from handover_marl.config import ObjectConfig
 from handover_marl.geometry import poses_from_rotations
+from handover_marl.kinematic_tree import read_tree
 from handover_marl.sim.bounds import link_spheres
 from handover_marl.sim.client import BulletClient
 from handover_marl.sim.follower import Follower
-from handover_marl.sim.kinematic_tree import read_tree
 from handover_marl.sim.objects import Object, object_motors
 
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from handover_marl.kinematic_tree import KinematicTree
 from handover_marl.sim.client import BulletClient
-from handover_marl.sim.kinematic_tree import KinematicTree
 from handover_marl.sim.link_shapes import LinkShape, read_shapes, visual_shape
 
 

@@ -7,12 +7,12 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.config import HAND_DOF, HandConfig
+from handover_marl.kinematic_tree import KinematicTree, read_tree
 from handover_marl.motion import Motion
 from handover_marl.sim.bounds import link_spheres
 from handover_marl.sim.client import BulletClient
 from handover_marl.sim.follower import Follower
 from handover_marl.sim.hand import BASE_JOINTS, HAND_MASK, hand_motors, keypoint_links
-from handover_marl.sim.kinematic_tree import KinematicTree, read_tree
 from handover_marl.sim.link_shapes import LinkShape, collision_shape, read_shapes
 
 # Bullet lets two bodies collide when either one's mask admits the other. The Panda's admits the hand; were the

@@ -7,10 +7,10 @@ import numpy.typing as npt
 
 from handover_marl.config import PandaConfig
 from handover_marl.geometry import IDENTITY, compose, inverse, rotation_angle
+from handover_marl.kinematic_tree import read_tree
 from handover_marl.sim.arm_range import ArmRange
 from handover_marl.sim.body import inertial_offset
 from handover_marl.sim.client import connect, load_urdf
-from handover_marl.sim.kinematic_tree import read_tree
 from handover_marl.sim.panda import place_base
 
 ARM_JOINTS = 7

@@ -10,8 +10,8 @@ import numpy.typing as npt
 
 from handover_marl.errors import SimulationError
 from handover_marl.geometry import compose, poses_from_rotations
+from handover_marl.kinematic_tree import KinematicTree, euler_matrix
 from handover_marl.sim.client import BulletClient, pybullet_error
-from handover_marl.sim.kinematic_tree import KinematicTree, euler_matrix
 
 _WHITE = (1.0, 1.0, 1.0, 1.0)
 

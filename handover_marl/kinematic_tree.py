@@ -1,5 +1,6 @@
 """A URDF model as Bullet sees it, without Bullet: forward kinematics of many configurations at once."""
 
+import functools
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -175,11 +176,19 @@ class KinematicTree:
 
 
 def read_tree(urdf: Path) -> KinematicTree:
-    """Read a model file.
+    """Read a model file; one that has not changed is read once.
 
     Raises:
         SimulationError: It is no URDF, or has joints of a kind that objects, hands and Pandas do not have.
     """
+    try:
+        return _read(urdf, urdf.stat().st_mtime_ns)
+    except OSError as error:
+        raise SimulationError(f"{urdf}: cannot read this model ({error}); check the file") from error
+
+
+@functools.cache
+def _read(urdf: Path, changed: int) -> KinematicTree:
     try:
         robot = ET.parse(urdf).getroot()
         return KinematicTree(list(_walk(robot)))
