@@ -3,16 +3,19 @@
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.config import CameraConfig, PhysicsConfig, ProtocolConfig
+from handover_marl.config import CameraConfig, GiverConfig, PhysicsConfig, ProtocolConfig
 from handover_marl.errors import ResetNeededError, UnknownNameError
-from handover_marl.motion import Motion, Playback
-from handover_marl.observations import Observation, observe
+from handover_marl.motion import NO_DEVIATION, Motion, Playback
+from handover_marl.observations import Observation, observe, observe_as_giver
+from handover_marl.preview import Preview
 from handover_marl.protocol.referee import Referee
+from handover_marl.protocol.release import Release
 from handover_marl.protocol.status import EpisodeStatus
 from handover_marl.scene import Scene
 from handover_marl.sim.exact_world import ExactWorld
 from handover_marl.sim.fast_world import FastWorld
 from handover_marl.sim.world import World
+from handover_marl.spaces import GiverAction
 
 #: The kinds of physics and the worlds that have them.
 WORLDS: dict[str, type[World]] = {"exact": ExactWorld, "fast": FastWorld}
@@ -53,33 +56,45 @@ class Episode:
         self._physics = physics
         self._physics_config = physics_config or PhysicsConfig()
         self._protocol_config = protocol_config or ProtocolConfig()
+        self._giver_config = GiverConfig()
         self._window = window
         self._world: World | None = None
         self._playback: Playback | None = None
+        self._preview: Preview | None = None
         self._referee = Referee(self._protocol_config)
 
     def reset(self, scene: Scene) -> None:
         """Go to the start of a scene."""
         if self._world is None:
             self._world = WORLDS[self._physics](self._physics_config, self._window)
-        self._playback = None
+        self._playback = self._preview = None
         self._referee = Referee(self._protocol_config)
-        playback = Playback(scene)
+        playback = Playback(scene, self._giver_config, self._physics_config.time_step)
         self._world.reset(scene, playback.start())
         self._playback = playback
 
-    def advance(self, robot_target: npt.NDArray[np.float32], steps: int) -> None:
-        """Simulate up to `steps` physics steps under one receiver action; stop early at the episode's end.
+    def advance(
+        self,
+        robot_target: npt.NDArray[np.float32],
+        steps: int,
+        giver_action: npt.NDArray[np.float32] = NO_DEVIATION,
+    ) -> None:
+        """Simulate up to `steps` physics steps under one pair of actions; stop early at the episode's end.
 
         Args:
             robot_target: (9,) float32 target joint positions, 7 arm (rad) and 2 fingers (m).
             steps: Physics steps of 1 ms.
+            giver_action: (8,) float32 deviation from the replay, none by default.
         """
-        _, playback, referee = self._running()
+        world, playback, referee = self._running()
         target = robot_target.tolist()
+        if GiverAction.of(giver_action).release and playback.holding and not referee.released:
+            referee.give()
+            world.release_target()
         while steps > 0 and not referee.status:
             stretch = min(steps, _STRETCH)
-            self._play(target, playback.advance(stretch))
+            given = referee.release is Release.GIVEN
+            self._play(target, playback.advance(stretch, giver_action, referee.released, opening=given))
             steps -= stretch
 
     def _play(self, robot_target: list[float], motion: Motion) -> None:
@@ -98,6 +113,17 @@ class Episode:
         world, playback, referee = self._running()
         time = referee.steps * self._physics_config.time_step
         return observe(world.state(), playback.scene.info.object_ids, referee.released, time)
+
+    def observe_as_giver(self, observation: Observation) -> Observation:
+        """What the giver sees beside what it shares with the receiver.
+
+        Args:
+            observation: What `observe` says now.
+        """
+        _, playback, _ = self._running()
+        if self._preview is None:
+            self._preview = Preview(playback.scene, self._giver_config)
+        return observe_as_giver(observation, playback, self._preview)
 
     def render(self, camera: CameraConfig) -> npt.NDArray[np.uint8]:
         """An RGB picture (height, width, 3) of the present state."""
@@ -122,6 +148,11 @@ class Episode:
     def steps(self) -> int:
         """Physics steps simulated since the reset."""
         return self._referee.steps
+
+    @property
+    def release(self) -> Release | None:
+        """Why the human let go, or None."""
+        return self._referee.release
 
     @property
     def release_step(self) -> int | None:

@@ -3,8 +3,8 @@
 | | |
 |---|---|
 | agents | `giver` (a human hand with an object), `receiver` (a Franka Panda) |
-| actions | receiver: Box(9), target joint positions; giver: Box(8), deviation from the replay, zero only |
-| observations | Dict of float32 arrays, the same for both; see `handover_marl.observations` |
+| actions | receiver: Box(9), target joint positions; giver: Box(8), deviation from the replay |
+| observations | Dict of float32 arrays; the giver's has the recording's next half second; see `observations` |
 | rewards | 1 to both in the step that completes the handover, else 0 |
 | termination | success, contact of robot and person, or drop |
 | truncation | 13 s without success |
@@ -13,7 +13,8 @@ Both agents act at once; their actions hold for one control period, during which
 millisecond, so that a step may end early with the episode.
 
 `infos[agent]`: `scene_id`; `status`, an `EpisodeStatus`; `steps`, physics steps so far; `release_step`, the step
-whose contacts made the person let go, or None.
+whose contacts made the person let go, or None; `release`, why: "active" or "passive", HandoverSim's two, "given",
+the giver's own action, or None.
 
 Version history: v0, initial.
 """
@@ -35,7 +36,7 @@ from handover_marl.config import CameraConfig, PhysicsConfig
 from handover_marl.datasets import open_dataset
 from handover_marl.episode import Episode, check_physics
 from handover_marl.errors import ActionError, OptionError, ResetNeededError, SceneError, UnknownNameError
-from handover_marl.observations import Observation, observation_space
+from handover_marl.observations import Observation, giver_observation_space, observation_space
 from handover_marl.protocol.status import EpisodeStatus
 from handover_marl.rewards import sparse_reward
 from handover_marl.spaces import (
@@ -107,13 +108,13 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         self._episode = Episode(physics, window=render_mode == "human")
         self._observation: Observation | None = None
         self._rng: np.random.Generator | None = None
-        self._observation_spaces = {agent: observation_space() for agent in AGENTS}
+        self._observation_spaces = {GIVER: giver_observation_space(), RECEIVER: observation_space()}
         self._action_spaces = {GIVER: giver_action_space(), RECEIVER: receiver_action_space()}
         self.state_space = spaces.flatten_space(self._observation_spaces[RECEIVER])
         self.metadata = {**self.metadata, "render_fps": max(1, round(1.0 / control_period))}
 
     def observation_space(self, agent: str) -> spaces.Dict:
-        """The agent's observation space; both have the same."""
+        """The agent's observation space."""
         return self._observation_spaces[agent]
 
     def action_space(self, agent: str) -> spaces.Box:
@@ -147,7 +148,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         """Let both agents act for one control period, or until the episode ends.
 
         Args:
-            actions: `{"giver": (8,), "receiver": (9,)}`.
+            actions: `{"giver": (8,), "receiver": (9,)}`, elements of the agents' action spaces.
 
         Raises:
             ActionError: An action is malformed; the world has not moved.
@@ -155,11 +156,11 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         """
         if not self.agents:
             raise ResetNeededError("no episode is running; call reset() before step()")
-        target = self._check_actions(actions)
+        robot_target, deviation = self._check_actions(actions)
         started = time.monotonic()
         # Should the simulation fail below, there is no episode any more.
         self.agents = []
-        self._episode.advance(target, self.control_steps)
+        self._episode.advance(robot_target, self.control_steps, deviation)
         if self.render_mode == "human":
             self._keep_pace(started)
         status = self._episode.status
@@ -194,14 +195,13 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         self.agents = []
         self._observation = None
 
-    def _check_actions(self, actions: dict[str, Any]) -> npt.NDArray[np.float32]:
+    def _check_actions(self, actions: dict[str, Any]) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
         if not isinstance(actions, Mapping):
             raise ActionError(f"step() takes a dict of actions by agent, not {type(actions).__name__}")
         unknown = sorted(map(str, actions.keys() - set(AGENTS)))
         if unknown:
             raise ActionError(f"there is no agent {unknown[0]!r}; actions are for {' and '.join(AGENTS)}")
-        check_giver_action(actions.get(GIVER))
-        return check_receiver_action(actions.get(RECEIVER))
+        return check_receiver_action(actions.get(RECEIVER)), check_giver_action(actions.get(GIVER))
 
     def _choose_scene(self, rng: np.random.Generator, options: dict[str, Any]) -> int:
         if not isinstance(options, Mapping):
@@ -225,8 +225,9 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
 
     def _observe(self) -> dict[str, Observation]:
         self._observation = self._episode.observe()
+        seen = {GIVER: self._episode.observe_as_giver(self._observation), RECEIVER: self._observation}
         # Copies, so that what one agent does to its arrays stays unseen by the other.
-        return {agent: {key: value.copy() for key, value in self._observation.items()} for agent in AGENTS}
+        return {agent: {key: value.copy() for key, value in seen[agent].items()} for agent in AGENTS}
 
     def _infos(self) -> dict[str, dict[str, Any]]:
         episode = self._episode
@@ -235,6 +236,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
             "status": episode.status,
             "steps": episode.steps,
             "release_step": episode.release_step,
+            "release": None if episode.release is None else episode.release.value,
         }
         return {agent: dict(info) for agent in AGENTS}
 

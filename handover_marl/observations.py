@@ -4,8 +4,10 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from handover_marl.config import HAND_DOF, MAX_OBJECTS, N_KEYPOINTS, PANDA_DOF
+from handover_marl.config import HAND_DOF, MAX_OBJECTS, N_KEYPOINTS, PANDA_DOF, GiverConfig
 from handover_marl.datasets.ycb import CLASS_NAMES
+from handover_marl.motion import Playback
+from handover_marl.preview import Preview
 from handover_marl.sim.world import WorldState
 
 Observation = dict[str, npt.NDArray[np.float32]]
@@ -14,7 +16,7 @@ _POSE = 7
 
 
 def observation_space() -> spaces.Dict:
-    """The space of `observe`'s result, for both agents.
+    """The space of `observe`'s result: what the receiver sees, and the giver too.
 
     | key | shape | meaning (world frame; m, rad, s; quaternions xyzw) |
     |---|---|---|
@@ -45,6 +47,45 @@ def observation_space() -> spaces.Dict:
             "time": spaces.Box(0.0, np.inf, (1,), np.float32),
         }
     )
+
+
+def giver_observation_space(config: GiverConfig | None = None) -> spaces.Dict:
+    """What the giver sees: all that the receiver sees, and its own intentions.
+
+    | key | shape | meaning (world frame; m, rad; quaternions xyzw) |
+    |---|---|---|
+    | replay_wrist_poses | (5, 7) | the recording's wrist 0.1 to 0.5 s ahead; zeros without a hand |
+    | replay_object_poses | (5, 7) | the recording's object to be given at these times |
+    | deviation | (7,) | playback rate less the recorded one, wrist displacement, rotation vector, as they are |
+    | holding | (1,) | 1 once the object has been picked up, so that displacements count |
+    """
+    ahead = len((config or GiverConfig()).preview)
+    return spaces.Dict(
+        {
+            **observation_space().spaces,
+            "replay_wrist_poses": _unbounded((ahead, _POSE)),
+            "replay_object_poses": _unbounded((ahead, _POSE)),
+            "deviation": _unbounded((7,)),
+            "holding": _flags((1,)),
+        }
+    )
+
+
+def observe_as_giver(observation: Observation, playback: Playback, preview: Preview) -> Observation:
+    """The giver's observation.
+
+    Args:
+        observation: What the receiver sees.
+        playback: Where the giver is in its recording and how it deviates.
+        preview: The recording.
+    """
+    return {
+        **observation,
+        "replay_wrist_poses": preview.wrist_poses(playback.frame),
+        "replay_object_poses": preview.object_poses(playback.frame),
+        "deviation": playback.deviation,
+        "holding": np.array([playback.holding], dtype=np.float32),
+    }
 
 
 def _unbounded(shape: tuple[int, ...]) -> spaces.Box:

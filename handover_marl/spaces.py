@@ -1,10 +1,12 @@
 """The two agents' action spaces, and the checking of actions."""
 
+from dataclasses import dataclass
+
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from handover_marl.config import PANDA_DOF, PandaConfig
+from handover_marl.config import PANDA_DOF, GiverConfig, PandaConfig
 from handover_marl.errors import ActionError
 
 #: Components of the giver's action: playback rate (1), wrist displacement (3), wrist rotation (3), release (1).
@@ -22,9 +24,49 @@ def receiver_action_space() -> spaces.Box:
     )
 
 
-def giver_action_space() -> spaces.Box:
-    """Deviation from the replayed motion; its only element is zero, the replay itself."""
-    return spaces.Box(0.0, 0.0, (GIVER_ACTION_SIZE,), np.float32)
+def giver_action_space(config: GiverConfig | None = None) -> spaces.Box:
+    """Deviation from the replayed motion; zero is the replay itself.
+
+    | components | meaning | bounds |
+    |---|---|---|
+    | 0 | playback rate less the recorded one: -1 pauses, 1 doubles the speed | -1 to 1 |
+    | 1-3 | set-point of the wrist's displacement from the replayed wrist, world frame (m) | -0.3 to 0.3 |
+    | 4-6 | set-point of its rotation vector about the wrist, world frame (rad) | -1 to 1 |
+    | 7 | above 0.5: let go now | 0 to 1 |
+
+    Actions beyond the bounds are clipped. Set-points are approached at a human pace and count once the object has
+    been picked up; see `handover_marl.config.GiverConfig`.
+    """
+    limits = config or GiverConfig()
+    high = np.array([1.0, *[limits.displacement] * 3, *[limits.rotation] * 3, 1.0], dtype=np.float32)
+    low = -high
+    low[-1] = 0.0
+    return spaces.Box(low, high)
+
+
+@dataclass(frozen=True, eq=False)
+class GiverAction:
+    """The parts of a giver's action.
+
+    Attributes:
+        rate: Playback rate less the recorded one.
+        displacement: (3,) set-point of the wrist's displacement (m).
+        rotation: (3,) set-point of its rotation vector (rad).
+        release: Whether to let go now.
+    """
+
+    rate: float
+    displacement: npt.NDArray[np.float32]
+    rotation: npt.NDArray[np.float32]
+    release: bool
+
+    @classmethod
+    def of(cls, action: npt.NDArray[np.float32]) -> "GiverAction":
+        """Read a checked action (8,)."""
+        return cls(float(action[0]), action[1:4], action[4:7], bool(action[7] > 0.5))
+
+
+_GIVER_SPACE = giver_action_space()
 
 
 def check_receiver_action(action: object) -> npt.NDArray[np.float32]:
@@ -37,15 +79,13 @@ def check_receiver_action(action: object) -> npt.NDArray[np.float32]:
 
 
 def check_giver_action(action: object) -> npt.NDArray[np.float32]:
-    """The action rounded to float32.
+    """The action rounded to float32 and clipped to its space.
 
     Raises:
-        ActionError: It is not eight finite numbers, or not all zero.
+        ActionError: It is not eight finite numbers.
     """
     values = _as_float32("giver", action, GIVER_ACTION_SIZE, "the deviation from the replay")
-    if values.any():
-        raise ActionError("the giver can only replay: its action must be zero in every component")
-    return values
+    return np.clip(values, _GIVER_SPACE.low, _GIVER_SPACE.high)
 
 
 def _as_float32(agent: str, action: object, size: int, meaning: str) -> npt.NDArray[np.float32]:

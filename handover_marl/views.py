@@ -110,8 +110,8 @@ def _without_none(info: dict[str, Any]) -> dict[str, Any]:
 class SingleAgentEnv(gymnasium.Env[Any, Any], EzPickle):
     """A Gymnasium environment of one agent, for libraries such as Stable-Baselines3.
 
-    `info` has `release_step` only once there is one: Gymnasium's vector environments make arrays of infos and
-    cannot take None.
+    `info` has `release_step` and `release` only once there is one: Gymnasium's vector environments make arrays of
+    infos and cannot take None.
 
     Args:
         agent: The live one, "receiver" or "giver".

@@ -198,12 +198,14 @@ def test_bad_receiver_actions_leave_the_world_alone(fake_data: Path, action: Any
     assert env.step(both(START))[4]["giver"]["steps"] == 100
 
 
-@pytest.mark.parametrize("action", [np.ones(8), np.zeros(7), np.full(8, np.nan), None])
-def test_the_giver_can_only_replay(fake_data: Path, action: Any) -> None:
+@pytest.mark.parametrize("action", [np.zeros(7), np.full(8, np.nan), np.ones((8, 1)), "let go", None])
+def test_bad_giver_actions_leave_the_world_alone(fake_data: Path, action: Any) -> None:
     env = make(fake_data)
     env.reset(options={"scene_id": 9})
+    before = env.state()
     with pytest.raises(ActionError, match="giver"):
         env.step(both(START, action))
+    np.testing.assert_array_equal(before, env.state())
 
 
 def test_receiver_actions_are_not_clipped(fake_data: Path) -> None:

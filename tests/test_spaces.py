@@ -6,6 +6,7 @@ import pytest
 
 from handover_marl.errors import ActionError
 from handover_marl.spaces import (
+    GiverAction,
     check_giver_action,
     check_receiver_action,
     giver_action_space,
@@ -82,10 +83,20 @@ def test_shape_and_finiteness(action: object, message: str) -> None:
         check_receiver_action(action)
 
 
-def test_the_giver_can_only_replay() -> None:
-    np.testing.assert_array_equal(check_giver_action(giver_action_space().sample()), np.zeros(8))
-    with pytest.raises(ActionError, match="must be zero"):
-        check_giver_action([0.0] * 7 + [1e-3])
+def test_giver_actions_are_clipped_to_what_people_do() -> None:
+    space = giver_action_space()
+    np.testing.assert_array_equal(check_giver_action(np.full(8, 9.0)), space.high)
+    np.testing.assert_array_equal(check_giver_action(np.full(8, -9.0)), space.low)
+    np.testing.assert_array_equal(check_giver_action(np.zeros(8)), np.zeros(8))
+
+
+def test_the_parts_of_a_giver_action() -> None:
+    action = GiverAction.of(np.array([-1, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.51], dtype=np.float32))
+    assert action.rate == -1.0
+    np.testing.assert_array_equal(action.displacement, np.float32([0.1, 0.2, 0.3]))
+    np.testing.assert_array_equal(action.rotation, np.float32([0.4, 0.5, 0.6]))
+    assert action.release
+    assert not GiverAction.of(np.zeros(8, dtype=np.float32)).release
 
 
 def test_every_sample_is_an_action() -> None:

@@ -13,7 +13,7 @@ class Referee:
         status: The verdict so far; anything but RUNNING ends the episode.
         steps: Physics steps seen.
         release: Why the human let go, or None.
-        release_step: The step (from 1) whose contacts made the human let go, or None.
+        release_step: The step (from 1) whose contacts made the human let go, or after which it chose to, or None.
     """
 
     def __init__(self, config: ProtocolConfig) -> None:
@@ -28,6 +28,11 @@ class Referee:
     def released(self) -> bool:
         """Whether the human has let go. Bodies feel it in the next step, the status rule at once."""
         return self.release is not None
+
+    def give(self) -> None:
+        """Take note that the giver lets go of its own accord before the next step."""
+        if not self.released:
+            self.release, self.release_step = Release.GIVEN, self.steps
 
     def update(self, contacts: Contacts) -> EpisodeStatus:
         """Judge one more physics step."""

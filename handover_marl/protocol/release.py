@@ -13,10 +13,12 @@ class Release(Enum):
 
     ACTIVE: both fingers held the object in their grasp region long enough.
     PASSIVE: the robot pushed the object long enough without a finger on it as in a grasp.
+    GIVEN: the giver chose to, which HandoverSim does not know.
     """
 
     ACTIVE = "active"
     PASSIVE = "passive"
+    GIVEN = "given"
 
 
 class ReleaseRule:

@@ -1,0 +1,106 @@
+"""The giver as an agent of the environment, in both kinds of physics."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import handover_marl
+from handover_marl.config import PandaConfig
+from handover_marl.handover_env import HandoverEnv
+from handover_marl.protocol.status import EpisodeStatus
+
+START = np.array(PandaConfig().start_joints, dtype=np.float32)
+SCENE = 209
+PHYSICS = ("exact", "fast")
+
+
+def make(physics: str) -> HandoverEnv:
+    env: HandoverEnv = handover_marl.parallel_env(split="test", dataset="synthetic", physics=physics)
+    env.reset(seed=0, options={"scene_id": SCENE})
+    return env
+
+
+def giver(rate: float = 0.0, shift: Any = (0, 0, 0), turn: Any = (0, 0, 0), release: float = 0.0) -> np.ndarray:
+    return np.array([rate, *shift, *turn, release], dtype=np.float32)
+
+
+def act(env: HandoverEnv, action: np.ndarray, steps: int) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    for _ in range(steps):
+        observations, *_, infos = env.step({"giver": action, "receiver": START})
+        if not env.agents:
+            break
+    return observations["giver"], infos["giver"]
+
+
+@pytest.mark.parametrize("physics", PHYSICS)
+def test_the_world_follows_the_deviation(physics: str) -> None:
+    env = make(physics)
+    before, _ = act(env, giver(), 28)
+    assert before["holding"] == 1
+    shift = np.float32([0.1, -0.15, 0.05])
+    after, info = act(env, giver(shift=shift), 12)
+    np.testing.assert_allclose(
+        after["hand_keypoints"] - before["hand_keypoints"], np.tile(shift, (16, 1)), atol=5e-3
+    )
+    np.testing.assert_allclose(after["object_poses"][0, :3] - before["object_poses"][0, :3], shift, atol=5e-3)
+    np.testing.assert_allclose(after["object_poses"][1:], before["object_poses"][1:], atol=1e-4)
+    np.testing.assert_allclose(after["deviation"], [0, *shift, 0, 0, 0], atol=1e-6)
+    assert info["status"] == EpisodeStatus.RUNNING
+
+
+def test_both_kinds_of_physics_deviate_alike() -> None:
+    rng = np.random.default_rng(0)
+    envs = [make(physics) for physics in PHYSICS]
+    for _ in range(40):
+        action = giver(rng.uniform(-0.5, 1.0), rng.uniform(-0.1, 0.1, 3), rng.uniform(-0.6, 0.6, 3))
+        exact, fast = (act(env, action, 1)[0] for env in envs)
+        np.testing.assert_allclose(fast["hand_keypoints"], exact["hand_keypoints"], atol=1e-3)
+        np.testing.assert_allclose(fast["object_poses"], exact["object_poses"], atol=1e-4)
+        for key in ("deviation", "holding", "replay_wrist_poses", "replay_object_poses"):
+            np.testing.assert_array_equal(fast[key], exact[key])
+
+
+@pytest.mark.parametrize("physics", PHYSICS)
+def test_letting_go_drops_the_object(physics: str) -> None:
+    env = make(physics)
+    act(env, giver(), 28)
+    seen, info = act(env, giver(release=1.0), 1)
+    assert seen["released"] == 1
+    assert info["release"] == "given"
+    assert info["release_step"] == 2800
+    before = seen["object_poses"][0, 2]
+    seen, info = act(env, giver(release=1.0), 20)
+    assert seen["object_poses"][0, 2] < before - 0.1
+    assert info["status"] == EpisodeStatus.OBJECT_DROP
+
+
+@pytest.mark.parametrize("physics", PHYSICS)
+def test_what_is_not_held_cannot_be_let_go(physics: str) -> None:
+    env = make(physics)
+    seen, info = act(env, giver(release=1.0), 1)
+    assert seen["released"] == 0
+    assert info["release"] is None
+
+
+@pytest.mark.parametrize("physics", PHYSICS)
+def test_random_givers_repeat_from_their_seed(physics: str) -> None:
+    ends = []
+    for _ in range(2):
+        env = make(physics)
+        env.action_space("giver").seed(3)
+        for _ in range(30):
+            action = env.action_space("giver").sample()
+            action[-1] = 0.0
+            seen, _ = act(env, action, 1)
+        ends.append(seen)
+    for key, value in ends[0].items():
+        np.testing.assert_array_equal(value, ends[1][key])
+
+
+def test_the_benchmark_view_has_no_giver_to_ask() -> None:
+    view = handover_marl.benchmark_env(split="test", dataset="synthetic")
+    view.reset(options={"scene_id": SCENE})
+    *_, infos = view.step({"receiver": START, "giver": giver(release=1.0)})
+    assert view.env.observation_space("receiver").contains(view.reset(options={"scene_id": SCENE})[0]["receiver"])
+    assert infos["receiver"]["release"] is None

@@ -1,0 +1,143 @@
+"""The giver's action: what it does to the recording."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from handover_marl.carrying import turn_about, wrist_points
+from handover_marl.config import GiverConfig
+from handover_marl.datasets.synthetic import SyntheticDataset
+from handover_marl.motion import Motion, Playback, pick_up_frame, wrist_place
+from handover_marl.preview import Preview
+from handover_marl.scene import Scene
+
+SCENE = SyntheticDataset().scene(209)
+CONFIG = GiverConfig()
+
+
+def playback(scene: Scene = SCENE) -> Playback:
+    return Playback(scene, CONFIG, 0.001)
+
+
+def action(
+    rate: float = 0.0, shift: tuple[float, ...] = (0, 0, 0), turn: tuple[float, ...] = (0, 0, 0)
+) -> np.ndarray:
+    return np.array([rate, *shift, *turn, 0.0], dtype=np.float32)
+
+
+def pose(dof: np.ndarray) -> tuple[np.ndarray, Rotation]:
+    return dof[..., :3].astype(float), Rotation.from_euler("XYZ", dof[..., 3:6].astype(float))
+
+
+def wrist(motion: Motion) -> np.ndarray:
+    return wrist_points(motion.hand, wrist_place(SCENE))
+
+
+def held() -> Playback:
+    """A playback in which the object has been lifted and everything has come to rest."""
+    played = playback()
+    played.advance(SCENE.n_frames)
+    assert played.holding
+    return played
+
+
+def test_zero_is_the_recording_to_the_bit() -> None:
+    played, pieces = playback(), []
+    for steps in (1, 99, 100, 37, SCENE.n_frames):
+        pieces.append(played.advance(steps))
+    rows = np.minimum(np.arange(1, 238 + SCENE.n_frames), SCENE.n_frames - 1)
+    np.testing.assert_array_equal(np.concatenate([piece.objects for piece in pieces]), SCENE.object_dof[rows])
+    np.testing.assert_array_equal(np.concatenate([piece.hand for piece in pieces]), SCENE.hand_dof[rows])
+
+
+def test_pausing_stops_and_doubling_skips() -> None:
+    played = playback()
+    played.advance(1000)
+    pausing = played.advance(400, action(rate=-1.0))
+    np.testing.assert_array_equal(pausing.hand[250:], np.tile(pausing.hand[-1], (150, 1)))
+    assert 1000 < played.frame < 1200, "people need a moment to stop"
+    before = played.frame
+    played.advance(1000, action(rate=1.0))
+    assert played.frame == pytest.approx(before + 2000 - 400, abs=10)
+    assert played.deviation[0] == 1.0
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    st.tuples(*[st.floats(-0.3, 0.3)] * 3).filter(lambda shift: np.linalg.norm(shift) > 1e-3),
+    st.tuples(*[st.floats(-1.0, 1.0)] * 3),
+)
+def test_hand_and_object_move_as_one_about_the_wrist(shift: tuple[float, ...], turn: tuple[float, ...]) -> None:
+    played = held()
+    before = played.advance(1)
+    after = played.advance(3000, action(shift=shift, turn=turn))
+    change = Rotation.from_rotvec(np.float32(turn))
+    np.testing.assert_allclose(wrist(after)[-1], wrist(before)[-1] + shift, atol=2e-6)
+    for old, new in ((before.hand, after.hand), (before.objects[:, 0], after.objects[:, 0])):
+        (old_place, old_turn), (new_place, new_turn) = pose(old[-1]), pose(new[-1])
+        assert (new_turn * (change * old_turn).inv()).magnitude() < 1e-5
+        arm = change.apply(old_place - wrist(before)[-1])
+        np.testing.assert_allclose(new_place, wrist(after)[-1] + arm, atol=2e-6)
+    np.testing.assert_array_equal(after.hand[:, 6:], np.tile(before.hand[-1, 6:], (3000, 1)))
+    np.testing.assert_array_equal(after.objects[:, 1:], np.tile(before.objects[-1, 1:], (3000, 1, 1)))
+
+
+def test_deviations_come_at_a_human_pace_and_without_jumps() -> None:
+    played = held()
+    rows = [played.advance(1)]
+    for turn in ((1, 1, 1), (-1, 1, -1), (-1, -1, 1), (0, 0, 0)):
+        rows.append(played.advance(1500, action(shift=(0.3, -0.3, 0.3), turn=turn)))
+    moved = np.concatenate([wrist(motion) for motion in rows])
+    assert np.linalg.norm(np.diff(moved, axis=0), axis=1).max() <= CONFIG.speed * 0.001 + 1e-6
+    for part in ("hand", "objects"):
+        dof = np.concatenate([getattr(motion, part).reshape(len(motion), -1)[:, :6] for motion in rows])
+        _, turns = pose(dof)
+        steps = (turns[1:] * turns[:-1].inv()).magnitude()
+        assert steps.max() < 0.01
+        assert np.abs(np.diff(dof[:, 3:], axis=0)).max() < 0.5, "angles go on without a jump of a turn"
+
+
+def test_the_object_waits_where_it_lies_until_it_is_picked_up() -> None:
+    played = playback()
+    lift = pick_up_frame(SCENE)
+    assert lift is not None
+    lying = played.advance(lift - 1, action(shift=(0.2, 0, 0)))
+    np.testing.assert_array_equal(lying.objects, SCENE.object_dof[1:lift])
+    np.testing.assert_array_equal(lying.hand, SCENE.hand_dof[1:lift])
+    assert not played.holding
+    played.advance(1)
+    carried = played.advance(600, action(shift=(0.2, 0, 0)))
+    assert played.holding
+    assert carried.objects[-1, 0, 0] - SCENE.object_dof[played.frame, 0, 0] == pytest.approx(0.2, abs=1e-6)
+
+
+def test_after_letting_go_the_hand_opens_and_leaves_the_object() -> None:
+    played = held()
+    before = played.advance(1)
+    after = played.advance(1000, action(shift=(0.0, 0.2, 0.0)), released=True, opening=True)
+    np.testing.assert_array_equal(after.objects[-1], before.objects[-1])
+    assert wrist(after)[-1, 1] - wrist(before)[-1, 1] == pytest.approx(0.2, abs=1e-6)
+    np.testing.assert_allclose(after.hand[-1, 6:], (1 - CONFIG.opening) * before.hand[-1, 6:], atol=1e-6)
+    assert played.opened == 1.0
+
+
+def test_turning_about_a_point_by_nothing_is_nothing() -> None:
+    rows = SCENE.object_dof[::100, 0]
+    nothing = Rotation.from_rotvec(np.zeros((len(rows), 3)))
+    moved = turn_about(rows, np.ones((len(rows), 3)), np.zeros((len(rows), 3)), nothing, rows[0])
+    np.testing.assert_allclose(moved, rows, atol=1e-6)
+
+
+def test_the_preview_shows_what_comes() -> None:
+    preview = Preview(SCENE)
+    ahead = np.array([100, 200, 300, 400, 500])
+    seen = preview.object_poses(1000)
+    place, turn = pose(SCENE.object_dof[1000 + ahead, 0])
+    np.testing.assert_allclose(seen[:, :3], place, atol=1e-6)
+    assert (Rotation.from_quat(seen[:, 3:]) * turn.inv()).magnitude().max() < 1e-5
+    np.testing.assert_array_equal(preview.wrist_poses(10**6), np.tile(preview.wrist_poses(10**6)[0], (5, 1)))
+    np.testing.assert_allclose(
+        preview.wrist_poses(1000)[:, :3], wrist_points(SCENE.hand_dof, wrist_place(SCENE))[1000 + ahead], atol=1e-6
+    )
