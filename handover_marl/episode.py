@@ -8,6 +8,7 @@ from handover_marl.errors import ResetNeededError, UnknownNameError
 from handover_marl.motion import NO_DEVIATION, Motion, Playback
 from handover_marl.observations import Observation, observe, observe_as_giver
 from handover_marl.preview import Preview
+from handover_marl.protocol.contacts import Contacts
 from handover_marl.protocol.referee import Referee
 from handover_marl.protocol.release import Release
 from handover_marl.protocol.status import EpisodeStatus
@@ -61,6 +62,7 @@ class Episode:
         self._world: World | None = None
         self._playback: Playback | None = None
         self._preview: Preview | None = None
+        self._contacts = Contacts()
         self._referee = Referee(self._protocol_config)
 
     def reset(self, scene: Scene) -> None:
@@ -69,6 +71,7 @@ class Episode:
             self._world = WORLDS[self._physics](self._physics_config, self._window)
         self._playback = self._preview = None
         self._referee = Referee(self._protocol_config)
+        self._contacts = Contacts()
         playback = Playback(scene, self._giver_config, self._physics_config.time_step)
         self._world.reset(scene, playback.start())
         self._playback = playback
@@ -103,7 +106,8 @@ class Episode:
         for _ in range(len(motion)):
             world.step(robot_target)
             released_before = referee.released
-            if referee.update(world.contacts(released_before)):
+            self._contacts = world.contacts(released_before)
+            if referee.update(self._contacts):
                 break
             if referee.released and not released_before:
                 world.release_target()
@@ -138,6 +142,22 @@ class Episode:
     def scene(self) -> Scene:
         """The scene being played."""
         return self._running()[1].scene
+
+    @property
+    def grasped(self) -> bool:
+        """Whether both fingers were on the object in the last step."""
+        return self._contacts.both_fingers
+
+    @property
+    def held_out(self) -> bool:
+        """Whether the person holds the object, picked up and not let go."""
+        _, playback, referee = self._running()
+        return playback.holding and not referee.released
+
+    @property
+    def deviation(self) -> npt.NDArray[np.float32]:
+        """(7,) the giver's playback rate, wrist displacement (m) and rotation vector (rad) as they are now."""
+        return self._running()[1].deviation
 
     @property
     def status(self) -> EpisodeStatus:

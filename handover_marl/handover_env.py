@@ -5,7 +5,7 @@
 | agents | `giver` (a human hand with an object), `receiver` (a Franka Panda) |
 | actions | receiver: Box(9), target joint positions; giver: Box(8), deviation from the replay |
 | observations | Dict of float32 arrays; the giver's has the recording's next half second; see `observations` |
-| rewards | 1 to both in the step that completes the handover, else 0 |
+| rewards | 1 to both in the step that completes the handover, else 0; or shaped, see `handover_marl.rewards` |
 | termination | success, contact of robot and person, or drop |
 | truncation | 13 s without success |
 
@@ -14,7 +14,7 @@ millisecond, so that a step may end early with the episode.
 
 `infos[agent]`: `scene_id`; `status`, an `EpisodeStatus`; `steps`, physics steps so far; `release_step`, the step
 whose contacts made the person let go, or None; `release`, why: "active" or "passive", HandoverSim's two, "given",
-the giver's own action, or None.
+the giver's own action, or None; after a step `reward_terms`, what the agent's reward is the sum of.
 
 Version history: v0, initial.
 """
@@ -38,7 +38,7 @@ from handover_marl.episode import Episode, check_physics
 from handover_marl.errors import ActionError, OptionError, ResetNeededError, SceneError, UnknownNameError
 from handover_marl.observations import Observation, giver_observation_space, observation_space
 from handover_marl.protocol.status import EpisodeStatus
-from handover_marl.rewards import sparse_reward
+from handover_marl.rewards import RewardConfig, Rewards, Situation, reward_config
 from handover_marl.spaces import (
     check_giver_action,
     check_receiver_action,
@@ -68,6 +68,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         control_period: How long an action holds (s); a whole number of milliseconds, 0.001 or more.
         render_mode: None, "rgb_array" (needs no screen) or "human" (PyBullet's window).
         camera: What "rgb_array" pictures show.
+        rewards: "sparse", the task alone; "shaped", with guidance and costs; or weights of your own.
 
     Raises:
         UnknownNameError: No such setup, split, dataset, physics or render mode.
@@ -92,8 +93,11 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         control_period: float = 0.1,
         render_mode: str | None = None,
         camera: CameraConfig | None = None,
+        rewards: str | RewardConfig = "sparse",
     ) -> None:
-        EzPickle.__init__(self, setup, split, data_dir, dataset, physics, control_period, render_mode, camera)
+        EzPickle.__init__(
+            self, setup, split, data_dir, dataset, physics, control_period, render_mode, camera, rewards
+        )
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise UnknownNameError("render_mode", render_mode, RENDER_MODES)
         check_physics(physics)
@@ -105,6 +109,8 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         self.possible_agents = list(AGENTS)
         self.agents: list[str] = []
         self._camera = camera or CameraConfig()
+        self._reward_config = reward_config(rewards)
+        self._rewards: Rewards | None = None
         self._episode = Episode(physics, window=render_mode == "human")
         self._observation: Observation | None = None
         self._rng: np.random.Generator | None = None
@@ -142,6 +148,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         self._episode.reset(self.dataset.scene(self._choose_scene(self._rng, options or {})))
         self.agents = list(AGENTS)
         observations = self._observe()
+        self._rewards = Rewards(self._reward_config, self._situation())
         return observations, self._infos()
 
     def step(self, actions: dict[str, Any]) -> StepResult:
@@ -165,13 +172,14 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
             self._keep_pace(started)
         status = self._episode.status
         observations, infos = self._observe(), self._infos()
+        rewards = self._reward(status, infos)
         ended = bool(status & ~EpisodeStatus.TIMEOUT)
         timed_out = bool(status & EpisodeStatus.TIMEOUT)
         if not (ended or timed_out):
             self.agents = list(AGENTS)
         return (
             observations,
-            dict.fromkeys(AGENTS, sparse_reward(status)),
+            rewards,
             dict.fromkeys(AGENTS, ended),
             dict.fromkeys(AGENTS, timed_out),
             infos,
@@ -228,6 +236,28 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         seen = {GIVER: self._episode.observe_as_giver(self._observation), RECEIVER: self._observation}
         # Copies, so that what one agent does to its arrays stays unseen by the other.
         return {agent: {key: value.copy() for key, value in seen[agent].items()} for agent in AGENTS}
+
+    def _situation(self) -> Situation:
+        seen, episode = self._observation or {}, self._episode
+        return Situation(
+            time=float(seen["time"][0]),
+            gripper=tuple(seen["gripper_pose"][:3].tolist()),
+            item=tuple(seen["object_poses"][0, :3].tolist()),
+            grasped=episode.grasped,
+            deviation=tuple(episode.deviation[1:].tolist()),
+            held_out=episode.held_out,
+        )
+
+    def _reward(self, status: EpisodeStatus, infos: dict[str, dict[str, Any]]) -> dict[str, float]:
+        """Both agents' rewards; their terms go into the infos."""
+        now, rewards = self._situation(), self._rewards
+        if rewards is None:
+            raise ResetNeededError("no episode is running; call reset() before step()")
+        terms = {GIVER: rewards.giver(now, status), RECEIVER: rewards.receiver(now, status)}
+        rewards.go_on(now)
+        for agent in AGENTS:
+            infos[agent]["reward_terms"] = terms[agent]
+        return {agent: sum(terms[agent].values()) for agent in AGENTS}
 
     def _infos(self) -> dict[str, dict[str, Any]]:
         episode = self._episode

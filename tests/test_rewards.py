@@ -1,0 +1,101 @@
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import handover_marl
+from handover_marl.config import PandaConfig
+from handover_marl.errors import UnknownNameError
+from handover_marl.protocol.status import EpisodeStatus
+from handover_marl.rewards import SHAPED, SPARSE, Rewards, Situation, potentials, reward_config
+
+RUNNING, SUCCESS = EpisodeStatus.RUNNING, EpisodeStatus.SUCCESS
+points = st.tuples(*[st.floats(-1.0, 1.0)] * 3)
+situations = st.builds(
+    Situation,
+    time=st.just(0.0),
+    gripper=points,
+    item=points,
+    grasped=st.booleans(),
+    deviation=st.tuples(*[st.floats(-0.3, 0.3)] * 6),
+    held_out=st.booleans(),
+)
+
+
+def situation(time: float = 0.0, **changes: object) -> Situation:
+    start = Situation(time, (0.0, 0.0, 1.0), (0.3, 0.0, 1.0), False, (0.0,) * 6, False)
+    return dataclasses.replace(start, **changes)  # type: ignore[arg-type]
+
+
+def test_sparse_is_the_task_alone() -> None:
+    rewards = Rewards(SPARSE, situation())
+    later = situation(0.1, gripper=(0.2, 0.0, 1.0), grasped=True, deviation=(0.1,) * 6, held_out=True)
+    for status in (RUNNING, EpisodeStatus.HUMAN_CONTACT, EpisodeStatus.OBJECT_DROP, EpisodeStatus.TIMEOUT):
+        assert not any(rewards.receiver(later, status).values())
+        assert not any(rewards.giver(later, status).values())
+    assert sum(rewards.receiver(later, SUCCESS).values()) == sum(rewards.giver(later, SUCCESS).values()) == 1.0
+
+
+@given(st.lists(situations, min_size=2, max_size=8), st.sampled_from([SUCCESS, EpisodeStatus.HUMAN_CONTACT]))
+def test_guidance_adds_up_to_the_same_whatever_is_done(way: list[Situation], end: EpisodeStatus) -> None:
+    """The discounted sum depends on the first situation only, so that no policy gains by it."""
+    rewards = Rewards(SHAPED, way[0])
+    total = 0.0
+    for number, now in enumerate(way[1:]):
+        last = number == len(way) - 2
+        terms = rewards.receiver(now, end if last else RUNNING)
+        rewards.go_on(now)
+        total += SHAPED.gamma**number * sum(terms[name] for name in ("distance", "grasp", "goal"))
+    weights = SHAPED.receiver
+    expected = -sum(getattr(weights, name) * value for name, value in potentials(way[0]).items())
+    assert total == pytest.approx(expected, abs=1e-9)
+
+
+def test_a_cut_off_episode_keeps_its_potential() -> None:
+    rewards = Rewards(SHAPED, situation())
+    near = situation(0.1, gripper=(0.29, 0.0, 1.0))
+    assert rewards.receiver(near, EpisodeStatus.TIMEOUT) == rewards.receiver(near, RUNNING)
+
+
+def test_coming_nearer_grasping_and_carrying_are_encouraged() -> None:
+    rewards = Rewards(SHAPED, situation())
+    assert rewards.receiver(situation(gripper=(0.2, 0.0, 1.0)), RUNNING)["distance"] > 0
+    grasped = rewards.receiver(situation(grasped=True), RUNNING)
+    assert grasped["grasp"] > 0
+    assert grasped["goal"] > 0
+
+
+def test_the_givers_costs() -> None:
+    rewards = Rewards(SHAPED, situation(held_out=True))
+    terms = rewards.giver(situation(0.1, deviation=(0.05, 0, 0, 0.3, 0, 0)), RUNNING)
+    weights = SHAPED.giver
+    assert terms["effort"] == pytest.approx(weights.effort * 0.05**2 / 0.1)
+    assert terms["discomfort"] == pytest.approx(weights.discomfort * 0.15 * 0.1)
+    assert terms["waiting"] == pytest.approx(weights.waiting * 0.1)
+
+
+def test_names() -> None:
+    assert reward_config("shaped") is SHAPED
+    assert reward_config(SPARSE) is SPARSE
+    with pytest.raises(UnknownNameError, match="rewards 'dense'; valid: sparse, shaped"):
+        reward_config("dense")
+
+
+def test_the_environment_adds_up_the_terms_it_tells() -> None:
+    env = handover_marl.parallel_env(split="test", dataset="synthetic", physics="fast", rewards="shaped")
+    env.reset(seed=0, options={"scene_id": 209})
+    robot = np.array(PandaConfig().start_joints, dtype=np.float32)
+    total = {"giver": 0.0, "receiver": 0.0}
+    for number in range(30):
+        robot[0] = 0.02 * number
+        giver = np.array([0, 0.01 * number, 0, 0, 0, 0, 0, 0], dtype=np.float32)
+        _, rewards, _, _, infos = env.step({"giver": giver, "receiver": robot})
+        for agent, reward in rewards.items():
+            terms = infos[agent]["reward_terms"]
+            assert reward == pytest.approx(sum(terms.values()))
+            total[agent] += reward
+        assert set(infos["receiver"]["reward_terms"]) == {"task", "distance", "grasp", "goal", "contact", "drop"}
+    assert total["giver"] < 0
+    assert total["receiver"] != 0
