@@ -45,5 +45,6 @@ def _continued(angles: Array, previous: Array) -> Array:
     for number, (a, b, c) in enumerate(angles):
         twins = np.array([[a, b, c], [a + np.pi, np.pi - b, c + np.pi]])
         twins += 2.0 * np.pi * np.round((previous - twins) / (2.0 * np.pi))
-        previous = rows[number] = min(twins, key=lambda twin, last=previous: float(np.abs(twin - last).sum()))
+        nearer = np.argmin(np.abs(twins - previous).sum(axis=1))
+        previous = rows[number] = twins[nearer]
     return rows

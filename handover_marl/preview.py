@@ -40,4 +40,5 @@ class Preview:
 
 def _poses(positions: npt.NDArray[np.floating], angles: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
     quaternions = Rotation.from_euler("XYZ", angles.astype(np.float64)).as_quat()
-    return np.concatenate([positions, quaternions], axis=1).astype(np.float32)
+    poses: npt.NDArray[np.float32] = np.concatenate([positions, quaternions], axis=1).astype(np.float32)
+    return poses
