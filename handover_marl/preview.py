@@ -35,7 +35,8 @@ class Preview:
         return self._at(self._object, frame)
 
     def _at(self, poses: npt.NDArray[np.float32], frame: int) -> npt.NDArray[np.float32]:
-        return poses[np.minimum(frame + self._ahead, len(poses) - 1)]
+        coming: npt.NDArray[np.float32] = poses[np.minimum(frame + self._ahead, len(poses) - 1)]
+        return coming
 
 
 def _poses(positions: npt.NDArray[np.floating], angles: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
