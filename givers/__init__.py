@@ -1,16 +1,17 @@
 """Policies for the giver, the human side, by name.
 
-`replay` plays the recorded motion. Packages add their own through the entry-point group `handover_marl.givers`.
+`replay` plays the recorded motion; `hesitant`, `hurried` and `noisy` vary it; `stop_when_near`, `cooperative` and
+`withdrawing` react to the robot. Packages add their own through the entry-point group `handover_marl.givers`.
 """
 
 from typing import cast
 
 from handover_marl import registry
-from handover_marl.givers.base import Action, Giver
+from handover_marl.givers.base import Action, Giver, deviation
 
 GROUP = "handover_marl.givers"
 
-__all__ = ["Action", "Giver", "available", "make"]
+__all__ = ["Action", "Giver", "available", "deviation", "make"]
 
 
 def available() -> tuple[str, ...]:

@@ -11,6 +11,24 @@ from handover_marl.observations import Observation
 Action = npt.NDArray[np.float32]
 
 
+def deviation(
+    rate: float = 0.0,
+    displacement: npt.ArrayLike = (0.0, 0.0, 0.0),
+    rotation: npt.ArrayLike = (0.0, 0.0, 0.0),
+    release: bool = False,
+) -> Action:
+    """A giver's action from its parts; see `handover_marl.spaces.giver_action_space`.
+
+    Args:
+        rate: Playback rate less the recorded one, -1 to 1.
+        displacement: (3,) set-point of the wrist's displacement (m).
+        rotation: (3,) set-point of its rotation vector (rad).
+        release: Whether to let go now.
+    """
+    parts = [rate, *np.asarray(displacement), *np.asarray(rotation), float(release)]
+    return np.array(parts, dtype=np.float32)
+
+
 class Giver(ABC):
     """A policy for the human side.
 

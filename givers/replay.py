@@ -1,10 +1,7 @@
 """The recorded person: no deviation at all."""
 
-import numpy as np
-
-from handover_marl.givers.base import Action, Giver
+from handover_marl.givers.base import Action, Giver, deviation
 from handover_marl.observations import Observation
-from handover_marl.spaces import GIVER_ACTION_SIZE
 
 
 class ReplayGiver(Giver):
@@ -17,4 +14,4 @@ class ReplayGiver(Giver):
 
     def act(self, observation: Observation) -> Action:
         """No deviation."""
-        return np.zeros(GIVER_ACTION_SIZE, dtype=np.float32)
+        return deviation()
