@@ -217,7 +217,7 @@ def worker_table(args: Args) -> str:
     tasks = [Task(index, scene) for index, scene in enumerate(data.split("s0", "val"))]
     rows = []
     for physics in PHYSICS:
-        job = Job(data.name, args.data_dir, "yang2021", physics, "")
+        job = Job(data.name, args.data_dir, "yang2021", "replay", physics, "")
         taken = []
         for workers in args.workers:
             started = time.perf_counter()

@@ -14,8 +14,9 @@ from handover_marl.registration import register_environments
 
 if TYPE_CHECKING:
     from handover_marl.benchmarking.agreement import agreement
+    from handover_marl.benchmarking.crossplay import crossplay
     from handover_marl.benchmarking.report import Report
-    from handover_marl.benchmarking.runner import benchmark
+    from handover_marl.benchmarking.runner import benchmark, evaluate_pair
     from handover_marl.handover_env import HandoverEnv
     from handover_marl.make import env, parallel_env
     from handover_marl.protocol.status import EpisodeStatus
@@ -29,7 +30,9 @@ __all__ = [
     "agreement",
     "benchmark",
     "benchmark_env",
+    "crossplay",
     "env",
+    "evaluate_pair",
     "parallel_env",
 ]
 
@@ -41,7 +44,9 @@ _HOMES = {
     "agreement": "handover_marl.benchmarking.agreement",
     "benchmark": "handover_marl.benchmarking.runner",
     "benchmark_env": "handover_marl.views",
+    "crossplay": "handover_marl.benchmarking.crossplay",
     "env": "handover_marl.make",
+    "evaluate_pair": "handover_marl.benchmarking.runner",
     "parallel_env": "handover_marl.make",
 }
 

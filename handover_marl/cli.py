@@ -1,4 +1,4 @@
-"""The command line: handover-marl benchmark | agreement | evaluate | render."""
+"""The command line: handover-marl benchmark | agreement | crossplay | evaluate | render."""
 
 import os
 import sys
@@ -11,6 +11,7 @@ from handover_marl._version import __version__
 from handover_marl.errors import HandoverError, OptionError
 
 _Scenes = Annotated[str | None, tyro.conf.arg(metavar="N,N,...")]
+_Names = Annotated[str, tyro.conf.arg(metavar="NAME,NAME,...")]
 _Workers = Annotated[int | None, tyro.conf.arg(metavar="N")]
 _Folder = Annotated[str | None, tyro.conf.arg(metavar="DIR")]
 
@@ -91,6 +92,51 @@ def run_agreement(
             scenes=parse_scenes(scenes),
             data_dir=data_dir,
             dataset=dataset,
+            out=out,
+            workers=workers,
+        )
+    )
+
+
+@app.command(name="crossplay")
+def run_crossplay(
+    givers: _Names = "replay,cooperative,hesitant",
+    receivers: _Names = "hold,yang2021",
+    setup: str = "s0",
+    split: str = "val",
+    scenes: _Scenes = None,
+    data_dir: _Folder = None,
+    dataset: str = "auto",
+    physics: str = "exact",
+    out: _Folder = None,
+    workers: _Workers = None,
+) -> None:
+    """Play every giver with every receiver and print who gets on with whom.
+
+    Args:
+        givers: Names of givers; gains are told over the first one.
+        receivers: Names of receivers.
+        setup: Official setup: s0 seen, s1 unseen subjects, s2 unseen handedness, s3 unseen objects.
+        split: train, val or test.
+        scenes: Only these scenes, e.g. 209,214.
+        data_dir: Folder in HandoverSim's layout; default: the variable HANDOVER_MARL_DATA.
+        dataset: dexycb, synthetic, or auto: dexycb when there is a data folder, else synthetic.
+        physics: exact or fast.
+        out: Folder for all results, the tables and a picture; an interrupted run goes on there.
+        workers: Processes to play scenes in; default: one a core.
+    """
+    from handover_marl.benchmarking.crossplay import crossplay
+
+    print(
+        crossplay(
+            [name.strip() for name in givers.split(",")],
+            [name.strip() for name in receivers.split(",")],
+            setup,
+            split,
+            scenes=parse_scenes(scenes),
+            data_dir=data_dir,
+            dataset=dataset,
+            physics=physics,
             out=out,
             workers=workers,
         )

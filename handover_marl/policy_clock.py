@@ -6,6 +6,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
+from handover_marl.errors import OptionError
 from handover_marl.observations import Observation
 
 _NEVER_MS = 2**62
@@ -45,8 +46,24 @@ class PolicyClock:
     def act(self, observation: Observation) -> npt.NDArray[np.float32]:
         """The action for now, fresh or repeated."""
         now_ms = round(float(observation["time"][0]) * 1000)
-        if self._action is None or now_ms >= self.due_ms:
-            self._action = self._policy.act(observation)
-            hold_time = self._policy.hold_time
-            self.due_ms = now_ms + max(1, round(hold_time * 1000)) if math.isfinite(hold_time) else _NEVER_MS
+        if self._action is None or self.due(now_ms):
+            self._action = self.ask(observation)
         return self._action
+
+    def due(self, now_ms: int) -> bool:
+        """Whether the policy wants to be asked."""
+        return now_ms >= self.due_ms
+
+    def ask(self, observation: Observation) -> npt.NDArray[np.float32]:
+        """Ask the policy whether it is due or not.
+
+        Raises:
+            OptionError: It wants its action held for no time at all.
+        """
+        now_ms = round(float(observation["time"][0]) * 1000)
+        action = self._policy.act(observation)
+        hold_time = self._policy.hold_time
+        if not hold_time > 0.0:
+            raise OptionError(f"hold_time is {hold_time}; it must be positive (s)")
+        self.due_ms = now_ms + max(1, round(hold_time * 1000)) if math.isfinite(hold_time) else _NEVER_MS
+        return action

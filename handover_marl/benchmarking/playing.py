@@ -6,15 +6,21 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl import receivers
+from handover_marl import givers, receivers
 from handover_marl.benchmarking.episodes import EpisodeResult
-from handover_marl.config import PANDA_DOF, PhysicsConfig, ProtocolConfig
+from handover_marl.config import PANDA_DOF, ProtocolConfig
 from handover_marl.datasets import open_dataset
 from handover_marl.episode import Episode
 from handover_marl.errors import ActionError, OptionError
+from handover_marl.givers import Giver
+from handover_marl.motion import NO_DEVIATION
+from handover_marl.policy_clock import PolicyClock
 from handover_marl.receivers import Receiver
 from handover_marl.scene import Scene
-from handover_marl.spaces import check_receiver_action
+from handover_marl.spaces import check_giver_action, check_receiver_action
+
+#: The giver of official results.
+REPLAY = "replay"
 
 
 @dataclass(frozen=True)
@@ -25,6 +31,7 @@ class Job:
         dataset: Name of the dataset.
         data_dir: Its folder, or None.
         receiver: Name of the receiver.
+        giver: Name of the giver.
         physics: Kind of physics.
         machine: Where it is played, in words.
     """
@@ -32,6 +39,7 @@ class Job:
     dataset: str
     data_dir: str | None
     receiver: str
+    giver: str
     physics: str
     machine: str
 
@@ -67,6 +75,8 @@ class Player:
     def __init__(self, job: Job) -> None:
         self._dataset = open_dataset(job.dataset, job.data_dir)
         self._policy = receivers.make(job.receiver, self._dataset)
+        # The official giver is no policy: it cannot fail and takes no time.
+        self._giver = None if job.giver == REPLAY else givers.make(job.giver)
         self._episode = Episode(job.physics)
         self._machine = job.machine
 
@@ -74,9 +84,12 @@ class Player:
         """Play one scene to its end."""
         scene = self._dataset.scene(task.scene_id)
         try:
-            actions, times = play(self._episode, scene, self._policy)
+            actions, times = play(self._episode, scene, self._policy, self._giver)
         except (ActionError, OptionError) as error:
-            raise type(error)(f"receiver {self._policy.name!r} in scene {task.scene_id}: {error}") from error
+            players = f"receiver {self._policy.name!r}"
+            if self._giver is not None:
+                players += f" and giver {self._giver.name!r}"
+            raise type(error)(f"{players} in scene {task.scene_id}: {error}") from error
         info = self._episode.scene.info
         result = EpisodeResult(
             index=task.index,
@@ -100,31 +113,38 @@ class Player:
 
 
 def play(
-    episode: Episode, scene: Scene, policy: Receiver
+    episode: Episode, scene: Scene, policy: Receiver, giver: Giver | None = None
 ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float64]]:
     """Play a scene to its end.
 
+    Args:
+        episode: What it is played in.
+        scene: The scene.
+        policy: The receiver; asked when it wants to be.
+        giver: The giver, likewise; None replays the recording.
+
     Returns:
-        (T, 9) the action of every physics step, and (T,) the policy's wall-clock time at every step (s), zero
+        (T, 9) the receiver's action at every physics step, and (T,) its wall-clock time at every step (s), zero
         where it was not asked because its last action stood.
     """
     horizon = ProtocolConfig().horizon_steps
     actions, times = np.zeros((horizon, PANDA_DOF), dtype=np.float32), np.zeros(horizon)
     episode.reset(scene)
-    policy.reset(seed=scene.info.scene_id)
+    clocks = [PolicyClock(player) for player in (policy, giver) if player is not None]
+    for clock in clocks:
+        clock.reset(scene.info.scene_id)
+    robot = np.zeros(PANDA_DOF, dtype=np.float32)
+    deviation = NO_DEVIATION
     while not episode.status:
         observation, before = episode.observe(), episode.steps
-        started = time.perf_counter()
-        action = policy.act(observation)
-        times[before] = time.perf_counter() - started
-        checked = check_receiver_action(action)
-        episode.advance(checked, _hold_steps(policy, horizon))
-        actions[before : episode.steps] = checked
+        if clocks[0].due(before):
+            started = time.perf_counter()
+            action = clocks[0].ask(observation)
+            times[before] = time.perf_counter() - started
+            robot = check_receiver_action(action)
+        if giver is not None and clocks[1].due(before):
+            deviation = check_giver_action(clocks[1].ask(episode.observe_as_giver(observation)))
+        until = min(horizon, *(clock.due_ms for clock in clocks))
+        episode.advance(robot, until - before, deviation)
+        actions[before : episode.steps] = robot
     return actions[: episode.steps], times[: episode.steps]
-
-
-def _hold_steps(policy: Receiver, horizon: int) -> int:
-    hold_time = policy.hold_time
-    if not hold_time > 0.0:
-        raise OptionError(f"hold_time is {hold_time}; it must be positive (s)")
-    return max(1, round(min(hold_time / PhysicsConfig().time_step, horizon)))

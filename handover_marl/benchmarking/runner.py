@@ -1,4 +1,4 @@
-"""Running the official protocol: one episode a scene, the giver replays."""
+"""Running the official protocol, one episode a scene: with the official giver, or with any pair of policies."""
 
 import contextlib
 import operator
@@ -6,11 +6,11 @@ import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from handover_marl import receivers
+from handover_marl import givers, receivers
 from handover_marl._version import __version__
 from handover_marl.benchmarking.episodes import EpisodeResult
 from handover_marl.benchmarking.machine import describe_machine
-from handover_marl.benchmarking.playing import Job, Task
+from handover_marl.benchmarking.playing import REPLAY, Job, Task
 from handover_marl.benchmarking.progress import BenchmarkProgress
 from handover_marl.benchmarking.report import Report
 from handover_marl.benchmarking.results import ResultFolder, RunSettings
@@ -20,8 +20,6 @@ from handover_marl.datasets import Dataset, open_dataset
 from handover_marl.datasets.splits import check_setup_and_split
 from handover_marl.episode import check_physics
 from handover_marl.errors import SceneError
-
-GIVER = "replay"
 
 
 def benchmark(
@@ -62,8 +60,57 @@ def benchmark(
         OptionError: `workers` is less than one.
         WorkerError: A worker process died twice over the same scene, or the receiver failed in one.
     """
+    return evaluate_pair(
+        REPLAY,
+        receiver,
+        setup,
+        split,
+        scenes=scenes,
+        data_dir=data_dir,
+        dataset=dataset,
+        physics=physics,
+        out=out,
+        progress=progress,
+        workers=workers,
+    )
+
+
+def evaluate_pair(
+    giver: str = REPLAY,
+    receiver: str = "yang2021",
+    setup: str = "s0",
+    split: str = "test",
+    *,
+    scenes: Iterable[int] | None = None,
+    data_dir: str | os.PathLike[str] | None = None,
+    dataset: str = "auto",
+    physics: str = "exact",
+    out: str | os.PathLike[str] | None = None,
+    progress: bool = True,
+    workers: int | None = None,
+) -> Report:
+    """Let any giver and any receiver play the scenes of a split under the official rules.
+
+    Args:
+        giver: Name of a registered giver; "replay" makes it the official benchmark.
+        receiver: Name of a registered receiver.
+        setup: As in `benchmark`, and so are the others.
+        split: "train", "val" or "test".
+        scenes: Only these scenes of the split.
+        data_dir: Folder in HandoverSim's layout.
+        dataset: "dexycb", "synthetic" or "auto".
+        physics: "exact" or "fast".
+        out: Result folder.
+        progress: Whether to show a progress bar.
+        workers: Processes to play scenes in.
+
+    Raises:
+        HandoverError: As `benchmark` does; UnknownNameError also if there is no such giver, and ActionError if the
+            giver returned something that is no action.
+    """
     check_setup_and_split(setup, split)
     check_physics(physics)
+    givers.make(giver)
     data = open_dataset(dataset, data_dir)
     split_ids = data.split(setup, split)
     chosen = _choose_scenes(split_ids, scenes, f"{setup} {split}")
@@ -74,7 +121,7 @@ def benchmark(
         setup=setup,
         split=split,
         receiver=receiver,
-        giver=GIVER,
+        giver=giver,
         physics=physics,
         dataset=data.name,
         version=__version__,
@@ -82,7 +129,7 @@ def benchmark(
     folder = None if out is None else ResultFolder(Path(out).expanduser(), settings)
     tasks = [Task(split_ids.index(scene_id), scene_id) for scene_id in chosen]
     machine = f"{describe_machine()}, {min(n_workers, len(tasks))} at a time"
-    job = Job(data.name, None if data_dir is None else os.fspath(data_dir), receiver, physics, machine)
+    job = Job(data.name, None if data_dir is None else os.fspath(data_dir), receiver, giver, physics, machine)
     with BenchmarkProgress(len(tasks), shown=progress) as bar:
         results = _run(job, tasks, n_workers, folder, data, bar)
     report = Report(settings, tuple(results[task] for task in tasks), len(split_ids))

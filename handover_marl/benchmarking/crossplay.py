@@ -1,0 +1,196 @@
+"""Every giver with every receiver: who gets on with whom."""
+
+import csv
+import importlib.util
+import io
+import os
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from handover_marl import givers, receivers
+from handover_marl.benchmarking.report import FAILURES, Report
+from handover_marl.benchmarking.runner import evaluate_pair
+from handover_marl.benchmarking.tables import NO_VALUE, percent_interval, report_extent, table
+from handover_marl.datasets import open_dataset
+from handover_marl.errors import OptionError
+from handover_marl.files import write_atomically
+from handover_marl.protocol.status import EpisodeStatus
+from handover_marl.statistics import mean_interval, paired_difference, wilson_interval
+
+Pair = tuple[str, str]
+
+_FLAGS = (EpisodeStatus.SUCCESS, *FAILURES)
+
+
+@dataclass(frozen=True, eq=False)
+class CrossPlay:
+    """Reports of all pairs on the same scenes. `str(crossplay)` is the tables.
+
+    Attributes:
+        givers: Names of the givers, the rows.
+        receivers: Names of the receivers, the columns.
+        reports: Report of every (giver, receiver).
+    """
+
+    givers: tuple[str, ...]
+    receivers: tuple[str, ...]
+    reports: dict[Pair, Report]
+
+    def success_rates(self) -> list[list[float]]:
+        """Success (0..1), a row for each giver, a column for each receiver."""
+        return [
+            [self.reports[giver, receiver].success_rate for receiver in self.receivers] for giver in self.givers
+        ]
+
+    def gain(self, giver: str, receiver: str, over: str) -> tuple[float, float, float]:
+        """How much more often a receiver succeeds with one giver than with another: mean and 95 % interval (0..1).
+
+        Paired by scene, so that easy and hard scenes do not blur it.
+        """
+        first, second = (
+            [episode.success for episode in self.reports[name, receiver].episodes] for name in (giver, over)
+        )
+        return paired_difference(first, second)
+
+    def __str__(self) -> str:
+        parts = [self._heading(), self._matrix(), self._rates(), self._gains()]
+        return "\n\n".join(part for part in parts if part)
+
+    def to_csv(self) -> str:
+        """A row for every pair: rates and intervals 0..1, times in s."""
+        stream = io.StringIO()
+        writer = csv.writer(stream, lineterminator="\n")
+        names = [flag.label for flag in _FLAGS]
+        writer.writerow(
+            ["giver", "receiver", "setup", "split", "dataset", "physics", "episodes"]
+            + [f"{name}{suffix}" for name in names for suffix in ("", "_low", "_high")]
+            + ["exec_s", "plan_s"]
+        )
+        for (giver, receiver), report in self.reports.items():
+            settings, n = report.settings, len(report.episodes)
+            rates = [
+                value
+                for flag in _FLAGS
+                for value in (report.count(flag) / n, *wilson_interval(report.count(flag), n))
+            ]
+            writer.writerow(
+                [giver, receiver, settings.setup, settings.split, report.data_label(), settings.physics, n]
+                + [f"{rate:.6f}" for rate in rates]
+                + ["" if value is None else f"{value:.6f}" for value in (report.time_exec, report.time_plan)]
+            )
+        return stream.getvalue()
+
+    def _heading(self) -> str:
+        report = next(iter(self.reports.values()))
+        settings = report.settings
+        return (
+            f"Cross-play on {settings.setup} {settings.split}, {report_extent(report)}, {settings.physics} "
+            f"physics, data: {report.data_label()}. Success in percent with Wilson's 95 % interval."
+        )
+
+    def _matrix(self) -> str:
+        rows = []
+        for giver in self.givers:
+            cells = []
+            for receiver in self.receivers:
+                report = self.reports[giver, receiver]
+                n, count = len(report.episodes), report.count(EpisodeStatus.SUCCESS)
+                cells.append(f"{100 * count / n:.1f} ({percent_interval(count, n)})")
+            rows.append([giver, *cells])
+        return table(["giver \\ receiver", *self.receivers], rows)
+
+    def _rates(self) -> str:
+        rows = []
+        for (giver, receiver), report in self.reports.items():
+            n = len(report.episodes)
+            rates = [f"{100 * report.count(flag) / n:.1f}" for flag in _FLAGS]
+            interval = mean_interval(report.exec_times())
+            mean = NO_VALUE if report.time_exec is None else f"{report.time_exec:.3f}"
+            spread = "" if interval is None else f" ({interval[0]:.3f} to {interval[1]:.3f})"
+            rows.append([giver, receiver, *rates, mean + spread])
+        return table(["giver", "receiver", *(f"{flag.label} %" for flag in _FLAGS), "exec s"], rows)
+
+    def _gains(self) -> str:
+        first = self.givers[0]
+        rows = []
+        for giver in self.givers[1:]:
+            for receiver in self.receivers:
+                mean, low, high = (100 * value for value in self.gain(giver, receiver, first))
+                rows.append([giver, receiver, f"{mean:+.1f}", f"{low:+.1f} to {high:+.1f}"])
+        if not rows:
+            return ""
+        header = ["giver", "receiver", f"success over {first}, points", "95 % interval, paired by scene"]
+        return table(header, rows)
+
+
+def crossplay(
+    givers_: Sequence[str],
+    receivers_: Sequence[str],
+    setup: str = "s0",
+    split: str = "val",
+    *,
+    scenes: Iterable[int] | None = None,
+    data_dir: str | os.PathLike[str] | None = None,
+    dataset: str = "auto",
+    physics: str = "exact",
+    out: str | os.PathLike[str] | None = None,
+    progress: bool = True,
+    workers: int | None = None,
+) -> CrossPlay:
+    """Play every giver with every receiver.
+
+    Args:
+        givers_: Names of givers; gains are told over the first one.
+        receivers_: Names of receivers.
+        setup: Official setup, "s0" to "s3".
+        split: "train", "val" or "test".
+        scenes: Only these scenes of the split.
+        data_dir: Folder in HandoverSim's layout; default: the environment variable HANDOVER_MARL_DATA.
+        dataset: "dexycb", "synthetic", or "auto": DexYCB when there is a data folder, else synthetic.
+        physics: "exact" or "fast".
+        out: Folder for a result folder a pair and for `crossplay.md`, `crossplay.csv` and `crossplay.png`; an
+            interrupted run goes on there.
+        progress: Whether to show progress bars.
+        workers: Processes to play scenes in; default: one a core.
+
+    Raises:
+        OptionError: No giver or no receiver is named, or there is an `out` and no matplotlib.
+        HandoverError: As `evaluate_pair` does.
+    """
+    if not givers_ or not receivers_:
+        raise OptionError("cross-play needs at least one giver and one receiver")
+    if out is not None and importlib.util.find_spec("matplotlib") is None:
+        raise OptionError("the heat map needs matplotlib: pip install 'handover-marl[plot]'; or leave out `out`")
+    # Misspelled names come to light before the first scene.
+    for name in givers_:
+        givers.make(name)
+    for name in receivers_:
+        receivers.make(name, open_dataset(dataset, data_dir))
+    chosen = None if scenes is None else list(scenes)
+    folder = None if out is None else Path(out).expanduser()
+    reports = {
+        (giver, receiver): evaluate_pair(
+            giver,
+            receiver,
+            setup,
+            split,
+            scenes=chosen,
+            data_dir=data_dir,
+            dataset=dataset,
+            physics=physics,
+            out=None if folder is None else folder / f"{giver}-{receiver}",
+            progress=progress,
+            workers=workers,
+        )
+        for giver in givers_
+        for receiver in receivers_
+    }
+    result = CrossPlay(tuple(givers_), tuple(receivers_), reports)
+    if folder is not None:
+        from handover_marl.benchmarking.heat_map import heat_map
+
+        write_atomically(folder / "crossplay.md", f"# Cross-play\n\n{result}\n")
+        write_atomically(folder / "crossplay.csv", result.to_csv())
+        write_atomically(folder / "crossplay.png", heat_map(result))
+    return result

@@ -1,0 +1,150 @@
+"""What every giver must do, and what each is for."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from pettingzoo.test import parallel_api_test
+
+import handover_marl
+from handover_marl import givers
+from handover_marl.config import PandaConfig
+from handover_marl.datasets.synthetic import SyntheticDataset
+from handover_marl.episode import Episode
+from handover_marl.errors import UnknownNameError
+from handover_marl.givers import Giver
+from handover_marl.observations import Observation
+from handover_marl.policy_clock import PolicyClock
+from handover_marl.spaces import check_giver_action, giver_action_space
+from handover_marl.views import FrozenPartnerEnv
+
+START = np.array(PandaConfig().start_joints, dtype=np.float32)
+NAMES = givers.available()
+pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
+
+
+def seen(**changes: Any) -> Observation:
+    """An observation of a hand that holds an object out, the gripper 0.6 m away."""
+    pose = np.array([0.6, 0.3, 1.2, 0, 0, 0, 1], dtype=np.float32)
+    wrist = pose + np.float32([0, 0.1, 0, 0, 0, 0, 0])
+    observation = {
+        "time": np.float32([1.0]),
+        "gripper_pose": np.float32([0.6, -0.3, 1.2, 0, 0, 0, 1]),
+        "robot_joint_position": START,
+        "robot_joint_velocity": np.zeros(9, dtype=np.float32),
+        "object_poses": np.tile(pose, (5, 1)),
+        "hand_keypoints": np.tile(wrist[:3], (16, 1)),
+        "hand_present": np.float32([1]),
+        "released": np.float32([0]),
+        "replay_wrist_poses": np.tile(wrist, (5, 1)),
+        "replay_object_poses": np.tile(pose, (5, 1)),
+        "deviation": np.zeros(7, dtype=np.float32),
+        "holding": np.float32([1]),
+    }
+    return observation | changes
+
+
+def make(name: str, seed: int = 0) -> Giver:
+    giver = givers.make(name)
+    giver.reset(seed)
+    return giver
+
+
+def rollout(name: str, seed: int, steps: int = 40) -> list[np.ndarray]:
+    episode, clock = Episode("fast"), PolicyClock(givers.make(name))
+    episode.reset(SyntheticDataset().scene(209))
+    clock.reset(seed)
+    actions = []
+    for _ in range(steps):
+        action = clock.act(episode.observe_as_giver(episode.observe()))
+        assert giver_action_space().contains(check_giver_action(action))
+        episode.advance(START, 100, check_giver_action(action))
+        actions.append(np.concatenate([action, episode.observe()["hand_keypoints"].ravel()]))
+    return actions
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_rollouts_repeat_from_their_seed(name: str) -> None:
+    np.testing.assert_array_equal(rollout(name, 1), rollout(name, 1))
+    if name in ("hesitant", "hurried", "noisy"):
+        assert not np.array_equal(rollout(name, 1), rollout(name, 2))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_environment_takes_every_giver(name: str) -> None:
+    env = FrozenPartnerEnv("receiver", name, split="val", dataset="synthetic", physics="fast")
+    parallel_api_test(env, num_cycles=15)
+
+
+def test_unknown_names() -> None:
+    with pytest.raises(UnknownNameError, match="giver 'polite'; valid: cooperative, hesitant"):
+        handover_marl.evaluate_pair("polite", dataset="synthetic")
+
+
+def test_hesitant_people_pause_and_go_on() -> None:
+    giver = make("hesitant")
+    rates = [giver.act(seen(time=np.float32([0.1 * n])))[0] for n in range(130)]
+    assert set(rates) == {-1.0, 0.0}
+    assert 0.1 < np.mean(np.array(rates) == -1.0) < 0.6
+
+
+def test_hurried_people_are_faster_than_recorded() -> None:
+    assert all(0.4 <= make("hurried", seed).act(seen())[0] <= 1.0 for seed in range(20))
+
+
+def test_noise_has_the_size_it_says() -> None:
+    giver = make("noisy")
+    actions = np.array([giver.act(seen()) for _ in range(4000)])
+    np.testing.assert_allclose(actions[:, 1:4].std(axis=0), 0.02, rtol=0.2)
+    np.testing.assert_allclose(actions[:, 4:7].std(axis=0), 0.1, rtol=0.2)
+
+
+def test_stopping_when_near() -> None:
+    giver = make("stop_when_near")
+    assert giver.act(seen())[0] == 0.0
+    near = np.float32([0.6, 0.1, 1.2, 0, 0, 0, 1])
+    assert giver.act(seen(gripper_pose=near))[0] == -1.0
+    assert giver.act(seen())[0] == 0.0
+
+
+def test_withdrawing_from_what_comes_fast() -> None:
+    def after(closing: float) -> np.ndarray:
+        giver = make("withdrawing")
+        giver.act(seen(gripper_pose=np.float32([0.6, 0.05 - 0.1 * closing, 1.2, 0, 0, 0, 1])))
+        return giver.act(seen(gripper_pose=np.float32([0.6, 0.05, 1.2, 0, 0, 0, 1])))[1:4]
+
+    np.testing.assert_array_equal(after(0.1), np.zeros(3))
+    np.testing.assert_allclose(after(0.6), [0.0, 0.15, 0.0], atol=1e-6)
+
+
+def test_cooperation_meets_half_way_and_turns_the_object_to_the_gripper() -> None:
+    giver = make("cooperative")
+    action = giver.act(seen())
+    np.testing.assert_allclose(action[1:4], [0.0, -0.25, 0.0], atol=1e-6)
+    np.testing.assert_allclose(action[4:7], np.zeros(3), atol=1e-6)
+    # A hand beside the object swings behind it.
+    beside = np.float32([0.7, 0.3, 1.2, 0, 0, 0, 1])
+    action = make("cooperative").act(seen(replay_wrist_poses=np.tile(beside, (5, 1))))
+    np.testing.assert_allclose(action[4:7], [0.0, 0.0, 0.8], atol=1e-6)
+
+
+def test_cooperation_holds_still_once_the_gripper_is_near() -> None:
+    giver = make("cooperative")
+    first = giver.act(seen())
+    near = np.float32([0.6, 0.1, 1.2, 0, 0, 0, 1])
+    for gripper in (near, np.float32([0.5, -0.3, 1.0, 0, 0, 0, 1])):
+        np.testing.assert_array_equal(giver.act(seen(gripper_pose=gripper)), first)
+
+
+def test_cooperation_lets_go_of_what_is_held_firmly_and_draws_back() -> None:
+    giver = make("cooperative")
+    near = np.float32([0.6, 0.2, 1.2, 0, 0, 0, 1])
+    gripping = START.copy()
+    gripping[7:] = 0.02
+    releases = [
+        giver.act(seen(gripper_pose=near, robot_joint_position=gripping, time=np.float32([0.1 * n])))[7]
+        for n in range(4)
+    ]
+    assert releases == [0, 0, 1, 1]
+    away = giver.act(seen(gripper_pose=near, released=np.float32([1])))
+    assert away[2] == pytest.approx(0.15, abs=1e-6)
