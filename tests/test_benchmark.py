@@ -104,11 +104,11 @@ def test_an_interrupted_run_goes_on(fake_data: Path, tmp_path: Path, monkeypatch
     played = []
     play = playing.play
 
-    def play_once(episode: Any, scene: Any, policy: Any) -> Any:
+    def play_once(*job: Any) -> Any:
         if played:
             raise KeyboardInterrupt
-        played.append(scene.info.scene_id)
-        return play(episode, scene, policy)
+        played.append(job[1].info.scene_id)
+        return play(*job)
 
     monkeypatch.setattr(playing, "play", play_once)
     with pytest.raises(KeyboardInterrupt):

@@ -164,7 +164,9 @@ def test_keypoints_are_wrist_and_joint_origins(fake_data: Path) -> None:
 def test_infos_and_timeout(fake_data: Path) -> None:
     env = make(fake_data, control_period=1.0)
     _, infos = env.reset(options={"scene_id": 9})
-    assert infos["receiver"] == {"scene_id": 9, "status": EpisodeStatus.RUNNING, "steps": 0, "release_step": None}
+    assert infos["receiver"] == {"scene_id": 9, "status": EpisodeStatus.RUNNING, "steps": 0} | dict.fromkeys(
+        ("release_step", "release")
+    )
     while env.agents:
         _, rewards, ended, timed_out, infos = env.step(both(START))
     assert infos["giver"]["status"] is EpisodeStatus.TIMEOUT
