@@ -14,17 +14,18 @@ class CooperativeGiver(Giver):
     """Meets the robot, turns the free side of the object to it, holds still, lets go and draws back.
 
     While the recording carries the object to where it is offered, the hand swings round so that it is behind the
-    object as seen from the gripper, and comes towards the gripper. Once the gripper is near, nothing changes any
-    more. When both fingers have stopped on the object, the hand lets go; when the object has been let go, for
-    whatever reason, the hand draws back from the gripper.
+    object as seen from the gripper, and comes towards the gripper. Once it has arrived there or the gripper is
+    near, nothing changes any more: robots take best what does not move. When both fingers have stopped on the
+    object, the hand lets go; when the object has been let go, for whatever reason, the hand draws back.
     """
 
     name = "cooperative"
-    meet = 0.5  # share of the way to the gripper
+    meet = 0.3  # share of the way to the gripper
     keep_off = 0.3  # m, from gripper to object while coming nearer
     most = 0.25  # m, way of the object
-    turn = 0.8  # rad
+    turn = 0.5  # rad
     near = 0.25  # m, gripper to object; from here on hold still
+    at_rest = 0.01  # m, what the recording may still move
     firm_after = 0.2  # s that both fingers must stand on something
     withdraw = 0.15  # m
 
@@ -39,11 +40,19 @@ class CooperativeGiver(Giver):
         """Help."""
         if observation["released"][0]:
             return self._draw_back(observation)
-        gripper, item = observation["gripper_pose"][:3], observation["object_poses"][0, :3]
-        self._settled = self._settled or float(np.linalg.norm(gripper - item)) < self.near
         if not self._settled and observation["hand_present"][0]:
             self._offer(observation)
+        self._settled = self._settled or self._near(observation) or self._at_rest(observation)
         return deviation(displacement=self._shift, rotation=self._turn, release=self._firm(observation))
+
+    def _near(self, observation: Observation) -> bool:
+        gripper, item = observation["gripper_pose"][:3], observation["object_poses"][0, :3]
+        return float(np.linalg.norm(gripper - item)) < self.near
+
+    def _at_rest(self, observation: Observation) -> bool:
+        """Whether the recording has arrived where it offers the object."""
+        wrist = observation["replay_wrist_poses"][:, :3]
+        return bool(observation["holding"][0]) and float(np.abs(wrist - wrist[0]).max()) < self.at_rest
 
     def _offer(self, observation: Observation) -> None:
         """Choose where to hold the object from what the recording is about to do."""
@@ -72,9 +81,8 @@ class CooperativeGiver(Giver):
         """Whether the fingers have stood still on something for long enough."""
         now = float(observation["time"][0])
         fingers, speeds = observation["robot_joint_position"][7:], observation["robot_joint_velocity"][7:]
-        gap = np.linalg.norm(observation["gripper_pose"][:3] - observation["object_poses"][0, :3])
         still = bool((np.abs(speeds) < 2e-3).all() and (fingers > 1e-3).all() and (fingers < 0.0385).all())
-        if not (self._settled and still and gap < self.near):
+        if not (still and self._near(observation)):
             self._firm_since = None
             return False
         self._firm_since = now if self._firm_since is None else self._firm_since
