@@ -78,9 +78,10 @@ def test_errors_in_workers_come_up_here(own_data: Path) -> None:
         run(own_data, 2)
 
 
-def test_ctrl_c_stops_soon_and_leaves_no_process(fake_data: Path, tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "handover_marl.cli", "benchmark", "--split", "val", "--scenes", "9,14"]
-    command += ["--data-dir", str(fake_data), "--out", str(tmp_path / "out"), "--workers", "2"]
+def test_ctrl_c_stops_soon_and_leaves_no_process(tmp_path: Path) -> None:
+    # 36 scenes of 13 s each: it cannot end by itself in time.
+    command = [sys.executable, "-m", "handover_marl.cli", "benchmark", "--split", "val", "--receiver", "hold"]
+    command += ["--dataset", "synthetic", "--out", str(tmp_path / "out"), "--workers", "2"]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     while not (tmp_path / "out" / "config.yaml").exists():
         time.sleep(0.05)
