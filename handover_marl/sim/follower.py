@@ -29,9 +29,13 @@ class Follower:
 
     def follow(self, targets: npt.NDArray[np.float32]) -> None:
         """Work out the path for (n, d) targets; step by step, so that it does not depend on how they are cut."""
-        position = self.position
-        path = np.empty(targets.shape)
-        for row, target in enumerate(targets.astype(np.float64)):
+        position, wanted = self.position, targets.astype(np.float64)
+        if (wanted == position).all():
+            # What lies still takes no work; the recurrence would say the same.
+            self.path = wanted
+            return
+        path = np.empty(wanted.shape)
+        for row, target in enumerate(wanted):
             position = position + self._gains * (target - position)
             path[row] = position
         self.position, self.path = position, path
