@@ -21,9 +21,9 @@ class CooperativeGiver(Giver):
 
     name = "cooperative"
     meet = 0.3  # share of the way to the gripper
-    keep_off = 0.3  # m, from gripper to object while coming nearer
+    keep_off = 0.45  # m, from gripper to object while coming nearer
     most = 0.25  # m, way of the object
-    turn = 0.5  # rad
+    turn = 0.8  # rad
     near = 0.25  # m, gripper to object; from here on hold still
     at_rest = 0.01  # m, what the recording may still move
     firm_after = 0.2  # s that both fingers must stand on something
