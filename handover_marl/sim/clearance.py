@@ -20,17 +20,20 @@ MARGIN = 0.03
 class Clearance:
     """Bounds on where a Panda's links can get.
 
-    A joint goes straight for its target, a fixed share of the way in every step, so no point of the arm moves
-    further than the sum of the joints' ways times how far each joint's load reaches.
+    A joint goes straight for its target, a fixed share of the way in every step; where its motor is too weak to turn
+    it round at once, it first coasts on. So no point of the arm moves further than the sum over the joints of both,
+    times how far the joint's load reaches.
 
     Args:
         panda: The robot.
         urdf: Its model file.
         config: How its joints are driven.
+        time_step: Physics step (s).
     """
 
-    def __init__(self, panda: Panda, urdf: Path, config: PandaConfig) -> None:
+    def __init__(self, panda: Panda, urdf: Path, config: PandaConfig, time_step: float) -> None:
         self._panda = panda
+        self._time_step = time_step
         self._gain = config.motor.position_gain
         spheres = link_spheres(urdf)
         self._base = [spheres[-1]] if -1 in spheres else []
@@ -62,9 +65,11 @@ class Clearance:
             radii: (m,) the balls' radii (m).
         """
         steps = len(centers)
-        position, _ = self._panda.joint_states()
+        position, velocity = self._panda.joint_states()
         ways = np.abs(np.array(robot_target) - position) @ self._levers
-        moved = ways * (1.0 - (1.0 - self._gain) ** np.arange(1, steps + 1))
+        speed = np.abs(velocity) @ self._levers
+        count = np.arange(1, steps + 1)
+        moved = ways * (1.0 - (1.0 - self._gain) ** count) + speed * self._time_step * count
         links = compose_point(self._panda.link_poses(self._links), self._centers)
         robot = np.concatenate([links, self._base_centers])
         gaps = np.linalg.norm(centers[:, :, None] - robot, axis=-1) - self._radii

@@ -100,7 +100,9 @@ class FastWorld(World):
             self._client.stepSimulation()
             self._stage_files = files
             self._reader = ContactReader(self._client, self._stage.panda)
-            self._clearance = Clearance(self._stage.panda, assets.panda, self._config.panda)
+            self._clearance = Clearance(
+                self._stage.panda, assets.panda, self._config.panda, self._config.time_step
+            )
         return self._stage
 
     def _bring(self, scene: Scene, start: Motion) -> None:
