@@ -20,9 +20,9 @@ MARGIN = 0.03
 class Clearance:
     """Bounds on where a Panda's links can get.
 
-    A joint goes straight for its target, a fixed share of the way in every step; where its motor is too weak to turn
-    it round at once, it first coasts on. So no point of the arm moves further than the sum over the joints of both,
-    times how far the joint's load reaches.
+    A joint goes straight for its target, a fixed share of the way in every step; where its motor is too weak to
+    turn it round at once, it first coasts on. So no point of the arm moves further than the sum over the joints of
+    both ways, times how far the joint's load reaches.
 
     Args:
         panda: The robot.
