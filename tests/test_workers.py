@@ -1,3 +1,4 @@
+import functools
 import os
 import signal
 import subprocess
@@ -82,7 +83,9 @@ def test_ctrl_c_stops_soon_and_leaves_no_process(tmp_path: Path) -> None:
     # 36 scenes of 13 s each: it cannot end by itself in time.
     command = [sys.executable, "-m", "handover_marl.cli", "benchmark", "--split", "val", "--receiver", "hold"]
     command += ["--dataset", "synthetic", "--out", str(tmp_path / "out"), "--workers", "2"]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    # Tests that run in the background may have been told to ignore Ctrl-C, which children inherit.
+    listen = functools.partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, preexec_fn=listen)
     while not (tmp_path / "out" / "config.yaml").exists():
         time.sleep(0.05)
     time.sleep(1.5)
