@@ -31,7 +31,7 @@ from handover_marl.datasets import open_dataset
 from handover_marl.episode import PHYSICS, Episode
 from handover_marl.files import write_atomically
 from handover_marl.handover_env import HandoverEnv
-from handover_marl.spaces import GIVER_ACTION_SIZE
+from handover_marl.motion import NO_DEVIATION
 
 REAL_TIME = 1000  # physics steps in a second
 
@@ -267,7 +267,7 @@ def make_env(args: Args, physics: str) -> HandoverEnv:
 
 def act(env: HandoverEnv, control_steps: int) -> None:
     actions = {
-        "giver": np.zeros(GIVER_ACTION_SIZE, dtype=np.float32),
+        "giver": NO_DEVIATION,
         "receiver": np.array(PandaConfig().start_joints, dtype=np.float32),
     }
     for _ in range(control_steps):

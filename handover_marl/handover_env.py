@@ -148,7 +148,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         self._episode.reset(self.dataset.scene(self._choose_scene(self._rng, options or {})))
         self.agents = list(AGENTS)
         observations = self._observe()
-        self._rewards = Rewards(self._reward_config, self._situation())
+        self._rewards = Rewards(self._reward_config, self._situation(observations[RECEIVER]))
         return observations, self._infos()
 
     def step(self, actions: dict[str, Any]) -> StepResult:
@@ -172,7 +172,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
             self._keep_pace(started)
         status = self._episode.status
         observations, infos = self._observe(), self._infos()
-        rewards = self._reward(status, infos)
+        rewards = self._reward(observations[RECEIVER], status, infos)
         ended = bool(status & ~EpisodeStatus.TIMEOUT)
         timed_out = bool(status & EpisodeStatus.TIMEOUT)
         if not (ended or timed_out):
@@ -237,8 +237,8 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         # Copies, so that what one agent does to its arrays stays unseen by the other.
         return {agent: {key: value.copy() for key, value in seen[agent].items()} for agent in AGENTS}
 
-    def _situation(self) -> Situation:
-        seen, episode = self._observation or {}, self._episode
+    def _situation(self, seen: Observation) -> Situation:
+        episode = self._episode
         return Situation(
             time=float(seen["time"][0]),
             gripper=tuple(seen["gripper_pose"][:3].tolist()),
@@ -248,9 +248,11 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
             held_out=episode.held_out,
         )
 
-    def _reward(self, status: EpisodeStatus, infos: dict[str, dict[str, Any]]) -> dict[str, float]:
+    def _reward(
+        self, seen: Observation, status: EpisodeStatus, infos: dict[str, dict[str, Any]]
+    ) -> dict[str, float]:
         """Both agents' rewards; their terms go into the infos."""
-        now, rewards = self._situation(), self._rewards
+        now, rewards = self._situation(seen), self._rewards
         if rewards is None:
             raise ResetNeededError("no episode is running; call reset() before step()")
         terms = {GIVER: rewards.giver(now, status), RECEIVER: rewards.receiver(now, status)}

@@ -199,8 +199,8 @@ def _read(urdf: Path, changed: int) -> KinematicTree:
 def _walk(robot: ET.Element) -> Iterator[TreeJoint]:
     children: dict[str, list[ET.Element]] = {}
     for element in robot.findall("joint"):
-        children.setdefault(_attribute(element, "parent", "link"), []).append(element)
-    carried = {_attribute(element, "child", "link") for element in robot.findall("joint")}
+        children.setdefault(attribute(element, "parent", "link"), []).append(element)
+    carried = {attribute(element, "child", "link") for element in robot.findall("joint")}
     (base,) = (link.attrib["name"] for link in robot.findall("link") if link.attrib["name"] not in carried)
     yield from _descend(base, -1, children, [0])
 
@@ -209,7 +209,7 @@ def _descend(
     link: str, number: int, children: dict[str, list[ET.Element]], count: list[int]
 ) -> Iterator[TreeJoint]:
     for element in children.get(link, []):
-        child, own = _attribute(element, "child", "link"), count[0]
+        child, own = attribute(element, "child", "link"), count[0]
         count[0] += 1
         yield _joint(element, child, number)
         yield from _descend(child, own, children, count)
@@ -219,14 +219,14 @@ def _joint(element: ET.Element, link: str, parent: int) -> TreeJoint:
     kind = element.attrib["type"]
     if kind not in (*_TURNING, *_SLIDING, "fixed"):
         raise ValueError(f"a {kind} joint")
-    axis = np.array(_attribute(element, "axis", "xyz", "1 0 0").split(), dtype=np.float64)
+    axis = np.array(attribute(element, "axis", "xyz", "1 0 0").split(), dtype=np.float64)
     length = np.linalg.norm(axis)
     return TreeJoint(
         link=link,
         parent=parent,
         kind=kind,
-        offset=np.array(_attribute(element, "origin", "xyz", "0 0 0").split(), dtype=np.float64),
-        turn=euler_matrix(_attribute(element, "origin", "rpy", "0 0 0")),
+        offset=np.array(attribute(element, "origin", "xyz", "0 0 0").split(), dtype=np.float64),
+        turn=euler_matrix(attribute(element, "origin", "rpy", "0 0 0")),
         axis=axis / length if length > 0.0 else axis,
     )
 
@@ -237,7 +237,12 @@ def euler_matrix(rpy: str) -> Array:
     return matrix
 
 
-def _attribute(element: ET.Element, tag: str, name: str, default: str | None = None) -> str:
+def attribute(element: ET.Element, tag: str, name: str, default: str | None = None) -> str:
+    """An attribute of a child element, or its default.
+
+    Raises:
+        ValueError: It is not there and has no default.
+    """
     found = element.find(tag)
     value = default if found is None else found.get(name, default)
     if value is None:

@@ -17,7 +17,9 @@ from handover_marl.set_points import SetPoint
 from handover_marl.spaces import GIVER_ACTION_SIZE, GiverAction
 
 _BASE_LINK, _WRIST_LINK, _BASE_DOF = 5, 6, 6
+#: The action that replays.
 NO_DEVIATION = np.zeros(GIVER_ACTION_SIZE, dtype=np.float32)
+NO_DEVIATION.flags.writeable = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,11 +111,13 @@ class Playback:
             opening: Whether the hand opens.
         """
         wanted = GiverAction.of(action)
+        # As it is before these steps: an object that is only picked up during them must not be moved early.
+        held = self.holding
         clock = self._clock + np.cumsum(1.0 + self._rates(wanted.rate, steps))
         last = self.scene.n_frames - 1
         self._clock = float(clock[-1])
         motion = self._read(np.minimum(np.rint(clock), last).astype(int))
-        motion = self._deviate(motion, wanted, released)
+        motion = self._deviate(motion, wanted, held, released)
         if opening:
             motion = self._open(motion)
         self._last = motion
@@ -131,9 +135,9 @@ class Playback:
         self._rate = float(rates[-1])
         return rates
 
-    def _deviate(self, motion: Motion, wanted: GiverAction, released: bool) -> Motion:
-        shift = wanted.displacement if self.holding else np.zeros(3)
-        turn = wanted.rotation if self.holding else np.zeros(3)
+    def _deviate(self, motion: Motion, wanted: GiverAction, held: bool, released: bool) -> Motion:
+        shift = wanted.displacement if held else np.zeros(3)
+        turn = wanted.rotation if held else np.zeros(3)
         # Once there has been a deviation the angles may have gone round another way than the recorded ones.
         self._deviated = self._deviated or bool(shift.any() or turn.any())
         if not self._deviated:

@@ -113,6 +113,16 @@ def test_the_object_waits_where_it_lies_until_it_is_picked_up() -> None:
     assert carried.objects[-1, 0, 0] - SCENE.object_dof[played.frame, 0, 0] == pytest.approx(0.2, abs=1e-6)
 
 
+def test_a_stretch_with_the_pick_up_in_it_is_as_recorded() -> None:
+    played = playback()
+    lift = pick_up_frame(SCENE)
+    assert lift is not None
+    played.advance(lift - 50)
+    around = played.advance(100, action(shift=(0.2, 0, 0)))
+    np.testing.assert_array_equal(around.objects, SCENE.object_dof[lift - 49 : lift + 51])
+    assert played.holding
+
+
 def test_after_letting_go_the_hand_opens_and_leaves_the_object() -> None:
     played = held()
     before = played.advance(1)

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.config import PANDA_DOF, PandaConfig
+from handover_marl.config import PandaConfig
 from handover_marl.geometry import compose_point
 from handover_marl.kinematic_tree import read_tree
 from handover_marl.sim.bounds import link_spheres
@@ -36,14 +36,14 @@ class Clearance:
         self._time_step = time_step
         self._gain = config.motor.position_gain
         spheres = link_spheres(urdf)
-        self._base = [spheres[-1]] if -1 in spheres else []
+        base = [spheres[-1]] if -1 in spheres else []
         self._links = [link for link in spheres if link >= 0]
         self._centers = np.stack([spheres[link].center for link in self._links])
-        radii = [spheres[link].radius for link in self._links] + [sphere.radius for sphere in self._base]
+        radii = [spheres[link].radius for link in self._links] + [sphere.radius for sphere in base]
         self._radii = np.array(radii)
         self._base_centers = compose_point(
             np.array([*config.base_position, *config.base_orientation]),
-            np.array([sphere.center for sphere in self._base]).reshape(-1, 3),
+            np.array([sphere.center for sphere in base]).reshape(-1, 3),
         )
         tree = read_tree(urdf)
         moving = [link for link, joint in enumerate(tree.joints) if joint.kind != "fixed"]
@@ -51,8 +51,6 @@ class Clearance:
         self._levers = np.array(
             [1.0 if tree.joints[link].kind == "prismatic" else tree.reach(link, spheres) for link in moving]
         )
-        if len(moving) != PANDA_DOF:
-            raise AssertionError("the Panda's file has other joints than its body")
 
     def clear_steps(
         self, robot_target: list[float], centers: npt.NDArray[np.float64], radii: npt.NDArray[np.float64]

@@ -6,7 +6,6 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.config import ObjectConfig
-from handover_marl.geometry import poses_from_rotations
 from handover_marl.kinematic_tree import read_tree
 from handover_marl.sim.bounds import link_spheres
 from handover_marl.sim.client import BulletClient
@@ -87,8 +86,11 @@ class DormantObject:
         """(7,) its world pose after step `row`, xyz (m) and quaternion xyzw."""
         if self.body is not None:
             return self.body.pose()
-        origins, rotations = self.tree.frames(self._trail[row + 2][None])
-        return poses_from_rotations(origins[0, -1], rotations[0, -1]).astype(np.float32)
+        last = len(self.tree.joints) - 1
+        pose: npt.NDArray[np.float32] = self.tree.poses(self._trail[row + 2][None], [last])[0, 0].astype(
+            np.float32
+        )
+        return pose
 
     def remove(self) -> None:
         """Take it out of the world."""

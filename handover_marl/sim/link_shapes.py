@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from handover_marl.errors import SimulationError
 from handover_marl.geometry import compose, poses_from_rotations
-from handover_marl.kinematic_tree import KinematicTree, euler_matrix
+from handover_marl.kinematic_tree import KinematicTree, attribute, euler_matrix
 from handover_marl.sim.client import BulletClient, pybullet_error
 
 _WHITE = (1.0, 1.0, 1.0, 1.0)
@@ -116,8 +116,7 @@ def _options(client: BulletClient, element: ET.Element, folder: Path) -> dict[st
 
 
 def _origin(element: ET.Element) -> npt.NDArray[np.float64]:
-    origin = element.find("origin")
-    xyz, rpy = ("0 0 0", "0 0 0") if origin is None else (origin.get("xyz", "0 0 0"), origin.get("rpy", "0 0 0"))
+    xyz, rpy = (attribute(element, "origin", name, "0 0 0") for name in ("xyz", "rpy"))
     return poses_from_rotations(np.array(xyz.split(), dtype=np.float64), euler_matrix(rpy))
 
 
