@@ -36,7 +36,7 @@ class Giver(ABC):
     entry-point group `handover_marl.givers`.
 
     Attributes:
-        name: What results are filed under.
+        name: What it is registered under.
         control_period: How often it decides (s); a whole number of milliseconds.
     """
 
@@ -50,6 +50,11 @@ class Giver(ABC):
     @abstractmethod
     def act(self, observation: Observation) -> Action:
         """Decide on the deviation from the replay, an element of `handover_marl.spaces.giver_action_space`."""
+
+    @property
+    def label(self) -> str:
+        """What results are filed under: the name, and what else tells two apart."""
+        return self.name
 
     @property
     def hold_time(self) -> float:

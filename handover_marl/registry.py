@@ -1,6 +1,9 @@
 """Policies by name: the library's own and those that installed packages add through entry points."""
 
+import inspect
+from collections.abc import Callable
 from importlib.metadata import EntryPoint, entry_points
+from typing import Any
 
 from handover_marl.errors import OptionError, UnknownNameError
 
@@ -10,8 +13,8 @@ def available(group: str) -> tuple[str, ...]:
     return tuple(sorted({point.name for point in entry_points(group=group)}))
 
 
-def load(group: str, name: str, base: type) -> type:
-    """The class registered under `name`.
+def load(group: str, name: str, base: type) -> tuple[Callable[..., Any], str | None]:
+    """The class registered under `name`, and the file to make it from if the name is `name:FILE`.
 
     Args:
         group: Entry-point group, e.g. `handover_marl.receivers`.
@@ -20,10 +23,11 @@ def load(group: str, name: str, base: type) -> type:
 
     Raises:
         UnknownNameError: Nothing is registered under this name.
-        OptionError: What is registered cannot be imported or is no subclass of `base`.
+        OptionError: What is registered cannot be imported, is no subclass of `base`, or takes no file.
     """
     kind = group.rsplit(".", 1)[-1].removesuffix("s")
-    points = entry_points(group=group, name=name) if isinstance(name, str) else ()
+    registered, _, file = name.partition(":") if isinstance(name, str) else ("", "", "")
+    points = entry_points(group=group, name=registered) if registered else ()
     if not points:
         raise UnknownNameError(kind, name, available(group))
     point: EntryPoint = next(iter(points))
@@ -37,4 +41,6 @@ def load(group: str, name: str, base: type) -> type:
         raise OptionError(
             f"{kind} {name!r} ({point.value}) must be a subclass of {base.__module__}.{base.__name__}"
         )
-    return found
+    if file and "path" not in inspect.signature(found).parameters:
+        raise OptionError(f"{kind} {registered!r} is not made from a file; leave out ':{file}'")
+    return found, file or None

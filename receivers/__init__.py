@@ -1,6 +1,7 @@
 """Policies for the receiver, the robot side, by name.
 
-`hold` stays at the start pose; `yang2021` is the reactive baseline of HandoverSim. Packages add their own through
+`hold` stays at the start pose, `random` does anything; `yang2021` is the reactive baseline of HandoverSim;
+`learned:FILE` is a trained policy. Packages add their own through
 the entry-point group `handover_marl.receivers`.
 """
 
@@ -20,11 +21,18 @@ def available() -> tuple[str, ...]:
     return registry.available(GROUP)
 
 
-def make(name: str, dataset: Dataset) -> Receiver:
+def make(name: str, dataset: Dataset, trust: bool = False) -> Receiver:
     """A receiver by name, for the robot and objects of a dataset.
+
+    Args:
+        name: A registered name, or `learned:FILE` for a policy file.
+        dataset: Whose robot and objects.
+        trust: Whether code in such a file may run.
 
     Raises:
         UnknownNameError: No receiver of this name is registered.
+        HandoverError: The file is not there, or is no policy that may be loaded.
     """
-    kind = cast(type[Receiver], registry.load(GROUP, name, Receiver))
-    return kind(ReceiverContext(panda_urdf=dataset.panda_urdf, grasps=dataset.grasps))
+    kind, file = registry.load(GROUP, name, Receiver)
+    context = ReceiverContext(panda_urdf=dataset.panda_urdf, grasps=dataset.grasps)
+    return cast(Receiver, kind(context) if file is None else kind(context, path=file, trust=trust))

@@ -42,7 +42,7 @@ class Receiver(ABC):
     entry-point group `handover_marl.receivers`.
 
     Attributes:
-        name: What results are filed under.
+        name: What it is registered under.
         control_period: How often it decides (s); a whole number of milliseconds.
     """
 
@@ -63,6 +63,11 @@ class Receiver(ABC):
         Args:
             observation: As described in `handover_marl.observations.observation_space`.
         """
+
+    @property
+    def label(self) -> str:
+        """What results are filed under: the name, and what else tells two apart."""
+        return self.name
 
     @property
     def hold_time(self) -> float:

@@ -1,0 +1,126 @@
+"""Train a giver for a frozen receiver with Stable-Baselines3's PPO. Needs the extras `train` and `plot`.
+
+    python experiments/train_giver_sb3.py --data-dir DIR --out runs/giver
+
+One decision an episode: where and how to hold the object out (`handover_marl.learning.giver_schemes.Offer`); all
+that a person does besides is scripted. Trains on nine tenths of a training split in fast physics and looks at the
+validation split now and then. The folder gets `policy.npz` (`--givers learned:runs/giver/policy.npz`),
+`learning_curve.csv` and `.png`, TensorBoard logs, and a checkpoint: `--resume` goes on where a run was stopped.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+from stable_baselines3 import PPO
+
+from handover_marl.datasets import open_dataset
+from handover_marl.learning.policy import PolicySpec
+from handover_marl.learning.stable_baselines import Supervision, load_checkpoint, vector_env
+from handover_marl.learning.training import RunFolder, evaluate_policy, training_scenes
+
+
+@dataclass(frozen=True)
+class Args:
+    """What to train, and how.
+
+    Attributes:
+        out: Folder of the run.
+        receiver: Name of the frozen receiver.
+        setup: Official setup, s0 to s3.
+        data_dir: Folder in HandoverSim's layout; default: HANDOVER_MARL_DATA.
+        dataset: dexycb, synthetic, or auto.
+        physics: fast or exact.
+        actions: Action scheme: offer, deviation or giver.
+        control_period: How often the giver looks (s).
+        seed: Of everything.
+        steps: Decisions at most; with offer an episode is one.
+        minutes: Wall-clock time at most (min).
+        envs: Environments, a process each.
+        batch: Decisions between updates.
+        learning_rate: Of Adam.
+        spread: Standard deviation of the outputs at first.
+        discount: Of rewards, for schemes with many decisions.
+        every: Decisions between evaluations.
+        resume: Go on with the run in the folder.
+    """
+
+    out: str = "runs/giver"
+    receiver: str = "yang2021"
+    setup: str = "s0"
+    data_dir: str | None = None
+    dataset: str = "auto"
+    physics: str = "fast"
+    actions: str = "offer"
+    control_period: float = 0.1
+    seed: int = 0
+    steps: int = 12_000
+    minutes: float = 90.0
+    envs: int = 4
+    batch: int = 256
+    learning_rate: float = 1e-3
+    spread: float = 0.5
+    discount: float = 0.99
+    every: int = 1024
+    resume: bool = False
+
+
+def main(args: Args) -> None:
+    folder = RunFolder(Path(args.out), args, args.resume)
+    common = {"setup": args.setup, "data_dir": args.data_dir, "dataset": args.dataset, "physics": args.physics}
+    train = training_scenes(open_dataset(args.dataset, args.data_dir).split(args.setup, "train"))
+    envs = vector_env(
+        args.envs,
+        args.seed,
+        agent="giver",
+        partner=args.receiver,
+        actions=args.actions,
+        scenes=train,
+        split="train",
+        rewards="shaped",
+        control_period=args.control_period,
+        **common,
+    )
+    model = load_checkpoint(PPO, folder, envs) if args.resume and folder.checkpoint.exists() else make(args, envs)
+    spec = PolicySpec("giver", "giver", args.actions, args.control_period, origin=origin(args))
+    supervision = Supervision(
+        folder,
+        spec,
+        lambda policy: evaluate_policy("giver", policy, args.receiver, split="val", scenes=None, **common),
+        args.every,
+        args.minutes,
+        args.receiver,
+    )
+    model.learn(
+        args.steps - model.num_timesteps, supervision, reset_num_timesteps=False, progress_bar=True, log_interval=1
+    )
+    supervision.assess()
+    envs.close()
+    print(folder.policy)
+
+
+def make(args: Args, envs: object) -> PPO:
+    import math
+
+    return PPO(
+        "MlpPolicy",
+        envs,
+        learning_rate=args.learning_rate,
+        n_steps=args.batch // args.envs,
+        batch_size=64,
+        gamma=args.discount,
+        gae_lambda=1.0,
+        policy_kwargs={"net_arch": [64, 64], "log_std_init": math.log(args.spread)},
+        tensorboard_log=str(Path(args.out) / "tensorboard"),
+        seed=args.seed,
+        device="cpu",
+    )
+
+
+def origin(args: Args) -> str:
+    """How the policy was made, for its file."""
+    return f"experiments/train_giver_sb3.py {args}"
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Args))

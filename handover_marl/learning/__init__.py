@@ -1,0 +1,1 @@
+"""What learning needs beside the environment: features, action schemes, small networks, policy files."""

@@ -1,0 +1,120 @@
+"""Training with Stable-Baselines3: environments, export, checkpoints, evaluation. Needs the extra `train`."""
+
+import functools
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+from stable_baselines3.common.vec_env import SubprocVecEnv, VecEnv, VecMonitor
+
+from handover_marl.benchmarking.report import Report
+from handover_marl.learning.environments import LearningEnv
+from handover_marl.learning.foreign_policies import dense_network
+from handover_marl.learning.policy import PolicySpec
+from handover_marl.learning.policy_files import write_policy
+from handover_marl.learning.training import CurvePoint, RunFolder
+
+_BUFFER = "replay_buffer.pkl"
+
+
+def vector_env(n: int, seed: int, **options: Any) -> VecEnv:
+    """Learning environments in n processes, seeded; options as `LearningEnv`."""
+    envs = VecMonitor(SubprocVecEnv([functools.partial(LearningEnv, **options) for _ in range(n)]))
+    envs.seed(seed)
+    return envs
+
+
+def export(model: BaseAlgorithm, spec: PolicySpec, path: Path) -> None:
+    """Write a model's deterministic policy as a policy file (.npz).
+
+    Raises:
+        DataFormatError: It is not made of dense layers.
+        ResultsError: The file cannot be written.
+    """
+    state = {name: value.detach().cpu().numpy() for name, value in model.policy.state_dict().items()}
+    about = {"policy_kwargs": {key: str(value) for key, value in model.policy_kwargs.items()}}
+    network, squashed = dense_network(state, about, "the trained policy")
+    write_policy(path, spec, replace(network, output="tanh") if squashed else network)
+
+
+def load_checkpoint(kind: type[BaseAlgorithm], folder: RunFolder, envs: VecEnv) -> BaseAlgorithm:
+    """Go on from one's own checkpoint; never load one of a stranger, it is unpickled."""
+    model = kind.load(folder.checkpoint, env=envs, device="cpu")
+    if isinstance(model, OffPolicyAlgorithm):
+        model.load_replay_buffer(folder.path / _BUFFER)
+    return model
+
+
+class Supervision(BaseCallback):
+    """Checkpoints, exports and evaluates now and then and at the end, and stops when the time is up.
+
+    Args:
+        folder: Where everything goes.
+        spec: What the policy is.
+        evaluate: Plays scenes with an exported policy.
+        every: Decisions between evaluations.
+        minutes: Wall-clock time after which to stop (min), evaluations counted.
+        partner: Name of the other agent's policy.
+    """
+
+    def __init__(
+        self,
+        folder: RunFolder,
+        spec: PolicySpec,
+        evaluate: Callable[[Path], Report],
+        every: int,
+        minutes: float,
+        partner: str,
+    ) -> None:
+        super().__init__()
+        self._folder, self._spec, self._evaluate = folder, spec, evaluate
+        self._every, self._limit, self._partner = every, 60.0 * minutes, partner
+        self._before = folder.seconds
+        self._started = time.monotonic()
+        self._due = 0
+
+    @property
+    def seconds(self) -> float:
+        """Wall-clock time of this run, earlier sessions included (s)."""
+        return self._before + time.monotonic() - self._started
+
+    def _on_training_start(self) -> None:
+        self._due = self.num_timesteps + self._every
+        if not self._folder.points:
+            self.assess()
+
+    def _on_step(self) -> bool:
+        return self.seconds < self._limit
+
+    # Between rollouts nothing is half done, so that a checkpoint goes on where training was.
+    def _on_rollout_start(self) -> None:
+        if self.num_timesteps >= self._due:
+            self._due = self.num_timesteps + self._every
+            self.assess()
+
+    def assess(self) -> None:
+        """Export, evaluate, and save a checkpoint."""
+        folder = self._folder
+        export(self.model, self._spec, folder.policy)
+        report = self._evaluate(folder.policy)
+        point = CurvePoint.of(report, self.num_timesteps, self.seconds, self._partner)
+        folder.add(point)
+        for name in ("success", "contact", "drop", "timeout"):
+            self.logger.record(f"evaluation/{name}", getattr(point, name))
+        self.logger.dump(self.num_timesteps)
+        self._save()
+
+    def _save(self) -> None:
+        checkpoint = self._folder.checkpoint
+        temporary = checkpoint.with_suffix(".part.zip")
+        self.model.save(temporary)
+        if isinstance(self.model, OffPolicyAlgorithm):
+            part = self._folder.path / f"part.{_BUFFER}"
+            self.model.save_replay_buffer(part)
+            part.replace(self._folder.path / _BUFFER)
+        temporary.replace(checkpoint)

@@ -1,0 +1,194 @@
+"""What the training scripts share: a run's folder, its checkpoints, and evaluation on scenes not trained on.
+
+Needs the extras `train` and `plot`.
+"""
+
+import csv
+import io
+import json
+import os
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from handover_marl.benchmarking.report import Report
+from handover_marl.benchmarking.runner import evaluate_pair
+from handover_marl.errors import ResultsError
+from handover_marl.files import write_atomically
+from handover_marl.protocol.status import EpisodeStatus
+from handover_marl.statistics import wilson_interval
+
+POLICY, CHECKPOINT, CURVE = "policy.npz", "checkpoint.zip", "learning_curve"
+_ARGUMENTS = "arguments.json"
+#: Every tenth scene of a training split is kept for testing.
+HELD_OUT = 10
+
+
+def training_scenes(scene_ids: Sequence[int]) -> tuple[int, ...]:
+    """The scenes of a training split to train on: all but every tenth."""
+    return tuple(scene for number, scene in enumerate(scene_ids) if number % HELD_OUT)
+
+
+def held_out_scenes(scene_ids: Sequence[int]) -> tuple[int, ...]:
+    """Every tenth scene of a training split."""
+    return tuple(scene_ids[::HELD_OUT])
+
+
+@dataclass(frozen=True)
+class CurvePoint:
+    """One evaluation during training.
+
+    Attributes:
+        steps: Decisions that the learner has made so far.
+        seconds: Wall-clock time so far, earlier evaluations counted (s).
+        episodes: Scenes played.
+        success: Share of them that succeeded (0..1); likewise the others.
+        low: Lower end of Wilson's 95 % interval of `success`.
+        high: Its upper end.
+        contact: Robot touched person.
+        drop: Object fell.
+        timeout: 13 s without success.
+        dataset: What was played; likewise
+        physics: and
+        partner: with whom.
+    """
+
+    steps: int
+    seconds: float
+    episodes: int
+    success: float
+    low: float
+    high: float
+    contact: float
+    drop: float
+    timeout: float
+    dataset: str
+    physics: str
+    partner: str
+
+    @classmethod
+    def of(cls, report: Report, steps: int, seconds: float, partner: str) -> "CurvePoint":
+        """From a report."""
+        n = len(report.episodes)
+        low, high = wilson_interval(report.count(EpisodeStatus.SUCCESS), n)
+        return cls(
+            steps=steps,
+            seconds=seconds,
+            episodes=n,
+            success=report.success_rate,
+            low=low,
+            high=high,
+            contact=report.contact_rate,
+            drop=report.drop_rate,
+            timeout=report.timeout_rate,
+            dataset=report.settings.dataset,
+            physics=report.settings.physics,
+            partner=partner,
+        )
+
+
+class RunFolder:
+    """Where a training run keeps what it makes: arguments, checkpoint, policy, learning curve, TensorBoard logs.
+
+    Args:
+        path: The folder.
+        arguments: What is run; a run goes on only under the same.
+        resume: Whether to go on with the run that is there.
+
+    Raises:
+        ResultsError: There is another run, or one that was not to be resumed, or the folder cannot be made.
+    """
+
+    #: Arguments that may differ when a run goes on: how long, where the data are, on how many cores.
+    FREE = ("resume", "out", "data_dir", "workers", "steps", "minutes", "rounds")
+
+    def __init__(self, path: Path, arguments: object, resume: bool) -> None:
+        self.path = path
+        kept = {key: value for key, value in vars(arguments).items() if key not in self.FREE}
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ResultsError(f"cannot make {path}: {error.strerror or error}") from error
+        known = path / _ARGUMENTS
+        if known.exists():
+            self._check(json.loads(known.read_text()), json.loads(json.dumps(kept)), resume)
+        write_atomically(known, json.dumps(kept, indent=1))
+        self.points = self._read_curve() if resume else []
+
+    def _check(self, found: dict[str, Any], wanted: dict[str, Any], resume: bool) -> None:
+        if not resume:
+            raise ResultsError(f"{self.path} holds a run; pass --resume to go on with it, or another --out")
+        different = [key for key in found.keys() | wanted.keys() if found.get(key) != wanted.get(key)]
+        if different:
+            raise ResultsError(
+                f"{self.path} holds a run with other arguments ({', '.join(sorted(different))}); use them again "
+                "or choose another --out"
+            )
+
+    @property
+    def policy(self) -> Path:
+        """The exported policy."""
+        return self.path / POLICY
+
+    @property
+    def checkpoint(self) -> Path:
+        """What training goes on from."""
+        return self.path / CHECKPOINT
+
+    @property
+    def seconds(self) -> float:
+        """Training time up to the last evaluation (s)."""
+        return self.points[-1].seconds if self.points else 0.0
+
+    def add(self, point: CurvePoint) -> None:
+        """Note an evaluation and draw the learning curve anew."""
+        self.points.append(point)
+        stream = io.StringIO()
+        writer = csv.DictWriter(stream, [part.name for part in fields(CurvePoint)], lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(asdict(point) for point in self.points)
+        write_atomically(self.path / f"{CURVE}.csv", stream.getvalue())
+        from handover_marl.learning.curve import draw_curve
+
+        write_atomically(self.path / f"{CURVE}.png", draw_curve(self.points))
+
+    def _read_curve(self) -> list[CurvePoint]:
+        path = self.path / f"{CURVE}.csv"
+        if not path.exists():
+            return []
+        with path.open(newline="") as stream:
+            rows = list(csv.DictReader(stream))
+        return [_point(row) for row in rows]
+
+
+def _point(row: dict[str, str]) -> CurvePoint:
+    words = {"dataset", "physics", "partner"}
+    numbers = {
+        key: int(row[key]) if key in ("steps", "episodes") else float(row[key]) for key in row.keys() - words
+    }
+    return CurvePoint(**numbers, **{key: row[key] for key in words})  # type: ignore[arg-type]
+
+
+def evaluate_policy(
+    agent: str,
+    policy: str | os.PathLike[str],
+    partner: str,
+    *,
+    split: str,
+    scenes: Sequence[int] | None,
+    **options: Any,
+) -> Report:
+    """Play scenes with an exported policy and its frozen partner.
+
+    Args:
+        agent: Whose policy it is, "giver" or "receiver".
+        policy: The file.
+        partner: Name of the other one's policy.
+        split: Split of the scenes.
+        scenes: Only these, or all.
+        options: As `evaluate_pair`.
+    """
+    name = f"learned:{os.fspath(policy)}"
+    pair = (name, partner) if agent == "giver" else (partner, name)
+    return evaluate_pair(*pair, split=split, scenes=scenes, progress=False, **options)
