@@ -36,6 +36,7 @@ class Args:
         seed: Of everything.
         steps: Decisions at most; with offer an episode is one.
         minutes: Wall-clock time at most (min).
+        time_limit: Episodes in training are cut off after so long (s).
         envs: Environments, a process each.
         batch: Decisions between updates.
         learning_rate: Of Adam.
@@ -55,8 +56,9 @@ class Args:
     control_period: float = 0.1
     seed: int = 0
     steps: int = 12_000
-    minutes: float = 90.0
-    envs: int = 4
+    minutes: float = 60.0
+    time_limit: float = 7.0
+    envs: int = 8
     batch: int = 256
     learning_rate: float = 1e-3
     spread: float = 0.5
@@ -79,6 +81,7 @@ def main(args: Args) -> None:
         split="train",
         rewards="shaped",
         control_period=args.control_period,
+        time_limit=args.time_limit,
         **common,
     )
     model = load_checkpoint(PPO, folder, envs) if args.resume and folder.checkpoint.exists() else make(args, envs)

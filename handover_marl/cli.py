@@ -29,19 +29,21 @@ def run_benchmark(
     physics: str = "exact",
     out: _Folder = None,
     workers: _Workers = None,
+    trust: bool = False,
 ) -> None:
     """Run HandoverSim's official protocol and print its table.
 
     Args:
         setup: Official setup: s0 seen, s1 unseen subjects, s2 unseen handedness, s3 unseen objects.
         split: train, val or test.
-        receiver: Name of the receiver, e.g. yang2021 or hold.
+        receiver: Name of the receiver, e.g. yang2021, hold, or learned:FILE.
         scenes: Only these scenes, e.g. 209,214.
         data_dir: Folder in HandoverSim's layout; default: the variable HANDOVER_MARL_DATA.
         dataset: dexycb, synthetic, or auto: dexycb when there is a data folder, else synthetic.
         physics: exact, as official results are, or fast.
         out: Folder for official result files and reports; an interrupted run goes on there.
         workers: Processes to play scenes in; default: one a core. Outcomes do not depend on it.
+        trust: Let code in a policy file (learned:FILE) run.
     """
     from handover_marl.benchmarking.runner import benchmark
 
@@ -55,6 +57,7 @@ def run_benchmark(
         physics=physics,
         out=out,
         workers=workers,
+        trust=trust,
     )
     print(report)
 
@@ -110,12 +113,13 @@ def run_crossplay(
     physics: str = "exact",
     out: _Folder = None,
     workers: _Workers = None,
+    trust: bool = False,
 ) -> None:
     """Play every giver with every receiver and print who gets on with whom.
 
     Args:
-        givers: Names of givers; gains are told over the first one.
-        receivers: Names of receivers.
+        givers: Names of givers, or learned:FILE; gains are told over the first one.
+        receivers: Names of receivers, or learned:FILE.
         setup: Official setup: s0 seen, s1 unseen subjects, s2 unseen handedness, s3 unseen objects.
         split: train, val or test.
         scenes: Only these scenes, e.g. 209,214.
@@ -124,6 +128,7 @@ def run_crossplay(
         physics: exact or fast.
         out: Folder for all results, the tables and a picture; an interrupted run goes on there.
         workers: Processes to play scenes in; default: one a core.
+        trust: Let code in policy files (learned:FILE) run.
     """
     from handover_marl.benchmarking.crossplay import crossplay
 
@@ -139,6 +144,7 @@ def run_crossplay(
             physics=physics,
             out=out,
             workers=workers,
+            trust=trust,
         )
     )
 

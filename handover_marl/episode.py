@@ -17,6 +17,7 @@ from handover_marl.sim.exact_world import ExactWorld
 from handover_marl.sim.fast_world import FastWorld
 from handover_marl.sim.world import World
 from handover_marl.spaces import GiverAction
+from handover_marl.track import Recorder
 
 #: The kinds of physics and the worlds that have them.
 WORLDS: dict[str, type[World]] = {"exact": ExactWorld, "fast": FastWorld}
@@ -64,9 +65,16 @@ class Episode:
         self._preview: Preview | None = None
         self._contacts = Contacts()
         self._referee = Referee(self._protocol_config)
+        self._recorder: Recorder | None = None
 
-    def reset(self, scene: Scene) -> None:
-        """Go to the start of a scene."""
+    def reset(self, scene: Scene, recorder: Recorder | None = None) -> None:
+        """Go to the start of a scene.
+
+        Args:
+            scene: What is played.
+            recorder: Takes note of the motion for metrics, or None.
+        """
+        self._recorder = recorder
         if self._world is None:
             self._world = WORLDS[self._physics](self._physics_config, self._window)
         self._playback = self._preview = None
@@ -107,10 +115,18 @@ class Episode:
             world.step(robot_target)
             released_before = referee.released
             self._contacts = world.contacts(released_before)
-            if referee.update(self._contacts):
+            ended = referee.update(self._contacts)
+            if self._recorder is not None:
+                self._record(self._recorder)
+            if ended:
                 break
             if referee.released and not released_before:
                 world.release_target()
+
+    def _record(self, recorder: Recorder) -> None:
+        recorder.touch(self._contacts)
+        if recorder.due(self.steps):
+            recorder.sample(self.world.state(), self.steps)
 
     def observe(self) -> Observation:
         """What the agents see now."""

@@ -9,6 +9,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from handover_marl import givers, receivers
+from handover_marl.benchmarking.fluency_tables import (
+    FLUENCY_NOTE,
+    METRICS,
+    fluency_averages,
+    fluency_header,
+    fluency_row,
+)
 from handover_marl.benchmarking.report import FAILURES, Report
 from handover_marl.benchmarking.runner import evaluate_pair
 from handover_marl.benchmarking.tables import NO_VALUE, percent_interval, report_extent, table
@@ -54,21 +61,22 @@ class CrossPlay:
         return paired_difference(first, second)
 
     def __str__(self) -> str:
-        parts = [self._heading(), self._matrix(), self._rates(), self._gains()]
+        parts = [self._heading(), self._matrix(), self._rates(), self._gains(), self._fluency()]
         return "\n\n".join(part for part in parts if part)
 
     def to_csv(self) -> str:
-        """A row for every pair: rates and intervals 0..1, times in s."""
+        """A row for every pair: rates and intervals 0..1, times in s, fluency in the units of `Fluency`."""
         stream = io.StringIO()
         writer = csv.writer(stream, lineterminator="\n")
         names = [flag.label for flag in _FLAGS]
         writer.writerow(
             ["giver", "receiver", "setup", "split", "dataset", "physics", "episodes"]
             + [f"{name}{suffix}" for name in names for suffix in ("", "_low", "_high")]
-            + ["exec_s", "plan_s"]
+            + ["exec_s", "plan_s", *(metric.key for metric in METRICS)]
         )
         for (giver, receiver), report in self.reports.items():
             settings, n = report.settings, len(report.episodes)
+            averages = fluency_averages(report.episodes)
             rates = [
                 value
                 for flag in _FLAGS
@@ -77,7 +85,8 @@ class CrossPlay:
             writer.writerow(
                 [giver, receiver, settings.setup, settings.split, report.data_label(), settings.physics, n]
                 + [f"{rate:.6f}" for rate in rates]
-                + ["" if value is None else f"{value:.6f}" for value in (report.time_exec, report.time_plan)]
+                + [_number(value) for value in (report.time_exec, report.time_plan)]
+                + [_number(averages[metric.key].mean if averages else None) for metric in METRICS]
             )
         return stream.getvalue()
 
@@ -123,6 +132,14 @@ class CrossPlay:
         header = ["giver", "receiver", f"success over {first}, points", "95 % interval, paired by scene"]
         return table(header, rows)
 
+    def _fluency(self) -> str:
+        rows = [[*pair, *fluency_row(report.episodes)] for pair, report in self.reports.items()]
+        return table(["giver", "receiver", *fluency_header()], rows) + f"\n\n{FLUENCY_NOTE}"
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None else f"{value:.6f}"
+
 
 def crossplay(
     givers_: Sequence[str],
@@ -137,12 +154,13 @@ def crossplay(
     out: str | os.PathLike[str] | None = None,
     progress: bool = True,
     workers: int | None = None,
+    trust: bool = False,
 ) -> CrossPlay:
     """Play every giver with every receiver.
 
     Args:
-        givers_: Names of givers; gains are told over the first one.
-        receivers_: Names of receivers.
+        givers_: Names of givers or `learned:FILE`; gains are told over the first one.
+        receivers_: Names of receivers or `learned:FILE`.
         setup: Official setup, "s0" to "s3".
         split: "train", "val" or "test".
         scenes: Only these scenes of the split.
@@ -153,6 +171,7 @@ def crossplay(
             interrupted run goes on there.
         progress: Whether to show progress bars.
         workers: Processes to play scenes in; default: one a core.
+        trust: Whether code in policy files (`learned:FILE`) may run.
 
     Raises:
         OptionError: No giver or no receiver is named, or there is an `out` and no matplotlib.
@@ -163,14 +182,13 @@ def crossplay(
     if out is not None and importlib.util.find_spec("matplotlib") is None:
         raise OptionError("the heat map needs matplotlib: pip install 'handover-marl[plot]'; or leave out `out`")
     # Misspelled names come to light before the first scene.
-    for name in givers_:
-        givers.make(name)
-    for name in receivers_:
-        receivers.make(name, open_dataset(dataset, data_dir))
+    data = open_dataset(dataset, data_dir)
+    giver_labels = {name: givers.make(name, trust).label for name in givers_}
+    receiver_labels = {name: receivers.make(name, data, trust).label for name in receivers_}
     chosen = None if scenes is None else list(scenes)
     folder = None if out is None else Path(out).expanduser()
     reports = {
-        (giver, receiver): evaluate_pair(
+        (giver_labels[giver], receiver_labels[receiver]): evaluate_pair(
             giver,
             receiver,
             setup,
@@ -179,14 +197,15 @@ def crossplay(
             data_dir=data_dir,
             dataset=dataset,
             physics=physics,
-            out=None if folder is None else folder / f"{giver}-{receiver}",
+            out=None if folder is None else folder / f"{giver_labels[giver]}-{receiver_labels[receiver]}",
             progress=progress,
             workers=workers,
+            trust=trust,
         )
-        for giver in givers_
-        for receiver in receivers_
+        for giver in giver_labels
+        for receiver in receiver_labels
     }
-    result = CrossPlay(tuple(givers_), tuple(receivers_), reports)
+    result = CrossPlay(tuple(giver_labels.values()), tuple(receiver_labels.values()), reports)
     if folder is not None:
         from handover_marl.benchmarking.heat_map import heat_map
 

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from handover_marl.fluency import Fluency
 from handover_marl.protocol.status import EpisodeStatus
 
 
@@ -22,6 +23,7 @@ class EpisodeResult:
         n_objects: Objects on the table, or None if unknown.
         fingerprint: Hash of the scene's data files, or None if unknown.
         machine: Where `plan_time` was measured, or None if unknown.
+        fluency: Metrics beyond the official ones, or None if unknown.
     """
 
     index: int
@@ -36,6 +38,7 @@ class EpisodeResult:
     n_objects: int | None = None
     fingerprint: str | None = None
     machine: str | None = None
+    fluency: Fluency | None = None
 
     @property
     def success(self) -> bool:

@@ -12,12 +12,14 @@ from handover_marl.config import PANDA_DOF, ProtocolConfig
 from handover_marl.datasets import open_dataset
 from handover_marl.episode import Episode
 from handover_marl.errors import ActionError, OptionError
+from handover_marl.fluency import fluency
 from handover_marl.givers import Giver
 from handover_marl.motion import NO_DEVIATION
 from handover_marl.policy_clock import PolicyClock
 from handover_marl.receivers import Receiver
 from handover_marl.scene import Scene
 from handover_marl.spaces import check_giver_action, check_receiver_action
+from handover_marl.track import Recorder
 
 #: The giver of official results.
 REPLAY = "replay"
@@ -34,6 +36,7 @@ class Job:
         giver: Name of the giver.
         physics: Kind of physics.
         machine: Where it is played, in words.
+        trust: Whether code in policy files may run.
     """
 
     dataset: str
@@ -42,6 +45,7 @@ class Job:
     giver: str
     physics: str
     machine: str
+    trust: bool = False
 
 
 @dataclass(frozen=True)
@@ -74,9 +78,9 @@ class Player:
 
     def __init__(self, job: Job) -> None:
         self._dataset = open_dataset(job.dataset, job.data_dir)
-        self._policy = receivers.make(job.receiver, self._dataset)
+        self._policy = receivers.make(job.receiver, self._dataset, job.trust)
         # The official giver is no policy: it cannot fail and takes no time.
-        self._giver = None if job.giver == REPLAY else givers.make(job.giver)
+        self._giver = None if job.giver == REPLAY else givers.make(job.giver, job.trust)
         self._episode = Episode(job.physics)
         self._machine = job.machine
 
@@ -84,26 +88,29 @@ class Player:
         """Play one scene to its end."""
         scene = self._dataset.scene(task.scene_id)
         try:
-            actions, times = play(self._episode, scene, self._policy, self._giver)
+            recorder = Recorder(scene)
+            actions, times = play(self._episode, scene, self._policy, self._giver, recorder)
         except (ActionError, OptionError) as error:
             players = f"receiver {self._policy.name!r}"
             if self._giver is not None:
                 players += f" and giver {self._giver.name!r}"
             raise type(error)(f"{players} in scene {task.scene_id}: {error}") from error
-        info = self._episode.scene.info
+        episode, info = self._episode, scene.info
+        track = recorder.finish(episode.world.state(), episode.steps, episode.release_step)
         result = EpisodeResult(
             index=task.index,
-            status=self._episode.status,
-            steps=self._episode.steps,
+            status=episode.status,
+            steps=episode.steps,
             plan_time=float(times.sum()),
             scene_id=task.scene_id,
-            release_step=self._episode.release_step,
+            release_step=episode.release_step,
             object_name=info.target_name,
             subject=info.subject,
             side=info.side,
             n_objects=len(info.object_ids),
             fingerprint=self._dataset.fingerprint(task.scene_id),
             machine=self._machine,
+            fluency=fluency(track),
         )
         return Played(task, result, actions, times)
 
@@ -113,7 +120,11 @@ class Player:
 
 
 def play(
-    episode: Episode, scene: Scene, policy: Receiver, giver: Giver | None = None
+    episode: Episode,
+    scene: Scene,
+    policy: Receiver,
+    giver: Giver | None = None,
+    recorder: Recorder | None = None,
 ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float64]]:
     """Play a scene to its end.
 
@@ -122,6 +133,7 @@ def play(
         scene: The scene.
         policy: The receiver; asked when it wants to be.
         giver: The giver, likewise; None replays the recording.
+        recorder: Takes note of the motion, or None.
 
     Returns:
         (T, 9) the receiver's action at every physics step, and (T,) its wall-clock time at every step (s), zero
@@ -129,7 +141,7 @@ def play(
     """
     horizon = ProtocolConfig().horizon_steps
     actions, times = np.zeros((horizon, PANDA_DOF), dtype=np.float32), np.zeros(horizon)
-    episode.reset(scene)
+    episode.reset(scene, recorder)
     clocks = [PolicyClock(player) for player in (policy, giver) if player is not None]
     for clock in clocks:
         clock.reset(scene.info.scene_id)

@@ -5,6 +5,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from handover_marl.benchmarking.episodes import EpisodeResult
+from handover_marl.benchmarking.fluency_tables import fluency_averages
 from handover_marl.benchmarking.results import RunSettings
 from handover_marl.config import PhysicsConfig
 from handover_marl.protocol.status import EpisodeStatus
@@ -119,6 +120,7 @@ class Report:
                 "plan": {"mean": self.time_plan, "interval_95": mean_interval(self.plan_times())},
                 "total": {"mean": self.time_total},
             },
+            "fluency": {key: asdict(value) for key, value in fluency_averages(self.episodes).items()},
             "episodes": [
                 {**asdict(episode), "status": int(episode.status), "outcome": episode.status.label}
                 for episode in self.episodes

@@ -6,7 +6,8 @@ the status flags. Files written here hold the rest of an `EpisodeResult` besides
 
 import io
 import re
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from handover_marl.config import PhysicsConfig, ProtocolConfig
 from handover_marl.datasets.splits import SETUPS, SPLITS
 from handover_marl.errors import ResultsError
 from handover_marl.files import write_atomically
+from handover_marl.fluency import Fluency
 from handover_marl.protocol.status import EpisodeStatus
 
 CONFIG_FILE = "config.yaml"
@@ -34,6 +36,7 @@ _EXTRAS = {
     "fingerprint": str,
     "machine": str,
 }
+_FLUENCY = "fluency_"
 
 
 @dataclass(frozen=True)
@@ -123,6 +126,7 @@ class ResultFolder:
             "elapsed_frame": np.int64(result.steps),
             "result": np.int64(result.status),
             **{key: np.array(value) for key in _EXTRAS if (value := getattr(result, key)) is not None},
+            **_fluency_arrays(result.fluency),
         }
         stream = io.BytesIO()
         np.savez_compressed(stream, **arrays)
@@ -185,6 +189,7 @@ def _read_result(path: Path) -> EpisodeResult:
             status, steps = int(archive["result"]), int(archive["elapsed_frame"])
             plan_time = float(np.sum(archive["elapsed_time"]))
             extras = {key: _extra(key, archive[key]) for key in _EXTRAS if key in archive}
+            extras["fluency"] = _read_fluency(archive)
     except Exception as error:  # what NumPy and zipfile raise on damaged bytes has no end
         raise ResultsError(
             f"{path}: no readable result file ({type(error).__name__}: {error}); delete it and run the scene again"
@@ -205,6 +210,23 @@ def _extra(key: str, array: npt.NDArray[Any]) -> Any:
     if type(value) is not _EXTRAS[key]:
         raise TypeError(f"{key} is {value!r}, expected {_EXTRAS[key].__name__}")
     return value
+
+
+def _fluency_arrays(fluency: Fluency | None) -> dict[str, npt.NDArray[np.float64]]:
+    """A number for each metric, NaN where there is none."""
+    if fluency is None:
+        return {}
+    values = asdict(fluency).items()
+    return {
+        _FLUENCY + key: np.array(np.nan if value is None else value, dtype=np.float64) for key, value in values
+    }
+
+
+def _read_fluency(archive: Mapping[str, npt.NDArray[Any]]) -> Fluency | None:
+    if _FLUENCY + fields(Fluency)[0].name not in archive:
+        return None
+    values = {part.name: float(archive[_FLUENCY + part.name]) for part in fields(Fluency)}
+    return Fluency(**{key: None if np.isnan(value) else value for key, value in values.items()})  # type: ignore[arg-type]
 
 
 def _check_same_run(path: Path, found: RunSettings, wanted: RunSettings) -> None:

@@ -34,6 +34,7 @@ def benchmark(
     out: str | os.PathLike[str] | None = None,
     progress: bool = True,
     workers: int | None = None,
+    trust: bool = False,
 ) -> Report:
     """Run HandoverSim's official protocol and report its metrics.
 
@@ -50,6 +51,7 @@ def benchmark(
         workers: Processes to play scenes in; default: one a core. Outcomes do not depend on it; planning times are
             wall clock and may, when processes share cores, so that the number is told with them.
         progress: Whether to show a progress bar and a row for every scene, on stderr.
+        trust: Whether code in a policy file (`learned:FILE`) may run.
 
     Raises:
         UnknownNameError: No such setup, split, dataset, physics or receiver.
@@ -72,6 +74,7 @@ def benchmark(
         out=out,
         progress=progress,
         workers=workers,
+        trust=trust,
     )
 
 
@@ -88,12 +91,13 @@ def evaluate_pair(
     out: str | os.PathLike[str] | None = None,
     progress: bool = True,
     workers: int | None = None,
+    trust: bool = False,
 ) -> Report:
     """Let any giver and any receiver play the scenes of a split under the official rules.
 
     Args:
-        giver: Name of a registered giver; "replay" makes it the official benchmark.
-        receiver: Name of a registered receiver.
+        giver: Name of a registered giver, or `learned:FILE`; "replay" makes it the official benchmark.
+        receiver: Name of a registered receiver, or `learned:FILE`.
         setup: As in `benchmark`, and so are the others.
         split: "train", "val" or "test".
         scenes: Only these scenes of the split.
@@ -103,6 +107,7 @@ def evaluate_pair(
         out: Result folder.
         progress: Whether to show a progress bar.
         workers: Processes to play scenes in.
+        trust: Whether code in policy files may run.
 
     Raises:
         HandoverError: As `benchmark` does; UnknownNameError also if there is no such giver, and ActionError if the
@@ -110,18 +115,18 @@ def evaluate_pair(
     """
     check_setup_and_split(setup, split)
     check_physics(physics)
-    givers.make(giver)
+    giver_label = givers.make(giver, trust).label
     data = open_dataset(dataset, data_dir)
     split_ids = data.split(setup, split)
     chosen = _choose_scenes(split_ids, scenes, f"{setup} {split}")
-    receivers.make(receiver, data)
+    receiver_label = receivers.make(receiver, data, trust).label
     n_workers = check_workers(workers)
     data.check_scenes(chosen)
     settings = RunSettings(
         setup=setup,
         split=split,
-        receiver=receiver,
-        giver=giver,
+        receiver=receiver_label,
+        giver=giver_label,
         physics=physics,
         dataset=data.name,
         version=__version__,
@@ -129,7 +134,15 @@ def evaluate_pair(
     folder = None if out is None else ResultFolder(Path(out).expanduser(), settings)
     tasks = [Task(split_ids.index(scene_id), scene_id) for scene_id in chosen]
     machine = f"{describe_machine()}, {min(n_workers, len(tasks))} at a time"
-    job = Job(data.name, None if data_dir is None else os.fspath(data_dir), receiver, giver, physics, machine)
+    job = Job(
+        dataset=data.name,
+        data_dir=None if data_dir is None else os.fspath(data_dir),
+        receiver=receiver,
+        giver=giver,
+        physics=physics,
+        machine=machine,
+        trust=trust,
+    )
     with BenchmarkProgress(len(tasks), shown=progress) as bar:
         results = _run(job, tasks, n_workers, folder, data, bar)
     report = Report(settings, tuple(results[task] for task in tasks), len(split_ids))

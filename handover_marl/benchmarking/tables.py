@@ -5,6 +5,12 @@ from collections.abc import Iterable, Sequence
 from tabulate import tabulate
 
 from handover_marl.benchmarking.episodes import EpisodeResult
+from handover_marl.benchmarking.fluency_tables import (
+    FLUENCY_NOTE,
+    fluency_averages,
+    fluency_header,
+    fluency_row,
+)
 from handover_marl.benchmarking.published import PUBLISHED, PublishedRow
 from handover_marl.benchmarking.report import FAILURES, Report
 from handover_marl.protocol.status import EpisodeStatus
@@ -17,8 +23,9 @@ _RATES = (EpisodeStatus.SUCCESS, *FAILURES)
 
 
 def report_text(report: Report) -> str:
-    """Heading, official table, per-object breakdown."""
-    return "\n\n".join([heading(report), official_table(report), object_table(report), _notes(report)])
+    """Heading, official table, per-object breakdown, metrics beyond the official ones."""
+    parts = [heading(report), official_table(report), object_table(report), _notes(report), fluency_table(report)]
+    return "\n\n".join(part for part in parts if part)
 
 
 def report_markdown(report: Report) -> str:
@@ -67,6 +74,15 @@ def object_table(report: Report) -> str:
         rows.append([name, len(episodes), *counts, f"{100 * counts[0] / len(episodes):.1f}", interval])
     header = ["object", "scenes", "success", "contact", "drop", "timeout", "success %", "95 % interval"]
     return table(header, rows)
+
+
+def fluency_table(report: Report) -> str:
+    """Metrics beyond the official ones, a row each; nothing where none were recorded."""
+    if not fluency_averages(report.episodes):
+        return ""
+    cells = zip(fluency_header(), fluency_row(report.episodes), strict=True)
+    rows = [[name, *cell.removesuffix(")").split(" (")] for name, cell in cells]
+    return table(["beyond the official metrics", "mean", "95 % interval"], rows) + f"\n\n{FLUENCY_NOTE}"
 
 
 def scene_table(episodes: Iterable[EpisodeResult]) -> str:

@@ -41,6 +41,7 @@ class LearningEnv(gymnasium.Env[Any, Any], EzPickle):
         actions: Name of the action scheme; default: "cartesian_delta" for a receiver, "deviation" for a giver.
         observe: Name of the features; default: the agent's own.
         scenes: Only these scenes of the split.
+        time_limit: Episodes are cut off after so long (s), to learn from more of them.
         options: As `HandoverEnv`.
 
     Raises:
@@ -57,20 +58,20 @@ class LearningEnv(gymnasium.Env[Any, Any], EzPickle):
         actions: str | None = None,
         observe: str | None = None,
         scenes: Iterable[int] | None = None,
+        time_limit: float = 13.0,
         **options: Any,
     ) -> None:
-        EzPickle.__init__(self, agent, partner, actions, observe, scenes, **options)
+        EzPickle.__init__(self, agent, partner, actions, observe, scenes, time_limit, **options)
         self.env = SingleAgentEnv(agent, partner, **options)
         world = self.env.view.env
         self.agent = agent
         self.features_name, self.scheme_name = observe or FEATURES[agent], actions or SCHEMES[agent]
         self.scene_ids = chosen_scenes(scenes, world)
         self.render_mode, self.metadata = self.env.render_mode, self.env.metadata
-        self.observation_space, self.action_space = learning_spaces(
-            agent, self.features_name, self.scheme_name
-        )
+        self.observation_space, self.action_space = learning_spaces(agent, self.features_name, self.scheme_name)
         self._features = features(self.features_name)
         self._scheme = make_scheme(agent, self.scheme_name, world.dataset.panda_urdf)
+        self._time_limit = time_limit
         self._seen: Observation | None = None
 
     def reset(
@@ -120,7 +121,8 @@ class LearningEnv(gymnasium.Env[Any, Any], EzPickle):
     def _once(self) -> tuple[float, bool, bool, dict[str, Any]]:
         action = self._scheme.action(self._observed)
         self._seen, reward, ended, timed_out, info = self.env.step(action)
-        return reward, ended, timed_out, info
+        late = float(self._seen["time"][0]) >= self._time_limit
+        return reward, ended, timed_out or (late and not ended), info
 
     @property
     def _observed(self) -> Observation:

@@ -21,6 +21,7 @@ class Contacts(NamedTuple):
         object_height: World z of the target object's origin (m). Only looked at when the robot touches the
             object and after release; so is
         gripper_position: World position of the Panda's hand link (m).
+        robot_object_force: Sum of the normal forces between Panda and target object (N); no rule asks for it.
     """
 
     robot_hand: bool = False
@@ -29,6 +30,7 @@ class Contacts(NamedTuple):
     object_supported: bool = False
     object_height: float = float("inf")
     gripper_position: tuple[float, float, float] = (float("inf"),) * 3
+    robot_object_force: float = 0.0
 
     @property
     def both_fingers(self) -> bool:

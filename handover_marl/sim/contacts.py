@@ -53,6 +53,7 @@ class ContactReader:
             object_supported=bool(supports) and self._supported(target, supports),
             object_height=float(target.pose()[2]),
             gripper_position=(x, y, z),
+            robot_object_force=sum(point[_NORMAL_FORCE] for point in points),
         )
 
     def _supported(self, target: Object, supports: Collection[int]) -> bool:
