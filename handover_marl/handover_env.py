@@ -36,9 +36,10 @@ from handover_marl.config import CameraConfig, PhysicsConfig
 from handover_marl.datasets import open_dataset
 from handover_marl.episode import Episode, check_physics
 from handover_marl.errors import ActionError, OptionError, ResetNeededError, SceneError, UnknownNameError
+from handover_marl.geometry import compose_point
 from handover_marl.observations import Observation, giver_observation_space, observation_space
 from handover_marl.protocol.status import EpisodeStatus
-from handover_marl.rewards import RewardConfig, Rewards, Situation, reward_config
+from handover_marl.rewards import FINGERTIPS, RewardConfig, Rewards, Situation, reward_config
 from handover_marl.spaces import (
     check_giver_action,
     check_receiver_action,
@@ -242,6 +243,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         return Situation(
             time=float(seen["time"][0]),
             gripper=tuple(seen["gripper_pose"][:3].tolist()),
+            fingertips=tuple(compose_point(seen["gripper_pose"], FINGERTIPS).tolist()),
             item=tuple(seen["object_poses"][0, :3].tolist()),
             grasped=episode.grasped,
             deviation=tuple(episode.deviation[1:].tolist()),

@@ -20,10 +20,10 @@ class ReceiverWeights:
 
     Attributes:
         task: 1 in the step that completes the handover.
-        distance: Guidance; the potential is minus the distance of hand link and object (m) until it is grasped.
+        distance: Guidance; the potential is 1 less the distance (m) of the middle between the fingertips and the
+            object's origin, and 1 while it is grasped.
         grasp: Guidance; the potential is 1 while both fingers are on the object.
-        goal: Guidance; the potential is minus the distance of hand link and goal (m) while grasped, else as if it
-            were 2 m.
+        goal: Guidance; the potential is 1 less the distance of hand link and goal (m) while grasped, else 0.
         contact: 1 in the step in which the robot touches the person.
         drop: 1 in the step in which the object is dropped.
     """
@@ -74,13 +74,14 @@ class RewardConfig:
 
 SPARSE = RewardConfig()
 SHAPED = RewardConfig(
-    receiver=ReceiverWeights(distance=0.5, grasp=0.5, goal=0.5, contact=-0.5, drop=-0.5),
+    # The task outweighs what ends with the guidance.
+    receiver=ReceiverWeights(task=3.0, distance=0.5, grasp=0.5, goal=0.5, contact=-0.5, drop=-0.5),
     giver=GiverWeights(effort=-0.05, discomfort=-0.02, waiting=-0.02, contact=-0.5, drop=-0.5),
 )
 REWARDS = {"sparse": SPARSE, "shaped": SHAPED}
 
-# A hand link is never farther from the goal than this (m).
-_FARTHEST = 2.0
+#: The middle between the fingertips in the Panda's hand link (m).
+FINGERTIPS = (0.0, 0.0, 0.1034)
 
 
 def reward_config(chosen: str | RewardConfig) -> RewardConfig:
@@ -103,6 +104,7 @@ class Situation:
     Attributes:
         time: Since the start (s).
         gripper: (3,) position of the Panda's hand link (m).
+        fingertips: (3,) the middle between its fingertips (m).
         item: (3,) position of the object (m).
         grasped: Whether both fingers are on it.
         deviation: (6,) the giver's wrist displacement (m) and rotation vector (rad).
@@ -111,6 +113,7 @@ class Situation:
 
     time: float
     gripper: tuple[float, ...]
+    fingertips: tuple[float, ...]
     item: tuple[float, ...]
     grasped: bool
     deviation: tuple[float, ...]
@@ -159,9 +162,9 @@ def potentials(situation: Situation) -> dict[str, float]:
     """The potentials of guidance."""
     goal = ProtocolConfig().goal_center
     return {
-        "distance": 0.0 if situation.grasped else -math.dist(situation.gripper, situation.item),
+        "distance": 1.0 if situation.grasped else 1.0 - math.dist(situation.fingertips, situation.item),
         "grasp": float(situation.grasped),
-        "goal": -(math.dist(situation.gripper, goal) if situation.grasped else _FARTHEST),
+        "goal": 1.0 - math.dist(situation.gripper, goal) if situation.grasped else 0.0,
     }
 
 

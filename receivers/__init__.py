@@ -13,12 +13,17 @@ from handover_marl.receivers.base import WAITING_JOINTS, Action, Receiver, Recei
 
 GROUP = "handover_marl.receivers"
 
-__all__ = ["WAITING_JOINTS", "Action", "Receiver", "ReceiverContext", "available", "make"]
+__all__ = ["WAITING_JOINTS", "Action", "Receiver", "ReceiverContext", "available", "context_of", "make"]
 
 
 def available() -> tuple[str, ...]:
     """Names of the receivers that can be made."""
     return registry.available(GROUP)
+
+
+def context_of(dataset: Dataset) -> ReceiverContext:
+    """What receivers may know of a dataset."""
+    return ReceiverContext(panda_urdf=dataset.panda_urdf, grasps=dataset.grasps)
 
 
 def make(name: str, dataset: Dataset, trust: bool = False) -> Receiver:
@@ -34,5 +39,5 @@ def make(name: str, dataset: Dataset, trust: bool = False) -> Receiver:
         HandoverError: The file is not there, or is no policy that may be loaded.
     """
     kind, file = registry.load(GROUP, name, Receiver)
-    context = ReceiverContext(panda_urdf=dataset.panda_urdf, grasps=dataset.grasps)
+    context = context_of(dataset)
     return cast(Receiver, kind(context) if file is None else kind(context, path=file, trust=trust))

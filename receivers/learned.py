@@ -32,7 +32,7 @@ class LearnedReceiver(Receiver):
             raise OptionError("receiver 'learned' needs a policy file: learned:FILE, see experiments/")
         found = read_policy(Path(path).expanduser(), "receiver", trust)
         self._label = f"{self.name}:{found.label}"
-        self._policy = LearnedPolicy(found.spec, found.function, context.panda_urdf)
+        self._policy = LearnedPolicy(found.spec, found.function, context)
 
     @property
     def label(self) -> str:

@@ -12,11 +12,11 @@ from enum import Enum, auto
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.datasets.ycb import CLASS_NAMES
 from handover_marl.errors import ResetNeededError
-from handover_marl.geometry import compose, poses_from_matrices, rotation_angle
+from handover_marl.geometry import compose, rotation_angle
 from handover_marl.observations import Observation
 from handover_marl.receivers.base import WAITING_JOINTS, Action, Receiver, ReceiverContext
+from handover_marl.receivers.grasps import ObjectGrasps
 from handover_marl.sim.kinematics import ARM_JOINTS, PandaKinematics
 
 Pose = npt.NDArray[np.float64]
@@ -32,7 +32,6 @@ class YangConfig:
         wait_time: How long to stay at the waiting pose.
         decision_period: Time between decisions while approaching.
         close_time: How long the fingers close.
-        gripper_from_hand: Pose of the hand link in the grasp files' gripper frame.
         standoff: Pose of the standoff in the hand link's frame at the grasp.
         preferred_pose: World pose of the hand that standoffs are drawn to.
         rotation_weight: Weight of rotations against squared distances.
@@ -48,7 +47,6 @@ class YangConfig:
     wait_time: float = 3.0
     decision_period: float = 0.1
     close_time: float = 0.5
-    gripper_from_hand: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.7071068, -0.7071068)
     standoff: tuple[float, ...] = (0.0, 0.0, -0.2, 0.0, 0.0, 0.0, 1.0)
     preferred_pose: tuple[float, ...] = (
         *(0.6914180, -0.4314530, 1.5511079),
@@ -114,7 +112,7 @@ class Yang2021Receiver(Receiver):
         super().__init__(context)
         self.config = config or YangConfig()
         self._kinematics: PandaKinematics | None = None
-        self._grippers: dict[str, Pose | None] = {}
+        self._grasps = ObjectGrasps(context.grasps)
         self._memory = Memory()
 
     def reset(self, seed: int | None = None) -> None:
@@ -163,7 +161,7 @@ class Yang2021Receiver(Receiver):
         return self._towards_grasp(observation, self._memory.approach.grasp)
 
     def _to_standoff(self, observation: Observation) -> npt.NDArray[np.floating]:
-        grasps = self._world_grasps(observation)
+        grasps = self._grasps.in_world(observation)
         if grasps is None:
             return _arm(observation)
         standoffs = compose(grasps, np.array(self.config.standoff))
@@ -192,23 +190,6 @@ class Yang2021Receiver(Receiver):
         goal = self.context.protocol.goal_center
         arm = self._solver().solve(observation["robot_joint_position"], goal)
         return _arm(observation) if arm is None else arm
-
-    def _world_grasps(self, observation: Observation) -> Pose | None:
-        """(n, 7) world poses of the hand link at the target object's grasps, or None if it has none."""
-        grippers = self._gripper_poses(CLASS_NAMES[int(observation["object_classes"][0])])
-        if grippers is None:
-            return None
-        world_from_gripper = compose(observation["object_poses"][0], grippers)
-        return compose(world_from_gripper, np.array(self.config.gripper_from_hand))
-
-    def _gripper_poses(self, object_name: str) -> Pose | None:
-        if object_name not in self._grippers:
-            transforms = self.context.grasps(object_name)
-            if transforms is None or len(transforms) == 0:
-                self._grippers[object_name] = None
-            else:
-                self._grippers[object_name] = poses_from_matrices(transforms)
-        return self._grippers[object_name]
 
     def _costs(self, standoffs: Pose, hand: npt.NDArray[np.float32]) -> npt.NDArray[np.float64]:
         reference = hand if self._memory.reference is None else self._memory.reference

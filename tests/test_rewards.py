@@ -17,6 +17,7 @@ situations = st.builds(
     Situation,
     time=st.just(0.0),
     gripper=points,
+    fingertips=points,
     item=points,
     grasped=st.booleans(),
     deviation=st.tuples(*[st.floats(-0.3, 0.3)] * 6),
@@ -25,7 +26,7 @@ situations = st.builds(
 
 
 def situation(time: float = 0.0, **changes: object) -> Situation:
-    start = Situation(time, (0.0, 0.0, 1.0), (0.3, 0.0, 1.0), False, (0.0,) * 6, False)
+    start = Situation(time, (0.0, 0.0, 1.0), (0.1, 0.0, 1.0), (0.3, 0.0, 1.0), False, (0.0,) * 6, False)
     return dataclasses.replace(start, **changes)  # type: ignore[arg-type]
 
 
@@ -55,13 +56,13 @@ def test_guidance_adds_up_to_the_same_whatever_is_done(way: list[Situation], end
 
 def test_a_cut_off_episode_keeps_its_potential() -> None:
     rewards = Rewards(SHAPED, situation())
-    near = situation(0.1, gripper=(0.29, 0.0, 1.0))
+    near = situation(0.1, fingertips=(0.29, 0.0, 1.0))
     assert rewards.receiver(near, EpisodeStatus.TIMEOUT) == rewards.receiver(near, RUNNING)
 
 
 def test_coming_nearer_grasping_and_carrying_are_encouraged() -> None:
     rewards = Rewards(SHAPED, situation())
-    assert rewards.receiver(situation(gripper=(0.2, 0.0, 1.0)), RUNNING)["distance"] > 0
+    assert rewards.receiver(situation(fingertips=(0.2, 0.0, 1.0)), RUNNING)["distance"] > 0
     grasped = rewards.receiver(situation(grasped=True), RUNNING)
     assert grasped["grasp"] > 0
     assert grasped["goal"] > 0

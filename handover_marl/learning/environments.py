@@ -16,9 +16,10 @@ from pettingzoo import ParallelEnv
 
 from handover_marl.errors import OptionError, ResetNeededError, SceneError
 from handover_marl.handover_env import AGENTS, HandoverEnv
-from handover_marl.learning.features import features, n_features
+from handover_marl.learning.observing import make_features, n_features
 from handover_marl.learning.schemes import make_scheme, scheme_size
 from handover_marl.observations import Observation
+from handover_marl.receivers import context_of
 from handover_marl.views import SingleAgentEnv
 
 Vector = npt.NDArray[np.float32]
@@ -69,8 +70,9 @@ class LearningEnv(gymnasium.Env[Any, Any], EzPickle):
         self.scene_ids = chosen_scenes(scenes, world)
         self.render_mode, self.metadata = self.env.render_mode, self.env.metadata
         self.observation_space, self.action_space = learning_spaces(agent, self.features_name, self.scheme_name)
-        self._features = features(self.features_name)
-        self._scheme = make_scheme(agent, self.scheme_name, world.dataset.panda_urdf)
+        context = context_of(world.dataset)
+        self._features = make_features(agent, self.features_name, context)
+        self._scheme = make_scheme(agent, self.scheme_name, context)
         self._time_limit = time_limit
         self._seen: Observation | None = None
 
@@ -160,9 +162,9 @@ class LearningParallelEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         self.scene_ids = chosen_scenes(scenes, self.env)
         self.render_mode = self.env.render_mode
         self.features_names, self.scheme_names = FEATURES | (observe or {}), SCHEMES | (actions or {})
-        urdf = self.env.dataset.panda_urdf
-        self._features = {agent: features(self.features_names[agent]) for agent in AGENTS}
-        self._schemes = {agent: make_scheme(agent, self.scheme_names[agent], urdf) for agent in AGENTS}
+        context = context_of(self.env.dataset)
+        self._features = {agent: make_features(agent, self.features_names[agent], context) for agent in AGENTS}
+        self._schemes = {agent: make_scheme(agent, self.scheme_names[agent], context) for agent in AGENTS}
         self._spaces = {
             agent: learning_spaces(agent, self.features_names[agent], self.scheme_names[agent]) for agent in AGENTS
         }
@@ -223,7 +225,7 @@ class LearningParallelEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
 def learning_spaces(agent: str, features_name: str, scheme_name: str) -> tuple[spaces.Box, spaces.Box]:
     """Spaces of an agent's features and outputs."""
     size = scheme_size(agent, scheme_name)
-    seen = spaces.Box(-np.inf, np.inf, (n_features(features_name),), np.float32)
+    seen = spaces.Box(-np.inf, np.inf, (n_features(agent, features_name),), np.float32)
     return seen, spaces.Box(-1.0, 1.0, (size,), np.float32)
 
 

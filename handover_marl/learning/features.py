@@ -4,8 +4,6 @@ Positions are in decimetres relative to what matters to the agent, so that numbe
 not learn the world frame by heart.
 """
 
-from collections.abc import Callable
-
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
@@ -13,10 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from handover_marl.config import ProtocolConfig
 from handover_marl.datasets.ycb import CLASS_NAMES
-from handover_marl.errors import UnknownNameError
 from handover_marl.observations import Observation, giver_observation_space, observation_space
 
-Features = Callable[[Observation], npt.NDArray[np.float32]]
 Array = npt.NDArray[np.float64]
 
 _SCALE = 10.0
@@ -101,23 +97,6 @@ def flat_receiver_features(observation: Observation) -> npt.NDArray[np.float32]:
     return _flattened(_RECEIVER_SPACE, observation)
 
 
-def features(name: str) -> Features:
-    """Features by name.
-
-    Raises:
-        UnknownNameError: There are none of that name.
-    """
-    if name not in FEATURES:
-        raise UnknownNameError("features", name, FEATURES)
-    return FEATURES[name][0]
-
-
-def n_features(name: str) -> int:
-    """How many numbers these features are."""
-    features(name)
-    return FEATURES[name][1]
-
-
 def _one_hot(observation: Observation) -> npt.NDArray[np.float32]:
     hot = np.zeros(_HIGHEST_CLASS, dtype=np.float32)
     hot[int(observation["object_classes"][0]) - 1] = 1.0
@@ -129,11 +108,3 @@ def _flattened(space: spaces.Dict, observation: Observation) -> npt.NDArray[np.f
 
 
 _GIVER_SPACE, _RECEIVER_SPACE = giver_observation_space(), observation_space()
-
-#: Name, function and size of all features.
-FEATURES: dict[str, tuple[Features, int]] = {
-    "giver": (giver_features, 18 + _HIGHEST_CLASS),
-    "receiver": (receiver_features, 35 + _HIGHEST_CLASS),
-    "flat_giver": (flat_giver_features, spaces.flatdim(_GIVER_SPACE)),
-    "flat_receiver": (flat_receiver_features, spaces.flatdim(_RECEIVER_SPACE)),
-}

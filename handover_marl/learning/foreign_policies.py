@@ -19,8 +19,8 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from handover_marl.errors import DataFormatError, OptionError, UnsafeFileError
-from handover_marl.learning.features import n_features
 from handover_marl.learning.network import Network
+from handover_marl.learning.observing import n_features
 from handover_marl.learning.policy import Function
 from handover_marl.spaces import giver_action_space, receiver_action_space
 
@@ -71,7 +71,7 @@ def read_stable_baselines(path: Path, content: bytes, agent: str, trust: bool) -
     state, about = _read_zip(path, content)
     network, squashed = dense_network(state, about, str(path))
     space = _SPACES[agent]()
-    wanted = (n_features(f"flat_{agent}"), space.shape[0])
+    wanted = (n_features(agent, f"flat_{agent}"), space.shape[0])
     if (network.n_inputs, network.n_outputs) != wanted:
         raise DataFormatError(
             f"{path}: the policy takes {network.n_inputs} numbers and gives {network.n_outputs}, a {agent}'s "
@@ -122,7 +122,7 @@ def read_torch_script(path: Path, content: bytes, agent: str, trust: bool) -> Fu
             "export the policy as .npz"
         )
     torch = _torch()
-    n_inputs, n_outputs = n_features(f"flat_{agent}"), _SPACES[agent]().shape[0]
+    n_inputs, n_outputs = n_features(agent, f"flat_{agent}"), _SPACES[agent]().shape[0]
     try:
         module = torch.jit.load(io.BytesIO(content), map_location="cpu").eval()
         with torch.no_grad():

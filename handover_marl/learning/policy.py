@@ -1,16 +1,16 @@
 """A learned policy: features of an observation, a function of them, and what its outputs mean as an action."""
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from handover_marl.errors import DataFormatError
-from handover_marl.learning.features import features, n_features
+from handover_marl.learning.observing import make_features, n_features
 from handover_marl.learning.schemes import make_scheme, scheme_size
 from handover_marl.observations import Observation
+from handover_marl.receivers.base import ReceiverContext
 
 
 class Function(Protocol):
@@ -34,7 +34,7 @@ class PolicySpec:
 
     Attributes:
         agent: "giver" or "receiver".
-        features: What it sees, a name in `handover_marl.learning.features`.
+        features: What it sees, a name in `handover_marl.learning.observing`.
         actions: What its outputs mean, a name in `handover_marl.learning.schemes`.
         control_period: How often it is asked (s).
         origin: How it was made: command, seed, budget; for people.
@@ -53,23 +53,23 @@ class LearnedPolicy:
     Args:
         spec: How it is used.
         function: From features to outputs.
-        panda_urdf: Model of the robot; only a receiver's schemes need it.
+        context: The robot and the objects' grasps; only receivers have one.
 
     Raises:
         UnknownNameError: There are no such features or actions.
         DataFormatError: The function takes or gives another number of values.
     """
 
-    def __init__(self, spec: PolicySpec, function: Function, panda_urdf: Path | None = None) -> None:
-        wanted = (n_features(spec.features), scheme_size(spec.agent, spec.actions))
+    def __init__(self, spec: PolicySpec, function: Function, context: ReceiverContext | None = None) -> None:
+        wanted = (n_features(spec.agent, spec.features), scheme_size(spec.agent, spec.actions))
         if (function.n_inputs, function.n_outputs) != wanted:
             raise DataFormatError(
                 f"the policy takes {function.n_inputs} numbers and gives {function.n_outputs}; features "
                 f"{spec.features!r} are {wanted[0]} and actions {spec.actions!r} are {wanted[1]}"
             )
         self.spec = spec
-        self._features = features(spec.features)
-        self._scheme = make_scheme(spec.agent, spec.actions, panda_urdf)
+        self._features = make_features(spec.agent, spec.features, context)
+        self._scheme = make_scheme(spec.agent, spec.actions, context)
         self._function = function
 
     def reset(self) -> None:

@@ -1,0 +1,127 @@
+"""Train a receiver from scratch with Stable-Baselines3's SAC, the giver frozen. Needs extras `train` and `plot`.
+
+    python experiments/train_receiver_sb3.py --data-dir DIR --out runs/receiver
+
+Moves the gripper in its own frame (`handover_marl.learning.receiver_schemes.CartesianDelta`), with shaped rewards
+and fast physics, on nine tenths of a training split, and looks at the validation split now and then. The folder
+gets `policy.npz` (`--receivers learned:runs/receiver/policy.npz`), `learning_curve.csv` and `.png`, TensorBoard
+logs, and a checkpoint: `--resume` goes on where a run was stopped.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+import tyro
+from stable_baselines3 import SAC
+from stable_baselines3.common.vec_env import VecEnv
+
+from handover_marl.datasets import open_dataset
+from handover_marl.learning.policy import PolicySpec
+from handover_marl.learning.stable_baselines import Supervision, load_checkpoint, vector_env
+from handover_marl.learning.training import RunFolder, evaluate_policy, training_scenes
+
+
+@dataclass(frozen=True)
+class Args:
+    """What to train, and how.
+
+    Attributes:
+        out: Folder of the run.
+        giver: Name of the frozen giver.
+        setup: Official setup, s0 to s3.
+        data_dir: Folder in HandoverSim's layout; default: HANDOVER_MARL_DATA.
+        dataset: dexycb, synthetic, or auto.
+        physics: fast or exact.
+        observe: Features: grasp, receiver or flat_receiver.
+        actions: Action scheme: cartesian_delta, joint_delta, joints or receiver.
+        control_period: How long an action stands (s).
+        seed: Of everything.
+        steps: Decisions at most.
+        minutes: Wall-clock time at most (min).
+        time_limit: Episodes in training are cut off after so long (s).
+        envs: Environments, a process each.
+        updates: Gradient steps for every decision.
+        learning_rate: Of Adam.
+        discount: Of rewards.
+        every: Decisions between evaluations.
+        resume: Go on with the run in the folder.
+    """
+
+    out: str = "runs/receiver"
+    giver: str = "cooperative"
+    setup: str = "s0"
+    data_dir: str | None = None
+    dataset: str = "auto"
+    physics: str = "fast"
+    observe: str = "grasp"
+    actions: str = "cartesian_delta"
+    control_period: float = 0.2
+    seed: int = 0
+    steps: int = 500_000
+    minutes: float = 28.0
+    time_limit: float = 8.0
+    envs: int = 6
+    updates: float = 1.0
+    learning_rate: float = 7e-4
+    discount: float = 0.96
+    every: int = 20_000
+    resume: bool = False
+
+
+def main(args: Args) -> None:
+    torch.set_num_threads(1)
+    folder = RunFolder(Path(args.out), args, args.resume)
+    common = {"setup": args.setup, "data_dir": args.data_dir, "dataset": args.dataset, "physics": args.physics}
+    train = training_scenes(open_dataset(args.dataset, args.data_dir).split(args.setup, "train"))
+    envs = vector_env(
+        args.envs,
+        args.seed,
+        agent="receiver",
+        partner=args.giver,
+        actions=args.actions,
+        observe=args.observe,
+        scenes=train,
+        split="train",
+        rewards="shaped",
+        control_period=args.control_period,
+        time_limit=args.time_limit,
+        **common,
+    )
+    model = load_checkpoint(SAC, folder, envs) if args.resume and folder.checkpoint.exists() else make(args, envs)
+    origin = f"experiments/train_receiver_sb3.py {args}"
+    supervision = Supervision(
+        folder,
+        PolicySpec("receiver", args.observe, args.actions, args.control_period, origin),
+        lambda policy: evaluate_policy("receiver", policy, args.giver, split="val", **common),
+        args.every,
+        args.minutes,
+        args.giver,
+    )
+    left = max(0, args.steps - model.num_timesteps)
+    model.learn(left, supervision, reset_num_timesteps=False, progress_bar=True, log_interval=20)
+    supervision.assess()
+    envs.close()
+    print(folder.policy)
+
+
+def make(args: Args, envs: VecEnv) -> SAC:
+    return SAC(
+        "MlpPolicy",
+        envs,
+        learning_rate=args.learning_rate,
+        buffer_size=300_000,
+        learning_starts=2_000,
+        batch_size=256,
+        gamma=args.discount,
+        train_freq=8,
+        gradient_steps=max(1, round(8 * args.envs * args.updates)),
+        policy_kwargs={"net_arch": [256, 256]},
+        tensorboard_log=str(Path(args.out) / "tensorboard"),
+        seed=args.seed,
+        device="cpu",
+    )
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Args))
