@@ -3,18 +3,23 @@
     python experiments/train_giver_sb3.py --data-dir DIR --out runs/giver
 
 One decision an episode: where and how to hold the object out (`handover_marl.learning.giver_schemes.Offer`); all
-that a person does besides is scripted. Trains on nine tenths of a training split in fast physics and looks at the
+that a person does besides is scripted. Starts from what `cooperative` would decide (`--teacher ''` for from
+scratch), and trains on nine tenths of a training split in fast physics and looks at the
 validation split now and then. The folder gets `policy.npz` (`--givers learned:runs/giver/policy.npz`),
 `learning_curve.csv` and `.png`, TensorBoard logs, and a checkpoint: `--resume` goes on where a run was stopped.
 """
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
 import tyro
 from stable_baselines3 import PPO
+from stable_baselines3.common.vec_env import VecEnv
 
 from handover_marl.datasets import open_dataset
+from handover_marl.learning.environments import LearningEnv
+from handover_marl.learning.imitation import imitate
 from handover_marl.learning.policy import PolicySpec
 from handover_marl.learning.stable_baselines import Supervision, load_checkpoint, vector_env
 from handover_marl.learning.training import RunFolder, evaluate_policy, training_scenes
@@ -40,6 +45,10 @@ class Args:
         envs: Environments, a process each.
         batch: Decisions between updates.
         learning_rate: Of Adam.
+        epochs: Passes over a batch.
+        teacher: Giver to imitate at first, or nothing.
+        demonstrations: Its decisions to learn from.
+        passes: Over them.
         spread: Standard deviation of the outputs at first.
         discount: Of rewards, for schemes with many decisions.
         every: Decisions between evaluations.
@@ -59,9 +68,13 @@ class Args:
     minutes: float = 60.0
     time_limit: float = 7.0
     envs: int = 8
-    batch: int = 256
-    learning_rate: float = 1e-3
-    spread: float = 0.5
+    batch: int = 512
+    learning_rate: float = 3e-4
+    epochs: int = 4
+    teacher: str = "cooperative"
+    demonstrations: int = 648
+    passes: int = 300
+    spread: float = 0.25
     discount: float = 0.99
     every: int = 1024
     resume: bool = False
@@ -71,25 +84,35 @@ def main(args: Args) -> None:
     folder = RunFolder(Path(args.out), args, args.resume)
     common = {"setup": args.setup, "data_dir": args.data_dir, "dataset": args.dataset, "physics": args.physics}
     train = training_scenes(open_dataset(args.dataset, args.data_dir).split(args.setup, "train"))
-    envs = vector_env(
-        args.envs,
-        args.seed,
-        agent="giver",
-        partner=args.receiver,
-        actions=args.actions,
-        scenes=train,
-        split="train",
-        rewards="shaped",
-        control_period=args.control_period,
-        time_limit=args.time_limit,
-        **common,
+    options = common | {
+        "agent": "giver",
+        "partner": args.receiver,
+        "actions": args.actions,
+        "scenes": train,
+        "split": "train",
+        "rewards": "shaped",
+        "control_period": args.control_period,
+        "time_limit": args.time_limit,
+    }
+    envs = vector_env(args.envs, args.seed, **options)
+    if args.resume and folder.checkpoint.exists():
+        model = load_checkpoint(PPO, folder, envs)
+    else:
+        model = make(args, envs)
+        if args.teacher:
+            env = LearningEnv(**options)
+            left = imitate(
+                model, env, args.teacher, episodes=args.demonstrations, epochs=args.passes, seed=args.seed
+            )
+            print(f"outputs differ from {args.teacher}'s by {left:.3f} (root mean square)")
+            env.close()
+    spec = PolicySpec(
+        "giver", "giver", args.actions, args.control_period, origin=f"experiments/train_giver_sb3.py {args}"
     )
-    model = load_checkpoint(PPO, folder, envs) if args.resume and folder.checkpoint.exists() else make(args, envs)
-    spec = PolicySpec("giver", "giver", args.actions, args.control_period, origin=origin(args))
     supervision = Supervision(
         folder,
         spec,
-        lambda policy: evaluate_policy("giver", policy, args.receiver, split="val", scenes=None, **common),
+        lambda policy: evaluate_policy("giver", policy, args.receiver, split="val", **common),
         args.every,
         args.minutes,
         args.receiver,
@@ -102,15 +125,14 @@ def main(args: Args) -> None:
     print(folder.policy)
 
 
-def make(args: Args, envs: object) -> PPO:
-    import math
-
+def make(args: Args, envs: VecEnv) -> PPO:
     return PPO(
         "MlpPolicy",
         envs,
         learning_rate=args.learning_rate,
         n_steps=args.batch // args.envs,
-        batch_size=64,
+        batch_size=128,
+        n_epochs=args.epochs,
         gamma=args.discount,
         gae_lambda=1.0,
         policy_kwargs={"net_arch": [64, 64], "log_std_init": math.log(args.spread)},
@@ -118,11 +140,6 @@ def make(args: Args, envs: object) -> PPO:
         seed=args.seed,
         device="cpu",
     )
-
-
-def origin(args: Args) -> str:
-    """How the policy was made, for its file."""
-    return f"experiments/train_giver_sb3.py {args}"
 
 
 if __name__ == "__main__":

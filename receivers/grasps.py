@@ -36,6 +36,8 @@ class ObjectGrasps:
     def _of(self, object_name: str) -> Poses | None:
         if object_name not in self._known:
             transforms = self._grasps(object_name)
-            empty = transforms is None or len(transforms) == 0
-            self._known[object_name] = None if empty else poses_from_matrices(transforms)
+            if transforms is None or len(transforms) == 0:
+                self._known[object_name] = None
+            else:
+                self._known[object_name] = poses_from_matrices(transforms)
         return self._known[object_name]

@@ -16,6 +16,7 @@ from pettingzoo import ParallelEnv
 
 from handover_marl.errors import OptionError, ResetNeededError, SceneError
 from handover_marl.handover_env import AGENTS, HandoverEnv
+from handover_marl.learning.giver_schemes import GiverScheme
 from handover_marl.learning.observing import make_features, n_features
 from handover_marl.learning.schemes import make_scheme, scheme_size
 from handover_marl.observations import Observation
@@ -104,6 +105,16 @@ class LearningEnv(gymnasium.Env[Any, Any], EzPickle):
         reward, ended, timed_out, info = self._until_asked(reward, ended, timed_out, info)
         return self._features(self._seen), reward, ended, timed_out, info
 
+    def outputs_of(self, action: Vector) -> Vector:
+        """(size,) outputs that come nearest to a giver's action (8,) now, to learn from other givers.
+
+        Raises:
+            OptionError: The action scheme cannot say.
+        """
+        if not isinstance(self._scheme, GiverScheme):
+            raise OptionError(f"action scheme {self.scheme_name!r} cannot imitate")
+        return np.asarray(self._scheme.outputs(action, self.observed), dtype=np.float32)
+
     def render(self) -> Any:
         """As `HandoverEnv.render`."""
         return self.env.render()
@@ -115,19 +126,20 @@ class LearningEnv(gymnasium.Env[Any, Any], EzPickle):
     def _until_asked(
         self, reward: float, ended: bool, timed_out: bool, info: dict[str, Any]
     ) -> tuple[float, bool, bool, dict[str, Any]]:
-        while not (ended or timed_out or self._scheme.asks(self._observed)):
+        while not (ended or timed_out or self._scheme.asks(self.observed)):
             more, ended, timed_out, info = self._once()
             reward += more
         return reward, ended, timed_out, info
 
     def _once(self) -> tuple[float, bool, bool, dict[str, Any]]:
-        action = self._scheme.action(self._observed)
+        action = self._scheme.action(self.observed)
         self._seen, reward, ended, timed_out, info = self.env.step(action)
         late = float(self._seen["time"][0]) >= self._time_limit
         return reward, ended, timed_out or (late and not ended), info
 
     @property
-    def _observed(self) -> Observation:
+    def observed(self) -> Observation:
+        """What the agent saw last, before it was made features of."""
         if self._seen is None:
             raise ResetNeededError("no episode is running; call reset() before step()")
         return self._seen
@@ -140,6 +152,7 @@ class LearningParallelEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         actions: Name of each agent's action scheme; one that asks only now and then keeps its last outputs.
         observe: Name of each agent's features.
         scenes: Only these scenes of the split.
+        time_limit: Episodes are cut off after so long (s), to learn from more of them.
         options: As `HandoverEnv`.
 
     Raises:
@@ -154,9 +167,11 @@ class LearningParallelEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         actions: dict[str, str] | None = None,
         observe: dict[str, str] | None = None,
         scenes: Iterable[int] | None = None,
+        time_limit: float = 13.0,
         **options: Any,
     ) -> None:
-        EzPickle.__init__(self, actions, observe, scenes, **options)
+        EzPickle.__init__(self, actions, observe, scenes, time_limit, **options)
+        self._time_limit = time_limit
         self.env = HandoverEnv(**options)
         self.possible_agents = list(AGENTS)
         self.scene_ids = chosen_scenes(scenes, self.env)
@@ -169,12 +184,13 @@ class LearningParallelEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
             agent: learning_spaces(agent, self.features_names[agent], self.scheme_names[agent]) for agent in AGENTS
         }
         self._seen: dict[str, Observation] = {}
+        self._cut_off = False
         self._rng: np.random.Generator | None = None
 
     @property
     def agents(self) -> list[str]:
         """Both while an episode runs."""
-        return self.env.agents
+        return [] if self._cut_off else self.env.agents
 
     def observation_space(self, agent: str) -> spaces.Box:
         """The agent's features."""
@@ -192,6 +208,7 @@ class LearningParallelEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
             self._rng, _ = seeding.np_random(seed)
         chosen = {"scene_id": int(self._rng.choice(self.scene_ids))} | (options or {})
         self._seen, infos = self.env.reset(int(self._rng.integers(2**31)), chosen)
+        self._cut_off = False
         for scheme in self._schemes.values():
             scheme.reset()
         return self._observed(), infos
@@ -200,7 +217,7 @@ class LearningParallelEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         self, actions: dict[str, Vector]
     ) -> tuple[dict[str, Vector], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
         """Let both agents act for one control period."""
-        if not self.env.agents:
+        if not self.agents:
             raise ResetNeededError("no episode is running; call reset() before step()")
         for agent, scheme in self._schemes.items():
             if scheme.asks(self._seen[agent]):
@@ -208,6 +225,8 @@ class LearningParallelEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         self._seen, rewards, ended, timed_out, infos = self.env.step(
             {agent: scheme.action(self._seen[agent]) for agent, scheme in self._schemes.items()}
         )
+        if self.env.agents and float(self._seen[AGENTS[0]]["time"][0]) >= self._time_limit:
+            self._cut_off, timed_out = True, dict.fromkeys(AGENTS, True)
         return self._observed(), rewards, ended, timed_out, infos
 
     def render(self) -> Any:

@@ -1,5 +1,7 @@
 """Action schemes for givers."""
 
+from abc import abstractmethod
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -7,7 +9,7 @@ from handover_marl.givers.base import deviation
 from handover_marl.learning.features import offer_frame
 from handover_marl.learning.scheme import Action, ActionScheme, Outputs, Raw
 from handover_marl.observations import Observation
-from handover_marl.spaces import GIVER_ACTION_SIZE, giver_action_space
+from handover_marl.spaces import GIVER_ACTION_SIZE, GiverAction, giver_action_space
 
 
 class GiverRaw(Raw):
@@ -16,7 +18,15 @@ class GiverRaw(Raw):
     name, agent, size = "giver", "giver", GIVER_ACTION_SIZE
 
 
-class Deviation(ActionScheme):
+class GiverScheme(ActionScheme):
+    """A scheme that can also say which outputs come nearest to an action, to learn from other givers."""
+
+    @abstractmethod
+    def outputs(self, action: Action, observation: Observation) -> Outputs:
+        """(size,) outputs, between -1 and 1, for a giver's action (8,)."""
+
+
+class Deviation(GiverScheme):
     """The giver's Box(8), every component between -1 and 1; zero replays, the last one lets go above 0.5."""
 
     name, agent, size = "deviation", "giver", GIVER_ACTION_SIZE
@@ -26,8 +36,12 @@ class Deviation(ActionScheme):
         space = giver_action_space()
         return np.clip(self._outputs * space.high, space.low, space.high).astype(np.float32)
 
+    def outputs(self, action: Action, observation: Observation) -> Outputs:
+        """The action as shares of its bounds."""
+        return np.asarray(np.clip(action / giver_action_space().high, -1.0, 1.0))
 
-class Offer(ActionScheme):
+
+class Offer(GiverScheme):
     """One decision in an episode: where and how to hold the object out; and how far to draw back afterwards.
 
     Asked when the recording is about to arrive where it holds the object out. Until then it is replayed; after
@@ -72,6 +86,15 @@ class Offer(ActionScheme):
         if self._chosen and observation["released"][0]:
             return self._draw_back(observation)
         return deviation(displacement=self._shift, rotation=self._turn)
+
+    def outputs(self, action: Action, observation: Observation) -> Outputs:
+        """What holds the object out as an action would; drawing back is left at half its length."""
+        wanted = GiverAction.of(action)
+        item, axes = offer_frame(observation)
+        wrist = observation["replay_wrist_poses"][-1, :3].astype(np.float64)
+        swung = wrist + Rotation.from_rotvec(wanted.rotation).apply(item - wrist)
+        way = axes.T @ (swung + wanted.displacement - item) / self.reach
+        return np.asarray(np.clip([*way, *(axes.T @ wanted.rotation / self.turn), 0.0], -1.0, 1.0))
 
     def _choose(self, observation: Observation) -> None:
         item, axes = offer_frame(observation)

@@ -64,4 +64,5 @@ class GraspFeatures:
         away = observation["hand_keypoints"].astype(np.float64) - compose_point(grasps, np.zeros(3))[:, None]
         along = np.clip(np.einsum("gki,gi->gk", away, axis), _BEHIND, _TIPS)
         beside = away - along[..., None] * axis[:, None]
-        return np.minimum(np.linalg.norm(beside, axis=-1).min(axis=1), 0.2)
+        room: Array = np.minimum(np.linalg.norm(beside, axis=-1).min(axis=1), 0.2)
+        return room

@@ -176,7 +176,7 @@ def evaluate_policy(
     partner: str,
     *,
     split: str,
-    scenes: Sequence[int] | None,
+    scenes: Sequence[int] | None = None,
     **options: Any,
 ) -> Report:
     """Play scenes with an exported policy and its frozen partner.
