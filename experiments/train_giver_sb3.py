@@ -65,8 +65,8 @@ class Args:
     control_period: float = 0.1
     seed: int = 0
     steps: int = 12_000
-    minutes: float = 60.0
-    time_limit: float = 7.0
+    minutes: float = 22.0
+    time_limit: float = 6.0
     envs: int = 8
     batch: int = 512
     learning_rate: float = 3e-4

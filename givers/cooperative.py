@@ -5,6 +5,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from handover_marl.givers.base import Action, Giver, deviation
+from handover_marl.givers.patience import Patience
 from handover_marl.observations import Observation
 
 Vector = npt.NDArray[np.float64]
@@ -15,8 +16,9 @@ class CooperativeGiver(Giver):
 
     While the recording carries the object to where it is offered, the hand swings round so that it is behind the
     object as seen from the gripper, and comes towards the gripper. Once it has arrived there or the gripper is
-    near, nothing changes any more: robots take best what does not move. When both fingers have stopped on the
-    object, the hand lets go; when the object has been let go, for whatever reason, the hand draws back.
+    near, nothing changes any more: robots take best what does not move; only when nobody comes for two seconds is
+    the object offered otherwise. When both fingers have stopped on the object, the hand lets go; when the object
+    has been let go, for whatever reason, the hand draws back.
     """
 
     name = "cooperative"
@@ -33,6 +35,7 @@ class CooperativeGiver(Giver):
         """Forget the last handover."""
         self._shift, self._turn = np.zeros(3), np.zeros(3)
         self._settled = False
+        self._patience = Patience()
         self._firm_since: float | None = None
         self._drawn_back: Vector | None = None
 
@@ -43,7 +46,12 @@ class CooperativeGiver(Giver):
         if not self._settled and observation["hand_present"][0]:
             self._offer(observation)
         self._settled = self._settled or self._near(observation) or self._at_rest(observation)
-        return deviation(displacement=self._shift, rotation=self._turn, release=self._firm(observation))
+        if self._settled:
+            self._patience.watch(observation)
+        share = self._patience.share
+        return deviation(
+            displacement=share * self._shift, rotation=share * self._turn, release=self._firm(observation)
+        )
 
     def _near(self, observation: Observation) -> bool:
         gripper, item = observation["gripper_pose"][:3], observation["object_poses"][0, :3]
@@ -91,5 +99,6 @@ class CooperativeGiver(Giver):
     def _draw_back(self, observation: Observation) -> Action:
         if self._drawn_back is None:
             away = observation["hand_keypoints"][0] - observation["gripper_pose"][:3]
-            self._drawn_back = self._shift + self.withdraw * away / max(float(np.linalg.norm(away)), 1e-6)
-        return deviation(displacement=self._drawn_back, rotation=self._turn)
+            shift = self._patience.share * self._shift
+            self._drawn_back = shift + self.withdraw * away / max(float(np.linalg.norm(away)), 1e-6)
+        return deviation(displacement=self._drawn_back, rotation=self._patience.share * self._turn)

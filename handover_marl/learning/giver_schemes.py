@@ -6,6 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from handover_marl.givers.base import deviation
+from handover_marl.givers.patience import Patience
 from handover_marl.learning.features import offer_frame
 from handover_marl.learning.scheme import Action, ActionScheme, Outputs, Raw
 from handover_marl.observations import Observation
@@ -45,7 +46,8 @@ class Offer(GiverScheme):
     """One decision in an episode: where and how to hold the object out; and how far to draw back afterwards.
 
     Asked when the recording is about to arrive where it holds the object out. Until then it is replayed; after
-    that nothing changes until the object has been let go, since robots take best what does not move.
+    that nothing changes until the object has been let go, since robots take best what does not move; only when
+    nobody comes for two seconds is the object offered otherwise (`handover_marl.givers.patience`).
 
     | outputs | meaning, at 1 |
     |---|---|
@@ -65,6 +67,7 @@ class Offer(GiverScheme):
         self._decided = self._chosen = False
         self._shift, self._turn = np.zeros(3), np.zeros(3)
         self._drawn_back: np.ndarray | None = None
+        self._patience = Patience()
 
     def asks(self, observation: Observation) -> bool:
         """Once, when the recording is about to come to rest."""
@@ -85,7 +88,10 @@ class Offer(GiverScheme):
             self._choose(observation)
         if self._chosen and observation["released"][0]:
             return self._draw_back(observation)
-        return deviation(displacement=self._shift, rotation=self._turn)
+        if self._chosen:
+            self._patience.watch(observation)
+        share = self._patience.share
+        return deviation(displacement=share * self._shift, rotation=share * self._turn)
 
     def outputs(self, action: Action, observation: Observation) -> Outputs:
         """What holds the object out as an action would; drawing back is left at half its length."""
@@ -109,5 +115,6 @@ class Offer(GiverScheme):
         if self._drawn_back is None:
             away = observation["hand_keypoints"][0] - observation["gripper_pose"][:3]
             length = (self._outputs[6] + 1.0) / 2.0 * self.withdraw
-            self._drawn_back = self._shift + length * away / max(float(np.linalg.norm(away)), 1e-6)
-        return deviation(displacement=self._drawn_back, rotation=self._turn)
+            shift = self._patience.share * self._shift
+            self._drawn_back = shift + length * away / max(float(np.linalg.norm(away)), 1e-6)
+        return deviation(displacement=self._drawn_back, rotation=self._patience.share * self._turn)

@@ -1,0 +1,132 @@
+"""What a network's outputs mean."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from handover_marl.config import PandaConfig
+from handover_marl.datasets.synthetic import SyntheticDataset
+from handover_marl.errors import OptionError, UnknownNameError
+from handover_marl.learning.features import offer_frame
+from handover_marl.learning.giver_schemes import Deviation, Offer
+from handover_marl.learning.schemes import make_scheme, scheme_size, schemes
+from handover_marl.receivers import context_of
+from handover_marl.sim.kinematics import PandaKinematics
+from handover_marl.spaces import check_giver_action, giver_action_space, receiver_action_space
+from tests.test_givers import START, seen
+
+CONTEXT = context_of(SyntheticDataset())
+outputs = st.lists(st.floats(-1.0, 1.0), min_size=7, max_size=7).map(np.array)
+
+
+@pytest.mark.parametrize("agent", ["giver", "receiver"])
+def test_every_output_is_an_action(agent: str) -> None:
+    space = giver_action_space() if agent == "giver" else receiver_action_space()
+    rng = np.random.default_rng(0)
+    for name in set(schemes(agent)) - {agent}:
+        scheme = make_scheme(agent, name, CONTEXT)
+        for _ in range(20):
+            if scheme.asks(seen()):
+                scheme.decide(rng.uniform(-3, 3, scheme_size(agent, name)))
+            action = scheme.action(seen())
+            action = check_giver_action(action) if agent == "giver" else action
+            assert space.contains(action), name
+
+
+def test_no_deviation_is_the_replay() -> None:
+    for name in ("deviation", "offer"):
+        scheme = make_scheme("giver", name)
+        scheme.decide(np.zeros(scheme.size))
+        np.testing.assert_allclose(scheme.action(seen()), np.zeros(8), atol=1e-7)
+
+
+def offered(values: np.ndarray, **changes: object) -> np.ndarray:
+    scheme = make_scheme("giver", "offer")
+    scheme.decide(values)
+    return scheme.action(seen(**changes))
+
+
+@given(outputs)
+def test_offers_move_the_object_and_turn_it_about_its_middle(values: np.ndarray) -> None:
+    observation = seen()
+    action = offered(values).astype(np.float64)
+    item, axes = offer_frame(observation)
+    wrist = observation["replay_wrist_poses"][-1, :3]
+    place = wrist + action[1:4] + Rotation.from_rotvec(action[4:7]).apply(item - wrist)
+    np.testing.assert_allclose(axes.T @ (place - item), values[:3] * Offer.reach, atol=1e-5)
+    np.testing.assert_allclose(axes.T @ action[4:7], values[3:6] * Offer.turn, atol=1e-6)
+
+
+@given(outputs)
+def test_offers_can_be_told_from_their_actions(values: np.ndarray) -> None:
+    scheme = make_scheme("giver", "offer")
+    assert isinstance(scheme, Offer)
+    np.testing.assert_allclose(scheme.outputs(offered(values), seen())[:6], values[:6], atol=1e-5)
+
+
+def test_deviations_can_be_told_from_their_actions() -> None:
+    scheme, action = Deviation(), giver_action_space().high / 2
+    scheme.reset()
+    scheme.decide(scheme.outputs(action, seen()))
+    np.testing.assert_allclose(scheme.action(seen()), action)
+
+
+def test_offers_are_asked_once_when_the_recording_arrives() -> None:
+    scheme = make_scheme("giver", "offer")
+    moving = np.linspace([0.6, 0.6, 1.2, 0, 0, 0, 1], [0.6, 0.4, 1.2, 0, 0, 0, 1], 5).astype(np.float32)
+    assert not scheme.asks(seen(holding=np.float32([0])))
+    assert not scheme.asks(seen(hand_present=np.float32([0])))
+    assert not scheme.asks(seen(replay_wrist_poses=moving))
+    assert scheme.asks(seen(replay_wrist_poses=moving, time=np.float32([2.5])))
+    assert scheme.asks(seen())
+    scheme.decide(np.zeros(7))
+    assert not scheme.asks(seen())
+
+
+def test_offers_draw_back_once_the_object_was_let_go() -> None:
+    scheme = make_scheme("giver", "offer")
+    scheme.decide(np.array([0, 0, 0, 0, 0, 0, 1.0]))
+    np.testing.assert_allclose(scheme.action(seen())[1:4], np.zeros(3), atol=1e-7)
+    away = scheme.action(seen(released=np.float32([1])))
+    np.testing.assert_allclose(away[1:4], [0.0, Offer.withdraw, 0.0], atol=1e-6)
+
+
+def test_cartesian_steps_move_the_gripper_in_its_own_frame() -> None:
+    kinematics = PandaKinematics(CONTEXT.panda_urdf, PandaConfig())
+    scheme = make_scheme("receiver", "cartesian_delta", CONTEXT)
+
+    def gripper(joints: np.ndarray) -> tuple[np.ndarray, Rotation]:
+        kinematics._place(joints.tolist())
+        pose = kinematics._hand_pose()
+        return pose[:3], Rotation.from_quat(pose[3:])
+
+    place, turn = gripper(START.astype(np.float64))
+    for axis in range(6):
+        values = np.zeros(7)
+        values[axis] = 0.5
+        scheme.decide(values)
+        target = scheme.action(seen())
+        moved, turned = gripper(target.astype(np.float64))
+        way = np.array([*turn.inv().apply(moved - place) / 0.08, *(turn.inv() * turned).as_rotvec() / 0.3])
+        np.testing.assert_allclose(way, values[:6], atol=0.1)
+        np.testing.assert_array_equal(target[7:], [0.04, 0.04])
+
+
+def test_the_gripper_closes_above_zero() -> None:
+    for name in ("joint_delta", "cartesian_delta"):
+        scheme = make_scheme("receiver", name, CONTEXT)
+        values = np.zeros(scheme.size)
+        values[-1] = 0.1
+        scheme.decide(values)
+        np.testing.assert_array_equal(scheme.action(seen())[7:], [0.0, 0.0])
+
+
+def test_unknown_schemes() -> None:
+    with pytest.raises(
+        UnknownNameError, match="action scheme of the giver 'joints'; valid: giver, deviation, offer"
+    ):
+        make_scheme("giver", "joints")
+    with pytest.raises(OptionError, match="needs the robot's model"):
+        make_scheme("receiver", "cartesian_delta")
