@@ -18,6 +18,8 @@ import train_receiver_sb3
 import tyro
 
 from handover_marl.benchmarking.crossplay import crossplay
+from handover_marl.datasets import open_dataset
+from handover_marl.learning.training import spread_scenes
 
 
 @dataclass(frozen=True)
@@ -33,6 +35,7 @@ class Args:
         dataset: dexycb, synthetic, or auto.
         physics: fast or exact.
         seed: Of the first round; every round adds one.
+        val_scenes: Scenes of the validation split to play, evenly chosen.
         giver: How givers are trained; its folder, partner, data and seed are set from here.
         receiver: How receivers are trained, likewise.
     """
@@ -45,12 +48,15 @@ class Args:
     dataset: str = "auto"
     physics: str = "fast"
     seed: int = 0
+    val_scenes: int = 36
     giver: train_giver_sb3.Args = field(default_factory=train_giver_sb3.Args)
     receiver: train_receiver_sb3.Args = field(default_factory=train_receiver_sb3.Args)
 
 
 def main(args: Args) -> None:
     out = Path(args.out)
+    data = open_dataset(args.dataset, args.data_dir)
+    val = spread_scenes(data.split(args.setup, "val"), args.val_scenes)
     givers, receivers = ["replay"], [args.first_receiver]
     for number in range(1, args.rounds + 1):
         common = {
@@ -71,6 +77,7 @@ def main(args: Args) -> None:
             receivers,
             args.setup,
             "val",
+            scenes=val,
             data_dir=args.data_dir,
             dataset=args.dataset,
             physics=args.physics,

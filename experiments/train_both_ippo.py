@@ -9,7 +9,7 @@ learning all you need in the StarCraft multi-agent challenge?", 2020). The folde
 """
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +26,8 @@ from handover_marl.learning.environments import FEATURES, SCHEMES, LearningParal
 from handover_marl.learning.network import Network
 from handover_marl.learning.policy import PolicySpec
 from handover_marl.learning.policy_files import write_policy
-from handover_marl.learning.training import CurvePoint, RunFolder, training_scenes
+from handover_marl.learning.training import CurvePoint, RunFolder, spread_scenes, training_scenes
+from handover_marl.rewards import SHAPED
 
 AGENTS = ("giver", "receiver")
 OBSERVE = FEATURES | {"receiver": "grasp"}
@@ -58,6 +59,7 @@ class Args:
         entropy: Weight of the entropy bonus.
         spread: Standard deviation of the outputs at first.
         every: Updates between evaluations.
+        val_scenes: Scenes of the validation split to evaluate on, evenly chosen.
         resume: Go on with the run in the folder.
     """
 
@@ -82,6 +84,7 @@ class Args:
     entropy: float = 0.0
     spread: float = 0.5
     every: int = 20
+    val_scenes: int = 36
     resume: bool = False
 
 
@@ -229,8 +232,14 @@ def main(args: Args) -> None:
     torch.set_num_threads(1)
     folder = RunFolder(Path(args.out), args, args.resume)
     common = {"setup": args.setup, "data_dir": args.data_dir, "dataset": args.dataset, "physics": args.physics}
-    scenes = training_scenes(open_dataset(args.dataset, args.data_dir).split(args.setup, "train"))
-    options = common | {"control_period": args.control_period, "rewards": "shaped", "split": "train"}
+    data = open_dataset(args.dataset, args.data_dir)
+    scenes = training_scenes(data.split(args.setup, "train"))
+    val = spread_scenes(data.split(args.setup, "val"), args.val_scenes)
+    options = common | {
+        "control_period": args.control_period,
+        "rewards": replace(SHAPED, gamma=args.discount),
+        "split": "train",
+    }
     envs = [
         LearningParallelEnv(observe=OBSERVE, scenes=scenes, time_limit=args.time_limit, **options)
         for _ in range(args.envs)
@@ -257,7 +266,7 @@ def main(args: Args) -> None:
         for agent in AGENTS:
             export(models[agent], agent, args, folder.path / f"{agent}.npz")
         names = [f"learned:{folder.path / agent}.npz" for agent in AGENTS]
-        report = evaluate_pair(names[0], names[1], split="val", progress=False, **common)
+        report = evaluate_pair(names[0], names[1], split="val", scenes=val, progress=False, **common)
         seconds = before + time.monotonic() - started
         point = CurvePoint.of(report, updates * args.envs * args.rollout, seconds, "each other")
         folder.add(point)

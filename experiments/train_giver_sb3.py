@@ -22,7 +22,7 @@ from handover_marl.learning.environments import LearningEnv
 from handover_marl.learning.imitation import imitate
 from handover_marl.learning.policy import PolicySpec
 from handover_marl.learning.stable_baselines import Supervision, load_checkpoint, vector_env
-from handover_marl.learning.training import RunFolder, evaluate_policy, training_scenes
+from handover_marl.learning.training import RunFolder, evaluate_policy, spread_scenes, training_scenes
 
 
 @dataclass(frozen=True)
@@ -52,6 +52,7 @@ class Args:
         spread: Standard deviation of the outputs at first.
         discount: Of rewards, for schemes with many decisions.
         every: Decisions between evaluations.
+        val_scenes: Scenes of the validation split to evaluate on, evenly chosen.
         resume: Go on with the run in the folder.
     """
 
@@ -77,13 +78,16 @@ class Args:
     spread: float = 0.25
     discount: float = 0.99
     every: int = 1024
+    val_scenes: int = 36
     resume: bool = False
 
 
 def main(args: Args) -> None:
     folder = RunFolder(Path(args.out), args, args.resume)
     common = {"setup": args.setup, "data_dir": args.data_dir, "dataset": args.dataset, "physics": args.physics}
-    train = training_scenes(open_dataset(args.dataset, args.data_dir).split(args.setup, "train"))
+    data = open_dataset(args.dataset, args.data_dir)
+    train = training_scenes(data.split(args.setup, "train"))
+    val = spread_scenes(data.split(args.setup, "val"), args.val_scenes)
     options = common | {
         "agent": "giver",
         "partner": args.receiver,
@@ -112,7 +116,7 @@ def main(args: Args) -> None:
     supervision = Supervision(
         folder,
         spec,
-        lambda policy: evaluate_policy("giver", policy, args.receiver, split="val", **common),
+        lambda policy: evaluate_policy("giver", policy, args.receiver, split="val", scenes=val, **common),
         args.every,
         args.minutes,
         args.receiver,

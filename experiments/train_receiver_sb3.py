@@ -2,13 +2,14 @@
 
     python experiments/train_receiver_sb3.py --data-dir DIR --out runs/receiver
 
-Moves the gripper in its own frame (`handover_marl.learning.receiver_schemes.CartesianDelta`), with shaped rewards
-and fast physics, on nine tenths of a training split, and looks at the validation split now and then. The folder
-gets `policy.npz` (`--receivers learned:runs/receiver/policy.npz`), `learning_curve.csv` and `.png`, TensorBoard
-logs, and a checkpoint: `--resume` goes on where a run was stopped.
+Waits while the person brings the object, then moves the gripper in its own frame
+(`handover_marl.learning.receiver_schemes`), with shaped rewards and fast physics, on nine tenths of a training
+split, and looks at the validation split now and then. The folder gets `policy.npz`
+(`--receivers learned:runs/receiver/policy.npz`), `learning_curve.csv` and `.png`, TensorBoard logs, and a
+checkpoint: `--resume` goes on where a run was stopped.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
@@ -19,7 +20,8 @@ from stable_baselines3.common.vec_env import VecEnv
 from handover_marl.datasets import open_dataset
 from handover_marl.learning.policy import PolicySpec
 from handover_marl.learning.stable_baselines import Supervision, load_checkpoint, vector_env
-from handover_marl.learning.training import RunFolder, evaluate_policy, training_scenes
+from handover_marl.learning.training import RunFolder, evaluate_policy, spread_scenes, training_scenes
+from handover_marl.rewards import SHAPED
 
 
 @dataclass(frozen=True)
@@ -34,17 +36,19 @@ class Args:
         dataset: dexycb, synthetic, or auto.
         physics: fast or exact.
         observe: Features: grasp, receiver or flat_receiver.
-        actions: Action scheme: cartesian_delta, joint_delta, joints or receiver.
+        actions: Action scheme: wait_then_cartesian, cartesian_delta, joint_delta, joints or receiver.
         control_period: How long an action stands (s).
         seed: Of everything.
         steps: Decisions at most.
         minutes: Wall-clock time at most (min).
         time_limit: Episodes in training are cut off after so long (s).
         envs: Environments, a process each.
+        learning_starts: Random decisions before learning starts.
         updates: Gradient steps for every decision.
         learning_rate: Of Adam.
         discount: Of rewards.
         every: Decisions between evaluations.
+        val_scenes: Scenes of the validation split to evaluate on, evenly chosen.
         resume: Go on with the run in the folder.
     """
 
@@ -55,17 +59,19 @@ class Args:
     dataset: str = "auto"
     physics: str = "fast"
     observe: str = "grasp"
-    actions: str = "cartesian_delta"
+    actions: str = "wait_then_cartesian"
     control_period: float = 0.2
     seed: int = 0
     steps: int = 500_000
     minutes: float = 28.0
     time_limit: float = 8.0
     envs: int = 6
-    updates: float = 1.0
+    learning_starts: int = 2_000
+    updates: float = 1.5
     learning_rate: float = 7e-4
     discount: float = 0.96
     every: int = 20_000
+    val_scenes: int = 36
     resume: bool = False
 
 
@@ -73,7 +79,9 @@ def main(args: Args) -> None:
     torch.set_num_threads(1)
     folder = RunFolder(Path(args.out), args, args.resume)
     common = {"setup": args.setup, "data_dir": args.data_dir, "dataset": args.dataset, "physics": args.physics}
-    train = training_scenes(open_dataset(args.dataset, args.data_dir).split(args.setup, "train"))
+    data = open_dataset(args.dataset, args.data_dir)
+    train = training_scenes(data.split(args.setup, "train"))
+    val = spread_scenes(data.split(args.setup, "val"), args.val_scenes)
     envs = vector_env(
         args.envs,
         args.seed,
@@ -83,7 +91,7 @@ def main(args: Args) -> None:
         observe=args.observe,
         scenes=train,
         split="train",
-        rewards="shaped",
+        rewards=replace(SHAPED, gamma=args.discount),
         control_period=args.control_period,
         time_limit=args.time_limit,
         **common,
@@ -93,7 +101,7 @@ def main(args: Args) -> None:
     supervision = Supervision(
         folder,
         PolicySpec("receiver", args.observe, args.actions, args.control_period, origin),
-        lambda policy: evaluate_policy("receiver", policy, args.giver, split="val", **common),
+        lambda policy: evaluate_policy("receiver", policy, args.giver, split="val", scenes=val, **common),
         args.every,
         args.minutes,
         args.giver,
@@ -111,7 +119,7 @@ def make(args: Args, envs: VecEnv) -> SAC:
         envs,
         learning_rate=args.learning_rate,
         buffer_size=300_000,
-        learning_starts=2_000,
+        learning_starts=args.learning_starts,
         batch_size=256,
         gamma=args.discount,
         train_freq=8,

@@ -22,6 +22,7 @@ from handover_marl.errors import (
     SceneError,
     UnknownNameError,
 )
+from handover_marl.givers.noisy import NoisyGiver
 from handover_marl.receivers import Receiver
 
 SCENES = (9, 14)
@@ -46,10 +47,10 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """A receiver that costs nothing, rules that end an episode after a tenth of the time, and few scenes."""
     make = receivers.make
 
-    def make_also_quick(name: str, dataset: Any) -> Receiver:
+    def make_also_quick(name: str, dataset: Any, trust: bool = False) -> Receiver:
         if name == "quick":
             return QuickReceiver(receivers.ReceiverContext(dataset.panda_urdf, dataset.grasps))
-        return make(name, dataset)
+        return make(name, dataset, trust)
 
     monkeypatch.setattr(receivers, "make", make_also_quick)
     short = functools.partial(ProtocolConfig, horizon_steps=HORIZON)
@@ -176,7 +177,7 @@ def test_a_full_disk_loses_nothing(fake_data: Path, tmp_path: Path, monkeypatch:
     [
         ({"setup": "s5"}, UnknownNameError, "setup 's5'; valid: s0, s1, s2, s3"),
         ({"split": "dev"}, UnknownNameError, "split 'dev'"),
-        ({"receiver": "nobody"}, UnknownNameError, "receiver 'nobody'; valid: hold, yang2021"),
+        ({"receiver": "nobody"}, UnknownNameError, "receiver 'nobody'; valid: hold, learned, random, yang2021"),
         ({"scenes": [9, 10]}, SceneError, "scene 10 is not in s0 val"),
         ({"scenes": []}, SceneError, "no scene"),
         ({"scenes": 9}, SceneError, "expected scene numbers"),
@@ -202,6 +203,25 @@ def test_receivers_that_misbehave(fake_data: Path, tmp_path: Path, monkeypatch: 
     monkeypatch.setattr(QuickReceiver, "hold_time", 0.0)
     with pytest.raises(OptionError, match="hold_time"):
         run(fake_data)
+
+
+@pytest.mark.parametrize(
+    ("action", "message"),
+    [
+        (np.full(8, np.nan), "giver's action is not finite"),
+        (np.zeros(9), r"giver's action has shape \(9,\)"),
+        ("wave", "giver's action is not numeric"),
+        (None, "giver is missing"),
+    ],
+)
+def test_givers_that_misbehave(
+    fake_data: Path, monkeypatch: pytest.MonkeyPatch, action: object, message: str
+) -> None:
+    monkeypatch.setattr(NoisyGiver, "act", lambda self, seen: action)
+    with pytest.raises(ActionError, match=f"'quick' and giver 'noisy' in scene 9: .*{message}"):
+        handover_marl.evaluate_pair(
+            "noisy", "quick", split="val", scenes=SCENES, data_dir=fake_data, progress=False, workers=1
+        )
 
 
 def official_folder(folder: Path, n: int = 144, **changes: Any) -> Path:

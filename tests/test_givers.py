@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pettingzoo.test import parallel_api_test
+from pettingzoo.test import parallel_api_test, parallel_seed_test
 
 import handover_marl
 from handover_marl import givers
@@ -72,8 +72,9 @@ def test_rollouts_repeat_from_their_seed(name: str) -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_the_environment_takes_every_giver(name: str) -> None:
-    env = FrozenPartnerEnv("receiver", name, split="val", dataset="synthetic", physics="fast")
-    parallel_api_test(env, num_cycles=15)
+    options = {"split": "val", "dataset": "synthetic", "physics": "fast"}
+    parallel_api_test(FrozenPartnerEnv("receiver", name, **options), num_cycles=15)
+    parallel_seed_test(lambda: FrozenPartnerEnv("receiver", name, **options), num_cycles=5)
 
 
 def test_unknown_names() -> None:

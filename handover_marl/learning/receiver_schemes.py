@@ -7,6 +7,7 @@ from handover_marl.config import PANDA_DOF, PandaConfig
 from handover_marl.kinematic_tree import KinematicTree
 from handover_marl.learning.scheme import Action, ActionScheme, Raw
 from handover_marl.observations import Observation
+from handover_marl.receivers.base import WAITING_JOINTS
 
 Array = npt.NDArray[np.float64]
 
@@ -76,6 +77,23 @@ class CartesianDelta(ActionScheme):
         axes = np.stack([rotations[link] @ self._tree.joints[link].axis for link in links])
         levers = origins[self._link] - origins[links]
         return np.concatenate([np.cross(axes, levers), axes], axis=1).T, rotations[self._link]
+
+
+class WaitThenCartesian(CartesianDelta):
+    """Stays at the waiting pose for two seconds, while the person brings the object; then as `CartesianDelta`."""
+
+    name = "wait_then_cartesian"
+    wait = 2.0  # s
+
+    def asks(self, observation: Observation) -> bool:
+        """Once the wait is over."""
+        return float(observation["time"][0]) >= self.wait
+
+    def action(self, observation: Observation) -> Action:
+        """The waiting pose, or targets within the joint limits."""
+        if not self.asks(observation):
+            return np.array(WAITING_JOINTS, dtype=np.float32)
+        return super().action(observation)
 
 
 def _targets(arm: npt.NDArray[np.floating], gripper: float) -> Action:

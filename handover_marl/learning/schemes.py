@@ -1,21 +1,21 @@
 """Action schemes by name."""
 
-from collections.abc import Callable
-from pathlib import Path
-
 from handover_marl.errors import OptionError, UnknownNameError
 from handover_marl.kinematic_tree import read_tree
 from handover_marl.learning.giver_schemes import Deviation, GiverRaw, Offer
-from handover_marl.learning.receiver_schemes import CartesianDelta, JointDelta, Joints, ReceiverRaw
+from handover_marl.learning.receiver_schemes import (
+    CartesianDelta,
+    JointDelta,
+    Joints,
+    ReceiverRaw,
+    WaitThenCartesian,
+)
 from handover_marl.learning.scheme import ActionScheme
 from handover_marl.receivers.base import ReceiverContext
 
-_SCHEMES: dict[str, type[ActionScheme]] = {
-    kind.name: kind for kind in (GiverRaw, Deviation, Offer, ReceiverRaw, Joints, JointDelta, CartesianDelta)
-}
-_WITH_KINEMATICS: dict[str, Callable[[Path], ActionScheme]] = {
-    CartesianDelta.name: lambda urdf: CartesianDelta(read_tree(urdf))
-}
+_PLAIN: tuple[type[ActionScheme], ...] = (GiverRaw, Deviation, Offer, ReceiverRaw, Joints, JointDelta)
+_CARTESIAN: dict[str, type[CartesianDelta]] = {kind.name: kind for kind in (CartesianDelta, WaitThenCartesian)}
+_SCHEMES: dict[str, type[ActionScheme]] = {kind.name: kind for kind in _PLAIN} | _CARTESIAN
 
 
 def schemes(agent: str) -> tuple[str, ...]:
@@ -47,12 +47,12 @@ def make_scheme(agent: str, name: str, context: ReceiverContext | None = None) -
         OptionError: The scheme needs the robot's model.
     """
     scheme_size(agent, name)
-    scheme = _SCHEMES[name]() if name not in _WITH_KINEMATICS else _with_kinematics(name, context)
+    scheme = _cartesian(name, context) if name in _CARTESIAN else _SCHEMES[name]()
     scheme.reset()
     return scheme
 
 
-def _with_kinematics(name: str, context: ReceiverContext | None) -> ActionScheme:
+def _cartesian(name: str, context: ReceiverContext | None) -> ActionScheme:
     if context is None:
         raise OptionError(f"action scheme {name!r} needs the robot's model")
-    return _WITH_KINEMATICS[name](context.panda_urdf)
+    return _CARTESIAN[name](read_tree(context.panda_urdf))

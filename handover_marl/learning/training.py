@@ -12,9 +12,11 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from handover_marl.benchmarking.report import Report
 from handover_marl.benchmarking.runner import evaluate_pair
-from handover_marl.errors import ResultsError
+from handover_marl.errors import OptionError, ResultsError
 from handover_marl.files import write_atomically
 from handover_marl.protocol.status import EpisodeStatus
 from handover_marl.statistics import wilson_interval
@@ -33,6 +35,18 @@ def training_scenes(scene_ids: Sequence[int]) -> tuple[int, ...]:
 def held_out_scenes(scene_ids: Sequence[int]) -> tuple[int, ...]:
     """Every tenth scene of a training split."""
     return tuple(scene_ids[::HELD_OUT])
+
+
+def spread_scenes(scene_ids: Sequence[int], n: int) -> tuple[int, ...]:
+    """At most n scenes, evenly over a split.
+
+    Raises:
+        OptionError: n is less than one.
+    """
+    if n < 1:
+        raise OptionError(f"val_scenes={n}: at least one scene is needed")
+    chosen = np.unique(np.linspace(0, len(scene_ids) - 1, min(n, len(scene_ids))).round().astype(int))
+    return tuple(scene_ids[number] for number in chosen.tolist())
 
 
 @dataclass(frozen=True)
@@ -101,7 +115,7 @@ class RunFolder:
     """
 
     #: Arguments that may differ when a run goes on: how long, where the data are, on how many cores.
-    FREE = ("resume", "out", "data_dir", "workers", "steps", "minutes", "rounds")
+    FREE = ("resume", "out", "data_dir", "steps", "minutes")
 
     def __init__(self, path: Path, arguments: object, resume: bool) -> None:
         self.path = path

@@ -12,7 +12,7 @@ from handover_marl.errors import OptionError, UnknownNameError
 from handover_marl.learning.features import offer_frame
 from handover_marl.learning.giver_schemes import Deviation, Offer
 from handover_marl.learning.schemes import make_scheme, scheme_size, schemes
-from handover_marl.receivers import context_of
+from handover_marl.receivers import WAITING_JOINTS, context_of
 from handover_marl.sim.kinematics import PandaKinematics
 from handover_marl.spaces import check_giver_action, giver_action_space, receiver_action_space
 from tests.test_givers import START, seen
@@ -111,7 +111,17 @@ def test_cartesian_steps_move_the_gripper_in_its_own_frame() -> None:
         moved, turned = gripper(target.astype(np.float64))
         way = np.array([*turn.inv().apply(moved - place) / 0.08, *(turn.inv() * turned).as_rotvec() / 0.3])
         np.testing.assert_allclose(way, values[:6], atol=0.1)
-        np.testing.assert_array_equal(target[7:], [0.04, 0.04])
+        np.testing.assert_allclose(target[7:], [0.04, 0.04], rtol=1e-6)
+
+
+def test_waiting_before_moving() -> None:
+    scheme = make_scheme("receiver", "wait_then_cartesian", CONTEXT)
+    early, late = seen(time=np.float32([1.9])), seen(time=np.float32([2.0]))
+    assert not scheme.asks(early)
+    np.testing.assert_array_equal(scheme.action(early), np.array(WAITING_JOINTS, dtype=np.float32))
+    assert scheme.asks(late)
+    scheme.decide(np.zeros(7))
+    np.testing.assert_allclose(scheme.action(late)[:7], START[:7], atol=1e-6)
 
 
 def test_the_gripper_closes_above_zero() -> None:
