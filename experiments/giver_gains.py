@@ -98,7 +98,7 @@ def main(args: Args) -> None:
     data = open_dataset(args.dataset, args.data_dir).name
     heading = (
         f"Receiver {args.receiver}, {args.physics} physics, {data}, {args.setup} val and every tenth scene of "
-        f"{args.setup} train; 95 % intervals (Wilson; Student for paired differences)."
+        f"{args.setup} train; 95 % intervals (Wilson; Agresti and Min for paired differences)."
     )
     fluency = table(["giver", *fluency_header()], [[name, *fluency_row(played[name])] for name in played])
     text = "\n\n".join([heading, outcomes(played), gains(played), fluency, FLUENCY_NOTE])

@@ -63,14 +63,14 @@ class Args:
     control_period: float = 0.2
     seed: int = 0
     steps: int = 500_000
-    minutes: float = 28.0
+    minutes: float = 26.0
     time_limit: float = 8.0
     envs: int = 6
     learning_starts: int = 2_000
     updates: float = 1.5
     learning_rate: float = 7e-4
     discount: float = 0.96
-    every: int = 20_000
+    every: int = 10_000
     val_scenes: int = 36
     resume: bool = False
 
@@ -122,6 +122,8 @@ def make(args: Args, envs: VecEnv) -> SAC:
         learning_starts=args.learning_starts,
         batch_size=256,
         gamma=args.discount,
+        # Entropy is worth little beside rewards of this size.
+        ent_coef="auto_0.05",
         train_freq=8,
         gradient_steps=max(1, round(8 * args.envs * args.updates)),
         policy_kwargs={"net_arch": [256, 256]},

@@ -8,7 +8,6 @@ from PIL import Image
 import handover_marl
 from handover_marl.cli import main
 from handover_marl.errors import OptionError, UnknownNameError
-from handover_marl.statistics import paired_difference
 
 SCENES = "9,14"
 
@@ -41,11 +40,3 @@ def test_bad_names_come_to_light_before_the_first_scene(fake_data: Path, tmp_pat
     assert not (tmp_path / "out").exists()
     with pytest.raises(OptionError, match="at least one"):
         handover_marl.crossplay([], ["hold"], data_dir=fake_data)
-
-
-def test_paired_differences() -> None:
-    mean, low, high = paired_difference([1, 1, 1, 0], [0, 1, 0, 0])
-    assert mean == 0.5
-    assert low < 0.5 < high
-    with pytest.raises(ValueError, match="zip"):
-        paired_difference([1], [1, 0])

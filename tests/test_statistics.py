@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handover_marl.statistics import mean_interval, wilson_interval
+from handover_marl.statistics import mean_interval, paired_difference, wilson_interval
 
 
 def test_wilson_against_known_values() -> None:
@@ -26,3 +26,28 @@ def test_mean_interval() -> None:
     assert high - 2.0 == pytest.approx(4.302653 / np.sqrt(3), rel=1e-6)
     assert mean_interval([1.0]) is None
     assert mean_interval([]) is None
+
+
+def test_paired_differences_against_a_worked_example() -> None:
+    """Agresti, Categorical Data Analysis: 150 of 1600 approved first and not later, 86 the other way round."""
+    first = [True] * 794 + [True] * 150 + [False] * 86 + [False] * 570
+    second = [True] * 794 + [False] * 150 + [True] * 86 + [False] * 570
+    mean, low, high = paired_difference(first, second)
+    assert mean == pytest.approx(0.04)
+    assert (low, high) == (pytest.approx(0.021, abs=1e-3), pytest.approx(0.059, abs=1e-3))
+
+
+@given(st.lists(st.tuples(st.booleans(), st.booleans()), min_size=1, max_size=200))
+def test_paired_differences_hold_their_mean_and_turn_round(pairs: list[tuple[bool, bool]]) -> None:
+    first, second = zip(*pairs, strict=True)
+    mean, low, high = paired_difference(first, second)
+    assert -1.0 <= low < high <= 1.0
+    assert low - 1e-9 <= mean <= high + 1e-9
+    assert paired_difference(second, first) == pytest.approx((-mean, -high, -low))
+
+
+def test_paired_differences_need_pairs() -> None:
+    with pytest.raises(ValueError, match="zip"):
+        paired_difference([True], [True, False])
+    with pytest.raises(ValueError, match="no pairs"):
+        paired_difference([], [])
