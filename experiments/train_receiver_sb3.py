@@ -2,9 +2,9 @@
 
     python experiments/train_receiver_sb3.py --data-dir DIR --out runs/receiver
 
-Waits while the person brings the object, then moves the gripper in its own frame
-(`handover_marl.learning.receiver_schemes`), with shaped rewards and fast physics, on nine tenths of a training
-split, and looks at the validation split now and then. The folder gets `policy.npz`
+Learns how to come to a grasp beside the hand, when to close, and to hold on
+(`handover_marl.learning.receiver_schemes.GraspServo`), with shaped rewards and fast physics, on nine tenths of a
+training split, and looks at the validation split now and then. The folder gets `policy.npz`
 (`--receivers learned:runs/receiver/policy.npz`), `learning_curve.csv` and `.png`, TensorBoard logs, and a
 checkpoint: `--resume` goes on where a run was stopped.
 """
@@ -36,7 +36,7 @@ class Args:
         dataset: dexycb, synthetic, or auto.
         physics: fast or exact.
         observe: Features: grasp, receiver or flat_receiver.
-        actions: Action scheme: wait_then_cartesian, cartesian_delta, joint_delta, joints or receiver.
+        actions: Action scheme: grasp_servo, cartesian_delta, joint_delta, joints or receiver.
         control_period: How long an action stands (s).
         seed: Of everything.
         steps: Decisions at most.
@@ -59,18 +59,18 @@ class Args:
     dataset: str = "auto"
     physics: str = "fast"
     observe: str = "grasp"
-    actions: str = "wait_then_cartesian"
+    actions: str = "grasp_servo"
     control_period: float = 0.2
     seed: int = 0
     steps: int = 500_000
-    minutes: float = 26.0
-    time_limit: float = 8.0
+    minutes: float = 22.0
+    time_limit: float = 7.0
     envs: int = 6
     learning_starts: int = 2_000
     updates: float = 1.5
     learning_rate: float = 7e-4
     discount: float = 0.96
-    every: int = 10_000
+    every: int = 5_000
     val_scenes: int = 36
     resume: bool = False
 

@@ -33,6 +33,7 @@ def seen(**changes: Any) -> Observation:
         "robot_joint_position": START,
         "robot_joint_velocity": np.zeros(9, dtype=np.float32),
         "object_poses": np.tile(pose, (5, 1)),
+        "object_classes": np.float32([2, 0, 0, 0, 0]),
         "hand_keypoints": np.tile(wrist[:3], (16, 1)),
         "hand_present": np.float32([1]),
         "released": np.float32([0]),

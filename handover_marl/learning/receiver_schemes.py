@@ -2,12 +2,14 @@
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial.transform import Rotation
 
 from handover_marl.config import PANDA_DOF, PandaConfig
-from handover_marl.kinematic_tree import KinematicTree
+from handover_marl.kinematic_tree import read_tree
 from handover_marl.learning.scheme import Action, ActionScheme, Raw
 from handover_marl.observations import Observation
-from handover_marl.receivers.base import WAITING_JOINTS
+from handover_marl.receivers.base import WAITING_JOINTS, ReceiverContext
+from handover_marl.receivers.grasp_choice import GraspChoice
 
 Array = npt.NDArray[np.float64]
 
@@ -51,24 +53,27 @@ class CartesianDelta(ActionScheme):
     The motors make 63 % of a way in 0.1 s.
 
     Args:
-        tree: The Panda's kinematics.
+        context: The robot.
     """
 
     name, agent, size = "cartesian_delta", "receiver", 7
     step, turn, damping = 0.08, 0.3, 0.05  # m, rad, 1
 
-    def __init__(self, tree: KinematicTree) -> None:
-        self._tree = tree
-        self._link = [joint.link for joint in tree.joints].index("panda_hand")
+    def __init__(self, context: ReceiverContext) -> None:
+        self._tree = read_tree(context.panda_urdf)
+        self._link = [joint.link for joint in self._tree.joints].index("panda_hand")
 
     def action(self, observation: Observation) -> Action:
         """Targets within the joint limits."""
-        arm = observation["robot_joint_position"].astype(np.float64)
-        jacobian, axes = self._jacobian(arm)
-        way = np.concatenate([axes @ self._outputs[:3] * self.step, axes @ self._outputs[3:6] * self.turn])
+        return self._move(observation, self._outputs[:3] * self.step, self._outputs[3:6] * self.turn)
+
+    def _move(self, observation: Observation, way: Array, turn: Array) -> Action:
+        """Targets that move the hand link by (3,) m and turn it by (3,) rad in its own frame."""
+        joints = observation["robot_joint_position"].astype(np.float64)
+        jacobian, axes = self._jacobian(joints)
         gram = jacobian @ jacobian.T + self.damping**2 * np.eye(6)
-        change = jacobian.T @ np.linalg.solve(gram, way)
-        return _targets(arm[:_ARM] + change, self._outputs[6])
+        change = jacobian.T @ np.linalg.solve(gram, np.concatenate([axes @ way, axes @ turn]))
+        return _targets(joints[:_ARM] + change, self._outputs[6])
 
     def _jacobian(self, joints: Array) -> tuple[Array, Array]:
         """(6, 7) of the hand link in the base's frame, and the (3, 3) hand link's axes there."""
@@ -79,11 +84,27 @@ class CartesianDelta(ActionScheme):
         return np.concatenate([np.cross(axes, levers), axes], axis=1).T, rotations[self._link]
 
 
-class WaitThenCartesian(CartesianDelta):
-    """Stays at the waiting pose for two seconds, while the person brings the object; then as `CartesianDelta`."""
+class GraspServo(CartesianDelta):
+    """Goes where a grasp is, less what the outputs say; once the object is let go, to the goal.
 
-    name = "wait_then_cartesian"
+    Stays at the waiting pose for two seconds, while the person brings the object. From then on outputs 0-2 shift
+    the target by 0.15 m and outputs 3-5 turn it by 0.4 rad, in the target's frame; the last one closes it.
+    So zero goes straight for the grasp of `handover_marl.receivers.grasp_choice` and never closes; what there is
+    to learn is how to come to it beside the hand, when to close, and to hold on.
+
+    Args:
+        context: The robot, the objects' grasps and the goal.
+    """
+
+    name = "grasp_servo"
     wait = 2.0  # s
+    shift, tilt = 0.15, 0.4  # m, rad
+    fastest, fastest_turn = 0.1, 0.4  # m and rad from where the gripper is
+
+    def __init__(self, context: ReceiverContext) -> None:
+        super().__init__(context)
+        self._choice = GraspChoice(context)
+        self._goal = np.array(context.protocol.goal_center)
 
     def asks(self, observation: Observation) -> bool:
         """Once the wait is over."""
@@ -93,7 +114,27 @@ class WaitThenCartesian(CartesianDelta):
         """The waiting pose, or targets within the joint limits."""
         if not self.asks(observation):
             return np.array(WAITING_JOINTS, dtype=np.float32)
-        return super().action(observation)
+        gripper = observation["gripper_pose"].astype(np.float64)
+        own = Rotation.from_quat(gripper[3:])
+        place, turned = self._target(observation, gripper, own)
+        place = place + turned.apply(self._outputs[:3] * self.shift)
+        turned = turned * Rotation.from_rotvec(self._outputs[3:6] * self.tilt)
+        way = own.inv().apply(place - gripper[:3])
+        turn = (own.inv() * turned).as_rotvec()
+        return self._move(observation, _shortened(way, self.fastest), _shortened(turn, self.fastest_turn))
+
+    def _target(self, observation: Observation, gripper: Array, own: Rotation) -> tuple[Array, Rotation]:
+        if observation["released"][0]:
+            return self._goal, own
+        chosen = self._choice.choose(observation)
+        if chosen is None:
+            return gripper[:3], own
+        return chosen[0][:3], Rotation.from_quat(chosen[0][3:])
+
+
+def _shortened(vector: Array, length: float) -> Array:
+    size = float(np.linalg.norm(vector))
+    return vector if size <= length else vector * (length / size)
 
 
 def _targets(arm: npt.NDArray[np.floating], gripper: float) -> Action:

@@ -1,20 +1,19 @@
 """Action schemes by name."""
 
 from handover_marl.errors import OptionError, UnknownNameError
-from handover_marl.kinematic_tree import read_tree
 from handover_marl.learning.giver_schemes import Deviation, GiverRaw, Offer
 from handover_marl.learning.receiver_schemes import (
     CartesianDelta,
+    GraspServo,
     JointDelta,
     Joints,
     ReceiverRaw,
-    WaitThenCartesian,
 )
 from handover_marl.learning.scheme import ActionScheme
 from handover_marl.receivers.base import ReceiverContext
 
 _PLAIN: tuple[type[ActionScheme], ...] = (GiverRaw, Deviation, Offer, ReceiverRaw, Joints, JointDelta)
-_CARTESIAN: dict[str, type[CartesianDelta]] = {kind.name: kind for kind in (CartesianDelta, WaitThenCartesian)}
+_CARTESIAN: dict[str, type[CartesianDelta]] = {kind.name: kind for kind in (CartesianDelta, GraspServo)}
 _SCHEMES: dict[str, type[ActionScheme]] = {kind.name: kind for kind in _PLAIN} | _CARTESIAN
 
 
@@ -55,4 +54,4 @@ def make_scheme(agent: str, name: str, context: ReceiverContext | None = None) -
 def _cartesian(name: str, context: ReceiverContext | None) -> ActionScheme:
     if context is None:
         raise OptionError(f"action scheme {name!r} needs the robot's model")
-    return _CARTESIAN[name](read_tree(context.panda_urdf))
+    return _CARTESIAN[name](context)

@@ -13,6 +13,7 @@ from handover_marl.learning.features import offer_frame
 from handover_marl.learning.giver_schemes import Deviation, Offer
 from handover_marl.learning.schemes import make_scheme, scheme_size, schemes
 from handover_marl.receivers import WAITING_JOINTS, context_of
+from handover_marl.receivers.grasp_choice import MOST_ROOM, GraspChoice
 from handover_marl.sim.kinematics import PandaKinematics
 from handover_marl.spaces import check_giver_action, giver_action_space, receiver_action_space
 from tests.test_givers import START, seen
@@ -114,14 +115,39 @@ def test_cartesian_steps_move_the_gripper_in_its_own_frame() -> None:
         np.testing.assert_allclose(target[7:], [0.04, 0.04], rtol=1e-6)
 
 
-def test_waiting_before_moving() -> None:
-    scheme = make_scheme("receiver", "wait_then_cartesian", CONTEXT)
+def test_the_servo_waits_and_then_goes_for_a_grasp() -> None:
+    scheme = make_scheme("receiver", "grasp_servo", CONTEXT)
     early, late = seen(time=np.float32([1.9])), seen(time=np.float32([2.0]))
     assert not scheme.asks(early)
     np.testing.assert_array_equal(scheme.action(early), np.array(WAITING_JOINTS, dtype=np.float32))
     assert scheme.asks(late)
     scheme.decide(np.zeros(7))
-    np.testing.assert_allclose(scheme.action(late)[:7], START[:7], atol=1e-6)
+    assert np.abs(scheme.action(late)[:7] - START[:7]).max() > 0.02
+    chosen = GraspChoice(CONTEXT).choose(late)
+    assert chosen is not None
+    there = scheme.action(late | {"gripper_pose": chosen[0].astype(np.float32)})
+    np.testing.assert_allclose(there[:7], START[:7], atol=1e-5)
+    goal = np.array([*CONTEXT.protocol.goal_center, 0, 0, 0, 1], dtype=np.float32)
+    brought = scheme.action(late | {"gripper_pose": goal, "released": np.float32([1])})
+    np.testing.assert_allclose(brought[:7], START[:7], atol=1e-5)
+
+
+def test_the_chosen_grasp_leaves_room_for_the_hand() -> None:
+    """With a hand where the first choice is, another one is chosen; half a turn makes no difference."""
+    choice, observation = GraspChoice(CONTEXT), seen()
+    away = observation | {"hand_keypoints": np.full((16, 3), 5.0, np.float32)}
+    first = choice.choose(away)
+    assert first is not None
+    assert first[1] == MOST_ROOM
+    there = np.tile(first[0][:3] + 0.01, (16, 1)).astype(np.float32)
+    second = choice.choose(observation | {"hand_keypoints": there})
+    assert second is not None
+    assert second[1] > 0.02
+    flipped = observation["gripper_pose"].copy()
+    flipped[3:] = (Rotation.from_quat(flipped[3:]) * Rotation.from_rotvec([0, 0, np.pi])).as_quat()
+    other = choice.choose(away | {"gripper_pose": flipped})
+    assert other is not None
+    np.testing.assert_allclose(other[0][:3], first[0][:3], atol=1e-6)
 
 
 def test_the_gripper_closes_above_zero() -> None:
