@@ -65,8 +65,8 @@ class Args:
     actions: str = "offer"
     control_period: float = 0.1
     seed: int = 0
-    steps: int = 12_000
-    minutes: float = 22.0
+    steps: int = 512
+    minutes: float = 30.0
     time_limit: float = 6.0
     envs: int = 8
     batch: int = 512
@@ -77,7 +77,7 @@ class Args:
     passes: int = 300
     spread: float = 0.25
     discount: float = 0.99
-    every: int = 1024
+    every: int = 512
     val_scenes: int = 36
     resume: bool = False
 

@@ -1,4 +1,4 @@
-"""Train a receiver from scratch with Stable-Baselines3's SAC, the giver frozen. Needs extras `train` and `plot`.
+"""Train a receiver from scratch with Stable-Baselines3's PPO, the giver frozen. Needs extras `train` and `plot`.
 
     python experiments/train_receiver_sb3.py --data-dir DIR --out runs/receiver
 
@@ -9,12 +9,13 @@ training split, and looks at the validation split now and then. The folder gets 
 checkpoint: `--resume` goes on where a run was stopped.
 """
 
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
 import tyro
-from stable_baselines3 import SAC
+from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecEnv
 
 from handover_marl.datasets import open_dataset
@@ -43,8 +44,9 @@ class Args:
         minutes: Wall-clock time at most (min).
         time_limit: Episodes in training are cut off after so long (s).
         envs: Environments, a process each.
-        learning_starts: Random decisions before learning starts.
-        updates: Gradient steps for every decision.
+        batch: Decisions between updates.
+        epochs: Passes over a batch.
+        spread: Standard deviation of the outputs at first.
         learning_rate: Of Adam.
         discount: Of rewards.
         every: Decisions between evaluations.
@@ -63,14 +65,15 @@ class Args:
     control_period: float = 0.2
     seed: int = 0
     steps: int = 500_000
-    minutes: float = 22.0
+    minutes: float = 15.0
     time_limit: float = 7.0
-    envs: int = 6
-    learning_starts: int = 2_000
-    updates: float = 1.5
-    learning_rate: float = 7e-4
+    envs: int = 8
+    batch: int = 1024
+    epochs: int = 8
+    spread: float = 0.3
+    learning_rate: float = 5e-4
     discount: float = 0.96
-    every: int = 5_000
+    every: int = 6_144
     val_scenes: int = 36
     resume: bool = False
 
@@ -96,7 +99,7 @@ def main(args: Args) -> None:
         time_limit=args.time_limit,
         **common,
     )
-    model = load_checkpoint(SAC, folder, envs) if args.resume and folder.checkpoint.exists() else make(args, envs)
+    model = load_checkpoint(PPO, folder, envs) if args.resume and folder.checkpoint.exists() else make(args, envs)
     origin = f"experiments/train_receiver_sb3.py {args}"
     supervision = Supervision(
         folder,
@@ -107,26 +110,23 @@ def main(args: Args) -> None:
         args.giver,
     )
     left = max(0, args.steps - model.num_timesteps)
-    model.learn(left, supervision, reset_num_timesteps=False, progress_bar=True, log_interval=20)
+    model.learn(left, supervision, reset_num_timesteps=False, progress_bar=True, log_interval=1)
     supervision.assess()
     envs.close()
     print(folder.policy)
 
 
-def make(args: Args, envs: VecEnv) -> SAC:
-    return SAC(
+def make(args: Args, envs: VecEnv) -> PPO:
+    return PPO(
         "MlpPolicy",
         envs,
         learning_rate=args.learning_rate,
-        buffer_size=300_000,
-        learning_starts=args.learning_starts,
-        batch_size=256,
+        n_steps=args.batch // args.envs,
+        batch_size=128,
+        n_epochs=args.epochs,
         gamma=args.discount,
-        # Entropy is worth little beside rewards of this size.
-        ent_coef="auto_0.05",
-        train_freq=8,
-        gradient_steps=max(1, round(8 * args.envs * args.updates)),
-        policy_kwargs={"net_arch": [256, 256]},
+        gae_lambda=0.95,
+        policy_kwargs={"net_arch": [128, 128], "log_std_init": math.log(args.spread)},
         tensorboard_log=str(Path(args.out) / "tensorboard"),
         seed=args.seed,
         device="cpu",

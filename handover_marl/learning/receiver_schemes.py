@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from handover_marl.config import PANDA_DOF, PandaConfig
 from handover_marl.kinematic_tree import read_tree
-from handover_marl.learning.scheme import Action, ActionScheme, Raw
+from handover_marl.learning.scheme import Action, ActionScheme, Outputs, Raw
 from handover_marl.observations import Observation
 from handover_marl.receivers.base import WAITING_JOINTS, ReceiverContext
 from handover_marl.receivers.grasp_choice import GraspChoice
@@ -43,7 +43,7 @@ class JointDelta(ActionScheme):
     def action(self, observation: Observation) -> Action:
         """Targets within the joint limits."""
         arm = observation["robot_joint_position"][:_ARM] + self.step * self._outputs[:_ARM]
-        return _targets(arm, self._outputs[_ARM])
+        return _targets(arm, self._outputs[_ARM] > 0.0)
 
 
 class CartesianDelta(ActionScheme):
@@ -65,15 +65,16 @@ class CartesianDelta(ActionScheme):
 
     def action(self, observation: Observation) -> Action:
         """Targets within the joint limits."""
-        return self._move(observation, self._outputs[:3] * self.step, self._outputs[3:6] * self.turn)
+        way, turn = self._outputs[:3] * self.step, self._outputs[3:6] * self.turn
+        return self._move(observation, way, turn, self._outputs[6] > 0.0)
 
-    def _move(self, observation: Observation, way: Array, turn: Array) -> Action:
+    def _move(self, observation: Observation, way: Array, turn: Array, closed: bool) -> Action:
         """Targets that move the hand link by (3,) m and turn it by (3,) rad in its own frame."""
         joints = observation["robot_joint_position"].astype(np.float64)
         jacobian, axes = self._jacobian(joints)
         gram = jacobian @ jacobian.T + self.damping**2 * np.eye(6)
         change = jacobian.T @ np.linalg.solve(gram, np.concatenate([axes @ way, axes @ turn]))
-        return _targets(joints[:_ARM] + change, self._outputs[6])
+        return _targets(joints[:_ARM] + change, closed)
 
     def _jacobian(self, joints: Array) -> tuple[Array, Array]:
         """(6, 7) of the hand link in the base's frame, and the (3, 3) hand link's axes there."""
@@ -88,9 +89,10 @@ class GraspServo(CartesianDelta):
     """Goes where a grasp is, less what the outputs say; once the object is let go, to the goal.
 
     Stays at the waiting pose for two seconds, while the person brings the object. From then on outputs 0-2 shift
-    the target by 0.15 m and outputs 3-5 turn it by 0.4 rad, in the target's frame; the last one closes it.
-    So zero goes straight for the grasp of `handover_marl.receivers.grasp_choice` and never closes; what there is
-    to learn is how to come to it beside the hand, when to close, and to hold on.
+    the target by 0.1 m and outputs 3-5 turn it by 0.4 rad, in the target's frame. The gripper closes when the last
+    one exceeds 0.5, opens below -0.5, and stays as it is in between. So zero goes straight for the grasp of
+    `handover_marl.receivers.grasp_choice` and never closes; what there is to learn is how to come to it beside the
+    hand, when to close, and to hold on.
 
     Args:
         context: The robot, the objects' grasps and the goal.
@@ -98,13 +100,25 @@ class GraspServo(CartesianDelta):
 
     name = "grasp_servo"
     wait = 2.0  # s
-    shift, tilt = 0.15, 0.4  # m, rad
+    shift, tilt = 0.1, 0.4  # m, rad
+    firm = 0.5  # output that opens or closes
     fastest, fastest_turn = 0.1, 0.4  # m and rad from where the gripper is
 
     def __init__(self, context: ReceiverContext) -> None:
         super().__init__(context)
         self._choice = GraspChoice(context)
         self._goal = np.array(context.protocol.goal_center)
+
+    def reset(self) -> None:
+        """Wait, open."""
+        super().reset()
+        self._closed = False
+
+    def decide(self, outputs: Outputs) -> None:
+        """Take new outputs."""
+        super().decide(outputs)
+        if abs(self._outputs[6]) > self.firm:
+            self._closed = bool(self._outputs[6] > 0.0)
 
     def asks(self, observation: Observation) -> bool:
         """Once the wait is over."""
@@ -121,7 +135,9 @@ class GraspServo(CartesianDelta):
         turned = turned * Rotation.from_rotvec(self._outputs[3:6] * self.tilt)
         way = own.inv().apply(place - gripper[:3])
         turn = (own.inv() * turned).as_rotvec()
-        return self._move(observation, _shortened(way, self.fastest), _shortened(turn, self.fastest_turn))
+        return self._move(
+            observation, _shortened(way, self.fastest), _shortened(turn, self.fastest_turn), self._closed
+        )
 
     def _target(self, observation: Observation, gripper: Array, own: Rotation) -> tuple[Array, Rotation]:
         if observation["released"][0]:
@@ -137,8 +153,8 @@ def _shortened(vector: Array, length: float) -> Array:
     return vector if size <= length else vector * (length / size)
 
 
-def _targets(arm: npt.NDArray[np.floating], gripper: float) -> Action:
+def _targets(arm: npt.NDArray[np.floating], closed: bool) -> Action:
     panda = PandaConfig()
     inside = np.clip(arm, panda.lower_limits[:_ARM], panda.upper_limits[:_ARM])
-    finger = 0.0 if gripper > 0.0 else _OPEN
+    finger = 0.0 if closed else _OPEN
     return np.array([*inside, finger, finger], dtype=np.float32)

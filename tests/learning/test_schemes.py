@@ -132,6 +132,15 @@ def test_the_servo_waits_and_then_goes_for_a_grasp() -> None:
     np.testing.assert_allclose(brought[:7], START[:7], atol=1e-5)
 
 
+def test_the_servo_keeps_its_gripper_as_it_is() -> None:
+    scheme = make_scheme("receiver", "grasp_servo", CONTEXT)
+    fingers = []
+    for value in (0.3, 0.6, 0.0, -0.4, -0.6, 0.4):
+        scheme.decide(np.array([0, 0, 0, 0, 0, 0, value]))
+        fingers.append(scheme.action(seen(time=np.float32([3.0])))[7])
+    np.testing.assert_allclose(fingers, [0.04, 0.0, 0.0, 0.0, 0.04, 0.04], rtol=1e-6)
+
+
 def test_the_chosen_grasp_leaves_room_for_the_hand() -> None:
     """With a hand where the first choice is, another one is chosen; half a turn makes no difference."""
     choice, observation = GraspChoice(CONTEXT), seen()
