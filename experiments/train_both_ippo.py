@@ -26,7 +26,7 @@ from handover_marl.learning.environments import FEATURES, SCHEMES, LearningParal
 from handover_marl.learning.network import Network
 from handover_marl.learning.policy import PolicySpec
 from handover_marl.learning.policy_files import write_policy
-from handover_marl.learning.training import CurvePoint, RunFolder, spread_scenes, training_scenes
+from handover_marl.learning.training import CurvePoint, RunFolder, origin, spread_scenes, training_scenes
 from handover_marl.rewards import SHAPED
 
 AGENTS = ("giver", "receiver")
@@ -217,8 +217,11 @@ def export(model: ActorCritic, agent: str, args: Args, path: Path) -> None:
         tuple(part.weight.detach().numpy().copy() for part in dense),
         tuple(part.bias.detach().numpy().copy() for part in dense),
     )
-    origin = f"experiments/train_both_ippo.py {args}"
-    write_policy(path, PolicySpec(agent, OBSERVE[agent], SCHEMES[agent], args.control_period, origin), network)
+    write_policy(
+        path,
+        PolicySpec(agent, OBSERVE[agent], SCHEMES[agent], args.control_period, origin("train_both_ippo", args)),
+        network,
+    )
 
 
 def save(path: Path, state: dict[str, Any]) -> None:

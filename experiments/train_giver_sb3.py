@@ -22,7 +22,7 @@ from handover_marl.learning.environments import LearningEnv
 from handover_marl.learning.imitation import imitate
 from handover_marl.learning.policy import PolicySpec
 from handover_marl.learning.stable_baselines import Supervision, load_checkpoint, vector_env
-from handover_marl.learning.training import RunFolder, evaluate_policy, spread_scenes, training_scenes
+from handover_marl.learning.training import RunFolder, evaluate_policy, origin, spread_scenes, training_scenes
 
 
 @dataclass(frozen=True)
@@ -110,9 +110,7 @@ def main(args: Args) -> None:
             )
             print(f"outputs differ from {args.teacher}'s by {left:.3f} (root mean square)")
             env.close()
-    spec = PolicySpec(
-        "giver", "giver", args.actions, args.control_period, origin=f"experiments/train_giver_sb3.py {args}"
-    )
+    spec = PolicySpec("giver", "giver", args.actions, args.control_period, origin=origin("train_giver_sb3", args))
     supervision = Supervision(
         folder,
         spec,

@@ -21,7 +21,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from handover_marl.datasets import open_dataset
 from handover_marl.learning.policy import PolicySpec
 from handover_marl.learning.stable_baselines import Supervision, load_checkpoint, vector_env
-from handover_marl.learning.training import RunFolder, evaluate_policy, spread_scenes, training_scenes
+from handover_marl.learning.training import RunFolder, evaluate_policy, origin, spread_scenes, training_scenes
 from handover_marl.rewards import SHAPED
 
 
@@ -100,10 +100,11 @@ def main(args: Args) -> None:
         **common,
     )
     model = load_checkpoint(PPO, folder, envs) if args.resume and folder.checkpoint.exists() else make(args, envs)
-    origin = f"experiments/train_receiver_sb3.py {args}"
     supervision = Supervision(
         folder,
-        PolicySpec("receiver", args.observe, args.actions, args.control_period, origin),
+        PolicySpec(
+            "receiver", args.observe, args.actions, args.control_period, origin("train_receiver_sb3", args)
+        ),
         lambda policy: evaluate_policy("receiver", policy, args.giver, split="val", scenes=val, **common),
         args.every,
         args.minutes,

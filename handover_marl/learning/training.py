@@ -49,6 +49,14 @@ def spread_scenes(scene_ids: Sequence[int], n: int) -> tuple[int, ...]:
     return tuple(scene_ids[number] for number in chosen.tolist())
 
 
+def origin(script: str, arguments: object) -> str:
+    """How a policy is made, for its file: the script and all arguments but places."""
+    parts = [
+        f"{key}={value!r}" for key, value in vars(arguments).items() if key not in ("out", "data_dir", "resume")
+    ]
+    return f"experiments/{script}.py {', '.join(parts)}"
+
+
 @dataclass(frozen=True)
 class CurvePoint:
     """One evaluation during training.
