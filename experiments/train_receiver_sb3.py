@@ -65,15 +65,15 @@ class Args:
     control_period: float = 0.2
     seed: int = 0
     steps: int = 500_000
-    minutes: float = 15.0
+    minutes: float = 25.0
     time_limit: float = 7.0
     envs: int = 8
     batch: int = 1024
     epochs: int = 8
     spread: float = 0.3
-    learning_rate: float = 5e-4
+    learning_rate: float = 7e-4
     discount: float = 0.96
-    every: int = 6_144
+    every: int = 8_192
     val_scenes: int = 36
     resume: bool = False
 

@@ -89,7 +89,7 @@ class GraspServo(CartesianDelta):
     """Goes where a grasp is, less what the outputs say; once the object is let go, to the goal.
 
     Stays at the waiting pose for two seconds, while the person brings the object. From then on outputs 0-2 shift
-    the target by 0.1 m and outputs 3-5 turn it by 0.4 rad, in the target's frame. The gripper closes when the last
+    the target by 0.03, 0.03 and 0.15 m and outputs 3-5 turn it by 0.2 rad, in the target's frame. The gripper closes when the last
     one exceeds 0.5, opens below -0.5, and stays as it is in between. So zero goes straight for the grasp of
     `handover_marl.receivers.grasp_choice` and never closes; what there is to learn is how to come to it beside the
     hand, when to close, and to hold on.
@@ -100,7 +100,7 @@ class GraspServo(CartesianDelta):
 
     name = "grasp_servo"
     wait = 2.0  # s
-    shift, tilt = 0.1, 0.4  # m, rad
+    shift, tilt = (0.03, 0.03, 0.15), 0.2  # m, rad
     firm = 0.5  # output that opens or closes
     fastest, fastest_turn = 0.1, 0.4  # m and rad from where the gripper is
 
@@ -131,7 +131,7 @@ class GraspServo(CartesianDelta):
         gripper = observation["gripper_pose"].astype(np.float64)
         own = Rotation.from_quat(gripper[3:])
         place, turned = self._target(observation, gripper, own)
-        place = place + turned.apply(self._outputs[:3] * self.shift)
+        place = place + turned.apply(self._outputs[:3] * np.array(self.shift))
         turned = turned * Rotation.from_rotvec(self._outputs[3:6] * self.tilt)
         way = own.inv().apply(place - gripper[:3])
         turn = (own.inv() * turned).as_rotvec()
