@@ -90,9 +90,9 @@ class GraspServo(CartesianDelta):
 
     Stays at the waiting pose for two seconds, while the person brings the object. From then on outputs 0-2 shift
     the target by 0.03, 0.03 and 0.15 m and outputs 3-5 turn it by 0.2 rad, in the target's frame. The gripper
-    closes when the last one exceeds 0.5, opens below -0.5, and stays as it is in between. So zero goes straight for
-    the grasp of `handover_marl.receivers.grasp_choice` and never closes; what there is to learn is how to come to
-    it beside the hand, when to close, and to hold on.
+    closes when the last one exceeds 0.5, opens below -0.5, and stays as it is in between. So zero goes straight
+    for the grasp of `handover_marl.receivers.grasp_choice` and never closes; what there is to learn is how to come
+    to it beside the hand, when to close, and to hold on.
 
     Args:
         context: The robot, the objects' grasps and the goal.
