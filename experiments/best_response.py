@@ -2,7 +2,7 @@
 
     python experiments/best_response.py --data-dir DIR --out runs/responses
 
-Each round trains both from scratch for the other's latest policy, with the scripts `train_giver_sb3.py` and
+Each round trains both anew for the other's latest policy, with the scripts `train_giver_sb3.py` and
 `train_receiver_sb3.py` beside this one, and plays all policies so far against each other on the validation split
 (`crossplay.md`, `.csv` and `.png`). Needs the extras `train` and `plot`; the same command goes on where a run was
 stopped.

@@ -1,4 +1,4 @@
-"""What adaptive givers do for a receiver, on scenes that none of them was made with.
+"""What adaptive givers do for a receiver, on scenes that the trained one has not seen.
 
     python experiments/giver_gains.py --data-dir DIR --out results/gains
 

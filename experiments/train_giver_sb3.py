@@ -4,8 +4,8 @@
 
 One decision an episode: where and how to hold the object out (`handover_marl.learning.giver_schemes.Offer`); all
 that a person does besides is scripted. Starts from what `cooperative` would decide (`--teacher ''` for from
-scratch), and trains on nine tenths of a training split in fast physics and looks at the
-validation split now and then. The folder gets `policy.npz` (`--givers learned:runs/giver/policy.npz`),
+scratch), trains on nine tenths of a training split in fast physics, and looks at the validation split now and
+then. The folder gets `policy.npz` (`--givers learned:runs/giver/policy.npz`),
 `learning_curve.csv` and `.png`, TensorBoard logs, and a checkpoint: `--resume` goes on where a run was stopped.
 """
 
@@ -105,10 +105,10 @@ def main(args: Args) -> None:
         model = make(args, envs)
         if args.teacher:
             env = LearningEnv(**options)
-            left = imitate(
+            missed = imitate(
                 model, env, args.teacher, episodes=args.demonstrations, epochs=args.passes, seed=args.seed
             )
-            print(f"outputs differ from {args.teacher}'s by {left:.3f} (root mean square)")
+            print(f"outputs differ from {args.teacher}'s by {missed:.3f} (root mean square)")
             env.close()
     spec = PolicySpec("giver", "giver", args.actions, args.control_period, origin=origin("train_giver_sb3", args))
     supervision = Supervision(
@@ -119,9 +119,8 @@ def main(args: Args) -> None:
         args.minutes,
         args.receiver,
     )
-    model.learn(
-        args.steps - model.num_timesteps, supervision, reset_num_timesteps=False, progress_bar=True, log_interval=1
-    )
+    left = max(0, args.steps - model.num_timesteps)
+    model.learn(left, supervision, reset_num_timesteps=False, progress_bar=True, log_interval=1)
     supervision.assess()
     envs.close()
     print(folder.policy)

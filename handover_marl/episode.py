@@ -126,7 +126,7 @@ class Episode:
     def _record(self, recorder: Recorder) -> None:
         recorder.touch(self._contacts)
         if recorder.due(self.steps):
-            recorder.sample(self.world.state(), self.steps)
+            recorder.sample(self.world.state())
 
     def observe(self) -> Observation:
         """What the agents see now."""

@@ -65,8 +65,8 @@ class Recorder:
         """Whether a state is wanted after so many steps."""
         return steps % SAMPLE_STEPS == 0
 
-    def sample(self, state: WorldState, steps: int) -> None:
-        """Take note of the state after a number of steps that is due."""
+    def sample(self, state: WorldState) -> None:
+        """Take note of a state; wanted whenever one is due."""
         keypoints = state.hand_keypoints
         wrist = _NOWHERE if keypoints is None else keypoints[0]
         self._samples.append(np.concatenate([state.gripper_pose[:3], state.robot_joint_position[7:], wrist]))

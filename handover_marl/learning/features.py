@@ -9,7 +9,7 @@ import numpy.typing as npt
 from gymnasium import spaces
 from scipy.spatial.transform import Rotation
 
-from handover_marl.config import ProtocolConfig
+from handover_marl.config import PhysicsConfig, ProtocolConfig
 from handover_marl.datasets.ycb import CLASS_NAMES
 from handover_marl.observations import Observation, giver_observation_space, observation_space
 
@@ -17,7 +17,7 @@ Array = npt.NDArray[np.float64]
 
 _SCALE = 10.0
 _HIGHEST_CLASS = max(CLASS_NAMES)
-_HORIZON = 13.0
+_HORIZON = ProtocolConfig().horizon_steps * PhysicsConfig().time_step
 
 
 def offer_frame(observation: Observation) -> tuple[Array, Array]:

@@ -14,7 +14,6 @@ from handover_marl.receivers.grasp_choice import GraspChoice
 Array = npt.NDArray[np.float64]
 
 _ARM = 7
-_OPEN = 0.04  # m, target of each finger
 
 
 class ReceiverRaw(Raw):
@@ -156,5 +155,5 @@ def _shortened(vector: Array, length: float) -> Array:
 def _targets(arm: npt.NDArray[np.floating], closed: bool) -> Action:
     panda = PandaConfig()
     inside = np.clip(arm, panda.lower_limits[:_ARM], panda.upper_limits[:_ARM])
-    finger = 0.0 if closed else _OPEN
+    finger = panda.lower_limits[-1] if closed else panda.upper_limits[-1]
     return np.array([*inside, finger, finger], dtype=np.float32)

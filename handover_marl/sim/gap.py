@@ -11,8 +11,8 @@ from handover_marl.sim.hand import Hand
 from handover_marl.sim.panda import Panda
 from handover_marl.sim.world import WorldState
 
-# No point of the Panda is farther than this from a joint's axis (m), and none of a hand moves more than so many
-# times as far as the keypoint that moves most.
+# Taken as bounds, to spare measurements: no point of the Panda is farther than this from a joint's axis (m), and
+# none of a hand moves more than so many times as far as the keypoint that moves most.
 _LEVER, _SWING = 1.2, 4.0
 _FARTHEST = 3.0
 _DISTANCE = 8  # field of a PyBullet closest point
