@@ -10,7 +10,7 @@ checkpoint: `--resume` goes on where a run was stopped.
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import torch
@@ -22,7 +22,6 @@ from handover_marl.datasets import open_dataset
 from handover_marl.learning.policy import PolicySpec
 from handover_marl.learning.stable_baselines import Supervision, load_checkpoint, vector_env
 from handover_marl.learning.training import RunFolder, evaluate_policy, origin, spread_scenes, training_scenes
-from handover_marl.rewards import SHAPED
 
 
 @dataclass(frozen=True)
@@ -38,6 +37,7 @@ class Args:
         physics: fast or exact.
         observe: Features: grasp, receiver or flat_receiver.
         actions: Action scheme: grasp_servo, cartesian_delta, joint_delta, joints or receiver.
+        rewards: sparse or shaped.
         control_period: How long an action stands (s).
         seed: Of everything.
         steps: Decisions at most.
@@ -47,6 +47,7 @@ class Args:
         batch: Decisions between updates.
         epochs: Passes over a batch.
         spread: Standard deviation of the outputs at first.
+        gripper_spread: That of the last one, which opens and closes the gripper.
         learning_rate: Of Adam.
         discount: Of rewards.
         every: Decisions between evaluations.
@@ -62,15 +63,17 @@ class Args:
     physics: str = "fast"
     observe: str = "grasp"
     actions: str = "grasp_servo"
+    rewards: str = "sparse"
     control_period: float = 0.2
     seed: int = 0
     steps: int = 500_000
     minutes: float = 25.0
-    time_limit: float = 7.0
+    time_limit: float = 8.0
     envs: int = 8
-    batch: int = 1024
+    batch: int = 2048
     epochs: int = 8
-    spread: float = 0.3
+    spread: float = 0.15
+    gripper_spread: float = 0.6
     learning_rate: float = 7e-4
     discount: float = 0.96
     every: int = 8_192
@@ -94,7 +97,7 @@ def main(args: Args) -> None:
         observe=args.observe,
         scenes=train,
         split="train",
-        rewards=replace(SHAPED, gamma=args.discount),
+        rewards=args.rewards,
         control_period=args.control_period,
         time_limit=args.time_limit,
         **common,
@@ -118,7 +121,7 @@ def main(args: Args) -> None:
 
 
 def make(args: Args, envs: VecEnv) -> PPO:
-    return PPO(
+    model = PPO(
         "MlpPolicy",
         envs,
         learning_rate=args.learning_rate,
@@ -132,6 +135,10 @@ def make(args: Args, envs: VecEnv) -> PPO:
         seed=args.seed,
         device="cpu",
     )
+    with torch.no_grad():
+        # A wider draw here than of the gripper's way: to close at random is to succeed now and then.
+        model.policy.log_std[-1] = math.log(args.gripper_spread)
+    return model
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
 import os
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Annotated
 
 import tyro
@@ -157,11 +158,12 @@ def run_render(
     data_dir: _Folder = None,
     receiver: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None,
     physics: str = "exact",
+    plan: bool = False,
     key_frames: int = 6,
-    width: int = 640,
-    height: int = 480,
+    width: int | None = None,
+    height: int | None = None,
 ) -> None:
-    """Draw a scene, or the episode that a receiver makes of it.
+    """Draw a scene, the episode that a receiver makes of it, or what a receiver plans.
 
     Args:
         scene: Number of the scene, 0 to 999.
@@ -170,6 +172,7 @@ def run_render(
         data_dir: Folder in HandoverSim's layout; default: the variable HANDOVER_MARL_DATA.
         receiver: Name of a receiver; without one the robot stays at rest.
         physics: exact or fast.
+        plan: Draw the plan of a receiver such as omg (.png): start, goals, the chosen one, the hand's path.
         key_frames: Pictures on a sheet.
         width: Width of a picture in pixels.
         height: Height of a picture in pixels.
@@ -177,6 +180,22 @@ def run_render(
     from handover_marl.config import CameraConfig
     from handover_marl.rendering import render_scene
 
+    chosen = {key: value for key, value in (("width", width), ("height", height)) if value is not None}
+    if plan:
+        from handover_marl.plan_picture import PLAN_CAMERA, render_plan
+
+        print(
+            render_plan(
+                scene,
+                out,
+                receiver=receiver or "omg",
+                dataset=dataset,
+                data_dir=data_dir,
+                physics=physics,
+                camera=replace(PLAN_CAMERA, **chosen),
+            )
+        )
+        return
     path = render_scene(
         scene,
         out,
@@ -185,7 +204,7 @@ def run_render(
         receiver=receiver,
         physics=physics,
         key_frames=key_frames,
-        camera=CameraConfig(width=width, height=height),
+        camera=replace(CameraConfig(), **chosen),
     )
     print(path)
 

@@ -23,7 +23,7 @@ def available() -> tuple[str, ...]:
 
 def context_of(dataset: Dataset) -> ReceiverContext:
     """What receivers may know of a dataset."""
-    return ReceiverContext(panda_urdf=dataset.panda_urdf, grasps=dataset.grasps)
+    return ReceiverContext(dataset.panda_urdf, dataset.grasps, dataset.object_urdf)
 
 
 def make(name: str, dataset: Dataset, trust: bool = False) -> Receiver:

@@ -20,17 +20,19 @@ Action = npt.NDArray[np.float32]
 
 @dataclass(frozen=True)
 class ReceiverContext:
-    """What a receiver may know beside its observations: the robot, the task and the objects' grasps.
+    """What a receiver may know beside its observations: the robot, the task, the objects and their grasps.
 
     Attributes:
         panda_urdf: Model of the robot, for kinematics.
         grasps: Gives the (n, 4, 4) gripper poses in the object's frame (m) for a class name, or None.
+        object_urdf: Gives the model file for a class name.
         panda: Where the robot stands and how it starts.
         protocol: The rules, with the goal.
     """
 
     panda_urdf: Path
     grasps: Callable[[str], npt.NDArray[np.float64] | None]
+    object_urdf: Callable[[str], Path]
     panda: PandaConfig = field(default_factory=PandaConfig)
     protocol: ProtocolConfig = field(default_factory=ProtocolConfig)
 

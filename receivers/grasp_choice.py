@@ -7,14 +7,13 @@ from scipy.spatial.transform import Rotation
 from handover_marl.geometry import compose, compose_point, rotate
 from handover_marl.observations import Observation
 from handover_marl.receivers.base import ReceiverContext
-from handover_marl.receivers.grasps import ObjectGrasps
+from handover_marl.receivers.grasps import HALF_TURN, ObjectGrasps
 
 Array = npt.NDArray[np.float64]
 
 #: More room than this is as good as this (m).
 MOST_ROOM = 0.2
 
-_HALF_TURN = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0])
 # The gripper's body from behind its palm to its fingertips, on the hand link's z axis (m).
 _BEHIND, _TIPS = -0.05, 0.11
 
@@ -39,7 +38,7 @@ class GraspChoice:
         grasps = self._grasps.in_world(observation)
         if grasps is None:
             return None
-        grasps = np.concatenate([grasps, compose(grasps, _HALF_TURN)])
+        grasps = np.concatenate([grasps, compose(grasps, np.array(HALF_TURN))])
         gripper = observation["gripper_pose"].astype(np.float64)
         turns = (Rotation.from_quat(gripper[3:]).inv() * Rotation.from_quat(grasps[:, 3:])).magnitude()
         room = self._room(grasps, observation)

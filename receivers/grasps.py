@@ -13,6 +13,8 @@ Poses = npt.NDArray[np.float64]
 
 #: The Panda's hand link in the frame of HandoverSim's grasps: a quarter turn about z.
 GRIPPER_FROM_HAND = (0.0, 0.0, 0.0, 0.0, 0.0, 0.7071068, -0.7071068)
+#: A gripper turned by half a turn about its approach grasps the same.
+HALF_TURN = (0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0)
 
 
 class ObjectGrasps:
@@ -32,6 +34,11 @@ class ObjectGrasps:
         if grippers is None:
             return None
         return compose(compose(observation["object_poses"][0], grippers), np.array(GRIPPER_FROM_HAND))
+
+    def in_object(self, object_name: str) -> Poses | None:
+        """(n, 7) poses of the hand link in the frame of an object class, or None if it has no grasps."""
+        grippers = self._of(object_name)
+        return None if grippers is None else compose(grippers, np.array(GRIPPER_FROM_HAND))
 
     def _of(self, object_name: str) -> Poses | None:
         if object_name not in self._known:

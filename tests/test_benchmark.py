@@ -49,7 +49,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 
     def make_also_quick(name: str, dataset: Any, trust: bool = False) -> Receiver:
         if name == "quick":
-            return QuickReceiver(receivers.ReceiverContext(dataset.panda_urdf, dataset.grasps))
+            return QuickReceiver(receivers.context_of(dataset))
         return make(name, dataset, trust)
 
     monkeypatch.setattr(receivers, "make", make_also_quick)

@@ -50,18 +50,21 @@ class CrossPlay:
             [self.reports[giver, receiver].success_rate for receiver in self.receivers] for giver in self.givers
         ]
 
-    def gain(self, giver: str, receiver: str, over: str) -> tuple[float, float, float]:
-        """How much more often a receiver succeeds with one giver than with another: mean and 95 % interval (0..1).
+    def gain(
+        self, pair: Pair, over: Pair, flag: EpisodeStatus = EpisodeStatus.SUCCESS
+    ) -> tuple[float, float, float]:
+        """How much more often one (giver, receiver) ends so than another: mean and 95 % interval (-1..1).
 
         Paired by scene, so that easy and hard scenes do not blur it.
         """
         first, second = (
-            [episode.success for episode in self.reports[name, receiver].episodes] for name in (giver, over)
+            [bool(episode.status & flag) for episode in self.reports[played].episodes] for played in (pair, over)
         )
         return paired_difference(first, second)
 
     def __str__(self) -> str:
-        parts = [self._heading(), self._matrix(), self._rates(), self._gains(), self._fluency()]
+        gains = [self._giver_gains(), self._receiver_gains()]
+        parts = [self._heading(), self._matrix(), self._rates(), *gains, self._fluency()]
         return "\n\n".join(part for part in parts if part)
 
     def to_csv(self) -> str:
@@ -120,21 +123,35 @@ class CrossPlay:
             rows.append([giver, receiver, *rates, mean + spread])
         return table(["giver", "receiver", *(f"{flag.label} %" for flag in _FLAGS), "exec s"], rows)
 
-    def _gains(self) -> str:
+    def _giver_gains(self) -> str:
         first = self.givers[0]
-        rows = []
-        for giver in self.givers[1:]:
-            for receiver in self.receivers:
-                mean, low, high = (100 * value for value in self.gain(giver, receiver, first))
-                rows.append([giver, receiver, f"{mean:+.1f}", f"{low:+.1f} to {high:+.1f}"])
-        if not rows:
-            return ""
-        header = ["giver", "receiver", f"success over {first}, points", "95 % interval, paired by scene"]
-        return table(header, rows)
+        rows = [
+            [giver, receiver, *self._gain_cells((giver, receiver), (first, receiver))]
+            for giver in self.givers[1:]
+            for receiver in self.receivers
+        ]
+        return table(["giver", "receiver", *_gain_header(first)], rows) if rows else ""
+
+    def _receiver_gains(self) -> str:
+        rows = [
+            [giver, receiver, other, *self._gain_cells((giver, receiver), (giver, other))]
+            for giver in self.givers
+            for number, receiver in enumerate(self.receivers)
+            for other in self.receivers[:number]
+        ]
+        return table(["giver", "receiver", "other", *_gain_header("the other")], rows) if rows else ""
+
+    def _gain_cells(self, pair: Pair, over: Pair) -> list[str]:
+        gains = (self.gain(pair, over, flag) for flag in (EpisodeStatus.SUCCESS, EpisodeStatus.HUMAN_CONTACT))
+        return [f"{100 * mean:+.1f} ({100 * low:+.1f} to {100 * high:+.1f})" for mean, low, high in gains]
 
     def _fluency(self) -> str:
         rows = [[*pair, *fluency_row(report.episodes)] for pair, report in self.reports.items()]
         return table(["giver", "receiver", *fluency_header()], rows) + f"\n\n{FLUENCY_NOTE}"
+
+
+def _gain_header(over: str) -> list[str]:
+    return [f"{name} over {over}, points (95 %, paired by scene)" for name in ("success", "contact")]
 
 
 def _number(value: float | None) -> str:

@@ -44,6 +44,14 @@ class Dataset(ABC):
             DataNotFoundError: A file that should be there is not.
         """
 
+    @abstractmethod
+    def object_urdf(self, object_name: str) -> Path:
+        """The model file of an object class.
+
+        Raises:
+            DataNotFoundError: It is not there.
+        """
+
     @property
     @abstractmethod
     def panda_urdf(self) -> Path:

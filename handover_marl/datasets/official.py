@@ -88,6 +88,14 @@ class OfficialDataset(Dataset):
             hand_last=int(present[-1]) if len(present) else None,
         )
 
+    def object_urdf(self, object_name: str) -> Path:
+        """The model of an object class.
+
+        Raises:
+            DataNotFoundError: It is not there.
+        """
+        return self._asset(f"{object_name}/model_normalized.urdf")
+
     def grasps(self, object_name: str) -> npt.NDArray[np.float64] | None:
         """The official grasps of an object class, or None (master chef can and wood block have none).
 
@@ -139,7 +147,7 @@ class OfficialDataset(Dataset):
         return SceneAssets(
             table=self._asset("table/table.urdf"),
             panda=self.panda_urdf,
-            objects=tuple(self._asset(f"{name}/model_normalized.urdf") for name in info.object_names),
+            objects=tuple(self.object_urdf(name) for name in info.object_names),
             hand=self._asset(f"{info.subject}_{info.side}/mano.urdf"),
         )
 

@@ -87,11 +87,12 @@ class CartesianDelta(ActionScheme):
 class GraspServo(CartesianDelta):
     """Goes where a grasp is, less what the outputs say; once the object is let go, to the goal.
 
-    Stays at the waiting pose for two seconds, while the person brings the object. From then on outputs 0-2 shift
-    the target by 0.03, 0.03 and 0.15 m and outputs 3-5 turn it by 0.2 rad, in the target's frame. The gripper
-    closes when the last one exceeds 0.5, opens below -0.5, and stays as it is in between. So zero goes straight
-    for the grasp of `handover_marl.receivers.grasp_choice` and never closes; what there is to learn is how to come
-    to it beside the hand, when to close, and to hold on.
+    Stays at the waiting pose for two seconds, while the person brings the object. Then it comes to a grasp along
+    the grasp's axis: the further it is beside that axis, or turned otherwise, the further it stays back. Outputs
+    0-2 shift the target by 0.02, 0.02 and 0.06 m and outputs 3-5 turn it by 0.15 rad, in the target's frame. The
+    gripper closes when the last one exceeds 0.5, opens below -0.5, and stays as it is in between; once the person
+    has let go it holds on. So zero goes to the grasp of `handover_marl.receivers.grasp_choice` and never closes;
+    what there is to learn is when to close, and how to come to it better.
 
     Args:
         context: The robot, the objects' grasps and the goal.
@@ -99,9 +100,11 @@ class GraspServo(CartesianDelta):
 
     name = "grasp_servo"
     wait = 2.0  # s
-    shift, tilt = (0.03, 0.03, 0.15), 0.2  # m, rad
+    shift, tilt = (0.02, 0.02, 0.06), 0.15  # m, rad
     firm = 0.5  # output that opens or closes
     fastest, fastest_turn = 0.1, 0.4  # m and rad from where the gripper is
+    aligned, aligned_turn = 0.01, 0.15  # m and rad off the axis that need no detour
+    back_beside, back_turned, farthest_back = 3.0, 0.3, 0.15  # m/m, m/rad, m
 
     def __init__(self, context: ReceiverContext) -> None:
         super().__init__(context)
@@ -127,6 +130,7 @@ class GraspServo(CartesianDelta):
         """The waiting pose, or targets within the joint limits."""
         if not self.asks(observation):
             return np.array(WAITING_JOINTS, dtype=np.float32)
+        self._closed = self._closed or bool(observation["released"][0])
         gripper = observation["gripper_pose"].astype(np.float64)
         own = Rotation.from_quat(gripper[3:])
         place, turned = self._target(observation, gripper, own)
@@ -138,13 +142,21 @@ class GraspServo(CartesianDelta):
             observation, _shortened(way, self.fastest), _shortened(turn, self.fastest_turn), self._closed
         )
 
+    def _detour(self, away: Array, own: Rotation, turned: Rotation) -> float:
+        """How far to stay back (m) from a target while beside its axis or turned otherwise."""
+        beside = float(np.hypot(*turned.inv().apply(away)[:2]))
+        turn = float((own.inv() * turned).magnitude())
+        back = self.back_beside * max(0.0, beside - self.aligned)
+        return min(back + self.back_turned * max(0.0, turn - self.aligned_turn), self.farthest_back)
+
     def _target(self, observation: Observation, gripper: Array, own: Rotation) -> tuple[Array, Rotation]:
         if observation["released"][0]:
             return self._goal, own
         chosen = self._choice.choose(observation)
         if chosen is None:
             return gripper[:3], own
-        return chosen[0][:3], Rotation.from_quat(chosen[0][3:])
+        place, turned = chosen[0][:3], Rotation.from_quat(chosen[0][3:])
+        return place - turned.apply([0.0, 0.0, self._detour(gripper[:3] - place, own, turned)]), turned
 
 
 def _shortened(vector: Array, length: float) -> Array:

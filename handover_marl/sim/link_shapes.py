@@ -1,6 +1,5 @@
 """The shapes that a URDF gives its links, as PyBullet's shape functions take them."""
 
-import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -9,11 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.errors import SimulationError
-from handover_marl.geometry import compose, poses_from_rotations
-from handover_marl.kinematic_tree import KinematicTree, attribute, euler_matrix
+from handover_marl.geometry import compose
+from handover_marl.kinematic_tree import KinematicTree
 from handover_marl.sim.client import BulletClient, pybullet_error
-
-_WHITE = (1.0, 1.0, 1.0, 1.0)
+from handover_marl.urdf_shapes import UrdfShape, read_urdf_shapes
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,22 +47,10 @@ def read_shapes(client: BulletClient, urdf: Path, tree: KinematicTree, kind: str
     Raises:
         SimulationError: A shape is of a kind that PyBullet cannot make by itself.
     """
-    robot = ET.parse(urdf).getroot()
-    numbers = {joint.link: number for number, joint in enumerate(tree.joints)}
-    colors = {material.get("name"): _color(material) for material in robot.findall("material")}
-    shapes = []
-    for link in robot.findall("link"):
-        for element in link.findall(kind):
-            try:
-                options = _options(client, element, urdf.parent)
-                pose = _origin(element)
-            except (ValueError, KeyError, IndexError, TypeError) as error:
-                raise SimulationError(
-                    f"{urdf}: cannot read a {kind} shape of link {link.get('name')!r} ({error!r}); check the file"
-                ) from error
-            color = _shape_color(element.find("material"), colors)
-            shapes.append(LinkShape(numbers.get(link.attrib["name"], -1), options, pose, color))
-    return shapes
+    return [
+        LinkShape(shape.link, _options(client, shape), shape.link_from_shape, shape.color)
+        for shape in read_urdf_shapes(urdf, tree, kind)
+    ]
 
 
 def collision_shape(client: BulletClient, shape: LinkShape) -> int:
@@ -95,39 +81,9 @@ def _make(function: Any, shape: LinkShape, extra: dict[str, Any]) -> int:
     return number
 
 
-def _options(client: BulletClient, element: ET.Element, folder: Path) -> dict[str, Any]:
-    geometry = element.find("geometry")
-    if geometry is None:
-        raise ValueError("no geometry")
-    shape = geometry[0]
-    if shape.tag == "mesh":
-        scale = [float(value) for value in shape.get("scale", "1 1 1").split()]
-        return {
-            "shapeType": client.GEOM_MESH,
-            "fileName": str(folder / shape.attrib["filename"]),
-            "meshScale": scale,
-        }
-    if shape.tag == "box":
-        sides = np.array(shape.attrib["size"].split(), dtype=np.float64)
-        return {"shapeType": client.GEOM_BOX, "halfExtents": (sides / 2.0).tolist()}
-    if shape.tag == "sphere":
-        return {"shapeType": client.GEOM_SPHERE, "radius": float(shape.attrib["radius"])}
-    raise ValueError(f"<{shape.tag}> is neither mesh nor box nor sphere")
-
-
-def _origin(element: ET.Element) -> npt.NDArray[np.float64]:
-    xyz, rpy = (attribute(element, "origin", name, "0 0 0") for name in ("xyz", "rpy"))
-    return poses_from_rotations(np.array(xyz.split(), dtype=np.float64), euler_matrix(rpy))
-
-
-def _shape_color(
-    material: ET.Element | None, named: dict[str | None, tuple[float, ...] | None]
-) -> tuple[float, ...]:
-    if material is None:
-        return _WHITE
-    return _color(material) or named.get(material.get("name")) or _WHITE
-
-
-def _color(material: ET.Element) -> tuple[float, ...] | None:
-    color = material.find("color")
-    return None if color is None else tuple(float(value) for value in color.attrib["rgba"].split())
+def _options(client: BulletClient, shape: UrdfShape) -> dict[str, Any]:
+    if shape.kind == "mesh":
+        return {"shapeType": client.GEOM_MESH, "fileName": str(shape.mesh), "meshScale": list(shape.size)}
+    if shape.kind == "box":
+        return {"shapeType": client.GEOM_BOX, "halfExtents": (np.array(shape.size) / 2.0).tolist()}
+    return {"shapeType": client.GEOM_SPHERE, "radius": shape.size[0]}

@@ -64,6 +64,10 @@ class SyntheticDataset(Dataset):
             hand_last=len(hand_dof) - 1,
         )
 
+    def object_urdf(self, object_name: str) -> Path:
+        """The shipped model of an object class."""
+        return object_urdf(object_name)
+
     def grasps(self, object_name: str) -> npt.NDArray[np.float64] | None:
         """The shipped grasps of an object class, or None (master chef can and wood block have none)."""
         return load_object_grasps(object_name)
