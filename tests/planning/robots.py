@@ -1,0 +1,19 @@
+"""The synthetic scenes' Panda, for tests of planning."""
+
+import numpy as np
+
+from handover_marl.config import PandaConfig
+from handover_marl.datasets.synthetic import SyntheticDataset
+from handover_marl.kinematic_tree import read_tree
+from handover_marl.planning.arm import Arm
+from handover_marl.receivers import WAITING_JOINTS
+
+TREE = read_tree(SyntheticDataset().panda_urdf)
+ARM = Arm(TREE)
+START = np.array(WAITING_JOINTS[:7])
+LIMITS = np.array(PandaConfig().lower_limits[:7]) + 0.2, np.array(PandaConfig().upper_limits[:7]) - 0.2
+
+
+def random_joints(seed: int, count: int) -> np.ndarray:
+    """(count, 7) within the limits."""
+    return np.random.default_rng(seed).uniform(*LIMITS, (count, 7))
