@@ -126,8 +126,8 @@ def main(args: Args) -> None:
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     text = "\n\n".join(
         [
-            f"Planning of {args.receiver}: {len(first)} scenes of {args.setup} {args.split}, {data.name}, one core, "
-            + describe_machine(),
+            f"Planning of {args.receiver}: {len(first)} scenes of {args.setup} {args.split}, {data.name}, "
+            f"one core, {describe_machine()}.",
             table(
                 ["", "5 %", "median", "95 %", "most"],
                 [

@@ -20,7 +20,7 @@ from handover_marl.geometry import compose, compose_point, inverse
 from handover_marl.observations import Observation
 from handover_marl.planning.arm import Arm
 from handover_marl.planning.capsules import Capsules, hand_capsules
-from handover_marl.planning.config import HandConfig, PlannerConfig
+from handover_marl.planning.config import HandAvoidance, PlannerConfig
 from handover_marl.planning.field_cache import object_field
 from handover_marl.planning.grasp_rules import usable
 from handover_marl.planning.obstacles import Obstacle
@@ -218,7 +218,7 @@ class OmgHandAwareReceiver(OmgReceiver):
     """The same with the person's hand as an obstacle: goals beside it, and a way that keeps clear of it."""
 
     name = "omg_hand_aware"
-    default_config = PlannerConfig(hand=HandConfig())
+    default_config = PlannerConfig(hand=HandAvoidance())
 
 
 class OmgOriginalReceiver(OmgReceiver):

@@ -8,6 +8,7 @@ from PIL import Image
 import handover_marl
 from handover_marl.cli import main
 from handover_marl.errors import OptionError, UnknownNameError
+from handover_marl.protocol.status import EpisodeStatus
 
 SCENES = "9,14"
 
@@ -40,3 +41,24 @@ def test_bad_names_come_to_light_before_the_first_scene(fake_data: Path, tmp_pat
     assert not (tmp_path / "out").exists()
     with pytest.raises(OptionError, match="at least one"):
         handover_marl.crossplay([], ["hold"], data_dir=fake_data)
+
+
+def test_receivers_are_compared_scene_by_scene(fake_data: Path) -> None:
+    played = handover_marl.crossplay(
+        ["replay"],
+        ["hold", "yang2021"],
+        scenes=[9, 14],
+        data_dir=fake_data,
+        physics="fast",
+        workers=1,
+        progress=False,
+    )
+    episodes = [played.reports["replay", name].episodes for name in ("yang2021", "hold")]
+    for flag in (EpisodeStatus.SUCCESS, EpisodeStatus.TIMEOUT):
+        mean, low, high = played.gain(("replay", "yang2021"), ("replay", "hold"), flag)
+        first, second = ([bool(episode.status & flag) for episode in part] for part in episodes)
+        assert mean == pytest.approx((sum(first) - sum(second)) / 2)
+        assert low <= mean <= high
+    text = str(played)
+    assert "success over the other, points (95 %, paired by scene)" in text
+    assert any(line.split("|")[1:4] == [" replay  ", " yang2021   ", " hold    "] for line in text.splitlines())

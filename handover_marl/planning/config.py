@@ -122,7 +122,7 @@ class OptimiserConfig:
 
 
 @dataclass(frozen=True)
-class HandConfig:
+class HandAvoidance:
     """The person's hand as an obstacle, for who looks at it (m).
 
     Attributes:
@@ -155,7 +155,7 @@ class PlannerConfig:
     costs: CostConfig = CostConfig()
     selection: SelectionConfig = SelectionConfig()
     optimiser: OptimiserConfig = OptimiserConfig()
-    hand: HandConfig | None = None
+    hand: HandAvoidance | None = None
     points_per_link: int = 15
     gripper_points: int = 60
     unchecked_last: bool = False

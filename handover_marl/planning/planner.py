@@ -14,7 +14,7 @@ from handover_marl.planning.arm import FINGERS, HAND, Arm
 from handover_marl.planning.body import body_samples
 from handover_marl.planning.capsules import Capsules
 from handover_marl.planning.chomp import Chomp, first_trajectory
-from handover_marl.planning.config import HandConfig, PlannerConfig
+from handover_marl.planning.config import HandAvoidance, PlannerConfig
 from handover_marl.planning.distance_field import field_of
 from handover_marl.planning.goal_selection import GoalSelector
 from handover_marl.planning.goal_set import GoalFinder, GoalSet
@@ -121,7 +121,7 @@ class Planner:
         return self.config.hand.rank * np.maximum(0.0, self.config.hand.padding - goals.rooms)
 
 
-def hand_obstacle(hand: Capsules, config: HandConfig) -> Obstacle:
+def hand_obstacle(hand: Capsules, config: HandAvoidance) -> Obstacle:
     """A hand in the base frame as something to keep clear of."""
     reach = config.padding + hand.radii.max()
     ends = np.concatenate([hand.starts, hand.ends])

@@ -8,7 +8,7 @@ from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.planning.arm import FINGERS, HAND
 from handover_marl.planning.body import body_samples
 from handover_marl.planning.capsules import Capsules
-from handover_marl.planning.config import HandConfig, PlannerConfig
+from handover_marl.planning.config import HandAvoidance, PlannerConfig
 from handover_marl.planning.distance_field import field_of
 from handover_marl.planning.goal_set import GoalFinder, GoalSet
 from handover_marl.planning.grasp_rules import usable
@@ -99,7 +99,7 @@ def test_nothing_in_reach_is_no_goal() -> None:
 def test_goals_beside_the_hand_come_first(found: GoalSet) -> None:
     # A rod beside the place: a gripper that opens towards it comes nearer than one turned away.
     rod = Capsules(np.array([[0.58, 0.08, 0.5]]), np.array([[0.75, 0.08, 0.5]]), np.array([0.02]))
-    config = PlannerConfig(hand=HandConfig(room=0.02))
+    config = PlannerConfig(hand=HandAvoidance(room=0.02))
     assert config.hand is not None
     roomy = finder(config).find(grasps(), [], hand_obstacle(rod, config.hand))
     assert len(roomy) > 0
@@ -110,7 +110,7 @@ def test_goals_beside_the_hand_come_first(found: GoalSet) -> None:
 
 def test_without_room_the_roomiest_is_kept() -> None:
     rod = Capsules(np.array([[0.6, 0.0, 0.5]]), np.array([[0.62, 0.0, 0.5]]), np.array([0.08]))
-    config = PlannerConfig(hand=HandConfig())
+    config = PlannerConfig(hand=HandAvoidance())
     assert config.hand is not None
     cramped = finder(config).find(grasps(), [], hand_obstacle(rod, config.hand))
     assert len(cramped) >= 1
