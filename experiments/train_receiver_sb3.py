@@ -1,22 +1,21 @@
-"""Train a receiver from scratch with Stable-Baselines3's TD3, the giver frozen. Needs extras `train` and `plot`.
+"""Train a receiver from scratch with Stable-Baselines3's PPO, the giver frozen. Needs extras `train` and `plot`.
 
     python experiments/train_receiver_sb3.py --data-dir DIR --out runs/receiver
 
-Learns when to close the gripper and how to come to a grasp better than straight along its axis
-(`handover_marl.learning.receiver_schemes.GraspServo`), from the task's sparse reward and in fast physics, on nine
-tenths of a training split, and looks at the validation split now and then. The folder gets `policy.npz`
-(`--receivers learned:runs/receiver/policy.npz`), `learning_curve.csv` and `.png`, TensorBoard logs, and a
-checkpoint: `--resume` goes on where a run was stopped.
+Learns when to close the gripper, and how to come to a grasp better than straight along its axis
+(`handover_marl.learning.receiver_schemes.GraspServo`), from the task's sparse reward in fast physics, on nine
+tenths of a training split, and looks at the validation split now and then, where it acts without noise. The folder
+gets `policy.npz` (`--receivers learned:runs/receiver/policy.npz`), `learning_curve.csv` and `.png`, TensorBoard
+logs, and a checkpoint: `--resume` goes on where a run was stopped.
 """
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 import torch
 import tyro
-from stable_baselines3 import TD3
-from stable_baselines3.common.noise import NormalActionNoise, VectorizedActionNoise
+from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecEnv
 
 from handover_marl.datasets import open_dataset
@@ -45,10 +44,10 @@ class Args:
         minutes: Wall-clock time at most (min).
         time_limit: Episodes in training are cut off after so long (s).
         envs: Environments, a process each.
-        warm_up: Decisions before the first update, made by noise about zero.
-        batch: Decisions from memory in an update; there is one update for every decision.
-        spread: Standard deviation of the noise on the outputs while warming up; later half of it.
-        gripper_spread: That on the last one, which opens and closes the gripper; likewise.
+        batch: Decisions between updates.
+        epochs: Passes over a batch.
+        spread: Standard deviation of the outputs at first.
+        gripper_spread: That of the last one, which opens and closes the gripper.
         learning_rate: Of Adam.
         discount: Of rewards.
         every: Decisions between evaluations.
@@ -68,15 +67,15 @@ class Args:
     control_period: float = 0.2
     seed: int = 0
     steps: int = 500_000
-    minutes: float = 25.0
+    minutes: float = 24.0
     time_limit: float = 8.0
     envs: int = 8
-    warm_up: int = 3_000
-    batch: int = 256
+    batch: int = 2048
+    epochs: int = 8
     spread: float = 0.15
-    gripper_spread: float = 0.6
+    gripper_spread: float = 0.45
     learning_rate: float = 7e-4
-    discount: float = 0.95
+    discount: float = 0.97
     every: int = 8_192
     val_scenes: int = 36
     resume: bool = False
@@ -103,7 +102,7 @@ def main(args: Args) -> None:
         time_limit=args.time_limit,
         **common,
     )
-    model = load_checkpoint(TD3, folder, envs) if args.resume and folder.checkpoint.exists() else make(args, envs)
+    model = load_checkpoint(PPO, folder, envs) if args.resume and folder.checkpoint.exists() else make(args, envs)
     supervision = Supervision(
         folder,
         PolicySpec(
@@ -114,46 +113,32 @@ def main(args: Args) -> None:
         args.minutes,
         args.giver,
     )
-    for until, updates, scale in ((min(args.warm_up, args.steps), 0, 1.0), (args.steps, args.envs, 0.5)):
-        model.gradient_steps, model.action_noise = updates, noise(args, envs, scale)
-        left = until - model.num_timesteps
-        if left > 0:
-            model.learn(left, supervision, reset_num_timesteps=False, progress_bar=True, log_interval=50)
+    left = max(0, args.steps - model.num_timesteps)
+    model.learn(left, supervision, reset_num_timesteps=False, progress_bar=True, log_interval=1)
     supervision.assess()
     envs.close()
     print(folder.policy)
 
 
-def make(args: Args, envs: VecEnv) -> TD3:
-    model = TD3(
+def make(args: Args, envs: VecEnv) -> PPO:
+    model = PPO(
         "MlpPolicy",
         envs,
         learning_rate=args.learning_rate,
-        buffer_size=200_000,
-        learning_starts=0,
-        batch_size=args.batch,
+        n_steps=args.batch // args.envs,
+        batch_size=128,
+        n_epochs=args.epochs,
         gamma=args.discount,
-        tau=0.01,
-        policy_kwargs={"net_arch": [128, 128]},
+        gae_lambda=0.95,
+        policy_kwargs={"net_arch": [128, 128], "log_std_init": math.log(args.spread)},
         tensorboard_log=str(Path(args.out) / "tensorboard"),
         seed=args.seed,
         device="cpu",
     )
-    # Outputs begin near zero, so that the noise alone decides at first.
-    last = model.actor.mu[-2]
     with torch.no_grad():
-        last.weight.mul_(0.01)
-        last.bias.zero_()
-    model.actor_target.load_state_dict(model.actor.state_dict())
+        # A wider draw here than of the gripper's way: to close at random is to succeed now and then.
+        model.policy.log_std[-1] = math.log(args.gripper_spread)
     return model
-
-
-def noise(args: Args, envs: VecEnv, scale: float) -> VectorizedActionNoise:
-    """Wider on the gripper: to close at random is to succeed now and then."""
-    spread = np.full(envs.action_space.shape, args.spread)
-    spread[-1] = args.gripper_spread
-    spread *= scale
-    return VectorizedActionNoise(NormalActionNoise(np.zeros_like(spread), spread), args.envs)
 
 
 if __name__ == "__main__":

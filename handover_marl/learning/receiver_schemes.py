@@ -89,10 +89,10 @@ class GraspServo(CartesianDelta):
 
     Stays at the waiting pose for two seconds, while the person brings the object. Then it comes to a grasp along
     the grasp's axis: the further it is beside that axis, or turned otherwise, the further it stays back. Outputs
-    0-2 shift the target by 0.02, 0.02 and 0.06 m and outputs 3-5 turn it by 0.15 rad, in the target's frame. The
-    gripper closes when the last one exceeds 0.5, opens below -0.5, and stays as it is in between; once the person
-    has let go it holds on. So zero goes to the grasp of `handover_marl.receivers.grasp_choice` and never closes;
-    what there is to learn is when to close, and how to come to it better.
+    0-2 shift the target by 0.01, 0.01 and 0.03 m and outputs 3-5 turn it by 0.1 rad, in the target's frame. When
+    the last one exceeds 0.5 the gripper closes, for good. So zero goes to the grasp of
+    `handover_marl.receivers.grasp_choice` and never closes; what there is to learn is when to close, and how to
+    come to it better.
 
     Args:
         context: The robot, the objects' grasps and the goal.
@@ -100,8 +100,8 @@ class GraspServo(CartesianDelta):
 
     name = "grasp_servo"
     wait = 2.0  # s
-    shift, tilt = (0.02, 0.02, 0.06), 0.15  # m, rad
-    firm = 0.5  # output that opens or closes
+    shift, tilt = (0.01, 0.01, 0.03), 0.1  # m, rad
+    firm = 0.5  # output that closes
     fastest, fastest_turn = 0.1, 0.4  # m and rad from where the gripper is
     aligned, aligned_turn = 0.01, 0.15  # m and rad off the axis that need no detour
     back_beside, back_turned, farthest_back = 3.0, 0.3, 0.15  # m/m, m/rad, m
@@ -119,8 +119,7 @@ class GraspServo(CartesianDelta):
     def decide(self, outputs: Outputs) -> None:
         """Take new outputs."""
         super().decide(outputs)
-        if abs(self._outputs[6]) > self.firm:
-            self._closed = bool(self._outputs[6] > 0.0)
+        self._closed = self._closed or bool(self._outputs[6] > self.firm)
 
     def asks(self, observation: Observation) -> bool:
         """Once the wait is over."""
@@ -130,7 +129,6 @@ class GraspServo(CartesianDelta):
         """The waiting pose, or targets within the joint limits."""
         if not self.asks(observation):
             return np.array(WAITING_JOINTS, dtype=np.float32)
-        self._closed = self._closed or bool(observation["released"][0])
         gripper = observation["gripper_pose"].astype(np.float64)
         own = Rotation.from_quat(gripper[3:])
         place, turned = self._target(observation, gripper, own)

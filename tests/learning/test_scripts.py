@@ -50,7 +50,6 @@ RECEIVER: dict[str, Any] = {
     "every": 16,
     "val_scenes": 2,
     "time_limit": 3.0,
-    "warm_up": 8,
     "batch": 8,
 }
 MADE = {
