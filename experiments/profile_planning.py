@@ -38,7 +38,7 @@ class Args:
     """What to plan.
 
     Attributes:
-        receiver: omg, omg_hand_aware or omg_original.
+        receiver: omg, omg_hand_aware or omg_unchecked_last.
         setup: Official setup, s0 to s3.
         split: train, val or test.
         data_dir: Folder in HandoverSim's layout; default: HANDOVER_MARL_DATA.

@@ -4,12 +4,15 @@ import os
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from handover_marl._version import __version__
 from handover_marl.errors import HandoverError, OptionError
+
+if TYPE_CHECKING:
+    from handover_marl.config import CameraConfig
 
 _Scenes = Annotated[str | None, tyro.conf.arg(metavar="N,N,...")]
 _Names = Annotated[str, tyro.conf.arg(metavar="NAME,NAME,...")]
@@ -180,7 +183,6 @@ def run_render(
     from handover_marl.config import CameraConfig
     from handover_marl.rendering import render_scene
 
-    chosen = {key: value for key, value in (("width", width), ("height", height)) if value is not None}
     if plan:
         from handover_marl.plan_picture import PLAN_CAMERA, render_plan
 
@@ -192,7 +194,7 @@ def run_render(
                 dataset=dataset,
                 data_dir=data_dir,
                 physics=physics,
-                camera=replace(PLAN_CAMERA, **chosen),
+                camera=_sized(PLAN_CAMERA, width, height),
             )
         )
         return
@@ -204,9 +206,13 @@ def run_render(
         receiver=receiver,
         physics=physics,
         key_frames=key_frames,
-        camera=replace(CameraConfig(), **chosen),
+        camera=_sized(CameraConfig(), width, height),
     )
     print(path)
+
+
+def _sized(camera: "CameraConfig", width: int | None, height: int | None) -> "CameraConfig":
+    return replace(camera, width=width or camera.width, height=height or camera.height)
 
 
 @app.command(name="evaluate")

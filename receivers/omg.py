@@ -221,8 +221,8 @@ class OmgHandAwareReceiver(OmgReceiver):
     default_config = PlannerConfig(hand=HandAvoidance())
 
 
-class OmgOriginalReceiver(OmgReceiver):
+class OmgUncheckedLastReceiver(OmgReceiver):
     """The same with the slip of the original that decides which goal it takes most often."""
 
-    name = "omg_original"
+    name = "omg_unchecked_last"
     default_config = PlannerConfig(unchecked_last=True)

@@ -88,8 +88,9 @@ class Arm:
         """(6, 7, n): how the hand's origin moves (m/rad) and turns with each joint."""
         axes = chain.rotations[:-1, :, 2]
         levers = chain.origins[-1] - chain.origins[:-1]
-        columns: Array = np.concatenate([np.cross(axes, levers, axis=1), axes], axis=1)
-        return columns.transpose(1, 0, 2)
+        columns = np.concatenate([np.cross(axes, levers, axis=1), axes], axis=1)
+        jacobian: Array = columns.transpose(1, 0, 2)
+        return jacobian
 
 
 def body_points(frames: Frames, on_links: Sequence[Array]) -> Array:
