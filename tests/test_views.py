@@ -82,7 +82,7 @@ def test_the_frozen_receiver_moves_the_robot(fake_data: Path) -> None:
 def test_unknown_partners(fake_data: Path) -> None:
     with pytest.raises(UnknownNameError, match="giver 'nobody'; valid: cooperative, hesitant"):
         FrozenPartnerEnv("receiver", "nobody", data_dir=fake_data)
-    with pytest.raises(UnknownNameError, match="receiver 'replay'; valid: hold, learned, random, yang2021"):
+    with pytest.raises(UnknownNameError, match="receiver 'replay'; valid: hold, learned, omg"):
         FrozenPartnerEnv("giver", "replay", data_dir=fake_data)
     with pytest.raises(UnknownNameError, match="agent"):
         FrozenPartnerEnv("robot", data_dir=fake_data)

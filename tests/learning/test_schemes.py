@@ -11,6 +11,7 @@ from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.errors import OptionError, UnknownNameError
 from handover_marl.learning.features import offer_frame
 from handover_marl.learning.giver_schemes import Deviation, Offer
+from handover_marl.learning.receiver_schemes import GraspServo
 from handover_marl.learning.schemes import make_scheme, scheme_size, schemes
 from handover_marl.receivers import WAITING_JOINTS, context_of
 from handover_marl.receivers.grasp_choice import MOST_ROOM, GraspChoice
@@ -132,13 +133,37 @@ def test_the_servo_waits_and_then_goes_for_a_grasp() -> None:
     np.testing.assert_allclose(brought[:7], START[:7], atol=1e-5)
 
 
-def test_the_servo_keeps_its_gripper_as_it_is() -> None:
+def test_the_servo_closes_for_good() -> None:
     scheme = make_scheme("receiver", "grasp_servo", CONTEXT)
     fingers = []
-    for value in (0.3, 0.6, 0.0, -0.4, -0.6, 0.4):
+    for value in (0.3, -1.0, 0.6, 0.0, -1.0, 0.4):
         scheme.decide(np.array([0, 0, 0, 0, 0, 0, value]))
         fingers.append(scheme.action(seen(time=np.float32([3.0])))[7])
-    np.testing.assert_allclose(fingers, [0.04, 0.0, 0.0, 0.0, 0.04, 0.04], rtol=1e-6)
+    np.testing.assert_allclose(fingers, [0.04, 0.04, 0.0, 0.0, 0.0, 0.0], rtol=1e-6)
+    scheme.reset()
+    scheme.decide(np.zeros(7))
+    assert scheme.action(seen(time=np.float32([3.0])))[7] == np.float32(0.04)
+
+
+def test_the_servo_comes_along_the_axis_of_the_grasp() -> None:
+    """On the axis it goes for the grasp itself; beside it for a place behind the grasp, on the axis."""
+    scheme, observation, choice = make_scheme("receiver", "grasp_servo", CONTEXT), seen(), GraspChoice(CONTEXT)
+    first = choice.choose(observation)
+    assert first is not None
+    backs = []
+    for away in ([0.0, 0.0, 0.0], [0.0, 0.0, -0.01], [0.1, 0.0, -0.2], [0.0, -0.3, 0.0]):
+        gripper = first[0].copy()
+        gripper[:3] += Rotation.from_quat(gripper[3:]).apply(away)
+        now = observation | {"gripper_pose": gripper.astype(np.float32)}
+        chosen = choice.choose(now)
+        assert chosen is not None
+        place, turned = scheme._target(now, gripper, Rotation.from_quat(gripper[3:]))
+        x, y, z = turned.inv().apply(place - chosen[0][:3])
+        np.testing.assert_allclose([x, y], 0.0, atol=1e-9)
+        backs.append(-z)
+    np.testing.assert_allclose(backs[:2], 0.0, atol=1e-9)
+    assert min(backs[2:]) > 0.0
+    assert max(backs) <= GraspServo.farthest_back
 
 
 def test_the_chosen_grasp_leaves_room_for_the_hand() -> None:
