@@ -148,7 +148,9 @@ class PlannerConfig:
         hand: How the person's hand counts, or None to ignore it as the original does.
         unchecked_last: The original blanks the costs of the last rows of whatever it evaluates together, meant for
             a trajectory's tail. Of a set of goals these are its last five in the collision filter, and the last
-            one's nearest waypoints in the choice, which makes that goal look cheap. True does the same.
+            one's nearest waypoints in the choice, which makes that goal look cheap. True does the same. Measured
+            on DexYCB's s0 test (144 scenes, exact physics, replay giver): success 61.1 against 59.0 %, contact
+            31.9 against 36.8 %, drop 6.9 against 4.2 %; success and contact within chance, paired by scene.
     """
 
     goals: GoalConfig = GoalConfig()
