@@ -54,6 +54,11 @@ def test_capsules_fill_the_simulated_hand(scene_id: int) -> None:
     assert np.quantile(away, 0.9) < 0.012
     assert away.min() > -0.02
     assert away.max() < 0.025
+    # Fingertips are where the last joints' angles put them.
+    tips = [place for place, link in enumerate(shaped) if not any(joint.parent == link for joint in tree.joints)]
+    assert len(tips) == 5
+    for place in tips:
+        assert capsules.distances(compose_point(poses[place], vertices[place])).max() < 0.0
 
 
 def test_no_hand_no_capsules() -> None:
