@@ -10,7 +10,7 @@ logs, and a checkpoint: `--resume` goes on where a run was stopped.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
@@ -22,6 +22,7 @@ from handover_marl.datasets import open_dataset
 from handover_marl.learning.policy import PolicySpec
 from handover_marl.learning.stable_baselines import Supervision, load_checkpoint, vector_env
 from handover_marl.learning.training import RunFolder, evaluate_policy, origin, spread_scenes, training_scenes
+from handover_marl.rewards import reward_config
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,7 @@ class Args:
         batch: Decisions between updates.
         epochs: Passes over a batch.
         spread: Standard deviation of the outputs at first.
-        gripper_spread: That of the last one, which opens and closes the gripper.
+        gripper_spread: That of the last one, which closes the gripper.
         learning_rate: Of Adam.
         discount: Of rewards.
         every: Decisions between evaluations.
@@ -97,7 +98,8 @@ def main(args: Args) -> None:
         observe=args.observe,
         scenes=train,
         split="train",
-        rewards=args.rewards,
+        # Guidance is made for the learner's own discount.
+        rewards=replace(reward_config(args.rewards), gamma=args.discount),
         control_period=args.control_period,
         time_limit=args.time_limit,
         **common,

@@ -212,7 +212,8 @@ def run_render(
 
 
 def _sized(camera: "CameraConfig", width: int | None, height: int | None) -> "CameraConfig":
-    return replace(camera, width=width or camera.width, height=height or camera.height)
+    wide = camera.width if width is None else width
+    return replace(camera, width=wide, height=camera.height if height is None else height)
 
 
 @app.command(name="evaluate")

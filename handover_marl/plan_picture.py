@@ -151,15 +151,15 @@ def _draw_plan(axes: Any, plan: Plan, arm: Arm, world_from_base: Array) -> None:
     def arm_line(joints: Array) -> Array:
         return world(np.concatenate([np.zeros((1, 3)), arm.chain(joints[None]).origins[..., 0]]))
 
-    for frames in _hands(arm, plan.goals.goals):
-        axes.plot(*world(frames).T, color="tab:green", linewidth=0.8, alpha=0.6)
+    for outline in _hands(arm, plan.goals.goals):
+        axes.plot(*world(outline).T, color="tab:green", linewidth=0.8, alpha=0.6)
     (chosen,) = _hands(arm, plan.trajectory[-1:])
     axes.plot(*world(chosen).T, color="tab:red", linewidth=2.5, label="chosen goal")
     axes.plot(*arm_line(plan.start).T, color="black", linewidth=3, alpha=0.5, label="arm at the start")
     axes.plot(*arm_line(plan.trajectory[-1]).T, color="tab:red", linewidth=3, alpha=0.3, label="arm at the end")
     path = world(arm.chain(np.concatenate([plan.start[None], plan.trajectory])).origins[-1].T)
     tail = plan.goals.tails.shape[1]
-    axes.plot(*path.T, color="tab:blue", marker=".", label="hand link, 0.13 s a dot")
+    axes.plot(*path.T, color="tab:blue", marker=".", label="hand link, a dot a waypoint")
     axes.plot(*path[-tail:].T, color="tab:purple", linewidth=3, label="straight to the grasp")
 
 

@@ -15,6 +15,9 @@ from handover_marl.observations import Observation
 #: Where a receiver waits for the handover (7 arm joints, rad; 2 fingers, m), as in HandoverSim's baselines.
 WAITING_JOINTS = (-0.0593, -1.6124, -0.1970, -2.5300, -0.0952, 1.6780, 0.5870, 0.04, 0.04)
 
+#: Finger targets (m).
+OPEN, CLOSED = 0.04, 0.0
+
 Action = npt.NDArray[np.float32]
 
 

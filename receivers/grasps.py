@@ -33,6 +33,7 @@ class ObjectGrasps:
         grippers = self._of(CLASS_NAMES[int(observation["object_classes"][0])])
         if grippers is None:
             return None
+        # In this order and not by `in_object`: the reference's last bits depend on it.
         return compose(compose(observation["object_poses"][0], grippers), np.array(GRIPPER_FROM_HAND))
 
     def in_object(self, object_name: str) -> Poses | None:

@@ -25,13 +25,11 @@ from handover_marl.planning.field_cache import object_field
 from handover_marl.planning.grasp_rules import usable
 from handover_marl.planning.obstacles import Obstacle
 from handover_marl.planning.planner import Plan, Planner
-from handover_marl.receivers.base import WAITING_JOINTS, Action, Receiver, ReceiverContext
+from handover_marl.receivers.base import CLOSED, OPEN, WAITING_JOINTS, Action, Receiver, ReceiverContext
 from handover_marl.receivers.grasps import HALF_TURN, ObjectGrasps
 from handover_marl.sim.kinematics import ARM_JOINTS, PandaKinematics
 
 Array = npt.NDArray[np.float64]
-
-OPEN, CLOSED = 0.04, 0.0
 
 _Part = TypeVar("_Part")
 _NEEDED = ("igl", "trimesh", "platformdirs")

@@ -15,13 +15,11 @@ import numpy.typing as npt
 from handover_marl.errors import ResetNeededError
 from handover_marl.geometry import compose, rotation_angle
 from handover_marl.observations import Observation
-from handover_marl.receivers.base import WAITING_JOINTS, Action, Receiver, ReceiverContext
+from handover_marl.receivers.base import CLOSED, OPEN, WAITING_JOINTS, Action, Receiver, ReceiverContext
 from handover_marl.receivers.grasps import ObjectGrasps
 from handover_marl.sim.kinematics import ARM_JOINTS, PandaKinematics
 
 Pose = npt.NDArray[np.float64]
-
-OPEN, CLOSED = 0.04, 0.0
 
 
 @dataclass(frozen=True)

@@ -95,6 +95,6 @@ def _keep(path: Path, field: DistanceField) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(path, stream.getvalue())
-    except (OSError, HandoverError) as error:
+    except (OSError, HandoverError):
         # Only the next start is slower for it.
-        _log.warning("distance field of %s not kept: %s", path.name, error)
+        _log.warning("distance field %s not kept: cannot write to that folder; it is made anew each time", path)
