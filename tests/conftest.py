@@ -9,8 +9,12 @@ from tests.fake_layout import write_layout
 #: Folder with recordings of the reference simulator (`scene*.npz`, `yang_s0_val.json`).
 RECORDINGS_VARIABLE = "HANDOVER_MARL_RECORDINGS"
 
+#: Folder in HandoverSim's layout with the scenes of several objects that `multi/*.npz` were recorded in.
+SEVERAL_OBJECTS_VARIABLE = "HANDOVER_MARL_SEVERAL_OBJECTS"
+
 REAL_DATA = os.environ.get(DATA_VARIABLE)
 RECORDINGS = os.environ.get(RECORDINGS_VARIABLE)
+SEVERAL_OBJECTS = os.environ.get(SEVERAL_OBJECTS_VARIABLE)
 
 
 @pytest.fixture(autouse=True)
@@ -45,6 +49,14 @@ def real_dataset(real_data: Path) -> OfficialDataset:
 
 
 @pytest.fixture(scope="session")
+def several_objects() -> OfficialDataset:
+    """Scenes with two to five objects that the original simulator was recorded in."""
+    if not SEVERAL_OBJECTS:
+        pytest.skip(f"SCENES WITH SEVERAL OBJECTS MISSING: set {SEVERAL_OBJECTS_VARIABLE} to their folder")
+    return OfficialDataset(Path(SEVERAL_OBJECTS))
+
+
+@pytest.fixture(scope="session")
 def recordings(real_data: Path) -> Path:
     """Recordings of the reference simulator."""
     if not RECORDINGS:
@@ -53,9 +65,12 @@ def recordings(real_data: Path) -> Path:
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    missing = [
-        name for name, value in ((DATA_VARIABLE, REAL_DATA), (RECORDINGS_VARIABLE, RECORDINGS)) if not value
-    ]
+    wanted = {
+        DATA_VARIABLE: REAL_DATA,
+        RECORDINGS_VARIABLE: RECORDINGS,
+        SEVERAL_OBJECTS_VARIABLE: SEVERAL_OBJECTS,
+    }
+    missing = [name for name, value in wanted.items() if not value]
     if missing:
         terminalreporter.write_sep("=", "NOT TESTED AGAINST THE REFERENCE", red=True, bold=True)
         terminalreporter.write_line(

@@ -5,8 +5,8 @@ import pytest
 
 from handover_marl.config import HandConfig, MotorConfig, ObjectConfig, PandaConfig
 from handover_marl.errors import SimulationError
-from handover_marl.sim.body import Body
-from handover_marl.sim.client import BulletClient, connect, load_urdf
+from handover_marl.sim.body import Body, Start
+from handover_marl.sim.client import BulletClient, connect
 from handover_marl.sim.hand import Hand
 from handover_marl.sim.objects import Object
 from handover_marl.sim.panda import Panda
@@ -26,7 +26,7 @@ def assets(fake_data: Path) -> Path:
 
 
 def test_links_by_name(client: BulletClient, assets: Path) -> None:
-    body = Object(client, assets / OBJECT, 2, [0.0] * 6, ObjectConfig())
+    body = Object(client, assets / OBJECT, 2, Start([0.0] * 6), ObjectConfig())
     assert [body.link(f"link{index}") for index in range(1, 7)] == list(range(6))
     with pytest.raises(SimulationError, match=r"'object' loaded as Object has no link 'link7'.*link1, link2"):
         body.link("link7")
@@ -34,16 +34,15 @@ def test_links_by_name(client: BulletClient, assets: Path) -> None:
 
 @pytest.mark.parametrize("count", [0, 5, 7])
 def test_a_motor_for_every_moving_joint(client: BulletClient, assets: Path, count: int) -> None:
-    body_id = load_urdf(client, assets / OBJECT)
     motors = [MotorConfig(position_gain=0.1, velocity_gain=1.0, force=1.0)] * count
     with pytest.raises(SimulationError, match=f"'object' .*has 6 moving joints, expected {count}"):
-        Body(client, body_id, motors)
+        Body(client, assets / OBJECT, motors, 1, Start())
 
 
 def test_models_that_are_something_else(client: BulletClient, assets: Path) -> None:
     table = assets / "table" / "table.urdf"
     with pytest.raises(SimulationError, match="'table' loaded as Object has 0 moving joints, expected 6"):
-        Object(client, table, 2, [0.0] * 6, ObjectConfig())
+        Object(client, table, 2, Start([0.0] * 6), ObjectConfig())
     with pytest.raises(SimulationError, match="'object' loaded as Hand has 6 moving joints, expected 51"):
         Hand(client, assets / OBJECT, [0.0] * 51, HandConfig())
     with pytest.raises(SimulationError, match="'object' loaded as Panda has 6 moving joints, expected 9"):

@@ -7,6 +7,7 @@ import numpy.typing as npt
 
 from handover_marl.config import ObjectConfig
 from handover_marl.kinematic_tree import read_tree
+from handover_marl.sim.body import Start
 from handover_marl.sim.bounds import link_spheres
 from handover_marl.sim.client import BulletClient
 from handover_marl.sim.follower import Follower
@@ -70,8 +71,8 @@ class DormantObject:
         if self.awake:
             return
         before, now = self._trail[row], self._trail[row + 1]
-        self.body = Object(self._client, self.urdf, self._class_id, now.tolist(), self._config)
-        self.body.place(now.tolist(), ((now - before) / self._time_step).tolist())
+        start = Start(now.tolist(), ((now - before) / self._time_step).tolist())
+        self.body = Object(self._client, self.urdf, self._class_id, start, self._config)
 
     def drive(self, row: int) -> None:
         """Lead the simulated object to the target of step `row`."""

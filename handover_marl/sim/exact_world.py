@@ -7,6 +7,7 @@ from handover_marl.config import PhysicsConfig
 from handover_marl.motion import Motion
 from handover_marl.protocol.contacts import Contacts
 from handover_marl.scene import Scene
+from handover_marl.sim.body import Start
 from handover_marl.sim.camera import without_drawing
 from handover_marl.sim.client import pybullet_error
 from handover_marl.sim.contacts import ContactReader
@@ -43,7 +44,7 @@ class ExactWorld(World):
         stage = set_stage(self._client, scene.assets, self._config)
         self._panda = stage.panda
         self._objects = [
-            Object(self._client, urdf, class_id, dof, self._config.objects)
+            Object(self._client, urdf, class_id, Start(dof), self._config.objects)
             for urdf, class_id, dof in zip(
                 scene.assets.objects, scene.info.object_ids, start.objects[0].tolist(), strict=True
             )

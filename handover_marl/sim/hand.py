@@ -7,8 +7,8 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.config import HandConfig, MotorConfig
-from handover_marl.sim.body import Body
-from handover_marl.sim.client import BulletClient, load_urdf
+from handover_marl.sim.body import Body, Start, Surface
+from handover_marl.sim.client import BulletClient
 
 #: The hand's own collision group: of all bodies, only the Panda's mask admits it.
 HAND_MASK = 2**22
@@ -35,19 +35,8 @@ class Hand(Body):
     """A hand at the pose it appears with."""
 
     def __init__(self, client: BulletClient, urdf: Path, start: list[float], config: HandConfig) -> None:
-        body_id = load_urdf(client, urdf, useFixedBase=True)
-        super().__init__(client, body_id, hand_motors(config))
-        client.changeDynamics(body_id, -1, linearDamping=config.base_damping, angularDamping=config.base_damping)
-        for link in range(-1, self.n_links):
-            client.changeDynamics(
-                body_id,
-                link,
-                lateralFriction=config.friction,
-                spinningFriction=config.friction,
-                restitution=config.restitution,
-            )
-        self.collide(HAND_MASK)
-        self.place(start)
+        surface = Surface(config.friction, config.restitution, config.base_damping)
+        super().__init__(client, urdf, hand_motors(config), HAND_MASK, Start(start), surface)
         self._keypoint_links = keypoint_links(self.joints)
 
     def keypoints(self) -> npt.NDArray[np.float32]:

@@ -9,9 +9,8 @@ from handover_marl.config import PandaConfig
 from handover_marl.geometry import IDENTITY, compose, inverse, rotation_angle
 from handover_marl.kinematic_tree import read_tree
 from handover_marl.sim.arm_range import ArmRange
-from handover_marl.sim.body import inertial_offset
+from handover_marl.sim.body import inertial_offset, place_base
 from handover_marl.sim.client import connect, load_urdf
-from handover_marl.sim.panda import place_base
 
 ARM_JOINTS = 7
 
@@ -32,7 +31,7 @@ class PandaKinematics:
         self._client = connect()
         self._body = load_urdf(self._client, urdf)
         # Unlike in the world the base is not fixed and its pose stays double: the answers depend on both.
-        place_base(self._client, self._body, config.base_position, config.base_orientation)
+        place_base(self._client, self._body, [*config.base_position, *config.base_orientation])
         names = [
             self._client.getJointInfo(self._body, joint)[12].decode()
             for joint in range(self._client.getNumJoints(self._body))

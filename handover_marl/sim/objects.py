@@ -7,8 +7,8 @@ import numpy.typing as npt
 
 from handover_marl.config import MotorConfig, ObjectConfig
 from handover_marl.datasets.ycb import SCENE_CLASSES
-from handover_marl.sim.body import Body
-from handover_marl.sim.client import BulletClient, load_urdf
+from handover_marl.sim.body import Body, Start
+from handover_marl.sim.client import BulletClient
 from handover_marl.sim.hand import HAND_MASK
 
 #: A released object collides with everything but the hand.
@@ -23,13 +23,10 @@ class Object(Body):
     """
 
     def __init__(
-        self, client: BulletClient, urdf: Path, class_id: int, start: list[float], config: ObjectConfig
+        self, client: BulletClient, urdf: Path, class_id: int, start: Start, config: ObjectConfig
     ) -> None:
-        body_id = load_urdf(client, urdf, useFixedBase=True)
-        super().__init__(client, body_id, object_motors(config))
+        super().__init__(client, urdf, object_motors(config), object_mask(class_id), start)
         self.link_id = self.n_links - 1
-        self.collide(object_mask(class_id))
-        self.place(start)
 
     def pose(self) -> npt.NDArray[np.float32]:
         """World pose (7,) of the object, xyz (m) and quaternion xyzw, float32."""
@@ -38,9 +35,8 @@ class Object(Body):
 
     def release(self) -> None:
         """Let it move freely and touch table and other objects from now on."""
+        self.collide(RELEASED_MASK)
         self.go_limp()
-        # On the mesh's link only: masks set on the whole chain change the order of Bullet's pairs.
-        self.collide(RELEASED_MASK, links=[self.link_id])
 
 
 def object_motors(config: ObjectConfig) -> list[MotorConfig]:

@@ -6,7 +6,7 @@ import pybullet_data
 
 from handover_marl.config import PhysicsConfig
 from handover_marl.scene import SceneAssets
-from handover_marl.sim.body import Body
+from handover_marl.sim.body import Body, Start
 from handover_marl.sim.client import BulletClient, float32_list, load_urdf
 from handover_marl.sim.panda import Panda
 
@@ -32,6 +32,6 @@ def set_stage(client: BulletClient, assets: SceneAssets, config: PhysicsConfig) 
         fixedTimeStep=config.time_step, numSubSteps=1, deterministicOverlappingPairs=1
     )
     load_urdf(client, f"{pybullet_data.getDataPath()}/plane_implicit.urdf")
-    table_id = load_urdf(client, assets.table, basePosition=float32_list(config.table_position), useFixedBase=True)
-    Body(client, table_id, ()).collide(TABLE_MASK)
-    return Stage(table_id, Panda(client, assets.panda, config.panda))
+    place = Start(base=[*float32_list(config.table_position), 0.0, 0.0, 0.0, 1.0])
+    table = Body(client, assets.table, (), TABLE_MASK, place)
+    return Stage(table.id, Panda(client, assets.panda, config.panda))

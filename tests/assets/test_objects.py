@@ -19,6 +19,7 @@ from handover_marl.config import ObjectConfig
 from handover_marl.datasets.ycb import CLASS_NAMES
 from handover_marl.errors import DataFormatError, DataNotFoundError, UnknownNameError
 from handover_marl.sim.client import BulletClient, connect
+from handover_marl.sim.body import Start
 from handover_marl.sim.objects import Object
 
 NAMES = tuple(CLASS_NAMES.values())
@@ -54,7 +55,7 @@ def test_every_convex_part_collides(client: BulletClient, name: str) -> None:
 
 def test_world_takes_the_model(client: BulletClient) -> None:
     start = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]
-    mug = Object(client, object_urdf("025_mug"), 14, start, ObjectConfig())
+    mug = Object(client, object_urdf("025_mug"), 14, Start(start), ObjectConfig())
     assert mug.link_id == 5
     np.testing.assert_allclose(mug.joint_states()[0], start, atol=1e-6)
 
