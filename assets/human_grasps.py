@@ -8,10 +8,10 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.assets.hand import SIDES, SUBJECTS, Side, euler_angles
-from handover_marl.datasets.ycb import CLASS_NAMES, SCENE_CLASSES
+from handover_marl.assets.hand_model import SIDES, SUBJECTS, Side, euler_angles
 from handover_marl.errors import DataNotFoundError, UnknownNameError
-from handover_marl.geometry import rotate
+from handover_marl.models.poses import rotate
+from handover_marl.models.ycb import CLASS_NAMES, SCENE_CLASSES
 
 #: The shipped grasps.
 GRASPS_FILE: Final = Path(__file__).parent / "data" / "human_grasps.npz"
@@ -100,7 +100,7 @@ def human_grasps(object_name: str, subject: int, side: Side) -> HumanGrasps:
 def _content() -> dict[str, npt.NDArray[Any]]:
     if not GRASPS_FILE.is_file():
         raise DataNotFoundError(
-            f"{GRASPS_FILE} is missing; build it with: python -m handover_marl.assets.build_human_grasps"
+            f"{GRASPS_FILE} is missing; build it with: python -m handover_marl.assets.building.build_human_grasps"
         )
     with np.load(GRASPS_FILE, allow_pickle=False) as archive:
         return {key: archive[key] for key in archive.files}

@@ -19,7 +19,7 @@ import tyro
 
 from handover_marl.benchmarking.crossplay import crossplay
 from handover_marl.datasets import open_dataset
-from handover_marl.learning.training import spread_scenes
+from handover_marl.training.run_folder import spread_scenes
 
 
 @dataclass(frozen=True)
@@ -90,8 +90,8 @@ def respond(script: ModuleType, args: Any, folder: Path, changes: dict[str, Any]
     """Train for the other side's latest policy unless that is done; returns the new policy's name."""
     done = folder / "done"
     if not done.exists():
-        resume = (folder / "checkpoint.zip").exists()
-        script.main(replace(args, out=str(folder), resume=resume, **changes))
+        # Also where it was stopped before its first checkpoint.
+        script.main(replace(args, out=str(folder), resume=folder.exists(), **changes))
         done.touch()
     return f"learned:{folder / 'policy.npz'}"
 

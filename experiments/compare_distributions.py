@@ -20,8 +20,8 @@ from scipy.stats import ks_2samp
 from tabulate import tabulate
 
 from handover_marl.datasets import DATA_VARIABLE, Dataset, open_dataset
+from handover_marl.datasets.scene import Scene
 from handover_marl.datasets.splits import N_SCENES
-from handover_marl.scene import Scene
 
 Array = npt.NDArray[np.float64]
 

@@ -1,10 +1,11 @@
 """What adaptive givers do for a receiver, on scenes that the trained one has not seen.
 
     python experiments/giver_gains.py --data-dir DIR --out results/gains
+    python experiments/giver_gains.py --data-dir DIR --parts test --out results/gains-test
 
-Plays the validation split and the held-out tenth of the training split (s0: 36 and 72 scenes) with every giver,
-and prints outcomes and the gains over the first giver, paired by scene. With --out an interrupted run goes on, and
-the table is written to `gains.md`.
+Plays the validation split and the held-out tenth of the training split (s0: 36 and 72 scenes), or the test split,
+with every giver, and prints outcomes and the gains over the first giver, paired by scene. With --out an interrupted
+run goes on, and the table is written to `gains.md`.
 """
 
 from dataclasses import dataclass
@@ -15,12 +16,13 @@ import tyro
 from handover_marl.benchmarking.episodes import EpisodeResult
 from handover_marl.benchmarking.fluency_tables import FLUENCY_NOTE, fluency_header, fluency_row
 from handover_marl.benchmarking.runner import evaluate_pair
+from handover_marl.benchmarking.statistics import paired_difference
 from handover_marl.benchmarking.tables import percent_interval, table
 from handover_marl.datasets import open_dataset
 from handover_marl.files import write_atomically
-from handover_marl.learning.training import held_out_scenes
+from handover_marl.policies.reference import policy_reference
 from handover_marl.protocol.status import EpisodeStatus
-from handover_marl.statistics import paired_difference
+from handover_marl.training.run_folder import held_out_scenes
 
 FLAGS = (EpisodeStatus.SUCCESS, EpisodeStatus.HUMAN_CONTACT, EpisodeStatus.OBJECT_DROP, EpisodeStatus.TIMEOUT)
 
@@ -33,6 +35,7 @@ class Args:
         givers: Names of givers or `learned:FILE`, with commas; gains are told over the first.
         receiver: Name of the receiver.
         setup: Official setup, s0 to s3.
+        parts: What to play, with commas: val, heldout (every tenth scene of train) and test.
         data_dir: Folder in HandoverSim's layout; default: HANDOVER_MARL_DATA.
         dataset: dexycb, synthetic, or auto.
         physics: exact or fast.
@@ -43,6 +46,7 @@ class Args:
     givers: str = "replay,cooperative,learned"
     receiver: str = "yang2021"
     setup: str = "s0"
+    parts: str = "val,heldout"
     data_dir: str | None = None
     dataset: str = "auto"
     physics: str = "exact"
@@ -52,19 +56,21 @@ class Args:
 
 def play(giver: str, args: Args) -> list[EpisodeResult]:
     data = open_dataset(args.dataset, args.data_dir)
-    parts = {"val": None, "train": held_out_scenes(data.split(args.setup, "train"))}
+    # Policies of one file name must not share a folder.
+    label = policy_reference("giver", giver).resolved(data).label
     episodes: list[EpisodeResult] = []
-    for split, scenes in parts.items():
+    for part in args.parts.split(","):
+        split = "train" if part == "heldout" else part
         report = evaluate_pair(
             giver,
             args.receiver,
             args.setup,
             split,
-            scenes=scenes,
+            scenes=held_out_scenes(data.split(args.setup, "train")) if part == "heldout" else None,
             data_dir=args.data_dir,
             dataset=args.dataset,
             physics=args.physics,
-            out=None if args.out is None else Path(args.out) / f"{Path(giver).stem}-{split}",
+            out=None if args.out is None else Path(args.out) / f"{label.replace(':', '_')}-{part}",
             workers=args.workers,
         )
         episodes += report.episodes
@@ -97,8 +103,9 @@ def main(args: Args) -> None:
     played = {giver: play(giver, args) for giver in args.givers.split(",")}
     data = open_dataset(args.dataset, args.data_dir).name
     heading = (
-        f"Receiver {args.receiver}, {args.physics} physics, {data}, {args.setup} val and every tenth scene of "
-        f"{args.setup} train; 95 % intervals (Wilson; Agresti and Min for paired differences)."
+        f"Receiver {args.receiver}, {args.physics} physics, {data}, {args.setup} "
+        f"{args.parts.replace(',', ' and ')} (heldout: every tenth scene of train); "
+        "95 % intervals (Wilson; Agresti and Min for paired differences)."
     )
     fluency = table(["giver", *fluency_header()], [[name, *fluency_row(played[name])] for name in played])
     text = "\n\n".join([heading, outcomes(played), gains(played), fluency, FLUENCY_NOTE])

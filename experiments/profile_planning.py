@@ -27,9 +27,9 @@ from handover_marl import receivers  # noqa: E402
 from handover_marl.benchmarking.machine import describe_machine  # noqa: E402
 from handover_marl.benchmarking.tables import table  # noqa: E402
 from handover_marl.datasets import open_dataset  # noqa: E402
-from handover_marl.episode import Episode  # noqa: E402
+from handover_marl.episode.episode import Episode  # noqa: E402
+from handover_marl.episode.observations import Observation  # noqa: E402
 from handover_marl.files import write_atomically  # noqa: E402
-from handover_marl.observations import Observation  # noqa: E402
 from handover_marl.receivers.omg import OmgReceiver  # noqa: E402
 
 
@@ -97,9 +97,7 @@ def quantiles(name: str, values: list[float], digits: int) -> list[str]:
 def main(args: Args) -> None:
     data = open_dataset(args.dataset, args.data_dir)
     ids = data.split(args.setup, args.split)
-    chosen = (
-        ids if args.scenes is None else [ids[k] for k in np.linspace(0, len(ids) - 1, args.scenes).astype(int)]
-    )
+    chosen = ids if args.scenes is None else [ids[k] for k in np.linspace(0, len(ids) - 1, args.scenes).astype(int)]
     receiver = receivers.make(args.receiver, data)
     if not isinstance(receiver, OmgReceiver):
         raise SystemExit(f"{args.receiver} does not plan")

@@ -15,7 +15,7 @@ from rich.progress import track
 
 from handover_marl.config import CameraConfig, PandaConfig
 from handover_marl.datasets import Dataset, open_dataset
-from handover_marl.episode import Episode
+from handover_marl.episode.episode import Episode
 
 Picture = npt.NDArray[np.uint8]
 
@@ -44,9 +44,7 @@ class Args:
 def main(args: Args) -> None:
     dataset = open_dataset(args.dataset, args.data_dir)
     episode = Episode()
-    pictures = [
-        offer(episode, dataset, scene, args.size) for scene in track(args.scenes, console=Console(stderr=True))
-    ]
+    pictures = [offer(episode, dataset, scene, args.size) for scene in track(args.scenes, console=Console(stderr=True))]
     episode.close()
     rows = [
         np.concatenate(pictures[start : start + args.columns], axis=1)

@@ -8,6 +8,7 @@ learning all you need in the StarCraft multi-agent challenge?", 2020). The folde
 `--resume` goes on where a run was stopped.
 """
 
+import math
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,12 +23,14 @@ from torch.utils.tensorboard import SummaryWriter
 
 from handover_marl.benchmarking.runner import evaluate_pair
 from handover_marl.datasets import open_dataset
-from handover_marl.learning.environments import FEATURES, SCHEMES, LearningParallelEnv
+from handover_marl.envs.constructors import parallel_env
+from handover_marl.envs.encode import FEATURES, SCHEMES, EncodedEnv, encode
+from handover_marl.envs.rewards import SHAPED
 from handover_marl.learning.network import Network
-from handover_marl.learning.policy import PolicySpec
 from handover_marl.learning.policy_files import write_policy
-from handover_marl.learning.training import CurvePoint, RunFolder, origin, spread_scenes, training_scenes
-from handover_marl.rewards import SHAPED
+from handover_marl.learning.policy_spec import PolicySpec
+from handover_marl.training.learning_curve import CurvePoint
+from handover_marl.training.run_folder import RunFolder, origin, spread_scenes, training_scenes
 
 AGENTS = ("giver", "receiver")
 OBSERVE = FEATURES | {"receiver": "grasp"}
@@ -116,7 +119,7 @@ def layers(n_inputs: int, n_outputs: int, gain: float) -> nn.Sequential:
 class Collector:
     """Steps some PettingZoo environments and keeps what both agents saw, did and got."""
 
-    def __init__(self, envs: list[LearningParallelEnv], seed: int) -> None:
+    def __init__(self, envs: list[EncodedEnv], seed: int) -> None:
         self.envs = envs
         self.seen = [env.reset(seed + number)[0] for number, env in enumerate(envs)]
         self.finished: list[float] = []
@@ -129,9 +132,7 @@ class Collector:
             self._step(now, models, args.discount)
             steps.append(now)
         return {
-            agent: {
-                key: torch.as_tensor(np.stack([step[agent][key] for step in steps])) for key in steps[0][agent]
-            }
+            agent: {key: torch.as_tensor(np.stack([step[agent][key] for step in steps])) for key in steps[0][agent]}
             for agent in AGENTS
         }
 
@@ -151,9 +152,7 @@ class Collector:
             now[agent] |= {key: np.zeros(len(self.envs), np.float32) for key in ("reward", "end")}
         return now
 
-    def _step(
-        self, now: dict[str, dict[str, np.ndarray]], models: dict[str, ActorCritic], discount: float
-    ) -> None:
+    def _step(self, now: dict[str, dict[str, np.ndarray]], models: dict[str, ActorCritic], discount: float) -> None:
         for number, env in enumerate(self.envs):
             actions = {agent: now[agent]["action"][number] for agent in AGENTS}
             seen, rewards, ended, _, _ = env.step(actions)
@@ -233,24 +232,21 @@ def save(path: Path, state: dict[str, Any]) -> None:
 def main(args: Args) -> None:
     torch.manual_seed(args.seed)
     torch.set_num_threads(1)
-    folder = RunFolder(Path(args.out), args, args.resume)
-    common = {"setup": args.setup, "data_dir": args.data_dir, "dataset": args.dataset, "physics": args.physics}
     data = open_dataset(args.dataset, args.data_dir)
+    folder = RunFolder(Path(args.out), args, args.resume, data.name)
+    common = {"setup": args.setup, "data_dir": args.data_dir, "dataset": args.dataset, "physics": args.physics}
     scenes = training_scenes(data.split(args.setup, "train"))
     val = spread_scenes(data.split(args.setup, "val"), args.val_scenes)
     options = common | {
         "control_period": args.control_period,
         "rewards": replace(SHAPED, gamma=args.discount),
         "split": "train",
+        "scenes": scenes,
+        "max_cycles": math.ceil(args.time_limit / args.control_period),
     }
-    envs = [
-        LearningParallelEnv(observe=OBSERVE, scenes=scenes, time_limit=args.time_limit, **options)
-        for _ in range(args.envs)
-    ]
+    envs = [encode(parallel_env(**options), OBSERVE) for _ in range(args.envs)]
     models = {
-        agent: ActorCritic(
-            envs[0].observation_space(agent).shape[0], envs[0].action_space(agent).shape[0], args.spread
-        )
+        agent: ActorCritic(envs[0].observation_space(agent).shape[0], envs[0].action_space(agent).shape[0], args.spread)
         for agent in AGENTS
     }
     optimizers = {agent: torch.optim.Adam(models[agent].parameters(), lr=args.learning_rate) for agent in AGENTS}

@@ -1,35 +1,36 @@
-"""Policies for the giver, the human side, by name.
+"""Policies for the giver, the human side.
 
 `replay` plays the recorded motion; `hesitant`, `hurried` and `noisy` vary it; `stop_when_near`, `cooperative` and
-`withdrawing` react to the robot; `learned` was trained, `learned:FILE` by you. Packages add their own through the
-entry-point group `handover_marl.givers`.
+`withdrawing` react to the robot; `learned` was trained, `learned:FILE` by you. Your own is a subclass of `Giver`;
+packages add theirs by name through the entry-point group `handover_marl.givers`.
 """
 
 from typing import cast
 
-from handover_marl import registry
-from handover_marl.givers.base import Action, Giver, deviation
-
-GROUP = "handover_marl.givers"
+from handover_marl.datasets import Dataset
+from handover_marl.policies import registry
+from handover_marl.policies.giver import Giver, deviation
+from handover_marl.policies.policy import Action
+from handover_marl.policies.reference import PolicyLike, policy_reference
 
 __all__ = ["Action", "Giver", "available", "deviation", "make"]
 
 
 def available() -> tuple[str, ...]:
     """Names of the givers that can be made."""
-    return registry.available(GROUP)
+    return registry.available("giver")
 
 
-def make(name: str, trust: bool = False) -> Giver:
-    """A giver by name.
+def make(giver: PolicyLike, dataset: Dataset, trust: bool = False) -> Giver:
+    """A giver for the scenes of a dataset.
 
     Args:
-        name: A registered name, or `learned:FILE` for a policy file.
-        trust: Whether code in such a file may run.
+        giver: A registered name, with options or a file, a class; see `handover_marl.policies.reference`.
+        dataset: Whose robot and objects.
+        trust: Whether code in a policy file may run.
 
     Raises:
         UnknownNameError: No giver of this name is registered.
-        HandoverError: The file is not there, or is no policy that may be loaded.
+        HandoverError: It cannot be made, or its file is no policy that may be loaded.
     """
-    kind, file = registry.load(GROUP, name, Giver)
-    return cast(Giver, kind() if file is None else kind(path=file, trust=trust))
+    return cast(Giver, policy_reference("giver", giver, trust).make(dataset))

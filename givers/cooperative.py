@@ -4,9 +4,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from handover_marl.givers.base import Action, Giver, deviation
+from handover_marl.episode.observations import Observation
 from handover_marl.givers.patience import Patience
-from handover_marl.observations import Observation
+from handover_marl.policies.giver import Giver, deviation
+from handover_marl.policies.policy import Action
 
 Vector = npt.NDArray[np.float64]
 
@@ -49,9 +50,7 @@ class CooperativeGiver(Giver):
         if self._settled:
             self._patience.watch(observation)
         share = self._patience.share
-        return deviation(
-            displacement=share * self._shift, rotation=share * self._turn, release=self._firm(observation)
-        )
+        return deviation(displacement=share * self._shift, rotation=share * self._turn, release=self._firm(observation))
 
     def _near(self, observation: Observation) -> bool:
         gripper, item = observation["gripper_pose"][:3], observation["object_poses"][0, :3]

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from handover_marl.observations import Observation
+from handover_marl.episode.observations import Observation
 
 
 class Patience:

@@ -1,7 +1,8 @@
 """The recorded person: no deviation at all."""
 
-from handover_marl.givers.base import Action, Giver, deviation
-from handover_marl.observations import Observation
+from handover_marl.episode.observations import Observation
+from handover_marl.policies.giver import Giver, deviation
+from handover_marl.policies.policy import Action
 
 
 class ReplayGiver(Giver):

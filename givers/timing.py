@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from handover_marl.givers.base import Action, Giver, deviation
-from handover_marl.observations import Observation
+from handover_marl.episode.observations import Observation
+from handover_marl.policies.giver import Giver, deviation
+from handover_marl.policies.policy import Action
 
 _PAUSE, _STEADY = -1.0, 0.0
 

@@ -2,59 +2,86 @@
 
 env = handover_marl.parallel_env(setup="s0", split="train")      PettingZoo, both agents at once
 env = handover_marl.env(setup="s0", split="train")               PettingZoo, one agent after the other
+env = handover_marl.freeze(env, "receiver", "replay")            one agent, the other frozen to a policy
+env = handover_marl.encode(env)                                  features and outputs as networks want them
 env = gymnasium.make("HandoverMARL/Receiver-v0", setup="s0")     Gymnasium, the robot alone
 report = handover_marl.benchmark(setup="s3")                     HandoverSim's official protocol
+
+What stands in `__all__`, here and in `handover_marl.givers`, `handover_marl.receivers` and `handover_marl.testing`, is
+public, and so are the errors, the configurations and what README names; the rest may change at any time.
 """
 
 from importlib import import_module
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 from handover_marl._version import __version__
-from handover_marl.registration import register_environments
 
 if TYPE_CHECKING:
     from handover_marl.benchmarking.agreement import agreement
     from handover_marl.benchmarking.crossplay import crossplay
+    from handover_marl.benchmarking.evaluation import evaluate
     from handover_marl.benchmarking.report import Report
     from handover_marl.benchmarking.runner import benchmark, evaluate_pair
-    from handover_marl.handover_env import HandoverEnv
-    from handover_marl.make import env, parallel_env
+    from handover_marl.config import WorldConfig
+    from handover_marl.envs.constructors import benchmark_env, env, parallel_env
+    from handover_marl.envs.encode import encode
+    from handover_marl.envs.freeze import freeze
+    from handover_marl.envs.handover_env import HandoverEnv
+    from handover_marl.pictures.plan_picture import render_plan
+    from handover_marl.pictures.rendering import render_scene
     from handover_marl.protocol.status import EpisodeStatus
-    from handover_marl.views import benchmark_env
+    from handover_marl.run import Execution, Run
 
 __all__ = [
     "EpisodeStatus",
+    "Execution",
     "HandoverEnv",
     "Report",
+    "Run",
+    "WorldConfig",
     "__version__",
     "agreement",
     "benchmark",
     "benchmark_env",
     "crossplay",
+    "encode",
     "env",
+    "evaluate",
     "evaluate_pair",
+    "freeze",
     "parallel_env",
+    "render_plan",
+    "render_scene",
 ]
 
 # Loaded at first use, so that the import itself stays quick.
 _HOMES = {
-    "EpisodeStatus": "handover_marl.protocol.status",
-    "HandoverEnv": "handover_marl.handover_env",
-    "Report": "handover_marl.benchmarking.report",
-    "agreement": "handover_marl.benchmarking.agreement",
-    "benchmark": "handover_marl.benchmarking.runner",
-    "benchmark_env": "handover_marl.views",
-    "crossplay": "handover_marl.benchmarking.crossplay",
-    "env": "handover_marl.make",
-    "evaluate_pair": "handover_marl.benchmarking.runner",
-    "parallel_env": "handover_marl.make",
+    "EpisodeStatus": "protocol.status",
+    "Execution": "run",
+    "HandoverEnv": "envs.handover_env",
+    "Report": "benchmarking.report",
+    "Run": "run",
+    "WorldConfig": "config",
+    "agreement": "benchmarking.agreement",
+    "benchmark": "benchmarking.runner",
+    "benchmark_env": "envs.constructors",
+    "crossplay": "benchmarking.crossplay",
+    "encode": "envs.encode",
+    "env": "envs.constructors",
+    "evaluate": "benchmarking.evaluation",
+    "evaluate_pair": "benchmarking.runner",
+    "freeze": "envs.freeze",
+    "parallel_env": "envs.constructors",
+    "render_plan": "pictures.plan_picture",
+    "render_scene": "pictures.rendering",
 }
 
 
 def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(import_module(_HOMES[name]), name)
+    value = getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
     globals()[name] = value
     return value
 
@@ -63,4 +90,16 @@ def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
 
 
-register_environments()
+def _prepare() -> None:
+    """Check the installation, and tell PettingZoo and Gymnasium where the environments are."""
+    if find_spec("handover_marl.givers") is None:
+        raise ImportError(
+            f"{__file__} stands before the installed handover_marl and has no givers, receivers and assets: leave this "
+            "folder, or install it as it stands (pip install -e .)"
+        )
+    from handover_marl.registration import register_environments
+
+    register_environments()
+
+
+_prepare()

@@ -1,214 +1,202 @@
-"""The command line: handover-marl benchmark | agreement | crossplay | evaluate | render."""
+"""The command line: handover-marl benchmark | pair | crossplay | agreement | evaluate | render."""
 
 import os
 import sys
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import TYPE_CHECKING, Annotated
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
+from docstring_parser import parse
+from tyro.constructors import ConstructorRegistry, StructConstructorSpec, StructFieldSpec, StructTypeInfo
 
 from handover_marl._version import __version__
 from handover_marl.errors import HandoverError, OptionError
+from handover_marl.run import Execution, Run
 
 if TYPE_CHECKING:
     from handover_marl.config import CameraConfig
 
-_Scenes = Annotated[str | None, tyro.conf.arg(metavar="N,N,...")]
-_Names = Annotated[str, tyro.conf.arg(metavar="NAME,NAME,...")]
-_Workers = Annotated[int | None, tyro.conf.arg(metavar="N")]
-_Folder = Annotated[str | None, tyro.conf.arg(metavar="DIR")]
+_DESCRIPTION = """Human-to-robot handovers.
+
+Receivers: {receivers}.
+Givers: {givers}.
+A policy may also be a class of yours (my_package.robots:MyReceiver) and take options (omg:wait=1.5)."""
 
 app = tyro.extras.SubcommandApp()
+registry = ConstructorRegistry()
+
+
+class BenchmarkRun(Run):
+    """What the official protocol leaves open."""
+
+
+class CrossPlayRun(Run):
+    """A run whose policies are named apart."""
+
+
+class SceneRun(Run):
+    """What is shown of one scene."""
+
+
+class SceneExecution(Execution):
+    """How one scene is shown."""
+
+
+# Fields that the command line does not have, by description. A world of one's own is described in Python.
+_HIDDEN: dict[type, tuple[str, ...]] = {
+    Run: ("config",),
+    BenchmarkRun: ("config", "giver"),
+    CrossPlayRun: ("config", "giver", "receiver"),
+    SceneRun: ("config", "setup", "split", "scenes", "receiver"),
+    Execution: (),
+    SceneExecution: ("workers", "out", "fresh"),
+}
+_WORDS: dict[str, Any] = {
+    "giver": Annotated[str, tyro.conf.arg(metavar="POLICY")],
+    "receiver": Annotated[str, tyro.conf.arg(metavar="POLICY")],
+    "scenes": Annotated[str | None, tyro.conf.arg(metavar="N,N,...")],
+    "data_dir": Annotated[str | None, tyro.conf.arg(metavar="DIR")],
+    "out": Annotated[str | None, tyro.conf.arg(metavar="DIR")],
+    "workers": Annotated[int | None, tyro.conf.arg(metavar="N")],
+}
+
+
+@registry.struct_rule
+def _described(info: StructTypeInfo) -> StructConstructorSpec | None:
+    """`Run` and `Execution` as options: their fields, with what their docstrings say."""
+    if info.type not in _HIDDEN:
+        return None
+    kind: Any = Run if issubclass(info.type, Run) else Execution
+    default = info.default if isinstance(info.default, kind) else kind()
+    said = {part.arg_name: part.description for part in parse(kind.__doc__ or "").params}
+    shown = [part for part in fields(kind) if part.name not in _HIDDEN[info.type]]
+    return StructConstructorSpec(
+        instantiate=_make_run if kind is Run else _make_execution,
+        fields=tuple(
+            StructFieldSpec(
+                part.name, _WORDS.get(part.name, part.type), getattr(default, part.name), said.get(part.name)
+            )
+            for part in shown
+        ),
+    )
+
+
+def _make_run(**told: Any) -> Run:
+    scenes = parse_scenes(told.pop("scenes", None))
+    return Run(scenes=None if scenes is None else tuple(scenes), **told)
+
+
+def _make_execution(**told: Any) -> Execution:
+    return Execution(**told)
+
+
+_OFFICIAL, _CROSSPLAY = BenchmarkRun(), CrossPlayRun(split="val")
+_SCENE, _SHOWN = SceneRun(), SceneExecution()
+_Names = Annotated[str, tyro.conf.arg(metavar="POLICY,...")]
 
 
 @app.command(name="benchmark")
-def run_benchmark(
-    setup: str = "s0",
-    split: str = "test",
-    receiver: str = "yang2021",
-    scenes: _Scenes = None,
-    data_dir: _Folder = None,
-    dataset: str = "auto",
-    physics: str = "exact",
-    out: _Folder = None,
-    workers: _Workers = None,
-    trust: bool = False,
-) -> None:
+def run_benchmark(run: BenchmarkRun = _OFFICIAL, how: Execution = Execution()) -> None:
     """Run HandoverSim's official protocol and print its table.
 
     Args:
-        setup: Official setup: s0 seen, s1 unseen subjects, s2 unseen handedness, s3 unseen objects.
-        split: train, val or test.
-        receiver: Name of the receiver, e.g. yang2021, hold, or learned:FILE.
-        scenes: Only these scenes, e.g. 209,214.
-        data_dir: Folder in HandoverSim's layout; default: the variable HANDOVER_MARL_DATA.
-        dataset: dexycb, synthetic, or auto: dexycb when there is a data folder, else synthetic.
-        physics: exact, as official results are, or fast.
-        out: Folder for official result files and reports; an interrupted run goes on there.
-        workers: Processes to play scenes in; default: one a core. Outcomes do not depend on it.
-        trust: Let code in a policy file (learned:FILE) run.
+        run: What is run.
+        how: How it is run; outcomes do not depend on it.
     """
     from handover_marl.benchmarking.runner import benchmark
 
-    report = benchmark(
-        setup,
-        split,
-        receiver,
-        scenes=parse_scenes(scenes),
-        data_dir=data_dir,
-        dataset=dataset,
-        physics=physics,
-        out=out,
-        workers=workers,
-        trust=trust,
-    )
-    print(report)
+    print(benchmark(run, execution=_expanded(how)))
+
+
+@app.command(name="pair")
+def run_pair(run: Run = Run(split="val"), how: Execution = Execution()) -> None:
+    """Let any giver and any receiver play the scenes of a split and print the table.
+
+    Args:
+        run: What is run.
+        how: How it is run; outcomes do not depend on it.
+    """
+    from handover_marl.benchmarking.runner import evaluate_run
+
+    print(evaluate_run(run, _expanded(how)))
 
 
 @app.command(name="agreement")
-def run_agreement(
-    setup: str = "s0",
-    split: str = "val",
-    receiver: str = "yang2021",
-    scenes: _Scenes = None,
-    data_dir: _Folder = None,
-    dataset: str = "auto",
-    out: _Folder = None,
-    workers: _Workers = None,
-) -> None:
+def run_agreement(run: Run = Run(split="val"), how: Execution = Execution()) -> None:
     """Play the same scenes in exact and in fast physics and compare the outcomes.
 
     Args:
-        setup: Official setup: s0 seen, s1 unseen subjects, s2 unseen handedness, s3 unseen objects.
-        split: train, val or test.
-        receiver: Name of the receiver, e.g. yang2021 or hold.
-        scenes: Only these scenes, e.g. 209,214.
-        data_dir: Folder in HandoverSim's layout; default: the variable HANDOVER_MARL_DATA.
-        dataset: dexycb, synthetic, or auto: dexycb when there is a data folder, else synthetic.
-        out: Folder for both results and the comparison; an interrupted run goes on there.
-        workers: Processes to play scenes in; default: one a core.
+        run: What is run; its physics do not count.
+        how: How it is run; outcomes do not depend on it.
     """
     from handover_marl.benchmarking.agreement import agreement
 
-    print(
-        agreement(
-            setup,
-            split,
-            receiver,
-            scenes=parse_scenes(scenes),
-            data_dir=data_dir,
-            dataset=dataset,
-            out=out,
-            workers=workers,
-        )
-    )
+    print(agreement(run, execution=_expanded(how)))
 
 
 @app.command(name="crossplay")
 def run_crossplay(
     givers: _Names = "replay,cooperative,hesitant",
     receivers: _Names = "hold,yang2021",
-    setup: str = "s0",
-    split: str = "val",
-    scenes: _Scenes = None,
-    data_dir: _Folder = None,
-    dataset: str = "auto",
-    physics: str = "exact",
-    out: _Folder = None,
-    workers: _Workers = None,
-    trust: bool = False,
+    run: CrossPlayRun = _CROSSPLAY,
+    how: Execution = Execution(),
 ) -> None:
     """Play every giver with every receiver and print who gets on with whom.
 
     Args:
-        givers: Names of givers, or learned:FILE; gains are told over the first one.
-        receivers: Names of receivers, or learned:FILE.
-        setup: Official setup: s0 seen, s1 unseen subjects, s2 unseen handedness, s3 unseen objects.
-        split: train, val or test.
-        scenes: Only these scenes, e.g. 209,214.
-        data_dir: Folder in HandoverSim's layout; default: the variable HANDOVER_MARL_DATA.
-        dataset: dexycb, synthetic, or auto: dexycb when there is a data folder, else synthetic.
-        physics: exact or fast.
-        out: Folder for all results, the tables and a picture; an interrupted run goes on there.
-        workers: Processes to play scenes in; default: one a core.
-        trust: Let code in policy files (learned:FILE) run.
+        givers: Givers, with commas; gains are told over the first one.
+        receivers: Receivers, with commas.
+        run: What is run.
+        how: How it is run; outcomes do not depend on it.
     """
     from handover_marl.benchmarking.crossplay import crossplay
+    from handover_marl.policies.reference import split_names
 
-    print(
-        crossplay(
-            [name.strip() for name in givers.split(",")],
-            [name.strip() for name in receivers.split(",")],
-            setup,
-            split,
-            scenes=parse_scenes(scenes),
-            data_dir=data_dir,
-            dataset=dataset,
-            physics=physics,
-            out=out,
-            workers=workers,
-            trust=trust,
-        )
-    )
+    rows, columns = split_names("giver", givers), split_names("receiver", receivers)
+    print(crossplay(rows, columns, run, execution=_expanded(how)))
 
 
 @app.command(name="render")
 def run_render(
     scene: int,
     out: Annotated[str, tyro.conf.arg(metavar="FILE")],
-    dataset: str = "auto",
-    data_dir: _Folder = None,
-    receiver: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None,
-    physics: str = "exact",
+    receiver: Annotated[str | None, tyro.conf.arg(metavar="POLICY")] = None,
     plan: bool = False,
     key_frames: int = 6,
     width: int | None = None,
     height: int | None = None,
+    run: SceneRun = _SCENE,
+    how: SceneExecution = _SHOWN,
 ) -> None:
-    """Draw a scene, the episode that a receiver makes of it, or what a receiver plans.
+    """Draw a scene, the episode that policies make of it, or what a receiver plans.
 
     Args:
         scene: Number of the scene, 0 to 999.
         out: A .png is a sheet of key frames; .gif and .mp4 are films.
-        dataset: dexycb, synthetic, or auto: dexycb when there is a data folder, else synthetic.
-        data_dir: Folder in HandoverSim's layout; default: the variable HANDOVER_MARL_DATA.
-        receiver: Name of a receiver; without one the robot stays at rest.
-        physics: exact or fast.
+        receiver: The robot's policy; without one the robot stays at rest.
         plan: Draw the plan of a receiver such as omg (.png): start, goals, the chosen one, the hand's path.
         key_frames: Pictures on a sheet.
         width: Width of a picture in pixels.
         height: Height of a picture in pixels.
+        run: What is shown.
+        how: How.
     """
     from handover_marl.config import CameraConfig
-    from handover_marl.rendering import render_scene
+    from handover_marl.pictures.rendering import render_scene
 
+    told: Any = {key: getattr(run, key) for key in ("dataset", "data_dir", "physics", "seed", "giver")}
+    told |= {"trust": how.trust}
     if plan:
-        from handover_marl.plan_picture import PLAN_CAMERA, render_plan
+        from handover_marl.pictures.plan_picture import PLAN_CAMERA, render_plan
 
-        print(
-            render_plan(
-                scene,
-                out,
-                receiver=receiver or "omg",
-                dataset=dataset,
-                data_dir=data_dir,
-                physics=physics,
-                camera=_sized(PLAN_CAMERA, width, height),
-            )
-        )
+        camera = _sized(PLAN_CAMERA, width, height)
+        print(render_plan(scene, out, receiver=receiver or "omg", camera=camera, **told))
         return
-    path = render_scene(
-        scene,
-        out,
-        dataset=dataset,
-        data_dir=data_dir,
-        receiver=receiver,
-        physics=physics,
-        key_frames=key_frames,
-        camera=_sized(CameraConfig(), width, height),
-    )
-    print(path)
+    camera = _sized(CameraConfig(), width, height)
+    told |= {"progress": how.progress}
+    print(render_scene(scene, out, receiver=receiver, key_frames=key_frames, camera=camera, **told))
 
 
 def _sized(camera: "CameraConfig", width: int | None, height: int | None) -> "CameraConfig":
@@ -239,9 +227,17 @@ def parse_scenes(text: str | None) -> list[int] | None:
     try:
         return [int(part) for part in text.split(",")]
     except ValueError as error:
-        raise OptionError(
-            f"--scenes takes scene numbers separated by commas, such as 209,214, not {text!r}"
-        ) from error
+        raise OptionError(f"--scenes takes scene numbers separated by commas, such as 209,214, not {text!r}") from error
+
+
+def _expanded(how: Execution) -> Execution:
+    return how if how.out is None else replace(how, out=os.path.expanduser(how.out))  # noqa: PTH111  (stays text)
+
+
+def _description() -> str:
+    from handover_marl.policies.registry import available
+
+    return _DESCRIPTION.format(receivers=", ".join(available("receiver")), givers=", ".join(available("giver")))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -250,8 +246,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if list(arguments) == ["--version"]:
         print(f"handover-marl {__version__}")
         return 0
+    # Policies of one's own are found where one stands, like with `python -m`, but shadow nothing that is installed.
+    sys.path.append(str(Path.cwd()))
     try:
-        app.cli(prog="handover-marl", description="Human-to-robot handovers.", args=arguments)
+        app.cli(
+            prog="handover-marl",
+            description=_description(),
+            args=arguments,
+            registry=registry,
+            config=(tyro.conf.OmitArgPrefixes,),
+        )
         sys.stdout.flush()
     except HandoverError as error:
         print(f"handover-marl: {error}", file=sys.stderr)

@@ -1,6 +1,7 @@
-"""Every constant of the world and of the rules, as frozen dataclasses (SI units, radians, quaternions xyzw).
+"""What can be chosen about the world and the rules, as frozen dataclasses (SI units, radians, quaternions xyzw).
 
-The defaults are HandoverSim's (Chao et al., ICRA 2022); official figures exist for these values only.
+The defaults are HandoverSim's (Chao et al., ICRA 2022); official figures exist for these values only. What cannot
+be chosen, because the data or the robot fix it, stands in capitals.
 """
 
 from dataclasses import dataclass, field
@@ -8,7 +9,11 @@ from dataclasses import dataclass, field
 Vector3 = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 
+#: Seconds in a physics step. The recordings have a row for every step, and periods are told in whole steps.
+TIME_STEP = 0.001
+
 PANDA_DOF = 9
+ARM_JOINTS = 7
 HAND_DOF = 51
 OBJECT_DOF = 6
 MAX_OBJECTS = 5
@@ -37,18 +42,6 @@ class PandaConfig:
     base_position: Vector3 = (0.61, -0.50, 0.875)
     base_orientation: Quaternion = (0.0, 0.0, 0.7071068, 0.7071068)
     start_joints: tuple[float, ...] = (0.0, -1.285, 0.0, -2.356, 0.0, 1.571, 0.785, 0.04, 0.04)
-    lower_limits: tuple[float, ...] = (
-        -2.8973,
-        -1.7628,
-        -2.8973,
-        -3.0718,
-        -2.8973,
-        -0.0175,
-        -2.8973,
-        0.0,
-        0.0,
-    )
-    upper_limits: tuple[float, ...] = (2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.752, 2.8973, 0.04, 0.04)
     motor: MotorConfig = MotorConfig(force=250.0, position_gain=0.01)
 
 
@@ -74,9 +67,8 @@ class HandConfig:
 
 @dataclass(frozen=True)
 class PhysicsConfig:
-    """The simulated world. `time_step` (s), `gravity` (m/s^2 along world z)."""
+    """The simulated world. `gravity` is along world z (m/s^2)."""
 
-    time_step: float = 0.001
     gravity: float = -9.8
     table_position: Vector3 = (0.61, 0.28, 0.0)
     panda: PandaConfig = field(default_factory=PandaConfig)
@@ -139,6 +131,25 @@ class ProtocolConfig:
     success_steps: int = 100
     drop_height: float = 0.92
     horizon_steps: int = 13_000
+
+
+@dataclass(frozen=True)
+class WorldConfig:
+    """Everything that can be chosen about a handover but its scene and its policies.
+
+    Attributes:
+        physics: The simulated world.
+        protocol: The rules.
+        giver: What the giver may do to the recording.
+    """
+
+    physics: PhysicsConfig = field(default_factory=PhysicsConfig)
+    protocol: ProtocolConfig = field(default_factory=ProtocolConfig)
+    giver: GiverConfig = field(default_factory=GiverConfig)
+
+
+#: HandoverSim's world.
+OFFICIAL = WorldConfig()
 
 
 @dataclass(frozen=True)

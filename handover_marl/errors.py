@@ -22,9 +22,10 @@ class UnsafeFileError(DataFormatError):
 class UnknownNameError(HandoverError, ValueError):
     """A setup, split, receiver, giver or other named choice does not exist."""
 
-    def __init__(self, kind: str, name: object, valid: Iterable[str]) -> None:
-        super().__init__(f"unknown {kind} {name!r}; valid: {', '.join(valid)}")
-        self._arguments = (kind, name, tuple(valid))
+    def __init__(self, kind: str, name: object, valid: Iterable[str], hint: str = "") -> None:
+        names = tuple(valid)
+        super().__init__(f"unknown {kind} {name!r}; valid: {', '.join(names)}" + (f"; {hint}" if hint else ""))
+        self._arguments = (kind, name, names, hint)
 
     def __reduce__(self) -> tuple[object, ...]:
         return (type(self), self._arguments)
@@ -51,7 +52,11 @@ class SimulationError(HandoverError, RuntimeError):
 
 
 class WorkerError(HandoverError, RuntimeError):
-    """A worker process died, or the policy it ran failed."""
+    """A worker process died."""
+
+
+class PolicyError(HandoverError, RuntimeError):
+    """A policy's own code failed: while it was made, reset, or asked for an action."""
 
 
 class ResultsError(HandoverError, ValueError):

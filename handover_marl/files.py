@@ -1,9 +1,11 @@
-"""Writing files so that a reader never meets half of one."""
+"""Writing files so that a reader never meets half of one, and reading those of strangers with care."""
 
 import contextlib
 import os
+import stat
 import tempfile
-from collections.abc import Iterator
+import zipfile
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from handover_marl.errors import ResultsError
@@ -15,6 +17,51 @@ def write_atomically(path: Path, content: bytes | str) -> None:
     Raises:
         ResultsError: The file cannot be written, e.g. because the disk is full; what was there before stays.
     """
+    _write(path, content, Path.replace)
+
+
+def create_exclusively(path: Path, content: bytes | str) -> None:
+    """The same, but a file that is there already stays as it is, even if it appears at this very moment.
+
+    Raises:
+        ResultsError: The file cannot be written.
+    """
+    if not path.exists():
+        _write(path, content, _link)
+
+
+def check_archive(path: Path, largest: int) -> None:
+    """Look whether a zip archive may be read without harm.
+
+    Args:
+        path: The archive.
+        largest: Bytes that it may unpack to.
+
+    Raises:
+        ValueError: It is no plain file, no archive, or far larger than it should be.
+        OSError: It cannot be opened.
+    """
+    if not stat.S_ISREG(path.stat().st_mode):
+        raise ValueError("not a plain file")
+    with zipfile.ZipFile(path) as archive:
+        if sum(part.file_size for part in archive.infolist()) > largest:
+            raise ValueError(f"it unpacks to more than {largest // 1_000_000} MB")
+
+
+def _link(temporary: Path, path: Path) -> None:
+    # Unlike renaming, linking fails when the name is taken.
+    with contextlib.suppress(FileExistsError):
+        try:
+            path.hardlink_to(temporary)
+        except FileExistsError:
+            raise
+        except OSError:  # a file system without links
+            with path.open("xb") as stream:
+                stream.write(temporary.read_bytes())
+    temporary.unlink()
+
+
+def _write(path: Path, content: bytes | str, put: Callable[[Path, Path], object]) -> None:
     data = content.encode() if isinstance(content, str) else content
     try:
         handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent)
@@ -24,10 +71,11 @@ def write_atomically(path: Path, content: bytes | str) -> None:
                 stream.flush()
                 os.fsync(stream.fileno())
             temporary.chmod(0o644)
-            temporary.replace(path)
-    except OSError as error:
+            put(temporary, path)
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else None
         raise ResultsError(
-            f"cannot write {path} ({error.strerror or error}); finished scenes are kept, free space or fix the "
+            f"cannot write {path} ({reason or error}); finished scenes are kept, free space or fix the "
             "folder and run the same command again to go on"
         ) from error
 

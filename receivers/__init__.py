@@ -1,43 +1,38 @@
-"""Policies for the receiver, the robot side, by name.
+"""Policies for the receiver, the robot side.
 
-`hold` stays at the start pose, `random` does anything; `yang2021` is the reactive baseline of HandoverSim;
-`learned:FILE` is a trained policy. Packages add their own through
-the entry-point group `handover_marl.receivers`.
+`hold` stays at the start pose, `random` does anything; `yang2021` is the reactive baseline of HandoverSim; `omg`,
+`omg_hand_aware` and `omg_unchecked_last` plan; `learned:FILE` is a trained policy. Your own is a subclass of
+`Receiver`; packages add theirs by name through the entry-point group `handover_marl.receivers`.
 """
 
 from typing import cast
 
-from handover_marl import registry
 from handover_marl.datasets import Dataset
-from handover_marl.receivers.base import WAITING_JOINTS, Action, Receiver, ReceiverContext
+from handover_marl.models.panda import WAITING_JOINTS
+from handover_marl.policies import registry
+from handover_marl.policies.context import PolicyContext, context_of
+from handover_marl.policies.policy import Action
+from handover_marl.policies.receiver import Receiver
+from handover_marl.policies.reference import PolicyLike, policy_reference
 
-GROUP = "handover_marl.receivers"
-
-__all__ = ["WAITING_JOINTS", "Action", "Receiver", "ReceiverContext", "available", "context_of", "make"]
+__all__ = ["WAITING_JOINTS", "Action", "PolicyContext", "Receiver", "available", "context_of", "make"]
 
 
 def available() -> tuple[str, ...]:
     """Names of the receivers that can be made."""
-    return registry.available(GROUP)
+    return registry.available("receiver")
 
 
-def context_of(dataset: Dataset) -> ReceiverContext:
-    """What receivers may know of a dataset."""
-    return ReceiverContext(dataset.panda_urdf, dataset.grasps, dataset.object_urdf)
-
-
-def make(name: str, dataset: Dataset, trust: bool = False) -> Receiver:
-    """A receiver by name, for the robot and objects of a dataset.
+def make(receiver: PolicyLike, dataset: Dataset, trust: bool = False) -> Receiver:
+    """A receiver for the robot and objects of a dataset.
 
     Args:
-        name: A registered name, or `learned:FILE` for a policy file.
+        receiver: A registered name, with options or a file, a class; see `handover_marl.policies.reference`.
         dataset: Whose robot and objects.
-        trust: Whether code in such a file may run.
+        trust: Whether code in a policy file may run.
 
     Raises:
         UnknownNameError: No receiver of this name is registered.
-        HandoverError: The file is not there, or is no policy that may be loaded.
+        HandoverError: It cannot be made, or its file is no policy that may be loaded.
     """
-    kind, file = registry.load(GROUP, name, Receiver)
-    context = context_of(dataset)
-    return cast(Receiver, kind(context) if file is None else kind(context, path=file, trust=trust))
+    return cast(Receiver, policy_reference("receiver", receiver, trust).make(dataset))

@@ -4,10 +4,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from handover_marl.geometry import compose, compose_point, rotate
-from handover_marl.observations import Observation
-from handover_marl.receivers.base import ReceiverContext
-from handover_marl.receivers.grasps import HALF_TURN, ObjectGrasps
+from handover_marl.episode.observations import Observation
+from handover_marl.models.panda import HALF_TURN
+from handover_marl.models.poses import compose, compose_point, rotate
+from handover_marl.policies.context import PolicyContext
+from handover_marl.receivers.object_grasps import ObjectGrasps
 
 Array = npt.NDArray[np.float64]
 
@@ -30,7 +31,7 @@ class GraspChoice:
     turn_weight = 0.25  # m/rad
     wanted_room, room_weight = 0.09, 4.0  # m from the hand's joints to the gripper's axis, and what lacks of it
 
-    def __init__(self, context: ReceiverContext) -> None:
+    def __init__(self, context: PolicyContext) -> None:
         self._grasps = ObjectGrasps(context.grasps)
 
     def choose(self, observation: Observation) -> tuple[Array, float] | None:

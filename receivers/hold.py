@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from handover_marl.observations import Observation
-from handover_marl.receivers.base import Action, Receiver
+from handover_marl.episode.observations import Observation
+from handover_marl.policies.policy import Action
+from handover_marl.policies.receiver import Receiver
 
 
 class HoldReceiver(Receiver):

@@ -14,20 +14,25 @@ from typing import ClassVar, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.datasets.ycb import CLASS_NAMES
+from handover_marl.config import ARM_JOINTS
+from handover_marl.episode.observations import Observation
 from handover_marl.errors import OptionError, ResetNeededError
-from handover_marl.geometry import compose, compose_point, inverse
-from handover_marl.observations import Observation
-from handover_marl.planning.arm import Arm
+from handover_marl.models.arm import Arm
+from handover_marl.models.panda import CLOSED, HALF_TURN, OPEN, WAITING_JOINTS
+from handover_marl.models.poses import compose, compose_point, inverse
+from handover_marl.models.ycb import CLASS_NAMES
 from handover_marl.planning.capsules import Capsules, hand_capsules
-from handover_marl.planning.config import HandAvoidance, PlannerConfig
 from handover_marl.planning.field_cache import object_field
 from handover_marl.planning.grasp_rules import usable
 from handover_marl.planning.obstacles import Obstacle
 from handover_marl.planning.planner import Plan, Planner
-from handover_marl.receivers.base import CLOSED, OPEN, WAITING_JOINTS, Action, Receiver, ReceiverContext
-from handover_marl.receivers.grasps import HALF_TURN, ObjectGrasps
-from handover_marl.sim.kinematics import ARM_JOINTS, PandaKinematics
+from handover_marl.planning.planner_config import HandAvoidance, PlannerConfig
+from handover_marl.policies.context import PolicyContext
+from handover_marl.policies.policy import Action
+from handover_marl.policies.receiver import Receiver
+from handover_marl.receivers.object_grasps import ObjectGrasps
+from handover_marl.receivers.waiting import wait_ms
+from handover_marl.sim.bullet.kinematics import PandaKinematics
 
 Array = npt.NDArray[np.float64]
 
@@ -58,6 +63,7 @@ class OmgReceiver(Receiver):
 
     Args:
         context: The robot, the objects and their grasps.
+        wait: How long to stay at the waiting pose (s), instead of what `timing` says.
         config: The planner's constants.
         timing: When what happens.
 
@@ -72,7 +78,11 @@ class OmgReceiver(Receiver):
     default_config: ClassVar[PlannerConfig] = PlannerConfig()
 
     def __init__(
-        self, context: ReceiverContext, config: PlannerConfig | None = None, timing: OmgTiming | None = None
+        self,
+        context: PolicyContext,
+        wait: float | None = None,
+        config: PlannerConfig | None = None,
+        timing: OmgTiming | None = None,
     ) -> None:
         super().__init__(context)
         missing = [module for module in _NEEDED if importlib.util.find_spec(module) is None]
@@ -82,6 +92,8 @@ class OmgReceiver(Receiver):
             )
         self.config = config or self.default_config
         self.timing = timing or OmgTiming()
+        if wait is not None:
+            self.timing = replace(self.timing, wait_ms=wait_ms(wait))
         self._grasps = ObjectGrasps(context.grasps)
         #: (7,) where plans' base frame is.
         self.world_from_base = np.array([*context.panda.base_position, *context.panda.base_orientation])
@@ -119,7 +131,7 @@ class OmgReceiver(Receiver):
         if self._planner is None or self._kinematics is None:
             # Read here rather than when planning, where it would count as planning time.
             start = np.array(WAITING_JOINTS[:ARM_JOINTS])
-            self._planner = Planner(self.context.panda_urdf, start, self.context.panda, self.config)
+            self._planner = Planner(self.context.panda_urdf, start, self.config)
             self._kinematics = PandaKinematics(self.context.panda_urdf, self.context.panda)
         self._planned, self._plan, self._retreat = False, None, []
 

@@ -2,9 +2,10 @@
 
 import numpy as np
 
-from handover_marl.observations import Observation
-from handover_marl.receivers.base import Action, Receiver
-from handover_marl.spaces import receiver_action_space
+from handover_marl.episode.observations import Observation
+from handover_marl.episode.spaces import receiver_action_space
+from handover_marl.policies.policy import Action
+from handover_marl.policies.receiver import Receiver
 
 
 class RandomReceiver(Receiver):

@@ -6,18 +6,30 @@ grasp; then it closes the fingers and carries the object to the goal. It knows t
 not look at the human hand.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum, auto
 
 import numpy as np
 import numpy.typing as npt
 
+from handover_marl.config import ARM_JOINTS
+from handover_marl.episode.observations import Observation
 from handover_marl.errors import ResetNeededError
-from handover_marl.geometry import compose, rotation_angle
-from handover_marl.observations import Observation
-from handover_marl.receivers.base import CLOSED, OPEN, WAITING_JOINTS, Action, Receiver, ReceiverContext
-from handover_marl.receivers.grasps import ObjectGrasps
-from handover_marl.sim.kinematics import ARM_JOINTS, PandaKinematics
+from handover_marl.models.handiness import (
+    CANDIDATES,
+    PREFERRED_POSE,
+    ROTATION_WEIGHT,
+    STANDOFF,
+    pose_distance,
+)
+from handover_marl.models.panda import CLOSED, OPEN, WAITING_JOINTS
+from handover_marl.models.poses import compose, rotation_angle
+from handover_marl.policies.context import PolicyContext
+from handover_marl.policies.policy import Action
+from handover_marl.policies.receiver import Receiver
+from handover_marl.receivers.object_grasps import ObjectGrasps
+from handover_marl.receivers.waiting import wait_ms
+from handover_marl.sim.bullet.kinematics import PandaKinematics
 
 Pose = npt.NDArray[np.float64]
 
@@ -45,13 +57,10 @@ class YangConfig:
     wait_time: float = 3.0
     decision_period: float = 0.1
     close_time: float = 0.5
-    standoff: tuple[float, ...] = (0.0, 0.0, -0.2, 0.0, 0.0, 0.0, 1.0)
-    preferred_pose: tuple[float, ...] = (
-        *(0.6914180, -0.4314530, 1.5511079),
-        *(0.6429956, 0.6701149, 0.2626269, -0.2617819),
-    )
-    rotation_weight: float = 0.5
-    max_candidates: int = 25
+    standoff: tuple[float, ...] = STANDOFF
+    preferred_pose: tuple[float, ...] = PREFERRED_POSE
+    rotation_weight: float = ROTATION_WEIGHT
+    max_candidates: int = CANDIDATES
     region_width: float = 0.015
     region_slope: float = 50.0
     region_max_width: float = 0.04
@@ -101,14 +110,21 @@ class Yang2021Receiver(Receiver):
 
     Asked every millisecond while the fingers close (the arm is then told to stay where it is), every 0.1 s
     before, and once after.
+
+    Args:
+        context: The robot, the task, the objects and their grasps.
+        wait: How long to stay at the waiting pose (s), instead of what `config` says.
+        config: The method's constants.
     """
 
     name = "yang2021"
     control_period = 0.1
 
-    def __init__(self, context: ReceiverContext, config: YangConfig | None = None) -> None:
+    def __init__(self, context: PolicyContext, wait: float | None = None, config: YangConfig | None = None) -> None:
         super().__init__(context)
         self.config = config or YangConfig()
+        if wait is not None:
+            self.config = replace(self.config, wait_time=wait_ms(wait) / 1000.0)
         self._kinematics: PandaKinematics | None = None
         self._grasps = ObjectGrasps(context.grasps)
         self._memory = Memory()
@@ -124,7 +140,7 @@ class Yang2021Receiver(Receiver):
     def hold_time(self) -> float:
         """Until the wait is over, the next decision, the next millisecond while closing, or for ever."""
         if self._memory.phase is Phase.WAIT:
-            return self.config.wait_time
+            return self.config.wait_time or self.config.decision_period
         if self._memory.phase is Phase.APPROACH:
             return self.config.decision_period
         return 0.001 if self._memory.phase is Phase.CLOSE else float("inf")
@@ -191,14 +207,10 @@ class Yang2021Receiver(Receiver):
 
     def _costs(self, standoffs: Pose, hand: npt.NDArray[np.float32]) -> npt.NDArray[np.float64]:
         reference = hand if self._memory.reference is None else self._memory.reference
-        return self._distance(reference, standoffs) + self._distance(
-            np.array(self.config.preferred_pose), standoffs
+        weight = self.config.rotation_weight
+        return pose_distance(reference, standoffs, weight) + pose_distance(
+            self.config.preferred_pose, standoffs, weight
         )
-
-    def _distance(self, pose: npt.ArrayLike, poses: Pose) -> npt.NDArray[np.float64]:
-        one = np.asarray(pose, dtype=np.float64)
-        translation: npt.NDArray[np.float64] = ((poses[:, :3] - one[:3]) ** 2).sum(axis=1)
-        return translation + self.config.rotation_weight * (1.0 - (poses[:, 3:] @ one[3:]) ** 2)
 
     def _in_region(self, hand: npt.NDArray[np.float32], approach: Approach) -> bool:
         standoff, grasp = approach.standoff, approach.grasp

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pybullet_data
 
-from handover_marl.datasets.ycb import CLASS_NAMES, SCENE_CLASSES, SUBJECTS
+from handover_marl.models.ycb import CLASS_NAMES, SCENE_CLASSES, SUBJECTS
 
 N_FRAMES = 400
 HAND_FIRST, HAND_LAST = 50, 350

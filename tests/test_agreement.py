@@ -64,9 +64,7 @@ def test_command(fake_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[
     assert main([*command, "--workers", "1"]) == 0
     assert "2 of 2 scenes: 100.00 %" in capsys.readouterr().out
     assert (out / "agreement.md").read_text().startswith("# Exact and fast physics")
-    assert {path.name for path in (out / "fast").glob("*.npz")} == {
-        path.name for path in (out / "exact").glob("*.npz")
-    }
+    assert {path.name for path in (out / "fast").glob("*.npz")} == {path.name for path in (out / "exact").glob("*.npz")}
 
 
 def test_scenes_of_other_splits_are_refused(fake_data: Path) -> None:

@@ -4,10 +4,10 @@ from hypothesis import strategies as st
 
 from handover_marl.config import PandaConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.geometry import compose
-from handover_marl.kinematic_tree import read_tree
-from handover_marl.sim.arm_range import ArmRange
-from handover_marl.sim.kinematics import PandaKinematics
+from handover_marl.models.arm_range import ArmRange
+from handover_marl.models.kinematic_tree import read_tree
+from handover_marl.models.poses import compose
+from handover_marl.sim.bullet.kinematics import PandaKinematics
 
 URDF = SyntheticDataset().panda_urdf
 TREE = read_tree(URDF)

@@ -54,7 +54,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(receivers, "make", make_also_quick)
     short = functools.partial(ProtocolConfig, horizon_steps=HORIZON)
-    monkeypatch.setattr("handover_marl.episode.ProtocolConfig", short)
+    monkeypatch.setattr("handover_marl.episode.episode.ProtocolConfig", short)
     monkeypatch.setattr("handover_marl.benchmarking.playing.ProtocolConfig", short)
 
 
@@ -214,9 +214,7 @@ def test_receivers_that_misbehave(fake_data: Path, tmp_path: Path, monkeypatch: 
         (None, "giver is missing"),
     ],
 )
-def test_givers_that_misbehave(
-    fake_data: Path, monkeypatch: pytest.MonkeyPatch, action: object, message: str
-) -> None:
+def test_givers_that_misbehave(fake_data: Path, monkeypatch: pytest.MonkeyPatch, action: object, message: str) -> None:
     monkeypatch.setattr(NoisyGiver, "act", lambda self, seen: action)
     with pytest.raises(ActionError, match=f"'quick' and giver 'noisy' in scene 9: .*{message}"):
         handover_marl.evaluate_pair(

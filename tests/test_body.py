@@ -5,11 +5,11 @@ import pytest
 
 from handover_marl.config import HandConfig, MotorConfig, ObjectConfig, PandaConfig
 from handover_marl.errors import SimulationError
-from handover_marl.sim.body import Body, Start
-from handover_marl.sim.client import BulletClient, connect
-from handover_marl.sim.hand import Hand
-from handover_marl.sim.objects import Object
-from handover_marl.sim.panda import Panda
+from handover_marl.sim.bullet.body import Body, Start
+from handover_marl.sim.bullet.client import BulletClient, connect
+from handover_marl.sim.bullet.hand_body import Hand
+from handover_marl.sim.bullet.object_body import Object
+from handover_marl.sim.bullet.panda_body import Panda
 
 OBJECT = "003_cracker_box/model_normalized.urdf"
 PANDA = "franka_panda/panda_gripper.urdf"

@@ -15,8 +15,8 @@ import pytest
 from handover_marl.config import CameraConfig
 from handover_marl.errors import SimulationError
 from handover_marl.sim import client as client_module
-from handover_marl.sim.camera import aim_window, without_drawing
-from handover_marl.sim.client import BulletClient, connect
+from handover_marl.sim.bullet.client import BulletClient, connect
+from handover_marl.sim.bullet.drawing import aim_window, without_drawing
 
 on_linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="X11 is Linux's way to a screen")
 
@@ -42,7 +42,7 @@ def view_matrix(client: BulletClient) -> npt.NDArray[np.float64]:
 def test_no_x_server_is_an_error_and_not_the_end() -> None:
     code = (
         "from handover_marl.errors import SimulationError\n"
-        "from handover_marl.sim.client import connect\n"
+        "from handover_marl.sim.bullet.client import connect\n"
         "try:\n    connect(window=True)\n"
         "except SimulationError as error:\n    print('told:', error)\n"
     )
@@ -91,7 +91,7 @@ def test_close_after_the_server_has_gone() -> None:
 @pytest.mark.parametrize("closing", ["os.close(2)", "os.close(2); sys.stderr = None", "sys.stderr.close()"])
 def test_import_without_stderr(closing: str) -> None:
     done = run(
-        f"import os, sys; {closing}; from handover_marl.sim.client import connect; connect(); print('fine')"
+        f"import os, sys; {closing}; from handover_marl.sim.bullet.client import connect; connect(); print('fine')"
     )
     assert done.returncode == 0
     assert done.stdout == "fine\n"

@@ -9,6 +9,8 @@ from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test
 
 import handover_marl
 from handover_marl.config import CameraConfig, PandaConfig
+from handover_marl.envs.handover_env import HandoverEnv
+from handover_marl.episode.spaces import GIVER_ACTION_SIZE
 from handover_marl.errors import (
     ActionError,
     DataNotFoundError,
@@ -18,9 +20,7 @@ from handover_marl.errors import (
     SimulationError,
     UnknownNameError,
 )
-from handover_marl.handover_env import HandoverEnv
 from handover_marl.protocol.status import EpisodeStatus
-from handover_marl.spaces import GIVER_ACTION_SIZE
 
 START = np.array(PandaConfig().start_joints, dtype=np.float32)
 REPLAY = np.zeros(GIVER_ACTION_SIZE, dtype=np.float32)

@@ -12,16 +12,16 @@ from handover_marl import receivers
 from handover_marl.benchmarking.playing import play
 from handover_marl.config import CameraConfig, PandaConfig, PhysicsConfig
 from handover_marl.datasets import OfficialDataset
+from handover_marl.datasets.scene import Scene
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.episode import Episode
-from handover_marl.kinematic_tree import read_tree
-from handover_marl.motion import Motion
+from handover_marl.episode.episode import Episode
+from handover_marl.episode.playback import Motion
+from handover_marl.models.kinematic_tree import read_tree
 from handover_marl.protocol.status import EpisodeStatus
-from handover_marl.scene import Scene
-from handover_marl.sim.client import connect, load_urdf
-from handover_marl.sim.fast_world import FastWorld
-from handover_marl.sim.hand import Hand
-from handover_marl.sim.kinematic_hand import KinematicHand, read_hand
+from handover_marl.sim.bullet.client import connect, load_urdf
+from handover_marl.sim.bullet.fast_world import FastWorld
+from handover_marl.sim.bullet.hand_body import Hand
+from handover_marl.sim.bullet.kinematic_hand import KinematicHand, read_hand
 
 START = np.array(PandaConfig().start_joints, dtype=np.float32)
 DATA = SyntheticDataset()

@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 from handover_marl.benchmarking.fluency_tables import METRICS, fluency_averages
 from handover_marl.benchmarking.playing import Job, Player, Task, play
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.episode import Episode
-from handover_marl.fluency import Fluency, activities, fluency, spectral_arc_length
-from handover_marl.motion import NO_DEVIATION
+from handover_marl.episode.episode import Episode
+from handover_marl.episode.fluency import Fluency, activities, fluency, spectral_arc_length
+from handover_marl.episode.playback import NO_DEVIATION
+from handover_marl.episode.track import Recorder, Track
 from handover_marl.receivers import make
-from handover_marl.sim.gap import GapMeter
-from handover_marl.track import Recorder, Track
+from handover_marl.sim.bullet.gap import GapMeter
 
 PERIOD = 0.02
 

@@ -4,7 +4,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
-from handover_marl.geometry import (
+from handover_marl.models.poses import (
     compose,
     inverse,
     inverse_transform_points,
@@ -32,9 +32,7 @@ def test_multiply_equals_scipy(first: np.ndarray, second: np.ndarray) -> None:
 
 @given(ROTATION_VECTORS, COORDINATES)
 def test_rotate_equals_scipy(vector: np.ndarray, point: np.ndarray) -> None:
-    np.testing.assert_allclose(
-        rotate(quaternion(vector), point), Rotation.from_rotvec(vector).apply(point), atol=1e-11
-    )
+    np.testing.assert_allclose(rotate(quaternion(vector), point), Rotation.from_rotvec(vector).apply(point), atol=1e-11)
 
 
 @given(ROTATION_VECTORS, COORDINATES, ROTATION_VECTORS, COORDINATES, COORDINATES)

@@ -7,7 +7,7 @@ import pytest
 
 import handover_marl
 from handover_marl.config import PandaConfig
-from handover_marl.handover_env import HandoverEnv
+from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.protocol.status import EpisodeStatus
 
 START = np.array(PandaConfig().start_joints, dtype=np.float32)
@@ -40,9 +40,7 @@ def test_the_world_follows_the_deviation(physics: str) -> None:
     assert before["holding"] == 1
     shift = np.float32([0.1, -0.15, 0.05])
     after, info = act(env, giver(shift=shift), 12)
-    np.testing.assert_allclose(
-        after["hand_keypoints"] - before["hand_keypoints"], np.tile(shift, (16, 1)), atol=5e-3
-    )
+    np.testing.assert_allclose(after["hand_keypoints"] - before["hand_keypoints"], np.tile(shift, (16, 1)), atol=5e-3)
     np.testing.assert_allclose(after["object_poses"][0, :3] - before["object_poses"][0, :3], shift, atol=5e-3)
     np.testing.assert_allclose(after["object_poses"][1:], before["object_poses"][1:], atol=1e-4)
     np.testing.assert_allclose(after["deviation"], [0, *shift, 0, 0, 0], atol=1e-6)

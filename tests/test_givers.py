@@ -10,13 +10,13 @@ import handover_marl
 from handover_marl import givers
 from handover_marl.config import PandaConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.episode import Episode
+from handover_marl.envs.freeze import FrozenPartnerEnv
+from handover_marl.episode.clock import PolicyClock
+from handover_marl.episode.episode import Episode
+from handover_marl.episode.observations import Observation
+from handover_marl.episode.spaces import check_giver_action, giver_action_space
 from handover_marl.errors import UnknownNameError
 from handover_marl.givers import Giver
-from handover_marl.observations import Observation
-from handover_marl.policy_clock import PolicyClock
-from handover_marl.spaces import check_giver_action, giver_action_space
-from handover_marl.views import FrozenPartnerEnv
 
 START = np.array(PandaConfig().start_joints, dtype=np.float32)
 NAMES = givers.available()

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handover_marl.datasets.grasps import load_grasps, load_pickled_dict
+from handover_marl.datasets.pickled_grasps import load_grasps, load_pickled_dict
 from handover_marl.errors import DataFormatError, UnsafeFileError
 from tests.fake_layout import evil_grasps, write_grasps
 
@@ -126,7 +126,7 @@ def test_hostile_arrays_are_refused(tmp_path: Path, name: str) -> None:
     with_header(tmp_path / "g.npy", pickle.dumps({"transforms": HOSTILE[name]}))
     # What gets through may crash the interpreter, so not in this one.
     load = (
-        "import sys, pathlib; from handover_marl.datasets.grasps import *; from handover_marl.errors import *\n"
+        "import sys, pathlib; from handover_marl.datasets.pickled_grasps import *; from handover_marl.errors import *\n"
         "try: print(load_pickled_dict(pathlib.Path(sys.argv[1]))['transforms'])\n"
         "except DataFormatError as error: sys.exit(f'refused: {error}')"
     )

@@ -6,9 +6,9 @@ import pytest
 
 from handover_marl.config import PandaConfig
 from handover_marl.datasets import OfficialDataset
-from handover_marl.episode import Episode
-from handover_marl.geometry import rotation_angle
-from handover_marl.sim.kinematics import PandaKinematics
+from handover_marl.episode.episode import Episode
+from handover_marl.models.poses import rotation_angle
+from handover_marl.sim.bullet.kinematics import PandaKinematics
 from tests.fake_layout import SCENES
 
 PANDA = Path(pybullet_data.getDataPath()) / "franka_panda" / "panda.urdf"

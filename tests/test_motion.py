@@ -6,12 +6,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from handover_marl.carrying import turn_about, wrist_points
 from handover_marl.config import GiverConfig
+from handover_marl.datasets.scene import Scene
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.motion import Motion, Playback, pick_up_frame, wrist_place
-from handover_marl.preview import Preview
-from handover_marl.scene import Scene
+from handover_marl.episode.carrying import turn_about, wrist_points
+from handover_marl.episode.playback import Motion, Playback, pick_up_frame, wrist_place
+from handover_marl.episode.preview import Preview
 
 SCENE = SyntheticDataset().scene(209)
 CONFIG = GiverConfig()
@@ -21,9 +21,7 @@ def playback(scene: Scene = SCENE) -> Playback:
     return Playback(scene, CONFIG, 0.001)
 
 
-def action(
-    rate: float = 0.0, shift: tuple[float, ...] = (0, 0, 0), turn: tuple[float, ...] = (0, 0, 0)
-) -> np.ndarray:
+def action(rate: float = 0.0, shift: tuple[float, ...] = (0, 0, 0), turn: tuple[float, ...] = (0, 0, 0)) -> np.ndarray:
     return np.array([rate, *shift, *turn, 0.0], dtype=np.float32)
 
 

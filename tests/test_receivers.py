@@ -6,7 +6,7 @@ import pytest
 
 from handover_marl import givers, receivers, registry
 from handover_marl.datasets import OfficialDataset
-from handover_marl.episode import Episode
+from handover_marl.episode.episode import Episode
 from handover_marl.errors import OptionError, ResetNeededError, UnknownNameError
 from handover_marl.receivers import WAITING_JOINTS, Receiver
 from tests.fake_layout import FakeScene, write_scene

@@ -8,7 +8,7 @@ from handover_marl import rendering
 from handover_marl.cli import main
 from handover_marl.config import CameraConfig
 from handover_marl.errors import HandoverError, OptionError, SceneError, UnknownNameError
-from handover_marl.rendering import render_scene
+from handover_marl.pictures.rendering import render_scene
 
 CAMERA = CameraConfig(width=96, height=72)
 

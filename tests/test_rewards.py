@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 
 import handover_marl
 from handover_marl.config import PandaConfig
+from handover_marl.envs.rewards import SHAPED, SPARSE, Rewards, Situation, potentials, reward_config
 from handover_marl.errors import UnknownNameError
 from handover_marl.protocol.status import EpisodeStatus
-from handover_marl.rewards import SHAPED, SPARSE, Rewards, Situation, potentials, reward_config
 
 RUNNING, SUCCESS = EpisodeStatus.RUNNING, EpisodeStatus.SUCCESS
 points = st.tuples(*[st.floats(-1.0, 1.0)] * 3)

@@ -2,7 +2,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handover_marl.set_points import SetPoint
+from handover_marl.episode.set_points import SetPoint
 
 components = st.floats(-0.5, 0.5)
 SPEED, ACCELERATION, STEP = 0.8, 5.0, 0.001

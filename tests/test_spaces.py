@@ -4,14 +4,14 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from handover_marl.errors import ActionError
-from handover_marl.spaces import (
+from handover_marl.episode.spaces import (
     GiverAction,
     check_giver_action,
     check_receiver_action,
     giver_action_space,
     receiver_action_space,
 )
+from handover_marl.errors import ActionError
 
 
 class Tensor:
@@ -63,9 +63,7 @@ def test_what_is_no_number_is_refused(action: object) -> None:
     ("check", "agent", "size"), [(check_receiver_action, "receiver", 9), (check_giver_action, "giver", 8)]
 )
 def test_agents_without_an_action_are_named(check: Callable[[object], object], agent: str, size: int) -> None:
-    with pytest.raises(
-        ActionError, match=f'the {agent} is missing from the actions.*{size} numbers.*key "{agent}"'
-    ):
+    with pytest.raises(ActionError, match=f'the {agent} is missing from the actions.*{size} numbers.*key "{agent}"'):
         check(None)
 
 

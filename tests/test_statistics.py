@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handover_marl.statistics import mean_interval, paired_difference, wilson_interval
+from handover_marl.benchmarking.statistics import mean_interval, paired_difference, wilson_interval
 
 
 def test_wilson_against_known_values() -> None:

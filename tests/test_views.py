@@ -8,9 +8,9 @@ from gymnasium.utils.env_checker import check_env
 from pettingzoo.test import parallel_api_test
 
 import handover_marl
+from handover_marl.envs.freeze import FrozenPartnerEnv
+from handover_marl.episode.clock import PolicyClock
 from handover_marl.errors import UnknownNameError
-from handover_marl.policy_clock import PolicyClock
-from handover_marl.views import FrozenPartnerEnv
 from tests.test_env import REPLAY, START
 
 pytestmark = [
@@ -21,9 +21,7 @@ pytestmark = [
 
 @pytest.fixture
 def only_known_scenes(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(
-        "handover_marl.datasets.official.OfficialDataset.split", lambda self, setup, split: (9, 14)
-    )
+    monkeypatch.setattr("handover_marl.datasets.official.OfficialDataset.split", lambda self, setup, split: (9, 14))
 
 
 def test_benchmark_view_equals_the_two_agent_world(fake_data: Path) -> None:

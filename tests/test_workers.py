@@ -47,9 +47,7 @@ def test_results_do_not_depend_on_workers_even_if_one_is_killed(
     assert killed
 
 
-def test_workers_search_where_the_caller_does(
-    fake_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_workers_search_where_the_caller_does(fake_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "numpy.py").write_text("raise SystemExit('not the real one')")
     monkeypatch.chdir(tmp_path)
     assert run(fake_data, 2) == run(fake_data, 1)

@@ -1,19 +1,20 @@
 """How far fast physics can be trusted: the same receiver on the same scenes in both kinds of physics."""
 
-import os
 from collections import Counter
-from collections.abc import Iterable
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import dataclass, replace
 
 import numpy as np
+from typing_extensions import Unpack
 
 from handover_marl.benchmarking.episodes import EpisodeResult
 from handover_marl.benchmarking.report import FAILURES, Report
-from handover_marl.benchmarking.runner import benchmark
+from handover_marl.benchmarking.runner import evaluate_run
 from handover_marl.benchmarking.tables import NO_VALUE, percent_interval, report_extent, table
 from handover_marl.files import write_atomically
+from handover_marl.options import shows
+from handover_marl.policies.reference import PolicyLike
 from handover_marl.protocol.status import EpisodeStatus
+from handover_marl.run import REPLAY, Execution, Run, RunOptions, describe
 
 
 @dataclass(frozen=True)
@@ -110,53 +111,31 @@ def _step(release_step: int | None) -> str:
     return NO_VALUE if release_step is None else str(release_step)
 
 
+@shows(Run, Execution)
 def agreement(
-    setup: str = "s0",
+    setup: str | Run = "s0",
     split: str = "val",
-    receiver: str = "yang2021",
-    *,
-    scenes: Iterable[int] | None = None,
-    data_dir: str | os.PathLike[str] | None = None,
-    dataset: str = "auto",
-    out: str | os.PathLike[str] | None = None,
-    progress: bool = True,
-    workers: int | None = None,
+    receiver: PolicyLike = "yang2021",
+    giver: PolicyLike = REPLAY,
+    execution: Execution | None = None,
+    **options: Unpack[RunOptions],
 ) -> Agreement:
     """Play the same scenes in exact and in fast physics.
 
     Args:
-        setup: Official setup, "s0" to "s3".
+        setup: Official setup, "s0" to "s3"; or a whole `handover_marl.Run`, whose physics do not count.
         split: "train", "val" or "test".
-        receiver: Name of a registered receiver.
-        scenes: Only these scenes of the split.
-        data_dir: Folder in HandoverSim's layout; default: the environment variable HANDOVER_MARL_DATA.
-        dataset: "dexycb", "synthetic", or "auto": DexYCB when there is a data folder, else synthetic.
-        out: Folder for the result folders `exact` and `fast` and for `agreement.md`; an interrupted run goes on
-            there.
-        progress: Whether to show progress bars.
-        workers: Processes to play scenes in; default: one a core.
+        receiver: As in `benchmark`.
+        giver: As in `evaluate_pair`.
+        execution: How to run. Its folder gets the result folders `exact` and `fast` and `agreement.md`.
+        options: The fields of `handover_marl.Run` and `handover_marl.Execution`.
 
     Raises:
-        HandoverError: As `benchmark` does.
+        HandoverError: As `evaluate_pair` does.
     """
-    chosen = None if scenes is None else list(scenes)
-    folder = None if out is None else Path(out).expanduser()
-    exact, fast = (
-        benchmark(
-            setup,
-            split,
-            receiver,
-            scenes=chosen,
-            data_dir=data_dir,
-            dataset=dataset,
-            physics=physics,
-            out=None if folder is None else folder / physics,
-            progress=progress,
-            workers=workers,
-        )
-        for physics in ("exact", "fast")
-    )
+    run, how = describe(setup, options, execution, split=split, receiver=receiver, giver=giver)
+    exact, fast = (evaluate_run(replace(run, physics=physics), how.inside(physics)) for physics in ("exact", "fast"))
     result = Agreement(exact, fast)
-    if folder is not None:
-        write_atomically(folder / "agreement.md", f"# Exact and fast physics\n\n{result}\n")
+    if how.folder is not None:
+        write_atomically(how.folder / "agreement.md", f"# Exact and fast physics\n\n{result}\n")
     return result

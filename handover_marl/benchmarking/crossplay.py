@@ -3,12 +3,12 @@
 import csv
 import importlib.util
 import io
-import os
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from pathlib import Path
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
-from handover_marl import givers, receivers
+from typing_extensions import Unpack
+
 from handover_marl.benchmarking.fluency_tables import (
     FLUENCY_NOTE,
     METRICS,
@@ -17,13 +17,17 @@ from handover_marl.benchmarking.fluency_tables import (
     fluency_row,
 )
 from handover_marl.benchmarking.report import FAILURES, Report
-from handover_marl.benchmarking.runner import evaluate_pair
+from handover_marl.benchmarking.runner import evaluate_run
+from handover_marl.benchmarking.statistics import mean_interval, paired_difference, wilson_interval
 from handover_marl.benchmarking.tables import NO_VALUE, percent_interval, report_extent, table
-from handover_marl.datasets import open_dataset
+from handover_marl.datasets import Dataset
 from handover_marl.errors import OptionError
 from handover_marl.files import write_atomically
+from handover_marl.options import shows
+from handover_marl.policies.policy import Policy
+from handover_marl.policies.reference import PolicyLike, PolicyReference, policy_reference
 from handover_marl.protocol.status import EpisodeStatus
-from handover_marl.statistics import mean_interval, paired_difference, wilson_interval
+from handover_marl.run import Execution, Run, RunOptions, describe
 
 Pair = tuple[str, str]
 
@@ -44,15 +48,19 @@ class CrossPlay:
     receivers: tuple[str, ...]
     reports: dict[Pair, Report]
 
+    def title(self) -> str:
+        """What was played, in two lines."""
+        report = next(iter(self.reports.values()))
+        settings, n = report.settings, len(report.episodes)
+        return (
+            f"{settings.setup} {settings.split}, {n} episodes a cell\n{report.data_label()}, {settings.physics} physics"
+        )
+
     def success_rates(self) -> list[list[float]]:
         """Success (0..1), a row for each giver, a column for each receiver."""
-        return [
-            [self.reports[giver, receiver].success_rate for receiver in self.receivers] for giver in self.givers
-        ]
+        return [[self.reports[giver, receiver].success_rate for receiver in self.receivers] for giver in self.givers]
 
-    def gain(
-        self, pair: Pair, over: Pair, flag: EpisodeStatus = EpisodeStatus.SUCCESS
-    ) -> tuple[float, float, float]:
+    def gain(self, pair: Pair, over: Pair, flag: EpisodeStatus = EpisodeStatus.SUCCESS) -> tuple[float, float, float]:
         """How much more often one (giver, receiver) ends so than another: mean and 95 % interval (-1..1).
 
         Paired by scene, so that easy and hard scenes do not blur it.
@@ -81,9 +89,7 @@ class CrossPlay:
             settings, n = report.settings, len(report.episodes)
             averages = fluency_averages(report.episodes)
             rates = [
-                value
-                for flag in _FLAGS
-                for value in (report.count(flag) / n, *wilson_interval(report.count(flag), n))
+                value for flag in _FLAGS for value in (report.count(flag) / n, *wilson_interval(report.count(flag), n))
             ]
             writer.writerow(
                 [giver, receiver, settings.setup, settings.split, report.data_label(), settings.physics, n]
@@ -158,75 +164,72 @@ def _number(value: float | None) -> str:
     return "" if value is None else f"{value:.6f}"
 
 
+@shows(Run, Execution, without=("giver", "receiver"))
 def crossplay(
-    givers_: Sequence[str],
-    receivers_: Sequence[str],
-    setup: str = "s0",
+    givers: Sequence[PolicyLike] | PolicyLike,
+    receivers: Sequence[PolicyLike] | PolicyLike,
+    setup: str | Run = "s0",
     split: str = "val",
-    *,
-    scenes: Iterable[int] | None = None,
-    data_dir: str | os.PathLike[str] | None = None,
-    dataset: str = "auto",
-    physics: str = "exact",
-    out: str | os.PathLike[str] | None = None,
-    progress: bool = True,
-    workers: int | None = None,
-    trust: bool = False,
+    execution: Execution | None = None,
+    **options: Unpack[RunOptions],
 ) -> CrossPlay:
     """Play every giver with every receiver.
 
     Args:
-        givers_: Names of givers or `learned:FILE`; gains are told over the first one.
-        receivers_: Names of receivers or `learned:FILE`.
-        setup: Official setup, "s0" to "s3".
+        givers: As `giver` in `evaluate_pair`, several of them; gains are told over the first one.
+        receivers: As `receiver` in `benchmark`, several of them.
+        setup: Official setup, "s0" to "s3"; or a whole `handover_marl.Run`, whose policies do not count.
         split: "train", "val" or "test".
-        scenes: Only these scenes of the split.
-        data_dir: Folder in HandoverSim's layout; default: the environment variable HANDOVER_MARL_DATA.
-        dataset: "dexycb", "synthetic", or "auto": DexYCB when there is a data folder, else synthetic.
-        physics: "exact" or "fast".
-        out: Folder for a result folder a pair and for `crossplay.md`, `crossplay.csv` and `crossplay.png`; an
-            interrupted run goes on there.
-        progress: Whether to show progress bars.
-        workers: Processes to play scenes in; default: one a core.
-        trust: Whether code in policy files (`learned:FILE`) may run.
+        execution: How to run. Its folder gets a result folder a pair and `crossplay.md`, `crossplay.csv` and
+            `crossplay.png`.
+        options: The fields of `handover_marl.Run` and `handover_marl.Execution`.
 
     Raises:
-        OptionError: No giver or no receiver is named, or there is an `out` and no matplotlib.
+        OptionError: No giver or no receiver is named, two have one label, or there is a folder and no matplotlib.
         HandoverError: As `evaluate_pair` does.
     """
-    if not givers_ or not receivers_:
-        raise OptionError("cross-play needs at least one giver and one receiver")
-    if out is not None and importlib.util.find_spec("matplotlib") is None:
+    run, how = describe(setup, options, execution, split=split)
+    if how.folder is not None and importlib.util.find_spec("matplotlib") is None:
         raise OptionError("the heat map needs matplotlib: pip install 'handover-marl[plot]'; or leave out `out`")
+    data = run.open_dataset()
     # Misspelled names come to light before the first scene.
-    data = open_dataset(dataset, data_dir)
-    giver_labels = {name: givers.make(name, trust).label for name in givers_}
-    receiver_labels = {name: receivers.make(name, data, trust).label for name in receivers_}
-    chosen = None if scenes is None else list(scenes)
-    folder = None if out is None else Path(out).expanduser()
+    rows = _resolved("giver", givers, data, run, how.trust)
+    columns = _resolved("receiver", receivers, data, run, how.trust)
     reports = {
-        (giver_labels[giver], receiver_labels[receiver]): evaluate_pair(
-            giver,
-            receiver,
-            setup,
-            split,
-            scenes=chosen,
-            data_dir=data_dir,
-            dataset=dataset,
-            physics=physics,
-            out=None if folder is None else folder / f"{giver_labels[giver]}-{receiver_labels[receiver]}",
-            progress=progress,
-            workers=workers,
-            trust=trust,
+        (giver.label, receiver.label): evaluate_run(
+            replace(run, giver=giver, receiver=receiver), how.inside(_folder_name(giver, receiver))
         )
-        for giver in giver_labels
-        for receiver in receiver_labels
+        for giver in rows
+        for receiver in columns
     }
-    result = CrossPlay(tuple(giver_labels.values()), tuple(receiver_labels.values()), reports)
-    if folder is not None:
-        from handover_marl.benchmarking.heat_map import heat_map
+    result = CrossPlay(tuple(row.label for row in rows), tuple(column.label for column in columns), reports)
+    if how.folder is not None:
+        from handover_marl.pictures.heat_map import heat_map
 
-        write_atomically(folder / "crossplay.md", f"# Cross-play\n\n{result}\n")
-        write_atomically(folder / "crossplay.csv", result.to_csv())
-        write_atomically(folder / "crossplay.png", heat_map(result))
+        write_atomically(how.folder / "crossplay.md", f"# Cross-play\n\n{result}\n")
+        write_atomically(how.folder / "crossplay.csv", result.to_csv())
+        picture = heat_map(result.success_rates(), result.givers, result.receivers, result.title())
+        write_atomically(how.folder / "crossplay.png", picture)
     return result
+
+
+def _resolved(
+    agent: str, policies: Sequence[PolicyLike] | PolicyLike, data: Dataset, run: Run, trust: bool
+) -> list[PolicyReference]:
+    """Policies of one agent, each once, in the order given."""
+    several = [policies] if isinstance(policies, (str, type, Policy, PolicyReference)) else list(policies)
+    if not several:
+        raise OptionError("cross-play needs at least one giver and one receiver")
+    references: dict[str, PolicyReference] = {}
+    for policy in several:
+        reference = policy_reference(agent, policy, trust).resolved(data, run.config)
+        other = references.setdefault(reference.label, reference)
+        if other.source != reference.source:
+            raise OptionError(
+                f"two {agent}s are called {reference.label!r} and are not the same; give one another name"
+            )
+    return list(references.values())
+
+
+def _folder_name(giver: PolicyReference, receiver: PolicyReference) -> str:
+    return re.sub(r"[^\w.@=,+-]", "_", f"{giver.label}-{receiver.label}")

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from handover_marl.fluency import Fluency
+from handover_marl.episode.fluency import Fluency
 from handover_marl.protocol.status import EpisodeStatus
 
 

@@ -6,10 +6,11 @@ from pathlib import Path
 
 from handover_marl.benchmarking.episodes import EpisodeResult
 from handover_marl.benchmarking.report import Report
-from handover_marl.benchmarking.results import read_results, read_settings
+from handover_marl.benchmarking.results import read_results
+from handover_marl.benchmarking.settings import read_settings
 from handover_marl.datasets.splits import SPLIT_SIZES, split_scenes
-from handover_marl.datasets.ycb import CLASS_NAMES, SCENE_CLASSES, SUBJECTS
 from handover_marl.errors import ResultsError
+from handover_marl.models.ycb import CLASS_NAMES, SCENE_CLASSES, SUBJECTS
 
 
 def evaluate(folder: str | os.PathLike[str]) -> Report:
@@ -18,8 +19,12 @@ def evaluate(folder: str | os.PathLike[str]) -> Report:
     Raises:
         ResultsError: There is no such folder, or it or one of its files is no official result.
     """
-    path = Path(folder).expanduser()
-    if not path.is_dir():
+    try:
+        path = Path(folder).expanduser()
+        there = path.is_dir()
+    except (OSError, ValueError, TypeError, RuntimeError) as error:
+        raise ResultsError(f"{folder!r} is no result folder ({error})") from error
+    if not there:
         raise ResultsError(f"result folder {path} does not exist")
     settings = read_settings(path)
     size = SPLIT_SIZES[settings.setup, settings.split]

@@ -6,8 +6,8 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from handover_marl.benchmarking.episodes import EpisodeResult
-from handover_marl.fluency import Fluency
-from handover_marl.statistics import mean_interval
+from handover_marl.benchmarking.statistics import mean_interval
+from handover_marl.episode.fluency import Fluency
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ METRICS = (
 )
 FLUENCY_NOTE = (
     "Means over the episodes that have a value. Idle, both active and functional delay are shares of the episode "
-    "(Hoffman 2019); SPARC is spectral arc length; definitions: handover_marl.fluency."
+    "(Hoffman 2019); SPARC is spectral arc length; definitions: handover_marl.episode.fluency."
 )
 
 

@@ -6,10 +6,10 @@ import numpy as np
 
 from handover_marl.benchmarking.episodes import EpisodeResult
 from handover_marl.benchmarking.fluency_tables import fluency_averages
-from handover_marl.benchmarking.results import RunSettings
-from handover_marl.config import PhysicsConfig
+from handover_marl.benchmarking.settings import RunSettings
+from handover_marl.benchmarking.statistics import mean_interval, wilson_interval
+from handover_marl.config import TIME_STEP
 from handover_marl.protocol.status import EpisodeStatus
-from handover_marl.statistics import mean_interval, wilson_interval
 
 FAILURES = (EpisodeStatus.HUMAN_CONTACT, EpisodeStatus.OBJECT_DROP, EpisodeStatus.TIMEOUT)
 
@@ -22,11 +22,13 @@ class Report:
         settings: What was run on what.
         episodes: One result a scene, in the split's order.
         n_split: Scenes in the whole split; fewer episodes make the report partial.
+        n_earlier: How many of the episodes come from an earlier run in the same folder.
     """
 
     settings: RunSettings
     episodes: tuple[EpisodeResult, ...]
     n_split: int
+    n_earlier: int = 0
 
     @property
     def success_rate(self) -> float:
@@ -76,8 +78,7 @@ class Report:
 
     def exec_times(self) -> list[float]:
         """Simulated time of every success (s)."""
-        time_step = PhysicsConfig().time_step
-        return [episode.steps * time_step for episode in self.episodes if episode.success]
+        return [episode.steps * TIME_STEP for episode in self.episodes if episode.success]
 
     def plan_times(self) -> list[float]:
         """Policy time of every success (s)."""
@@ -91,9 +92,7 @@ class Report:
     def data_label(self) -> str:
         """The dataset in words."""
         counts = {episode.n_objects for episode in self.episodes}
-        name = {"dexycb": "DexYCB", "synthetic": "synthetic scenes"}.get(
-            self.settings.dataset, self.settings.dataset
-        )
+        name = {"dexycb": "DexYCB", "synthetic": "synthetic scenes"}.get(self.settings.dataset, self.settings.dataset)
         return f"{name}, grasped object only" if counts == {1} else name
 
     def to_json(self) -> dict[str, object]:
@@ -110,6 +109,7 @@ class Report:
             "data": self.data_label(),
             "machine": self.machine_label(),
             "episodes_run": n,
+            "episodes_from_an_earlier_run": self.n_earlier,
             "episodes_in_split": self.n_split,
             "rates": {
                 name: {"rate": self._rate(flag), "interval_95": wilson_interval(self.count(flag), n)}

@@ -13,8 +13,9 @@ from handover_marl.benchmarking.fluency_tables import (
 )
 from handover_marl.benchmarking.published import PUBLISHED, PublishedRow
 from handover_marl.benchmarking.report import FAILURES, Report
+from handover_marl.benchmarking.settings import OFFICIAL_WORLD, RunSettings
+from handover_marl.benchmarking.statistics import mean_interval, wilson_interval
 from handover_marl.protocol.status import EpisodeStatus
-from handover_marl.statistics import mean_interval, wilson_interval
 
 NO_VALUE = "-"
 
@@ -38,8 +39,14 @@ def heading(report: Report) -> str:
     settings = report.settings
     return (
         f"{settings.setup} {settings.split}, {report_extent(report)}. Receiver {settings.receiver}, giver "
-        f"{settings.giver}, {settings.physics} physics, data: {report.data_label()}."
+        f"{settings.giver}, {settings.physics} physics, data: {report.data_label()}. "
+        f"handover_marl {settings.version}{_code(settings)}."
     )
+
+
+def _code(settings: RunSettings) -> str:
+    codes = [settings.receiver_code, settings.giver_code]
+    return f", code {' and '.join(code for code in codes if code)}" if any(codes) else ""
 
 
 def report_extent(report: Report) -> str:
@@ -101,7 +108,12 @@ def _scene_cells(episode: EpisodeResult) -> list[str]:
 
 def _comparable(report: Report) -> tuple[PublishedRow, ...]:
     settings = report.settings
-    if settings.split != "test" or settings.dataset != "dexycb" or settings.physics != "exact":
+    if (settings.split, settings.dataset, settings.physics, settings.world) != (
+        "test",
+        "dexycb",
+        "exact",
+        "official",
+    ):
         return ()
     return PUBLISHED[settings.setup]
 
@@ -117,6 +129,10 @@ def _notes(report: Report) -> str:
         "Rates over all scenes, times over successes. Intervals: Wilson for rates, Student's t for mean times.",
         f"plan s is wall clock, measured on {report.machine_label()}.",
     ]
+    if report.n_earlier:
+        lines.append(f"{report.n_earlier} of the {len(report.episodes)} episodes come from an earlier run.")
+    if report.settings.world != OFFICIAL_WORLD:
+        lines.append(f"World or rules are not the official ones ({report.settings.world}).")
     if report.settings.physics != "exact":
         lines.append("Official results are in exact physics; how far these agree: handover-marl agreement.")
     if report.settings.dataset == "synthetic":

@@ -5,16 +5,19 @@ script is not imported again in them, so that it needs no `if __name__ == "__mai
 """
 
 import os
+import select
 import subprocess
 import sys
+import threading
 import traceback
 import warnings
 from collections.abc import Generator, Iterator, Sequence
 from multiprocessing.connection import Connection, wait
 from types import TracebackType
 
-from handover_marl.benchmarking.playing import Job, Played, Player, Task
-from handover_marl.errors import HandoverError, OptionError, WorkerError
+from handover_marl.benchmarking.playing import Played, Player, Task
+from handover_marl.errors import HandoverError, OptionError, PolicyError, WorkerError
+from handover_marl.run import Run
 
 _ATTEMPTS = 2
 _PATIENCE = 1.0
@@ -38,34 +41,38 @@ def check_workers(workers: int | None) -> int:
     return workers
 
 
-def play_tasks(job: Job, tasks: Sequence[Task], workers: int) -> Generator[Played, None, None]:
+def play_tasks(run: Run, machine: str, tasks: Sequence[Task], workers: int) -> Generator[Played, None, None]:
     """Play scenes, in this process or in several, and yield each as it is finished.
+
+    Args:
+        run: What is run, resolved.
+        machine: Where, in words.
+        tasks: The scenes.
+        workers: How many processes.
 
     Raises:
         WorkerError: A worker died twice over the same scene.
         HandoverError: What a worker met, as it would have come up here.
     """
     if min(workers, len(tasks)) <= 1:
-        player = Player(job)
+        player = Player(run, machine)
         try:
             yield from map(player.play, tasks)
         finally:
             player.close()
         return
-    with _Crew(job, min(workers, len(tasks))) as crew:
+    with _Crew((run, machine), min(workers, len(tasks))) as crew:
         yield from crew.play(tasks)
 
 
 class _Worker:
     """A process that plays scenes, and the pipes to it."""
 
-    def __init__(self, job: Job) -> None:
+    def __init__(self, job: tuple[Run, str]) -> None:
         from_parent, to_worker = os.pipe()
         from_worker, to_parent = os.pipe()
         # The caller's own search path, so that the worker finds what the caller finds and nothing else.
-        code = (
-            f"import sys; sys.path[:] = {sys.path!r}; from {__name__} import main; main(*map(int, sys.argv[1:]))"
-        )
+        code = f"import sys; sys.path[:] = {sys.path!r}; from {__name__} import main; main(*map(int, sys.argv[1:]))"
         command = [sys.executable, "-c", code, str(from_parent), str(to_parent)]
         self.process = subprocess.Popen(
             # A session of its own, because Ctrl-C is for the parent, which ends its workers itself.
@@ -108,7 +115,7 @@ class _Worker:
 class _Crew:
     """Several workers on one list of scenes."""
 
-    def __init__(self, job: Job, size: int) -> None:
+    def __init__(self, job: tuple[Run, str], size: int) -> None:
         self._job = job
         self._workers = [_Worker(job) for _ in range(size)]
 
@@ -168,23 +175,48 @@ class _Crew:
 def serve(orders: Connection, answers: Connection) -> None:
     """A worker's life: build the job, play scene after scene, until nobody gives orders any more."""
     player: Player | None = None
-    job: Job = orders.recv()
+    run, machine = orders.recv()
     while True:
         try:
             task: Task = orders.recv()
         except EOFError:
             return
         try:
-            player = player or Player(job)
-            answers.send(player.play(task))
+            player = player or Player(run, machine)
+            answer: object = player.play(task)
         except HandoverError as error:
-            answers.send(error)
+            answer = _portable(error)
         except Exception as error:
-            # Told in words: the type of a policy's own failure may not exist elsewhere.
+            # Told in words: the type of a foreign failure may not exist elsewhere.
             words = f"scene {task.scene_id}: {type(error).__name__}: {error}\n{traceback.format_exc()}"
-            answers.send(WorkerError(words))
+            answer = WorkerError(words)
+        try:
+            answers.send(answer)
+        except OSError:
+            # Nobody listens any more.
+            return
+
+
+def _portable(error: HandoverError) -> HandoverError:
+    """An error with what a policy's own code met, which would be lost on the way."""
+    if isinstance(error, PolicyError):
+        return PolicyError(f"{error}\n{traceback.format_exc()}")
+    return error
+
+
+def _watch_parent(orders: int) -> None:
+    """End this process at once when the one that gives orders is gone, even in the middle of a scene.
+
+    The pipe of orders hangs up then; a poll sees it without reading what may wait there.
+    """
+    hung_up = select.poll()
+    hung_up.register(orders, 0)
+    while True:
+        if any(event & (select.POLLHUP | select.POLLERR) for _, event in hung_up.poll()):
+            os._exit(0)
 
 
 def main(orders: int, answers: int) -> None:
     """Serve on two open file descriptors; what a worker process runs."""
+    threading.Thread(target=_watch_parent, args=(orders,), daemon=True).start()
     serve(Connection(orders, writable=False), Connection(answers, readable=False))

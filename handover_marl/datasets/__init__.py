@@ -3,7 +3,7 @@
 import os
 from pathlib import Path
 
-from handover_marl.datasets.base import Dataset
+from handover_marl.datasets.dataset import Dataset
 from handover_marl.datasets.official import OfficialDataset
 from handover_marl.errors import DataNotFoundError, OptionError, UnknownNameError
 
@@ -31,9 +31,7 @@ def open_dataset(dataset: str = "auto", data_dir: str | os.PathLike[str] | None 
     if dataset not in DATASETS:
         raise UnknownNameError("dataset", dataset, DATASETS)
     if dataset == "synthetic" and data_dir:
-        raise OptionError(
-            f"synthetic scenes need no data folder, but data_dir is {data_dir}; leave one of them out"
-        )
+        raise OptionError(f"synthetic scenes need no data folder, but data_dir is {data_dir}; leave one of them out")
     if data_dir is not None and not isinstance(data_dir, (str, os.PathLike)):
         raise OptionError(f"data_dir={data_dir!r} must be a path")
     chosen = data_dir or os.environ.get(DATA_VARIABLE)

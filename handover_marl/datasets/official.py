@@ -16,11 +16,11 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.config import HAND_DOF, MAX_OBJECTS, OBJECT_DOF
-from handover_marl.datasets.base import TABLE_HEIGHT, Dataset
-from handover_marl.datasets.grasps import load_grasps
-from handover_marl.datasets.ycb import CLASS_NAMES, SCENE_CLASSES
+from handover_marl.datasets.dataset import TABLE_HEIGHT, Dataset
+from handover_marl.datasets.pickled_grasps import load_grasps
+from handover_marl.datasets.scene import Scene, SceneAssets, SceneInfo
 from handover_marl.errors import DataFormatError, DataNotFoundError
-from handover_marl.scene import Scene, SceneAssets, SceneInfo
+from handover_marl.models.ycb import CLASS_NAMES, SCENE_CLASSES
 
 #: HandoverSim comes without grasps of these; its setups never ask for them.
 _WITHOUT_GRASPS = ("002_master_chef_can", "036_wood_block")
@@ -183,9 +183,7 @@ class OfficialDataset(Dataset):
         )
         return info, order
 
-    def _read_motion(
-        self, scene_id: int, order: list[int]
-    ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+    def _read_motion(self, scene_id: int, order: list[int]) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
         path = self._existing(self._pose_path(scene_id))
         arrays = _read_npz(path, ("pose_y", "pose_m"))
         objects, hand = arrays["pose_y"], arrays["pose_m"]
@@ -196,9 +194,7 @@ class OfficialDataset(Dataset):
                 "for the objects that its meta file lists"
             )
         if hand.shape != (len(objects), 1, HAND_DOF):
-            raise DataFormatError(
-                f"{path}: pose_m has shape {hand.shape}, expected ({len(objects)}, 1, {HAND_DOF})"
-            )
+            raise DataFormatError(f"{path}: pose_m has shape {hand.shape}, expected ({len(objects)}, 1, {HAND_DOF})")
         if not (np.isfinite(objects).all() and np.isfinite(hand).all()):
             raise DataFormatError(f"{path}: the motion is not finite everywhere; copy the file again")
         return objects[:, order], hand[:, 0].copy()

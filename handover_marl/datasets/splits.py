@@ -4,11 +4,12 @@ A scene's number is 100 * subject + 5 * object + trial, with ten subjects, twent
 Source: Chao et al., HandoverSim, ICRA 2022, Table I.
 """
 
-from collections.abc import Callable
+import operator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Literal
 
-from handover_marl.errors import UnknownNameError
+from handover_marl.errors import SceneError, UnknownNameError
 
 N_SCENES = 1000
 SETUPS = ("s0", "s1", "s2", "s3")
@@ -109,3 +110,31 @@ def designed_side(scene: int) -> Literal["left", "right"]:
 
 def _side(scene: int, side_of_scene: Callable[[int], str]) -> str:
     return designed_side(scene) if scene % 5 in TRIALS_BY_DESIGN else side_of_scene(scene)
+
+
+def choose_scenes(split_ids: tuple[int, ...], scenes: Iterable[int] | None, where: str) -> tuple[int, ...]:
+    """Some scenes of a split, ascending and each once, or all of it.
+
+    Args:
+        split_ids: The split.
+        scenes: Those wanted, or None for all.
+        where: What to call the split in errors.
+
+    Raises:
+        SceneError: One is not in the split, or none is wanted, or these are no scene numbers.
+    """
+    if scenes is None:
+        return split_ids
+    try:
+        wanted = sorted({operator.index(scene) for scene in scenes})
+    except TypeError as error:
+        raise SceneError(f"scenes={scenes!r}: expected scene numbers, such as [209, 214]") from error
+    foreign = [scene for scene in wanted if scene not in split_ids]
+    if foreign:
+        raise SceneError(
+            f"scene {foreign[0]} is not in {where}, which has {len(split_ids)} scenes from {split_ids[0]} to "
+            f"{split_ids[-1]}; choose scenes of this split or another setup or split"
+        )
+    if not wanted:
+        raise SceneError(f"no scene chosen; leave scenes out to run all {len(split_ids)} of {where}")
+    return tuple(wanted)

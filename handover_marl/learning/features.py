@@ -9,15 +9,14 @@ import numpy.typing as npt
 from gymnasium import spaces
 from scipy.spatial.transform import Rotation
 
-from handover_marl.config import PhysicsConfig, ProtocolConfig
-from handover_marl.datasets.ycb import CLASS_NAMES
-from handover_marl.observations import Observation, giver_observation_space, observation_space
+from handover_marl.config import TIME_STEP, ProtocolConfig
+from handover_marl.episode.observations import Observation, giver_observation_space, observation_space
+from handover_marl.models.ycb import CLASS_NAMES
 
 Array = npt.NDArray[np.float64]
 
 _SCALE = 10.0
 _HIGHEST_CLASS = max(CLASS_NAMES)
-_HORIZON = ProtocolConfig().horizon_steps * PhysicsConfig().time_step
 
 
 def offer_frame(observation: Observation) -> tuple[Array, Array]:
@@ -34,7 +33,7 @@ def offer_frame(observation: Observation) -> tuple[Array, Array]:
     return origin, np.array([[x, -y, 0.0], [y, x, 0.0], [0.0, 0.0, 1.0]])
 
 
-def giver_features(observation: Observation) -> npt.NDArray[np.float32]:
+def giver_features(observation: Observation, protocol: ProtocolConfig) -> npt.NDArray[np.float32]:
     """(39,) what a giver needs to choose where to hold the object, in the frame of `offer_frame`.
 
     Distance and height of the gripper, the object's place in the world, wrist and mean finger place and turn of
@@ -50,7 +49,7 @@ def giver_features(observation: Observation) -> npt.NDArray[np.float32]:
     gripper = observation["gripper_pose"][:3] - origin
     parts = [
         _SCALE * np.array([np.linalg.norm(gripper[:2]), gripper[2]]) - 5.0,
-        _SCALE * (origin - np.array(ProtocolConfig().goal_center)),
+        _SCALE * (origin - np.array(protocol.goal_center)),
         _SCALE * (wrist[:3] - origin) @ axes,
         _SCALE * item.apply(fingers) @ axes,
         (axes.T @ item.as_matrix())[:, :2].ravel(),
@@ -60,7 +59,7 @@ def giver_features(observation: Observation) -> npt.NDArray[np.float32]:
     return np.concatenate(parts).astype(np.float32)
 
 
-def receiver_features(observation: Observation) -> npt.NDArray[np.float32]:
+def receiver_features(observation: Observation, protocol: ProtocolConfig) -> npt.NDArray[np.float32]:
     """(56,) what a receiver needs to take an object and bring it to the goal, in the gripper's frame.
 
     Object, wrist, mean finger place and goal, turn of the object, which way is up, fingers and their speed, arm
@@ -71,7 +70,7 @@ def receiver_features(observation: Observation) -> npt.NDArray[np.float32]:
     keypoints = observation["hand_keypoints"].astype(np.float64)
     present = bool(observation["hand_present"][0])
     hand = np.stack([keypoints[0], keypoints[1:].mean(axis=0)]) if present else np.tile(gripper[:3], (2, 1))
-    places = np.stack([item[:3], *hand, np.array(ProtocolConfig().goal_center)]) - gripper[:3]
+    places = np.stack([item[:3], *hand, np.array(protocol.goal_center)]) - gripper[:3]
     parts = [
         (0.5 * _SCALE * places @ turn).ravel(),
         (turn.T @ Rotation.from_quat(item[3:]).as_matrix())[:, :2].ravel(),
@@ -80,19 +79,19 @@ def receiver_features(observation: Observation) -> npt.NDArray[np.float32]:
         10.0 * observation["robot_joint_velocity"][7:],
         observation["robot_joint_position"][:7],
         observation["released"],
-        observation["time"] / _HORIZON,
+        observation["time"] / (protocol.horizon_steps * TIME_STEP),
         observation["hand_present"],
         _one_hot(observation),
     ]
     return np.concatenate(parts).astype(np.float32)
 
 
-def flat_giver_features(observation: Observation) -> npt.NDArray[np.float32]:
+def flat_giver_features(observation: Observation, protocol: ProtocolConfig) -> npt.NDArray[np.float32]:
     """All that the giver observes as one vector, in the order of its space; Stable-Baselines3's order too."""
     return _flattened(_GIVER_SPACE, observation)
 
 
-def flat_receiver_features(observation: Observation) -> npt.NDArray[np.float32]:
+def flat_receiver_features(observation: Observation, protocol: ProtocolConfig) -> npt.NDArray[np.float32]:
     """All that the receiver observes as one vector, likewise."""
     return _flattened(_RECEIVER_SPACE, observation)
 

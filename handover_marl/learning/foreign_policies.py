@@ -18,11 +18,14 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
+from handover_marl.episode.spaces import giver_action_space, receiver_action_space
 from handover_marl.errors import DataFormatError, OptionError, UnsafeFileError
 from handover_marl.learning.network import Network
 from handover_marl.learning.observing import n_features
-from handover_marl.learning.policy import Function
-from handover_marl.spaces import giver_action_space, receiver_action_space
+from handover_marl.learning.policy_spec import Function
+from handover_marl.learning.training_record import read_training
+
+Array = npt.NDArray[np.float32]
 
 _WEIGHTS, _ABOUT = "policy.pth", "data"
 _SPACES = {"giver": giver_action_space, "receiver": receiver_action_space}
@@ -35,16 +38,28 @@ _FAMILIES = (
 
 
 class SquashedNetwork:
-    """A network whose outputs, between -1 and 1, are scaled to a space's bounds."""
+    """A network whose outputs, between -1 and 1, are scaled to a space's bounds (SAC, TD3, DDPG)."""
 
     def __init__(self, network: Network, space: spaces.Box) -> None:
         self._network, self._low, self._high = network, space.low, space.high
         self.n_inputs, self.n_outputs = network.n_inputs, network.n_outputs
 
-    def __call__(self, inputs: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    def __call__(self, inputs: Array) -> Array:
         """(n_outputs,) within the bounds."""
         shares = (self._network(inputs) + np.float32(1.0)) / np.float32(2.0)
         return np.asarray(self._low + shares * (self._high - self._low), dtype=np.float32)
+
+
+class ClippedNetwork:
+    """A network whose outputs are clipped to a space's bounds (PPO, A2C), in training as in `model.predict`."""
+
+    def __init__(self, network: Network, space: spaces.Box) -> None:
+        self._network, self._low, self._high = network, space.low, space.high
+        self.n_inputs, self.n_outputs = network.n_inputs, network.n_outputs
+
+    def __call__(self, inputs: Array) -> Array:
+        """(n_outputs,) within the bounds."""
+        return np.clip(self._network(inputs), self._low, self._high)
 
 
 class ScriptedFunction:
@@ -60,12 +75,16 @@ class ScriptedFunction:
             return np.asarray(self._module(torch.from_numpy(inputs)[None])[0].numpy(), dtype=np.float32)
 
 
-def read_stable_baselines(path: Path, content: bytes, agent: str, trust: bool) -> Function:
+def read_stable_baselines(path: Path, content: bytes, agent: str) -> tuple[Function, float | None]:
     """The deterministic policy in a Stable-Baselines3 file (PPO, A2C, SAC, TD3, DDPG with dense layers).
+
+    Returns:
+        The policy, and the control period (s) that it was trained at, if the file says so.
 
     Raises:
         UnsafeFileError: Its weights come with foreign Python objects.
-        DataFormatError: It is damaged, of other spaces, or of a kind not known.
+        DataFormatError: It is damaged, of a kind not known, or was trained on other observations or actions than
+            the plain environment's: encoded, normalised or rescaled ones.
         OptionError: PyTorch is not installed.
     """
     state, about = _read_zip(path, content)
@@ -75,11 +94,13 @@ def read_stable_baselines(path: Path, content: bytes, agent: str, trust: bool) -
     if (network.n_inputs, network.n_outputs) != wanted:
         raise DataFormatError(
             f"{path}: the policy takes {network.n_inputs} numbers and gives {network.n_outputs}, a {agent}'s "
-            f"takes {wanted[0]} and gives {wanted[1]}; one trained on a learning environment is exported as .npz"
+            f"takes {wanted[0]} and gives {wanted[1]}; one trained on an encoded environment is exported as .npz"
         )
+    training = read_training(path, about)
+    training.check(path, agent, space)
     if squashed:
-        return SquashedNetwork(replace(network, output="tanh"), space)
-    return network
+        return SquashedNetwork(replace(network, output="tanh"), space), training.control_period
+    return ClippedNetwork(network, space), training.control_period
 
 
 def dense_network(
@@ -141,9 +162,9 @@ def _read_zip(path: Path, content: bytes) -> tuple[dict[str, npt.NDArray[np.floa
     torch = _torch()
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
-            about = json.loads(archive.read(_ABOUT))
+            about = json.loads(archive.read(_ABOUT), parse_constant=float)
             state = torch.load(io.BytesIO(archive.read(_WEIGHTS)), map_location="cpu", weights_only=True)
-        arrays = {name: np.asarray(value.numpy(), dtype=np.float32) for name, value in state.items()}
+        arrays = {str(name): np.asarray(value.numpy(), dtype=np.float32) for name, value in state.items()}
     except pickle.UnpicklingError as error:
         raise UnsafeFileError(f"{path}: {_WEIGHTS} holds more than weights and was not loaded") from error
     except Exception as error:  # damaged zips, JSON and tensors raise all kinds

@@ -5,12 +5,12 @@ from abc import abstractmethod
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from handover_marl.givers.base import deviation
+from handover_marl.episode.observations import Observation
+from handover_marl.episode.spaces import GIVER_ACTION_SIZE, GiverAction, giver_action_space
 from handover_marl.givers.patience import Patience
 from handover_marl.learning.features import offer_frame
 from handover_marl.learning.scheme import Action, ActionScheme, Outputs, Raw
-from handover_marl.observations import Observation
-from handover_marl.spaces import GIVER_ACTION_SIZE, GiverAction, giver_action_space
+from handover_marl.policies.giver import deviation
 
 
 class GiverRaw(Raw):
@@ -34,12 +34,12 @@ class Deviation(GiverScheme):
 
     def action(self, observation: Observation) -> Action:
         """The outputs in physical units."""
-        space = giver_action_space()
+        space = giver_action_space(self.context.config.giver)
         return np.clip(self._outputs * space.high, space.low, space.high).astype(np.float32)
 
     def outputs(self, action: Action, observation: Observation) -> Outputs:
         """The action as shares of its bounds."""
-        return np.asarray(np.clip(action / giver_action_space().high, -1.0, 1.0))
+        return np.asarray(np.clip(action / giver_action_space(self.context.config.giver).high, -1.0, 1.0))
 
 
 class Offer(GiverScheme):

@@ -4,9 +4,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from handover_marl.episode.observations import Observation
 from handover_marl.learning.features import receiver_features
-from handover_marl.observations import Observation
-from handover_marl.receivers.base import ReceiverContext
+from handover_marl.policies.context import PolicyContext
 from handover_marl.receivers.grasp_choice import GraspChoice
 
 #: How many numbers are added to `receiver_features`.
@@ -20,12 +20,13 @@ class GraspFeatures:
         context: Knows the objects' grasps.
     """
 
-    def __init__(self, context: ReceiverContext) -> None:
+    def __init__(self, context: PolicyContext) -> None:
         self._choice = GraspChoice(context)
+        self._protocol = context.protocol
 
     def __call__(self, observation: Observation) -> npt.NDArray[np.float32]:
         """(64,) for an observation."""
-        return np.concatenate([receiver_features(observation), self._grasp(observation)])
+        return np.concatenate([receiver_features(observation, self._protocol), self._grasp(observation)])
 
     def _grasp(self, observation: Observation) -> npt.NDArray[np.float32]:
         chosen = self._choice.choose(observation)

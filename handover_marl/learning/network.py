@@ -38,9 +38,7 @@ class Network:
 
     def __post_init__(self) -> None:
         if not self.weights or len(self.weights) != len(self.biases):
-            raise DataFormatError(
-                f"{len(self.weights)} weight matrices and {len(self.biases)} biases make no network"
-            )
+            raise DataFormatError(f"{len(self.weights)} weight matrices and {len(self.biases)} biases make no network")
         width = None
         for number, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             fits = weight.ndim == 2 and bias.shape == weight.shape[:1] and width in (None, weight.shape[1])

@@ -22,9 +22,10 @@ import numpy as np
 from handover_marl.errors import DataFormatError, DataNotFoundError, HandoverError, OptionError
 from handover_marl.files import write_atomically
 from handover_marl.learning.network import Network
-from handover_marl.learning.policy import Function, PolicySpec
+from handover_marl.learning.policy_spec import Function, PolicySpec
 
 _FORMAT = 1
+_LARGEST = 500_000_000  # bytes
 #: What foreign policies see and do: everything, and the agent's space as it is.
 PLAIN = {"giver": ("flat_giver", "giver"), "receiver": ("flat_receiver", "receiver")}
 
@@ -63,23 +64,23 @@ def write_policy(path: Path, spec: PolicySpec, network: Network) -> None:
     write_atomically(path, stream.getvalue())
 
 
-def read_policy(path: Path, agent: str, trust: bool = False) -> PolicyFile:
+def read_policy(path: Path, agent: str, trust: bool = False, control_period: float | None = None) -> PolicyFile:
     """Read a policy file of any kind.
 
     Args:
         path: The file.
         agent: Whose policy is wanted, "giver" or "receiver".
         trust: Whether code in the file may run.
+        control_period: How often it was asked in training (s), for files that do not tell.
 
     Raises:
         DataNotFoundError: There is no such file.
         DataFormatError: It is no policy, or one of another agent or other spaces.
         UnsafeFileError: It holds foreign Python objects or code and is not trusted.
-        OptionError: Its kind is not known, or needs PyTorch, which is not installed.
+        OptionError: Its kind is not known, or needs PyTorch, which is not installed; or the file says another
+            control period than is asked for, or none and none is given.
     """
-    if not path.is_file():
-        raise DataNotFoundError(f"{path}: there is no such policy file")
-    content = path.read_bytes()
+    content = _read_bytes(path)
     label = f"{path.stem}@{hashlib.sha256(content).hexdigest()[:8]}"
     function: Function
     if path.suffix == ".npz":
@@ -88,14 +89,48 @@ def read_policy(path: Path, agent: str, trust: bool = False) -> PolicyFile:
         # Only who has such a file needs PyTorch.
         from handover_marl.learning.foreign_policies import read_stable_baselines, read_torch_script
 
-        read = read_stable_baselines if path.suffix == ".zip" else read_torch_script
-        spec = PolicySpec(agent, *PLAIN[agent], origin=path.name)
-        function = read(path, content, agent, trust)
+        if path.suffix == ".zip":
+            function, period = read_stable_baselines(path, content, agent)
+        else:
+            function, period = read_torch_script(path, content, agent, trust), None
+        spec = PolicySpec(agent, *PLAIN[agent], _period(path, period, control_period), origin=path.name)
     else:
         raise OptionError(f"{path}: policy files are .npz, .zip (Stable-Baselines3) or .pt (TorchScript)")
     if spec.agent != agent:
         raise DataFormatError(f"{path}: this policy is a {spec.agent}'s; a {agent}'s is wanted")
+    if control_period is not None and abs(control_period - spec.control_period) > 1e-9:
+        raise OptionError(f"{path}: it was trained at {spec.control_period} s a decision, not {control_period}")
     return PolicyFile(spec, function, label)
+
+
+def _read_bytes(path: Path) -> bytes:
+    try:
+        if not path.is_file():
+            raise DataNotFoundError(f"{path}: there is no such policy file")
+        if path.stat().st_size > _LARGEST:
+            raise DataFormatError(f"{path}: policy files have at most {_LARGEST // 1_000_000} MB")
+        return path.read_bytes()
+    except ValueError as error:
+        if isinstance(error, HandoverError):
+            raise
+        raise DataNotFoundError(f"{path}: there is no such policy file") from error
+    except DataNotFoundError:
+        raise
+    except OSError as error:
+        raise DataNotFoundError(f"{path}: cannot read this policy file ({error.strerror or error})") from error
+
+
+def _period(path: Path, found: float | None, asked: float | None) -> float:
+    """The control period of a policy: what its file says, or what is asked for."""
+    period = asked if found is None else found
+    if period is None:
+        raise OptionError(
+            f"{path}: the file does not say how often the policy was asked in training; say so: "
+            f"learned:{path}:control_period=0.1"
+        )
+    if isinstance(period, bool) or not isinstance(period, (int, float)) or not 0.001 <= period <= 60.0:
+        raise OptionError(f"control_period={period!r} must be a time from 0.001 to 60 s")
+    return float(period)
 
 
 def _read_own(path: Path, content: bytes) -> tuple[PolicySpec, Network]:

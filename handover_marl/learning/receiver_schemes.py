@@ -4,16 +4,16 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from handover_marl.config import PANDA_DOF, PandaConfig
-from handover_marl.kinematic_tree import read_tree
+from handover_marl.config import ARM_JOINTS, PANDA_DOF
+from handover_marl.episode.observations import Observation
 from handover_marl.learning.scheme import Action, ActionScheme, Outputs, Raw
-from handover_marl.observations import Observation
-from handover_marl.receivers.base import WAITING_JOINTS, ReceiverContext
+from handover_marl.models.arm import Arm
+from handover_marl.models.kinematic_tree import read_tree
+from handover_marl.models.panda import CLOSED, LOWER_LIMITS, OPEN, UPPER_LIMITS, WAITING_JOINTS
+from handover_marl.policies.context import PolicyContext
 from handover_marl.receivers.grasp_choice import GraspChoice
 
 Array = npt.NDArray[np.float64]
-
-_ARM = 7
 
 
 class ReceiverRaw(Raw):
@@ -29,20 +29,20 @@ class Joints(ActionScheme):
 
     def action(self, observation: Observation) -> Action:
         """The outputs within the limits."""
-        low, high = np.array(PandaConfig().lower_limits), np.array(PandaConfig().upper_limits)
+        low, high = np.array(LOWER_LIMITS), np.array(UPPER_LIMITS)
         return np.asarray(low + (self._outputs + 1.0) / 2.0 * (high - low), dtype=np.float32)
 
 
 class JointDelta(ActionScheme):
     """Seven changes of the arm joints, at 1 by 0.2 rad from where they are, and the gripper: above 0 it closes."""
 
-    name, agent, size = "joint_delta", "receiver", _ARM + 1
+    name, agent, size = "joint_delta", "receiver", ARM_JOINTS + 1
     step = 0.2  # rad
 
     def action(self, observation: Observation) -> Action:
         """Targets within the joint limits."""
-        arm = observation["robot_joint_position"][:_ARM] + self.step * self._outputs[:_ARM]
-        return _targets(arm, self._outputs[_ARM] > 0.0)
+        arm = observation["robot_joint_position"][:ARM_JOINTS] + self.step * self._outputs[:ARM_JOINTS]
+        return _targets(arm, self._outputs[ARM_JOINTS] > 0.0)
 
 
 class CartesianDelta(ActionScheme):
@@ -50,17 +50,14 @@ class CartesianDelta(ActionScheme):
 
     By damped least squares on the Jacobian, so that singular and unreachable poses are approached, not refused.
     The motors make 63 % of a way in 0.1 s.
-
-    Args:
-        context: The robot.
     """
 
     name, agent, size = "cartesian_delta", "receiver", 7
     step, turn, damping = 0.08, 0.3, 0.05  # m, rad, 1
 
-    def __init__(self, context: ReceiverContext) -> None:
-        self._tree = read_tree(context.panda_urdf)
-        self._link = [joint.link for joint in self._tree.joints].index("panda_hand")
+    def __init__(self, context: PolicyContext) -> None:
+        super().__init__(context)
+        self._robot = Arm(read_tree(context.panda_urdf))
 
     def action(self, observation: Observation) -> Action:
         """Targets within the joint limits."""
@@ -69,19 +66,12 @@ class CartesianDelta(ActionScheme):
 
     def _move(self, observation: Observation, way: Array, turn: Array, closed: bool) -> Action:
         """Targets that move the hand link by (3,) m and turn it by (3,) rad in its own frame."""
-        joints = observation["robot_joint_position"].astype(np.float64)
-        jacobian, axes = self._jacobian(joints)
+        arm = observation["robot_joint_position"][:ARM_JOINTS].astype(np.float64)
+        chain = self._robot.chain(arm[None])
+        jacobian, axes = self._robot.jacobian(chain)[..., 0], chain.rotations[-1][..., 0]
         gram = jacobian @ jacobian.T + self.damping**2 * np.eye(6)
         change = jacobian.T @ np.linalg.solve(gram, np.concatenate([axes @ way, axes @ turn]))
-        return _targets(joints[:_ARM] + change, closed)
-
-    def _jacobian(self, joints: Array) -> tuple[Array, Array]:
-        """(6, 7) of the hand link in the base's frame, and the (3, 3) hand link's axes there."""
-        origins, rotations = (value[0] for value in self._tree.frames(joints[None]))
-        links = self._tree.turning_joints(self._link)
-        axes = np.stack([rotations[link] @ self._tree.joints[link].axis for link in links])
-        levers = origins[self._link] - origins[links]
-        return np.concatenate([np.cross(axes, levers), axes], axis=1).T, rotations[self._link]
+        return _targets(arm + change, closed)
 
 
 class GraspServo(CartesianDelta):
@@ -93,9 +83,6 @@ class GraspServo(CartesianDelta):
     the last one exceeds 0.5 the gripper closes, for good. So zero goes to the grasp of
     `handover_marl.receivers.grasp_choice` and never closes; what there is to learn is when to close, and how to
     come to it better.
-
-    Args:
-        context: The robot, the objects' grasps and the goal.
     """
 
     name = "grasp_servo"
@@ -106,7 +93,7 @@ class GraspServo(CartesianDelta):
     aligned, aligned_turn = 0.01, 0.15  # m and rad off the axis that need no detour
     back_beside, back_turned, farthest_back = 3.0, 0.3, 0.15  # m/m, m/rad, m
 
-    def __init__(self, context: ReceiverContext) -> None:
+    def __init__(self, context: PolicyContext) -> None:
         super().__init__(context)
         self._choice = GraspChoice(context)
         self._goal = np.array(context.protocol.goal_center)
@@ -136,9 +123,7 @@ class GraspServo(CartesianDelta):
         turned = turned * Rotation.from_rotvec(self._outputs[3:6] * self.tilt)
         way = own.inv().apply(place - gripper[:3])
         turn = (own.inv() * turned).as_rotvec()
-        return self._move(
-            observation, _shortened(way, self.fastest), _shortened(turn, self.fastest_turn), self._closed
-        )
+        return self._move(observation, _shortened(way, self.fastest), _shortened(turn, self.fastest_turn), self._closed)
 
     def _detour(self, away: Array, own: Rotation, turned: Rotation) -> float:
         """How far to stay back (m) from a target while beside its axis or turned otherwise."""
@@ -163,7 +148,6 @@ def _shortened(vector: Array, length: float) -> Array:
 
 
 def _targets(arm: npt.NDArray[np.floating], closed: bool) -> Action:
-    panda = PandaConfig()
-    inside = np.clip(arm, panda.lower_limits[:_ARM], panda.upper_limits[:_ARM])
-    finger = panda.lower_limits[-1] if closed else panda.upper_limits[-1]
+    inside = np.clip(arm, LOWER_LIMITS[:ARM_JOINTS], UPPER_LIMITS[:ARM_JOINTS])
+    finger = CLOSED if closed else OPEN
     return np.array([*inside, finger, finger], dtype=np.float32)

@@ -10,7 +10,8 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.observations import Observation
+from handover_marl.episode.observations import Observation
+from handover_marl.policies.context import PolicyContext
 
 Outputs = npt.NDArray[np.floating]
 Action = npt.NDArray[np.float32]
@@ -23,11 +24,17 @@ class ActionScheme(ABC):
         name: What policy files call it.
         agent: Whose actions these are, "giver" or "receiver".
         size: Number of outputs.
+
+    Args:
+        context: The robot, the task and the objects' grasps.
     """
 
     name: ClassVar[str]
     agent: ClassVar[str]
     size: ClassVar[int]
+
+    def __init__(self, context: PolicyContext) -> None:
+        self.context = context
 
     def reset(self) -> None:
         """Forget the last episode."""

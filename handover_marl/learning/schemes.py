@@ -1,6 +1,6 @@
 """Action schemes by name."""
 
-from handover_marl.errors import OptionError, UnknownNameError
+from handover_marl.errors import UnknownNameError
 from handover_marl.learning.giver_schemes import Deviation, GiverRaw, Offer
 from handover_marl.learning.receiver_schemes import (
     CartesianDelta,
@@ -10,11 +10,13 @@ from handover_marl.learning.receiver_schemes import (
     ReceiverRaw,
 )
 from handover_marl.learning.scheme import ActionScheme
-from handover_marl.receivers.base import ReceiverContext
+from handover_marl.policies.context import PolicyContext
 
-_PLAIN: tuple[type[ActionScheme], ...] = (GiverRaw, Deviation, Offer, ReceiverRaw, Joints, JointDelta)
-_CARTESIAN: dict[str, type[CartesianDelta]] = {kind.name: kind for kind in (CartesianDelta, GraspServo)}
-_SCHEMES: dict[str, type[ActionScheme]] = {kind.name: kind for kind in _PLAIN} | _CARTESIAN
+_KINDS: tuple[type[ActionScheme], ...] = (
+    *(GiverRaw, Deviation, Offer),
+    *(ReceiverRaw, Joints, JointDelta, CartesianDelta, GraspServo),
+)
+_SCHEMES = {kind.name: kind for kind in _KINDS}
 
 
 def schemes(agent: str) -> tuple[str, ...]:
@@ -33,25 +35,18 @@ def scheme_size(agent: str, name: str) -> int:
     return _SCHEMES[name].size
 
 
-def make_scheme(agent: str, name: str, context: ReceiverContext | None = None) -> ActionScheme:
+def make_scheme(agent: str, name: str, context: PolicyContext) -> ActionScheme:
     """An agent's action scheme by name.
 
     Args:
         agent: "giver" or "receiver".
         name: Name of the scheme.
-        context: The robot, which Cartesian schemes need to know.
+        context: The robot, the task and the objects' grasps.
 
     Raises:
         UnknownNameError: The agent has none of that name.
-        OptionError: The scheme needs the robot's model.
     """
     scheme_size(agent, name)
-    scheme = _cartesian(name, context) if name in _CARTESIAN else _SCHEMES[name]()
+    scheme = _SCHEMES[name](context)
     scheme.reset()
     return scheme
-
-
-def _cartesian(name: str, context: ReceiverContext | None) -> ActionScheme:
-    if context is None:
-        raise OptionError(f"action scheme {name!r} needs the robot's model")
-    return _CARTESIAN[name](context)

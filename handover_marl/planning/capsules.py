@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from handover_marl.observations import Observation
+from handover_marl.episode.observations import Observation
 
 Array = npt.NDArray[np.float64]
 
@@ -34,9 +34,7 @@ class Capsules:
         for start, end, radius in zip(self.starts, self.ends, self.radii, strict=True):
             axis = end - start
             squared = float(axis @ axis)
-            along = (
-                np.clip((points - start) @ axis / squared, 0.0, 1.0) if squared > 0.0 else np.zeros(len(points))
-            )
+            along = np.clip((points - start) @ axis / squared, 0.0, 1.0) if squared > 0.0 else np.zeros(len(points))
             away = points - start - along[:, None] * axis
             nearest = np.minimum(nearest, np.sqrt(np.einsum("ij,ij->i", away, away)) - radius)
         return nearest

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import CubicSpline
 
-from handover_marl.planning.config import CostConfig, OptimiserConfig
+from handover_marl.planning.planner_config import CostConfig, OptimiserConfig
 from handover_marl.planning.trajectory_cost import BodyCost
 
 Array = npt.NDArray[np.float64]

@@ -17,8 +17,8 @@ import numpy.typing as npt
 
 from handover_marl.errors import HandoverError
 from handover_marl.files import write_atomically
-from handover_marl.planning.distance_field import DistanceField, field_of
-from handover_marl.planning.meshes import mesh_files, model_triangles
+from handover_marl.models.distance_field import DistanceField, field_of
+from handover_marl.models.meshes import mesh_files, model_triangles
 
 CELL = 0.006  # m
 # Changes when fields of the same model come out otherwise.

@@ -3,7 +3,7 @@
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.planning.config import SelectionConfig
+from handover_marl.planning.planner_config import SelectionConfig
 from handover_marl.planning.trajectory_cost import BodyCost
 
 Array = npt.NDArray[np.float64]

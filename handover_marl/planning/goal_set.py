@@ -7,11 +7,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from handover_marl.geometry import compose
-from handover_marl.planning.arm import Arm, Frames, body_points
-from handover_marl.planning.config import PlannerConfig
+from handover_marl.models.arm import Arm, Frames, body_points
+from handover_marl.models.poses import compose
 from handover_marl.planning.inverse_kinematics import solve
 from handover_marl.planning.obstacles import Obstacle
+from handover_marl.planning.planner_config import PlannerConfig
 
 Array = npt.NDArray[np.float64]
 Limits = tuple[Array, Array]
@@ -121,9 +121,7 @@ class GoalFinder:
         back = self._config.standoff / self._config.tail * (self._config.tail - 1 - step)
         return compose(grasps, np.array([0.0, 0.0, -back, 0.0, 0.0, 0.0, 1.0]))
 
-    def _solve(
-        self, poses: Array, numbers: npt.NDArray[np.int_], seeds: Array
-    ) -> tuple[Array, npt.NDArray[np.bool_]]:
+    def _solve(self, poses: Array, numbers: npt.NDArray[np.int_], seeds: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
         rotations = Rotation.from_quat(poses[:, 3:]).as_matrix()
         config = self._config
         return solve(

@@ -3,7 +3,7 @@
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.planning.arm import Arm
+from handover_marl.models.arm import Arm
 
 Array = npt.NDArray[np.float64]
 

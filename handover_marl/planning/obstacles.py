@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from handover_marl.planning.distance_field import DistanceField
+from handover_marl.models.distance_field import DistanceField
 
 Floats = npt.NDArray[np.float32]
 
@@ -51,9 +51,7 @@ class Obstacle:
 def nearness(distances: Floats, padding: float) -> Floats:
     """Cost of distances (m): rises as a parabola from `padding` on, and evenly inside a thing."""
     near = (distances - padding) ** 2 / (2.0 * padding)
-    price: Floats = np.where(
-        distances <= 0.0, padding / 2.0 - distances, np.where(distances <= padding, near, 0.0)
-    )
+    price: Floats = np.where(distances <= 0.0, padding / 2.0 - distances, np.where(distances <= padding, near, 0.0))
     return price
 
 

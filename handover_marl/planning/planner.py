@@ -7,18 +7,18 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.config import PandaConfig
-from handover_marl.geometry import IDENTITY
-from handover_marl.kinematic_tree import read_tree
-from handover_marl.planning.arm import FINGERS, HAND, Arm
-from handover_marl.planning.body import body_samples
+from handover_marl.models.arm import Arm
+from handover_marl.models.distance_field import field_of
+from handover_marl.models.kinematic_tree import read_tree
+from handover_marl.models.panda import FINGER_LINKS, HAND_LINK, LOWER_LIMITS, UPPER_LIMITS
+from handover_marl.models.poses import IDENTITY
+from handover_marl.planning.body_samples import body_samples
 from handover_marl.planning.capsules import Capsules
 from handover_marl.planning.chomp import Chomp, first_trajectory
-from handover_marl.planning.config import HandAvoidance, PlannerConfig
-from handover_marl.planning.distance_field import field_of
 from handover_marl.planning.goal_selection import GoalSelector
 from handover_marl.planning.goal_set import GoalFinder, GoalSet
 from handover_marl.planning.obstacles import Obstacle
+from handover_marl.planning.planner_config import HandAvoidance, PlannerConfig
 from handover_marl.planning.trajectory_cost import BodyCost
 
 Array = npt.NDArray[np.float64]
@@ -51,25 +51,24 @@ class Planner:
     Args:
         panda_urdf: The robot's model.
         start: (7,) joints at which motions start (rad).
-        panda: Joint limits.
         config: Constants.
 
     Raises:
         SimulationError, DataFormatError: The model is no Panda, or a mesh cannot be read.
     """
 
-    def __init__(self, panda_urdf: Path, start: Array, panda: PandaConfig, config: PlannerConfig) -> None:
+    def __init__(self, panda_urdf: Path, start: Array, config: PlannerConfig) -> None:
         self.config = config
         self.arm = Arm(read_tree(panda_urdf))
         self._start = start
         padding = config.goals.limit_padding
         joints = self.arm.n_joints
         self._limits = (
-            np.array(panda.lower_limits[:joints]) + padding,
-            np.array(panda.upper_limits[:joints]) - padding,
+            np.array(LOWER_LIMITS[:joints]) + padding,
+            np.array(UPPER_LIMITS[:joints]) - padding,
         )
         self._body = body_samples(panda_urdf, tuple(self.arm.link_names), config.points_per_link)
-        gripper = body_samples(panda_urdf, (HAND, *FINGERS), config.gripper_points)
+        gripper = body_samples(panda_urdf, (HAND_LINK, *FINGER_LINKS), config.gripper_points)
         self._finder = GoalFinder(self.arm, self._body, gripper, start, self._limits, config)
 
     def plan(self, grasps: Array, objects: Sequence[Obstacle], hand: Capsules | None = None) -> Plan | None:

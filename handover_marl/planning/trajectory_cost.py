@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.planning.arm import Arm, Frames, body_points
-from handover_marl.planning.config import CostConfig
+from handover_marl.models.arm import Arm, Frames, body_points
 from handover_marl.planning.obstacles import Floats, Obstacle, nearness, steepness
+from handover_marl.planning.planner_config import CostConfig
 
 Array = npt.NDArray[np.float64]
 

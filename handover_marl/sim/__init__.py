@@ -1,1 +1,1 @@
-"""The simulated world. The only room that touches PyBullet."""
+"""Simulated worlds: what every engine has in common, and a room for each engine."""

@@ -2,17 +2,15 @@
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.config import CameraConfig, PhysicsConfig
-from handover_marl.errors import SimulationError
-from handover_marl.motion import Motion
+from handover_marl.config import CameraConfig
+from handover_marl.datasets.scene import Scene
 from handover_marl.protocol.contacts import Contacts
-from handover_marl.scene import Scene
-from handover_marl.sim.camera import render
-from handover_marl.sim.client import BulletClient, connect, pybullet_error
+from handover_marl.sim.motion import Motion
 
 
 @dataclass(frozen=True)
@@ -36,17 +34,18 @@ class WorldState:
     hand_keypoints: npt.NDArray[np.float32] | None
 
 
-class World(ABC):
-    """A table, a Panda, objects and a hand in a physics server, moved one step (1 ms) at a time.
+class Postures(NamedTuple):
+    """The joints of robot (9,) and hand (51,), None without a hand; float32, m and rad.
 
-    Args:
-        config: Constants of the world.
-        window: Whether to show PyBullet's window.
+    With the models they tell where everything is; reading them costs little.
     """
 
-    def __init__(self, config: PhysicsConfig, window: bool = False) -> None:
-        self._config = config
-        self._client: BulletClient = connect(window)
+    robot: npt.NDArray[np.float32]
+    hand: npt.NDArray[np.float32] | None
+
+
+class World(ABC):
+    """A table, a Panda, objects and a hand, moved one step (1 ms) at a time."""
 
     @abstractmethod
     def reset(self, scene: Scene, start: Motion) -> None:
@@ -77,26 +76,17 @@ class World(ABC):
         """The present state of everything."""
 
     @abstractmethod
+    def postures(self) -> Postures:
+        """The present joints of robot and hand."""
+
+    @abstractmethod
     def object_dof(self) -> npt.NDArray[np.float32]:
         """(n, 6) joint positions of the objects' chains (m, rad), float32."""
 
+    @abstractmethod
     def render(self, camera: CameraConfig) -> npt.NDArray[np.uint8]:
         """An RGB picture (height, width, 3) of the present state."""
-        return render(self._client, camera)
 
+    @abstractmethod
     def close(self) -> None:
-        """Disconnect from PyBullet."""
-        self._client.close()
-
-    def _simulate(self) -> None:
-        try:
-            self._client.stepSimulation()
-        except pybullet_error as error:
-            raise lost(error) from error
-
-
-def lost(error: Exception) -> SimulationError:
-    """The error for a physics server that no longer answers."""
-    return SimulationError(
-        f"PyBullet stopped ({error}); if its window was closed, close() this environment and reset() it again"
-    )
+        """Free the simulation."""

@@ -5,11 +5,11 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from handover_marl.assets.grasps import GRASPS_PATH, UNGRASPABLE, load_object_grasps
-from handover_marl.assets.objects import load_collision_parts, object_urdf
-from handover_marl.datasets.ycb import CLASS_NAMES
+from handover_marl.assets.object_models import load_collision_parts, object_urdf
+from handover_marl.assets.shipped_grasps import GRASPS_PATH, UNGRASPABLE, load_object_grasps
 from handover_marl.errors import DataFormatError, DataNotFoundError, UnknownNameError
-from handover_marl.sim.grasp_trial import GraspTrial, TrialConfig
+from handover_marl.models.ycb import CLASS_NAMES
+from handover_marl.sim.bullet.grasp_trial import GraspTrial, TrialConfig
 
 GRASPABLE = tuple(name for name in CLASS_NAMES.values() if name not in UNGRASPABLE)
 PROVEN_AGAIN = ("003_cracker_box", "024_bowl", "025_mug", "037_scissors", "040_large_marker")
@@ -27,9 +27,7 @@ def test_poses_are_rigid(name: str) -> None:
     assert grasps.shape == (100, 4, 4)
     assert grasps.dtype == np.float64
     rotations = grasps[:, :3, :3]
-    np.testing.assert_allclose(
-        rotations @ rotations.transpose(0, 2, 1), np.tile(np.eye(3), (100, 1, 1)), atol=1e-6
-    )
+    np.testing.assert_allclose(rotations @ rotations.transpose(0, 2, 1), np.tile(np.eye(3), (100, 1, 1)), atol=1e-6)
     np.testing.assert_allclose(np.linalg.det(rotations), 1.0, atol=1e-6)
     np.testing.assert_array_equal(grasps[:, 3], np.tile([0.0, 0, 0, 1], (100, 1)))
 
@@ -37,7 +35,7 @@ def test_poses_are_rigid(name: str) -> None:
 @pytest.mark.parametrize("name", GRASPABLE)
 def test_object_lies_between_the_open_fingers(name: str) -> None:
     pytest.importorskip("trimesh")
-    from handover_marl.assets.grasp_sampling import ConvexSolid
+    from handover_marl.assets.building.grasp_sampling import ConvexSolid
 
     solid = ConvexSolid(load_collision_parts(name))
     across = np.linspace(-0.04, 0.04, 61)  # between the open fingers, along the gripper frame's x
@@ -104,7 +102,7 @@ def test_answer_is_the_callers_own() -> None:
 
 def test_rebuild_gives_the_shipped_grasps() -> None:
     pytest.importorskip("trimesh")
-    from handover_marl.assets.build_grasps import Args, build_object_grasps
+    from handover_marl.assets.building.build_grasps import Args, build_object_grasps
 
     rebuilt = build_object_grasps("009_gelatin_box", Args(n_grasps=3)).transforms
     np.testing.assert_allclose(rebuilt, _grasps("009_gelatin_box")[:3], atol=1e-6)

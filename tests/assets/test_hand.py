@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from handover_marl.assets.anthropometry import SKIN_COLOURS, SUBJECT_SIZES
-from handover_marl.assets.hand import (
+from handover_marl.assets.hand_model import (
     HANDS_FOLDER,
     SIDES,
     SUBJECTS,
@@ -16,9 +16,9 @@ from handover_marl.assets.hand import (
 )
 from handover_marl.config import HandConfig
 from handover_marl.errors import UnknownNameError
-from handover_marl.geometry import rotate
-from handover_marl.sim.client import connect
-from handover_marl.sim.hand import Hand
+from handover_marl.models.poses import rotate
+from handover_marl.sim.bullet.client import connect
+from handover_marl.sim.bullet.hand_body import Hand
 
 ALL_HANDS = [(subject, side) for subject in SUBJECTS for side in SIDES]
 SOLID_LINKS = [6, *range(9, 52, 3)]
@@ -114,7 +114,7 @@ def test_collision_meshes_are_small():
 def test_shipped_files_are_what_a_rebuild_writes(tmp_path):
     pytest.importorskip("trimesh")
     pytest.importorskip("manifold3d")
-    from handover_marl.assets.build_hands import write_meshes, write_urdf
+    from handover_marl.assets.building.build_hands import write_meshes, write_urdf
 
     write_meshes(tmp_path, "left")
     path = write_urdf(tmp_path, 3, "left")

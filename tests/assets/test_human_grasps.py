@@ -1,15 +1,15 @@
 import numpy as np
 import pytest
 
-from handover_marl.assets.hand import SIDES, SUBJECTS, hand_model, hand_urdf
+from handover_marl.assets.hand_model import SIDES, SUBJECTS, hand_model, hand_urdf
 from handover_marl.assets.human_grasps import ANGLE_STEP, GRASPED_OBJECTS, GRASPS_FILE, HumanGrasps, human_grasps
 from handover_marl.assets.human_grasps_statistics import wrist_distance_quantile
-from handover_marl.assets.objects import object_urdf
+from handover_marl.assets.object_models import object_urdf
 from handover_marl.config import HandConfig
 from handover_marl.errors import UnknownNameError
-from handover_marl.geometry import compose_point, rotate
-from handover_marl.sim.client import connect, load_urdf
-from handover_marl.sim.hand import Hand
+from handover_marl.models.poses import compose_point, rotate
+from handover_marl.sim.bullet.client import connect, load_urdf
+from handover_marl.sim.bullet.hand_body import Hand
 
 # Bullet adds a margin of about a millimetre to both shapes of a pair.
 MOST_OVERLAP, MARGINS = 0.008, 0.002
@@ -119,7 +119,7 @@ def test_pointing_is_where_the_straight_fingers_point():
 def test_building_one_object_gives_the_shipped_grasps():
     for library in ("trimesh", "manifold3d", "igl", "embreex"):
         pytest.importorskip(library)
-    from handover_marl.assets.build_human_grasps import Args, object_grasps
+    from handover_marl.assets.building.build_human_grasps import Args, object_grasps
 
     person = object_grasps("009_gelatin_box", "left", Args())[0]
     shipped = human_grasps("009_gelatin_box", 1, "left")

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handover_marl.assets.objects import (
+from handover_marl.assets.object_models import (
     COLLISION_NAME,
     OBJECTS_ROOT,
     REAL_BOUNDS,
@@ -16,11 +16,11 @@ from handover_marl.assets.objects import (
     object_urdf,
 )
 from handover_marl.config import ObjectConfig
-from handover_marl.datasets.ycb import CLASS_NAMES
 from handover_marl.errors import DataFormatError, DataNotFoundError, UnknownNameError
-from handover_marl.sim.client import BulletClient, connect
-from handover_marl.sim.body import Start
-from handover_marl.sim.objects import Object
+from handover_marl.models.ycb import CLASS_NAMES
+from handover_marl.sim.bullet.body import Start
+from handover_marl.sim.bullet.client import BulletClient, connect
+from handover_marl.sim.bullet.object_body import Object
 
 NAMES = tuple(CLASS_NAMES.values())
 
@@ -106,7 +106,7 @@ def test_colours_show(client: BulletClient) -> None:
 @pytest.mark.parametrize("name", ["003_cracker_box", "024_bowl", "035_power_drill"])
 def test_rebuild_gives_the_shipped_bytes(tmp_path: Path, name: str) -> None:
     pytest.importorskip("trimesh")
-    from handover_marl.assets.build_objects import build_object
+    from handover_marl.assets.building.build_objects import build_object
 
     rebuilt = build_object(name, tmp_path)
     shipped = OBJECTS_ROOT / name
@@ -122,8 +122,8 @@ def test_models_are_small() -> None:
 def test_urdf_path_needs_no_mesh_library() -> None:
     code = """
 import sys
-from handover_marl.assets.grasps import load_object_grasps
-from handover_marl.assets.objects import object_urdf
+from handover_marl.assets.shipped_grasps import load_object_grasps
+from handover_marl.assets.object_models import object_urdf
 object_urdf("025_mug")
 load_object_grasps("025_mug")
 assert "trimesh" not in sys.modules

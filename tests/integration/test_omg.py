@@ -6,7 +6,7 @@ import numpy as np
 
 from handover_marl import receivers
 from handover_marl.datasets import OfficialDataset
-from handover_marl.episode import Episode
+from handover_marl.episode.episode import Episode
 from handover_marl.receivers.omg import OmgReceiver
 
 WAYPOINTS, TAIL = 30, 5

@@ -9,7 +9,7 @@ import pytest
 from handover_marl import receivers
 from handover_marl.benchmarking.playing import play
 from handover_marl.datasets import OfficialDataset
-from handover_marl.episode import Episode
+from handover_marl.episode.episode import Episode
 from tests.conftest import RECORDINGS
 
 STRIDE = 10
@@ -40,15 +40,11 @@ def assert_same_state(episode: Episode, expected: dict[str, np.ndarray], row: in
     for key in pairs.keys() & expected.keys():
         value, wanted = pairs[key], expected[key][row]
         assert value.dtype == np.float32
-        np.testing.assert_array_equal(
-            value, wanted.reshape(value.shape), err_msg=f"{key} after step {episode.steps}"
-        )
+        np.testing.assert_array_equal(value, wanted.reshape(value.shape), err_msg=f"{key} after step {episode.steps}")
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_replayed_actions_give_the_recorded_states(
-    name: str, recordings: Path, real_dataset: OfficialDataset
-) -> None:
+def test_replayed_actions_give_the_recorded_states(name: str, recordings: Path, real_dataset: OfficialDataset) -> None:
     assert_replays(read_recording(recordings, name), real_dataset)
 
 
@@ -73,9 +69,7 @@ def assert_replays(expected: dict[str, np.ndarray], dataset: OfficialDataset) ->
 
 
 @pytest.mark.parametrize("name", YANG)
-def test_yang_receiver_takes_the_recorded_actions(
-    name: str, recordings: Path, real_dataset: OfficialDataset
-) -> None:
+def test_yang_receiver_takes_the_recorded_actions(name: str, recordings: Path, real_dataset: OfficialDataset) -> None:
     expected = read_recording(recordings, name)
     episode = Episode("exact")
     policy = receivers.make("yang2021", real_dataset)

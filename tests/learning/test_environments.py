@@ -8,8 +8,8 @@ from gymnasium.utils.env_checker import check_env
 from pettingzoo.test import parallel_api_test, parallel_seed_test
 
 from handover_marl import givers
+from handover_marl.envs.encode import LearningEnv, LearningParallelEnv
 from handover_marl.errors import OptionError, ResetNeededError, SceneError, UnknownNameError
-from handover_marl.learning.environments import LearningEnv, LearningParallelEnv
 
 SYNTHETIC: dict[str, Any] = {"dataset": "synthetic", "physics": "fast", "split": "val"}
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")

@@ -18,13 +18,13 @@ from hypothesis import strategies as st
 import handover_marl
 from handover_marl import givers, receivers
 from handover_marl.datasets.synthetic import SyntheticDataset
+from handover_marl.episode.observations import Observation
+from handover_marl.episode.spaces import giver_action_space, receiver_action_space
 from handover_marl.errors import DataFormatError, DataNotFoundError, HandoverError, OptionError, UnsafeFileError
 from handover_marl.learning.network import Network
 from handover_marl.learning.observing import n_features
 from handover_marl.learning.policy import LearnedPolicy, PolicySpec
 from handover_marl.learning.policy_files import read_policy, write_policy
-from handover_marl.observations import Observation
-from handover_marl.spaces import giver_action_space, receiver_action_space
 
 RAN = "HANDOVER_MARL_TEST_CODE_RAN"
 
@@ -52,9 +52,7 @@ def network(n_inputs: int, n_outputs: int, **options: str) -> Network:
 
 
 def offer_file(path: Path) -> Path:
-    write_policy(
-        path, PolicySpec("giver", "giver", "offer", origin="a test"), network(n_features("giver", "giver"), 7)
-    )
+    write_policy(path, PolicySpec("giver", "giver", "offer", origin="a test"), network(n_features("giver", "giver"), 7))
     return path
 
 

@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from handover_marl.config import PandaConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
+from handover_marl.episode.spaces import check_giver_action, giver_action_space, receiver_action_space
 from handover_marl.errors import OptionError, UnknownNameError
 from handover_marl.learning.features import offer_frame
 from handover_marl.learning.giver_schemes import Deviation, Offer
@@ -15,8 +16,7 @@ from handover_marl.learning.receiver_schemes import GraspServo
 from handover_marl.learning.schemes import make_scheme, scheme_size, schemes
 from handover_marl.receivers import WAITING_JOINTS, context_of
 from handover_marl.receivers.grasp_choice import MOST_ROOM, GraspChoice
-from handover_marl.sim.kinematics import PandaKinematics
-from handover_marl.spaces import check_giver_action, giver_action_space, receiver_action_space
+from handover_marl.sim.bullet.kinematics import PandaKinematics
 from tests.test_givers import START, seen
 
 CONTEXT = context_of(SyntheticDataset())
@@ -194,9 +194,7 @@ def test_the_gripper_closes_above_zero() -> None:
 
 
 def test_unknown_schemes() -> None:
-    with pytest.raises(
-        UnknownNameError, match="action scheme of the giver 'joints'; valid: giver, deviation, offer"
-    ):
+    with pytest.raises(UnknownNameError, match="action scheme of the giver 'joints'; valid: giver, deviation, offer"):
         make_scheme("giver", "joints")
     with pytest.raises(OptionError, match="needs the robot's model"):
         make_scheme("receiver", "cartesian_delta")

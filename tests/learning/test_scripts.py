@@ -11,7 +11,7 @@ import pytest
 from handover_marl import givers, receivers
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.errors import ResultsError
-from handover_marl.learning.training import held_out_scenes, spread_scenes, training_scenes
+from handover_marl.training.run_folder import held_out_scenes, spread_scenes, training_scenes
 
 pytest.importorskip("stable_baselines3", reason="needs the extra `train`")
 EXPERIMENTS = Path(__file__).parents[2] / "experiments"

@@ -4,8 +4,8 @@ import numpy as np
 
 from handover_marl.config import PandaConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.kinematic_tree import read_tree
-from handover_marl.planning.arm import Arm
+from handover_marl.models.arm import Arm
+from handover_marl.models.kinematic_tree import read_tree
 from handover_marl.receivers import WAITING_JOINTS
 
 TREE = read_tree(SyntheticDataset().panda_urdf)

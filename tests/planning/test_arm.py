@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from handover_marl.errors import SimulationError
-from handover_marl.kinematic_tree import read_tree
-from handover_marl.planning.arm import Arm, body_points
+from handover_marl.models.arm import Arm, body_points
+from handover_marl.models.kinematic_tree import read_tree
 from handover_marl.planning.inverse_kinematics import pose_error, solve
 from tests.planning.robots import ARM, LIMITS, TREE, random_joints
 

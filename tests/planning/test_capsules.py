@@ -6,14 +6,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.episode import Episode
-from handover_marl.geometry import compose_point
-from handover_marl.kinematic_tree import read_tree
-from handover_marl.observations import Observation
+from handover_marl.episode.episode import Episode
+from handover_marl.episode.observations import Observation
+from handover_marl.models.kinematic_tree import read_tree
+from handover_marl.models.meshes import link_vertices
+from handover_marl.models.poses import compose_point
+from handover_marl.models.urdf_shapes import read_urdf_shapes
 from handover_marl.planning.capsules import Capsules, hand_capsules
-from handover_marl.planning.meshes import link_vertices
 from handover_marl.receivers import WAITING_JOINTS
-from handover_marl.urdf_shapes import read_urdf_shapes
 
 coordinates = st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3).map(np.array)
 

@@ -10,12 +10,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handover_marl.assets.objects import object_urdf
+from handover_marl.assets.object_models import object_urdf
 from handover_marl.errors import DataFormatError
+from handover_marl.models.distance_field import FAR, DistanceField, field_of
+from handover_marl.models.meshes import model_triangles
 from handover_marl.planning import field_cache
-from handover_marl.planning.distance_field import FAR, DistanceField, field_of
 from handover_marl.planning.field_cache import cache_folder, object_field
-from handover_marl.planning.meshes import model_triangles
 from handover_marl.planning.obstacles import nearness, steepness
 
 RADIUS, REACH = 0.05, 0.2
@@ -90,9 +90,7 @@ def test_field_of_a_box(cache: Path, fake_data: Path) -> None:
     inside = np.minimum(points - low, high - points).min(axis=1)
     wanted = np.where(inside > 0.0, -inside, np.linalg.norm(outside, axis=1))
     # Between the grid's nodes edges come out rounded.
-    np.testing.assert_allclose(
-        object_field(urdf, MARGIN).distances(points.T.astype(np.float32)), wanted, atol=3e-3
-    )
+    np.testing.assert_allclose(object_field(urdf, MARGIN).distances(points.T.astype(np.float32)), wanted, atol=3e-3)
 
 
 def test_a_cut_file_is_made_anew(cache: Path, caplog: pytest.LogCaptureFixture) -> None:

@@ -5,15 +5,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.planning.arm import FINGERS, HAND
-from handover_marl.planning.body import body_samples
+from handover_marl.models.arm import FINGERS, HAND
+from handover_marl.models.distance_field import field_of
+from handover_marl.planning.body_samples import body_samples
 from handover_marl.planning.capsules import Capsules
-from handover_marl.planning.config import HandAvoidance, PlannerConfig
-from handover_marl.planning.distance_field import field_of
 from handover_marl.planning.goal_set import GoalFinder, GoalSet
 from handover_marl.planning.grasp_rules import usable
 from handover_marl.planning.obstacles import Obstacle
 from handover_marl.planning.planner import hand_obstacle
+from handover_marl.planning.planner_config import HandAvoidance, PlannerConfig
 from tests.planning.robots import ARM, LIMITS, START
 
 URDF = SyntheticDataset().panda_urdf

@@ -10,12 +10,12 @@ from handover_marl import parallel_env, receivers
 from handover_marl.benchmarking.runner import benchmark
 from handover_marl.datasets import Dataset
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.episode import Episode
+from handover_marl.episode.clock import PolicyClock
+from handover_marl.episode.episode import Episode
+from handover_marl.episode.observations import Observation
 from handover_marl.errors import OptionError, ResetNeededError
-from handover_marl.geometry import compose_point
-from handover_marl.observations import Observation
-from handover_marl.plan_picture import render_plan
-from handover_marl.policy_clock import PolicyClock
+from handover_marl.models.poses import compose_point
+from handover_marl.pictures.plan_picture import render_plan
 from handover_marl.receivers import WAITING_JOINTS
 from handover_marl.receivers.omg import OmgReceiver
 

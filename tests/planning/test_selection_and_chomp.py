@@ -7,12 +7,12 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize
 
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.planning.body import body_samples
+from handover_marl.models.distance_field import field_of
+from handover_marl.planning.body_samples import body_samples
 from handover_marl.planning.chomp import Chomp, first_trajectory
-from handover_marl.planning.config import CostConfig, OptimiserConfig, SelectionConfig
-from handover_marl.planning.distance_field import field_of
 from handover_marl.planning.goal_selection import GoalSelector, mirror_step
 from handover_marl.planning.obstacles import Obstacle
+from handover_marl.planning.planner_config import CostConfig, OptimiserConfig, SelectionConfig
 from handover_marl.planning.trajectory_cost import BodyCost
 from tests.planning.robots import ARM, LIMITS, START, random_joints
 

@@ -3,12 +3,12 @@ import hashlib
 import numpy as np
 import pytest
 
-from handover_marl.assets.hand import SUBJECTS
+from handover_marl.assets.hand_model import SUBJECTS
+from handover_marl.datasets.scene import Scene
 from handover_marl.datasets.splits import SETUPS, SKIPPED_OBJECTS, SPLIT_SIZES, SPLITS
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.datasets.synthetic.casting import hand_side
 from handover_marl.errors import SceneError
-from handover_marl.scene import Scene
 
 DATASET = SyntheticDataset()
 

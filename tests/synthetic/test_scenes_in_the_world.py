@@ -7,9 +7,9 @@ import pytest
 
 from handover_marl.config import CameraConfig, PandaConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.episode import Episode
-from handover_marl.motion import Motion
-from handover_marl.sim.exact_world import ExactWorld
+from handover_marl.episode.episode import Episode
+from handover_marl.episode.playback import Motion
+from handover_marl.sim.bullet.exact_world import ExactWorld
 
 SCENES = range(3, 1000, 71)
 

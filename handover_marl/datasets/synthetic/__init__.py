@@ -5,7 +5,7 @@ lies and is held and offered (`staging`), what else stands on the table (`clutte
 everything moves (`motion`). Distributions are calibrated on aggregate figures of DexYCB (`calibration`).
 """
 
-from handover_marl.datasets.synthetic.dataset import SyntheticDataset
 from handover_marl.datasets.synthetic.draws import VERSION
+from handover_marl.datasets.synthetic.synthetic_dataset import SyntheticDataset
 
 __all__ = ["VERSION", "SyntheticDataset"]

@@ -2,10 +2,10 @@
 
 from functools import cache
 
-from handover_marl.assets.hand import Side
+from handover_marl.assets.hand_model import Side
 from handover_marl.datasets.splits import SKIPPED_OBJECTS, TRIALS_BY_DESIGN, designed_side
 from handover_marl.datasets.synthetic.draws import Draws
-from handover_marl.datasets.ycb import SCENE_CLASSES
+from handover_marl.models.ycb import SCENE_CLASSES
 
 #: How many of the last trials are left-handed, for subjects 0-1 and 2-9, in scenes that belong to splits. With the
 #: trials whose hand is fixed they make Table I's 449 / 91 / 360 scenes of setup s2.

@@ -5,13 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.assets.hand import HandModel
+from handover_marl.assets.hand_model import HandModel
 from handover_marl.datasets.synthetic import calibration
 from handover_marl.datasets.synthetic.draws import Draws
-from handover_marl.datasets.synthetic.motion import KeyMotion
-from handover_marl.datasets.synthetic.shapes import hull_corners
+from handover_marl.datasets.synthetic.handing_over import KeyMotion
+from handover_marl.datasets.synthetic.outlines import hull_corners
 from handover_marl.datasets.synthetic.staging import OBJECT_CLEARANCE, laid
-from handover_marl.datasets.ycb import CLASS_NAMES, SCENE_CLASSES
+from handover_marl.models.ycb import CLASS_NAMES, SCENE_CLASSES
 
 Array = npt.NDArray[np.float64]
 
@@ -80,9 +80,7 @@ def _swept_points(class_id: int, motion: KeyMotion, model: HandModel) -> Array:
     rotation = motion.object_rotation.as_matrix()
     given = np.einsum("tij,pj->tpi", rotation, corners) + motion.object_position[:, None]
     shown = slice(motion.hand_first, None)
-    dof = np.concatenate([motion.base_position, motion.base_rotation.as_euler("XYZ"), motion.fingers], axis=1)[
-        shown
-    ]
+    dof = np.concatenate([motion.base_position, motion.base_rotation.as_euler("XYZ"), motion.fingers], axis=1)[shown]
     return np.concatenate([given.reshape(-1, 3), model.keypoints(dof).reshape(-1, 3)])
 
 

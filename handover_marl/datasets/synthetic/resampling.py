@@ -10,7 +10,7 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, Slerp
 
 from handover_marl.config import HAND_DOF
-from handover_marl.datasets.synthetic.motion import KEY_PERIOD, KeyMotion
+from handover_marl.datasets.synthetic.handing_over import KEY_PERIOD, KeyMotion
 
 #: Frames of 1 ms between two key poses.
 STRIDE = 40

@@ -9,20 +9,14 @@ from functools import cache
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.geometry import compose, poses_from_matrices
+from handover_marl.models.handiness import CANDIDATES, PREFERRED_POSE, STANDOFF, pose_distance
+from handover_marl.models.panda import GRIPPER_FROM_HAND
+from handover_marl.models.poses import compose, poses_from_matrices
 
 Array = npt.NDArray[np.float64]
 
-#: Pose of the Panda's hand link while it waits (xyz m, quaternion xyzw, world), and grasps that count as handy.
-WAITING_POSE = np.array([0.6914, -0.4315, 1.5511, 0.6430, 0.6701, 0.2626, -0.2618])
-HANDY_GRASPS = 25
-
 #: Distance (m) between points of the gripper and points of the hand, about a centimetre of flesh and one of steel.
 CLEARANCE = 0.02
-
-_HAND_FROM_GRIPPER = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.7071068, -0.7071068])
-_STANDOFF = np.array([0.0, 0.0, -0.2, 0.0, 0.0, 0.0, 1.0])
-_ROTATION_WEIGHT = 0.5
 
 
 @cache
@@ -36,7 +30,7 @@ def _gripper_points() -> Array:
 
 def grasp_poses(transforms: Array) -> Array:
     """(n, 7) poses of the Panda's hand link in the object's frame from grasp matrices (n, 4, 4)."""
-    return compose(poses_from_matrices(transforms), _HAND_FROM_GRIPPER)
+    return compose(poses_from_matrices(transforms), np.array(GRIPPER_FROM_HAND))
 
 
 def room(world_from_object: Array, hand_points: Array, grasps: Array) -> float:
@@ -51,8 +45,8 @@ def room(world_from_object: Array, hand_points: Array, grasps: Array) -> float:
     palm = 0.5 * (digits[:, 0] + wrist)
     hand = np.concatenate([hand_points, palm])
     world_from_hand = compose(world_from_object, grasps)
-    standoffs = compose(world_from_hand, _STANDOFF)
-    handy = world_from_hand[np.argsort(_distance(standoffs), kind="stable")[:HANDY_GRASPS]]
+    standoffs = compose(world_from_hand, np.array(STANDOFF))
+    handy = world_from_hand[np.argsort(pose_distance(PREFERRED_POSE, standoffs), kind="stable")[:CANDIDATES]]
     gripper = np.stack([_points_in_world(pose) for pose in handy])
     gaps = np.linalg.norm(gripper[:, :, None] - hand, axis=-1).min(axis=(1, 2))
     return float((gaps > CLEARANCE).mean())
@@ -62,8 +56,3 @@ def _points_in_world(pose: Array) -> Array:
     points = _gripper_points()
     still = np.tile([0.0, 0.0, 0.0, 1.0], (len(points), 1))
     return compose(pose, np.concatenate([points, still], axis=1))[:, :3]
-
-
-def _distance(poses: Array) -> Array:
-    offset = ((poses[:, :3] - WAITING_POSE[:3]) ** 2).sum(axis=1)
-    return np.asarray(offset + _ROTATION_WEIGHT * (1.0 - (poses[:, 3:] @ WAITING_POSE[3:]) ** 2))

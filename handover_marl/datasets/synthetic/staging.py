@@ -9,15 +9,15 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import ndtr
 
-from handover_marl.assets.hand import HandModel, euler_matrices
+from handover_marl.assets.hand_model import HandModel, euler_matrices
 from handover_marl.assets.human_grasps import HumanGrasps
 from handover_marl.assets.human_grasps_statistics import wrist_distance_quantile
-from handover_marl.datasets.base import TABLE_HEIGHT
+from handover_marl.datasets.dataset import TABLE_HEIGHT
 from handover_marl.datasets.synthetic import calibration
 from handover_marl.datasets.synthetic.draws import Draws, at_level
+from handover_marl.datasets.synthetic.outlines import hull_corners
 from handover_marl.datasets.synthetic.room import room
-from handover_marl.datasets.synthetic.shapes import hull_corners
-from handover_marl.geometry import quaternion_from_matrix
+from handover_marl.models.poses import quaternion_from_matrix
 
 Array = npt.NDArray[np.float64]
 
@@ -75,9 +75,7 @@ class HeldObject:
     robot_grasps: Array | None
 
 
-def hold(
-    class_id: int, name: str, model: HandModel, grasps: HumanGrasps, robot_grasps: Array | None
-) -> HeldObject:
+def hold(class_id: int, name: str, model: HandModel, grasps: HumanGrasps, robot_grasps: Array | None) -> HeldObject:
     """Gather what staging needs to know of an object in a person's hand."""
     dof = np.stack([grasps.hand_dof(row) for row in range(len(grasps))])
     return HeldObject(
@@ -93,12 +91,8 @@ def hold(
 def draw_stage(scene_id: int, held: HeldObject, name: str) -> Stage:
     """Draw start, grasp and offer of a scene."""
     draws = Draws(scene_id, "stage")
-    start_x, offer_x = draws.correlated_quantiles(
-        calibration.START_X, calibration.OFFER_X, calibration.START_OFFER_X
-    )
-    start_y, offer_y = draws.correlated_quantiles(
-        calibration.START_Y, calibration.OFFER_Y, calibration.START_OFFER_Y
-    )
+    start_x, offer_x = draws.correlated_quantiles(calibration.START_X, calibration.OFFER_X, calibration.START_OFFER_X)
+    start_y, offer_y = draws.correlated_quantiles(calibration.START_Y, calibration.OFFER_Y, calibration.START_OFFER_Y)
     offer_z = draws.quantile(calibration.OFFER_Z)
     distance = float(wrist_distance_quantile(name, draws.uniform()))
     tilt, wanted_room = np.radians(draws.quantile(calibration.TILT)), draws.quantile(calibration.ROOM)
@@ -189,9 +183,7 @@ def _offered_hand(draws: Draws, side: str) -> Array:
     joint = calibration.ELEVATION_ROLL * one + np.sqrt(1.0 - calibration.ELEVATION_ROLL**2) * other
     elevation = np.radians(at_level(calibration.POINTING_ELEVATION, float(ndtr(one))))
     roll = np.radians(at_level(calibration.ROLL, float(ndtr(joint))))
-    fingers = np.array(
-        [np.sin(azimuth) * np.cos(elevation), -np.cos(azimuth) * np.cos(elevation), np.sin(elevation)]
-    )
+    fingers = np.array([np.sin(azimuth) * np.cos(elevation), -np.cos(azimuth) * np.cos(elevation), np.sin(elevation)])
     up = np.array([0.0, 0.0, 1.0]) - fingers[2] * fingers
     up /= np.linalg.norm(up)
     back = np.cos(roll) * up + np.sin(roll) * np.cross(fingers, up)

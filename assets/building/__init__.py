@@ -1,0 +1,1 @@
+"""The generators of the shipped models; needs the extra `assets`."""

@@ -1,0 +1,190 @@
+"""What a result folder is about, and its `config.yaml`."""
+
+import hashlib
+import re
+import stat
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from handover_marl._version import __version__
+from handover_marl.config import OFFICIAL, TIME_STEP, WorldConfig
+from handover_marl.datasets.splits import SETUPS, SPLITS
+from handover_marl.errors import ResultsError
+from handover_marl.run import Run, reference_of
+
+CONFIG_FILE = "config.yaml"
+_OWN_SECTION = "HANDOVER_MARL"
+_LARGEST = 1_000_000  # bytes of a configuration
+#: How the official world and rules are called.
+OFFICIAL_WORLD = "official"
+
+
+@dataclass(frozen=True)
+class RunSettings:
+    """What a result folder is about; scenes run under different settings never share a folder.
+
+    Attributes:
+        setup: Official setup.
+        split: Its split.
+        receiver: Name of the receiver.
+        giver: Name of the giver.
+        physics: Kind of physics.
+        dataset: Name of the dataset.
+        version: Version of this library, or "HandoverSim" for folders of the original code.
+        receiver_code: Hash of the receiver's code, options and file; empty if unknown.
+        giver_code: Likewise.
+        seed: Of what policies draw.
+        world: "official", or a hash of other rules or another world.
+    """
+
+    setup: str
+    split: str
+    receiver: str
+    giver: str
+    physics: str
+    dataset: str
+    version: str
+    receiver_code: str = ""
+    giver_code: str = ""
+    seed: str = "0"
+    world: str = OFFICIAL_WORLD
+
+    @classmethod
+    def of(cls, run: Run) -> "RunSettings":
+        """Of a run that was resolved."""
+        giver, receiver = reference_of(run.giver), reference_of(run.receiver)
+        return cls(
+            setup=run.setup,
+            split=run.split,
+            receiver=receiver.label,
+            giver=giver.label,
+            physics=run.physics,
+            dataset=run.dataset,
+            version=__version__,
+            receiver_code=receiver.source,
+            giver_code=giver.source,
+            seed=str(run.seed),
+            world=world_name(run.config),
+        )
+
+
+def world_name(config: WorldConfig) -> str:
+    """What a world is called: official, or a hash of what else it is."""
+    if config == OFFICIAL:
+        return OFFICIAL_WORLD
+    return hashlib.sha256(repr(config).encode()).hexdigest()[:8]
+
+
+def config_text(settings: RunSettings, config: WorldConfig) -> str:
+    """A folder's `config.yaml`."""
+    own: dict[str, Any] = asdict(settings)
+    benchmark = {"SETUP": own.pop("setup"), "SPLIT": own.pop("split"), **_rules(config)}
+    content = {"SIM": {"TIME_STEP": TIME_STEP}, "BENCHMARK": benchmark, _OWN_SECTION: own}
+    return yaml.safe_dump(content, sort_keys=False)
+
+
+def read_settings(path: Path) -> RunSettings:
+    """Settings of a result folder, ours or the original code's.
+
+    Raises:
+        ResultsError: There is no readable `config.yaml` with an official setup and split, our section of it is not
+            as this library writes it, or its rules are not those that it claims.
+    """
+    config_path = path / CONFIG_FILE
+    content = _read_yaml(config_path, path)
+    try:
+        own = content.get(_OWN_SECTION)
+        benchmark = content["BENCHMARK"]
+        named = {"setup": benchmark["SETUP"], "split": benchmark["SPLIT"]}
+        settings = RunSettings(**named, **(_official_section(path) if own is None else own))
+    except Exception as error:  # whatever shape the file has
+        raise ResultsError(f"{config_path}: not a readable configuration ({_brief(error)})") from error
+    if settings.setup not in SETUPS or settings.split not in SPLITS:
+        raise ResultsError(
+            f"{config_path}: unknown setup {_brief(settings.setup)!r} or split {_brief(settings.split)!r}"
+        )
+    for key, value in asdict(settings).items():
+        if not isinstance(value, str):
+            raise ResultsError(f"{config_path}: {key} in section {_OWN_SECTION} is {_brief(value)}, expected text")
+    _check_rules(config_path, settings, content)
+    return settings
+
+
+def _rules(config: WorldConfig) -> dict[str, Any]:
+    """The rules under their official names."""
+    protocol = config.protocol
+    return {
+        "GOAL_CENTER": list(protocol.goal_center),
+        "GOAL_RADIUS": protocol.goal_radius,
+        "SUCCESS_TIME_THRESH": protocol.success_steps * TIME_STEP,
+        "MAX_EPISODE_TIME": protocol.horizon_steps * TIME_STEP,
+    }
+
+
+def _check_rules(path: Path, settings: RunSettings, content: Mapping[str, Any]) -> None:
+    """Official figures stand beside published ones, so they must have been made under the official rules."""
+    if settings.world != OFFICIAL_WORLD:
+        return
+    told = {**content["BENCHMARK"], "TIME_STEP": (content.get("SIM") or {}).get("TIME_STEP", TIME_STEP)}
+    for key, value in (_rules(OFFICIAL) | {"TIME_STEP": TIME_STEP}).items():
+        found = told.get(key, value)
+        same = list(found) == value if isinstance(value, list) and isinstance(found, (list, tuple)) else found == value
+        if not same:
+            raise ResultsError(
+                f"{path}: {key} is {_brief(found)}, but the official rules say {value}; these are no official results"
+            )
+
+
+class _PlainLoader(yaml.SafeLoader):
+    """Plain YAML without aliases, which can make a few lines mean gigabytes, or themselves."""
+
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        """Refuse aliases."""
+        if self.check_event(yaml.AliasEvent):
+            raise yaml.YAMLError("aliases are not admitted")
+        return super().compose_node(parent, index)
+
+
+def _read_yaml(config_path: Path, folder: Path) -> dict[str, Any]:
+    try:
+        state = config_path.stat()
+    except (FileNotFoundError, NotADirectoryError) as error:
+        raise ResultsError(f"{folder} is no result folder: it has no {CONFIG_FILE}") from error
+    except OSError as error:
+        raise ResultsError(f"cannot read {config_path}: {error.strerror or error}") from error
+    if not stat.S_ISREG(state.st_mode) or state.st_size > _LARGEST:
+        raise ResultsError(f"{config_path}: not a readable configuration (no file of less than a megabyte)")
+    try:
+        content = yaml.load(config_path.read_text(), _PlainLoader)
+    except Exception as error:  # YAML lets errors of its constructors through
+        raise ResultsError(f"{config_path}: not a readable configuration ({_brief(error)})") from error
+    if not isinstance(content, dict):
+        raise ResultsError(f"{config_path}: not a readable configuration (no sections)")
+    return content
+
+
+def _brief(value: object) -> str:
+    """Something strange in a few words."""
+    text = f"{type(value).__name__}: {value}" if isinstance(value, BaseException) else str(value)
+    return text if len(text) <= 200 else f"{text[:200]}..."
+
+
+def _official_section(path: Path) -> dict[str, str]:
+    """What a folder of the original code stands for."""
+    return {
+        "receiver": _method_in_name(path.resolve().name),
+        "giver": "replay",
+        "physics": "exact",
+        "dataset": "dexycb",
+        "version": "HandoverSim",
+    }
+
+
+def _method_in_name(folder: str) -> str:
+    """The original code names folders `<date>_<time>_<method>_<setup>_<split>`."""
+    match = re.fullmatch(r"[\d-]+_[\d-]+_(.+)_s[0-3]_(train|val|test)", folder)
+    return match.group(1) if match else folder

@@ -1,0 +1,76 @@
+"""What the library asks of a dataset."""
+
+from abc import ABC, abstractmethod
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.datasets.scene import Scene, SceneInfo
+from handover_marl.datasets.splits import N_SCENES, split_scenes
+from handover_marl.errors import SceneError
+
+#: World height of the table frame's origin (m), added in float32 as the reference does.
+TABLE_HEIGHT = np.float32(0.92)
+
+
+class Dataset(ABC):
+    """A thousand numbered scenes with the models and grasps that go with them.
+
+    Attributes:
+        name: How results made with it are labelled.
+    """
+
+    name: ClassVar[str]
+
+    @abstractmethod
+    def info(self, scene_id: int) -> SceneInfo:
+        """What is known of a scene without its motion."""
+
+    def side(self, scene_id: int) -> str:
+        """The hand that gives, "right" or "left"."""
+        return self.info(scene_id).side
+
+    @abstractmethod
+    def scene(self, scene_id: int) -> Scene:
+        """The scene itself."""
+
+    @abstractmethod
+    def grasps(self, object_name: str) -> npt.NDArray[np.float64] | None:
+        """(n, 4, 4) gripper poses in the object's frame (m), or None for a class that has none by design.
+
+        Raises:
+            DataNotFoundError: A file that should be there is not.
+        """
+
+    @abstractmethod
+    def object_urdf(self, object_name: str) -> Path:
+        """The model file of an object class.
+
+        Raises:
+            DataNotFoundError: It is not there.
+        """
+
+    @property
+    @abstractmethod
+    def panda_urdf(self) -> Path:
+        """The Panda's model file."""
+
+    @abstractmethod
+    def check_scenes(self, scene_ids: tuple[int, ...]) -> None:
+        """Raise `DataNotFoundError` if a file of one of the scenes is missing, before hours are spent."""
+
+    @abstractmethod
+    def fingerprint(self, scene_id: int) -> str:
+        """A short text that changes when the scene's motion, its models or its target's grasps do."""
+
+    def split(self, setup: str, split: str) -> tuple[int, ...]:
+        """Scene ids of an official split, ascending."""
+        return split_scenes(setup, split, self.side)
+
+    @staticmethod
+    def check_scene_id(scene_id: int) -> None:
+        """Raise `SceneError` unless the number is one of the thousand."""
+        if not 0 <= scene_id < N_SCENES:
+            raise SceneError(f"scene {scene_id} does not exist; scenes are numbered 0 to {N_SCENES - 1}")

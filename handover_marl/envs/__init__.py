@@ -1,0 +1,1 @@
+"""The two-agent environment, and wrappers around it."""

@@ -1,0 +1,341 @@
+"""Human-to-robot handover as a two-agent PettingZoo environment.
+
+| | |
+|---|---|
+| agents | `giver` (a human hand with an object), `receiver` (a Franka Panda) |
+| actions | receiver: Box(9), target joint positions; giver: Box(8), deviation from the replay |
+| observations | Dict of float32 arrays; the giver's has the recording's next half second; see `observations` |
+| rewards | 1 to both in the step that completes the handover, else 0; or shaped, see `handover_marl.envs.rewards` |
+| termination | success, contact of robot and person, or drop |
+| truncation | 13 s without success, or `max_cycles` steps |
+
+Both agents act at once; their actions hold for one control period, during which the rules are checked every
+millisecond, so that a step may end early with the episode.
+
+`infos[agent]` has the same keys from reset on, all numbers: `scene_id`; `status`, the bits of an `EpisodeStatus`;
+`steps`, physics steps so far; `release_step`, the step whose contacts made the person let go, or -1; `release`, why:
+an index into `RELEASES`, or -1; `reward/...`, the weighted terms that the agent's last reward is the sum of.
+
+Version history: v0, initial.
+"""
+
+import operator
+import os
+import time
+import warnings
+from collections.abc import Iterable, Mapping
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+from gymnasium.utils import EzPickle, seeding
+from pettingzoo import ParallelEnv
+
+from handover_marl.config import OFFICIAL, TIME_STEP, CameraConfig, WorldConfig
+from handover_marl.datasets import open_dataset
+from handover_marl.datasets.splits import choose_scenes
+from handover_marl.envs.rewards import RewardConfig, Rewards, Situation, reward_config
+from handover_marl.episode.episode import Episode
+from handover_marl.episode.observations import Observation, giver_observation_space, observation_space
+from handover_marl.episode.spaces import (
+    check_giver_action,
+    check_receiver_action,
+    giver_action_space,
+    receiver_action_space,
+)
+from handover_marl.errors import ActionError, OptionError, ResetNeededError, SceneError, UnknownNameError
+from handover_marl.models.panda import FINGERTIPS
+from handover_marl.models.poses import compose_point
+from handover_marl.protocol.release import Release
+from handover_marl.protocol.status import EpisodeStatus
+
+GIVER, RECEIVER = "giver", "receiver"
+AGENTS = (GIVER, RECEIVER)
+RENDER_MODES = ("human", "rgb_array")
+#: What `release` in infos is an index into.
+RELEASES = tuple(Release)
+
+Info = dict[str, float]
+Observations = dict[str, Observation]
+StepResult = tuple[Observations, dict[str, float], dict[str, bool], dict[str, bool], dict[str, Info]]
+
+
+class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
+    """The two-agent world.
+
+    Args:
+        setup: Official setup, "s0" to "s3".
+        split: "train", "val" or "test".
+        data_dir: Folder in HandoverSim's layout; default: the environment variable HANDOVER_MARL_DATA.
+        dataset: "dexycb", "synthetic", or "auto": DexYCB when there is a data folder, else synthetic.
+        physics: "exact" is HandoverSim's simulation to the bit; "fast", for training, simulates hand and objects
+            only while the robot is near them.
+        control_period: How long an action holds (s); a whole number of milliseconds, 0.001 or more.
+        render_mode: None, "rgb_array" (needs no screen) or "human" (PyBullet's window).
+        camera: What "rgb_array" pictures show.
+        rewards: "sparse", the task alone; "shaped", with guidance and costs; or weights of your own.
+        scenes: Only these scenes of the split.
+        max_cycles: Episodes are cut off after so many steps, to learn from more of them; None plays to the end.
+        config: The world and the rules.
+
+    Raises:
+        UnknownNameError: No such setup, split, dataset, physics or render mode.
+        OptionError: The control period is not a whole number of milliseconds, or `max_cycles` no whole number.
+        SceneError: A scene is not in the split.
+        DataNotFoundError: The data folder is not there.
+    """
+
+    metadata: dict[str, Any] = {
+        "name": "handover_v0",
+        "render_modes": list(RENDER_MODES),
+        "render_fps": 10,
+        "is_parallelizable": True,
+    }
+
+    def __init__(
+        self,
+        setup: str = "s0",
+        split: str = "train",
+        data_dir: str | os.PathLike[str] | None = None,
+        dataset: str = "auto",
+        physics: str = "exact",
+        control_period: float = 0.1,
+        render_mode: str | None = None,
+        camera: CameraConfig | None = None,
+        rewards: str | RewardConfig = "sparse",
+        scenes: Iterable[int] | None = None,
+        max_cycles: int | None = None,
+        config: WorldConfig = OFFICIAL,
+    ) -> None:
+        chosen = None if scenes is None else list(scenes)
+        EzPickle.__init__(
+            self,
+            *(setup, split, data_dir, dataset, physics, control_period, render_mode, camera, rewards),
+            *(chosen, max_cycles, config),
+        )
+        if render_mode is not None and render_mode not in RENDER_MODES:
+            raise UnknownNameError("render_mode", render_mode, RENDER_MODES)
+        self.config = config
+        self._episode = Episode(physics, config, window=render_mode == "human")
+        self.control_period = control_period
+        self.control_steps = control_steps(control_period)
+        self.max_cycles = _checked_cycles(max_cycles)
+        self.dataset = open_dataset(dataset, data_dir)
+        self.scene_ids = choose_scenes(self.dataset.split(setup, split), chosen, f"{setup} {split}")
+        self.setup, self.split = setup, split
+        self.render_mode = render_mode
+        self.possible_agents = list(AGENTS)
+        self.agents: list[str] = []
+        self._camera = camera or CameraConfig()
+        self._reward_config = reward_config(rewards)
+        self._rewards: Rewards | None = None
+        self._observation: Observation | None = None
+        self._rng: np.random.Generator | None = None
+        self._cycles = 0
+        self._observation_spaces = {GIVER: giver_observation_space(config.giver), RECEIVER: observation_space()}
+        self._action_spaces = {GIVER: giver_action_space(config.giver), RECEIVER: receiver_action_space()}
+        for space in self._action_spaces.values():
+            # Libraries that save spaces with a policy save with them how long its actions hold.
+            space.control_period = control_period  # type: ignore[attr-defined]
+        flat: Any = spaces.flatten_space(self._observation_spaces[RECEIVER])
+        self.state_space: spaces.Box = flat
+        self.metadata = {**self.metadata, "render_fps": max(1, round(1.0 / control_period))}
+
+    @property
+    def np_random(self) -> np.random.Generator:
+        """What scenes are drawn with."""
+        if self._rng is None:
+            self._rng, _ = seeding.np_random(None)
+        return self._rng
+
+    def observation_space(self, agent: str) -> spaces.Dict:
+        """The agent's observation space."""
+        return self._observation_spaces[agent]
+
+    def action_space(self, agent: str) -> spaces.Box:
+        """The agent's action space."""
+        return self._action_spaces[agent]
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observations, dict[str, Info]]:
+        """Start an episode.
+
+        Args:
+            seed: Seeds the drawing of scenes; without one, drawing goes on where it was.
+            options: `{"scene_id": n}` chooses a scene of the split instead of drawing one.
+
+        Raises:
+            SceneError: The scene is not in the split.
+            DataNotFoundError, DataFormatError: The scene's files are missing or damaged.
+        """
+        # Should anything fail below, there is no episode.
+        self.agents = []
+        self._observation = None
+        if seed is not None:
+            self._rng, _ = seeding.np_random(seed)
+        self._episode.reset(self.dataset.scene(self._choose_scene(self.np_random, options or {})))
+        self._cycles = 0
+        self.agents = list(AGENTS)
+        observations = self._observe()
+        start = self._situation(observations[RECEIVER])
+        self._rewards = Rewards(self._reward_config, self.config.protocol.goal_center, start)
+        return observations, self._infos(self._no_reward())
+
+    def step(self, actions: dict[str, Any]) -> StepResult:
+        """Let both agents act for one control period, or until the episode ends.
+
+        Args:
+            actions: `{"giver": (8,), "receiver": (9,)}`, elements of the agents' action spaces.
+
+        Raises:
+            ActionError: An action is malformed; the world has not moved.
+            ResetNeededError: No episode is running.
+        """
+        if not self.agents:
+            raise ResetNeededError("no episode is running; call reset() before step()")
+        robot_target, deviation = self._check_actions(actions)
+        started = time.monotonic()
+        # Should the simulation fail below, there is no episode any more.
+        self.agents = []
+        self._episode.advance(robot_target, self.control_steps, deviation)
+        self._cycles += 1
+        if self.render_mode == "human":
+            self._keep_pace(started)
+        status = self._episode.status
+        observations = self._observe()
+        terms = self._reward(observations[RECEIVER], status)
+        ended = bool(status & ~EpisodeStatus.TIMEOUT)
+        cut_off = self.max_cycles is not None and self._cycles >= self.max_cycles
+        timed_out = bool(status & EpisodeStatus.TIMEOUT) or (cut_off and not ended)
+        if not (ended or timed_out):
+            self.agents = list(AGENTS)
+        return (
+            observations,
+            {agent: sum(terms[agent].values()) for agent in AGENTS},
+            dict.fromkeys(AGENTS, ended),
+            dict.fromkeys(AGENTS, timed_out),
+            self._infos(terms),
+        )
+
+    def state(self) -> npt.NDArray[np.float32]:
+        """Everything observed as one vector, for centralised critics; an element of `state_space`."""
+        if self._observation is None:
+            raise ResetNeededError("there is no state yet; call reset() before state()")
+        return np.asarray(spaces.flatten(self._observation_spaces[RECEIVER], self._observation))
+
+    def render(self) -> npt.NDArray[np.uint8] | None:
+        """An RGB picture (height, width, 3) with "rgb_array"; with "human" the window shows itself."""
+        if self.render_mode != "rgb_array":
+            return None
+        return self._episode.render(self._camera)
+
+    def close(self) -> None:
+        """Free the simulation."""
+        self._episode.close()
+        self.agents = []
+        self._observation = None
+
+    def _check_actions(self, actions: dict[str, Any]) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+        if not isinstance(actions, Mapping):
+            raise ActionError(f"step() takes a dict of actions by agent, not {type(actions).__name__}")
+        unknown = sorted(map(str, actions.keys() - set(AGENTS)))
+        if unknown:
+            raise ActionError(f"there is no agent {unknown[0]!r}; actions are for {' and '.join(AGENTS)}")
+        deviation = check_giver_action(actions.get(GIVER), self._action_spaces[GIVER])
+        return check_receiver_action(actions.get(RECEIVER)), deviation
+
+    def _choose_scene(self, rng: np.random.Generator, options: dict[str, Any]) -> int:
+        if not isinstance(options, Mapping):
+            raise OptionError(f"reset() takes options as a dict, not {type(options).__name__}")
+        unknown = sorted(map(str, options.keys() - {"scene_id"}))
+        if unknown:
+            warnings.warn(f"reset() knows no option {', '.join(unknown)}; valid: scene_id", stacklevel=3)
+        scene_id = options.get("scene_id")
+        if scene_id is None:
+            return int(rng.choice(self.scene_ids))
+        try:
+            chosen = operator.index(scene_id)
+        except TypeError:
+            chosen = -1
+        if chosen not in self.scene_ids:
+            raise SceneError(
+                f"scene {scene_id!r} is not in {self.setup} {self.split}, which has {len(self.scene_ids)} scenes "
+                f"from {self.scene_ids[0]} to {self.scene_ids[-1]}; env.scene_ids lists them"
+            )
+        return chosen
+
+    def _observe(self) -> Observations:
+        self._observation = self._episode.observe()
+        seen = {GIVER: self._episode.observe_as_giver(self._observation), RECEIVER: self._observation}
+        # Copies, so that what one agent does to its arrays stays unseen by the other.
+        return {agent: {key: value.copy() for key, value in seen[agent].items()} for agent in AGENTS}
+
+    def _situation(self, seen: Observation) -> Situation:
+        episode = self._episode
+        return Situation(
+            time=float(seen["time"][0]),
+            gripper=tuple(seen["gripper_pose"][:3].tolist()),
+            fingertips=tuple(compose_point(seen["gripper_pose"], FINGERTIPS).tolist()),
+            item=tuple(seen["object_poses"][0, :3].tolist()),
+            grasped=episode.grasped,
+            deviation=tuple(episode.deviation[1:].tolist()),
+            held_out=episode.held_out,
+        )
+
+    def _reward(self, seen: Observation, status: EpisodeStatus) -> dict[str, dict[str, float]]:
+        """The terms of both agents' rewards."""
+        now, rewards = self._situation(seen), self._rewards
+        if rewards is None:
+            raise ResetNeededError("no episode is running; call reset() before step()")
+        terms = {GIVER: rewards.giver(now, status), RECEIVER: rewards.receiver(now, status)}
+        rewards.go_on(now)
+        return terms
+
+    def _no_reward(self) -> dict[str, dict[str, float]]:
+        weights = {GIVER: fields(self._reward_config.giver), RECEIVER: fields(self._reward_config.receiver)}
+        return {agent: {part.name: 0.0 for part in weights[agent]} for agent in AGENTS}
+
+    def _infos(self, terms: dict[str, dict[str, float]]) -> dict[str, Info]:
+        episode = self._episode
+        info = {
+            "scene_id": episode.scene.info.scene_id,
+            "status": int(episode.status),
+            "steps": episode.steps,
+            "release_step": -1 if episode.release_step is None else episode.release_step,
+            "release": -1 if episode.release is None else RELEASES.index(episode.release),
+        }
+        return {
+            agent: {**info, **{f"reward/{name}": value for name, value in terms[agent].items()}} for agent in AGENTS
+        }
+
+    def _keep_pace(self, started: float) -> None:
+        wait = self.control_steps * TIME_STEP - (time.monotonic() - started)
+        if wait > 0:
+            time.sleep(wait)
+
+
+def control_steps(control_period: float) -> int:
+    """Physics steps in a control period (s).
+
+    Raises:
+        OptionError: It is not a whole number of milliseconds, or none at all, or longer than an hour.
+    """
+    try:
+        steps = 0 if isinstance(control_period, bool) else round(control_period / TIME_STEP)
+    except (TypeError, ValueError, OverflowError):
+        steps = 0
+    if not 1 <= steps <= 3_600_000 or abs(steps * TIME_STEP - control_period) > 1e-9:
+        raise OptionError(
+            f"control_period={control_period!r} must be a whole number of milliseconds given in seconds, "
+            "such as 0.1 or 0.001"
+        )
+    return steps
+
+
+def _checked_cycles(max_cycles: int | None) -> int | None:
+    if max_cycles is not None and (isinstance(max_cycles, bool) or not isinstance(max_cycles, int) or max_cycles < 1):
+        raise OptionError(f"max_cycles={max_cycles!r} must be a whole number, 1 or more, or None")
+    return max_cycles

@@ -1,0 +1,219 @@
+"""Pictures and films of handovers, drawn without a screen."""
+
+import importlib.util
+import io
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from PIL import Image
+from rich.console import Console
+from rich.progress import Progress
+from typing_extensions import Unpack
+
+from handover_marl.config import CameraConfig
+from handover_marl.episode.episode import Episode
+from handover_marl.episode.play import play
+from handover_marl.episode.watchers import Watcher
+from handover_marl.errors import OptionError, ResultsError
+from handover_marl.files import write_atomically
+from handover_marl.options import shows
+from handover_marl.policies.reference import PolicyLike, policy_reference
+from handover_marl.run import REPLAY, Execution, Run, SceneOptions, describe
+
+Picture = npt.NDArray[np.uint8]
+
+_NEEDED: dict[str, tuple[str, ...]] = {".png": (), ".gif": (), ".mp4": ("imageio", "imageio_ffmpeg")}
+
+#: Kinds of files, by suffix.
+SUFFIXES = tuple(_NEEDED)
+
+_FILM_PERIOD_MS = 80
+_SHEET_COLUMNS = 3
+_BLANK_AFTER_MS = 500
+#: Larger pictures than this (pixels a side) end the software renderer.
+LARGEST_SIDE = 8192
+
+
+class Film(Watcher):
+    """Takes pictures of an episode at chosen steps.
+
+    Args:
+        times: Steps, ascending.
+        camera: Where to look from.
+        progress: Whether to show a progress bar, on stderr.
+
+    Attributes:
+        pictures: (height, width, 3) each.
+    """
+
+    def __init__(self, times: Sequence[int], camera: CameraConfig, progress: bool = False) -> None:
+        self.pictures: list[Picture] = []
+        self._times, self._camera = set(times), camera
+        self._progress = Progress(console=Console(stderr=True), disable=not progress, transient=False)
+        self._bar = self._progress.add_task("drawing", total=max(len(self._times), 1))
+
+    def started(self, episode: Episode) -> None:
+        """The first picture, if wanted."""
+        self._progress.start()
+        self.stepped(episode)
+
+    def stepped(self, episode: Episode) -> None:
+        """A picture, if wanted now."""
+        if episode.steps in self._times:
+            self.pictures.append(episode.render(self._camera))
+            self._progress.advance(self._bar)
+
+    def ended(self, episode: Episode) -> None:
+        """How it ended is always shown."""
+        if episode.steps not in self._times:
+            self.pictures.append(episode.render(self._camera))
+        self._progress.update(self._bar, completed=max(len(self._times), 1))
+        self._progress.stop()
+
+
+@shows(Run, Execution, without=("setup", "split", "scenes", "config", "workers", "out", "fresh"))
+def render_scene(
+    scene_id: int,
+    out: str | os.PathLike[str],
+    *,
+    receiver: PolicyLike | None = None,
+    giver: PolicyLike = REPLAY,
+    key_frames: int = 6,
+    camera: CameraConfig | None = None,
+    **options: Unpack[SceneOptions],
+) -> Path:
+    """Draw a scene, or the episode that policies make of it.
+
+    Args:
+        scene_id: The scene, 0 to 999.
+        out: Where to write: `.png` is a sheet of key frames, `.gif` and `.mp4` are films.
+        receiver: As in `benchmark`; None shows the person with the robot at rest.
+        giver: As in `evaluate_pair`.
+        key_frames: Pictures on a sheet, evenly over the episode, its start and its end among them.
+        camera: Where to look from.
+        options: `dataset`, `data_dir`, `physics`, `seed`, `progress` and `trust`, as `handover_marl.Run` and
+            `handover_marl.Execution` say.
+
+    Returns:
+        The file that was written.
+
+    Raises:
+        OptionError: The file's suffix is unknown, a library for it is not installed, or a size is impossible.
+        ResultsError: The file cannot be written; noticed before drawing.
+        UnknownNameError, SceneError, DataNotFoundError, DataFormatError: As for a benchmark.
+    """
+    path, view = checked_path(out, SUFFIXES), camera or CameraConfig()
+    check_camera(view)
+    if key_frames < 1:
+        raise OptionError(f"key_frames={key_frames}: a sheet needs at least one")
+    run, how = describe("s0", options, receiver="hold" if receiver is None else receiver, giver=giver)
+    data = run.open_dataset()
+    robot, person = (
+        policy_reference(agent, getattr(run, agent), how.trust).make(data, run.config)
+        for agent in ("receiver", "giver")
+    )
+    scene = data.scene(scene_id)
+    episode = Episode(run.physics, run.config)
+
+    def filmed(times: Sequence[int], until: int | None) -> Film:
+        film = Film(times, view, how.progress)
+        episode.reset(scene)
+        play(episode, robot, person, seed=run.seed, until=until, watchers=[film])
+        return film
+
+    until = scene.n_frames + _BLANK_AFTER_MS if receiver is None else None
+    if path.suffix.lower() == ".png":
+        # Played twice: only then is it known how long it takes, and so when the key frames are.
+        end = until
+        if end is None:
+            episode.reset(scene)
+            play(episode, robot, person, seed=run.seed)
+            end = episode.steps
+        picture = _sheet(filmed(np.linspace(0, end, key_frames).round().astype(int).tolist(), until).pictures)
+    else:
+        times = range(0, until or run.config.protocol.horizon_steps, _FILM_PERIOD_MS)
+        picture = _encode(filmed(times, until).pictures, path.suffix.lower())
+    episode.close()
+    write_atomically(path, picture)
+    return path
+
+
+def checked_path(out: str | os.PathLike[str], suffixes: Sequence[str]) -> Path:
+    """Where a picture goes: a file of a known kind in a folder that can be written to, made if need be.
+
+    Raises:
+        OptionError: The kind is not known, or needs a library that is not installed.
+        ResultsError: The folder cannot be made or written to.
+    """
+    try:
+        path = Path(out).expanduser()
+    except (TypeError, RuntimeError) as error:
+        raise OptionError(f"out={out!r} must be a path ({error})") from error
+    suffix = path.suffix.lower()
+    if suffix not in suffixes:
+        raise OptionError(f"{path}: cannot tell what to draw from {path.suffix!r}; end it in {', '.join(suffixes)}")
+    for module in _NEEDED.get(suffix, ()):
+        if importlib.util.find_spec(module) is None:
+            raise OptionError(f"{suffix} files need {module}: pip install 'handover-marl[render]'")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        writable = os.access(path.parent, os.W_OK) and not path.is_dir()
+    except (OSError, ValueError) as error:
+        raise ResultsError(f"cannot write {path} ({error})") from error
+    if not writable:
+        raise ResultsError(f"cannot write {path}; choose another place")
+    return path
+
+
+def check_camera(camera: CameraConfig) -> None:
+    """Check what would end the renderer, and the process with it.
+
+    Raises:
+        OptionError: The picture has no size or is too large, or a number is not finite or makes no view.
+    """
+    for name in ("width", "height"):
+        side = getattr(camera, name)
+        if isinstance(side, bool) or not isinstance(side, int) or not 1 <= side <= LARGEST_SIDE:
+            raise OptionError(f"{name}={side!r}: pictures have 1 to {LARGEST_SIDE} pixels a side")
+    numbers = (camera.vertical_fov, camera.near, camera.far, *camera.position, *camera.target)
+    if not np.isfinite(np.asarray(numbers, dtype=np.float64)).all():
+        raise OptionError(f"{camera}: not all numbers are finite")
+    if not (0.0 < camera.vertical_fov < 180.0 and 0.0 < camera.near < camera.far):
+        raise OptionError(f"{camera}: needs 0 < vertical_fov < 180 and 0 < near < far")
+    if tuple(camera.position) == tuple(camera.target):
+        raise OptionError(f"{camera}: position and target are the same")
+
+
+def _sheet(pictures: list[Picture]) -> bytes:
+    rows = [pictures[start : start + _SHEET_COLUMNS] for start in range(0, len(pictures), _SHEET_COLUMNS)]
+    blank = np.full_like(pictures[0], 255)
+    width = min(_SHEET_COLUMNS, len(pictures))
+    full = [np.concatenate([*row, *[blank] * (width - len(row))], axis=1) for row in rows]
+    image = Image.fromarray(np.concatenate(full))
+    stream = io.BytesIO()
+    image.save(stream, format="PNG", optimize=True)
+    return stream.getvalue()
+
+
+def _encode(pictures: list[Picture], suffix: str) -> bytes:
+    stream = io.BytesIO()
+    if suffix == ".gif":
+        first, *rest = [Image.fromarray(picture).quantize(64) for picture in pictures]
+        first.save(
+            stream,
+            format="GIF",
+            save_all=True,
+            append_images=rest,
+            duration=_FILM_PERIOD_MS,
+            loop=0,
+            optimize=True,
+        )
+        return stream.getvalue()
+    import imageio.v3 as imageio
+
+    return bytes(
+        imageio.imwrite("<bytes>", np.stack(pictures), extension=".mp4", fps=1000 / _FILM_PERIOD_MS, codec="libx264")
+    )

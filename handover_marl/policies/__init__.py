@@ -1,0 +1,1 @@
+"""What policies are, how one is named, and how it is made."""

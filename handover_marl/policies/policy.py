@@ -1,0 +1,55 @@
+"""What every policy is, the person's as well as the robot's."""
+
+from abc import ABC, abstractmethod
+from typing import ClassVar
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.episode.observations import Observation
+
+Action = npt.NDArray[np.float32]
+
+
+class Policy(ABC):
+    """Turns observations into actions of one agent.
+
+    A policy sees observations only and never holds an environment. Its constructor may take `context`, a
+    `PolicyContext`, and options with defaults, which can then be given with its name (`omg:wait=1.5`).
+
+    Attributes:
+        agent: Whose policy it is, "giver" or "receiver"; None if either's.
+        name: What tables and files call it.
+        control_period: How often it decides (s); a whole number of milliseconds.
+    """
+
+    agent: ClassVar[str | None] = None
+    name: ClassVar[str]
+    control_period: ClassVar[float] = 0.1
+
+    @abstractmethod
+    def reset(self, seed: int | None = None) -> None:
+        """Forget the last episode.
+
+        Args:
+            seed: For what the policy draws. It says nothing about the scene.
+        """
+
+    @abstractmethod
+    def act(self, observation: Observation) -> Action:
+        """Decide on an action, an element of the agent's action space, from an element of its observation space."""
+
+    @property
+    def label(self) -> str:
+        """What results are filed under: the name, and what else tells two apart."""
+        return self.name
+
+    @property
+    def hold_time(self) -> float:
+        """How long (s) the last action stands before the policy wants to be asked again.
+
+        A policy may override it to decide more often in some phases than in others. Whole episodes (`play`, the
+        benchmark) ask that late; an environment's step is one control period long, and a frozen partner in it is
+        asked at the first step that begins when this time is over.
+        """
+        return self.control_period

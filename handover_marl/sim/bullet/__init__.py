@@ -1,0 +1,1 @@
+"""The worlds in PyBullet: exact and fast."""

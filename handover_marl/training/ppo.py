@@ -1,0 +1,173 @@
+"""What the training scripts with Stable-Baselines3's PPO share: arguments, environments, and the run itself."""
+
+import functools
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import torch
+from stable_baselines3 import PPO
+from stable_baselines3.common.vec_env import VecEnv
+
+from handover_marl.benchmarking.report import Report
+from handover_marl.datasets import open_dataset
+from handover_marl.envs.constructors import EnvOptions, parallel_env
+from handover_marl.envs.encode import EncodedEnv, encode
+from handover_marl.envs.freeze import freeze
+from handover_marl.envs.rewards import reward_config
+from handover_marl.envs.wrapper import SingleAgentEnv
+from handover_marl.learning.policy_spec import PolicySpec
+from handover_marl.run import Run
+from handover_marl.training.run_folder import (
+    RunFolder,
+    evaluate_policy,
+    origin,
+    spread_scenes,
+    training_scenes,
+)
+from handover_marl.training.stable_baselines import Supervision, load_checkpoint, vector_env
+
+
+@dataclass(frozen=True)
+class PpoArgs:
+    """What to train, and how.
+
+    Attributes:
+        out: Folder of the run.
+        setup: Official setup, s0 to s3.
+        data_dir: Folder in HandoverSim's layout; default: HANDOVER_MARL_DATA.
+        dataset: dexycb, synthetic, or auto.
+        physics: fast or exact.
+        observe: Name of the features.
+        actions: Name of the action scheme.
+        rewards: sparse or shaped.
+        control_period: How long an action stands (s).
+        seed: Of everything.
+        steps: Decisions at most.
+        minutes: Wall-clock time at most (min).
+        time_limit: Episodes in training are cut off after so long (s).
+        envs: Environments, a process each.
+        batch: Decisions between updates.
+        epochs: Passes over a batch.
+        spread: Standard deviation of the outputs at first.
+        learning_rate: Of Adam.
+        discount: Of rewards; guidance is made for it.
+        trace: GAE's lambda.
+        width: Units in each of two hidden layers.
+        every: Decisions between evaluations.
+        val_scenes: Scenes of the validation split to evaluate on, evenly chosen.
+        resume: Go on with the run in the folder.
+    """
+
+    out: str = "runs/ppo"
+    setup: str = "s0"
+    data_dir: str | None = None
+    dataset: str = "auto"
+    physics: str = "fast"
+    observe: str = "receiver"
+    actions: str = "cartesian_delta"
+    rewards: str = "sparse"
+    control_period: float = 0.1
+    seed: int = 0
+    steps: int = 500_000
+    minutes: float = 60.0
+    time_limit: float = 13.0
+    envs: int = 8
+    batch: int = 2048
+    epochs: int = 8
+    spread: float = 0.5
+    learning_rate: float = 3e-4
+    discount: float = 0.99
+    trace: float = 0.95
+    width: int = 64
+    every: int = 8_192
+    val_scenes: int = 36
+    resume: bool = False
+
+
+def encoded_env(args: PpoArgs, agent: str, partner: str, options: EnvOptions) -> EncodedEnv:
+    """One agent's environment as it trains in it."""
+    live = freeze(parallel_env(**options), agent, partner)
+    return encode(live, args.observe, args.actions)
+
+
+def train_ppo(
+    args: PpoArgs,
+    agent: str,
+    partner: str,
+    script: str,
+    prepare: Callable[[PPO, Callable[[], EncodedEnv]], None] = lambda model, make: None,
+) -> Path:
+    """Train one agent with its partner frozen; returns the policy's file.
+
+    Args:
+        args: What and how.
+        agent: "giver" or "receiver".
+        partner: Name of the other one's policy.
+        script: Name of the script, for the policy's file.
+        prepare: What to do with a new model before training; gets what makes an environment, too.
+    """
+    torch.set_num_threads(1)
+    data = open_dataset(args.dataset, args.data_dir)
+    folder = RunFolder(Path(args.out), args, args.resume, data.name)
+    val = spread_scenes(data.split(args.setup, "val"), args.val_scenes)
+    make = functools.partial(
+        encoded_env, args, agent, partner, env_options(args, training_scenes(data.split(args.setup, "train")))
+    )
+    envs = vector_env(args.envs, args.seed, functools.partial(_gymnasium, make))
+    model = make_model(args, envs)
+    if args.resume and folder.checkpoint.exists():
+        load_checkpoint(model, folder.checkpoint)
+    else:
+        prepare(model, make)
+
+    run = Run(args.setup, "val", val, args.dataset, args.data_dir, args.physics)
+
+    def evaluate(policy: Path) -> Report:
+        return evaluate_policy(agent, policy, partner, run)
+
+    spec = PolicySpec(agent, args.observe, args.actions, args.control_period, origin(script, args))
+    supervision = Supervision(folder, spec, evaluate, args.every, args.minutes, partner)
+    left = max(0, args.steps - model.num_timesteps)
+    model.learn(left, supervision, reset_num_timesteps=False, progress_bar=True, log_interval=1)
+    supervision.assess()
+    envs.close()
+    return folder.policy
+
+
+def env_options(args: PpoArgs, scenes: tuple[int, ...]) -> EnvOptions:
+    """Options of the two-agent environment that is trained in."""
+    return {
+        "setup": args.setup,
+        "split": "train",
+        "data_dir": args.data_dir,
+        "dataset": args.dataset,
+        "physics": args.physics,
+        "control_period": args.control_period,
+        "rewards": replace(reward_config(args.rewards), gamma=args.discount),
+        "scenes": scenes,
+        "max_cycles": math.ceil(args.time_limit / args.control_period),
+    }
+
+
+def make_model(args: PpoArgs, envs: VecEnv) -> PPO:
+    """A new model."""
+    return PPO(
+        "MlpPolicy",
+        envs,
+        learning_rate=args.learning_rate,
+        n_steps=args.batch // args.envs,
+        batch_size=128,
+        n_epochs=args.epochs,
+        gamma=args.discount,
+        gae_lambda=args.trace,
+        policy_kwargs={"net_arch": [args.width] * 2, "log_std_init": math.log(args.spread)},
+        tensorboard_log=str(Path(args.out) / "tensorboard"),
+        seed=args.seed,
+        device="cpu",
+    )
+
+
+def _gymnasium(make: Callable[[], EncodedEnv]) -> SingleAgentEnv:
+    return SingleAgentEnv(make())

@@ -1,0 +1,14 @@
+"""How long a receiver waits before it comes."""
+
+from handover_marl.errors import OptionError
+
+
+def wait_ms(wait: float) -> int:
+    """A wait (s) in whole milliseconds.
+
+    Raises:
+        OptionError: It is no time from 0 to 60 s.
+    """
+    if isinstance(wait, bool) or not isinstance(wait, (int, float)) or not 0.0 <= wait <= 60.0:
+        raise OptionError(f"wait={wait!r} must be a time from 0 to 60 s")
+    return round(1000.0 * wait)
