@@ -21,12 +21,12 @@ def available() -> tuple[str, ...]:
     return registry.available("giver")
 
 
-def make(giver: PolicyLike, dataset: Dataset, trust: bool = False) -> Giver:
+def make(giver: PolicyLike, dataset: Dataset | None = None, trust: bool = False) -> Giver:
     """A giver for the scenes of a dataset.
 
     Args:
         giver: A registered name, with options or a file, a class; see `handover_marl.policies.reference`.
-        dataset: Whose robot and objects.
+        dataset: Whose robot and objects; default: what `open_dataset()` gives.
         trust: Whether code in a policy file may run.
 
     Raises:

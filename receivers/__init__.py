@@ -23,12 +23,12 @@ def available() -> tuple[str, ...]:
     return registry.available("receiver")
 
 
-def make(receiver: PolicyLike, dataset: Dataset, trust: bool = False) -> Receiver:
+def make(receiver: PolicyLike, dataset: Dataset | None = None, trust: bool = False) -> Receiver:
     """A receiver for the robot and objects of a dataset.
 
     Args:
         receiver: A registered name, with options or a file, a class; see `handover_marl.policies.reference`.
-        dataset: Whose robot and objects.
+        dataset: Whose robot and objects; default: what `open_dataset()` gives.
         trust: Whether code in a policy file may run.
 
     Raises:

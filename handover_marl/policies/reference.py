@@ -23,7 +23,7 @@ from typing import Any, TypeAlias
 import cloudpickle
 
 from handover_marl.config import OFFICIAL, WorldConfig
-from handover_marl.datasets.dataset import Dataset
+from handover_marl.datasets import Dataset, open_dataset
 from handover_marl.errors import HandoverError, OptionError, PolicyError, UnknownNameError
 from handover_marl.policies.context import context_of
 from handover_marl.policies.policy import Policy
@@ -59,8 +59,8 @@ class PolicyReference:
     label: str = ""
     source: str = ""
 
-    def make(self, dataset: Dataset, config: WorldConfig = OFFICIAL) -> Policy:
-        """The policy itself, for the robot and the objects of a dataset.
+    def make(self, dataset: Dataset | None = None, config: WorldConfig = OFFICIAL) -> Policy:
+        """The policy itself, for the robot and the objects of a dataset; default: what `open_dataset()` gives.
 
         Raises:
             PolicyError: Its constructor fails.
@@ -69,13 +69,10 @@ class PolicyReference:
         found = self._found()
         if isinstance(found, Policy):
             return found
-        given = {
-            "context": context_of(dataset, config),
-            "agent": self.agent,
-            "path": self.file,
-            "trust": self.trust,
-        }
         taken = _parameters(found)
+        given: dict[str, Any] = {"agent": self.agent, "path": self.file, "trust": self.trust}
+        if "context" in taken:
+            given["context"] = context_of(dataset or open_dataset(), config)
         options = dict(self.options) | {name: value for name, value in given.items() if name in taken}
         try:
             made = found(**options)

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from handover_marl import receivers
-from handover_marl.benchmarking.playing import play
 from handover_marl.datasets import OfficialDataset
 from handover_marl.episode.episode import Episode
 from tests.conftest import RECORDINGS
+from tests.playing import play
 
 STRIDE = 10
 NAMES = sorted(path.stem for path in Path(RECORDINGS).glob("scene*.npz")) if RECORDINGS else ["none"]

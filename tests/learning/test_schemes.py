@@ -17,7 +17,7 @@ from handover_marl.learning.schemes import make_scheme, scheme_size, schemes
 from handover_marl.receivers import WAITING_JOINTS, context_of
 from handover_marl.receivers.grasp_choice import MOST_ROOM, GraspChoice
 from handover_marl.sim.bullet.kinematics import PandaKinematics
-from tests.test_givers import START, seen
+from tests.givers.test_givers import START, seen
 
 CONTEXT = context_of(SyntheticDataset())
 outputs = st.lists(st.floats(-1.0, 1.0), min_size=7, max_size=7).map(np.array)

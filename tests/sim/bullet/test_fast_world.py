@@ -9,7 +9,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from handover_marl import receivers
-from handover_marl.benchmarking.playing import play
 from handover_marl.config import CameraConfig, PandaConfig, PhysicsConfig
 from handover_marl.datasets import OfficialDataset
 from handover_marl.datasets.scene import Scene
@@ -22,6 +21,7 @@ from handover_marl.sim.bullet.client import connect, load_urdf
 from handover_marl.sim.bullet.fast_world import FastWorld
 from handover_marl.sim.bullet.hand_body import Hand
 from handover_marl.sim.bullet.kinematic_hand import KinematicHand, read_hand
+from tests.playing import play
 
 START = np.array(PandaConfig().start_joints, dtype=np.float32)
 DATA = SyntheticDataset()

@@ -4,7 +4,7 @@ import pytest
 
 from handover_marl.benchmarking.episodes import EpisodeResult
 from handover_marl.benchmarking.report import Report
-from handover_marl.benchmarking.results import RunSettings
+from handover_marl.benchmarking.settings import RunSettings
 from handover_marl.protocol.status import EpisodeStatus
 
 SETTINGS = RunSettings("s0", "test", "mine", "replay", "exact", "dexycb", "0.1.0")

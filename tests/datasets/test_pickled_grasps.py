@@ -183,7 +183,9 @@ def flip_bytes(folder: Path) -> None:
 
 
 def test_flipped_bytes_never_crash(tmp_path: Path) -> None:
-    script = "import sys, pathlib; from tests.test_grasps import *; flip_bytes(pathlib.Path(sys.argv[1]))"
+    script = (
+        "import sys, pathlib; from tests.datasets.test_pickled_grasps import *; flip_bytes(pathlib.Path(sys.argv[1]))"
+    )
     done = subprocess.run(
         [sys.executable, "-W", "ignore", "-c", script, str(tmp_path)],
         cwd=Path(__file__).parents[1],

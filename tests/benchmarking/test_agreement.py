@@ -5,7 +5,7 @@ import pytest
 from handover_marl.benchmarking.agreement import Agreement, agreement
 from handover_marl.benchmarking.episodes import EpisodeResult
 from handover_marl.benchmarking.report import Report
-from handover_marl.benchmarking.results import RunSettings
+from handover_marl.benchmarking.settings import RunSettings
 from handover_marl.cli import main
 from handover_marl.errors import SceneError
 from handover_marl.protocol.status import EpisodeStatus

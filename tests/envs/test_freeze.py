@@ -11,7 +11,7 @@ import handover_marl
 from handover_marl.envs.freeze import FrozenPartnerEnv
 from handover_marl.episode.clock import PolicyClock
 from handover_marl.errors import UnknownNameError
-from tests.test_env import REPLAY, START
+from tests.envs.test_handover_env import REPLAY, START
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore::UserWarning"),
