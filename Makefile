@@ -1,11 +1,13 @@
 # make benchmark   a venv with the library, then the official s3 test: on DexYCB with DATA=folder in HandoverSim's
 #                  layout, else on the synthetic scenes
-# make test        a venv with everything, then all tests
+# make test        a venv with everything, then all tests; the quick ones alone: .venv/bin/python -m pytest -m "not slow"
 # make check       style and types
+# make smoke       wheel and sdist in clean environments, an episode from each
+# make lowest      the lowest versions that setup.cfg claims
 
 PYTHON ?= python3
 VENV ?= .venv
-EXTRAS ?= assets,dev,planning,plot,render,train
+EXTRAS ?= assets,dev,planning,plot,render,torchrl,train
 SETUP ?= s3
 DATA ?= $(HANDOVER_MARL_DATA)
 DATASET := $(if $(DATA),dexycb,synthetic)
@@ -14,10 +16,10 @@ OUT ?= results/$(DATASET)-$(SETUP)-yang2021
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 
-.PHONY: test benchmark check clean
+.PHONY: test benchmark check smoke lowest clean
 
 test: $(VENV)/.tested-with
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n auto
 
 benchmark: $(VENV)/.installed
 	$(BIN)/handover-marl benchmark --setup $(SETUP) --receiver yang2021 --dataset $(DATASET) \
@@ -39,6 +41,25 @@ $(VENV)/.installed: setup.cfg constraints.txt
 $(VENV)/.tested-with: $(VENV)/.installed
 	$(PIP) install --progress-bar on -c constraints.txt -e ".[$(EXTRAS)]"
 	touch $@
+
+# What users install: wheel and sdist, each in a clean environment, and one episode played from each.
+smoke: $(VENV)/.tested-with
+	rm -rf dist build/smoke
+	$(BIN)/python -m build --outdir dist .
+	for package in dist/*.whl dist/*.tar.gz; do \
+		$(PYTHON) -m venv --clear build/smoke && \
+		build/smoke/bin/python -m pip install --disable-pip-version-check --quiet -c constraints.txt $$package && \
+		(cd build/smoke && bin/handover-marl benchmark --dataset synthetic --split val --scenes 9 --physics fast) || exit 1; \
+	done
+
+# The lowest versions that setup.cfg claims, with the same episode.
+lowest: $(VENV)/.tested-with
+	$(PYTHON) -m venv --clear build/lowest
+	$(BIN)/python -m tests.lowest_versions > build/lowest.txt
+	build/lowest/bin/python -m pip install --disable-pip-version-check --quiet -r build/lowest.txt
+	build/lowest/bin/python -m pip install --disable-pip-version-check --quiet --no-deps .
+	cd build/lowest && bin/handover-marl benchmark --dataset synthetic --split val --scenes 9 --physics fast
+	cd build/lowest && bin/handover-marl benchmark --dataset synthetic --split val --scenes 9
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info

@@ -7,13 +7,9 @@ poses of either fit the other; their shapes are simplified and made by
 
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING
 
 from handover_marl.errors import DataNotFoundError, UnknownNameError
 from handover_marl.models.ycb import CLASS_NAMES
-
-if TYPE_CHECKING:
-    import trimesh
 
 DATA_ROOT = Path(__file__).resolve().parent / "data"
 OBJECTS_ROOT = DATA_ROOT / "objects"
@@ -67,40 +63,3 @@ def object_urdf(name: str, root: Path = OBJECTS_ROOT) -> Path:
             f"{path} is missing; make it with `python -m handover_marl.assets.building.build_objects --out {root}`"
         )
     return path
-
-
-def load_visual(name: str, root: Path = OBJECTS_ROOT) -> "trimesh.Trimesh":
-    """The mesh (m, object frame) that is drawn, without its colours. Needs trimesh.
-
-    Raises:
-        UnknownNameError: There is no such class.
-        DataNotFoundError: The files are missing under `root`.
-    """
-    from handover_marl.assets.building.obj_files import read_parts
-
-    (mesh,) = read_parts(object_urdf(name, root).with_name(VISUAL_NAME))
-    return mesh
-
-
-def load_collision_parts(name: str, root: Path = OBJECTS_ROOT) -> "list[trimesh.Trimesh]":
-    """The convex meshes (m, object frame) that collide. Needs trimesh.
-
-    Raises:
-        UnknownNameError: There is no such class.
-        DataNotFoundError: The files are missing under `root`.
-    """
-    from handover_marl.assets.building.obj_files import read_parts
-
-    return read_parts(object_urdf(name, root).with_name(COLLISION_NAME))
-
-
-def collision_mesh(name: str, root: Path = OBJECTS_ROOT) -> "trimesh.Trimesh":
-    """All convex parts (m, object frame) as one mesh; they may overlap. Needs trimesh.
-
-    Raises:
-        UnknownNameError: There is no such class.
-        DataNotFoundError: The files are missing under `root`.
-    """
-    from handover_marl.assets.building.obj_files import merge
-
-    return merge(load_collision_parts(name, root))

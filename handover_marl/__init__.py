@@ -19,6 +19,7 @@ from handover_marl._version import __version__
 
 if TYPE_CHECKING:
     from handover_marl.benchmarking.agreement import agreement
+    from handover_marl.benchmarking.comparison import compare
     from handover_marl.benchmarking.crossplay import crossplay
     from handover_marl.benchmarking.evaluation import evaluate
     from handover_marl.benchmarking.report import Report
@@ -44,6 +45,7 @@ __all__ = [
     "agreement",
     "benchmark",
     "benchmark_env",
+    "compare",
     "crossplay",
     "encode",
     "env",
@@ -66,6 +68,7 @@ _HOMES = {
     "agreement": "benchmarking.agreement",
     "benchmark": "benchmarking.runner",
     "benchmark_env": "envs.constructors",
+    "compare": "benchmarking.comparison",
     "crossplay": "benchmarking.crossplay",
     "encode": "envs.encode",
     "env": "envs.constructors",

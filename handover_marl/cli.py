@@ -1,4 +1,4 @@
-"""The command line: handover-marl benchmark | pair | crossplay | agreement | evaluate | render."""
+"""The command line: handover-marl benchmark | pair | crossplay | agreement | evaluate | compare | render."""
 
 import os
 import sys
@@ -214,6 +214,21 @@ def run_evaluate(folder: Annotated[str, tyro.conf.arg(metavar="DIR")], /) -> Non
     from handover_marl.benchmarking.evaluation import evaluate
 
     print(evaluate(folder))
+
+
+@app.command(name="compare")
+def run_compare(
+    first: Annotated[str, tyro.conf.arg(metavar="DIR")], second: Annotated[str, tyro.conf.arg(metavar="DIR")], /
+) -> None:
+    """Compare two result folders scene by scene, without playing anything.
+
+    Args:
+        first: A result folder.
+        second: Another one, of the same setup, split and data.
+    """
+    from handover_marl.benchmarking.comparison import compare
+
+    print(compare(first, second))
 
 
 def parse_scenes(text: str | None) -> list[int] | None:

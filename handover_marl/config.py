@@ -4,7 +4,13 @@ The defaults are HandoverSim's (Chao et al., ICRA 2022); official figures exist 
 be chosen, because the data or the robot fix it, stands in capitals.
 """
 
+import math
 from dataclasses import dataclass, field
+
+from handover_marl.errors import OptionError
+
+#: Larger pictures than this (pixels a side) end the software renderer.
+LARGEST_SIDE = 8192
 
 Vector3 = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
@@ -154,12 +160,30 @@ OFFICIAL = WorldConfig()
 
 @dataclass(frozen=True)
 class CameraConfig:
-    """A pinhole camera; the default sees robot, table and hand from the side (m, degrees, pixels)."""
+    """A pinhole camera; the default sees robot, table and hand from the side (m, degrees, pixels).
+
+    Raises:
+        OptionError: The picture has no size or is too large, or a number is not finite or makes no view; the renderer
+            would end the process over it.
+    """
 
     width: int = 640
     height: int = 480
-    vertical_fov: float = 50.0
+    vertical_fov: float = 54.0
     near: float = 0.1
     far: float = 10.0
-    position: Vector3 = (1.85, -0.05, 1.75)
-    target: Vector3 = (0.45, -0.05, 1.12)
+    position: Vector3 = (1.95, -0.2, 1.75)
+    target: Vector3 = (0.45, -0.2, 1.15)
+
+    def __post_init__(self) -> None:
+        for name in ("width", "height"):
+            side = getattr(self, name)
+            if isinstance(side, bool) or not isinstance(side, int) or not 1 <= side <= LARGEST_SIDE:
+                raise OptionError(f"{name}={side!r}: pictures have 1 to {LARGEST_SIDE} pixels a side")
+        numbers = (self.vertical_fov, self.near, self.far, *self.position, *self.target)
+        if not all(isinstance(number, (int, float)) and math.isfinite(number) for number in numbers):
+            raise OptionError(f"{self}: not all numbers are finite")
+        if not (0.0 < self.vertical_fov < 180.0 and 0.0 < self.near < self.far):
+            raise OptionError(f"{self}: needs 0 < vertical_fov < 180 and 0 < near < far")
+        if tuple(self.position) == tuple(self.target):
+            raise OptionError(f"{self}: position and target are the same")

@@ -61,3 +61,7 @@ class PolicyError(HandoverError, RuntimeError):
 
 class ResultsError(HandoverError, ValueError):
     """A result folder cannot be read, continued or written."""
+
+
+class ConformanceError(HandoverError, AssertionError):
+    """A policy does not do what the library relies on; raised by `handover_marl.testing`."""

@@ -19,7 +19,8 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from handover_marl.assets.building.grasp_sampling import ConvexSolid, sample_candidates, spread_order
-from handover_marl.assets.object_models import load_collision_parts, object_urdf
+from handover_marl.assets.building.object_meshes import load_collision_parts
+from handover_marl.assets.object_models import object_urdf
 from handover_marl.assets.shipped_grasps import GRASPS_PATH, UNGRASPABLE
 from handover_marl.errors import HandoverError
 from handover_marl.files import write_atomically

@@ -22,9 +22,9 @@ from handover_marl.assets.building.human_grasps_selection import (
     free_share,
     grasp_pool,
 )
+from handover_marl.assets.building.object_meshes import load_visual
 from handover_marl.assets.hand_model import SIDES, SUBJECTS, HandModel, Side, hand_model
 from handover_marl.assets.human_grasps import ANGLE_STEP, GRASPED_OBJECTS, GRASPS_FILE
-from handover_marl.assets.object_models import load_visual
 
 #: What the file holds, by key.
 Arrays = dict[str, npt.NDArray[np.generic]]

@@ -13,7 +13,7 @@ import tyro
 from rich.progress import track
 
 from handover_marl.assets.building import shapes_packages, shapes_tools, shapes_vessels
-from handover_marl.assets.building.obj_files import write_convex_parts, write_palette, write_visual
+from handover_marl.assets.building.obj_writing import write_convex_parts, write_palette, write_visual
 from handover_marl.assets.building.shapes import Piece
 from handover_marl.assets.building.urdf_objects import chain_urdf
 from handover_marl.assets.object_models import COLLISION_NAME, OBJECTS_ROOT, URDF_NAME, VISUAL_NAME

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 import trimesh
 
-from handover_marl.assets.building.obj_files import merge
+from handover_marl.assets.building.object_meshes import merge
 
 Array = npt.NDArray[np.float64]
 

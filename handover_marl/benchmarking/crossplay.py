@@ -153,7 +153,7 @@ class CrossPlay:
 
     def _fluency(self) -> str:
         rows = [[*pair, *fluency_row(report.episodes)] for pair, report in self.reports.items()]
-        return table(["giver", "receiver", *fluency_header()], rows) + f"\n\n{FLUENCY_NOTE}"
+        return table(["giver", "receiver", *fluency_header()], rows, keys=2) + f"\n\n{FLUENCY_NOTE}"
 
 
 def _gain_header(over: str) -> list[str]:

@@ -51,7 +51,7 @@ class Average:
 
     Attributes:
         mean: Over the episodes that have a value; None if none has.
-        interval: Student's 95 % interval, or None for fewer than two.
+        interval: Bootstrap 95 % interval, or None for fewer than two.
         n: Episodes that have a value.
     """
 

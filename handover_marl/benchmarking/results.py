@@ -175,6 +175,8 @@ def _read_fluency(archive: Mapping[str, npt.NDArray[Any]]) -> Fluency | None:
     if _FLUENCY + fields(Fluency)[0].name not in archive:
         return None
     values = {part.name: float(archive[_FLUENCY + part.name]) for part in fields(Fluency)}
+    if np.isinf(list(values.values())).any():
+        raise ValueError("an infinite metric")
     return Fluency(**{key: None if np.isnan(value) else value for key, value in values.items()})  # type: ignore[arg-type]
 
 

@@ -5,6 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import stats
 
+_RESAMPLES = 2000
+
 
 def wilson_interval(count: int, n: int) -> tuple[float, float]:
     """Wilson's 95 % interval of a rate (0..1) seen `count` times in `n`."""
@@ -13,12 +15,18 @@ def wilson_interval(count: int, n: int) -> tuple[float, float]:
 
 
 def mean_interval(values: Sequence[float]) -> tuple[float, float] | None:
-    """Student's 95 % interval of a mean, or None for fewer than two values."""
+    """Bootstrap 95 % interval of a mean (percentiles of 2,000 resamples), or None for fewer than two values.
+
+    It lies within the values seen, so that no share exceeds one and no force is negative. Seeded: the same values have
+    the same interval.
+    """
     if len(values) < 2:
         return None
-    half = float(stats.sem(values) * stats.t.ppf(0.975, len(values) - 1))
-    mean = float(np.mean(values))
-    return mean - half, mean + half
+    data = np.asarray(values, dtype=np.float64)
+    rng = np.random.default_rng(0)
+    means = rng.choice(data, size=(_RESAMPLES, len(data))).mean(axis=1)
+    low, high = np.percentile(means, [2.5, 97.5])
+    return float(low), float(high)
 
 
 def paired_difference(first: Sequence[bool], second: Sequence[bool]) -> tuple[float, float, float]:

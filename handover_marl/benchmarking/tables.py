@@ -18,6 +18,8 @@ from handover_marl.benchmarking.statistics import mean_interval, wilson_interval
 from handover_marl.protocol.status import EpisodeStatus
 
 NO_VALUE = "-"
+# Columns of a terminal beside which there is room for little else.
+_WIDTH = 160
 
 _METRICS = ["success %", "exec s", "plan s", "total s", "contact %", "drop %", "timeout %"]
 _RATES = (EpisodeStatus.SUCCESS, *FAILURES)
@@ -88,7 +90,7 @@ def fluency_table(report: Report) -> str:
     if not fluency_averages(report.episodes):
         return ""
     cells = zip(fluency_header(), fluency_row(report.episodes), strict=True)
-    rows = [[name, *cell.removesuffix(")").split(" (")] for name, cell in cells]
+    rows = [[name, *(cell.removesuffix(")").split(" (") if "(" in cell else (cell, NO_VALUE))] for name, cell in cells]
     return table(["beyond the official metrics", "mean", "95 % interval"], rows) + f"\n\n{FLUENCY_NOTE}"
 
 
@@ -126,7 +128,7 @@ def _published_row(row: PublishedRow) -> list[str]:
 
 def _notes(report: Report) -> str:
     lines = [
-        "Rates over all scenes, times over successes. Intervals: Wilson for rates, Student's t for mean times.",
+        "Rates over all scenes, times over successes. Intervals: Wilson for rates, bootstrap for means.",
         f"plan s is wall clock, measured on {report.machine_label()}.",
     ]
     if report.n_earlier:
@@ -159,6 +161,27 @@ def percent_interval(count: int, n: int) -> str:
     return f"{100 * low:.1f} to {100 * high:.1f}"
 
 
-def table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """A Markdown table."""
-    return str(tabulate(rows, headers=header, tablefmt="github", disable_numparse=True))
+def table(header: Sequence[str], rows: Sequence[Sequence[object]], keys: int = 1, width: int = _WIDTH) -> str:
+    """A Markdown table; one too wide to be read is cut into several, which all begin with the same columns.
+
+    Args:
+        header: Titles.
+        rows: Cells.
+        keys: Columns that tell which row it is.
+        width: Characters that fit (a column alone may be wider).
+    """
+    cells = [[str(cell) for cell in row] for row in (header, *rows)]
+    sizes = [max(len(row[column]) for row in cells) + 3 for column in range(len(header))]
+    first = sum(sizes[:keys]) + 1
+    parts: list[list[int]] = [[]]
+    for column in range(keys, len(header)):
+        taken = first + sum(sizes[other] for other in parts[-1])
+        if parts[-1] and taken + sizes[column] > width:
+            parts.append([])
+        parts[-1].append(column)
+    return "\n\n".join(_part(cells, [*range(min(keys, len(header))), *part]) for part in parts)
+
+
+def _part(cells: Sequence[Sequence[str]], columns: Sequence[int]) -> str:
+    chosen = [[row[column] for column in columns] for row in cells]
+    return str(tabulate(chosen[1:], headers=chosen[0], tablefmt="github", disable_numparse=True))

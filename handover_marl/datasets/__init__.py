@@ -45,4 +45,8 @@ def open_dataset(dataset: str = "auto", data_dir: str | os.PathLike[str] | None 
             "no data folder given. Set data_dir=, --data-dir or HANDOVER_MARL_DATA to a folder in HandoverSim's "
             "layout (dex-ycb-cache/ and assets/), or take the synthetic scenes (dataset='synthetic')."
         )
-    return OfficialDataset(Path(chosen).expanduser().resolve())
+    try:
+        folder = Path(chosen).expanduser().resolve()
+    except (OSError, ValueError, RuntimeError) as error:
+        raise DataNotFoundError(f"data folder {str(chosen)[:200]!r} cannot be ({error})") from error
+    return OfficialDataset(folder)

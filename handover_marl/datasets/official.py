@@ -7,7 +7,7 @@
 
 import hashlib
 import json
-import re
+import os
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -20,11 +20,13 @@ from handover_marl.datasets.dataset import TABLE_HEIGHT, Dataset
 from handover_marl.datasets.pickled_grasps import load_grasps
 from handover_marl.datasets.scene import Scene, SceneAssets, SceneInfo
 from handover_marl.errors import DataFormatError, DataNotFoundError
+from handover_marl.files import check_archive
+from handover_marl.models.urdf_shapes import named_meshes
 from handover_marl.models.ycb import CLASS_NAMES, SCENE_CLASSES
 
+_LARGEST = 500_000_000  # bytes of a scene's motion, unpacked
 #: HandoverSim comes without grasps of these; its setups never ask for them.
 _WITHOUT_GRASPS = ("002_master_chef_can", "036_wood_block")
-_MESH_REFERENCE = re.compile(rb"""filename\s*=\s*["']([^"']+)["']""")
 
 
 class OfficialDataset(Dataset):
@@ -42,7 +44,7 @@ class OfficialDataset(Dataset):
     def __init__(self, data_dir: Path) -> None:
         self.data_dir = data_dir
         for folder in (data_dir, data_dir / "dex-ycb-cache", data_dir / "assets"):
-            if not folder.is_dir():
+            if not _is_folder(folder):
                 raise DataNotFoundError(
                     f"data folder {folder} does not exist. Give the folder that holds dex-ycb-cache/ and assets/ "
                     "(HandoverSim's handover/data) as data_dir=, --data-dir or HANDOVER_MARL_DATA."
@@ -134,7 +136,13 @@ class OfficialDataset(Dataset):
         return self.data_dir / "dex-ycb-cache" / f"pose_{scene_id:03d}.npz"
 
     def _existing(self, path: Path) -> Path:
-        if not path.is_file():
+        try:
+            there = path.is_file() and os.access(path, os.R_OK)
+        except OSError as error:
+            raise DataNotFoundError(f"{path} cannot be read ({error.strerror or error}); check its rights") from error
+        if path.exists() and not there:
+            raise DataNotFoundError(f"{path} cannot be read; check its rights")
+        if not there:
             raise DataNotFoundError(
                 f"{path} is missing. The data folder is incomplete: copy or expand the HandoverSim data again."
             )
@@ -200,6 +208,13 @@ class OfficialDataset(Dataset):
         return objects[:, order], hand[:, 0].copy()
 
 
+def _is_folder(path: Path) -> bool:
+    try:
+        return path.is_dir()
+    except (OSError, ValueError):
+        return False
+
+
 def _whole(number: object) -> int:
     if type(number) is not int:  # True is an int too
         raise TypeError(f"{number!r} is no whole number")
@@ -223,17 +238,23 @@ def _check_meta(path: Path, ids: list[int], grasped: int, sides: list[Any]) -> N
 
 def _mesh_sizes(urdf: Path) -> bytes:
     """Names and sizes of the meshes that a model refers to; hashing their bytes would take seconds."""
-    sizes = []
-    for name in _MESH_REFERENCE.findall(urdf.read_bytes()):
-        mesh = urdf.parent / name.decode(errors="replace")
-        sizes.append(b"%s %d" % (name, mesh.stat().st_size if mesh.is_file() else -1))
+    sizes = [
+        b"%s %d" % (name.encode(), mesh.stat().st_size if mesh.is_file() else -1) for name, mesh in named_meshes(urdf)
+    ]
     return b"\n".join(sizes)
+
+
+def _real(array: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
+    if array.dtype.kind not in "fiu":
+        raise TypeError(f"an array of {array.dtype}, expected numbers")
+    return array.astype(np.float32)
 
 
 def _read_npz(path: Path, keys: tuple[str, ...]) -> dict[str, npt.NDArray[np.float32]]:
     try:
+        check_archive(path, _LARGEST)
         with np.load(path, allow_pickle=False) as archive:
-            return {key: np.asarray(archive[key], dtype=np.float32) for key in keys}
+            return {key: _real(archive[key]) for key in keys}
     except Exception as error:  # what NumPy and zipfile raise on damaged bytes has no end
         raise DataFormatError(
             f"{path}: not a readable pose file ({type(error).__name__}: {error}). It may be truncated; "

@@ -22,6 +22,7 @@ from handover_marl.errors import DataFormatError, UnsafeFileError
 
 #: Official files have about 120 operations. The limit keeps hostile nesting from exhausting stack and memory.
 _MAX_OPERATIONS = 10_000
+_FARTHEST = 100.0
 _MEMO_WRITES = ("PUT", "BINPUT", "LONG_BINPUT")
 _DTYPE_NAME = re.compile(r"[biuf][0-9]{1,2}|[SU][0-9]{1,6}|O[48]?")
 
@@ -242,4 +243,6 @@ def load_grasps(path: Path) -> npt.NDArray[np.float64]:
         raise DataFormatError(
             f"{path}: 'transforms' must be finite numbers of shape (n, 4, 4), found shape {transforms.shape}"
         )
+    if np.abs(transforms).max(initial=0.0) > _FARTHEST:
+        raise DataFormatError(f"{path}: 'transforms' has numbers beyond {_FARTHEST:g}, which no pose in metres has")
     return transforms

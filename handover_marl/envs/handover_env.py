@@ -21,6 +21,7 @@ Version history: v0, initial.
 
 import operator
 import os
+import sys
 import time
 import warnings
 from collections.abc import Iterable, Mapping
@@ -64,6 +65,8 @@ StepResult = tuple[Observations, dict[str, float], dict[str, bool], dict[str, bo
 
 class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
     """The two-agent world.
+
+    A copy or a pickle of it is a new environment with the same options: an episode that runs does not come along.
 
     Args:
         setup: Official setup, "s0" to "s3".
@@ -141,7 +144,8 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
             space.control_period = control_period  # type: ignore[attr-defined]
         flat: Any = spaces.flatten_space(self._observation_spaces[RECEIVER])
         self.state_space: spaces.Box = flat
-        self.metadata = {**self.metadata, "render_fps": max(1, round(1.0 / control_period))}
+        modes = [mode for mode in RENDER_MODES if mode != "human" or mode == render_mode or has_screen()]
+        self.metadata = {**self.metadata, "render_modes": modes, "render_fps": max(1, round(1.0 / control_period))}
 
     @property
     def np_random(self) -> np.random.Generator:
@@ -315,6 +319,11 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         wait = self.control_steps * TIME_STEP - (time.monotonic() - started)
         if wait > 0:
             time.sleep(wait)
+
+
+def has_screen() -> bool:
+    """Whether there is a screen that a window could open on; checkers open one if it is said that it can be done."""
+    return not sys.platform.startswith("linux") or bool(os.environ.get("DISPLAY"))
 
 
 def control_steps(control_period: float) -> int:

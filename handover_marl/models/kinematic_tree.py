@@ -192,7 +192,7 @@ def _read(urdf: Path, changed: int) -> KinematicTree:
     try:
         robot = ET.parse(urdf).getroot()
         return KinematicTree(list(_walk(robot)))
-    except (OSError, ET.ParseError, ValueError, KeyError, AttributeError) as error:
+    except (OSError, ET.ParseError, ValueError, KeyError, AttributeError, RecursionError) as error:
         raise SimulationError(f"{urdf}: cannot read this model ({error}); check the file") from error
 
 

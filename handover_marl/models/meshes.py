@@ -1,4 +1,4 @@
-"""Triangles of a model's shapes. Needs trimesh (extra `planning`)."""
+"""Triangles of a model's shapes. Needs trimesh (extra `planning`) for all but OBJ files."""
 
 from pathlib import Path
 
@@ -7,6 +7,7 @@ import numpy.typing as npt
 
 from handover_marl.errors import DataFormatError
 from handover_marl.models.kinematic_tree import read_tree
+from handover_marl.models.obj_files import read_obj
 from handover_marl.models.poses import compose_point
 from handover_marl.models.urdf_shapes import UrdfShape, read_urdf_shapes
 
@@ -55,19 +56,28 @@ def model_triangles(urdf: Path) -> tuple[Array, Faces]:
 
 
 def _triangles(shape: UrdfShape, urdf: Path) -> tuple[Array, Faces]:
+    vertices, faces = _in_shape(shape, urdf)
+    scale = shape.size if shape.kind == "mesh" else 1.0
+    return compose_point(shape.link_from_shape, vertices * scale), faces
+
+
+def _in_shape(shape: UrdfShape, urdf: Path) -> tuple[Array, Faces]:
+    if shape.mesh is not None and shape.mesh.suffix.lower() == ".obj":
+        content = read_obj(shape.mesh)
+        return content.vertices, content.faces
+    # Other formats, boxes and balls are left to a library, which only planning needs.
     import trimesh
 
-    if shape.kind == "box":
-        mesh = trimesh.creation.box(shape.size)
-    elif shape.kind == "sphere":
-        mesh = trimesh.creation.icosphere(radius=shape.size[0])
-    else:
-        try:
+    try:
+        if shape.kind == "box":
+            mesh = trimesh.creation.box(shape.size)
+        elif shape.kind == "sphere":
+            mesh = trimesh.creation.icosphere(radius=shape.size[0])
+        else:
             mesh = trimesh.load(shape.mesh, force="mesh", process=False, skip_materials=True)
-        except Exception as error:  # what trimesh raises on damaged files has no end
-            raise DataFormatError(f"{urdf}: cannot read its mesh {shape.mesh} ({error}); check the file") from error
-    scale = shape.size if shape.kind == "mesh" else 1.0
-    vertices = np.asarray(mesh.vertices, dtype=np.float64) * scale
-    if len(vertices) == 0:
-        raise DataFormatError(f"{urdf}: its mesh {shape.mesh} is empty; check the file")
-    return compose_point(shape.link_from_shape, vertices), np.asarray(mesh.faces, dtype=np.int64)
+        vertices, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64)
+    except Exception as error:  # what trimesh raises on damaged files has no end
+        raise DataFormatError(f"{urdf}: cannot read its {shape.kind} {shape.mesh} ({error}); check the file") from error
+    if len(vertices) == 0 or not np.isfinite(vertices).all():
+        raise DataFormatError(f"{urdf}: its mesh {shape.mesh} is empty or not finite; check the file")
+    return vertices, faces

@@ -1,5 +1,6 @@
 """The shapes that a URDF gives its links, as the file says it."""
 
+import re
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +16,7 @@ Color = tuple[float, ...]
 
 _WHITE = (1.0, 1.0, 1.0, 1.0)
 _HERE = "package://"
+_MESH_NAME = re.compile(rb"""filename\s*=\s*["']([^"']+)["']""")
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +38,16 @@ class UrdfShape:
     mesh: Path | None
     link_from_shape: npt.NDArray[np.float64]
     color: Color
+
+
+def named_meshes(urdf: Path) -> list[tuple[str, Path]]:
+    """The mesh files that a model names, as it names them and where they are, whatever else is in it.
+
+    Raises:
+        OSError: The model cannot be read.
+    """
+    names = [name.decode(errors="replace") for name in _MESH_NAME.findall(urdf.read_bytes())]
+    return [(name, urdf.parent / name.removeprefix(_HERE)) for name in names]
 
 
 def read_urdf_shapes(urdf: Path, tree: KinematicTree, purpose: str) -> list[UrdfShape]:

@@ -23,7 +23,7 @@ from handover_marl.models.meshes import model_triangles
 from handover_marl.models.poses import compose_point
 from handover_marl.models.ycb import CLASS_NAMES
 from handover_marl.options import shows
-from handover_marl.pictures.rendering import check_camera, checked_path
+from handover_marl.pictures.rendering import checked_path
 from handover_marl.planning.capsules import hand_capsules
 from handover_marl.planning.planner import Plan
 from handover_marl.policies.reference import PolicyLike, policy_reference
@@ -37,6 +37,7 @@ _FORK = np.array([[0, 0.04, 0.103], [0, 0.04, 0.05], [0, 0, 0.05], [0, 0, 0], [0
 _FORK = np.concatenate([_FORK, [[0, -0.04, 0.103]]])
 # Elevation and azimuth of the two views (degrees).
 _VIEWS = ((20.0, -20.0), (89.0, -90.0))
+_STEEP = 80.0  # degrees
 _ROOM = 0.45  # m from the middle to the edges
 
 #: Size of a picture.
@@ -72,7 +73,6 @@ def render_plan(
         UnknownNameError, SceneError, DataNotFoundError, DataFormatError: As for a benchmark.
     """
     path = checked_path(out, (".png",))
-    check_camera(camera)
     if importlib.util.find_spec("matplotlib") is None:
         raise OptionError("drawing a plan needs matplotlib: pip install 'handover-marl[plot]'")
     run, how = describe("s0", options, receiver=receiver, giver=giver)
@@ -121,6 +121,9 @@ def _draw(policy: OmgReceiver, observation: Observation, data: Dataset, title: s
         )
         axes.set_box_aspect((1, 1, 1))
         axes.view_init(elevation, azimuth)
+        if elevation > _STEEP:
+            # Seen along it, an axis shows all its numbers in one place.
+            axes.set(zlabel="", zticks=[])
     figure.axes[0].legend(loc="upper left", fontsize="small")
     stream = io.BytesIO()
     figure.savefig(stream, format="png")
@@ -131,11 +134,13 @@ def _draw_things(axes: Any, observation: Observation, data: Dataset) -> None:
     for number in np.flatnonzero(observation["object_mask"]):
         vertices, faces = model_triangles(data.object_urdf(CLASS_NAMES[int(observation["object_classes"][number])]))
         x, y, z = compose_point(observation["object_poses"][number].astype(np.float64), vertices).T
-        axes.plot_trisurf(x, y, z, triangles=faces, color="tab:brown" if number == 0 else "tab:gray", alpha=0.35)
+        color, label = ("tab:brown", "object") if number == 0 else ("tab:gray", "other objects")
+        axes.plot_trisurf(x, y, z, triangles=faces, color=color, alpha=0.35, label=label if number < 2 else None)
     hand = hand_capsules(observation)
     if hand is not None:
-        for start, end, radius in zip(hand.starts, hand.ends, hand.radii, strict=True):
-            axes.plot(*np.stack([start, end]).T, color="tab:orange", linewidth=400 * radius, alpha=0.6)
+        for number, (start, end, radius) in enumerate(zip(hand.starts, hand.ends, hand.radii, strict=True)):
+            label = None if number else "person's hand"
+            axes.plot(*np.stack([start, end]).T, color="tab:orange", linewidth=400 * radius, alpha=0.6, label=label)
 
 
 def _draw_plan(axes: Any, plan: Plan, arm: Arm, world_from_base: Array) -> None:

@@ -33,8 +33,6 @@ SUFFIXES = tuple(_NEEDED)
 _FILM_PERIOD_MS = 80
 _SHEET_COLUMNS = 3
 _BLANK_AFTER_MS = 500
-#: Larger pictures than this (pixels a side) end the software renderer.
-LARGEST_SIDE = 8192
 
 
 class Film(Watcher):
@@ -106,7 +104,6 @@ def render_scene(
         UnknownNameError, SceneError, DataNotFoundError, DataFormatError: As for a benchmark.
     """
     path, view = checked_path(out, SUFFIXES), camera or CameraConfig()
-    check_camera(view)
     if key_frames < 1:
         raise OptionError(f"key_frames={key_frames}: a sheet needs at least one")
     run, how = describe("s0", options, receiver="hold" if receiver is None else receiver, giver=giver)
@@ -166,25 +163,6 @@ def checked_path(out: str | os.PathLike[str], suffixes: Sequence[str]) -> Path:
     if not writable:
         raise ResultsError(f"cannot write {path}; choose another place")
     return path
-
-
-def check_camera(camera: CameraConfig) -> None:
-    """Check what would end the renderer, and the process with it.
-
-    Raises:
-        OptionError: The picture has no size or is too large, or a number is not finite or makes no view.
-    """
-    for name in ("width", "height"):
-        side = getattr(camera, name)
-        if isinstance(side, bool) or not isinstance(side, int) or not 1 <= side <= LARGEST_SIDE:
-            raise OptionError(f"{name}={side!r}: pictures have 1 to {LARGEST_SIDE} pixels a side")
-    numbers = (camera.vertical_fov, camera.near, camera.far, *camera.position, *camera.target)
-    if not np.isfinite(np.asarray(numbers, dtype=np.float64)).all():
-        raise OptionError(f"{camera}: not all numbers are finite")
-    if not (0.0 < camera.vertical_fov < 180.0 and 0.0 < camera.near < camera.far):
-        raise OptionError(f"{camera}: needs 0 < vertical_fov < 180 and 0 < near < far")
-    if tuple(camera.position) == tuple(camera.target):
-        raise OptionError(f"{camera}: position and target are the same")
 
 
 def _sheet(pictures: list[Picture]) -> bytes:

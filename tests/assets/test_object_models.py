@@ -5,14 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from handover_marl.assets.building.object_meshes import collision_mesh, load_collision_parts, load_visual
 from handover_marl.assets.object_models import (
     COLLISION_NAME,
     OBJECTS_ROOT,
     REAL_BOUNDS,
     VISUAL_NAME,
-    collision_mesh,
-    load_collision_parts,
-    load_visual,
     object_urdf,
 )
 from handover_marl.config import ObjectConfig

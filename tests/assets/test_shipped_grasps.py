@@ -5,7 +5,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from handover_marl.assets.object_models import load_collision_parts, object_urdf
+from handover_marl.assets.building.object_meshes import load_collision_parts
+from handover_marl.assets.object_models import object_urdf
 from handover_marl.assets.shipped_grasps import GRASPS_PATH, UNGRASPABLE, load_object_grasps
 from handover_marl.errors import DataFormatError, DataNotFoundError, UnknownNameError
 from handover_marl.models.ycb import CLASS_NAMES

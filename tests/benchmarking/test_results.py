@@ -1,15 +1,21 @@
+import os
 import random
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 
 from handover_marl.benchmarking.episodes import EpisodeResult
-from handover_marl.benchmarking.results import ResultFolder, RunSettings, read_results, read_settings
+from handover_marl.benchmarking.evaluation import evaluate
+from handover_marl.benchmarking.results import ResultFolder, read_results
+from handover_marl.benchmarking.settings import RunSettings, read_settings
 from handover_marl.errors import ResultsError
 from handover_marl.protocol.status import EpisodeStatus
+from tests.benchmarking.deadline import ends_within
 
 SETTINGS = RunSettings("s0", "test", "hold", "replay", "exact", "dexycb", "1.0")
 RESULT = EpisodeResult(
@@ -42,45 +48,6 @@ def test_results_come_back(folder: ResultFolder) -> None:
     assert result == folder.finished(0, "abc")
     assert {**vars(result), "plan_time": 0.5} == vars(RESULT)
     assert folder.finished(1, "abc") is None
-
-
-def change_config(path: Path, section: str, value: object) -> None:
-    config = yaml.safe_load((path / "config.yaml").read_text())
-    config[section] = {**config[section], **value} if isinstance(value, dict) else value
-    (path / "config.yaml").write_text(yaml.safe_dump(config))
-
-
-@pytest.mark.parametrize("key", ["SETUP", "SPLIT"])
-@pytest.mark.parametrize("value", ["s9", ["s0"], 3, None, {"s0": 1}])
-@pytest.mark.parametrize("own", [True, False])
-def test_setup_and_split_must_be_official(folder: ResultFolder, key: str, value: object, own: bool) -> None:
-    change_config(folder.path, "BENCHMARK", {key: value})
-    if not own:
-        change_config(folder.path, "HANDOVER_MARL", None)
-    with pytest.raises(ResultsError, match=r"config\.yaml: unknown setup"):
-        read_settings(folder.path)
-
-
-@pytest.mark.parametrize("key", ["receiver", "giver", "physics", "dataset", "version"])
-@pytest.mark.parametrize("value", [3, None, ["hold"], 1.5, True])
-def test_own_section_is_text(folder: ResultFolder, key: str, value: object) -> None:
-    change_config(folder.path, "HANDOVER_MARL", {key: value})
-    with pytest.raises(ResultsError, match=rf"config\.yaml: {key} .*expected text"):
-        read_settings(folder.path)
-
-
-@pytest.mark.parametrize("value", [[1], "text", 3, {"colour": "red"}, {"setup": "s0"}, {3: "x"}])
-def test_own_section_of_another_kind(folder: ResultFolder, value: object) -> None:
-    change_config(folder.path, "HANDOVER_MARL", value)
-    with pytest.raises(ResultsError, match=r"config\.yaml: not a readable configuration"):
-        read_settings(folder.path)
-
-
-@pytest.mark.parametrize("text", ["", "3", "[1]", "x: [", "BENCHMARK: 2020-99-99", "[" * 5000])
-def test_configurations_that_are_none(folder: ResultFolder, text: str) -> None:
-    (folder.path / "config.yaml").write_text(text)
-    with pytest.raises(ResultsError, match=r"config\.yaml: not a readable configuration"):
-        read_settings(folder.path)
 
 
 @pytest.mark.parametrize(
@@ -138,3 +105,131 @@ def test_flipped_bytes_in_result_files(folder: ResultFolder) -> None:
         except ResultsError:
             refused += 1
     assert refused > 200
+
+
+def test_pipes_are_no_results(folder: ResultFolder) -> None:
+    """Nobody writes into them, so that whoever opens one waits for ever."""
+    path = folder.path / "000.npz"
+    path.unlink()
+    os.mkfifo(path)
+    with ends_within(5.0):
+        with pytest.raises(ResultsError, match=r"000\.npz: no readable result file .*not a plain file"):
+            evaluate(folder.path)
+        assert ResultFolder(folder.path, SETTINGS).finished(0, "abc") is None
+        # Its scene is then run again.
+        folder.save(RESULT, np.zeros((50, 9), np.float32), np.full(50, 0.01))
+        assert len(evaluate(folder.path).episodes) == 1
+
+
+def test_archives_that_unpack_to_far_more_than_a_scene(folder: ResultFolder) -> None:
+    path = folder.path / "000.npz"
+    with np.load(path) as archive:
+        content = dict(archive)
+    np.savez_compressed(path, **{**content, "elapsed_time": np.zeros(20_000_000)})
+    assert path.stat().st_size < 1_000_000
+    with ends_within(5.0), pytest.raises(ResultsError, match=r"000\.npz: no readable result file .*unpacks"):
+        evaluate(folder.path)
+    assert folder.finished(0, "abc") is None
+
+
+OTHERS = [replace(SETTINGS, receiver="other"), replace(SETTINGS, seed="1"), replace(SETTINGS, receiver_code="12345678")]
+
+
+@pytest.mark.parametrize("other", OTHERS)
+def test_a_folder_belongs_to_the_run_that_was_there_first(tmp_path: Path, other: RunSettings) -> None:
+    ResultFolder(tmp_path / "out", SETTINGS)
+    with pytest.raises(ResultsError, match=r"holds another run .*fresh=True"):
+        ResultFolder(tmp_path / "out", other)
+    assert read_settings(tmp_path / "out") == SETTINGS
+    ResultFolder(tmp_path / "out", SETTINGS)
+
+
+@pytest.mark.parametrize("links", [True, False])
+@pytest.mark.parametrize("other", OTHERS)
+def test_another_run_that_comes_at_the_worst_moment_wins(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, other: RunSettings, links: bool
+) -> None:
+    """It takes the folder just before this one puts its configuration in place."""
+    sync, came = os.fsync, []
+
+    def sync_and_be_overtaken(handle: int) -> None:
+        if not came:
+            came.append(handle)
+            ResultFolder(tmp_path, other)
+        sync(handle)
+
+    def refuse(*_: object) -> None:
+        raise PermissionError(1, "no links on this file system")
+
+    monkeypatch.setattr(os, "fsync", sync_and_be_overtaken)
+    if not links:
+        monkeypatch.setattr(Path, "hardlink_to", refuse)
+    with pytest.raises(ResultsError, match="holds another run"):
+        ResultFolder(tmp_path, SETTINGS)
+    assert read_settings(tmp_path) == other
+    assert [path.name for path in tmp_path.iterdir()] == ["config.yaml"]
+
+
+def test_of_runs_that_start_at_once_exactly_one_gets_the_folder(tmp_path: Path) -> None:
+    settings = [replace(SETTINGS, receiver=f"receiver_{number}") for number in range(8)]
+    for turn in range(25):
+        path = tmp_path / f"{turn}"
+        outcomes = all_at_once(path, settings)
+        won = [mine for mine, error in zip(settings, outcomes, strict=True) if error is None]
+        assert won == [read_settings(path)]
+        assert all(error is None or "holds another run" in str(error) for error in outcomes)
+        assert [entry.name for entry in path.iterdir()] == ["config.yaml"]
+
+
+def test_the_same_run_may_start_at_once_as_often_as_it_likes(tmp_path: Path) -> None:
+    assert all_at_once(tmp_path / "out", [SETTINGS] * 8) == [None] * 8
+    assert read_settings(tmp_path / "out") == SETTINGS
+
+
+def all_at_once(path: Path, settings: list[RunSettings]) -> list[ResultsError | None]:
+    """Why each run was refused that wanted the folder, or None."""
+    start = threading.Barrier(len(settings))
+
+    def begin(mine: RunSettings) -> ResultsError | None:
+        start.wait()
+        try:
+            ResultFolder(path, mine)
+        except ResultsError as error:
+            return error
+        return None
+
+    with ThreadPoolExecutor(len(settings)) as pool:
+        return list(pool.map(begin, settings))
+
+
+@pytest.mark.parametrize("settings", [SETTINGS, *OTHERS])
+def test_starting_anew_removes_nothing_but_results(folder: ResultFolder, settings: RunSettings) -> None:
+    path = folder.path
+    for name in ("report.json", "report.md", "012.npz"):
+        (path / name).write_text("old")
+    others = ["agreement.md", "thesis.tex", "0000.npz", "policy.npz", "12.npz", ".hidden", "x001.npz", "001.npz.bak"]
+    for name in others:
+        (path / name).write_text("precious")
+    (path / "exact").mkdir()
+    (path / "exact" / "000.npz").write_text("precious")
+    ResultFolder(path, settings, fresh=True)
+    assert read_settings(path) == settings
+    assert sorted(entry.name for entry in path.iterdir()) == sorted([*others, "config.yaml", "exact"])
+    assert all((path / name).read_text() == "precious" for name in others)
+    assert (path / "exact" / "000.npz").read_text() == "precious"
+
+
+@pytest.mark.parametrize("content", ["model: resnet\nlearning_rate: 0.1\n", "BENCHMARK: 3", "[1, 2]", "x: ["])
+def test_starting_anew_leaves_folders_of_others_alone(tmp_path: Path, content: str) -> None:
+    """Many programs have a `config.yaml`."""
+    (tmp_path / "config.yaml").write_text(content)
+    (tmp_path / "000.npz").write_text("precious")
+    for fresh in (False, True):
+        with pytest.raises(ResultsError, match=r"config\.yaml"):
+            ResultFolder(tmp_path, SETTINGS, fresh=fresh)
+        assert (tmp_path / "config.yaml").read_text() == content
+        assert (tmp_path / "000.npz").read_text() == "precious"
+    (tmp_path / "config.yaml").unlink()
+    with pytest.raises(ResultsError, match="is no result folder"):
+        ResultFolder(tmp_path, SETTINGS, fresh=True)
+    assert (tmp_path / "000.npz").read_text() == "precious"

@@ -1,4 +1,3 @@
-import functools
 import json
 import os
 from pathlib import Path
@@ -9,62 +8,86 @@ import pytest
 import yaml
 
 import handover_marl
-from handover_marl import receivers
+from handover_marl import Execution, Run
 from handover_marl.benchmarking import playing
 from handover_marl.benchmarking.evaluation import evaluate
-from handover_marl.benchmarking.report import Report
-from handover_marl.config import ProtocolConfig
+from handover_marl.config import OFFICIAL, GiverConfig, PhysicsConfig, ProtocolConfig, WorldConfig
 from handover_marl.errors import (
     ActionError,
     DataNotFoundError,
     OptionError,
+    PolicyError,
     ResultsError,
     SceneError,
     UnknownNameError,
 )
+from handover_marl.givers import Giver
 from handover_marl.givers.noisy import NoisyGiver
 from handover_marl.receivers import Receiver
-
-SCENES = (9, 14)
-HORIZON = 1300
+from tests.benchmarking.quick import HORIZON, SCENES, SHORT, QuickReceiver, run, untimed
 
 
-class QuickReceiver(Receiver):
-    """Holds still; asked every second."""
-
-    name = "quick"
-    control_period = 1.0
-
-    def reset(self, seed: int | None = None) -> None:
-        self.seed = seed
-
-    def act(self, observation: dict[str, np.ndarray]) -> np.ndarray:
-        return observation["robot_joint_position"]
-
-
-@pytest.fixture(autouse=True)
-def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A receiver that costs nothing, rules that end an episode after a tenth of the time, and few scenes."""
-    make = receivers.make
-
-    def make_also_quick(name: str, dataset: Any, trust: bool = False) -> Receiver:
-        if name == "quick":
-            return QuickReceiver(receivers.context_of(dataset))
-        return make(name, dataset, trust)
-
-    monkeypatch.setattr(receivers, "make", make_also_quick)
-    short = functools.partial(ProtocolConfig, horizon_steps=HORIZON)
-    monkeypatch.setattr("handover_marl.episode.episode.ProtocolConfig", short)
-    monkeypatch.setattr("handover_marl.benchmarking.playing.ProtocolConfig", short)
+@pytest.mark.parametrize(
+    "changed",
+    [
+        SHORT,
+        WorldConfig(protocol=ProtocolConfig(goal_radius=9.0)),
+        WorldConfig(physics=PhysicsConfig(gravity=-1.6)),
+        WorldConfig(giver=GiverConfig(speed=8.0)),
+    ],
+)
+def test_the_official_benchmark_has_the_official_rules(fake_data: Path, tmp_path: Path, changed: WorldConfig) -> None:
+    options: dict[str, Any] = {"data_dir": fake_data, "scenes": SCENES, "progress": False}
+    with pytest.raises(OptionError, match=r"official world and rules.*evaluate_pair"):
+        handover_marl.benchmark("s0", "val", QuickReceiver, config=changed, out=tmp_path / "out", **options)
+    whole = Run(split="val", data_dir=str(fake_data), scenes=SCENES, receiver=QuickReceiver, config=changed)
+    with pytest.raises(OptionError, match=r"official world and rules.*evaluate_pair"):
+        handover_marl.benchmark(whole, execution=Execution(out=str(tmp_path / "out")))
+    assert not (tmp_path / "out").exists()
 
 
-def run(data: Path, out: Path | None = None, **options: Any) -> Report:
-    named = {"setup": "s0", "split": "val", "receiver": "quick", "scenes": SCENES, "progress": False, "workers": 1}
-    return handover_marl.benchmark(data_dir=data, out=out, **{**named, **options})
+def test_the_official_benchmark_has_the_official_giver(fake_data: Path) -> None:
+    with pytest.raises(OptionError, match=r"official giver is 'replay'.*evaluate_pair"):
+        handover_marl.benchmark(Run(split="val", data_dir=str(fake_data), giver="noisy"))
 
 
-def untimed(report: Report) -> list[tuple[Any, ...]]:
-    return [(e.index, e.scene_id, e.status, e.steps, e.release_step, e.object_name) for e in report.episodes]
+def test_the_official_rules_are_those_of_a_default_pair(fake_data: Path, tmp_path: Path) -> None:
+    """`evaluate_pair` with the official giver and the official configuration is the benchmark."""
+    official = handover_marl.benchmark(
+        "s0", "val", QuickReceiver, data_dir=fake_data, scenes=[9], workers=1, progress=False, out=tmp_path / "one"
+    )
+    assert official.episodes[0].steps == 13_000
+    again = run(fake_data, tmp_path / "one", scenes=[9], config=OFFICIAL)
+    assert again.n_earlier == 1
+    assert untimed(again) == untimed(official)
+    assert "official ones" not in str(again)
+
+
+def test_other_rules_are_told(fake_data: Path, tmp_path: Path) -> None:
+    report = run(fake_data, tmp_path)
+    assert "World or rules are not the official ones" in str(report)
+    with pytest.raises(ResultsError, match=r"another run .*world"):
+        run(fake_data, tmp_path, config=OFFICIAL)
+    other = WorldConfig(protocol=ProtocolConfig(horizon_steps=HORIZON, goal_radius=0.2))
+    with pytest.raises(ResultsError, match=r"another run .*world"):
+        run(fake_data, tmp_path, config=other)
+
+
+def test_a_whole_description_is_the_same_as_its_fields(fake_data: Path, tmp_path: Path) -> None:
+    fields: dict[str, Any] = {"split": "val", "scenes": SCENES, "receiver": QuickReceiver, "config": SHORT}
+    described = handover_marl.evaluate_pair(
+        Run(data_dir=str(fake_data), **fields), execution=Execution(workers=1, progress=False, out=str(tmp_path))
+    )
+    again = run(fake_data, tmp_path)
+    assert again.n_earlier == 2
+    assert again.settings == described.settings
+    assert untimed(again) == untimed(described)
+    with pytest.raises(OptionError, match="scenes is given beside a Run"):
+        handover_marl.evaluate_pair(Run(data_dir=str(fake_data), **fields), scenes=[9])
+    with pytest.raises(OptionError, match="workers is given beside an Execution"):
+        handover_marl.benchmark(execution=Execution(), workers=1)
+    with pytest.raises(TypeError, match="unexpected keyword argument 'colour'"):
+        handover_marl.benchmark(colour="red")  # type: ignore[call-arg]
 
 
 def test_results_are_official_files(fake_data: Path, tmp_path: Path) -> None:
@@ -105,21 +128,39 @@ def test_an_interrupted_run_goes_on(fake_data: Path, tmp_path: Path, monkeypatch
     played = []
     play = playing.play
 
-    def play_once(*job: Any) -> Any:
+    def noted(episode: Any, *players: Any, **options: Any) -> None:
+        played.append(episode.scene.info.scene_id)
+        play(episode, *players, **options)
+
+    def play_once(*players: Any, **options: Any) -> None:
         if played:
             raise KeyboardInterrupt
-        played.append(job[1].info.scene_id)
-        return play(*job)
+        noted(*players, **options)
 
     monkeypatch.setattr(playing, "play", play_once)
     with pytest.raises(KeyboardInterrupt):
         run(fake_data, tmp_path)
     assert played == [9]
     assert not (tmp_path / "report.json").exists()
-    monkeypatch.setattr(playing, "play", lambda *a: (played.append(a[1].info.scene_id), play(*a))[1])
+    monkeypatch.setattr(playing, "play", noted)
     resumed = run(fake_data, tmp_path)
     assert played == [9, 14]
     assert untimed(resumed) == untimed(run(fake_data))
+    assert resumed.n_earlier == 1
+    assert "1 of the 2 episodes come from an earlier run." in str(resumed)
+    assert json.loads((tmp_path / "report.json").read_text())["episodes_from_an_earlier_run"] == 1
+
+
+def test_reports_tell_how_many_episodes_are_not_new(fake_data: Path, tmp_path: Path) -> None:
+    first = run(fake_data, tmp_path, scenes=[14])
+    assert first.n_earlier == 0
+    assert "earlier run" not in str(first)
+    assert first.to_json()["episodes_from_an_earlier_run"] == 0
+    for n_earlier in (1, 2):
+        report = run(fake_data, tmp_path)
+        assert report.n_earlier == report.to_json()["episodes_from_an_earlier_run"] == n_earlier
+        assert f"{n_earlier} of the 2 episodes come from an earlier run." in str(report)
+        assert f"{n_earlier} of the 2 episodes come from an earlier run." in (tmp_path / "report.md").read_text()
 
 
 @pytest.mark.parametrize("damage", [b"", b"PK", None])
@@ -138,8 +179,8 @@ def test_folders_of_another_run_are_left_alone(fake_data: Path, own_data: Path, 
     out = tmp_path / "out"
     run(fake_data, out, scenes=[9])
     before = {path.name: path.read_bytes() for path in out.iterdir()}
-    with pytest.raises(ResultsError, match=r"another run \(receiver 'quick' there, 'hold' now\)"):
-        run(fake_data, out, receiver="hold")
+    with pytest.raises(ResultsError, match=r"another run \(receiver 'quick' there, 'hold' now; receiver code "):
+        run(fake_data, out, receiver="hold", scenes=[9])
     meta = own_data / "dex-ycb-cache" / "meta_009.json"
     meta.write_text(meta.read_text() + " ")
     with pytest.raises(ResultsError, match=r"000\.npz.*other data"):
@@ -194,15 +235,88 @@ def test_errors_leave_no_output(
     assert not (tmp_path / "out").exists()
 
 
-def test_receivers_that_misbehave(fake_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(QuickReceiver, "act", lambda self, seen: np.full(9, np.nan))
+class NotFinite(QuickReceiver):
+    def act(self, observation: dict[str, np.ndarray]) -> np.ndarray:
+        return np.full(9, np.nan)
+
+
+class NeverHeld(QuickReceiver):
+    @property
+    def hold_time(self) -> float:
+        return 0.0
+
+
+def test_receivers_that_misbehave(fake_data: Path, tmp_path: Path) -> None:
     with pytest.raises(ActionError, match=r"'quick' in scene 9: .*not finite"):
-        run(fake_data, tmp_path / "out")
+        run(fake_data, tmp_path / "out", receiver=NotFinite)
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["config.yaml"]
-    monkeypatch.setattr(QuickReceiver, "act", lambda self, seen: seen["robot_joint_position"])
-    monkeypatch.setattr(QuickReceiver, "hold_time", 0.0)
-    with pytest.raises(OptionError, match="hold_time"):
-        run(fake_data)
+    with pytest.raises(OptionError, match="'quick' in scene 9: hold_time"):
+        run(fake_data, receiver=NeverHeld)
+
+
+class FailsToAct(QuickReceiver):
+    name = "fails_to_act"
+
+    def act(self, observation: dict[str, np.ndarray]) -> np.ndarray:
+        raise KeyError("nonsense")
+
+
+class FailsToReset(QuickReceiver):
+    name = "fails_to_reset"
+
+    def reset(self, seed: int | None = None) -> None:
+        raise ZeroDivisionError("nonsense")
+
+
+class FailsToHold(QuickReceiver):
+    name = "fails_to_hold"
+
+    @property
+    def hold_time(self) -> float:
+        raise RuntimeError("nonsense")
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+@pytest.mark.parametrize(
+    ("receiver", "kind"), [(FailsToAct, "KeyError"), (FailsToReset, "ZeroDivisionError"), (FailsToHold, "RuntimeError")]
+)
+def test_what_a_receiver_raises_is_told_as_its_failure(
+    fake_data: Path, tmp_path: Path, receiver: type[Receiver], kind: str, workers: int
+) -> None:
+    name = receiver.name
+    with pytest.raises(PolicyError, match=rf"(?s)receiver '{name}' in scene (9|14): .*{name}.*{kind}.*nonsense"):
+        run(fake_data, tmp_path / "out", receiver=receiver, workers=workers)
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["config.yaml"]
+
+
+class FailsToBeMade(QuickReceiver):
+    name = "fails_to_be_made"
+
+    def __init__(self, context: object) -> None:
+        raise KeyError("nonsense")
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_receivers_that_cannot_be_made_leave_no_output(fake_data: Path, tmp_path: Path, workers: int) -> None:
+    with pytest.raises(PolicyError, match=r"receiver 'FailsToBeMade' cannot be made .*KeyError.*nonsense"):
+        run(fake_data, tmp_path / "out", receiver=FailsToBeMade, workers=workers)
+    assert not (tmp_path / "out").exists()
+
+
+class FailingGiver(Giver):
+    name = "failing"
+
+    def reset(self, seed: int | None = None) -> None:
+        """Nothing to forget."""
+
+    def act(self, observation: dict[str, np.ndarray]) -> np.ndarray:
+        raise LookupError("nonsense")
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_what_a_giver_raises_is_told_as_its_failure(fake_data: Path, workers: int) -> None:
+    with pytest.raises(PolicyError, match=r"(?s)giver 'failing' in scene (9|14): .*'failing'.*LookupError.*nonsense"):
+        run(fake_data, giver=FailingGiver, workers=workers)
 
 
 @pytest.mark.parametrize(
@@ -217,9 +331,7 @@ def test_receivers_that_misbehave(fake_data: Path, tmp_path: Path, monkeypatch: 
 def test_givers_that_misbehave(fake_data: Path, monkeypatch: pytest.MonkeyPatch, action: object, message: str) -> None:
     monkeypatch.setattr(NoisyGiver, "act", lambda self, seen: action)
     with pytest.raises(ActionError, match=f"'quick' and giver 'noisy' in scene 9: .*{message}"):
-        handover_marl.evaluate_pair(
-            "noisy", "quick", split="val", scenes=SCENES, data_dir=fake_data, progress=False, workers=1
-        )
+        run(fake_data, giver="noisy")
 
 
 def official_folder(folder: Path, n: int = 144, **changes: Any) -> Path:

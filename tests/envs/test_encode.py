@@ -1,5 +1,6 @@
-"""Learning environments keep the promises of Gymnasium, PettingZoo and Stable-Baselines3."""
+"""Encoded environments keep the promises of Gymnasium, PettingZoo and Stable-Baselines3."""
 
+import pickle
 from typing import Any
 
 import numpy as np
@@ -8,11 +9,22 @@ from gymnasium.utils.env_checker import check_env
 from pettingzoo.test import parallel_api_test, parallel_seed_test
 
 from handover_marl import givers
-from handover_marl.envs.encode import LearningEnv, LearningParallelEnv
-from handover_marl.errors import OptionError, ResetNeededError, SceneError, UnknownNameError
+from handover_marl.envs.constructors import parallel_env
+from handover_marl.envs.encode import EncodedEnv, encode
+from handover_marl.envs.freeze import freeze
+from handover_marl.envs.wrapper import SingleAgentEnv
+from handover_marl.errors import ActionError, OptionError, ResetNeededError, SceneError, UnknownNameError
 
 SYNTHETIC: dict[str, Any] = {"dataset": "synthetic", "physics": "fast", "split": "val"}
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
+
+
+def encoded(agent: str, partner: str, actions: str | None = None, **options: Any) -> EncodedEnv:
+    return encode(freeze(parallel_env(**SYNTHETIC, **options), agent, partner), schemes=actions)
+
+
+def single(agent: str, partner: str, actions: str | None = None, **options: Any) -> SingleAgentEnv:
+    return encode(freeze(parallel_env(**SYNTHETIC, **options), agent, partner), schemes=actions, api="gymnasium")
 
 
 @pytest.mark.parametrize(
@@ -25,7 +37,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
     ],
 )
 def test_gymnasium_and_stable_baselines_accept_it(agent: str, partner: str, actions: str) -> None:
-    env = LearningEnv(agent, partner, actions, time_limit=3.0, **SYNTHETIC)
+    env = single(agent, partner, actions, max_cycles=30)
     if actions != "offer":  # it takes one decision an episode, which Gymnasium's checker will not have
         check_env(env, skip_render_check=True)
     sb3 = pytest.importorskip("stable_baselines3.common.env_checker", reason="needs the extra `train`")
@@ -33,27 +45,36 @@ def test_gymnasium_and_stable_baselines_accept_it(agent: str, partner: str, acti
     env.close()
 
 
-def rollout(seed: int) -> list[np.ndarray]:
-    env = LearningEnv("receiver", "noisy", control_period=0.2, time_limit=4.0, **SYNTHETIC)
+def rollout(seed: int, episodes: int = 1, max_cycles: int = 20) -> list[np.ndarray]:
+    env = single("receiver", "noisy", control_period=0.2, max_cycles=max_cycles)
     rng = np.random.default_rng(0)
-    seen, _ = env.reset(seed=seed)
-    way, over = [seen], False
-    while not over:
-        seen, reward, ended, timed_out, _ = env.step(rng.uniform(-1, 1, 7).astype(np.float32))
-        way.append(np.append(seen, reward))
-        over = ended or timed_out
+    way = []
+    for episode in range(episodes):
+        seen, _ = env.reset(seed=seed if episode == 0 else None)
+        way.append(seen)
+        over = False
+        while not over:
+            seen, reward, ended, timed_out, _ = env.step(rng.uniform(-1, 1, 7).astype(np.float32))
+            way.append(np.append(seen, reward))
+            over = ended or timed_out
     env.close()
     return way
 
 
 def test_rollouts_repeat_from_their_seed() -> None:
-    for one, other in zip(rollout(3), rollout(3), strict=True):
+    first = rollout(3)
+    for one, other in zip(first, rollout(3), strict=True):
         np.testing.assert_array_equal(one, other)
-    assert not np.array_equal(rollout(3)[1], rollout(4)[1])
+    assert not np.array_equal(first[1], rollout(4)[1])
+
+
+def test_episodes_that_follow_repeat_too() -> None:
+    for one, other in zip(rollout(3, 3, 8), rollout(3, 3, 8), strict=True):
+        np.testing.assert_array_equal(one, other)
 
 
 def test_an_offer_is_one_decision() -> None:
-    env = LearningEnv("giver", "hold", "offer", time_limit=4.0, **SYNTHETIC)
+    env = single("giver", "hold", "offer", max_cycles=40)
     _, info = env.reset(seed=0)
     assert 1000 <= info["steps"] <= 2500
     _, _, ended, timed_out, info = env.step(np.zeros(7, np.float32))
@@ -61,40 +82,105 @@ def test_an_offer_is_one_decision() -> None:
     env.close()
 
 
+def test_rewards_add_up_until_the_next_decision() -> None:
+    """A step that lasts until the end is rewarded as all its control periods are."""
+    options = {"max_cycles": 40, "rewards": "shaped"}
+    env, world = (
+        encoded("giver", "hold", "offer", **options),
+        freeze(parallel_env(**SYNTHETIC, **options), "giver", "hold"),
+    )
+    _, infos = env.reset(seed=0, options={"scene_id": 9})
+    before = infos["giver"]["steps"]
+    _, rewards, *_ = env.step({"giver": np.zeros(7, np.float32)})
+    world.reset(seed=0, options={"scene_id": 9})
+    total = 0.0
+    while world.agents:
+        _, one, _, _, infos = world.step({"giver": np.zeros(8, np.float32)})
+        total += one["giver"] if infos["giver"]["steps"] > before else 0.0
+    assert rewards["giver"] == pytest.approx(total)
+    assert total < -0.01
+    env.close()
+    world.close()
+
+
 def test_imitation_knows_what_a_giver_would_have_decided() -> None:
-    env = LearningEnv("giver", "hold", "offer", **SYNTHETIC)
+    env = encoded("giver", "hold", "offer")
+    with pytest.raises(ResetNeededError):
+        env.observed("giver")
     env.reset(seed=0)
     teacher = givers.make("cooperative")
     teacher.reset()
-    wanted = env.outputs_of(teacher.act(env.observed))
+    wanted = env.outputs_of("giver", teacher.act(env.observed("giver")))
     assert wanted.shape == (7,)
     assert np.abs(wanted).max() > 0.1
-    receiver = LearningEnv("receiver", "replay", **SYNTHETIC)
+    receiver = encoded("receiver", "replay")
     receiver.reset(seed=0)
     with pytest.raises(OptionError, match="cannot imitate"):
-        receiver.outputs_of(np.zeros(9, np.float32))
+        receiver.outputs_of("receiver", np.zeros(9, np.float32))
 
 
 def test_scenes_can_be_kept_for_testing() -> None:
-    env = LearningEnv("receiver", "replay", scenes=[9, 14], **SYNTHETIC)
+    env = single("receiver", "replay", scenes=[9, 14])
+    assert env.scene_ids == (9, 14)
     assert {env.reset(seed=seed)[1]["scene_id"] for seed in range(6)} == {9, 14}
-    with pytest.raises(SceneError, match="are not in s0 val"):
-        LearningEnv("receiver", "replay", scenes=[9, 10], **SYNTHETIC)
+    with pytest.raises(SceneError, match="scene 10 is not in s0 val"):
+        single("receiver", "replay", scenes=[9, 10])
 
 
 def test_bad_names_and_order() -> None:
+    world = parallel_env(**SYNTHETIC)
+    view = freeze(world, "receiver", "replay")
     with pytest.raises(UnknownNameError, match="agent 'robot'"):
-        LearningEnv("robot", **SYNTHETIC)
+        freeze(world, "robot")
     with pytest.raises(UnknownNameError, match="features of the receiver 'giver'"):
-        LearningEnv("receiver", "replay", observe="giver", **SYNTHETIC)
+        encode(view, "giver")
+    with pytest.raises(UnknownNameError, match="action scheme of the receiver 'offer'"):
+        encode(view, schemes="offer")
+    with pytest.raises(UnknownNameError, match="api 'gym'; valid: parallel, gymnasium"):
+        encode(view, api="gym")  # type: ignore[call-overload]
+    with pytest.raises(OptionError, match="named for 'giver', but the agents here are receiver"):
+        encode(view, {"giver": "giver"})
+    with pytest.raises(OptionError, match="there are 2 agents"):
+        encode(world, "receiver")
+    with pytest.raises(OptionError, match="has giver and receiver; freeze"):
+        encode(world, api="gymnasium")
+    with pytest.raises(OptionError, match="encoded already"):
+        freeze(encode(world), "receiver", "replay")
     with pytest.raises(ResetNeededError):
-        LearningEnv("receiver", "replay", **SYNTHETIC).step(np.zeros(7, np.float32))
+        encode(view, api="gymnasium").step(np.zeros(7, np.float32))
+
+
+@pytest.mark.parametrize(
+    "actions", [None, {}, {"receiver": None}, {"receiver": np.zeros(6)}, {"receiver": np.full(7, np.nan)}, np.zeros(7)]
+)
+def test_malformed_outputs_leave_the_world_alone(actions: Any) -> None:
+    env = encoded("receiver", "replay")
+    env.reset(seed=0)
+    before = env.state()
+    with pytest.raises(ActionError, match="the receiver's outputs must be 7 finite numbers"):
+        env.step(actions)
+    np.testing.assert_array_equal(before, env.state())
+    assert env.step({"receiver": np.zeros(7)})[4]["receiver"]["steps"] == 100
+
+
+def test_copies_go_their_own_way() -> None:
+    env = encoded("receiver", "noisy", "joint_delta")
+    copy = pickle.loads(pickle.dumps(env))
+    assert copy.scheme_names == {"receiver": "joint_delta"}
+    ends = []
+    for one in (env, copy):
+        one.reset(seed=3)
+        for _ in range(3):
+            seen = one.step({"receiver": np.full(8, 0.1, np.float32)})[0]
+        ends.append(seen["receiver"])
+        one.close()
+    np.testing.assert_array_equal(*ends)
 
 
 def test_both_agents() -> None:
-    env = LearningParallelEnv(observe={"receiver": "grasp"}, time_limit=1.5, **SYNTHETIC)
+    env = encode(parallel_env(**SYNTHETIC, max_cycles=15), {"receiver": "grasp"})
     parallel_api_test(env, num_cycles=20)
-    parallel_seed_test(lambda: LearningParallelEnv(time_limit=1.5, **SYNTHETIC), num_cycles=5)
+    parallel_seed_test(lambda: encode(parallel_env(**SYNTHETIC, max_cycles=15)), num_cycles=5)
     env.reset(seed=0)
     zeros = {agent: np.zeros(env.action_space(agent).shape, np.float32) for agent in env.possible_agents}
     steps = 0

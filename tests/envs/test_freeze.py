@@ -1,3 +1,4 @@
+import pickle
 from pathlib import Path
 from typing import Any
 
@@ -8,11 +9,16 @@ from gymnasium.utils.env_checker import check_env
 from pettingzoo.test import parallel_api_test
 
 import handover_marl
-from handover_marl.envs.freeze import FrozenPartnerEnv
-from handover_marl.episode.clock import PolicyClock
-from handover_marl.errors import UnknownNameError
+from handover_marl.config import TIME_STEP
+from handover_marl.envs.constructors import parallel_env
+from handover_marl.envs.freeze import FrozenPartnerEnv, freeze
+from handover_marl.envs.wrapper import SingleAgentEnv
+from handover_marl.episode.observations import Observation
+from handover_marl.errors import ActionError, OptionError, PolicyError, ResetNeededError, UnknownNameError
+from handover_marl.givers import Action, Giver, deviation
 from tests.envs.test_handover_env import REPLAY, START
 
+SYNTHETIC: dict[str, Any] = {"dataset": "synthetic", "physics": "fast", "split": "val"}
 pytestmark = [
     pytest.mark.filterwarnings("ignore::UserWarning"),
     pytest.mark.usefixtures("only_known_scenes"),
@@ -22,6 +28,24 @@ pytestmark = [
 @pytest.fixture
 def only_known_scenes(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("handover_marl.datasets.official.OfficialDataset.split", lambda self, setup, split: (9, 14))
+
+
+def frozen(data: Path, agent: str = "receiver", partner: Any = None, **options: Any) -> FrozenPartnerEnv:
+    return freeze(parallel_env(data_dir=data, **options), agent, partner)
+
+
+def assert_equal(first: Any, second: Any) -> None:
+    """The same to the bit, containers and arrays all the way down."""
+    assert type(first) is type(second)
+    if isinstance(first, dict):
+        assert first.keys() == second.keys()
+        for key in first:
+            assert_equal(first[key], second[key])
+    elif isinstance(first, (list, tuple)):
+        for one, other in zip(first, second, strict=True):
+            assert_equal(one, other)
+    else:
+        np.testing.assert_array_equal(first, second)
 
 
 def test_benchmark_view_equals_the_two_agent_world(fake_data: Path) -> None:
@@ -38,14 +62,30 @@ def test_benchmark_view_equals_the_two_agent_world(fake_data: Path) -> None:
 
 
 def test_benchmark_view_cannot_be_talked_out_of_the_protocol(fake_data: Path) -> None:
-    for option in ("physics", "partner", "agent"):
+    for option in ("physics", "partner", "agent", "config", "max_cycles", "scenes"):
         with pytest.raises(TypeError):
             handover_marl.benchmark_env(data_dir=fake_data, **{option: "exact"})
 
 
 @pytest.mark.parametrize("agent", ["receiver", "giver"])
+@pytest.mark.parametrize("smuggled", [deviation(rate=-1.0), np.float32([0.1] * 9), None])
+def test_the_partners_action_is_not_taken_from_outside(fake_data: Path, agent: str, smuggled: Any) -> None:
+    """Not even one that would change nothing, and the world goes on as if nobody had asked."""
+    env, untouched = (frozen(fake_data, agent, split="val") for _ in range(2))
+    own = {"receiver": START, "giver": REPLAY}[agent]
+    for one in (env, untouched):
+        one.reset(seed=1, options={"scene_id": 9})
+    for _ in range(3):
+        before = env.state()
+        with pytest.raises(ActionError, match=f"an action for {agent}, the one live agent"):
+            env.step({agent: own, env.partner_agent: smuggled})
+        np.testing.assert_array_equal(before, env.state())
+        assert_equal(env.step({agent: own}), untouched.step({agent: own}))
+
+
+@pytest.mark.parametrize("agent", ["receiver", "giver"])
 def test_parallel_api(fake_data: Path, agent: str) -> None:
-    parallel_api_test(FrozenPartnerEnv(agent, data_dir=fake_data), num_cycles=20)
+    parallel_api_test(frozen(fake_data, agent), num_cycles=20)
 
 
 @pytest.mark.parametrize("name", ["Receiver", "Giver"])
@@ -60,16 +100,18 @@ def test_gymnasium_and_stable_baselines_accept_the_view(fake_data: Path, name: s
 def test_infos_fit_into_vector_environments(fake_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     envs = gymnasium.make_vec("HandoverMARL/Receiver-v0", 2, vectorization_mode="sync", data_dir=fake_data)
     envs.reset(seed=[1, 2])
-    referee = envs.envs[0].unwrapped.view.env._episode._referee
-    monkeypatch.setattr(referee, "release_step", 7)
+    view = envs.envs[0].unwrapped
+    assert isinstance(view, SingleAgentEnv)
+    monkeypatch.setattr(view.env.world._episode._referee, "release_step", 7)
     *_, infos = envs.step(np.stack([START, START]))
-    np.testing.assert_array_equal(infos["_release_step"], [True, False])
-    assert infos["release_step"][0] == 7
+    np.testing.assert_array_equal(infos["_release_step"], [True, True])
+    np.testing.assert_array_equal(infos["release_step"], [7, -1])
+    assert all(value.dtype.kind in "biuf" for value in infos.values())
     envs.close()
 
 
 def test_the_frozen_receiver_moves_the_robot(fake_data: Path) -> None:
-    env = FrozenPartnerEnv("giver", "yang2021", data_dir=fake_data)
+    env = frozen(fake_data, "giver", "yang2021")
     observations, _ = env.reset(options={"scene_id": 9})
     start = observations["giver"]["robot_joint_position"]
     for _ in range(3):
@@ -79,33 +121,133 @@ def test_the_frozen_receiver_moves_the_robot(fake_data: Path) -> None:
 
 def test_unknown_partners(fake_data: Path) -> None:
     with pytest.raises(UnknownNameError, match="giver 'nobody'; valid: cooperative, hesitant"):
-        FrozenPartnerEnv("receiver", "nobody", data_dir=fake_data)
+        frozen(fake_data, "receiver", "nobody")
     with pytest.raises(UnknownNameError, match="receiver 'replay'; valid: hold, learned, omg"):
-        FrozenPartnerEnv("giver", "replay", data_dir=fake_data)
+        frozen(fake_data, "giver", "replay")
     with pytest.raises(UnknownNameError, match="agent"):
-        FrozenPartnerEnv("robot", data_dir=fake_data)
+        frozen(fake_data, "robot")
 
 
-class CountingPolicy:
-    """Acts with the number of times it was asked; wants to be asked when `hold_time` has passed."""
+def test_what_cannot_be_frozen(fake_data: Path) -> None:
+    with pytest.raises(OptionError, match="only receiver is left"):
+        freeze(frozen(fake_data), "giver")
+    with pytest.raises(OptionError, match=r"wraps handover_marl\.parallel_env\(\.\.\.\) or one of its wrappers"):
+        freeze(handover_marl.env(data_dir=fake_data), "giver")
+    with pytest.raises(OptionError, match=r"must be a subclass of handover_marl\.givers\.Giver"):
+        frozen(fake_data, "receiver", dict)
 
-    def __init__(self, hold_time: float) -> None:
-        self.hold_time = hold_time
-        self.asked = 0
 
-    def reset(self, seed: int | None) -> None:
-        self.asked = 0
+def test_order_and_malformed_actions(fake_data: Path) -> None:
+    env = frozen(fake_data)
+    with pytest.raises(ResetNeededError):
+        env.step({"receiver": START})
+    env.reset(seed=0)
+    before = env.state()
+    for actions in (None, START, {}, {"receiver": None}, {"receiver": START[:8]}, {"reciever": START}):
+        with pytest.raises(ActionError):
+            env.step(actions)  # type: ignore[arg-type]
+    np.testing.assert_array_equal(before, env.state())
+    env.close()
+    with pytest.raises(ResetNeededError):
+        env.step({"receiver": START})
 
-    def act(self, observation: dict[str, Any]) -> np.ndarray:
-        self.asked += 1
-        return np.full(9, self.asked, dtype=np.float32)
+
+Transition = tuple[Any, ...]
+
+
+def episodes(env: FrozenPartnerEnv, action: np.ndarray, seed: int, count: int = 3) -> list[list[Transition]]:
+    """Whole rollouts, of which only the first is seeded."""
+    way: list[list[Transition]] = []
+    for number in range(count):
+        steps: list[Transition] = [env.reset(seed=seed if number == 0 else None)]
+        while env.agents:
+            steps.append(env.step({env.live_agent: action}))
+        way.append(steps)
+    env.close()
+    return way
 
 
 @pytest.mark.parametrize(
-    ("hold_time", "expected"), [(0.1, [1, 2, 3, 4, 5]), (0.25, [1, 1, 1, 2, 2]), (float("inf"), [1] * 5)]
+    ("agent", "partner"),
+    [("receiver", "noisy"), ("receiver", "hesitant"), ("giver", "random")],
 )
-def test_partners_are_asked_when_they_want_to_be(hold_time: float, expected: list[int]) -> None:
-    clock = PolicyClock(CountingPolicy(hold_time))
-    clock.reset(None)
-    times = np.arange(5, dtype=np.float32) * np.float32(0.1)
-    assert [int(clock.act({"time": times[n : n + 1]})[0]) for n in range(5)] == expected
+def test_episodes_repeat_from_the_first_seed(agent: str, partner: str) -> None:
+    """With one scene only, so that episodes differ by what the partner draws."""
+    options = SYNTHETIC | {"scenes": [9], "max_cycles": 22, "rewards": "shaped"}
+    action = {"receiver": START, "giver": REPLAY}[agent]
+    first, again, other = (
+        episodes(freeze(parallel_env(**options), agent, partner), action, seed) for seed in (5, 5, 6)
+    )
+    assert_equal(first, again)
+    for steps in first:
+        assert len(steps) == 23
+    ends = [steps[-1][0][agent] for steps in (*first, *other)]
+    for number, end in enumerate(ends):
+        for before in ends[:number]:
+            assert any(not np.array_equal(end[key], before[key]) for key in end), "each has a seed of its own"
+
+
+def test_scenes_are_drawn_from_the_first_seed_too() -> None:
+    draws = []
+    for _ in range(2):
+        env = freeze(parallel_env(**SYNTHETIC), "receiver", "noisy")
+        draws.append([env.reset(seed=7 if n == 0 else None)[1]["receiver"]["scene_id"] for n in range(6)])
+    assert draws[0] == draws[1]
+    assert len(set(draws[0])) > 1
+
+
+class Slow(Giver):
+    """Wants to be asked every `hold` seconds and lets its playback rate tell how often it was."""
+
+    name = "slow"
+
+    def __init__(self, hold: float = 0.25) -> None:
+        self.hold = hold
+
+    @property
+    def hold_time(self) -> float:
+        return self.hold
+
+    def reset(self, seed: int | None = None) -> None:
+        self.asked: list[int] = []
+
+    def act(self, observation: Observation) -> Action:
+        self.asked.append(round(float(observation["time"][0]) / TIME_STEP))
+        return deviation(rate=0.1 * len(self.asked))
+
+
+class Fails(Slow):
+    name = "fails"
+
+    def act(self, observation: Observation) -> Action:
+        if observation["time"][0] > 0.05:
+            raise ZeroDivisionError("nought")
+        return deviation()
+
+
+@pytest.mark.parametrize(("hold", "expected"), [(0.1, [0, 100, 200, 300, 400]), (0.25, [0, 300]), (9.0, [0])])
+def test_partners_are_asked_at_the_first_step_after_their_time(hold: float, expected: list[int]) -> None:
+    env = freeze(parallel_env(**SYNTHETIC), "receiver", (Slow, {"hold": hold}))
+    for _ in range(2):
+        env.reset(options={"scene_id": 9})
+        for _ in range(5):
+            env.step({"receiver": START})
+        partner = env._partner._policy
+        assert isinstance(partner, Slow)
+        assert partner.asked == expected
+    assert env.world._episode.deviation[0] == pytest.approx(0.1 * len(expected), abs=1e-6)
+
+
+def test_failing_partners_are_told() -> None:
+    env = freeze(parallel_env(**SYNTHETIC), "receiver", (Fails, {"hold": 0.1}))
+    env.reset(seed=0)
+    env.step({"receiver": START})
+    with pytest.raises(PolicyError, match=r"policy 'fails' failed \(after 100 steps\): ZeroDivisionError: nought"):
+        env.step({"receiver": START})
+
+
+def test_copies_keep_their_partner() -> None:
+    env = freeze(parallel_env(**SYNTHETIC, max_cycles=3), "receiver", (Slow, {"hold": 0.1}))
+    copy = pickle.loads(pickle.dumps(env))
+    assert copy.env is not env.env
+    assert_equal(episodes(env, START, 2, 1), episodes(copy, START, 2, 1))

@@ -7,7 +7,9 @@ import pytest
 
 import handover_marl
 from handover_marl.config import PandaConfig
-from handover_marl.envs.handover_env import HandoverEnv
+from handover_marl.envs.handover_env import RELEASES, HandoverEnv
+from handover_marl.errors import ActionError
+from handover_marl.protocol.release import Release
 from handover_marl.protocol.status import EpisodeStatus
 
 START = np.array(PandaConfig().start_joints, dtype=np.float32)
@@ -65,7 +67,7 @@ def test_letting_go_drops_the_object(physics: str) -> None:
     act(env, giver(), 28)
     seen, info = act(env, giver(release=1.0), 1)
     assert seen["released"] == 1
-    assert info["release"] == "given"
+    assert RELEASES[int(info["release"])] is Release.GIVEN
     assert info["release_step"] == 2800
     before = seen["object_poses"][0, 2]
     seen, info = act(env, giver(release=1.0), 20)
@@ -78,7 +80,7 @@ def test_what_is_not_held_cannot_be_let_go(physics: str) -> None:
     env = make(physics)
     seen, info = act(env, giver(release=1.0), 1)
     assert seen["released"] == 0
-    assert info["release"] is None
+    assert info["release"] == info["release_step"] == -1
 
 
 @pytest.mark.parametrize("physics", PHYSICS)
@@ -97,8 +99,18 @@ def test_random_givers_repeat_from_their_seed(physics: str) -> None:
 
 
 def test_the_benchmark_view_has_no_giver_to_ask() -> None:
+    """While the person holds the object, letting go and moving away are refused and do not happen."""
     view = handover_marl.benchmark_env(split="test", dataset="synthetic")
     view.reset(options={"scene_id": SCENE})
-    *_, infos = view.step({"receiver": START, "giver": giver(release=1.0)})
-    assert view.env.observation_space("receiver").contains(view.reset(options={"scene_id": SCENE})[0]["receiver"])
-    assert infos["receiver"]["release"] is None
+    for _ in range(28):
+        view.step({"receiver": START})
+    assert view.world._episode.held_out
+    for wanted in (giver(release=1.0), giver(shift=(0.1, 0.0, 0.0)), giver(rate=-1.0)):
+        with pytest.raises(ActionError, match="the one live agent"):
+            view.step({"receiver": START, "giver": wanted})
+        seen, *_, infos = view.step({"receiver": START})
+        assert view.observation_space("receiver").contains(seen["receiver"])
+        assert seen["receiver"]["released"] == 0
+        assert infos["receiver"]["release"] == infos["receiver"]["release_step"] == -1
+        assert not view.world._episode.deviation.any()
+    assert infos["receiver"]["steps"] == 3100

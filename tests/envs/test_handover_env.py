@@ -1,4 +1,5 @@
 import pickle
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -8,8 +9,10 @@ import pytest
 from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test
 
 import handover_marl
-from handover_marl.config import CameraConfig, PandaConfig
-from handover_marl.envs.handover_env import HandoverEnv
+from handover_marl import parallel_env
+from handover_marl.config import CameraConfig, PandaConfig, ProtocolConfig, WorldConfig
+from handover_marl.envs.handover_env import AGENTS, RELEASES, HandoverEnv
+from handover_marl.envs.rewards import SHAPED, GiverWeights, ReceiverWeights
 from handover_marl.episode.spaces import GIVER_ACTION_SIZE
 from handover_marl.errors import (
     ActionError,
@@ -20,6 +23,9 @@ from handover_marl.errors import (
     SimulationError,
     UnknownNameError,
 )
+from handover_marl.givers import deviation
+from handover_marl.models.panda import UPPER_LIMITS
+from handover_marl.protocol.release import Release
 from handover_marl.protocol.status import EpisodeStatus
 
 START = np.array(PandaConfig().start_joints, dtype=np.float32)
@@ -79,6 +85,27 @@ class TestPettingZooApi:
         env.reset(seed=1)
         assert set(env.possible_agents) == {"giver", "receiver"}
         env.close()
+
+    def test_registry_cuts_off_as_asked(self, fake_data: Path) -> None:
+        options = {"data_dir": fake_data, "split": "val", "max_cycles": 5}
+        env = pettingzoo.make("parallel", "HandoverMARL/Handover-v0", **options)
+        env.reset(seed=1)
+        steps = 0
+        while env.agents:
+            *_, timed_out, infos = env.step(both(START))
+            steps += 1
+        assert steps == 5
+        assert timed_out == {"giver": True, "receiver": True}
+        assert infos["giver"]["steps"] == 500
+        turns = pettingzoo.make("aec", "HandoverMARL/Handover-v0", **options)
+        turns.reset(seed=1)
+        acted = dict.fromkeys(AGENTS, 0)
+        for agent in turns.agent_iter():
+            *_, ended, timed_out, _ = turns.last()
+            assert not ended
+            acted[agent] += not timed_out
+            turns.step(None if timed_out else both(START)[agent])
+        assert acted == {"giver": 5, "receiver": 5}
 
     def test_scenes_are_drawn_by_seed_and_go_on_without(self, fake_data: Path) -> None:
         def draw(env: HandoverEnv, seed: int | None) -> list[int]:
@@ -164,12 +191,12 @@ def test_keypoints_are_wrist_and_joint_origins(fake_data: Path) -> None:
 def test_infos_and_timeout(fake_data: Path) -> None:
     env = make(fake_data, control_period=1.0)
     _, infos = env.reset(options={"scene_id": 9})
-    assert infos["receiver"] == {"scene_id": 9, "status": EpisodeStatus.RUNNING, "steps": 0} | dict.fromkeys(
-        ("release_step", "release")
-    )
+    shared = {"scene_id": 9, "status": EpisodeStatus.RUNNING, "steps": 0, "release_step": -1, "release": -1}
+    for agent, weights in (("receiver", ReceiverWeights), ("giver", GiverWeights)):
+        assert infos[agent] == shared | {f"reward/{part.name}": 0.0 for part in fields(weights)}
     while env.agents:
         _, rewards, ended, timed_out, infos = env.step(both(START))
-    assert infos["giver"]["status"] is EpisodeStatus.TIMEOUT
+    assert infos["giver"]["status"] == EpisodeStatus.TIMEOUT
     assert infos["giver"]["steps"] == 13_000
     assert timed_out == {"giver": True, "receiver": True}
     assert ended == {"giver": False, "receiver": False}
@@ -215,7 +242,7 @@ def test_receiver_actions_are_not_clipped(fake_data: Path) -> None:
     seen = {}
     for offset in (0.0, 1.0):
         env.reset(options={"scene_id": 9})
-        limit = np.array(PandaConfig().upper_limits, dtype=np.float32)
+        limit = np.array(UPPER_LIMITS, dtype=np.float32)
         seen[offset] = env.step(both(limit + np.float32(offset)))[0]["receiver"]["robot_joint_velocity"]
     assert np.abs(seen[0.0] - seen[1.0]).max() > 1e-3
 
@@ -306,3 +333,117 @@ def test_a_window_needs_a_screen(fake_data: Path, monkeypatch: pytest.MonkeyPatc
     env = make(fake_data, render_mode="human")
     with pytest.raises(SimulationError, match="rgb_array"):
         env.reset(options={"scene_id": 9})
+
+
+SYNTHETIC: dict[str, Any] = {"dataset": "synthetic", "physics": "fast", "split": "val"}
+#: A scene in which the object is picked up early, at step 1039.
+EARLY = 69
+
+
+def timed(step: int, release_at: int = 10**9) -> np.ndarray:
+    """What the giver does at a physics step, whatever the control period."""
+    shift = (0.15, -0.1, 0.05) if step >= 1100 else (0.0, 0.0, 0.0)
+    return deviation(displacement=shift, rotation=(0.0, 0.0, 2.0 * shift[0]), release=step >= release_at)
+
+
+def to_the_end(env: HandoverEnv, release_at: int = 10**9) -> list[Any]:
+    """Every step's result, the first of them that of the reset."""
+    observations, infos = env.reset(seed=0, options={"scene_id": EARLY})
+    results: list[Any] = [(observations, infos)]
+    while env.agents:
+        results.append(env.step(both(START, timed(infos["giver"]["steps"], release_at))))
+        infos = results[-1][-1]
+    env.close()
+    return results
+
+
+@pytest.mark.parametrize("rewards", ["sparse", "shaped"])
+@pytest.mark.parametrize(("release_at", "max_cycles"), [(1300, None), (10**9, 12)])
+def test_infos_are_the_same_numbers_all_along(rewards: str, release_at: int, max_cycles: int | None) -> None:
+    """From reset to the end, by a drop or by being cut off; many libraries keep them in arrays made at the start."""
+    results = to_the_end(parallel_env(**SYNTHETIC, rewards=rewards, max_cycles=max_cycles), release_at)
+    for agent, weights in (("receiver", ReceiverWeights), ("giver", GiverWeights)):
+        keys = {"scene_id", "status", "steps", "release_step", "release"}
+        keys |= {f"reward/{part.name}" for part in fields(weights)}
+        for *others, infos in results:
+            assert infos[agent].keys() == keys
+            assert {type(value) for value in infos[agent].values()} <= {int, float}
+            if len(others) > 1:
+                terms = [value for key, value in infos[agent].items() if key.startswith("reward/")]
+                assert type(others[1][agent]) is float
+                assert others[1][agent] == pytest.approx(sum(terms))
+    last = results[-1][-1]["giver"]
+    if max_cycles is None:
+        assert last["status"] & EpisodeStatus.OBJECT_DROP
+        assert RELEASES[last["release"]] is Release.GIVEN
+        assert last["release_step"] == 1300
+    else:
+        assert (last["status"], last["release"], last["release_step"]) == (EpisodeStatus.RUNNING, -1, -1)
+    assert any(info[-1]["giver"]["reward/discomfort"] for info in results) == (rewards == "shaped")
+
+
+def test_max_cycles_cut_off() -> None:
+    env = parallel_env(**SYNTHETIC, max_cycles=3)
+    for _ in range(2):
+        env.reset(seed=0)
+        for number in range(3):
+            assert env.agents == ["giver", "receiver"]
+            _, _, ended, timed_out, infos = env.step(both(START))
+            assert ended == {"giver": False, "receiver": False}
+            assert timed_out == dict.fromkeys(AGENTS, number == 2)
+            assert infos["giver"]["status"] == EpisodeStatus.RUNNING
+        assert env.agents == []
+        with pytest.raises(ResetNeededError):
+            env.step(both(START))
+
+
+def test_what_ends_in_the_last_cycle_is_over_and_not_cut_off() -> None:
+    free = to_the_end(parallel_env(**SYNTHETIC), 1300)
+    assert free[-1][2] == {"giver": True, "receiver": True}
+    last = to_the_end(parallel_env(**SYNTHETIC, max_cycles=len(free) - 1), 1300)[-1]
+    assert last[2] == {"giver": True, "receiver": True}
+    assert last[3] == {"giver": False, "receiver": False}
+
+
+@pytest.mark.parametrize("cycles", [0, -1, 2.0, "5", True])
+def test_bad_max_cycles(cycles: Any) -> None:
+    with pytest.raises(OptionError, match="max_cycles"):
+        parallel_env(**SYNTHETIC, max_cycles=cycles)
+
+
+def assert_as_seen_by_the_giver(one: dict[str, np.ndarray], other: dict[str, np.ndarray], atol: float) -> None:
+    """What stands in the recording to the bit; what fast physics simulates nearly so."""
+    for key, value in one.items():
+        own = key in ("replay_wrist_poses", "replay_object_poses", "deviation", "holding", "time", "released")
+        np.testing.assert_allclose(value, other[key], rtol=0, atol=0.0 if own else atol, err_msg=key)
+
+
+@pytest.mark.parametrize(("physics", "period"), [("exact", 0.05), ("fast", 0.05), ("fast", 0.001)])
+def test_an_episode_that_ends_inside_a_control_step_stops_there(physics: str, period: float) -> None:
+    """What the giver sees last, and what it pays, is of where the world stopped, not of where it might have gone."""
+    config = WorldConfig(protocol=ProtocolConfig(horizon_steps=1350))
+    options = SYNTHETIC | {"physics": physics, "config": config, "rewards": "shaped"}
+    coarse, fine = (to_the_end(parallel_env(**options, control_period=each)) for each in (0.1, period))
+    last, same = coarse[-1], fine[-1]
+    assert [result[-1]["giver"]["steps"] for result in coarse[-2:]] == [1300, 1350]
+    assert same[-1]["giver"]["steps"] == 1350
+    assert last[3] == same[3] == {"giver": True, "receiver": True}
+    assert_as_seen_by_the_giver(last[0]["giver"], same[0]["giver"], 0.0 if physics == "exact" else 2e-6)
+    before = fine[-1 - round(0.05 / period)]
+    assert before[-1]["giver"]["steps"] == 1300
+    way = same[0]["giver"]["deviation"][1:4].astype(float) - before[0]["giver"]["deviation"][1:4]
+    assert np.linalg.norm(way) > 0.01, "on its way"
+    effort = SHAPED.giver.effort * float(way @ way) / 0.05
+    assert last[-1]["giver"]["reward/effort"] == pytest.approx(effort, rel=1e-4)
+    assert last[-1]["giver"]["reward/waiting"] == pytest.approx(SHAPED.giver.waiting * 0.05, rel=1e-5)
+    if period == 0.05:
+        for agent in AGENTS:
+            assert last[-1][agent] == pytest.approx(same[-1][agent], abs=1e-6)
+
+
+def test_an_object_that_drops_inside_a_control_step() -> None:
+    coarse, fine = (to_the_end(parallel_env(**SYNTHETIC, control_period=each), 1300)[-1] for each in (0.1, 0.01))
+    assert coarse[-1]["giver"] == fine[-1]["giver"]
+    assert coarse[-1]["giver"]["status"] == EpisodeStatus.OBJECT_DROP
+    assert coarse[-1]["giver"]["steps"] % 10 != 0
+    assert_as_seen_by_the_giver(coarse[0]["giver"], fine[0]["giver"], 2e-6)

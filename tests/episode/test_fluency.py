@@ -1,7 +1,6 @@
 """Metrics of made-up tracks, whose values are known."""
 
 import dataclasses
-import math
 
 import numpy as np
 import pytest
@@ -9,21 +8,31 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from handover_marl.benchmarking.fluency_tables import METRICS, fluency_averages
-from handover_marl.benchmarking.playing import Job, Player, Task, play
+from handover_marl.benchmarking.playing import Player, Task
+from handover_marl.config import OFFICIAL, TIME_STEP
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.fluency import Fluency, activities, fluency, spectral_arc_length
-from handover_marl.episode.playback import NO_DEVIATION
-from handover_marl.episode.track import Recorder, Track
+from handover_marl.episode.track import SAMPLE_STEPS, Recorder, Track
+from handover_marl.episode.watchers import Watcher
+from handover_marl.models.motion_frames import MotionFrames, motion_frames
 from handover_marl.receivers import make
+from handover_marl.run import Run, resolve
 from handover_marl.sim.bullet.gap import GapMeter
+from tests.playing import play
 
-PERIOD = 0.02
+PERIOD = SAMPLE_STEPS * TIME_STEP
+N = 251  # samples of 5 s, the start's own among them
+
+
+def exactly(value: float) -> object:
+    """Nothing but rounding."""
+    return pytest.approx(value, abs=1e-9, rel=0.0)
 
 
 def ramp(start: float, end: float, duration: float, way: float) -> np.ndarray:
-    """(n, 3) places of something that goes `way` m along x between two times."""
-    times = np.arange(PERIOD, duration + PERIOD / 2, PERIOD)
+    """(n, 3) places, from time 0 on, of something that goes `way` m along x between two times."""
+    times = PERIOD * np.arange(round(duration / PERIOD) + 1)
     x = np.interp(times, [start, end], [0.0, way])
     return np.stack([x, np.zeros_like(x), np.zeros_like(x)], axis=1)
 
@@ -31,40 +40,85 @@ def ramp(start: float, end: float, duration: float, way: float) -> np.ndarray:
 def made_up(**changes: object) -> Track:
     """The person moves from 1 to 2 s, the robot from 3 to 4.5 s and takes the object at 4 s of 5 s."""
     wrist = ramp(1.0, 2.0, 5.0, 0.5)
-    track = Track(PERIOD, ramp(3.0, 4.5, 5.0, 0.6), np.zeros((len(wrist), 2)), wrist, 5.0, 4.0, 12.0, 0.03)
+    track = Track(ramp(3.0, 4.5, 5.0, 0.6), np.zeros((len(wrist), 2)), wrist, 5000, 4000, 12.0, 0.03)
     return dataclasses.replace(track, **changes)  # type: ignore[arg-type]
 
 
 def test_a_handover_one_after_the_other() -> None:
+    """Averaged over three samples of a symmetric difference, a ramp is active one sample before and behind it too."""
     found = fluency(made_up())
-    assert found.handover_time == 4.0
-    assert found.human_idle == pytest.approx(0.8, abs=0.02)
-    assert found.robot_idle == pytest.approx(0.7, abs=0.02)
+    assert found.handover_time == exactly(4.0)
+    assert found.human_idle == exactly(1.0 - 53 / N)  # active from 0.98 to 2.02 s, samples 49 to 101
+    assert found.robot_idle == exactly(1.0 - 78 / N)  # from 2.98 to 4.52 s, samples 149 to 226
     assert found.concurrent == 0.0
-    assert found.functional_delay == pytest.approx(1.0 / 5.0, abs=0.02)
+    assert found.functional_delay == exactly((2.98 - 2.02) / 5.0)
     assert (found.peak_force, found.min_distance) == (12.0, 0.03)
-    assert found.giver_path == pytest.approx(0.5, abs=1e-6)
-    assert found.reach == pytest.approx(0.5, abs=1e-6)
+    assert found.giver_path == exactly(0.5)
+    assert found.reach == exactly(0.5)
 
 
 def test_a_robot_that_comes_while_the_person_moves_has_a_negative_delay() -> None:
     found = fluency(made_up(gripper=ramp(1.5, 4.2, 5.0, 0.6)))
-    assert found.functional_delay == pytest.approx(-0.5 / 5.0, abs=0.02)
-    assert found.concurrent == pytest.approx(0.5 / 5.0, abs=0.02)
+    # It is so slow that the sample before its ramp does not count: samples 75 to 210.
+    assert found.functional_delay == exactly((1.5 - 2.02) / 5.0)
+    assert found.concurrent == exactly(27 / N)
+    assert found.robot_idle == exactly(1.0 - 136 / N)
 
 
 def test_closing_fingers_are_activity() -> None:
     fingers = np.repeat(ramp(3.0, 3.5, 5.0, -0.03)[:, :1], 2, axis=1)
     still = np.zeros_like(made_up().gripper)
-    assert fluency(made_up(gripper=still, fingers=fingers)).robot_idle == pytest.approx(0.9, abs=0.02)
+    assert fluency(made_up(gripper=still, fingers=fingers)).robot_idle == exactly(1.0 - 28 / N)
 
 
 def test_nothing_to_tell() -> None:
     """No release and no hand: nothing is made up."""
     track = made_up()
-    found = fluency(dataclasses.replace(track, wrist=np.full_like(track.wrist, np.nan), release=None, gap=None))
+    found = fluency(dataclasses.replace(track, wrist=np.full_like(track.wrist, np.nan), release_step=None, gap=None))
     assert found.handover_time is found.functional_delay is found.giver_smoothness is found.min_distance is None
     assert (found.human_idle, found.giver_path, found.reach) == (1.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("steps", [13_000, 12_999, 5000, 4013, 19, 20, 21])
+def test_samples_up_to_every_step(steps: int) -> None:
+    n = steps // 20 + 1
+    track = made_up(wrist=np.zeros((n, 3)), gripper=np.zeros((n, 3)), fingers=np.zeros((n, 2)), steps=steps)
+    found = [track.samples_until(step) for step in range(1, 13_001)]
+    assert found == [min(step // 20 + 1, n) for step in range(1, 13_001)]
+    # Which is to say: as many as were taken, every 20 steps from 0 on, when the step was over.
+    taken = np.arange(0, steps + 1, 20)
+    assert found[:steps] == [int((taken <= step).sum()) for step in range(1, steps + 1)]
+
+
+@pytest.mark.parametrize(
+    ("release_step", "seconds"), [(4000, 4.0), (4001, 4.0), (4019, 4.0), (4020, 4.02), (3999, 3.98), (3001, 3.0)]
+)
+def test_nothing_counts_after_the_release(release_step: int, seconds: float) -> None:
+    """The wrist goes on at 0.5 m/s from 3 s to the end."""
+    found = fluency(made_up(wrist=ramp(3.0, 5.0, 5.0, 1.0), release_step=release_step))
+    assert found.giver_path == exactly(0.5 * (seconds - 3.0))
+    assert found.reach == exactly(0.5 * (seconds - 3.0))
+    assert found.handover_time == exactly(release_step / 1000)
+
+
+def test_without_a_release_all_the_way_counts() -> None:
+    found = fluency(made_up(wrist=ramp(3.0, 5.0, 5.0, 1.0), release_step=None))
+    assert (found.giver_path, found.reach) == (exactly(1.0), exactly(1.0))
+
+
+def test_a_robot_that_moves_only_after_the_release_takes_nothing() -> None:
+    assert fluency(made_up(gripper=ramp(4.2, 4.9, 5.0, 0.6))).functional_delay is None
+    late = made_up(gripper=ramp(2.9, 3.3, 5.0, 0.2) + ramp(4.2, 4.9, 5.0, 0.6))
+    assert fluency(late).functional_delay == exactly((2.88 - 2.02) / 5.0)
+
+
+def test_a_hand_that_comes_late_goes_no_way_before() -> None:
+    wrist = ramp(1.0, 2.0, 5.0, 0.5)
+    wrist[:75] = np.nan  # seen from 1.5 s on
+    found = fluency(made_up(wrist=wrist))
+    assert (found.giver_path, found.reach) == (exactly(0.25), exactly(0.25))
+    # Its speed is known from the second sample on, and at the first by averaging.
+    assert found.human_idle == exactly(1.0 - 27 / N)
 
 
 def test_pauses_divide_activities_only_when_long() -> None:
@@ -100,25 +154,67 @@ def test_gap_is_what_the_world_says() -> None:
     episode = Episode("exact")
     episode.reset(scene)
     start = np.array([0.0, -1.285, 0.0, -2.356, 0.0, 1.571, 0.785, 0.04, 0.04], dtype=np.float32)
-    meter = GapMeter(scene.assets.panda, scene.assets.hand)
-    smallest = math.inf
+    robot, hand, distances = [], [], []
     for _ in range(15):
-        episode.advance(start, 100, NO_DEVIATION)
-        meter.measure(episode.world.state())
+        episode.advance(start, 100)
         world = episode.world
-        hand = getattr(world, "_hand", None)
-        if hand is not None:
-            points = world._client.getClosestPoints(world._panda.id, hand.id, 3.0)  # type: ignore[attr-defined]
-            smallest = min(smallest, *(point[8] for point in points))
-    assert math.isfinite(smallest)
-    assert meter.smallest == pytest.approx(smallest, abs=1e-4)
+        body = getattr(world, "_hand", None)
+        if body is None:
+            continue
+        points = world._client.getClosestPoints(world._panda.id, body.id, 3.0)  # type: ignore[attr-defined]
+        distances.append(min(point[8] for point in points))
+        postures = world.postures()
+        robot.append(postures.robot)
+        hand.append(postures.hand)
+    assert len(distances) > 5
+    robot_dof, hand_dof = np.array(robot, dtype=np.float64), np.array(hand, dtype=np.float64)
+    meter = GapMeter(scene.assets.panda, OFFICIAL.physics.panda)
+    frames = robot_frames(robot_dof), motion_frames(scene.assets.hand, hand_dof)
+    smallest = meter.smallest(scene.assets.hand, robot_dof, hand_dof, *frames)
+    assert smallest == pytest.approx(min(distances), abs=1e-4)
+    for number, distance in enumerate(distances):
+        one = slice(number, number + 1)
+        now = np.arange(len(distances)) == number
+        found = meter.smallest(scene.assets.hand, robot_dof[one], hand_dof[one], *(part.at(now) for part in frames))
+        assert found == pytest.approx(distance, abs=1e-4)
     meter.close()
     episode.close()
 
 
+def robot_frames(dof: np.ndarray) -> MotionFrames:
+    panda = OFFICIAL.physics.panda
+    base = [*panda.base_position, *panda.base_orientation]
+    return motion_frames(SyntheticDataset().panda_urdf, dof, base)
+
+
+def test_no_time_is_missed_by_the_bounds() -> None:
+    """The smallest gap of a motion is the smallest of the gaps that are measured at every time of it."""
+    scene, rng = SyntheticDataset().scene(209), np.random.default_rng(0)
+    meter = GapMeter(scene.assets.panda, OFFICIAL.physics.panda)
+    lower = np.array([-2.9, -1.8, -2.9, -3.1, -2.9, 0.0, -2.9])
+    upper = np.array([2.9, 1.8, 2.9, 0.0, 2.9, 3.7, 2.9])
+    for middle in ([0.61, -0.5, 0.95], [0.4, 0.1, 1.2], [0.61, -0.2, 1.25], [0.61, -0.75, 0.95]):
+        robot = np.concatenate([rng.uniform(lower, upper, (12, 7)), rng.uniform(0.0, 0.04, (12, 2))], axis=1)
+        robot = np.concatenate([robot[:-1] + share * np.diff(robot, axis=0) for share in (0.0, 0.1, 0.5)])
+        hand = np.tile(scene.hand_dof[np.flatnonzero(scene.hand_present(np.arange(scene.n_frames)))[0]], (33, 1))
+        hand = hand.astype(np.float64)
+        hand[:, :3] = rng.normal(middle, 0.2, (33, 3))
+        hand[:, 3:6] = rng.uniform(-np.pi, np.pi, (33, 3))
+        measured = [
+            meter._measure(scene.assets.hand, row.tolist(), dof.tolist(), 3.0)
+            for row, dof in zip(robot, hand, strict=True)
+        ]
+        for chosen in (slice(None), slice(0, 5), slice(5, 20), np.argsort(measured)[3:]):
+            frames = robot_frames(robot[chosen]), motion_frames(scene.assets.hand, hand[chosen])
+            found = meter.smallest(scene.assets.hand, robot[chosen], hand[chosen], *frames)
+            assert found == pytest.approx(np.min(np.array(measured)[chosen]), abs=1e-4)
+    meter.close()
+
+
 @pytest.fixture(scope="module")
 def played() -> Fluency:
-    player = Player(Job("synthetic", None, "yang2021", "replay", "fast", "here"))
+    run, _ = resolve(Run(dataset="synthetic", physics="fast", scenes=(209,)))
+    player = Player(run, "here")
     found = player.play(Task(0, 209)).result
     player.close()
     assert found.fluency is not None
@@ -133,12 +229,39 @@ def test_a_played_scene_has_all_metrics(played: Fluency) -> None:
     assert played.giver_path >= played.reach > 0.1
 
 
-def test_recording_changes_nothing() -> None:
+class Sketch(Watcher):
+    """Notes what policies would see, every 20 steps from the start on."""
+
+    def started(self, episode: Episode) -> None:
+        self.seen: list[dict[str, np.ndarray]] = []
+        self.stepped(episode)
+
+    def stepped(self, episode: Episode) -> None:
+        if episode.steps % 20 == 0:
+            self.seen.append(episode.observe())
+
+
+@pytest.mark.slow
+def test_recording_changes_nothing_and_notes_what_can_be_seen() -> None:
     dataset = SyntheticDataset()
     episode, policy, scene = Episode("exact"), make("yang2021", dataset), dataset.scene(209)
+    recorder, sketch = Recorder(), Sketch()
     plain, _ = play(episode, scene, policy)
-    recorded, _ = play(episode, scene, policy, None, Recorder(scene))
+    recorded, _ = play(episode, scene, policy, None, recorder, sketch)
     np.testing.assert_array_equal(plain, recorded)
+    track = recorder.track
+    assert (track.steps, track.release_step) == (episode.steps, episode.release_step)
+    assert len(track.gripper) == len(track.wrist) == len(track.fingers) == episode.steps // 20 + 1 == len(sketch.seen)
+    there = np.array([bool(seen["hand_present"][0]) for seen in sketch.seen])
+    np.testing.assert_array_equal(np.isnan(track.wrist).all(axis=1), ~there)
+    for key, found, expected in (
+        ("gripper", track.gripper, [seen["gripper_pose"][:3] for seen in sketch.seen]),
+        ("fingers", track.fingers, [seen["robot_joint_position"][7:] for seen in sketch.seen]),
+        ("wrist", track.wrist[there], [seen["hand_keypoints"][0] for seen in sketch.seen if seen["hand_present"][0]]),
+    ):
+        np.testing.assert_allclose(found, np.array(expected), atol=1e-5, err_msg=key)
+    recorder.close()
+    episode.close()
 
 
 def test_every_metric_has_a_column() -> None:

@@ -10,15 +10,22 @@ from handover_marl.config import GiverConfig
 from handover_marl.datasets.scene import Scene
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.carrying import turn_about, wrist_points
-from handover_marl.episode.playback import Motion, Playback, pick_up_frame, wrist_place
+from handover_marl.episode.playback import NO_DEVIATION, Playback, pick_up_frame, wrist_place
 from handover_marl.episode.preview import Preview
+from handover_marl.sim.motion import Motion
 
 SCENE = SyntheticDataset().scene(209)
 CONFIG = GiverConfig()
 
 
 def playback(scene: Scene = SCENE) -> Playback:
-    return Playback(scene, CONFIG, 0.001)
+    return Playback(scene, CONFIG)
+
+
+def advance(played: Playback, steps: int, wanted: np.ndarray = NO_DEVIATION, **states: bool) -> Motion:
+    motion = played.plan(steps, wanted, **states)
+    played.commit(steps)
+    return motion
 
 
 def action(rate: float = 0.0, shift: tuple[float, ...] = (0, 0, 0), turn: tuple[float, ...] = (0, 0, 0)) -> np.ndarray:
@@ -36,7 +43,7 @@ def wrist(motion: Motion) -> np.ndarray:
 def held() -> Playback:
     """A playback in which the object has been lifted and everything has come to rest."""
     played = playback()
-    played.advance(SCENE.n_frames)
+    advance(played, SCENE.n_frames)
     assert played.holding
     return played
 
@@ -44,7 +51,7 @@ def held() -> Playback:
 def test_zero_is_the_recording_to_the_bit() -> None:
     played, pieces = playback(), []
     for steps in (1, 99, 100, 37, SCENE.n_frames):
-        pieces.append(played.advance(steps))
+        pieces.append(advance(played, steps))
     rows = np.minimum(np.arange(1, 238 + SCENE.n_frames), SCENE.n_frames - 1)
     np.testing.assert_array_equal(np.concatenate([piece.objects for piece in pieces]), SCENE.object_dof[rows])
     np.testing.assert_array_equal(np.concatenate([piece.hand for piece in pieces]), SCENE.hand_dof[rows])
@@ -52,12 +59,12 @@ def test_zero_is_the_recording_to_the_bit() -> None:
 
 def test_pausing_stops_and_doubling_skips() -> None:
     played = playback()
-    played.advance(1000)
-    pausing = played.advance(400, action(rate=-1.0))
+    advance(played, 1000)
+    pausing = advance(played, 400, action(rate=-1.0))
     np.testing.assert_array_equal(pausing.hand[250:], np.tile(pausing.hand[-1], (150, 1)))
     assert 1000 < played.frame < 1200, "people need a moment to stop"
     before = played.frame
-    played.advance(1000, action(rate=1.0))
+    advance(played, 1000, action(rate=1.0))
     assert played.frame == pytest.approx(before + 2000 - 400, abs=10)
     assert played.deviation[0] == 1.0
 
@@ -69,8 +76,8 @@ def test_pausing_stops_and_doubling_skips() -> None:
 )
 def test_hand_and_object_move_as_one_about_the_wrist(shift: tuple[float, ...], turn: tuple[float, ...]) -> None:
     played = held()
-    before = played.advance(1)
-    after = played.advance(3000, action(shift=shift, turn=turn))
+    before = advance(played, 1)
+    after = advance(played, 3000, action(shift=shift, turn=turn))
     change = Rotation.from_rotvec(np.float32(turn))
     np.testing.assert_allclose(wrist(after)[-1], wrist(before)[-1] + shift, atol=2e-6)
     for old, new in ((before.hand, after.hand), (before.objects[:, 0], after.objects[:, 0])):
@@ -84,9 +91,9 @@ def test_hand_and_object_move_as_one_about_the_wrist(shift: tuple[float, ...], t
 
 def test_deviations_come_at_a_human_pace_and_without_jumps() -> None:
     played = held()
-    rows = [played.advance(1)]
+    rows = [advance(played, 1)]
     for turn in ((1, 1, 1), (-1, 1, -1), (-1, -1, 1), (0, 0, 0)):
-        rows.append(played.advance(1500, action(shift=(0.3, -0.3, 0.3), turn=turn)))
+        rows.append(advance(played, 1500, action(shift=(0.3, -0.3, 0.3), turn=turn)))
     moved = np.concatenate([wrist(motion) for motion in rows])
     assert np.linalg.norm(np.diff(moved, axis=0), axis=1).max() <= CONFIG.speed * 0.001 + 1e-6
     for part in ("hand", "objects"):
@@ -101,12 +108,12 @@ def test_the_object_waits_where_it_lies_until_it_is_picked_up() -> None:
     played = playback()
     lift = pick_up_frame(SCENE)
     assert lift is not None
-    lying = played.advance(lift - 1, action(shift=(0.2, 0, 0)))
+    lying = advance(played, lift - 1, action(shift=(0.2, 0, 0)))
     np.testing.assert_array_equal(lying.objects, SCENE.object_dof[1:lift])
     np.testing.assert_array_equal(lying.hand, SCENE.hand_dof[1:lift])
     assert not played.holding
-    played.advance(1)
-    carried = played.advance(600, action(shift=(0.2, 0, 0)))
+    advance(played, 1)
+    carried = advance(played, 600, action(shift=(0.2, 0, 0)))
     assert played.holding
     assert carried.objects[-1, 0, 0] - SCENE.object_dof[played.frame, 0, 0] == pytest.approx(0.2, abs=1e-6)
 
@@ -115,16 +122,16 @@ def test_a_stretch_with_the_pick_up_in_it_is_as_recorded() -> None:
     played = playback()
     lift = pick_up_frame(SCENE)
     assert lift is not None
-    played.advance(lift - 50)
-    around = played.advance(100, action(shift=(0.2, 0, 0)))
+    advance(played, lift - 50)
+    around = advance(played, 100, action(shift=(0.2, 0, 0)))
     np.testing.assert_array_equal(around.objects, SCENE.object_dof[lift - 49 : lift + 51])
     assert played.holding
 
 
 def test_after_letting_go_the_hand_opens_and_leaves_the_object() -> None:
     played = held()
-    before = played.advance(1)
-    after = played.advance(1000, action(shift=(0.0, 0.2, 0.0)), released=True, opening=True)
+    before = advance(played, 1)
+    after = advance(played, 1000, action(shift=(0.0, 0.2, 0.0)), released=True, opening=True)
     np.testing.assert_array_equal(after.objects[-1], before.objects[-1])
     assert wrist(after)[-1, 1] - wrist(before)[-1, 1] == pytest.approx(0.2, abs=1e-6)
     np.testing.assert_allclose(after.hand[-1, 6:], (1 - CONFIG.opening) * before.hand[-1, 6:], atol=1e-6)
@@ -139,7 +146,7 @@ def test_turning_about_a_point_by_nothing_is_nothing() -> None:
 
 
 def test_the_preview_shows_what_comes() -> None:
-    preview = Preview(SCENE)
+    preview = Preview(SCENE, CONFIG)
     ahead = np.array([100, 200, 300, 400, 500])
     seen = preview.object_poses(1000)
     place, turn = pose(SCENE.object_dof[1000 + ahead, 0])
@@ -149,3 +156,47 @@ def test_the_preview_shows_what_comes() -> None:
     np.testing.assert_allclose(
         preview.wrist_poses(1000)[:, :3], wrist_points(SCENE.hand_dof, wrist_place(SCENE))[1000 + ahead], atol=1e-6
     )
+
+
+def seen(played: Playback) -> tuple[object, ...]:
+    return played.frame, played.holding, played.opened, played.deviation.tolist()
+
+
+def test_plans_change_nothing_until_they_are_committed() -> None:
+    played = held()
+    before, wanted = seen(played), action(rate=-0.5, shift=(0.1, 0, 0), turn=(0, 0.3, 0))
+    first = played.plan(100, wanted, released=True, opening=True)
+    again = played.plan(100, wanted, released=True, opening=True)
+    np.testing.assert_array_equal(again.hand, first.hand)
+    np.testing.assert_array_equal(again.objects, first.objects)
+    assert seen(played) == before
+    played.commit(0)
+    assert seen(played) == before
+    with pytest.raises(ValueError, match="nothing is planned"):
+        played.commit(1)
+
+
+def carried() -> Playback:
+    """A playback in which the object is on its way."""
+    played = playback()
+    lift = pick_up_frame(SCENE)
+    assert lift is not None
+    advance(played, lift + 100)
+    assert played.holding
+    return played
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(1, 99), st.floats(-1.0, 1.0))
+def test_only_what_was_simulated_counts(done: int, rate: float) -> None:
+    """What was planned beyond the episode's end never happened."""
+    wanted = action(rate=rate, shift=(0.1, -0.2, 0.05), turn=(0.3, 0.0, -0.5))
+    whole, cut = carried(), carried()
+    planned = whole.plan(100, wanted, opening=True)
+    whole.commit(done)
+    short = advance(cut, done, wanted, opening=True)
+    np.testing.assert_array_equal(planned.hand[:done], short.hand)
+    np.testing.assert_array_equal(planned.objects[:done], short.objects)
+    assert seen(whole) == seen(cut)
+    assert 0.0 < whole.opened < 1.0
+    np.testing.assert_array_equal(advance(whole, 50).hand, advance(cut, 50).hand)

@@ -2,24 +2,25 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
+from handover_marl.config import TIME_STEP
 from handover_marl.episode.set_points import SetPoint
 
 components = st.floats(-0.5, 0.5)
-SPEED, ACCELERATION, STEP = 0.8, 5.0, 0.001
+SPEED, ACCELERATION = 0.8, 5.0
 
 
 def new() -> SetPoint:
-    return SetPoint(3, SPEED, ACCELERATION, STEP)
+    return SetPoint(3, SPEED, ACCELERATION)
 
 
 @given(st.lists(st.tuples(st.tuples(components, components, components), st.integers(1, 300)), max_size=4))
 def test_limits_hold_whatever_is_wanted(wishes: list[tuple[tuple[float, float, float], int]]) -> None:
     point = new()
     way = np.concatenate([np.zeros((2, 3)), *(point.approach(goal, steps) for goal, steps in wishes)])
-    velocity = np.diff(way, axis=0) / STEP
+    velocity = np.diff(way, axis=0) / TIME_STEP
     assert np.linalg.norm(velocity, axis=1).max(initial=0.0) <= SPEED + 1e-9
     # Arriving snaps to the goal, which takes less than a micrometre.
-    acceleration = np.linalg.norm(np.diff(velocity, axis=0), axis=1) / STEP
+    acceleration = np.linalg.norm(np.diff(velocity, axis=0), axis=1) / TIME_STEP
     assert acceleration.max(initial=0.0) <= ACCELERATION + 1.1
 
 

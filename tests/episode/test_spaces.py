@@ -4,6 +4,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
+from handover_marl.config import GiverConfig
 from handover_marl.episode.spaces import (
     GiverAction,
     check_giver_action,
@@ -59,8 +60,12 @@ def test_what_is_no_number_is_refused(action: object) -> None:
         check_receiver_action(action)
 
 
+def check_giver(action: object) -> np.ndarray:
+    return check_giver_action(action, giver_action_space())
+
+
 @pytest.mark.parametrize(
-    ("check", "agent", "size"), [(check_receiver_action, "receiver", 9), (check_giver_action, "giver", 8)]
+    ("check", "agent", "size"), [(check_receiver_action, "receiver", 9), (check_giver, "giver", 8)]
 )
 def test_agents_without_an_action_are_named(check: Callable[[object], object], agent: str, size: int) -> None:
     with pytest.raises(ActionError, match=f'the {agent} is missing from the actions.*{size} numbers.*key "{agent}"'):
@@ -83,9 +88,16 @@ def test_shape_and_finiteness(action: object, message: str) -> None:
 
 def test_giver_actions_are_clipped_to_what_people_do() -> None:
     space = giver_action_space()
-    np.testing.assert_array_equal(check_giver_action(np.full(8, 9.0)), space.high)
-    np.testing.assert_array_equal(check_giver_action(np.full(8, -9.0)), space.low)
-    np.testing.assert_array_equal(check_giver_action(np.zeros(8)), np.zeros(8))
+    np.testing.assert_array_equal(check_giver(np.full(8, 9.0)), space.high)
+    np.testing.assert_array_equal(check_giver(np.full(8, -9.0)), space.low)
+    np.testing.assert_array_equal(check_giver(np.zeros(8)), np.zeros(8))
+
+
+def test_what_givers_may_do_can_be_chosen() -> None:
+    space = giver_action_space(GiverConfig(displacement=0.1, rotation=0.5))
+    np.testing.assert_array_equal(space.high, np.float32([1, 0.1, 0.1, 0.1, 0.5, 0.5, 0.5, 1]))
+    np.testing.assert_array_equal(check_giver_action(np.full(8, 9.0), space), space.high)
+    np.testing.assert_array_equal(check_giver_action(np.full(8, -9.0), space), space.low)
 
 
 def test_the_parts_of_a_giver_action() -> None:

@@ -10,7 +10,8 @@ import handover_marl
 from handover_marl import givers
 from handover_marl.config import PandaConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.envs.freeze import FrozenPartnerEnv
+from handover_marl.envs.constructors import parallel_env
+from handover_marl.envs.freeze import freeze
 from handover_marl.episode.clock import PolicyClock
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.observations import Observation
@@ -57,9 +58,10 @@ def rollout(name: str, seed: int, steps: int = 40) -> list[np.ndarray]:
     clock.reset(seed)
     actions = []
     for _ in range(steps):
-        action = clock.act(episode.observe_as_giver(episode.observe()))
-        assert giver_action_space().contains(check_giver_action(action))
-        episode.advance(START, 100, check_giver_action(action))
+        action = clock.act(episode.observe_as_giver(episode.observe()), episode.steps)
+        checked = check_giver_action(action, giver_action_space())
+        assert giver_action_space().contains(checked)
+        episode.advance(START, 100, checked)
         actions.append(np.concatenate([action, episode.observe()["hand_keypoints"].ravel()]))
     return actions
 
@@ -74,8 +76,8 @@ def test_rollouts_repeat_from_their_seed(name: str) -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_the_environment_takes_every_giver(name: str) -> None:
     options = {"split": "val", "dataset": "synthetic", "physics": "fast"}
-    parallel_api_test(FrozenPartnerEnv("receiver", name, **options), num_cycles=15)
-    parallel_seed_test(lambda: FrozenPartnerEnv("receiver", name, **options), num_cycles=5)
+    parallel_api_test(freeze(parallel_env(**options), "receiver", name), num_cycles=15)
+    parallel_seed_test(lambda: freeze(parallel_env(**options), "receiver", name), num_cycles=5)
 
 
 def test_unknown_names() -> None:

@@ -6,12 +6,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from handover_marl.config import PandaConfig
+from handover_marl.config import GiverConfig, PandaConfig, ProtocolConfig, WorldConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.spaces import check_giver_action, giver_action_space, receiver_action_space
-from handover_marl.errors import OptionError, UnknownNameError
+from handover_marl.errors import UnknownNameError
 from handover_marl.learning.features import offer_frame
 from handover_marl.learning.giver_schemes import Deviation, Offer
+from handover_marl.learning.observing import make_features
 from handover_marl.learning.receiver_schemes import GraspServo
 from handover_marl.learning.schemes import make_scheme, scheme_size, schemes
 from handover_marl.receivers import WAITING_JOINTS, context_of
@@ -33,19 +34,19 @@ def test_every_output_is_an_action(agent: str) -> None:
             if scheme.asks(seen()):
                 scheme.decide(rng.uniform(-3, 3, scheme_size(agent, name)))
             action = scheme.action(seen())
-            action = check_giver_action(action) if agent == "giver" else action
+            action = check_giver_action(action, giver_action_space()) if agent == "giver" else action
             assert space.contains(action), name
 
 
 def test_no_deviation_is_the_replay() -> None:
     for name in ("deviation", "offer"):
-        scheme = make_scheme("giver", name)
+        scheme = make_scheme("giver", name, CONTEXT)
         scheme.decide(np.zeros(scheme.size))
         np.testing.assert_allclose(scheme.action(seen()), np.zeros(8), atol=1e-7)
 
 
 def offered(values: np.ndarray, **changes: object) -> np.ndarray:
-    scheme = make_scheme("giver", "offer")
+    scheme = make_scheme("giver", "offer", CONTEXT)
     scheme.decide(values)
     return scheme.action(seen(**changes))
 
@@ -63,20 +64,20 @@ def test_offers_move_the_object_and_turn_it_about_its_middle(values: np.ndarray)
 
 @given(outputs)
 def test_offers_can_be_told_from_their_actions(values: np.ndarray) -> None:
-    scheme = make_scheme("giver", "offer")
+    scheme = make_scheme("giver", "offer", CONTEXT)
     assert isinstance(scheme, Offer)
     np.testing.assert_allclose(scheme.outputs(offered(values), seen())[:6], values[:6], atol=1e-5)
 
 
 def test_deviations_can_be_told_from_their_actions() -> None:
-    scheme, action = Deviation(), giver_action_space().high / 2
+    scheme, action = Deviation(CONTEXT), giver_action_space().high / 2
     scheme.reset()
     scheme.decide(scheme.outputs(action, seen()))
     np.testing.assert_allclose(scheme.action(seen()), action)
 
 
 def test_offers_are_asked_once_when_the_recording_arrives() -> None:
-    scheme = make_scheme("giver", "offer")
+    scheme = make_scheme("giver", "offer", CONTEXT)
     moving = np.linspace([0.6, 0.6, 1.2, 0, 0, 0, 1], [0.6, 0.4, 1.2, 0, 0, 0, 1], 5).astype(np.float32)
     assert not scheme.asks(seen(holding=np.float32([0])))
     assert not scheme.asks(seen(hand_present=np.float32([0])))
@@ -88,7 +89,7 @@ def test_offers_are_asked_once_when_the_recording_arrives() -> None:
 
 
 def test_offers_draw_back_once_the_object_was_let_go() -> None:
-    scheme = make_scheme("giver", "offer")
+    scheme = make_scheme("giver", "offer", CONTEXT)
     scheme.decide(np.array([0, 0, 0, 0, 0, 0, 1.0]))
     np.testing.assert_allclose(scheme.action(seen())[1:4], np.zeros(3), atol=1e-7)
     away = scheme.action(seen(released=np.float32([1])))
@@ -195,6 +196,24 @@ def test_the_gripper_closes_above_zero() -> None:
 
 def test_unknown_schemes() -> None:
     with pytest.raises(UnknownNameError, match="action scheme of the giver 'joints'; valid: giver, deviation, offer"):
-        make_scheme("giver", "joints")
-    with pytest.raises(OptionError, match="needs the robot's model"):
-        make_scheme("receiver", "cartesian_delta")
+        make_scheme("giver", "joints", CONTEXT)
+    with pytest.raises(UnknownNameError, match="action scheme of the receiver 'offer'; valid: receiver, joints"):
+        scheme_size("receiver", "offer")
+
+
+def test_schemes_and_features_are_of_the_world_they_are_made_for() -> None:
+    """What people may do and where the goal is can be chosen."""
+    narrow, moved = GiverConfig(displacement=0.1), ProtocolConfig(goal_center=(0.5, -0.3, 1.1))
+    context = context_of(SyntheticDataset(), WorldConfig(protocol=moved, giver=narrow))
+    scheme = make_scheme("giver", "deviation", context)
+    scheme.decide(np.ones(8))
+    np.testing.assert_array_equal(scheme.action(seen()), giver_action_space(narrow).high)
+    servo = make_scheme("receiver", "grasp_servo", context)
+    goal = np.array([*moved.goal_center, 0, 0, 0, 1], dtype=np.float32)
+    brought = servo.action(seen(time=np.float32([3.0]), gripper_pose=goal, released=np.float32([1])))
+    np.testing.assert_allclose(brought[:7], START[:7], atol=1e-5)
+    way = np.array(moved.goal_center) - CONTEXT.protocol.goal_center
+    for agent, part, scale in (("giver", slice(2, 5), -10.0), ("receiver", slice(9, 12), 5.0)):
+        usual, other = (make_features(agent, agent, each)(seen()) for each in (CONTEXT, context))
+        np.testing.assert_allclose((other - usual)[part], scale * way, atol=1e-5)
+        np.testing.assert_array_equal(np.delete(other, np.r_[part]), np.delete(usual, np.r_[part]))

@@ -2,16 +2,15 @@
 
 import numpy as np
 
-from handover_marl.config import PandaConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.models.arm import Arm
 from handover_marl.models.kinematic_tree import read_tree
-from handover_marl.receivers import WAITING_JOINTS
+from handover_marl.models.panda import LOWER_LIMITS, UPPER_LIMITS, WAITING_JOINTS
 
 TREE = read_tree(SyntheticDataset().panda_urdf)
 ARM = Arm(TREE)
 START = np.array(WAITING_JOINTS[:7])
-LIMITS = np.array(PandaConfig().lower_limits[:7]) + 0.2, np.array(PandaConfig().upper_limits[:7]) - 0.2
+LIMITS = np.array(LOWER_LIMITS[:7]) + 0.2, np.array(UPPER_LIMITS[:7]) - 0.2
 
 
 def random_joints(seed: int, count: int) -> np.ndarray:

@@ -5,8 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.models.arm import FINGERS, HAND
 from handover_marl.models.distance_field import field_of
+from handover_marl.models.panda import FINGER_LINKS, HAND_LINK
 from handover_marl.planning.body_samples import body_samples
 from handover_marl.planning.capsules import Capsules
 from handover_marl.planning.goal_set import GoalFinder, GoalSet
@@ -22,7 +22,7 @@ CONFIG = PlannerConfig()
 
 def finder(config: PlannerConfig = CONFIG) -> GoalFinder:
     body = body_samples(URDF, tuple(ARM.link_names), config.points_per_link)
-    return GoalFinder(ARM, body, body_samples(URDF, (HAND, *FINGERS), 60), START, LIMITS, config)
+    return GoalFinder(ARM, body, body_samples(URDF, (HAND_LINK, *FINGER_LINKS), 60), START, LIMITS, config)
 
 
 def grasps(count: int = 12) -> np.ndarray:

@@ -1,7 +1,6 @@
 """Outlines of the shipped objects, as far as placing them needs: the corners of their hulls."""
 
 from functools import cache
-from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
@@ -9,6 +8,7 @@ import numpy.typing as npt
 from scipy.spatial import ConvexHull
 
 from handover_marl.assets.object_models import object_urdf
+from handover_marl.models.obj_files import read_obj
 
 
 @cache
@@ -16,11 +16,6 @@ def hull_corners(object_name: str) -> npt.NDArray[np.float64]:
     """(n, 3) corners (m) of the convex hull of an object's collision parts, in the object's frame."""
     urdf = object_urdf(object_name)
     meshes = {element.get("filename") for element in ElementTree.parse(urdf).iterfind(".//collision/geometry/mesh")}
-    corners = np.concatenate([_vertices(urdf.parent / str(name)) for name in sorted(map(str, meshes))])
+    corners = np.concatenate([read_obj(urdf.parent / str(name)).vertices for name in sorted(map(str, meshes))])
     hull: npt.NDArray[np.float64] = corners[np.sort(ConvexHull(corners).vertices)]
     return hull
-
-
-def _vertices(path: Path) -> npt.NDArray[np.float64]:
-    lines = path.read_text().splitlines()
-    return np.array([line.split()[1:4] for line in lines if line.startswith("v ")], dtype=np.float64)

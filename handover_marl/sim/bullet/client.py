@@ -13,7 +13,9 @@ from typing import Any
 import numpy as np
 
 from handover_marl.config import CameraConfig
-from handover_marl.errors import SimulationError
+from handover_marl.errors import DataFormatError, SimulationError
+from handover_marl.models.obj_files import check_obj
+from handover_marl.models.urdf_shapes import named_meshes
 from handover_marl.sim.bullet.drawing import aim_window
 
 
@@ -146,12 +148,30 @@ def load_urdf(client: BulletClient, path: Path | str, **options: object) -> int:
     Raises:
         SimulationError: PyBullet cannot load it.
     """
+    _check_meshes(Path(path))
     try:
         return int(client.loadURDF(str(path), **options))
     except pybullet.error as error:
         raise SimulationError(
             f"{path}: PyBullet cannot load this model ({error}); check the file and its meshes"
         ) from error
+
+
+def _check_meshes(urdf: Path) -> None:
+    """Refuse meshes that would end the process: PyBullet trusts the numbers in them."""
+    try:
+        _check_meshes_of(urdf, urdf.stat().st_mtime_ns)
+    except (OSError, ValueError) as error:
+        if isinstance(error, DataFormatError):
+            raise SimulationError(f"{urdf}: {error}") from error
+        # PyBullet looks for it in its own data folder, too.
+
+
+@functools.lru_cache(maxsize=256)
+def _check_meshes_of(urdf: Path, changed: int) -> None:
+    for _, mesh in named_meshes(urdf):
+        if mesh.suffix.lower() == ".obj" and mesh.exists():
+            check_obj(mesh)
 
 
 def float32_list(values: Sequence[float]) -> list[float]:

@@ -53,14 +53,15 @@ class GapMeter:
             _Balls(hand_urdf, hand_frames),
         ]
         bounds = _gaps(*balls)
-        nearest = _FARTHEST
-        while bounds.min() < nearest:
-            time = int(bounds.argmin())
+        nearest, left = _FARTHEST, np.arange(len(bounds))
+        while len(left):
+            time = int(left[bounds[left].argmin()])
             # No less than this at that time, if nothing nearer was found.
             found = self._measure(hand_urdf, robot[time].tolist(), hand[time].tolist(), nearest)
             nearest = min(nearest, found)
-            bounds = np.maximum(bounds, found - balls[0].moved(time) - balls[1].moved(time))
-            bounds[time] = np.inf
+            left = left[(bounds[left] < nearest) & (left != time)]
+            bounds[left] = np.maximum(bounds[left], found - balls[0].moved(time, left) - balls[1].moved(time, left))
+            left = left[bounds[left] < nearest]
         return nearest
 
     def close(self) -> None:
@@ -89,12 +90,12 @@ class _Balls:
         self.centers = frames.origins[:, links] + (rotations @ places[..., None])[..., 0]
         self._turns = rotations.reshape(*rotations.shape[:2], 9)
 
-    def moved(self, time: int) -> Array:
-        """(n,) how far (m) no point is farther than from where it is at one time."""
-        shifts = np.linalg.norm(self.centers - self.centers[time], axis=-1)
+    def moved(self, time: int, others: npt.NDArray[np.int_]) -> Array:
+        """(k,) how far (m) no point is farther at other times than from where it is at one time."""
+        shifts = np.linalg.norm(self.centers[others] - self.centers[time], axis=-1)
         # A turn by an angle moves a point at distance r by 2 r sin(angle / 2).
-        swings = np.linalg.norm(self._turns - self._turns[time], axis=-1) / np.sqrt(2.0)
-        way: Array = (shifts + self.radii * swings).max(axis=1)
+        swings = np.linalg.norm(self._turns[others] - self._turns[time], axis=-1) / np.sqrt(2.0)
+        way: Array = (shifts + self.radii * swings).max(axis=1, initial=0.0)
         return way
 
 

@@ -14,7 +14,7 @@ import pytest
 
 from handover_marl.config import CameraConfig
 from handover_marl.errors import SimulationError
-from handover_marl.sim import client as client_module
+from handover_marl.sim.bullet import client as client_module
 from handover_marl.sim.bullet.client import BulletClient, connect
 from handover_marl.sim.bullet.drawing import aim_window, without_drawing
 

@@ -14,13 +14,14 @@ from handover_marl.datasets import OfficialDataset
 from handover_marl.datasets.scene import Scene
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.playback import Motion
 from handover_marl.models.kinematic_tree import read_tree
+from handover_marl.models.panda import LOWER_LIMITS, UPPER_LIMITS
 from handover_marl.protocol.status import EpisodeStatus
 from handover_marl.sim.bullet.client import connect, load_urdf
 from handover_marl.sim.bullet.fast_world import FastWorld
 from handover_marl.sim.bullet.hand_body import Hand
 from handover_marl.sim.bullet.kinematic_hand import KinematicHand, read_hand
+from handover_marl.sim.motion import Motion
 from tests.playing import play
 
 START = np.array(PandaConfig().start_joints, dtype=np.float32)
@@ -153,8 +154,7 @@ aims = st.lists(st.floats(0.2, 0.8), min_size=7, max_size=7)
 @given(st.sampled_from(DATA.split("s0", "train")[:40]), st.tuples(aims, aims))
 def test_no_contact_with_the_hand_is_missed(scene_id: int, shares: tuple[list[float], list[float]]) -> None:
     """Arms thrown about at full speed touch the person in fast physics when they do in exact physics."""
-    config = PandaConfig()
-    lower, upper = np.array(config.lower_limits), np.array(config.upper_limits)
+    lower, upper = np.array(LOWER_LIMITS), np.array(UPPER_LIMITS)
     targets = []
     for share in shares:
         targets.append(START.astype(np.float64))

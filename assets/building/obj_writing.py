@@ -1,4 +1,4 @@
-"""Writing and reading the OBJ files of the models, and the palette picture that colours them.
+"""Writing the OBJ files of the models, and the palette picture that colours them.
 
 PyBullet draws one texture per OBJ file and ignores vertex colours, so every face points at the middle of its
 colour's cell in a small picture.
@@ -10,8 +10,6 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 import trimesh
-
-from handover_marl.errors import DataFormatError
 
 #: Colour name -> sRGB.
 PALETTE = {
@@ -72,44 +70,6 @@ def write_convex_parts(path: Path, parts: Sequence[trimesh.Trimesh]) -> None:
         lines += ["f " + " ".join(str(first + corner) for corner in face) for face in faces]
         first += len(vertices)
     path.write_text("\n".join(lines) + "\n", newline="\n")
-
-
-def read_parts(path: Path) -> list[trimesh.Trimesh]:
-    """The meshes (m) of an OBJ file, one for each of its objects.
-
-    Raises:
-        DataFormatError: It is no OBJ file of triangles.
-    """
-    vertices: list[list[float]] = []
-    groups: list[list[list[int]]] = []
-    try:
-        for line in path.read_text().splitlines():
-            kind, _, rest = line.partition(" ")
-            if kind == "v":
-                vertices.append([float(word) for word in rest.split()])
-            elif kind == "o":
-                groups.append([])
-            elif kind == "f":
-                groups[-1].append([int(word.partition("/")[0]) - 1 for word in rest.split()])
-        points = np.array(vertices).reshape(-1, 3)
-        return [_submesh(points, np.array(faces).reshape(-1, 3)) for faces in groups]
-    except (ValueError, IndexError) as error:
-        raise DataFormatError(
-            f"{path}: not an OBJ file of triangles ({error}); "
-            "rebuild it with `python -m handover_marl.assets.building.build_objects`"
-        ) from error
-
-
-def merge(meshes: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:
-    """One mesh of the vertices and faces of all."""
-    firsts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
-    faces = [mesh.faces + first for mesh, first in zip(meshes, firsts, strict=False)]
-    return trimesh.Trimesh(np.concatenate([mesh.vertices for mesh in meshes]), np.concatenate(faces), process=False)
-
-
-def _submesh(points: npt.NDArray[np.float64], faces: npt.NDArray[np.int64]) -> trimesh.Trimesh:
-    used, compact = np.unique(faces, return_inverse=True)
-    return trimesh.Trimesh(points[used], compact.reshape(-1, 3), process=False)
 
 
 def _rounded(mesh: trimesh.Trimesh) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.int64]]:

@@ -1,0 +1,48 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import handover_marl
+from handover_marl.benchmarking.episodes import EpisodeResult
+from handover_marl.benchmarking.results import ResultFolder
+from handover_marl.benchmarking.settings import RunSettings
+from handover_marl.cli import main
+from handover_marl.errors import ResultsError
+from handover_marl.protocol.status import EpisodeStatus
+
+
+def folder(path: Path, receiver: str, outcomes: dict[int, int], fingerprint: str = "data", split: str = "test") -> Path:
+    made = ResultFolder(path, RunSettings("s0", split, receiver, "replay", "exact", "dexycb", "1"))
+    for index, status in outcomes.items():
+        result = EpisodeResult(index, EpisodeStatus(status), 100 + index, 0.0, scene_id=index, fingerprint=fingerprint)
+        made.save(result, np.zeros((result.steps, 9), np.float32), np.zeros(result.steps))
+    return path
+
+
+def test_pairs_scenes_that_both_have(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    one = folder(tmp_path / "one", "mine", {0: 1, 1: 1, 2: 2, 5: 1})
+    other = folder(tmp_path / "other", "theirs", {0: 1, 1: 4, 2: 2, 7: 1})
+    found = handover_marl.compare(one, other)
+    assert [(a.index, b.index) for a, b in found.pairs] == [(0, 0), (1, 1), (2, 2)]
+    mean, low, high = found.difference()
+    assert mean == pytest.approx(1 / 3)
+    assert low < mean < high
+    assert main(["compare", str(one), str(other)]) == 0
+    text = capsys.readouterr().out
+    assert "Receiver mine" in text
+    assert "3 scenes that both have" in text
+    (changed,) = [line for line in text.splitlines() if "| success | 101" in line]
+    assert [cell.strip() for cell in changed.strip("|").split("|")] == ["1", "-", "success", "101", "drop", "101"]
+
+
+def test_what_cannot_be_compared(tmp_path: Path) -> None:
+    one = folder(tmp_path / "one", "mine", {0: 1})
+    with pytest.raises(ResultsError, match="different data"):
+        handover_marl.compare(one, folder(tmp_path / "two", "mine", {0: 1}, fingerprint="other"))
+    with pytest.raises(ResultsError, match="different splits"):
+        handover_marl.compare(one, folder(tmp_path / "three", "mine", {0: 1}, split="val"))
+    with pytest.raises(ResultsError, match="no scene in common"):
+        handover_marl.compare(one, folder(tmp_path / "four", "mine", {3: 1}))
+    with pytest.raises(ResultsError, match="does not exist"):
+        handover_marl.compare(one, tmp_path / "five")

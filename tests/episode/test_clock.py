@@ -1,0 +1,94 @@
+"""When policies are asked."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from handover_marl.episode.clock import PolicyClock, held_steps
+from handover_marl.errors import OptionError, PolicyError, SimulationError
+
+SEEN: dict[str, np.ndarray] = {}
+
+
+class CountingPolicy:
+    """Acts with the number of times it was asked; wants to be asked when `hold_time` has passed."""
+
+    name = "counting"
+
+    def __init__(self, hold_time: Any, error: BaseException | None = None) -> None:
+        self.hold_time = hold_time
+        self.asked = 0
+        self.error = error
+
+    def reset(self, seed: int | None = None) -> None:
+        if self.error is not None:
+            raise self.error
+        self.asked = 0
+
+    def act(self, observation: dict[str, Any]) -> np.ndarray:
+        if self.error is not None:
+            raise self.error
+        self.asked += 1
+        return np.full(9, self.asked, dtype=np.float32)
+
+
+@pytest.mark.parametrize(
+    ("hold_time", "expected"),
+    [
+        (0.1, [1, 2, 3, 4, 5]),
+        (0.25, [1, 1, 1, 2, 2]),
+        (0.3, [1, 1, 1, 2, 2]),
+        (0.001, [1, 2, 3, 4, 5]),
+        (float("inf"), [1] * 5),
+    ],
+)
+def test_policies_are_asked_when_they_want_to_be(hold_time: float, expected: list[int]) -> None:
+    clock = PolicyClock(CountingPolicy(hold_time))
+    for _ in range(2):
+        clock.reset(None)
+        assert [int(clock.act(SEEN, 100 * n)[0]) for n in range(5)] == expected
+
+
+def test_due_is_told_in_physics_steps() -> None:
+    clock = PolicyClock(CountingPolicy(0.13))
+    clock.reset(None)
+    assert clock.due == 0
+    clock.act(SEEN, 0)
+    assert clock.due == 130
+    clock.act(SEEN, 129)
+    assert clock.due == 130
+    clock.act(SEEN, 150)
+    assert clock.due == 280
+    clock.reset(None)
+    assert clock.due == 0
+
+
+@pytest.mark.parametrize("hold_time", [0, -0.1, float("nan"), "0.1", None, True])
+def test_no_time_at_all_is_refused(hold_time: Any) -> None:
+    clock = PolicyClock(CountingPolicy(hold_time))
+    clock.reset(None)
+    with pytest.raises(OptionError, match="hold_time"):
+        clock.act(SEEN, 0)
+
+
+def test_short_times_are_one_step() -> None:
+    assert held_steps(1e-9) == held_steps(0.001) == 1
+    assert held_steps(np.float32(0.1)) == 100
+    assert held_steps(1e300) > 10**12
+
+
+@pytest.mark.parametrize("error", [ZeroDivisionError("nought"), SystemExit("bye")])
+def test_whose_fault_it_was(error: BaseException) -> None:
+    clock = PolicyClock(CountingPolicy(0.1, error))
+    with pytest.raises(PolicyError, match=rf"policy 'counting' failed \(reset\): {type(error).__name__}: {error}"):
+        clock.reset(None)
+    with pytest.raises(PolicyError, match=r"policy 'counting' failed \(after 300 steps\)"):
+        clock.act(SEEN, 300)
+
+
+def test_errors_of_the_library_and_of_the_user_stay_what_they_are() -> None:
+    with pytest.raises(SimulationError, match="broken"):
+        PolicyClock(CountingPolicy(0.1, SimulationError("broken"))).reset(None)
+    with pytest.raises(KeyboardInterrupt):
+        PolicyClock(CountingPolicy(0.1, KeyboardInterrupt())).act(SEEN, 0)

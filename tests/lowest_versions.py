@@ -1,0 +1,19 @@
+"""The lowest versions that setup.cfg claims of what the library itself needs, as pip's requirements.
+
+python -m tests.lowest_versions
+"""
+
+import configparser
+from pathlib import Path
+
+
+def requirements() -> list[str]:
+    """Every requirement pinned to its lower bound."""
+    setup = configparser.ConfigParser()
+    setup.read(Path(__file__).parents[1] / "setup.cfg")
+    lines = setup["options"]["install_requires"].splitlines()
+    return [line.strip().replace(">=", "==") for line in lines if line.strip() and not line.strip().startswith("#")]
+
+
+if __name__ == "__main__":
+    print("\n".join(requirements()))

@@ -1,0 +1,113 @@
+"""The conformance tests that ship for users' policies, on policies that conform and on some that do not."""
+
+import numpy as np
+import pytest
+
+from handover_marl import givers
+from handover_marl.episode.observations import Observation
+from handover_marl.errors import ActionError, ConformanceError, OptionError, PolicyError
+from handover_marl.givers import Giver, deviation
+from handover_marl.policies.policy import Action
+from handover_marl.receivers import Receiver
+from handover_marl.testing import check_giver, check_receiver
+
+ONE = (9,)
+
+
+class Obedient(Receiver):
+    name = "obedient"
+
+    def reset(self, seed: int | None = None) -> None:
+        self.rng = np.random.default_rng(seed)
+
+    def act(self, observation: Observation) -> Action:
+        return (observation["robot_joint_position"] + 0.001 * self.rng.normal(size=9)).astype(np.float32)
+
+
+class Scribbling(Obedient):
+    def act(self, observation: Observation) -> Action:
+        observation["object_poses"] -= 1.0
+        return super().act(observation)
+
+
+class Unseeded(Obedient):
+    def reset(self, seed: int | None = None) -> None:
+        self.rng = np.random.default_rng()
+
+
+class Global(Obedient):
+    def act(self, observation: Observation) -> Action:
+        return observation["robot_joint_position"] + np.float32(0.001 * np.random.random())  # noqa: NPY002
+
+
+class Remembering(Obedient):
+    episodes = 0
+
+    def reset(self, seed: int | None = None) -> None:
+        super().reset(seed)
+        self.episodes += 1
+
+    def act(self, observation: Observation) -> Action:
+        return observation["robot_joint_position"] + np.float32(0.001 * self.episodes)
+
+
+class Short(Obedient):
+    def act(self, observation: Observation) -> Action:
+        return super().act(observation)[:8]
+
+
+class Impatient(Obedient):
+    control_period = -1.0
+
+
+class Failing(Obedient):
+    def act(self, observation: Observation) -> Action:
+        raise KeyError("no such key")
+
+
+def test_conforming_policies() -> None:
+    check_receiver(Obedient, scenes=ONE, steps=500)
+    for name in ("hold", "random"):
+        check_receiver(name, scenes=ONE, steps=500)
+
+
+@pytest.mark.parametrize("name", [name for name in givers.available() if name != "learned"])
+def test_our_givers_conform(name: str) -> None:
+    check_giver(name, scenes=ONE, steps=1500)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["yang2021", "omg", "omg_hand_aware"])
+def test_our_receivers_conform(name: str) -> None:
+    check_receiver(name, scenes=ONE, steps=3600)
+
+
+@pytest.mark.parametrize(
+    ("kind", "error", "message"),
+    [
+        (Scribbling, ConformanceError, "writes into its observation .object_poses"),
+        (Unseeded, ConformanceError, "seeded there"),
+        (Global, ConformanceError, "seeded there"),
+        (Remembering, ConformanceError, "must forget"),
+        (Short, ActionError, r"shape \(8,\)"),
+        (Impatient, OptionError, "hold_time"),
+        (Failing, PolicyError, "KeyError"),
+    ],
+)
+def test_what_does_not_conform(kind: type[Receiver], error: type[Exception], message: str) -> None:
+    with pytest.raises(error, match=message):
+        check_receiver(kind, scenes=(9, 14), steps=400)
+
+
+def test_givers_that_do_not_conform() -> None:
+    class Wandering(Giver):
+        name = "wandering"
+
+        def reset(self, seed: int | None = None) -> None:
+            self.rng = np.random.default_rng()
+
+        def act(self, observation: Observation) -> Action:
+            return deviation(rate=self.rng.uniform(-0.1, 0.1))
+
+    with pytest.raises(ConformanceError, match=r"wandering.*scene 9"):
+        check_giver(Wandering, scenes=ONE, steps=400)
