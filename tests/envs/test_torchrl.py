@@ -1,0 +1,49 @@
+"""TorchRL takes the environment as it is, and wrapped."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+import handover_marl
+
+torchrl_envs = pytest.importorskip("torchrl.envs", reason="needs the extra `torchrl`")
+pytestmark = [pytest.mark.filterwarnings("ignore")]
+OPTIONS = {"dataset": "synthetic", "physics": "fast", "control_period": 0.2, "max_cycles": 10}
+
+
+@pytest.mark.parametrize("rewards", ["sparse", "shaped"])
+def test_the_two_agent_environment(rewards: str) -> None:
+    from torchrl.envs.utils import check_env_specs
+
+    env = torchrl_envs.PettingZooWrapper(handover_marl.parallel_env(rewards=rewards, **OPTIONS), return_state=True)
+    check_env_specs(env)
+    rollout = env.rollout(20)
+    assert rollout.shape == (10,)
+    assert ("next", "receiver", "info", "reward/task") in rollout.keys(True)
+    env.close()
+
+
+@pytest.mark.parametrize("frozen", [False, True])
+def test_wrapped_environments(frozen: bool) -> None:
+    from torchrl.envs.utils import check_env_specs
+
+    world = handover_marl.parallel_env(**OPTIONS)
+    env = torchrl_envs.PettingZooWrapper(handover_marl.encode(handover_marl.freeze(world) if frozen else world))
+    check_env_specs(env)
+    assert sorted(env.group_map) == (["receiver"] if frozen else ["giver", "receiver"])
+    env.close()
+
+
+@pytest.mark.slow
+def test_the_training_script_learns_from_something(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "experiments"))
+    import train_both_torchrl as script
+
+    args = script.Args(frames=128, batch=64, minibatch=32, epochs=1, dataset="synthetic", max_cycles=10)
+    script.main(args)
+    lines = [line for line in capsys.readouterr().out.splitlines() if "decisions" in line]
+    assert [line.split(",")[0] for line in lines] == ["64 decisions", "128 decisions"]
+    sys.modules.pop("train_both_torchrl")
