@@ -6,7 +6,6 @@ Everything is done with a right hand; a left hand's grasps are found on the mirr
 from dataclasses import dataclass
 from functools import lru_cache
 
-import igl
 import numpy as np
 import trimesh
 from scipy.spatial.transform import Rotation
@@ -14,13 +13,13 @@ from scipy.spatial.transform import Rotation
 from handover_marl.assets.building.hand_meshes import reference_hand
 from handover_marl.assets.building.human_grasps_closing import (
     YIELD,
-    DistanceField,
     HandBalls,
     Posture,
     body_clearance,
     clearances,
 )
 from handover_marl.assets.hand_model import FloatArray, HandModel, IntArray
+from handover_marl.models.distance_field import DistanceField, mesh_field
 
 #: A person's palm pose in the object's frame: positions (n, 3) (m) and rotations (n, 3, 3).
 Palms = tuple[FloatArray, FloatArray]
@@ -58,14 +57,8 @@ class GraspTarget:
 
 def grasp_target(mesh: trimesh.Trimesh) -> GraspTarget:
     """Sample the signed distance to a mesh, robust against open or overlapping shells."""
-    low, high = mesh.bounds[0] - _GRID_MARGIN, mesh.bounds[1] + _GRID_MARGIN
-    shape = np.ceil((high - low) / _GRID_SPACING).astype(int) + 1
-    axes = [start + _GRID_SPACING * np.arange(count) for start, count in zip(low, shape, strict=True)]
-    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     vertices, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64)
-    distances = igl.signed_distance(points, vertices, faces, igl.SIGNED_DISTANCE_TYPE_FAST_WINDING_NUMBER)[0]
-    values = distances.reshape(shape).astype(np.float32)
-    return GraspTarget(mesh, DistanceField(low, _GRID_SPACING, values))
+    return GraspTarget(mesh, mesh_field(vertices, faces, _GRID_MARGIN, _GRID_SPACING))
 
 
 @dataclass(frozen=True, eq=False)

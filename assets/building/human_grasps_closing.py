@@ -9,11 +9,11 @@ from functools import cache
 
 import numpy as np
 import trimesh
-from scipy.ndimage import map_coordinates
 
 from handover_marl.assets.building.hand_meshes import collision_mesh
 from handover_marl.assets.building.hand_palm import capsule_balls, forearm_capsules, palm_capsules
 from handover_marl.assets.hand_model import BoolArray, FloatArray, HandModel, IntArray, euler_angles
+from handover_marl.models.distance_field import DistanceField
 
 #: How far skin may be pressed in while closing (m).
 YIELD = 0.002
@@ -26,32 +26,6 @@ _BALLS = 3
 _FINGER_CURL = (_STEP * np.array([1.0, 1.0, 0.55]), np.deg2rad([85.0, 100.0, 65.0]))
 _THUMB_CURL = (_STEP * np.array([0.6, 0.7, 0.9]), np.deg2rad([45.0, 55.0, 70.0]))
 _THUMB = 4
-
-
-@dataclass(frozen=True, eq=False)
-class DistanceField:
-    """Signed distance (m, negative inside) to an object, sampled on a regular grid in the object's frame."""
-
-    origin: FloatArray
-    spacing: float
-    values: FloatArray
-
-    def __call__(self, points: FloatArray) -> FloatArray:
-        """Distances (...) at points (..., 3)."""
-        cells = (points.reshape(-1, 3) - self.origin).T / self.spacing
-        found = map_coordinates(self.values, cells, order=1, mode="nearest", output=np.float64)
-        return np.asarray(found.reshape(points.shape[:-1]))
-
-    def gradient(self, points: FloatArray) -> FloatArray:
-        """Unit vectors (..., 3) away from the object, by central differences."""
-        h = self.spacing
-        slopes = np.stack([self(points + h * e) - self(points - h * e) for e in np.eye(3)], axis=-1)
-        return np.asarray(slopes / np.maximum(np.linalg.norm(slopes, axis=-1, keepdims=True), 1e-12))
-
-    def mirrored(self) -> "DistanceField":
-        """The field of the object mirrored in x."""
-        far = self.origin[0] + self.spacing * (self.values.shape[0] - 1)
-        return DistanceField(np.array([-far, *self.origin[1:]]), self.spacing, self.values[::-1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,7 +107,7 @@ def clearances(
         angles: (n, 45) joint angles.
     """
     centres, _ = balls.phalanges(angles)
-    return field(to_object(palms, centres)) - balls.radii
+    return field.clamped(to_object(palms, centres)) - balls.radii
 
 
 def body_clearance(
@@ -142,7 +116,7 @@ def body_clearance(
     """Smallest distance (n) (m) from the palm's or the forearm's balls to the object."""
     centres, radii = body
     points = to_object(palms, np.broadcast_to(centres, (len(palms[0]), *centres.shape)))
-    return np.asarray((field(points) - radii).min(axis=1))
+    return np.asarray((field.clamped(points) - radii).min(axis=1))
 
 
 def to_object(palms: tuple[FloatArray, FloatArray], points: FloatArray) -> FloatArray:

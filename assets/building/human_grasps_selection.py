@@ -15,7 +15,6 @@ from handover_marl.assets.building.human_grasps_candidates import (
 )
 from handover_marl.assets.building.human_grasps_closing import (
     YIELD,
-    DistanceField,
     HandBalls,
     Posture,
     body_clearance,
@@ -25,6 +24,7 @@ from handover_marl.assets.building.human_grasps_closing import (
 )
 from handover_marl.assets.hand_model import BoolArray, FloatArray, HandModel, IntArray
 from handover_marl.assets.human_grasps_statistics import FREE_SHARE_MEDIAN, wrist_distance_quantile
+from handover_marl.models.distance_field import DistanceField
 
 #: A digit touches if its skin is at most this far from the object (m).
 TOUCH_DISTANCE = 0.003
@@ -80,7 +80,7 @@ def close_and_keep(target: GraspTarget, model: HandModel, palms: Palms, opened: 
     angles = closed.angles()
     gaps = clearances(field, balls, palms, angles)
     centres, rotations = balls.phalanges(angles)
-    outward = field.gradient(to_object(palms, centres))
+    outward = field.outward(to_object(palms, centres))
     by_digit = gaps.reshape(len(angles), 5, 9)
     nearest = by_digit.argmin(axis=2)
     touching = by_digit.min(axis=2) < TOUCH_DISTANCE
@@ -89,7 +89,7 @@ def close_and_keep(target: GraspTarget, model: HandModel, palms: Palms, opened: 
     pads = np.einsum("nij,ndj->ndi", palms[1], pads)
     # The object must lie before the pad, not behind the nail.
     by_pad = touching & (np.einsum("ndi,ndi->nd", pads, -normal) > 0.1)
-    opposed = _opposed(by_pad[:, :4], normal, field.gradient(_nearest_palm_balls(field, palms, balls)))
+    opposed = _opposed(by_pad[:, :4], normal, field.outward(_nearest_palm_balls(field, palms, balls)))
     crossing = _thumb_crossing(centres, balls.radii)
     body = np.minimum(*(body_clearance(field, palms, part) for part in (balls.palm, balls.hull)))
     opposed[:, 1] &= body < TOUCH_DISTANCE
@@ -195,7 +195,7 @@ def _nearest_palm_balls(field: DistanceField, palms: Palms, balls: HandBalls) ->
     """(n, 3) centre, in the object's frame, of the palm's ball nearest to the object."""
     centres, radii = balls.palm
     points = to_object(palms, np.broadcast_to(centres, (len(palms[0]), *centres.shape)))
-    nearest = (field(points) - radii).argmin(axis=1)
+    nearest = (field.clamped(points) - radii).argmin(axis=1)
     return np.asarray(points[np.arange(len(points)), nearest])
 
 

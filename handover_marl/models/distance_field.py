@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import map_coordinates
 
 Floats = npt.NDArray[np.float32]
 Array = npt.NDArray[np.float64]
@@ -35,6 +36,23 @@ class DistanceField:
         """(n,) distances (m) of points (3, n), and (3, n) their gradients; FAR and zero beyond the grid."""
         return self._interpolated(points, slopes=True)
 
+    def clamped(self, points: Array) -> Array:
+        """Distances (...) in m at points (..., 3) by trilinear interpolation, as at the edge beyond the grid."""
+        nodes = (points.reshape(-1, 3) - self.lower).T / self.cell
+        found = map_coordinates(self.values, nodes, order=1, mode="nearest", output=np.float64)
+        return np.asarray(found.reshape(points.shape[:-1]))
+
+    def outward(self, points: Array) -> Array:
+        """Unit vectors (..., 3) away from the surface, by central differences."""
+        h = self.cell
+        slopes = np.stack([self.clamped(points + h * e) - self.clamped(points - h * e) for e in np.eye(3)], axis=-1)
+        return np.asarray(slopes / np.maximum(np.linalg.norm(slopes, axis=-1, keepdims=True), 1e-12))
+
+    def mirrored(self) -> "DistanceField":
+        """The field of the surface mirrored in x."""
+        far = self.lower[0] + self.cell * (self.values.shape[0] - 1)
+        return DistanceField(self.values[::-1], np.array([-far, *self.lower[1:]]), self.cell)
+
     def _interpolated(self, points: Floats, slopes: bool) -> tuple[Floats, Floats]:
         nodes = (points - self.lower.astype(np.float32)[:, None]) / np.float32(self.cell)
         highest = np.array(self.values.shape)[:, None] - 1
@@ -59,6 +77,25 @@ class DistanceField:
         steps = (np.arange(2)[:, None, None] * ny + np.arange(2)[:, None]) * nz + np.arange(2)
         corners: Floats = flat[steps[..., None] + at]
         return corners
+
+
+def mesh_field(vertices: Array, faces: npt.NDArray[np.int64], margin: float, cell: float) -> DistanceField:
+    """The field of a mesh, reaching `margin` (m) beyond it. Needs libigl.
+
+    Args:
+        vertices: (v, 3) in m.
+        faces: (f, 3) corners of its triangles; parts may overlap, and have holes.
+        margin: How far beyond the mesh the grid reaches (m).
+        cell: Distance of nodes (m).
+    """
+    import igl
+
+    def distance(points: Array) -> Array:
+        # The winding number tells inside from outside for parts that overlap and for holes alike.
+        found = igl.signed_distance(points, vertices, faces, igl.SIGNED_DISTANCE_TYPE_FAST_WINDING_NUMBER)[0]
+        return np.asarray(found, dtype=np.float64)
+
+    return field_of(distance, vertices.min(axis=0) - margin, vertices.max(axis=0) + margin, cell)
 
 
 def field_of(distance: Callable[[Array], Array], lower: Array, upper: Array, cell: float) -> DistanceField:

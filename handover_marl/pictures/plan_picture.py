@@ -138,9 +138,9 @@ def _draw_things(axes: Any, observation: Observation, data: Dataset) -> None:
         axes.plot_trisurf(x, y, z, triangles=faces, color=color, alpha=0.35, label=label if number < 2 else None)
     hand = hand_capsules(observation)
     if hand is not None:
-        for number, (start, end, radius) in enumerate(zip(hand.starts, hand.ends, hand.radii, strict=True)):
-            label = None if number else "person's hand"
-            axes.plot(*np.stack([start, end]).T, color="tab:orange", linewidth=400 * radius, alpha=0.6, label=label)
+        titles = ["person's hand"] + [None] * (len(hand.radii) - 1)
+        for start, end, radius, title in zip(hand.starts, hand.ends, hand.radii, titles, strict=True):
+            axes.plot(*np.stack([start, end]).T, color="tab:orange", linewidth=400 * radius, alpha=0.6, label=title)
 
 
 def _draw_plan(axes: Any, plan: Plan, arm: Arm, world_from_base: Array) -> None:

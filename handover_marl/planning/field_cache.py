@@ -13,11 +13,10 @@ import zlib
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from handover_marl.errors import HandoverError
 from handover_marl.files import write_atomically
-from handover_marl.models.distance_field import DistanceField, field_of
+from handover_marl.models.distance_field import DistanceField, mesh_field
 from handover_marl.models.meshes import mesh_files, model_triangles
 
 CELL = 0.006  # m
@@ -49,22 +48,9 @@ def _field(urdf: Path, changed: int, margin: float) -> DistanceField:
     kept = _read(path)
     if kept is not None:
         return kept
-    field = _make(urdf, margin)
+    field = mesh_field(*model_triangles(urdf), margin, CELL)
     _keep(path, field)
     return field
-
-
-def _make(urdf: Path, margin: float) -> DistanceField:
-    import igl
-
-    vertices, faces = model_triangles(urdf)
-
-    def distance(points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        # The winding number tells inside from outside for parts that overlap and for holes alike.
-        found = igl.signed_distance(points, vertices, faces, igl.SIGNED_DISTANCE_TYPE_FAST_WINDING_NUMBER)[0]
-        return np.asarray(found, dtype=np.float64)
-
-    return field_of(distance, vertices.min(axis=0) - margin, vertices.max(axis=0) + margin, CELL)
 
 
 def _fingerprint(urdf: Path, margin: float) -> str:

@@ -78,7 +78,7 @@ class PolicyReference:
             made = found(**options)
         except HandoverError:
             raise
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             raise PolicyError(f"{self.agent} {self.text!r} cannot be made ({type(error).__name__}: {error})") from error
         if not isinstance(made, Policy):
             raise OptionError(f"{self.agent} {self.text!r} made {made!r}, which is no policy")
