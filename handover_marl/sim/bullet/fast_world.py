@@ -23,6 +23,7 @@ from handover_marl.sim.bullet.dormant_object import DormantObject
 from handover_marl.sim.bullet.drawing import without_drawing
 from handover_marl.sim.bullet.ghosts import Ghosts
 from handover_marl.sim.bullet.kinematic_hand import HandModel, KinematicHand, read_hand
+from handover_marl.sim.bullet.panda_body import Panda
 from handover_marl.sim.bullet.stage import Stage, set_stage
 from handover_marl.sim.motion import Motion
 from handover_marl.sim.world import Postures, WorldState
@@ -70,6 +71,8 @@ class FastWorld(BulletWorld):
         self._objects: list[DormantObject] = []
         self._hand: KinematicHand | None = None
         self._ghosts = Ghosts(self._client)
+        # Physics steps since the last reset.
+        self._simulated = 0
 
     def reset(self, scene: Scene, start: Motion) -> None:
         """Put everything at a scene's start; what does not change between scenes stays loaded."""
@@ -77,6 +80,7 @@ class FastWorld(BulletWorld):
             with without_drawing(self._client):
                 self._clear()
                 panda = self._prepare(scene.assets).panda
+                self._forget(panda)
                 self._bring(scene, start)
                 panda.restart()
         except pybullet_error as error:
@@ -104,6 +108,18 @@ class FastWorld(BulletWorld):
             self._clearance = Clearance(self._stage.panda, assets.panda, self._config.panda)
         return self._stage
 
+    def _forget(self, panda: Panda) -> None:
+        """Bring Bullet's broad phase to one and the same state, whatever was simulated before.
+
+        It sorts out old pairs a few at a time and files away what rests by turns of two steps; where it stands in
+        both would show in the last bits of what follows. With no pairs left and an even number of steps it stands
+        where it does in a new server.
+        """
+        panda.withdraw()
+        for _ in range(2 + self._simulated % 2):
+            self._client.stepSimulation()
+        self._simulated = 0
+
     def _bring(self, scene: Scene, start: Motion) -> None:
         urdf = scene.assets.hand
         if urdf not in self._hand_models:
@@ -116,7 +132,6 @@ class FastWorld(BulletWorld):
         self._release_pending = False
         self._checked_target: list[float] | None = None
         self._row = -1
-        self._steps = 0
 
     def lead(self, motion: Motion) -> None:
         """Say where objects and hand are led in the coming steps, one row a step."""
@@ -140,10 +155,9 @@ class FastWorld(BulletWorld):
             item.drive(row)
         self._hand_now.move(row)
         self._simulate()
-        if self._window:
-            self._steps += 1
-            if self._steps % _WINDOW_PERIOD == 0:
-                self._draw()
+        self._simulated += 1
+        if self._window and self._simulated % _WINDOW_PERIOD == 0:
+            self._draw()
 
     def _look_ahead(self, robot_target: list[float]) -> None:
         """Wake what the Panda could come near in the next steps; note for how many steps all others are safe."""

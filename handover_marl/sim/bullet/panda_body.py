@@ -32,6 +32,11 @@ class Panda(Body):
         left, right = (self.link(name) for name in FINGER_LINKS)
         self.finger_links = (left, right)
 
+    def withdraw(self) -> None:
+        """Stand at the start pose and touch nothing, until the restart."""
+        self.place(self._start)
+        self.collide(0)
+
     def restart(self) -> None:
         """Be as after loading: at rest at the start pose, and forgotten by Bullet's contact cache."""
         self._target = None
