@@ -25,7 +25,15 @@ def test_benchmark_and_evaluate(fake_data: Path, tmp_path: Path, capsys: pytest.
         (["benchmark", "--dataset", "dexycb"], "HANDOVER_MARL_DATA"),
         (["benchmark", "--data-dir", "/nowhere"], "/nowhere does not exist"),
         (["benchmark", "--setup", "s9"], "unknown setup 's9'; valid: s0, s1, s2, s3"),
-        (["benchmark", "--scenes", "1,x"], "--scenes"),
+        (
+            ["benchmark", "--scenes", "1,x"],
+            "--scenes takes scene numbers separated by commas, such as 209,214, not '1,x'",
+        ),
+        (["benchmark", "--workers", "0"], "workers=0 must be a whole number"),
+        (["benchmark", "--receiver", "nobody"], "unknown receiver 'nobody'; valid: hold"),
+        (["pair", "--giver", "nobody"], "unknown giver 'nobody'; valid: cooperative"),
+        (["crossplay", "--givers", "replay,nobody"], "unknown giver 'nobody'"),
+        (["agreement", "--physics", "nuclear", "--scenes", "1"], "scene 1 is not in s0 val"),
         (["evaluate", "/nowhere"], "/nowhere does not exist"),
     ],
 )
@@ -38,7 +46,7 @@ def test_errors_are_one_message(arguments: list[str], message: str, capsys: pyte
 
 
 def test_ctrl_c(fake_data: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    def interrupted(*_: object) -> None:
+    def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr(playing, "play", interrupted)
@@ -66,6 +74,23 @@ def test_a_reader_that_goes_away(fake_data: Path) -> None:
     process.stdout.close()
     assert "Traceback" not in process.communicate()[1]
     assert process.returncode == 141
+
+
+def test_pairs_play_the_split_and_the_scenes_that_are_named(
+    fake_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ["pair", "--giver", "hesitant", "--receiver", "hold", "--scenes", "9", "--physics", "fast"]
+    command += ["--data-dir", str(fake_data), "--out", str(tmp_path / "out"), "--workers", "1", "--no-progress"]
+    assert main(command) == 0
+    printed = capsys.readouterr()
+    assert "s0 val, 1 of 36 scenes (partial). Receiver hold, giver hesitant, fast physics" in printed.out
+    assert not printed.err
+    assert main(command) == 0
+    assert "1 of the 1 episodes come from an earlier run." in capsys.readouterr().out
+    assert main([*command, "--seed", "1"]) == 2
+    assert "another run (seed '0' there, '1' now)" in capsys.readouterr().err
+    assert main([*command, "--seed", "1", "--fresh"]) == 0
+    assert "earlier run" not in capsys.readouterr().out
 
 
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:

@@ -181,7 +181,7 @@ def test_a_receiver_that_ends_the_program_is_told(
 
 @pytest.mark.parametrize("n_workers", [1, 2])
 def test_a_receiver_that_ends_the_program_when_it_is_made_is_told(fake_data: Path, n_workers: int) -> None:
-    with pytest.raises(PolicyError, match="receiver 'QuitsWhenMade' cannot be made.*SystemExit: 3"):
+    with pytest.raises(PolicyError, match=r"receiver 'QuitsWhenMade' cannot be made.*SystemExit: 3"):
         run(fake_data, n_workers, receiver=QuitsWhenMade)
 
 

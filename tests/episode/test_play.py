@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from handover_marl import givers, receivers
 from handover_marl.config import OFFICIAL
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.episode import Episode
@@ -106,6 +107,47 @@ def test_what_policies_write_into_their_observations_is_seen_by_nobody() -> None
     for seen, as_it_was in spoilt:
         for key, value in seen.items():
             np.testing.assert_array_equal(value, as_it_was[key], err_msg=f"the receiver spoilt the giver's {key}")
+
+
+class Places(Watcher):
+    """Where robot and objects are after every step."""
+
+    def started(self, episode: Episode) -> None:
+        self.rows: list[np.ndarray] = []
+
+    def stepped(self, episode: Episode) -> None:
+        world = episode.world
+        self.rows.append(np.concatenate([world.postures().robot, world.object_dof().ravel()]))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("physics", "giver", "scenes"),
+    [("fast", "replay", (209, 214, 219)), ("fast", "noisy", (209, 214, 219)), ("exact", "noisy", (209,))],
+)
+def test_an_episode_does_not_depend_on_those_before_it(physics: str, giver: str, scenes: tuple[int, ...]) -> None:
+    """To the bit; else results would depend on which worker plays what. This receiver hits whatever it can."""
+    dataset = SyntheticDataset()
+    players = receivers.make("random", dataset), givers.make(giver, dataset)
+    used = Episode(physics)
+    first: dict[int, tuple[Any, np.ndarray]] = {}
+    for turn in range(3):
+        for scene_id in scenes:
+            episode, places = Episode(physics) if turn == 0 else used, Places()
+            episode.reset(dataset.scene(scene_id))
+            play(episode, *players, seed=0, watchers=[places])
+            end = (episode.status, episode.steps, episode.release_step)
+            if turn == 0:
+                first[scene_id] = (end, np.array(places.rows))
+                episode.close()
+                continue
+            expected_end, expected = first[scene_id]
+            found = np.array(places.rows)
+            shorter = min(len(found), len(expected))
+            different = np.flatnonzero((found[:shorter] != expected[:shorter]).any(axis=1))
+            assert not len(different), f"scene {scene_id} differs from step {different[0] + 1} on in turn {turn}"
+            assert end == expected_end
+    used.close()
 
 
 class Counting:

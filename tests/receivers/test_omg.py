@@ -118,11 +118,11 @@ def test_asked_more_often_it_commands_the_same() -> None:
         clock.reset(None)
         actions = []
         while not episode.status:
-            action = clock.act(episode.observe()) if period is None else receiver.act(episode.observe())
-            count = min(clock.due_ms, 13_000) - episode.steps if period is None else period
-            before = episode.steps
+            seen, now = episode.observe(), episode.steps
+            action = clock.act(seen, now) if period is None else receiver.act(seen)
+            count = min(clock.due, 13_000) - now if period is None else period
             episode.advance(action, count)
-            actions += [action] * (episode.steps - before)
+            actions += [action] * (episode.steps - now)
         commands.append((int(episode.status), np.array(actions)))
         episode.close()
     for status, actions in commands[1:]:

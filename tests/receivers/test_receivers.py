@@ -4,10 +4,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handover_marl import givers, receivers, registry
+from handover_marl import givers, receivers
 from handover_marl.datasets import OfficialDataset
+from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.episode import Episode
 from handover_marl.errors import OptionError, ResetNeededError, UnknownNameError
+from handover_marl.policies import registry
 from handover_marl.receivers import WAITING_JOINTS, Receiver
 from tests.fake_layout import FakeScene, write_scene
 
@@ -21,7 +23,7 @@ def test_unknown_names(fake_data: Path) -> None:
     known = "hold, learned, omg, omg_hand_aware, omg_unchecked_last, random, yang2021"
     with pytest.raises(UnknownNameError, match=f"receiver 'yang'; valid: {known}"):
         receivers.make("yang", OfficialDataset(fake_data))
-    with pytest.raises(UnknownNameError, match="giver 3; valid: cooperative"):
+    with pytest.raises(OptionError, match="a giver is a name, a class or an instance of a policy, not 3"):
         givers.make(3)  # type: ignore[arg-type]
 
 
@@ -34,10 +36,11 @@ def test_unknown_names(fake_data: Path) -> None:
     ],
 )
 def test_entry_points_that_lead_nowhere(monkeypatch: pytest.MonkeyPatch, value: str, message: str) -> None:
-    point = EntryPoint("mine", value, receivers.GROUP)
-    monkeypatch.setattr(registry, "entry_points", lambda **_: EntryPoints([point]))
+    point = EntryPoint("mine", value, registry.GROUPS["receiver"])
+    monkeypatch.setattr(registry, "entry_points", EntryPoints([point]).select)
+    assert receivers.available() == ("mine",)
     with pytest.raises(OptionError, match=f"'mine'.*{message}"):
-        registry.load(receivers.GROUP, "mine", Receiver)
+        receivers.make("mine", SyntheticDataset())
 
 
 def play(

@@ -1,6 +1,7 @@
 """The training scripts do what they say, on a few steps of synthetic scenes."""
 
 import importlib.util
+import pickle
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -9,9 +10,11 @@ from typing import Any
 import pytest
 
 from handover_marl import givers, receivers
+from handover_marl.datasets import DATA_VARIABLE
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.errors import ResultsError
-from handover_marl.training.run_folder import held_out_scenes, spread_scenes, training_scenes
+from handover_marl.training.run_folder import RunFolder
+from tests.training.evil import Evil
 
 pytest.importorskip("stable_baselines3", reason="needs the extra `train`")
 EXPERIMENTS = Path(__file__).parents[2] / "experiments"
@@ -31,6 +34,11 @@ def script(name: str, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
 
 def files(folder: Path) -> set[str]:
     return {path.name for path in folder.iterdir()}
+
+
+def steps_of(folder: Path) -> list[str]:
+    """The learning curve's first column."""
+    return [row.split(",")[0] for row in (folder / "learning_curve.csv").read_text().splitlines()]
 
 
 GIVER: dict[str, Any] = {
@@ -55,7 +63,7 @@ RECEIVER: dict[str, Any] = {
 MADE = {
     "arguments.json",
     "policy.npz",
-    "checkpoint.zip",
+    "checkpoint.pt",
     "learning_curve.csv",
     "learning_curve.png",
     "tensorboard",
@@ -67,16 +75,14 @@ def test_giver(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     args = {**GIVER, "out": str(tmp_path / "run")}
     train.main(train.Args(**args, steps=4))
     assert files(tmp_path / "run") >= MADE
-    rows = (tmp_path / "run" / "learning_curve.csv").read_text().splitlines()
-    assert [row.split(",")[0] for row in rows] == ["steps", "0", "4"]
+    assert steps_of(tmp_path / "run") == ["steps", "0", "4"]
     givers.make(f"learned:{tmp_path / 'run' / 'policy.npz'}")
     with pytest.raises(ResultsError, match="holds a run; pass --resume"):
         train.main(train.Args(**args, steps=8))
     with pytest.raises(ResultsError, match=r"other arguments \(seed\)"):
         train.main(train.Args(**args, steps=8, seed=5, resume=True))
     train.main(train.Args(**args, steps=8, resume=True))
-    rows = (tmp_path / "run" / "learning_curve.csv").read_text().splitlines()
-    assert [row.split(",")[0] for row in rows] == ["steps", "0", "4", "8"]
+    assert steps_of(tmp_path / "run") == ["steps", "0", "4", "8"]
 
 
 def test_receiver(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -103,8 +109,7 @@ def test_both(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     train.main(train.Args(**args, steps=20))
     assert (MADE | {"giver.npz", "receiver.npz"}) - {"policy.npz"} <= files(tmp_path / "run")
     train.main(train.Args(**args, steps=40, resume=True))
-    rows = (tmp_path / "run" / "learning_curve.csv").read_text().splitlines()
-    assert [row.split(",")[0] for row in rows] == ["steps", "0", "20", "40"]
+    assert steps_of(tmp_path / "run") == ["steps", "0", "20", "40"]
 
 
 def test_best_responses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -123,9 +128,55 @@ def test_best_responses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
     assert len(table) == 1 + 2 * 2
 
 
-def test_scenes_are_kept_for_testing() -> None:
-    scenes = tuple(range(100, 200))
-    assert set(training_scenes(scenes)) | set(held_out_scenes(scenes)) == set(scenes)
-    assert not set(training_scenes(scenes)) & set(held_out_scenes(scenes))
-    assert spread_scenes(scenes, 3) in ((100, 150, 199), (100, 149, 199), (100, 150, 199))
-    assert spread_scenes(scenes, 1000) == scenes
+class StoppedError(Exception):
+    """Stands for what ends a program from outside."""
+
+
+def test_best_responses_go_on_where_they_were_stopped_before_the_first_checkpoint(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    vec_env = pytest.importorskip("stable_baselines3.common.vec_env", reason="needs the extra `train`")
+    monkeypatch.setattr("handover_marl.training.stable_baselines.SubprocVecEnv", vec_env.DummyVecEnv)
+    respond = script("best_response", monkeypatch)
+    folder, trainer = tmp_path / "giver-1", respond.train_giver_sb3
+    few = {"receiver": "yang2021", "demonstrations": 1, "val_scenes": 1, "time_limit": 2.5}
+    args, changes = trainer.Args(**GIVER | few, steps=4), {"receiver": "hold"}
+
+    def stop(*_: object, **__: object) -> None:
+        raise StoppedError
+
+    for where in ("ppo.vector_env", "ppo.evaluate_policy", "stable_baselines.save_checkpoint"):
+        with monkeypatch.context() as patched:
+            patched.setattr(f"handover_marl.training.{where}", stop)
+            with pytest.raises(StoppedError):
+                respond.respond(trainer, args, folder, changes)
+        assert "arguments.json" in files(folder)
+        assert not {"checkpoint.pt", "done"} & files(folder)
+    assert respond.respond(trainer, args, folder, changes) == f"learned:{folder / 'policy.npz'}"
+    assert files(folder) >= MADE | {"done"}
+    assert steps_of(folder) == ["steps", "0", "4"]
+    monkeypatch.setattr(trainer, "main", stop)
+    assert respond.respond(trainer, args, folder, changes) == f"learned:{folder / 'policy.npz'}"
+
+
+@pytest.mark.parametrize("name", ["train_giver_sb3", "train_receiver_sb3", "train_both_ippo"])
+def test_runs_do_not_go_on_with_other_data(
+    tmp_path: Path, fake_data: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    """What "auto" means depends on the environment."""
+    train = script(name, monkeypatch)
+    args = train.Args(out=str(tmp_path / "run"), resume=True)
+    RunFolder(tmp_path / "run", args, False, "synthetic")
+    monkeypatch.setenv(DATA_VARIABLE, str(fake_data))
+    with pytest.raises(ResultsError, match=r"other arguments \(dataset\)"):
+        train.main(args)
+
+
+def test_strangers_checkpoints_do_not_run_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    train = script("train_both_ippo", monkeypatch)
+    args = train.Args(out=str(tmp_path / "run"), dataset="synthetic", envs=1, rollout=4, val_scenes=1, resume=True)
+    folder = RunFolder(tmp_path / "run", args, False, "synthetic")
+    folder.checkpoint.write_bytes(pickle.dumps(Evil(tmp_path / "ran")))
+    with pytest.raises(Exception, match=r"(?i)weights"):
+        train.main(args)
+    assert not (tmp_path / "ran").exists()
