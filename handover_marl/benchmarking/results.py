@@ -61,7 +61,9 @@ class ResultFolder:
                 raise ResultsError(
                     f"{path} is not empty and has no {CONFIG_FILE}, so it is no result folder; choose another one"
                 )
-            if fresh:
+            if fresh and CONFIG_FILE in entries:
+                # Whatever else has a file of that name is not ours to clear.
+                read_settings(path)
                 self._clear(entries)
         except ResultsError:
             raise

@@ -18,7 +18,7 @@ from handover_marl.run import Run, reference_of
 
 CONFIG_FILE = "config.yaml"
 _OWN_SECTION = "HANDOVER_MARL"
-_LARGEST = 1_000_000  # bytes of a configuration
+_LARGEST = 64_000  # bytes of a configuration; the original's have a few thousand
 #: How the official world and rules are called.
 OFFICIAL_WORLD = "official"
 
@@ -129,7 +129,10 @@ def _check_rules(path: Path, settings: RunSettings, content: Mapping[str, Any]) 
     """Official figures stand beside published ones, so they must have been made under the official rules."""
     if settings.world != OFFICIAL_WORLD:
         return
-    told = {**content["BENCHMARK"], "TIME_STEP": (content.get("SIM") or {}).get("TIME_STEP", TIME_STEP)}
+    simulation = content.get("SIM", {})
+    if not isinstance(simulation, dict):
+        raise ResultsError(f"{path}: not a readable configuration (SIM is {_brief(simulation)})")
+    told = {**content["BENCHMARK"], "TIME_STEP": simulation.get("TIME_STEP", TIME_STEP)}
     for key, value in (_rules(OFFICIAL) | {"TIME_STEP": TIME_STEP}).items():
         found = told.get(key, value)
         same = list(found) == value if isinstance(value, list) and isinstance(found, (list, tuple)) else found == value
@@ -157,7 +160,7 @@ def _read_yaml(config_path: Path, folder: Path) -> dict[str, Any]:
     except OSError as error:
         raise ResultsError(f"cannot read {config_path}: {error.strerror or error}") from error
     if not stat.S_ISREG(state.st_mode) or state.st_size > _LARGEST:
-        raise ResultsError(f"{config_path}: not a readable configuration (no file of less than a megabyte)")
+        raise ResultsError(f"{config_path}: not a readable configuration (no file of less than 64 kB)")
     try:
         content = yaml.load(config_path.read_text(), _PlainLoader)
     except Exception as error:  # YAML lets errors of its constructors through
@@ -169,7 +172,10 @@ def _read_yaml(config_path: Path, folder: Path) -> dict[str, Any]:
 
 def _brief(value: object) -> str:
     """Something strange in a few words."""
-    text = f"{type(value).__name__}: {value}" if isinstance(value, BaseException) else str(value)
+    try:
+        text = f"{type(value).__name__}: {value}" if isinstance(value, BaseException) else str(value)
+    except (ValueError, RecursionError):  # numbers of thousands of digits, what contains itself
+        text = type(value).__name__
     return text if len(text) <= 200 else f"{text[:200]}..."
 
 

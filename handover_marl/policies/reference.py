@@ -95,8 +95,10 @@ class PolicyReference:
         if self.options:
             label += ":" + ",".join(f"{key}={_shown(value)}" for key, value in self.options)
         content = repr(self.options).encode()
-        if isinstance(self._found(), Policy):
-            content += self.pickled
+        found = self._found()
+        if isinstance(found, Policy):
+            # Its state; a pickled class that was typed in has another number in every process.
+            content += cloudpickle.dumps(vars(found))
         if self.file is not None:
             content += Path(self.file).expanduser().read_bytes()
         return replace(self, label=label, source=source_hash(type(made), content))

@@ -1,14 +1,22 @@
 """A hash of the code that a class runs, so that results of changed code are not taken for those of the old."""
 
+import functools
 import hashlib
+import importlib.util
 import inspect
+import re
 import sys
 import sysconfig
 from pathlib import Path
-from types import ModuleType
 
 _STANDARD = tuple(
     str(Path(sysconfig.get_path(name)).resolve()) for name in ("stdlib", "platstdlib", "purelib", "platlib")
+)
+
+
+_PLAIN = (int, float, str, bytes, tuple, type(None))
+_IMPORT = re.compile(
+    r"^[ \t]*(?:from[ \t]+([.\w]+)[ \t]+import[ \t]+(\([^)]*\)|[^\n#;]+)|import[ \t]+([\w., \t]+))", re.MULTILINE
 )
 
 
@@ -23,66 +31,102 @@ def source_hash(kind: type, content: bytes = b"") -> str:
     digest.update(f"{kind.__module__}:{kind.__qualname__}".encode())
     files: set[str] = set()
     for base in kind.__mro__[:-1]:
-        found = _files(sys.modules.get(base.__module__))
-        files |= found
-        if not found:
+        start = _start(base)
+        files |= _files(base.__module__, start) if start else set()
+        if start is None or "<locals>" in base.__qualname__:
             digest.update(_typed_source(base).encode())
     for path in sorted(files):
         digest.update(Path(path).read_bytes())
     return digest.hexdigest()[:8]
 
 
-def _files(start: ModuleType | None) -> set[str]:
-    """Source files of a module and of those it imports that belong to its own package, or to no package at all."""
-    if start is None:
-        return set()
-    package = start.__name__.partition(".")[0]
-    found: dict[str, str] = {}
-    waiting = [start]
+def _start(kind: type) -> str | None:
+    """The source file of the module that a class is written in, or None at a prompt and in notebooks."""
+    path = getattr(sys.modules.get(kind.__module__), "__file__", None)
+    return path if isinstance(path, str) and path.endswith(".py") and Path(path).is_file() else None
+
+
+def _files(name: str, path: str) -> set[str]:
+    """Source files of a module and of those it imports that belong to its own package, or are nobody's package.
+
+    Told from the sources alone: what else happens to be loaded must not count.
+    """
+    package = name.partition(".")[0]
+    found = {name: path}
+    waiting = [(name, path)]
     while waiting:
-        module = waiting.pop()
-        path = _source_file(module)
-        if path is None or module.__name__ in found:
-            continue
-        found[module.__name__] = path
-        waiting += [other for other in _imported(module) if _belongs(other, package)]
+        for other in _imported_names(*waiting.pop()):
+            where = None if other in found else _source_file(other, package)
+            if where is not None and _belongs(other, where, package):
+                found[other] = where
+                waiting.append((other, where))
     return set(found.values())
 
 
-def _imported(module: ModuleType) -> list[ModuleType]:
-    """Modules that a module's global names come from."""
-    names = {
-        value.__name__ if isinstance(value, ModuleType) else getattr(value, "__module__", None)
-        for value in vars(module).values()
-    }
-    return [sys.modules[name] for name in names if isinstance(name, str) and name in sys.modules]
+def _imported_names(name: str, path: str) -> set[str]:
+    """Names that may be modules which a module's source imports, wherever in it."""
+    package = name if Path(path).name == "__init__.py" else name.rpartition(".")[0]
+    names: set[str] = set()
+    for base, several, plain in _import_statements(path, Path(path).stat().st_mtime_ns):
+        if plain:
+            names.update(part.split(" as ")[0].strip() for part in plain.split(","))
+            continue
+        level = len(base) - len(base.lstrip("."))
+        parent = package.split(".")[: len(package.split(".")) - level + 1] if level else []
+        whole = ".".join([*parent, base.lstrip(".")]).strip(".")
+        names.add(whole)
+        names.update(f"{whole}.{part.split(' as ')[0].strip()}" for part in several.strip("()").split(","))
+    # "import a.b" loads "a", too.
+    return {part for part in names | {name.rpartition(".")[0] for name in names} if part}
 
 
-def _belongs(module: ModuleType, package: str) -> bool:
-    path = _source_file(module)
-    if module.__name__.partition(".")[0] == package:
+@functools.lru_cache(maxsize=1024)
+def _import_statements(path: str, changed: int) -> tuple[tuple[str, str, str], ...]:
+    return tuple(_IMPORT.findall(Path(path).read_text(errors="replace")))
+
+
+def _belongs(name: str, path: str, package: str) -> bool:
+    if name.partition(".")[0] == package:
         return True
-    # Scripts and notebooks import from the folders they lie in, not from a package.
-    return package == "__main__" and path is not None and not path.startswith(_STANDARD)
+    # Scripts, notebooks and modules beside them import from the folders they lie in, not from installed packages.
+    return not path.startswith(_STANDARD)
 
 
-def _source_file(module: ModuleType) -> str | None:
-    path = getattr(module, "__file__", None)
-    if not isinstance(path, str) or not path.endswith(".py"):
+def _source_file(name: str, package: str) -> str | None:
+    """Where a module's source is; nothing is run but packages of one's own that enclose it."""
+    top = name.partition(".")[0]
+    if top in sys.stdlib_module_names:
         return None
-    file = Path(path).resolve()
-    return str(file) if file.is_file() else None
+    if top != name:
+        whole = _origin(top, tuple(sys.path))
+        if whole is None or (whole.startswith(_STANDARD) and top != package):
+            return None
+    return _origin(name, tuple(sys.path))
+
+
+@functools.lru_cache(maxsize=4096)
+def _origin(name: str, search_path: tuple[str, ...]) -> str | None:
+    try:
+        spec = importlib.util.find_spec(name)
+    except (ImportError, ValueError, AttributeError):
+        return None
+    if spec is None or not spec.origin or not spec.origin.endswith(".py"):
+        return None
+    return str(Path(spec.origin).resolve())
 
 
 def _typed_source(kind: type) -> str:
-    """The methods of a class typed into a notebook or at a prompt, as source or else as bytecode."""
+    """The methods of a class that was typed in or made by a function, and the plain values that they use."""
     texts = []
     for name, value in sorted(vars(kind).items()):
         function = inspect.unwrap(getattr(value, "fget", None) or getattr(value, "__func__", value))
         code = getattr(function, "__code__", None)
         if code is None:
-            texts.append(f"{name}={value!r}" if isinstance(value, (int, float, str, tuple)) else name)
+            texts.append(f"{name}={value!r}" if isinstance(value, _PLAIN) else name)
             continue
+        used = inspect.getclosurevars(function)
+        values = sorted({**used.globals, **used.nonlocals}.items())
+        texts += [f"{key}={item!r}" for key, item in values if isinstance(item, _PLAIN)]
         try:
             texts.append(inspect.getsource(function))
         except (OSError, TypeError):

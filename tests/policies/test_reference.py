@@ -98,6 +98,13 @@ class Fails(Mine):
         raise ZeroDivisionError("nought")
 
 
+class Quits(Mine):
+    name = "quits"
+
+    def __init__(self) -> None:
+        sys.exit("bye")
+
+
 class Demanding(Mine):
     name = "demanding"
 
@@ -292,6 +299,7 @@ def test_what_is_no_receiver() -> None:
     ("policy", "error", "message"),
     [
         (Fails, PolicyError, r"giver 'Fails' cannot be made \(ZeroDivisionError: nought\)"),
+        (Quits, PolicyError, r"giver 'Quits' cannot be made \(SystemExit: bye\)"),
         (Demanding, PolicyError, "giver 'Demanding' cannot be made .*needed"),
         (Impostor, OptionError, "made 'no policy', which is no policy"),
     ],
@@ -375,7 +383,7 @@ def test_another_script_is_another_policy(tmp_path: Path, prompt: bool) -> None:
 
 @pytest.mark.parametrize(
     "prompt",
-    [False, pytest.param(True, marks=pytest.mark.xfail(strict=True, reason="found: only the class itself is hashed"))],
+    [False, True],
 )
 def test_what_a_scripts_class_uses_belongs_to_it(tmp_path: Path, prompt: bool) -> None:
     first, changed = (typed(tmp_path / "a", prompt, shared=shared) for shared in (1.0, 5.0))
@@ -383,14 +391,12 @@ def test_what_a_scripts_class_uses_belongs_to_it(tmp_path: Path, prompt: bool) -
     assert first[0].source != changed[0].source
 
 
-@pytest.mark.xfail(strict=True, reason="found: cloudpickle gives a class of a script a new id in every process")
 @pytest.mark.parametrize("prompt", [False, True])
 def test_an_instance_of_a_scripts_class_is_known_again(tmp_path: Path, prompt: bool) -> None:
     first, again = (typed(tmp_path / "a", prompt) for _ in range(2))
     assert first[2].source == again[2].source
 
 
-@pytest.mark.xfail(strict=True, reason="found: what a function's class encloses is not hashed")
 def test_classes_that_enclose_different_things_are_different_policies() -> None:
     def sped_up(factor: float) -> type[Giver]:
         class Local(Mine):
