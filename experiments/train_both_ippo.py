@@ -26,6 +26,7 @@ from handover_marl.datasets import open_dataset
 from handover_marl.envs.constructors import parallel_env
 from handover_marl.envs.encode import FEATURES, SCHEMES, EncodedEnv, encode
 from handover_marl.envs.rewards import SHAPED
+from handover_marl.errors import ResultsError
 from handover_marl.learning.network import Network
 from handover_marl.learning.policy_files import write_policy
 from handover_marl.learning.policy_spec import PolicySpec
@@ -229,6 +230,16 @@ def save(path: Path, state: dict[str, Any]) -> None:
     temporary.replace(path)
 
 
+def read_checkpoint(path: Path) -> dict[str, Any]:
+    try:
+        state: dict[str, Any] = torch.load(path, weights_only=True)
+    except Exception as error:  # what damaged files raise has no end
+        raise ResultsError(
+            f"{path}: no checkpoint of this run ({type(error).__name__}); remove it to start anew"
+        ) from error
+    return state
+
+
 def main(args: Args) -> None:
     torch.manual_seed(args.seed)
     torch.set_num_threads(1)
@@ -252,7 +263,7 @@ def main(args: Args) -> None:
     optimizers = {agent: torch.optim.Adam(models[agent].parameters(), lr=args.learning_rate) for agent in AGENTS}
     done = 0
     if args.resume and folder.checkpoint.exists():
-        state = torch.load(folder.checkpoint, weights_only=True)
+        state = read_checkpoint(folder.checkpoint)
         done = state["updates"]
         for agent in AGENTS:
             models[agent].load_state_dict(state["models"][agent])

@@ -24,6 +24,7 @@ HAND_DOF = 51
 OBJECT_DOF = 6
 MAX_OBJECTS = 5
 N_KEYPOINTS = 16
+N_PREVIEW = 5
 
 
 @dataclass(frozen=True)
@@ -112,6 +113,11 @@ class GiverConfig:
     opening: float = 0.7
     opening_time: float = 0.3
     preview: tuple[float, ...] = (0.1, 0.2, 0.3, 0.4, 0.5)
+
+    def __post_init__(self) -> None:
+        # Spaces, features and learned givers count on five.
+        if len(self.preview) != N_PREVIEW:
+            raise OptionError(f"preview={self.preview}: a giver knows its recording at {N_PREVIEW} times ahead")
 
 
 @dataclass(frozen=True)

@@ -54,6 +54,7 @@ def test_ctrl_c(fake_data: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest
     assert "same command goes on" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_reader_that_goes_away(fake_data: Path) -> None:
     code = "import sys; from handover_marl.cli import main; sys.exit(main())"
     arguments = [

@@ -209,8 +209,8 @@ def load_pickled_dict(path: Path) -> dict[str, Any]:
         ) from error
 
 
-def unpickle_plain(data: bytes) -> dict[str, npt.NDArray[Any]]:
-    """The arrays in a pickled dict of arrays.
+def unpickle_plain(data: bytes) -> dict[str, npt.NDArray[Any]] | npt.NDArray[Any]:
+    """A pickled array, or the arrays in a pickled dict of arrays.
 
     Raises:
         DataFormatError: The pickle is something else, asks for more, or is damaged.
@@ -218,6 +218,8 @@ def unpickle_plain(data: bytes) -> dict[str, npt.NDArray[Any]]:
     try:
         _check_operations(data)
         content = _ArrayUnpickler(io.BytesIO(data), encoding="bytes").load()
+        if isinstance(content, _Array) and content.value is not None:
+            return content.value
         if not isinstance(content, dict):
             raise pickle.UnpicklingError(f"expected a dict, found {type(content).__name__}")
         return {_text(key): value.value for key, value in content.items() if value.value is not None}

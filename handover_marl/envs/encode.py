@@ -133,8 +133,13 @@ class EncodedEnv(ParallelWrapper):
                 scheme.decide(outputs[agent])
         self._seen, rewards, ended, timed_out, infos = self._once()
         while len(self.possible_agents) == 1 and self.agents and not self._asks():
+            before = infos
             self._seen, more, ended, timed_out, infos = self._once()
             rewards = {agent: rewards[agent] + more[agent] for agent in rewards}
+            for agent, info in infos.items():
+                # What rewards are made of adds up as they do.
+                terms = [key for key in info if key.startswith("reward/")]
+                info.update({key: info[key] + before[agent][key] for key in terms})
         return self._encoded(), rewards, ended, timed_out, infos
 
     def _once(self) -> ParallelStep:

@@ -112,7 +112,8 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         max_cycles: int | None = None,
         config: WorldConfig = OFFICIAL,
     ) -> None:
-        chosen = None if scenes is None else list(scenes)
+        # Told below if it is no list, where the split is known.
+        chosen = list(scenes) if isinstance(scenes, Iterable) else scenes
         EzPickle.__init__(
             self,
             *(setup, split, data_dir, dataset, physics, control_period, render_mode, camera, rewards),
@@ -345,6 +346,8 @@ def control_steps(control_period: float) -> int:
 
 
 def _checked_cycles(max_cycles: int | None) -> int | None:
-    if max_cycles is not None and (isinstance(max_cycles, bool) or not isinstance(max_cycles, int) or max_cycles < 1):
+    if max_cycles is None:
+        return None
+    if isinstance(max_cycles, bool) or not isinstance(max_cycles, (int, np.integer)) or max_cycles < 1:
         raise OptionError(f"max_cycles={max_cycles!r} must be a whole number, 1 or more, or None")
-    return max_cycles
+    return int(max_cycles)

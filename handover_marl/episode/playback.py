@@ -81,7 +81,7 @@ class Playback:
     @property
     def frame(self) -> int:
         """The frame shown, 0 at first."""
-        return int(min(round(self._now.clock), self.scene.n_frames - 1))
+        return min(int(_frames(self._now.clock)), self.scene.n_frames - 1)
 
     @property
     def holding(self) -> bool:
@@ -138,7 +138,7 @@ class Playback:
         now = self._now
         rates = self._rates(plan.wanted.rate, steps)
         clock = now.clock + np.cumsum(1.0 + rates)
-        motion = self._read(np.minimum(np.rint(clock), self.scene.n_frames - 1).astype(int))
+        motion = self._read(np.minimum(_frames(clock), self.scene.n_frames - 1).astype(int))
         deviated = now.deviated or plan.deviates
         shift, turn = copy.copy(now.shift), copy.copy(now.turn)
         # Once there has been a deviation the angles may have gone round another way than the recorded ones.
@@ -210,6 +210,11 @@ class _Plan:
     def deviates(self) -> bool:
         """Whether the wrist is wanted elsewhere than recorded."""
         return bool(self.shift.any() or self.turn.any())
+
+
+def _frames(clock: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    """The frames shown at times told in frames; at halves, to which rates often add up, no noise decides."""
+    return np.rint(np.round(np.asarray(clock, dtype=np.float64), 9))
 
 
 def wrist_place(scene: Scene) -> npt.NDArray[np.float64]:

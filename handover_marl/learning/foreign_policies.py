@@ -7,6 +7,7 @@ are left alone: the network is built from the weights' names and shapes. TorchSc
 import io
 import json
 import pickle
+import re
 import zipfile
 from collections.abc import Mapping
 from dataclasses import replace
@@ -199,8 +200,10 @@ def _activation(about: Mapping[str, Any]) -> str | None:
     named = arguments.get("activation_fn") if isinstance(arguments, dict) else None
     if named is None:
         return None
-    for word, activation in (("Tanh", "tanh"), ("ReLU'", "relu")):
-        if word in str(named):
+    # As Stable-Baselines3 writes it: "<class 'torch.nn.modules.activation.ReLU'>".
+    words = re.findall(r"\w+", str(named))
+    for word, activation in (("Tanh", "tanh"), ("ReLU", "relu")):
+        if words and words[-1] == word:
             return activation
     raise DataFormatError(f"its activation is {named}; only Tanh and ReLU are supported")
 

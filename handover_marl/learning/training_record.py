@@ -2,7 +2,6 @@
 
 import base64
 import binascii
-import io
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,6 +13,7 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from handover_marl.datasets.pickled_grasps import unpickle_plain
+from handover_marl.episode.observations import giver_observation_space, observation_space
 from handover_marl.errors import DataFormatError
 
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|[-+]?inf")
@@ -72,7 +72,7 @@ def read_training(path: Path, about: Mapping[str, Any]) -> TrainingRecord:
         high=_numbers(space.get("high")),
         control_period=float(period) if isinstance(period, (int, float)) and not isinstance(period, bool) else None,
         squashed_by_policy=isinstance(arguments, dict) and arguments.get("squash_output") is True,
-        last_seen=_arrays(about.get("_last_obs")),
+        last_seen=_last_seen(about.get("_last_obs")),
     )
 
 
@@ -83,19 +83,43 @@ def _numbers(text: object) -> npt.NDArray[np.float64] | None:
     return np.array([float(number) for number in _NUMBER.findall(text)])
 
 
-def _arrays(value: object) -> dict[str, npt.NDArray[Any]] | None:
-    """The arrays of a pickled dict, read by a reader that knows nothing else."""
+def _last_seen(value: object) -> dict[str, npt.NDArray[Any]] | None:
+    """The last observations, read by a reader that knows arrays only; None where there are none."""
     if not isinstance(value, dict) or not isinstance(value.get(":serialized:"), str):
         return None
     try:
-        return unpickle_plain(io.BytesIO(base64.b64decode(value[":serialized:"])).getvalue())
+        found = unpickle_plain(base64.b64decode(value[":serialized:"]))
     except (DataFormatError, binascii.Error, ValueError):
         return None
+    return _unflattened(found) if isinstance(found, np.ndarray) else found
+
+
+def _unflattened(flat: npt.NDArray[Any]) -> dict[str, npt.NDArray[Any]] | None:
+    """Flat observations by name again, in the order in which Gymnasium flattens them."""
+    for space in (observation_space(), giver_observation_space()):
+        if flat.ndim == 2 and flat.shape[1] == spaces.flatdim(space):
+            names = list(space.spaces)
+            sizes = [spaces.flatdim(space[name]) for name in names]
+            parts = np.split(flat, np.cumsum(sizes)[:-1], axis=1)
+            shapes = [(len(flat), *(space[name].shape or ())) for name in names]
+            return {name: part.reshape(shape) for name, part, shape in zip(names, parts, shapes, strict=True)}
+    return None
 
 
 def _as_observed(seen: dict[str, npt.NDArray[Any]]) -> bool:
-    """Whether these are observations as the environment makes them: there is an object, and masks are 0 or 1."""
-    mask = seen.get("object_mask")
-    if not isinstance(mask, np.ndarray) or mask.ndim != 2:
-        return True
-    return bool(np.isin(mask, (0.0, 1.0)).all() and (mask[:, 0] == 1.0).all())
+    """Whether these are observations as the environment makes them: flags, whole numbers, unit quaternions."""
+    for name in ("object_mask", "hand_present", "released"):
+        if name in seen and not np.isin(seen[name], (0.0, 1.0)).all():
+            return False
+    if "object_mask" in seen and not (seen["object_mask"][:, 0] == 1.0).all():
+        return False
+    if (
+        "object_classes" in seen
+        and not ((seen["object_classes"] == np.rint(seen["object_classes"])) & (seen["object_classes"] >= 0.0)).all()
+    ):
+        return False
+    if "time" in seen and (seen["time"] < 0.0).any():
+        return False
+    if "gripper_pose" in seen:
+        return bool(np.allclose(np.linalg.norm(seen["gripper_pose"][:, 3:], axis=1), 1.0, atol=1e-3))
+    return True

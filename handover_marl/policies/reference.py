@@ -30,7 +30,7 @@ from handover_marl.policies.policy import Policy
 from handover_marl.policies.registry import available, registered
 from handover_marl.policies.source_hash import source_hash
 
-_OPTIONS = re.compile(r"[A-Za-z_]\w*=[^=]*(,[A-Za-z_]\w*=[^=]*)*")
+_OPTIONS = re.compile(r"[A-Za-z_]\w*=[^=,]*(,[A-Za-z_]\w*=[^=,]*)*")
 # What a constructor gets if it asks for it; not for users to set by name.
 _GIVEN = ("self", "context", "agent", "path", "trust")
 
@@ -229,7 +229,7 @@ def _named(agent: str, text: str) -> Any:
 def _imported(agent: str, module: str, attribute: str) -> Any:
     try:
         return getattr(importlib.import_module(module), attribute)
-    except (ImportError, AttributeError, ValueError, TypeError) as error:
+    except Exception as error:  # a module of somebody's own may do anything
         raise UnknownNameError(
             agent, f"{module}:{attribute}", available(agent), f"and it cannot be imported ({error})"
         ) from error

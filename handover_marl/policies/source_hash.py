@@ -8,6 +8,7 @@ import re
 import sys
 import sysconfig
 from pathlib import Path
+from types import FunctionType
 
 _STANDARD = tuple(
     str(Path(sysconfig.get_path(name)).resolve()) for name in ("stdlib", "platstdlib", "purelib", "platlib")
@@ -127,9 +128,19 @@ def _typed_source(kind: type) -> str:
         used = inspect.getclosurevars(function)
         values = sorted({**used.globals, **used.nonlocals}.items())
         texts += [f"{key}={item!r}" for key, item in values if isinstance(item, _PLAIN)]
+        helpers = [item for _, item in values if inspect.isfunction(item) and not _is_written(item)]
+        texts += [repr((item.__code__.co_code, item.__code__.co_names, _constants(item))) for item in helpers]
         try:
             texts.append(inspect.getsource(function))
         except (OSError, TypeError):
-            constants = [constant for constant in code.co_consts if not inspect.iscode(constant)]
-            texts.append(f"{name} {code.co_code!r} {constants!r} {code.co_names!r}")
+            texts.append(f"{name} {code.co_code!r} {_constants(function)!r} {code.co_names!r}")
     return "\n".join(texts)
+
+
+def _constants(function: FunctionType) -> list[object]:
+    return [constant for constant in function.__code__.co_consts if not inspect.iscode(constant)]
+
+
+def _is_written(function: FunctionType) -> bool:
+    """Whether a function stands in a file, which is hashed as a whole."""
+    return Path(function.__code__.co_filename).is_file()

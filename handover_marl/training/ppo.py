@@ -119,6 +119,7 @@ def train_ppo(
     model = make_model(args, envs)
     if args.resume and folder.checkpoint.exists():
         load_checkpoint(model, folder.checkpoint)
+        folder.forget_after(model.num_timesteps)
     else:
         prepare(model, make)
 

@@ -111,6 +111,10 @@ class RunFolder:
         """Training time up to the last evaluation (s)."""
         return self.points[-1].seconds if self.points else 0.0
 
+    def forget_after(self, steps: int) -> None:
+        """Drop evaluations beyond a checkpoint: the run was stopped between the two, and will make them again."""
+        self.points = [point for point in self.points if point.steps <= steps]
+
     def add(self, point: CurvePoint) -> None:
         """Note an evaluation and draw the learning curve anew."""
         self.points.append(point)
@@ -127,7 +131,10 @@ class RunFolder:
             return []
         try:
             with path.open(newline="") as stream:
-                return [_point(row) for row in csv.DictReader(stream)]
+                reader = csv.DictReader(stream)
+                if reader.fieldnames != [part.name for part in fields(CurvePoint)]:
+                    raise ValueError(f"columns {reader.fieldnames}")
+                return [_point(row) for row in reader]
         except (OSError, ValueError, KeyError, TypeError, csv.Error) as error:
             raise ResultsError(
                 f"{path}: no learning curve of this library ({type(error).__name__}: {error}); remove it to go on "

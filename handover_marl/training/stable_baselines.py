@@ -75,7 +75,7 @@ def load_checkpoint(model: OnPolicyAlgorithm, path: Path) -> None:
         torch.set_rng_state(state["random"])
     except Exception as error:  # what damaged files raise has no end
         raise ResultsError(
-            f"{path}: no checkpoint of this run ({type(error).__name__}: {error}); remove it to start anew"
+            f"{path}: no checkpoint of this run ({type(error).__name__}); remove it to start anew"
         ) from error
 
 

@@ -43,6 +43,7 @@ def test_bad_names_come_to_light_before_the_first_scene(fake_data: Path, tmp_pat
         handover_marl.crossplay([], ["hold"], data_dir=fake_data)
 
 
+@pytest.mark.slow
 def test_receivers_are_compared_scene_by_scene(fake_data: Path) -> None:
     played = handover_marl.crossplay(
         ["replay"],

@@ -40,6 +40,7 @@ def test_bad_numbers_of_workers(fake_data: Path, tmp_path: Path, n_workers: Any)
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_results_do_not_depend_on_workers_even_if_one_is_killed(
     fake_data: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -103,7 +103,6 @@ def test_rewards_add_up_until_the_next_decision() -> None:
     world.close()
 
 
-@pytest.mark.xfail(strict=True, reason="found: infos tell the last control period's terms only")
 def test_infos_tell_the_terms_of_what_was_added_up() -> None:
     env = encoded("giver", "hold", "offer", max_cycles=40, rewards="shaped")
     env.reset(seed=0, options={"scene_id": 9})

@@ -202,7 +202,6 @@ def test_only_what_was_simulated_counts(done: int, rate: float) -> None:
     np.testing.assert_array_equal(advance(whole, 50).hand, advance(cut, 50).hand)
 
 
-@pytest.mark.xfail(strict=True, reason="found: the clock stands halfway between two frames, and rounding decides")
 @pytest.mark.parametrize("rate", [-1.0, 1.0])
 def test_how_steps_are_cut_does_not_matter(rate: float) -> None:
     """A control period only groups steps, whoever pauses or hurries."""

@@ -306,7 +306,6 @@ def test_normalised_rewards_do_no_harm(tmp_path: Path) -> None:
     made(trained(tmp_path / "policy.zip", normalised(norm_obs=False)), "receiver")
 
 
-@pytest.mark.xfail(strict=True, reason="found: only dicts of observations are looked at, and there only the mask")
 @pytest.mark.parametrize(
     ("policy", "options"),
     [("MlpPolicy", {"flat": True}), ("MultiInputPolicy", {"norm_obs_keys": ["robot_joint_position"]})],
@@ -345,8 +344,8 @@ def test_policies_that_squash_by_themselves_are_refused(tmp_path: Path) -> None:
         ("ReLU", True),
         ("Tanh", True),
         ("SiLU", False),
-        pytest.param("LeakyReLU", False, marks=pytest.mark.xfail(strict=True, reason="found: taken for ReLU")),
-        pytest.param("Tanhshrink", False, marks=pytest.mark.xfail(strict=True, reason="found: taken for Tanh")),
+        ("LeakyReLU", False),
+        ("Tanhshrink", False),
     ],
 )
 def test_activations(tmp_path: Path, name: str, known: bool) -> None:

@@ -8,10 +8,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from handover_marl import givers, receivers
 from handover_marl.cli import main
 from handover_marl.config import CameraConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.episode import Episode
+from handover_marl.episode.play import play
+from handover_marl.episode.watchers import Watcher
 from handover_marl.errors import HandoverError, OptionError, ResultsError, SceneError, UnknownNameError
 from handover_marl.pictures import rendering
 from handover_marl.pictures.rendering import render_scene
@@ -95,6 +98,35 @@ def test_six_key_frames_of_an_episode_are_six_from_its_start_to_its_end(
     assert len(shown) == len(drawn_after) == 6
     assert drawn_after == np.linspace(0, max(steps), 6).round().astype(int).tolist()
     assert all((first != second).any() for first, second in itertools.pairwise(shown))
+
+
+class Joints(Watcher):
+    def started(self, episode: Episode) -> None:
+        self.rows: list[np.ndarray] = []
+
+    def stepped(self, episode: Episode) -> None:
+        self.rows.append(episode.world.postures().robot)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("physics", ["fast", "exact"])
+@pytest.mark.parametrize("scene_id", [209, 214])
+def test_drawing_changes_nothing(scene_id: int, physics: str) -> None:
+    """To the bit, whenever pictures are taken, and though this robot hits itself and the table."""
+    dataset = SyntheticDataset()
+    players = receivers.make("random", dataset), givers.make("noisy", dataset)
+    ends = []
+    for times in ([], [0, 295, 589, 884, 1178, 1473], range(0, 13_000, 333), range(0, 13_000, 80)):
+        episode, joints = Episode(physics), Joints()
+        episode.reset(dataset.scene(scene_id))
+        play(episode, *players, seed=0, watchers=[joints, rendering.Film(times, CAMERA)])
+        ends.append((episode.status, episode.steps, np.array(joints.rows)))
+        episode.close()
+    for number, (*end, rows) in enumerate(ends[1:], start=1):
+        shorter = min(len(rows), len(ends[0][-1]))
+        different = np.flatnonzero((rows[:shorter] != ends[0][-1][:shorter]).any(axis=1))
+        assert not len(different), f"film {number} shows another episode from step {different[0] + 1} on"
+        assert end == list(ends[0][:-1])
 
 
 @pytest.mark.parametrize("name", ["sheet.PNG", "film.GIF", "film.gif", "sheet.Png"])
