@@ -15,7 +15,10 @@ from gymnasium import spaces
 from handover_marl.datasets.pickled_grasps import unpickle_plain
 from handover_marl.episode.observations import giver_observation_space, observation_space
 from handover_marl.errors import DataFormatError
+from handover_marl.models.panda import LOWER_LIMITS, UPPER_LIMITS
 
+# Joints may overshoot their limits by that much (rad, m).
+_BEYOND = 0.05
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|[-+]?inf")
 
 
@@ -107,7 +110,11 @@ def _unflattened(flat: npt.NDArray[Any]) -> dict[str, npt.NDArray[Any]] | None:
 
 
 def _as_observed(seen: dict[str, npt.NDArray[Any]]) -> bool:
-    """Whether these are observations as the environment makes them: flags, whole numbers, unit quaternions."""
+    """Whether these are observations as the environment makes them.
+
+    Flags are 0 or 1, classes whole numbers, quaternions of length 1, and joints within their limits; means taken out,
+    all but some of these are otherwise.
+    """
     for name in ("object_mask", "hand_present", "released"):
         if name in seen and not np.isin(seen[name], (0.0, 1.0)).all():
             return False
@@ -120,6 +127,11 @@ def _as_observed(seen: dict[str, npt.NDArray[Any]]) -> bool:
         return False
     if "time" in seen and (seen["time"] < 0.0).any():
         return False
+    if "robot_joint_position" in seen:
+        joints = seen["robot_joint_position"]
+        low, high = np.array(LOWER_LIMITS) - _BEYOND, np.array(UPPER_LIMITS) + _BEYOND
+        if not ((joints >= low) & (joints <= high)).all():
+            return False
     if "gripper_pose" in seen:
         return bool(np.allclose(np.linalg.norm(seen["gripper_pose"][:, 3:], axis=1), 1.0, atol=1e-3))
     return True

@@ -142,19 +142,22 @@ def test_rules_of_a_folder_stand_in_it(tmp_path: Path) -> None:
         read_settings(tmp_path)
 
 
+REST = "giver: replay, physics: exact, dataset: dexycb, version: '1.0'"
+
+
 def bomb(levels: int) -> str:
     """A few lines that mean 10^levels numbers."""
     lines = ["a0: &a0 [1, 1, 1, 1, 1, 1, 1, 1, 1, 1]"]
     lines += [f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 10)}]" for n in range(1, levels)]
-    return "\n".join(lines) + f"\nHANDOVER_MARL: {{receiver: *a{levels - 1}}}\n"
+    return "\n".join(lines) + f"\nHANDOVER_MARL: {{receiver: *a{levels - 1}, {REST}}}\n"
 
 
 @pytest.mark.parametrize(
     "text",
     [
-        bomb(9),
+        bomb(7),
         "GOAL_CENTER: &a [*a]",
-        "HANDOVER_MARL: &a {receiver: *a}",
+        f"HANDOVER_MARL: &a {{receiver: *a, {REST}}}",
         "x: &a\n  <<: *a",
         "[" * 5_000,
         "[\n" * 5_000,

@@ -7,6 +7,7 @@ import numpy.typing as npt
 
 from handover_marl.config import HandConfig, PandaConfig
 from handover_marl.models.motion_frames import MotionFrames
+from handover_marl.models.poses import IDENTITY, compose_point
 from handover_marl.sim.bullet.bounds import link_spheres
 from handover_marl.sim.bullet.client import connect
 from handover_marl.sim.bullet.hand_body import Hand
@@ -34,6 +35,7 @@ class GapMeter:
         self._client = connect()
         self._panda = Panda(self._client, panda_urdf, config)
         self._panda_urdf = panda_urdf
+        self._panda_base = np.array([*config.base_position, *config.base_orientation])
         self._hands: dict[Path, Hand] = {}
 
     def smallest(
@@ -49,8 +51,8 @@ class GapMeter:
             hand_frames: Likewise.
         """
         balls = [
-            _Balls(self._panda_urdf, robot_frames),
-            _Balls(hand_urdf, hand_frames),
+            _Balls(self._panda_urdf, robot_frames, self._panda_base),
+            _Balls(hand_urdf, hand_frames, IDENTITY),
         ]
         bounds = _gaps(*balls)
         nearest, left = _FARTHEST, np.arange(len(bounds))
@@ -81,14 +83,21 @@ class GapMeter:
 class _Balls:
     """Balls around the shapes of a model's links over time."""
 
-    def __init__(self, urdf: Path, frames: MotionFrames) -> None:
-        spheres = {link: sphere for link, sphere in link_spheres(urdf).items() if link >= 0}
-        links = list(spheres)
+    def __init__(self, urdf: Path, frames: MotionFrames, world_from_base: Array) -> None:
+        spheres = link_spheres(urdf)
+        links = [link for link in spheres if link >= 0]
         rotations = frames.rotations[:, links]
-        places = np.array([sphere.center for sphere in spheres.values()])
-        self.radii = np.array([sphere.radius for sphere in spheres.values()])
+        places = np.array([spheres[link].center for link in links])
+        self.radii = np.array([spheres[link].radius for link in links])
         self.centers = frames.origins[:, links] + (rotations @ places[..., None])[..., 0]
         self._turns = rotations.reshape(*rotations.shape[:2], 9)
+        if -1 in spheres:
+            # The base stands still, but somebody may reach for it.
+            count = len(self.centers)
+            center = compose_point(world_from_base, spheres[-1].center)
+            self.radii = np.append(self.radii, spheres[-1].radius)
+            self.centers = np.concatenate([self.centers, np.broadcast_to(center, (count, 1, 3))], axis=1)
+            self._turns = np.concatenate([self._turns, np.zeros((count, 1, 9))], axis=1)
 
     def moved(self, time: int, others: npt.NDArray[np.int_]) -> Array:
         """(k,) how far (m) no point is farther at other times than from where it is at one time."""
