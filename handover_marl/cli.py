@@ -83,8 +83,15 @@ def _described(info: StructTypeInfo) -> StructConstructorSpec | None:
     )
 
 
+class _ToldError(Exception):
+    """What tyro is not to tell in its own way."""
+
+
 def _make_run(**told: Any) -> Run:
-    scenes = parse_scenes(told.pop("scenes", None))
+    try:
+        scenes = parse_scenes(told.pop("scenes", None))
+    except OptionError as error:
+        raise _ToldError(str(error)) from error
     return Run(scenes=None if scenes is None else tuple(scenes), **told)
 
 
@@ -272,7 +279,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             config=(tyro.conf.OmitArgPrefixes,),
         )
         sys.stdout.flush()
-    except HandoverError as error:
+    except (HandoverError, _ToldError) as error:
         print(f"handover-marl: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:

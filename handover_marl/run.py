@@ -112,7 +112,7 @@ def describe(
     """The two descriptions from what a public function was given.
 
     Args:
-        setup: The official setup, or a whole description, with which nothing else of `Run` may be given.
+        setup: The official setup, or a whole description, beside which nothing else of `Run` counts.
         options: `RunOptions`.
         execution: How to run, or None to take that from the options.
         named: Further fields of `Run`.
@@ -128,9 +128,9 @@ def describe(
     told = {key: options[key] for key in options.keys() & run_names} | named
     how = {key: options[key] for key in options.keys() & execution_names}
     if isinstance(setup, Run):
-        twice = {key for key, value in told.items() if value is not None and value != getattr(Run(), key)}
+        twice = sorted(options.keys() & run_names)
         if twice:
-            raise OptionError(f"{sorted(twice)[0]} is given beside a Run; put it into the Run")
+            raise OptionError(f"{twice[0]} is given beside a Run; put it into the Run")
         run = setup
     else:
         run = Run(setup=setup, **_tidy(told))

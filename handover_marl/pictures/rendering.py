@@ -3,6 +3,7 @@
 import importlib.util
 import io
 import os
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -42,14 +43,17 @@ class Film(Watcher):
         times: Steps, ascending.
         camera: Where to look from.
         progress: Whether to show a progress bar, on stderr.
+        with_end: Whether to show how it ended, too.
 
     Attributes:
         pictures: (height, width, 3) each.
     """
 
-    def __init__(self, times: Sequence[int], camera: CameraConfig, progress: bool = False) -> None:
+    def __init__(
+        self, times: Sequence[int], camera: CameraConfig, progress: bool = False, with_end: bool = True
+    ) -> None:
         self.pictures: list[Picture] = []
-        self._times, self._camera = set(times), camera
+        self._times, self._camera, self._with_end = set(times), camera, with_end
         self._progress = Progress(console=Console(stderr=True), disable=not progress, transient=False)
         self._bar = self._progress.add_task("drawing", total=max(len(self._times), 1))
 
@@ -65,8 +69,8 @@ class Film(Watcher):
             self._progress.advance(self._bar)
 
     def ended(self, episode: Episode) -> None:
-        """How it ended is always shown."""
-        if episode.steps not in self._times:
+        """The last picture."""
+        if self._with_end and episode.steps not in self._times:
             self.pictures.append(episode.render(self._camera))
         self._progress.update(self._bar, completed=max(len(self._times), 1))
         self._progress.stop()
@@ -115,8 +119,8 @@ def render_scene(
     scene = data.scene(scene_id)
     episode = Episode(run.physics, run.config)
 
-    def filmed(times: Sequence[int], until: int | None) -> Film:
-        film = Film(times, view, how.progress)
+    def filmed(times: Sequence[int], until: int | None, with_end: bool = True) -> Film:
+        film = Film(times, view, how.progress, with_end)
         episode.reset(scene)
         play(episode, robot, person, seed=run.seed, until=until, watchers=[film])
         return film
@@ -129,7 +133,7 @@ def render_scene(
             episode.reset(scene)
             play(episode, robot, person, seed=run.seed)
             end = episode.steps
-        picture = _sheet(filmed(np.linspace(0, end, key_frames).round().astype(int).tolist(), until).pictures)
+        picture = _sheet(filmed(np.linspace(0, end, key_frames).round().astype(int).tolist(), until, False).pictures)
     else:
         times = range(0, until or run.config.protocol.horizon_steps, _FILM_PERIOD_MS)
         picture = _encode(filmed(times, until).pictures, path.suffix.lower())
@@ -157,10 +161,12 @@ def checked_path(out: str | os.PathLike[str], suffixes: Sequence[str]) -> Path:
             raise OptionError(f"{suffix} files need {module}: pip install 'handover-marl[render]'")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        writable = os.access(path.parent, os.W_OK) and not path.is_dir()
+        # Rights alone do not tell: some file systems take no files whoever asks.
+        with tempfile.TemporaryFile(dir=path.parent):
+            pass
     except (OSError, ValueError) as error:
-        raise ResultsError(f"cannot write {path} ({error})") from error
-    if not writable:
+        raise ResultsError(f"cannot write {path} ({error}); choose another place") from error
+    if path.is_dir():
         raise ResultsError(f"cannot write {path}; choose another place")
     return path
 
