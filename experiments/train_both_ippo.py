@@ -26,70 +26,40 @@ from handover_marl.datasets import open_dataset
 from handover_marl.envs.constructors import parallel_env
 from handover_marl.envs.encode import FEATURES, SCHEMES, EncodedEnv, encode
 from handover_marl.envs.rewards import SHAPED
-from handover_marl.errors import ResultsError
 from handover_marl.learning.network import Network
 from handover_marl.learning.policy_files import write_policy
 from handover_marl.learning.policy_spec import PolicySpec
+from handover_marl.training.checkpoint import read_checkpoint, write_checkpoint
 from handover_marl.training.learning_curve import CurvePoint
 from handover_marl.training.run_folder import RunFolder, origin, spread_scenes, training_scenes
+from handover_marl.training.training_args import TrainingArgs
 
 AGENTS = ("giver", "receiver")
 OBSERVE = FEATURES | {"receiver": "grasp"}
 
 
 @dataclass(frozen=True)
-class Args:
-    """What to train, and how.
+class Args(TrainingArgs):
+    """What to train, and how. Environments are stepped one after the other in this process.
 
     Attributes:
-        out: Folder of the run.
-        setup: Official setup, s0 to s3.
-        data_dir: Folder in HandoverSim's layout; default: HANDOVER_MARL_DATA.
-        dataset: dexycb, synthetic, or auto.
-        physics: fast or exact.
-        control_period: How long actions stand (s).
-        time_limit: Episodes in training are cut off after so long (s).
-        seed: Of everything.
-        steps: Decisions of each agent at most.
-        minutes: Wall-clock time at most (min).
-        envs: Environments, one after the other in this process.
         rollout: Decisions in each environment between updates.
-        epochs: Passes over a rollout.
         minibatches: Parts of a rollout.
-        learning_rate: Of Adam.
-        discount: Of rewards.
-        trace: GAE's lambda.
         clip: PPO's clipping range.
         entropy: Weight of the entropy bonus.
-        spread: Standard deviation of the outputs at first.
         every: Updates between evaluations.
-        val_scenes: Scenes of the validation split to evaluate on, evenly chosen.
-        resume: Go on with the run in the folder.
     """
 
     out: str = "runs/both"
-    setup: str = "s0"
-    data_dir: str | None = None
-    dataset: str = "auto"
-    physics: str = "fast"
     control_period: float = 0.2
     time_limit: float = 8.0
-    seed: int = 0
     steps: int = 300_000
-    minutes: float = 60.0
-    envs: int = 8
-    rollout: int = 128
-    epochs: int = 8
-    minibatches: int = 8
-    learning_rate: float = 3e-4
     discount: float = 0.96
-    trace: float = 0.95
+    rollout: int = 128
+    minibatches: int = 8
     clip: float = 0.2
     entropy: float = 0.0
-    spread: float = 0.5
     every: int = 20
-    val_scenes: int = 36
-    resume: bool = False
 
 
 class ActorCritic(nn.Module):
@@ -224,22 +194,6 @@ def export(model: ActorCritic, agent: str, args: Args, path: Path) -> None:
     )
 
 
-def save(path: Path, state: dict[str, Any]) -> None:
-    temporary = path.with_suffix(".part")
-    torch.save(state, temporary)
-    temporary.replace(path)
-
-
-def read_checkpoint(path: Path) -> dict[str, Any]:
-    try:
-        state: dict[str, Any] = torch.load(path, weights_only=True)
-    except Exception as error:  # what damaged files raise has no end
-        raise ResultsError(
-            f"{path}: no checkpoint of this run ({type(error).__name__}); remove it to start anew"
-        ) from error
-    return state
-
-
 def main(args: Args) -> None:
     torch.manual_seed(args.seed)
     torch.set_num_threads(1)
@@ -262,12 +216,16 @@ def main(args: Args) -> None:
     }
     optimizers = {agent: torch.optim.Adam(models[agent].parameters(), lr=args.learning_rate) for agent in AGENTS}
     done = 0
-    if args.resume and folder.checkpoint.exists():
-        state = read_checkpoint(folder.checkpoint)
-        done = state["updates"]
+
+    def restore(state: dict[str, Any]) -> None:
+        nonlocal done
         for agent in AGENTS:
             models[agent].load_state_dict(state["models"][agent])
             optimizers[agent].load_state_dict(state["optimizers"][agent])
+        done = int(state["updates"])
+
+    if args.resume and folder.checkpoint.exists():
+        read_checkpoint(folder.checkpoint, restore)
     writer = SummaryWriter(str(folder.path / "tensorboard"))
     collector = Collector(envs, args.seed + 1000 * done)
     before, started = folder.seconds, time.monotonic()
@@ -287,7 +245,7 @@ def main(args: Args) -> None:
             "models": {agent: models[agent].state_dict() for agent in AGENTS},
             "optimizers": {agent: optimizers[agent].state_dict() for agent in AGENTS},
         }
-        save(folder.checkpoint, state)
+        write_checkpoint(folder.checkpoint, state)
 
     updates = args.steps // (args.envs * args.rollout)
     for number in track(range(done, updates), description="updates"):

@@ -73,7 +73,7 @@ def _described(info: StructTypeInfo) -> StructConstructorSpec | None:
     said = {part.arg_name: part.description for part in parse(kind.__doc__ or "").params}
     shown = [part for part in fields(kind) if part.name not in _HIDDEN[info.type]]
     return StructConstructorSpec(
-        instantiate=_make_run if kind is Run else _make_execution,
+        instantiate=_make_run if kind is Run else Execution,
         fields=tuple(
             StructFieldSpec(
                 part.name, _WORDS.get(part.name, part.type), getattr(default, part.name), said.get(part.name)
@@ -93,10 +93,6 @@ def _make_run(**told: Any) -> Run:
     except OptionError as error:
         raise _ToldError(str(error)) from error
     return Run(scenes=None if scenes is None else tuple(scenes), **told)
-
-
-def _make_execution(**told: Any) -> Execution:
-    return Execution(**told)
 
 
 _OFFICIAL, _CROSSPLAY = BenchmarkRun(), CrossPlayRun(split="val")

@@ -21,7 +21,6 @@ Version history: v0, initial.
 
 import operator
 import os
-import sys
 import time
 import warnings
 from collections.abc import Iterable, Mapping
@@ -37,6 +36,7 @@ from pettingzoo import ParallelEnv
 from handover_marl.config import OFFICIAL, TIME_STEP, CameraConfig, WorldConfig
 from handover_marl.datasets import open_dataset
 from handover_marl.datasets.splits import choose_scenes
+from handover_marl.envs.arguments import checked_cycles, control_steps, has_screen
 from handover_marl.envs.rewards import RewardConfig, Rewards, Situation, reward_config
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.observations import Observation, giver_observation_space, observation_space
@@ -125,7 +125,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         self._episode = Episode(physics, config, window=render_mode == "human")
         self.control_period = control_period
         self.control_steps = control_steps(control_period)
-        self.max_cycles = _checked_cycles(max_cycles)
+        self.max_cycles = checked_cycles(max_cycles)
         self.dataset = open_dataset(dataset, data_dir)
         self.scene_ids = choose_scenes(self.dataset.split(setup, split), chosen, f"{setup} {split}")
         self.setup, self.split = setup, split
@@ -320,34 +320,3 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         wait = self.control_steps * TIME_STEP - (time.monotonic() - started)
         if wait > 0:
             time.sleep(wait)
-
-
-def has_screen() -> bool:
-    """Whether there is a screen that a window could open on; checkers open one if it is said that it can be done."""
-    return not sys.platform.startswith("linux") or bool(os.environ.get("DISPLAY"))
-
-
-def control_steps(control_period: float) -> int:
-    """Physics steps in a control period (s).
-
-    Raises:
-        OptionError: It is not a whole number of milliseconds, or none at all, or longer than an hour.
-    """
-    try:
-        steps = 0 if isinstance(control_period, bool) else round(control_period / TIME_STEP)
-    except (TypeError, ValueError, OverflowError):
-        steps = 0
-    if not 1 <= steps <= 3_600_000 or abs(steps * TIME_STEP - control_period) > 1e-9:
-        raise OptionError(
-            f"control_period={control_period!r} must be a whole number of milliseconds given in seconds, "
-            "such as 0.1 or 0.001"
-        )
-    return steps
-
-
-def _checked_cycles(max_cycles: int | None) -> int | None:
-    if max_cycles is None:
-        return None
-    if isinstance(max_cycles, bool) or not isinstance(max_cycles, (int, np.integer)) or max_cycles < 1:
-        raise OptionError(f"max_cycles={max_cycles!r} must be a whole number, 1 or more, or None")
-    return int(max_cycles)

@@ -66,6 +66,7 @@ class ActionLog(Watcher):
         """Spread decisions over the steps that they stood for."""
         self.actions = np.zeros((episode.steps, PANDA_DOF), dtype=np.float32)
         self.times = np.zeros(episode.steps)
-        for step, decision in self._decisions:
-            self.actions[step:] = decision.robot
-            self.times[step : step + 1] = decision.seconds
+        ends = [step for step, _ in self._decisions[1:]] + [episode.steps]
+        for (step, decision), end in zip(self._decisions, ends, strict=True):
+            self.actions[step:end] = decision.robot
+            self.times[step] = decision.seconds

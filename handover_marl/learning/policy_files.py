@@ -3,7 +3,7 @@
 | file | what it is | loaded |
 |---|---|---|
 | .npz | this library's: the weights of a `Network` and a `PolicySpec` as JSON | always |
-| .zip | Stable-Baselines3's, trained on the single-agent views as they are | by its weights alone; extra `train` |
+| .zip | Stable-Baselines3's, trained on a frozen environment as it is | by its weights alone; extra `train` |
 | .pt | TorchScript: all observations as one vector to an action | with `trust=True`: it is code; extra `train` |
 
 Loading never runs code from the file unless it is trusted. A policy that the training scripts in experiments/ made

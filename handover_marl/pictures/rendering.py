@@ -108,8 +108,8 @@ def render_scene(
         UnknownNameError, SceneError, DataNotFoundError, DataFormatError: As for a benchmark.
     """
     path, view = checked_path(out, SUFFIXES), camera or CameraConfig()
-    if key_frames < 1:
-        raise OptionError(f"key_frames={key_frames}: a sheet needs at least one")
+    if isinstance(key_frames, bool) or not isinstance(key_frames, int) or key_frames < 1:
+        raise OptionError(f"key_frames={key_frames!r}: a sheet needs a whole number of pictures, one or more")
     run, how = describe("s0", options, receiver="hold" if receiver is None else receiver, giver=giver)
     data = run.open_dataset()
     robot, person = (

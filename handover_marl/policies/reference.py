@@ -183,9 +183,11 @@ def _read_text(agent: str, text: str, extra: Mapping[str, Any], trust: bool) -> 
 def _split_file(tail: str) -> tuple[str, str]:
     """A file's name and the options behind it."""
     file, colon, options = tail.rpartition(":")
-    if colon and not Path(tail).exists() and _OPTIONS.fullmatch(options):
-        return file, options
-    return tail, ""
+    try:
+        whole = Path(tail).exists()
+    except (OSError, ValueError):  # no name that a file could have
+        whole = False
+    return (file, options) if colon and not whole and _OPTIONS.fullmatch(options) else (tail, "")
 
 
 def _parse_options(agent: str, text: str, tail: str) -> dict[str, Any]:

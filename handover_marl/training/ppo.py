@@ -27,63 +27,28 @@ from handover_marl.training.run_folder import (
     training_scenes,
 )
 from handover_marl.training.stable_baselines import Supervision, load_checkpoint, vector_env
+from handover_marl.training.training_args import TrainingArgs
 
 
 @dataclass(frozen=True)
-class PpoArgs:
+class PpoArgs(TrainingArgs):
     """What to train, and how.
 
     Attributes:
-        out: Folder of the run.
-        setup: Official setup, s0 to s3.
-        data_dir: Folder in HandoverSim's layout; default: HANDOVER_MARL_DATA.
-        dataset: dexycb, synthetic, or auto.
-        physics: fast or exact.
         observe: Name of the features.
         actions: Name of the action scheme.
         rewards: sparse or shaped.
-        control_period: How long an action stands (s).
-        seed: Of everything.
-        steps: Decisions at most.
-        minutes: Wall-clock time at most (min).
-        time_limit: Episodes in training are cut off after so long (s).
-        envs: Environments, a process each.
         batch: Decisions between updates.
-        epochs: Passes over a batch.
-        spread: Standard deviation of the outputs at first.
-        learning_rate: Of Adam.
-        discount: Of rewards; guidance is made for it.
-        trace: GAE's lambda.
         width: Units in each of two hidden layers.
         every: Decisions between evaluations.
-        val_scenes: Scenes of the validation split to evaluate on, evenly chosen.
-        resume: Go on with the run in the folder.
     """
 
-    out: str = "runs/ppo"
-    setup: str = "s0"
-    data_dir: str | None = None
-    dataset: str = "auto"
-    physics: str = "fast"
     observe: str = "receiver"
     actions: str = "cartesian_delta"
     rewards: str = "sparse"
-    control_period: float = 0.1
-    seed: int = 0
-    steps: int = 500_000
-    minutes: float = 60.0
-    time_limit: float = 13.0
-    envs: int = 8
     batch: int = 2048
-    epochs: int = 8
-    spread: float = 0.5
-    learning_rate: float = 3e-4
-    discount: float = 0.99
-    trace: float = 0.95
     width: int = 64
     every: int = 8_192
-    val_scenes: int = 36
-    resume: bool = False
 
 
 def encoded_env(args: PpoArgs, agent: str, partner: str, options: EnvOptions) -> EncodedEnv:

@@ -14,10 +14,10 @@ from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.vec_env import SubprocVecEnv, VecEnv, VecMonitor
 
 from handover_marl.benchmarking.report import Report
-from handover_marl.errors import ResultsError
 from handover_marl.learning.foreign_policies import dense_network
 from handover_marl.learning.policy_files import write_policy
 from handover_marl.learning.policy_spec import PolicySpec
+from handover_marl.training.checkpoint import read_checkpoint, write_checkpoint
 from handover_marl.training.learning_curve import CurvePoint
 from handover_marl.training.run_folder import RunFolder
 
@@ -49,34 +49,30 @@ def export(model: BaseAlgorithm, spec: PolicySpec, path: Path) -> None:
 
 
 def save_checkpoint(model: OnPolicyAlgorithm, path: Path) -> None:
-    """Write what training goes on from: tensors and numbers, nothing that could run when it is read."""
+    """Write what training goes on from."""
     state = {
         "parameters": model.get_parameters(),
         "num_timesteps": model.num_timesteps,
         "updates": model._n_updates,
         "random": torch.get_rng_state(),
     }
-    temporary = path.with_suffix(".part")
-    torch.save(state, temporary)
-    temporary.replace(path)
+    write_checkpoint(path, state)
 
 
 def load_checkpoint(model: OnPolicyAlgorithm, path: Path) -> None:
-    """Let a model that was just made go on from a checkpoint; one of a stranger cannot run code.
+    """Let a model that was just made go on from a checkpoint.
 
     Raises:
         ResultsError: It is no checkpoint of such a model.
     """
-    try:
-        state = torch.load(path, weights_only=True)
+
+    def restore(state: dict[str, Any]) -> None:
         model.set_parameters(state["parameters"], exact_match=True)
         model.num_timesteps = int(state["num_timesteps"])
         model._n_updates = int(state["updates"])
         torch.set_rng_state(state["random"])
-    except Exception as error:  # what damaged files raise has no end
-        raise ResultsError(
-            f"{path}: no checkpoint of this run ({type(error).__name__}); remove it to start anew"
-        ) from error
+
+    read_checkpoint(path, restore)
 
 
 class Supervision(BaseCallback):
