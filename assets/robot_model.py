@@ -1,9 +1,71 @@
-"""The robot: PyBullet's own Panda, from the data that PyBullet installs."""
+"""The robot: PyBullet's own Panda, from the data that PyBullet installs, as it is or with a camera on its hand."""
 
+import atexit
+import functools
+import os
+import shutil
+import tempfile
+import xml.etree.ElementTree as ET
 from pathlib import Path
 from typing import Final
 
 import pybullet_data
 
+from handover_marl.models.panda import CAMERA_LINK, HAND_FROM_CAMERA_LINK_URDF, HAND_LINK
+
 #: Seven arm joints, two fingers; its links are numbered otherwise than HandoverSim's but named alike.
 PANDA_URDF: Final = Path(pybullet_data.getDataPath()) / "franka_panda" / "panda.urdf"
+
+# A housing of the size of a RealSense D435 (m) in the camera's link, where x is left in the picture, y back, z up. It
+# lies behind the lens, so that the camera does not see it.
+_HOUSING, _HOUSING_ORIGIN = "0.09 0.025 0.025", "0 0.0125 0"
+_MASS = 0.01  # kg, as HandoverSim's
+
+
+def camera_panda_urdf() -> Path:
+    """PyBullet's Panda with a camera at HandoverSim's place on the hand.
+
+    Written anew by every process into a folder of its own, since the meshes are named by where PyBullet is installed.
+    """
+    return _written(os.getpid())
+
+
+@functools.cache
+def _written(process: int) -> Path:
+    folder = Path(tempfile.mkdtemp(prefix="handover_marl_"))
+    atexit.register(_remove, folder, process)
+    path = folder / "panda_camera.urdf"
+    robot = ET.parse(PANDA_URDF).getroot()
+    for mesh in robot.iter("mesh"):
+        mesh.set("filename", str(PANDA_URDF.parent / mesh.attrib["filename"].removeprefix("package://")))
+    robot.append(_camera_link())
+    robot.append(_camera_joint())
+    ET.ElementTree(robot).write(path)
+    return path
+
+
+def _remove(folder: Path, process: int) -> None:
+    # A forked child that ends must not take the file from its parent.
+    if os.getpid() == process:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _camera_link() -> ET.Element:
+    link = ET.Element("link", name=CAMERA_LINK)
+    for purpose in ("visual", "collision"):
+        shape = ET.SubElement(link, purpose)
+        ET.SubElement(shape, "origin", xyz=_HOUSING_ORIGIN, rpy="0 0 0")
+        ET.SubElement(ET.SubElement(shape, "geometry"), "box", size=_HOUSING)
+    inertial = ET.SubElement(link, "inertial")
+    ET.SubElement(inertial, "mass", value=str(_MASS))
+    ET.SubElement(inertial, "inertia", ixx="1e-5", iyy="1e-5", izz="1e-5", ixy="0", ixz="0", iyz="0")
+    return link
+
+
+def _camera_joint() -> ET.Element:
+    xyz, rpy = HAND_FROM_CAMERA_LINK_URDF
+    joint = ET.Element("joint", name=f"{CAMERA_LINK}_joint", type="fixed")
+    ET.SubElement(joint, "parent", link=HAND_LINK)
+    ET.SubElement(joint, "child", link=CAMERA_LINK)
+    ET.SubElement(joint, "origin", xyz=xyz, rpy=rpy)
+    return joint

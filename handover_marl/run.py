@@ -11,9 +11,14 @@ from typing_extensions import TypedDict
 from handover_marl.config import OFFICIAL, WorldConfig
 from handover_marl.datasets import Dataset, open_dataset
 from handover_marl.datasets.splits import check_setup_and_split, choose_scenes
+from handover_marl.episode.sight import SightConfig
 from handover_marl.errors import OptionError
+from handover_marl.models.panda import PANDA
 from handover_marl.policies.reference import PolicyLike, PolicyReference, policy_reference
+from handover_marl.sim.camera.imperfections import CameraImperfections
+from handover_marl.sim.camera.optics import REFERENCE
 from handover_marl.sim.engines import check_physics
+from handover_marl.sim.renderers import chosen_renderer
 
 #: The giver of official results.
 REPLAY = "replay"
@@ -32,7 +37,13 @@ class Run:
         physics: exact, as official results are, or fast.
         giver: The person's policy, e.g. replay, cooperative, learned:FILE or my_package:MyGiver.
         receiver: The robot's policy, e.g. yang2021, omg:wait=1.5, learned:FILE or my_package:MyReceiver.
-        seed: Of what policies draw.
+        robot: panda, or panda_camera with HandoverSim's depth camera on its hand, which is another robot to collide
+            with.
+        renderer: What draws for receivers that look through the wrist camera: bullet, rays, or auto: bullet in exact
+            physics and rays in fast.
+        geometry: reference puts points where HandoverSim puts them, true where they are.
+        imperfections: What is wrong with the camera: nothing, or as with a realsense.
+        seed: Of what policies and camera draw.
         config: The world and the rules; official figures exist for the default only.
     """
 
@@ -44,6 +55,10 @@ class Run:
     physics: str = "exact"
     giver: PolicyLike = REPLAY
     receiver: PolicyLike = "yang2021"
+    robot: str = PANDA
+    renderer: str = "auto"
+    geometry: str = REFERENCE
+    imperfections: str | CameraImperfections | None = None
     seed: int = 0
     config: WorldConfig = OFFICIAL
 
@@ -53,7 +68,16 @@ class Run:
         Raises:
             UnknownNameError, OptionError, DataNotFoundError: As `handover_marl.datasets.open_dataset`.
         """
-        return open_dataset(self.dataset, self.data_dir)
+        return open_dataset(self.dataset, self.data_dir, self.robot)
+
+    @property
+    def camera(self) -> SightConfig:
+        """How the wrist camera's pictures are made.
+
+        Raises:
+            UnknownNameError, OptionError: There is no such geometry, or no such imperfections.
+        """
+        return SightConfig(self.renderer, self.geometry, self.imperfections)
 
 
 @dataclass(frozen=True)
@@ -91,6 +115,10 @@ class SceneOptions(TypedDict, total=False):
     dataset: str
     data_dir: str | os.PathLike[str] | None
     physics: str
+    robot: str
+    renderer: str
+    geometry: str
+    imperfections: str | CameraImperfections | None
     seed: int
     progress: bool
     trust: bool
@@ -143,10 +171,10 @@ def resolve(run: Run, trust: bool = False) -> tuple[Run, Dataset]:
     """The same run with names checked, scenes and policies resolved; and its dataset.
 
     Raises:
-        UnknownNameError: No such setup, split, dataset, physics or policy.
+        UnknownNameError: No such setup, split, dataset, robot, physics, renderer or policy.
         SceneError: A scene is not in the split.
         DataNotFoundError: A file of a scene is missing.
-        OptionError: A policy cannot be what is asked for.
+        OptionError: A policy cannot be what is asked for, or what draws for it is not installed.
     """
     check_setup_and_split(run.setup, run.split)
     check_physics(run.physics)
@@ -154,6 +182,7 @@ def resolve(run: Run, trust: bool = False) -> tuple[Run, Dataset]:
     data = run.open_dataset()
     scenes = choose_scenes(data.split(run.setup, run.split), run.scenes, f"{run.setup} {run.split}")
     giver, receiver = (references[agent].resolved(data, run.config) for agent in ("giver", "receiver"))
+    chosen_renderer(run.camera.renderer, run.physics, installed=receiver.sight is not None)
     data.check_scenes(scenes)
     return replace(run, dataset=data.name, scenes=scenes, giver=giver, receiver=receiver), data
 

@@ -12,6 +12,11 @@ class HoldReceiver(Receiver):
 
     name = "hold"
 
+    @property
+    def wait(self) -> None:
+        """It never comes."""
+        return None
+
     def reset(self, seed: int | None = None) -> None:
         """Nothing to forget."""
 

@@ -30,8 +30,8 @@ from handover_marl.planning.planner_config import HandAvoidance, PlannerConfig
 from handover_marl.policies.context import PolicyContext
 from handover_marl.policies.policy import Action
 from handover_marl.policies.receiver import Receiver
+from handover_marl.policies.waiting import wait_ms
 from handover_marl.receivers.object_grasps import ObjectGrasps
-from handover_marl.receivers.waiting import wait_ms
 from handover_marl.sim.bullet.kinematics import PandaKinematics
 
 Array = npt.NDArray[np.float64]
@@ -120,6 +120,11 @@ class OmgReceiver(Receiver):
     def arm(self) -> Arm:
         """The arm that plans are for."""
         return self._ready(self._planner).arm
+
+    @property
+    def wait(self) -> float:
+        """How long it stays at the waiting pose (s)."""
+        return self.timing.wait_ms / 1000.0
 
     @property
     def hold_time(self) -> float:

@@ -27,8 +27,8 @@ from handover_marl.models.poses import compose, rotation_angle
 from handover_marl.policies.context import PolicyContext
 from handover_marl.policies.policy import Action
 from handover_marl.policies.receiver import Receiver
+from handover_marl.policies.waiting import wait_ms
 from handover_marl.receivers.object_grasps import ObjectGrasps
-from handover_marl.receivers.waiting import wait_ms
 from handover_marl.sim.bullet.kinematics import PandaKinematics
 
 Pose = npt.NDArray[np.float64]
@@ -135,6 +135,11 @@ class Yang2021Receiver(Receiver):
             # Loaded here rather than at the first decision, where it would count as planning time.
             self._kinematics = PandaKinematics(self.context.panda_urdf, self.context.panda)
         self._memory = Memory()
+
+    @property
+    def wait(self) -> float:
+        """How long it stays at the waiting pose (s)."""
+        return self.config.wait_time
 
     @property
     def hold_time(self) -> float:

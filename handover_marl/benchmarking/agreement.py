@@ -9,7 +9,7 @@ from typing_extensions import Unpack
 from handover_marl.benchmarking.episodes import EpisodeResult
 from handover_marl.benchmarking.report import FAILURES, Report
 from handover_marl.benchmarking.runner import evaluate_run
-from handover_marl.benchmarking.tables import NO_VALUE, percent_interval, report_extent, table
+from handover_marl.benchmarking.tables import NO_VALUE, percent_interval, players, report_extent, table
 from handover_marl.files import write_atomically
 from handover_marl.options import shows
 from handover_marl.policies.reference import PolicyLike
@@ -57,8 +57,8 @@ class Agreement:
     def _heading(self) -> str:
         settings, n = self.exact.settings, len(self.exact.episodes)
         return (
-            f"{settings.setup} {settings.split}, {report_extent(self.exact)}. Receiver {settings.receiver}, giver "
-            f"{settings.giver}, data: {self.exact.data_label()}.\n"
+            f"{settings.setup} {settings.split}, {report_extent(self.exact)}. Receiver {players(settings)}, "
+            f"data: {self.exact.data_label()}.\n"
             f"Exact and fast physics agree on the outcome of {self.n_agreed} of {n} scenes: "
             f"{100 * self.rate:.2f} % (95 % interval {percent_interval(self.n_agreed, n)})."
         )

@@ -7,7 +7,7 @@ from handover_marl.benchmarking.episodes import EpisodeResult
 from handover_marl.benchmarking.evaluation import evaluate
 from handover_marl.benchmarking.report import FAILURES, Report
 from handover_marl.benchmarking.statistics import paired_difference
-from handover_marl.benchmarking.tables import NO_VALUE, heading, percent_interval, table
+from handover_marl.benchmarking.tables import NO_VALUE, heading, percent_interval, percent_mean, table
 from handover_marl.errors import ResultsError
 from handover_marl.protocol.status import EpisodeStatus
 
@@ -37,7 +37,8 @@ class Comparison:
     def __str__(self) -> str:
         parts = [
             f"A: {heading(self.first)}\nB: {heading(self.second)}",
-            f"{len(self.pairs)} scenes that both have, paired. 95 % intervals: Wilson; differences Agresti and Min.",
+            f"{len(self.pairs)} scenes that both have, paired. 95 % intervals: Wilson; differences Agresti and "
+            "Min; AS bootstrap.",
             self._rates(),
             self._changes(),
         ]
@@ -50,7 +51,10 @@ class Comparison:
             cells = [f"{100 * count / n:.2f} ({percent_interval(count, n)})" for count in counts]
             mean, low, high = (100 * value for value in self.difference(flag))
             rows.append([flag.label, *cells, f"{mean:+.2f} ({low:+.2f} to {high:+.2f})"])
-        return table(["rate %", "A", "B", "A less B, points"], rows)
+        scores = [[result.speed_score for result in side] for side in zip(*self.pairs, strict=True)]
+        gains = [first - second for first, second in zip(*scores, strict=True)]
+        rows.append(["AS", *map(percent_mean, scores), percent_mean(gains, signed=True)])
+        return table(["%", "A", "B", "A less B, points"], rows)
 
     def _changes(self) -> str:
         rows = [

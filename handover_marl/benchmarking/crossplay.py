@@ -19,7 +19,7 @@ from handover_marl.benchmarking.fluency_tables import (
 from handover_marl.benchmarking.report import FAILURES, Report
 from handover_marl.benchmarking.runner import evaluate_run
 from handover_marl.benchmarking.statistics import mean_interval, paired_difference, wilson_interval
-from handover_marl.benchmarking.tables import NO_VALUE, percent_interval, report_extent, table
+from handover_marl.benchmarking.tables import NO_VALUE, percent_interval, percent_mean, report_extent, table, wait_cell
 from handover_marl.datasets import Dataset
 from handover_marl.errors import OptionError
 from handover_marl.files import write_atomically
@@ -83,7 +83,7 @@ class CrossPlay:
         writer.writerow(
             ["giver", "receiver", "setup", "split", "dataset", "physics", "episodes"]
             + [f"{name}{suffix}" for name in names for suffix in ("", "_low", "_high")]
-            + ["exec_s", "plan_s", *(metric.key for metric in METRICS)]
+            + ["exec_s", "plan_s", "average_success", "wait_s", *(metric.key for metric in METRICS)]
         )
         for (giver, receiver), report in self.reports.items():
             settings, n = report.settings, len(report.episodes)
@@ -94,7 +94,8 @@ class CrossPlay:
             writer.writerow(
                 [giver, receiver, settings.setup, settings.split, report.data_label(), settings.physics, n]
                 + [f"{rate:.6f}" for rate in rates]
-                + [_number(value) for value in (report.time_exec, report.time_plan)]
+                + [_number(value) for value in (report.time_exec, report.time_plan, report.average_success)]
+                + [settings.wait]
                 + [_number(averages[metric.key].mean if averages else None) for metric in METRICS]
             )
         return stream.getvalue()
@@ -126,8 +127,9 @@ class CrossPlay:
             interval = mean_interval(report.exec_times())
             mean = NO_VALUE if report.time_exec is None else f"{report.time_exec:.3f}"
             spread = "" if interval is None else f" ({interval[0]:.3f} to {interval[1]:.3f})"
-            rows.append([giver, receiver, *rates, mean + spread])
-        return table(["giver", "receiver", *(f"{flag.label} %" for flag in _FLAGS), "exec s"], rows)
+            speed = percent_mean(report.speed_scores())
+            rows.append([giver, receiver, *rates, mean + spread, speed, wait_cell(report)])
+        return table(["giver", "receiver", *(f"{flag.label} %" for flag in _FLAGS), "exec s", "AS %", "wait s"], rows)
 
     def _giver_gains(self) -> str:
         first = self.givers[0]

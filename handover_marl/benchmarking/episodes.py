@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from handover_marl.config import OFFICIAL
 from handover_marl.episode.fluency import Fluency
 from handover_marl.protocol.status import EpisodeStatus
 
@@ -44,3 +45,8 @@ class EpisodeResult:
     def success(self) -> bool:
         """Whether the handover was completed."""
         return self.status == EpisodeStatus.SUCCESS
+
+    @property
+    def speed_score(self) -> float:
+        """1 - t / 13 s for a success that took t, 0 for a failure: what AS is the mean of."""
+        return 1.0 - self.steps / OFFICIAL.protocol.horizon_steps if self.success else 0.0

@@ -55,7 +55,7 @@ class Player:
         self._receiver = receiver.make(self._dataset, run.config)
         # The official giver is no policy: it cannot fail and takes no time.
         self._giver = None if giver.text == REPLAY else giver.make(self._dataset, run.config)
-        self._episode = Episode(run.physics, run.config)
+        self._episode = Episode(run.physics, run.config, sight=run.camera)
         self._recorder, self._log = Recorder(), ActionLog()
 
     def play(self, task: Task) -> Played:

@@ -51,6 +51,14 @@ class Report:
         return self._rate(EpisodeStatus.TIMEOUT)
 
     @property
+    def average_success(self) -> float:
+        """AS: the mean over all episodes of 1 - t / 13 s for successes, 0 for failures (0..1).
+
+        Success and speed in one number, as GenH2R (Wang et al., CVPR 2024) reports it; t is `time_exec`'s.
+        """
+        return float(np.mean(self.speed_scores()))
+
+    @property
     def time_exec(self) -> float | None:
         """Mean simulated time to success (s), over successes; None without any."""
         return _mean(self.exec_times())
@@ -79,6 +87,10 @@ class Report:
     def exec_times(self) -> list[float]:
         """Simulated time of every success (s)."""
         return [episode.steps * TIME_STEP for episode in self.episodes if episode.success]
+
+    def speed_scores(self) -> list[float]:
+        """What AS is the mean of, a number a scene."""
+        return [episode.speed_score for episode in self.episodes]
 
     def plan_times(self) -> list[float]:
         """Policy time of every success (s)."""
@@ -114,6 +126,10 @@ class Report:
             "rates": {
                 name: {"rate": self._rate(flag), "interval_95": wilson_interval(self.count(flag), n)}
                 for name, flag in flags.items()
+            },
+            "average_success": {
+                "mean": self.average_success,
+                "interval_95": mean_interval(self.speed_scores()),
             },
             "times": {
                 "exec": {"mean": self.time_exec, "interval_95": mean_interval(self.exec_times())},

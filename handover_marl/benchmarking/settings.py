@@ -14,6 +14,7 @@ from handover_marl._version import __version__
 from handover_marl.config import OFFICIAL, TIME_STEP, WorldConfig
 from handover_marl.datasets.splits import SETUPS, SPLITS
 from handover_marl.errors import ResultsError
+from handover_marl.models.panda import PANDA
 from handover_marl.run import Run, reference_of
 
 CONFIG_FILE = "config.yaml"
@@ -39,6 +40,9 @@ class RunSettings:
         giver_code: Likewise.
         seed: Of what policies draw.
         world: "official", or a hash of other rules or another world.
+        wait: How long the receiver waits before it comes (s); empty if unknown.
+        robot: Which Panda.
+        sight: What the receiver sees of the wrist camera, and how that is drawn; empty if it does not look.
     """
 
     setup: str
@@ -52,6 +56,9 @@ class RunSettings:
     giver_code: str = ""
     seed: str = "0"
     world: str = OFFICIAL_WORLD
+    wait: str = ""
+    robot: str = PANDA
+    sight: str = ""
 
     @classmethod
     def of(cls, run: Run) -> "RunSettings":
@@ -69,6 +76,9 @@ class RunSettings:
             giver_code=giver.source,
             seed=str(run.seed),
             world=world_name(run.config),
+            wait="" if receiver.wait is None else f"{receiver.wait:g}",
+            robot=run.robot,
+            sight=run.camera.described(receiver.sight, receiver.observes, run.physics),
         )
 
 

@@ -11,17 +11,18 @@ from handover_marl.benchmarking.fluency_tables import (
     fluency_header,
     fluency_row,
 )
-from handover_marl.benchmarking.published import PUBLISHED, PublishedRow
+from handover_marl.benchmarking.published import PUBLISHED, SOURCES, PublishedRow
 from handover_marl.benchmarking.report import FAILURES, Report
 from handover_marl.benchmarking.settings import OFFICIAL_WORLD, RunSettings
 from handover_marl.benchmarking.statistics import mean_interval, wilson_interval
+from handover_marl.models.panda import PANDA
 from handover_marl.protocol.status import EpisodeStatus
 
 NO_VALUE = "-"
 # Columns of a terminal beside which there is room for little else.
 _WIDTH = 160
 
-_METRICS = ["success %", "exec s", "plan s", "total s", "contact %", "drop %", "timeout %"]
+_METRICS = ["success %", "exec s", "plan s", "total s", "contact %", "drop %", "timeout %", "AS %", "wait s"]
 _RATES = (EpisodeStatus.SUCCESS, *FAILURES)
 
 
@@ -40,10 +41,17 @@ def heading(report: Report) -> str:
     """What was run on what."""
     settings = report.settings
     return (
-        f"{settings.setup} {settings.split}, {report_extent(report)}. Receiver {settings.receiver}, giver "
-        f"{settings.giver}, {settings.physics} physics, data: {report.data_label()}. "
-        f"handover_marl {settings.version}{_code(settings)}."
+        f"{settings.setup} {settings.split}, {report_extent(report)}. Receiver {players(settings)}, {settings.physics} "
+        f"physics, data: {report.data_label()}. handover_marl {settings.version}{_code(settings)}."
     )
+
+
+def players(settings: RunSettings) -> str:
+    """The receiver, with what it sees and how long it waits, and the giver."""
+    told = [f"wait {settings.wait} s" if settings.wait else "", settings.sight]
+    told += [] if settings.robot == PANDA else [f"robot {settings.robot}"]
+    said = ", ".join(part for part in told if part)
+    return f"{settings.receiver}{f' ({said})' if said else ''}, giver {settings.giver}"
 
 
 def _code(settings: RunSettings) -> str:
@@ -65,8 +73,15 @@ def official_table(report: Report) -> str:
     intervals = [percent_interval(report.count(flag), n) for flag in _RATES]
     time_intervals = [_seconds_interval(report.exec_times()), _seconds_interval(report.plan_times()), NO_VALUE]
     rows = [
-        [report.settings.receiver, rates[0], *times, *rates[1:]],
-        ["95 % interval", intervals[0], *time_intervals, *intervals[1:]],
+        [
+            report.settings.receiver,
+            rates[0],
+            *times,
+            *rates[1:],
+            f"{100 * report.average_success:.2f}",
+            wait_cell(report),
+        ],
+        ["95 % interval", intervals[0], *time_intervals, *intervals[1:], _speed_interval(report), NO_VALUE],
         *(_published_row(row) for row in _comparable(report)),
     ]
     return table(["", *_METRICS], rows)
@@ -123,12 +138,14 @@ def _comparable(report: Report) -> tuple[PublishedRow, ...]:
 def _published_row(row: PublishedRow) -> list[str]:
     rates = [f"{rate:.2f}" for rate in (row.success, row.contact, row.drop, row.timeout)]
     times = [_seconds(value) for value in (row.time_exec, row.time_plan, row.time_total)]
-    return [f"published: {row.method}", rates[0], *times, *rates[1:]]
+    return [f"published: {row.method}", rates[0], *times, *rates[1:], f"{row.average_success:.2f}", f"{row.wait:g}"]
 
 
 def _notes(report: Report) -> str:
     lines = [
         "Rates over all scenes, times over successes. Intervals: Wilson for rates, bootstrap for means.",
+        "AS: mean over all scenes of 1 - exec / 13 s for successes, 0 for failures.",
+        "wait s: how long the robot stays away.",
         f"plan s is wall clock, measured on {report.machine_label()}.",
     ]
     if report.n_earlier:
@@ -140,10 +157,27 @@ def _notes(report: Report) -> str:
     if report.settings.dataset == "synthetic":
         lines.append("Synthetic scenes are generated: not comparable with published results, which are on DexYCB.")
     if _comparable(report):
-        lines.append(
-            "Published: Chao et al., ICRA 2022, Table II; DexYCB with all objects and MANO hands, their machine."
-        )
+        lines.append("Published, on DexYCB with all objects and MANO hands, times on the authors' machines:")
+        sources = {row.source: None for row in _comparable(report)}
+        lines += [f"{SOURCES[source]}." for source in sources]
     return "\n".join(lines)
+
+
+def wait_cell(report: Report) -> str:
+    """How long the receiver waits (s), or a dash if nobody says."""
+    return report.settings.wait or NO_VALUE
+
+
+def percent_mean(values: Sequence[float], signed: bool = False) -> str:
+    """A mean in percent with its bootstrap 95 % interval, as far as there is one."""
+    sign, interval = "+" if signed else "", mean_interval(values)
+    mean = f"{100 * sum(values) / len(values):{sign}.2f}"
+    return mean if interval is None else f"{mean} ({' to '.join(f'{100 * end:{sign}.1f}' for end in interval)})"
+
+
+def _speed_interval(report: Report) -> str:
+    interval = mean_interval(report.speed_scores())
+    return NO_VALUE if interval is None else f"{100 * interval[0]:.1f} to {100 * interval[1]:.1f}"
 
 
 def _seconds(value: float | None) -> str:

@@ -6,6 +6,7 @@ from pathlib import Path
 from handover_marl.datasets.dataset import Dataset
 from handover_marl.datasets.official import OfficialDataset
 from handover_marl.errors import DataNotFoundError, OptionError, UnknownNameError
+from handover_marl.models.panda import PANDA
 
 #: Environment variable that names the data folder when no argument does.
 DATA_VARIABLE = "HANDOVER_MARL_DATA"
@@ -16,15 +17,16 @@ DATASETS = ("auto", "synthetic", "dexycb")
 __all__ = ["DATASETS", "DATA_VARIABLE", "Dataset", "OfficialDataset", "open_dataset"]
 
 
-def open_dataset(dataset: str = "auto", data_dir: str | os.PathLike[str] | None = None) -> Dataset:
+def open_dataset(dataset: str = "auto", data_dir: str | os.PathLike[str] | None = None, robot: str = PANDA) -> Dataset:
     """A dataset by name.
 
     Args:
         dataset: One of `DATASETS`.
         data_dir: Folder in HandoverSim's layout; default: the one that `HANDOVER_MARL_DATA` names.
+        robot: Which Panda stands in the scenes, "panda" or "panda_camera".
 
     Raises:
-        UnknownNameError: No such dataset.
+        UnknownNameError: No such dataset or robot.
         OptionError: A data folder was given for the synthetic scenes, which have none.
         DataNotFoundError: DexYCB was asked for without a data folder, or the folder is not there.
     """
@@ -39,7 +41,7 @@ def open_dataset(dataset: str = "auto", data_dir: str | os.PathLike[str] | None 
         # Only now, because it pulls in what DexYCB does not need.
         from handover_marl.datasets.synthetic import SyntheticDataset
 
-        return SyntheticDataset()
+        return SyntheticDataset(robot)
     if not chosen:
         raise DataNotFoundError(
             "no data folder given. Set data_dir=, --data-dir or HANDOVER_MARL_DATA to a folder in HandoverSim's "
@@ -49,4 +51,4 @@ def open_dataset(dataset: str = "auto", data_dir: str | os.PathLike[str] | None 
         folder = Path(chosen).expanduser().resolve()
     except (OSError, ValueError, RuntimeError) as error:
         raise DataNotFoundError(f"data folder {str(chosen)[:200]!r} cannot be ({error})") from error
-    return OfficialDataset(folder)
+    return OfficialDataset(folder, robot)

@@ -9,7 +9,8 @@ import numpy.typing as npt
 
 from handover_marl.datasets.scene import Scene, SceneInfo
 from handover_marl.datasets.splits import N_SCENES, split_scenes
-from handover_marl.errors import SceneError
+from handover_marl.errors import SceneError, UnknownNameError
+from handover_marl.models.panda import PANDA, ROBOTS
 
 #: World height of the table frame's origin (m), added in float32 as the reference does.
 TABLE_HEIGHT = np.float32(0.92)
@@ -18,11 +19,23 @@ TABLE_HEIGHT = np.float32(0.92)
 class Dataset(ABC):
     """A thousand numbered scenes with the models and grasps that go with them.
 
+    Args:
+        robot: Which Panda stands in the scenes, one of `handover_marl.models.panda.ROBOTS`.
+
     Attributes:
         name: How results made with it are labelled.
+        robot: Which Panda.
+
+    Raises:
+        UnknownNameError: There is no such robot.
     """
 
     name: ClassVar[str]
+
+    def __init__(self, robot: str = PANDA) -> None:
+        if robot not in ROBOTS:
+            raise UnknownNameError("robot", robot, ROBOTS)
+        self.robot = robot
 
     @abstractmethod
     def info(self, scene_id: int) -> SceneInfo:
@@ -55,7 +68,11 @@ class Dataset(ABC):
     @property
     @abstractmethod
     def panda_urdf(self) -> Path:
-        """The Panda's model file."""
+        """The Panda's model file.
+
+        Raises:
+            DataNotFoundError: It is not there.
+        """
 
     @abstractmethod
     def check_scenes(self, scene_ids: tuple[int, ...]) -> None:

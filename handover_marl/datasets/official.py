@@ -21,10 +21,12 @@ from handover_marl.datasets.pickled_grasps import load_grasps
 from handover_marl.datasets.scene import Scene, SceneAssets, SceneInfo
 from handover_marl.errors import DataFormatError, DataNotFoundError
 from handover_marl.files import check_archive
+from handover_marl.models.panda import PANDA, PANDA_CAMERA
 from handover_marl.models.urdf_shapes import named_meshes
 from handover_marl.models.ycb import CLASS_NAMES, SCENE_CLASSES
 
 _LARGEST = 500_000_000  # bytes of a scene's motion, unpacked
+_PANDAS = {PANDA: "panda_gripper.urdf", PANDA_CAMERA: "panda_gripper_hand_camera.urdf"}
 #: HandoverSim comes without grasps of these; its setups never ask for them.
 _WITHOUT_GRASPS = ("002_master_chef_can", "036_wood_block")
 
@@ -34,14 +36,17 @@ class OfficialDataset(Dataset):
 
     Args:
         data_dir: The folder that holds `dex-ycb-cache/` and `assets/`.
+        robot: Which Panda stands in the scenes.
 
     Raises:
+        UnknownNameError: There is no such robot.
         DataNotFoundError: The folder or one of these two is missing.
     """
 
     name = "dexycb"
 
-    def __init__(self, data_dir: Path) -> None:
+    def __init__(self, data_dir: Path, robot: str = PANDA) -> None:
+        super().__init__(robot)
         self.data_dir = data_dir
         for folder in (data_dir, data_dir / "dex-ycb-cache", data_dir / "assets"):
             if not _is_folder(folder):
@@ -55,7 +60,7 @@ class OfficialDataset(Dataset):
     @property
     def panda_urdf(self) -> Path:
         """The Panda with its gripper, as the reference loads it."""
-        return self._asset("franka_panda/panda_gripper.urdf")
+        return self._asset(f"franka_panda/{_PANDAS[self.robot]}")
 
     def info(self, scene_id: int) -> SceneInfo:
         """A scene's meta file.

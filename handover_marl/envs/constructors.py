@@ -13,8 +13,11 @@ from handover_marl.envs.freeze import FrozenPartnerEnv, freeze
 from handover_marl.envs.handover_env import GIVER, RECEIVER, HandoverEnv
 from handover_marl.envs.rewards import RewardConfig
 from handover_marl.envs.wrapper import SingleAgentEnv
+from handover_marl.episode.observations import ALL
+from handover_marl.models.panda import PANDA
 from handover_marl.options import shows
 from handover_marl.policies.reference import PolicyLike
+from handover_marl.sim.camera.imperfections import CameraImperfections
 
 
 class EnvOptions(TypedDict, total=False):
@@ -32,6 +35,12 @@ class EnvOptions(TypedDict, total=False):
     scenes: Iterable[int] | None
     max_cycles: int | None
     config: WorldConfig
+    robot: str
+    sight: str | None
+    observe: str
+    renderer: str
+    geometry: str
+    imperfections: str | CameraImperfections | None
 
 
 @shows(HandoverEnv)
@@ -65,8 +74,11 @@ def benchmark_env(
     dataset: str = "auto",
     control_period: float = 0.1,
     render_mode: str | None = None,
+    robot: str = PANDA,
+    sight: str | None = None,
+    observe: str = ALL,
 ) -> FrozenPartnerEnv:
-    """The official task for one receiver. Giver, physics, rules and horizon are the benchmark's."""
+    """The official task for one receiver. Giver, physics, rules, horizon and camera are the benchmark's."""
     world = HandoverEnv(
         setup=setup,
         split=split,
@@ -75,5 +87,8 @@ def benchmark_env(
         physics="exact",
         control_period=control_period,
         render_mode=render_mode,
+        robot=robot,
+        sight=sight,
+        observe=observe,
     )
     return freeze(world, RECEIVER, "replay")

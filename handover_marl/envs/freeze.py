@@ -53,8 +53,8 @@ class FrozenPartnerEnv(ParallelWrapper):
             )
         chosen = DEFAULT_PARTNERS[agent] if partner is None else partner
         reference = policy_reference(self.partner_agent, chosen, trust)
-        self._partner = PolicyClock(reference.make(self.world.dataset, self.world.config))
-        self._seen: Observation = {}
+        self._policy = reference.make(self.world.dataset, self.world.config)
+        self._partner = PolicyClock(self._policy)
         self._steps = 0
 
     def reset(
@@ -64,7 +64,7 @@ class FrozenPartnerEnv(ParallelWrapper):
         self._seed(seed)
         observations, infos = self.env.reset(seed, options)
         self._partner.reset(int(self.np_random.integers(2**32)))
-        self._seen, self._steps = observations[self.partner_agent], 0
+        self._steps = 0
         return self._mine(observations), self._mine(infos)
 
     def step(self, actions: dict[str, Any]) -> ParallelStep:
@@ -82,13 +82,16 @@ class FrozenPartnerEnv(ParallelWrapper):
         observations, rewards, ended, timed_out, infos = self.env.step(
             {
                 self.live_agent: actions.get(self.live_agent),
-                self.partner_agent: self._partner.act(self._seen, self._steps),
+                self.partner_agent: self._partner.act(self._shown, self._steps),
             }
         )
-        self._seen = observations[self.partner_agent]
         self._steps = int(infos[self.partner_agent]["steps"])
         mine = self._mine
         return mine(observations), mine(rewards), mine(ended), mine(timed_out), mine(infos)
+
+    def _shown(self) -> Observation:
+        """What the partner sees: what it asks for, whatever a learner in its place would be shown."""
+        return self.world.observation_for(self.partner_agent, self._policy)
 
     def _mine(self, by_agent: dict[str, Any]) -> dict[str, Any]:
         return {self.live_agent: by_agent[self.live_agent]}

@@ -39,7 +39,15 @@ from handover_marl.datasets.splits import choose_scenes
 from handover_marl.envs.arguments import checked_cycles, control_steps, has_screen
 from handover_marl.envs.rewards import RewardConfig, Rewards, Situation, reward_config
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.observations import Observation, giver_observation_space, observation_space
+from handover_marl.episode.observations import (
+    ALL,
+    Observation,
+    as_receiver,
+    giver_observation_space,
+    observation_space,
+    receiver_observation_space,
+)
+from handover_marl.episode.sight import SightConfig, View
 from handover_marl.episode.spaces import (
     check_giver_action,
     check_receiver_action,
@@ -47,10 +55,13 @@ from handover_marl.episode.spaces import (
     receiver_action_space,
 )
 from handover_marl.errors import ActionError, OptionError, ResetNeededError, SceneError, UnknownNameError
-from handover_marl.models.panda import FINGERTIPS
+from handover_marl.models.panda import FINGERTIPS, PANDA
 from handover_marl.models.poses import compose_point
 from handover_marl.protocol.release import Release
 from handover_marl.protocol.status import EpisodeStatus
+from handover_marl.sim.camera.imperfections import CameraImperfections
+from handover_marl.sim.camera.optics import REFERENCE
+from handover_marl.sim.renderers import chosen_renderer
 
 GIVER, RECEIVER = "giver", "receiver"
 AGENTS = (GIVER, RECEIVER)
@@ -82,10 +93,17 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         scenes: Only these scenes of the split.
         max_cycles: Episodes are cut off after so many steps, to learn from more of them; None plays to the end.
         config: The world and the rules.
+        robot: "panda", or "panda_camera" with HandoverSim's depth camera on its hand.
+        sight: What the receiver is shown of the wrist camera, "points", "images" or None; either robot has the view.
+        observe: "all", or "sight": proprioception and sight alone, so that nobody learns from the true pose.
+        renderer: "bullet", "rays", or "auto": bullet in exact physics, rays in others.
+        geometry: "reference" puts points where HandoverSim puts them, "true" where they are.
+        imperfections: What is wrong with the camera: None, "realsense" or `CameraImperfections`.
 
     Raises:
-        UnknownNameError: No such setup, split, dataset, physics or render mode.
-        OptionError: The control period is not a whole number of milliseconds, or `max_cycles` no whole number.
+        UnknownNameError: No such setup, split, dataset, physics, robot, sight, renderer or render mode.
+        OptionError: The control period is not a whole number of milliseconds, or `max_cycles` no whole number; sight
+            alone is wanted and there is none, or what draws it is not installed.
         SceneError: A scene is not in the split.
         DataNotFoundError: The data folder is not there.
     """
@@ -111,22 +129,32 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         scenes: Iterable[int] | None = None,
         max_cycles: int | None = None,
         config: WorldConfig = OFFICIAL,
+        robot: str = PANDA,
+        sight: str | None = None,
+        observe: str = ALL,
+        renderer: str = "auto",
+        geometry: str = REFERENCE,
+        imperfections: str | CameraImperfections | None = None,
     ) -> None:
         # Told below if it is no list, where the split is known.
         chosen = list(scenes) if isinstance(scenes, Iterable) else scenes
         EzPickle.__init__(
             self,
             *(setup, split, data_dir, dataset, physics, control_period, render_mode, camera, rewards),
-            *(chosen, max_cycles, config),
+            *(chosen, max_cycles, config, robot, sight, observe, renderer, geometry, imperfections),
         )
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise UnknownNameError("render_mode", render_mode, RENDER_MODES)
         self.config = config
-        self._episode = Episode(physics, config, window=render_mode == "human")
+        drawn = SightConfig(renderer, geometry, imperfections)
+        seen = receiver_observation_space(sight, observe)
+        chosen_renderer(renderer, physics, installed=sight is not None)
+        self.sight, self.observe = sight, observe
+        self._episode = Episode(physics, config, window=render_mode == "human", sight=drawn)
         self.control_period = control_period
         self.control_steps = control_steps(control_period)
         self.max_cycles = checked_cycles(max_cycles)
-        self.dataset = open_dataset(dataset, data_dir)
+        self.dataset = open_dataset(dataset, data_dir, robot)
         self.scene_ids = choose_scenes(self.dataset.split(setup, split), chosen, f"{setup} {split}")
         self.setup, self.split = setup, split
         self.render_mode = render_mode
@@ -138,12 +166,12 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         self._observation: Observation | None = None
         self._rng: np.random.Generator | None = None
         self._cycles = 0
-        self._observation_spaces = {GIVER: giver_observation_space(config.giver), RECEIVER: observation_space()}
+        self._observation_spaces = {GIVER: giver_observation_space(config.giver), RECEIVER: seen}
         self._action_spaces = {GIVER: giver_action_space(config.giver), RECEIVER: receiver_action_space()}
         for space in self._action_spaces.values():
             # Libraries that save spaces with a policy save with them how long its actions hold.
             space.control_period = control_period  # type: ignore[attr-defined]
-        flat: Any = spaces.flatten_space(self._observation_spaces[RECEIVER])
+        flat: Any = spaces.flatten_space(observation_space())
         self.state_space: spaces.Box = flat
         modes = [mode for mode in RENDER_MODES if mode != "human" or mode == render_mode or has_screen()]
         self.metadata = {**self.metadata, "render_modes": modes, "render_fps": max(1, round(1.0 / control_period))}
@@ -182,10 +210,11 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         if seed is not None:
             self._rng, _ = seeding.np_random(seed)
         self._episode.reset(self.dataset.scene(self._choose_scene(self.np_random, options or {})))
+        self._episode.seed_sight(self._next_camera_seed())
         self._cycles = 0
         self.agents = list(AGENTS)
         observations = self._observe()
-        start = self._situation(observations[RECEIVER])
+        start = self._situation(self._present())
         self._rewards = Rewards(self._reward_config, self.config.protocol.goal_center, start)
         return observations, self._infos(self._no_reward())
 
@@ -211,7 +240,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
             self._keep_pace(started)
         status = self._episode.status
         observations = self._observe()
-        terms = self._reward(observations[RECEIVER], status)
+        terms = self._reward(self._present(), status)
         ended = bool(status & ~EpisodeStatus.TIMEOUT)
         cut_off = self.max_cycles is not None and self._cycles >= self.max_cycles
         timed_out = bool(status & EpisodeStatus.TIMEOUT) or (cut_off and not ended)
@@ -227,9 +256,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
 
     def state(self) -> npt.NDArray[np.float32]:
         """Everything observed as one vector, for centralised critics; an element of `state_space`."""
-        if self._observation is None:
-            raise ResetNeededError("there is no state yet; call reset() before state()")
-        return np.asarray(spaces.flatten(self._observation_spaces[RECEIVER], self._observation))
+        return np.asarray(spaces.flatten(observation_space(), self._present()))
 
     def render(self) -> npt.NDArray[np.uint8] | None:
         """An RGB picture (height, width, 3) with "rgb_array"; with "human" the window shows itself."""
@@ -276,7 +303,43 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         self._observation = self._episode.observe()
         seen = {GIVER: self._episode.observe_as_giver(self._observation), RECEIVER: self._observation}
         # Copies, so that what one agent does to its arrays stays unseen by the other.
-        return {agent: {key: value.copy() for key, value in seen[agent].items()} for agent in AGENTS}
+        copies = {agent: {key: value.copy() for key, value in seen[agent].items()} for agent in AGENTS}
+        shown = as_receiver(copies[RECEIVER], self._episode.observe_sight(self.sight), self.observe)
+        return {GIVER: copies[GIVER], RECEIVER: shown}
+
+    def observation_for(self, agent: str, policy: object) -> Observation:
+        """What a policy that takes an agent's part is shown now, whatever the environment shows who learns in it.
+
+        Args:
+            agent: "giver" or "receiver".
+            policy: It says what it wants to see; see `handover_marl.policies.policy.Policy`.
+
+        Raises:
+            ResetNeededError: No episode has begun.
+        """
+        now = self._present()
+        seen = self._episode.observe_as_giver(now) if agent == GIVER else self._episode.observe_for(policy, now)
+        return {key: value.copy() for key, value in seen.items()}
+
+    def look(self) -> View:
+        """What the wrist camera shows at this moment, whatever `sight` is: depth, segmentation, colours and all points.
+
+        Raises:
+            ResetNeededError: No episode has begun.
+            OptionError: The renderer needs an extra that is not installed.
+        """
+        return self._episode.look()
+
+    def _next_camera_seed(self) -> int:
+        """One for every episode, without drawing from what scenes are drawn from."""
+        seeds = self.np_random.bit_generator.seed_seq.spawn(1)  # type: ignore[attr-defined]
+        return int(seeds[0].generate_state(1)[0])
+
+    def _present(self) -> Observation:
+        """All there is to see, whatever is shown."""
+        if self._observation is None:
+            raise ResetNeededError("there is nothing to see yet; call reset() first")
+        return self._observation
 
     def _situation(self, seen: Observation) -> Situation:
         episode = self._episode

@@ -1,6 +1,7 @@
 """When a policy is asked."""
 
 import math
+from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
@@ -62,18 +63,18 @@ class PolicyClock:
             raise self._failed("reset", error) from error
         self._action, self.due = None, 0
 
-    def act(self, observation: Observation, step: int) -> Action:
+    def act(self, observe: Callable[[], Observation], step: int) -> Action:
         """The action for now, fresh or repeated.
 
         Args:
-            observation: What the policy sees.
+            observe: Gives what the policy sees; called only when it is asked.
             step: Physics steps since the start.
 
         Raises:
             PolicyError, OptionError: As `ask`.
         """
         if self._action is None or step >= self.due:
-            return self.ask(observation, step)
+            return self.ask(observe(), step)
         return self._action
 
     def ask(self, observation: Observation, step: int) -> Action:

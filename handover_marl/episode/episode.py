@@ -7,9 +7,17 @@ import numpy.typing as npt
 
 from handover_marl.config import OFFICIAL, TIME_STEP, CameraConfig, WorldConfig
 from handover_marl.datasets.scene import Scene
-from handover_marl.episode.observations import Observation, observe, observe_as_giver
+from handover_marl.episode.observations import (
+    ALL,
+    Observation,
+    as_receiver,
+    check_observes,
+    observe,
+    observe_as_giver,
+)
 from handover_marl.episode.playback import NO_DEVIATION, Playback
 from handover_marl.episode.preview import Preview
+from handover_marl.episode.sight import BENCHMARK_SIGHT, Sight, SightConfig, View
 from handover_marl.episode.spaces import GiverAction
 from handover_marl.errors import ResetNeededError
 from handover_marl.protocol.contacts import Contacts
@@ -31,15 +39,23 @@ class Episode:
         physics: "exact" is HandoverSim's simulation to the bit, "fast" leaves out what cannot touch.
         config: The world and the rules.
         window: Whether to show PyBullet's window.
+        sight: How the wrist camera's pictures are made; drawn only when asked for.
 
     Attributes:
         config: The world and the rules.
     """
 
-    def __init__(self, physics: str = "exact", config: WorldConfig = OFFICIAL, window: bool = False) -> None:
+    def __init__(
+        self,
+        physics: str = "exact",
+        config: WorldConfig = OFFICIAL,
+        window: bool = False,
+        sight: SightConfig = BENCHMARK_SIGHT,
+    ) -> None:
         check_physics(physics)
         self.config = config
         self._physics, self._window = physics, window
+        self._sight = Sight(sight, physics, config.physics)
         self._world: World | None = None
         self._playback: Playback | None = None
         self._preview: Preview | None = None
@@ -55,6 +71,7 @@ class Episode:
         self._contacts = Contacts()
         playback = Playback(scene, self.config.giver)
         self._world.reset(scene, playback.start())
+        self._sight.reset(scene, self._world)
         self._playback = playback
 
     def advance(
@@ -90,6 +107,8 @@ class Episode:
         world.lead(motion)
         for done in range(1, len(motion) + 1):
             world.step(robot_target)
+            if self._sight.remembers:
+                self._sight.note(world)
             released_before = referee.released
             self._contacts = world.contacts(released_before)
             ended = referee.update(self._contacts)
@@ -107,6 +126,19 @@ class Episode:
         time = referee.steps * TIME_STEP
         return observe(world.state(), playback.scene.info.object_ids, referee.released, time)
 
+    def observe_for(self, policy: object, observation: Observation) -> Observation:
+        """What a receiver's policy is shown, as far as it says what it wants to see; everything, if it does not.
+
+        Args:
+            policy: The receiver; see `handover_marl.policies.policy.Policy`.
+            observation: What `observe` says now.
+        """
+        sight, observes = getattr(policy, "sight", None), getattr(policy, "observes", ALL)
+        if sight is None and observes == ALL:
+            return observation
+        check_observes(observes, sight)
+        return as_receiver(observation, self.observe_sight(sight), observes)
+
     def observe_as_giver(self, observation: Observation) -> Observation:
         """What the giver sees beside what it shares with the receiver.
 
@@ -117,6 +149,23 @@ class Episode:
         if self._preview is None:
             self._preview = Preview(playback.scene, self.config.giver)
         return observe_as_giver(observation, playback, self._preview)
+
+    def seed_sight(self, seed: int) -> None:
+        """Say what the camera's random draws depend on, beside the step."""
+        self._sight.seed(seed)
+
+    def look(self) -> View:
+        """What the wrist camera shows."""
+        return self._sight.look(self.world, self.steps)
+
+    def observe_sight(self, sight: str | None) -> Observation:
+        """What a kind of sight adds to the receiver's observation: "points", "images" or None.
+
+        Raises:
+            OptionError: The renderer needs an extra that is not installed.
+            DataFormatError, SimulationError: What a model shows cannot be read.
+        """
+        return self._sight.observe(sight, self.world, self.steps)
 
     def render(self, camera: CameraConfig) -> npt.NDArray[np.uint8]:
         """An RGB picture (height, width, 3) of the present state."""

@@ -1,4 +1,6 @@
-"""What an agent sees: named arrays of fixed shape, all float32."""
+"""What an agent sees: named arrays of fixed shape, all float32 but for pictures."""
+
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -7,10 +9,18 @@ from gymnasium import spaces
 from handover_marl.config import HAND_DOF, MAX_OBJECTS, N_KEYPOINTS, OFFICIAL, PANDA_DOF, GiverConfig
 from handover_marl.episode.playback import Playback
 from handover_marl.episode.preview import Preview
+from handover_marl.episode.sight import check_sight, sight_space
+from handover_marl.errors import OptionError, UnknownNameError
 from handover_marl.models.ycb import CLASS_NAMES
 from handover_marl.sim.world import WorldState
 
-Observation = dict[str, npt.NDArray[np.float32]]
+Observation = dict[str, npt.NDArray[Any]]
+
+#: What a policy may be shown beside the camera's view: everything, or only what the robot knows of itself.
+ALL, SIGHT = "all", "sight"
+OBSERVES = (ALL, SIGHT)
+#: What the robot knows of itself.
+PROPRIOCEPTION = ("robot_joint_position", "robot_joint_velocity", "gripper_pose", "time")
 
 _POSE = 7
 
@@ -47,6 +57,51 @@ def observation_space() -> spaces.Dict:
             "time": spaces.Box(0.0, np.inf, (1,), np.float32),
         }
     )
+
+
+def receiver_observation_space(sight: str | None = None, observes: str = ALL) -> spaces.Dict:
+    """What the receiver sees.
+
+    Args:
+        sight: What it is shown of the wrist camera: "points", "images" or None; see `sight_space`.
+        observes: "all", or "sight": proprioception and sight alone, so that nobody learns from the true pose.
+
+    Raises:
+        UnknownNameError: There is no such sight or choice.
+        OptionError: Sight alone is wanted, and there is none.
+    """
+    check_observes(observes, sight)
+    known = observation_space().spaces
+    own = known if observes == ALL else {key: known[key] for key in PROPRIOCEPTION}
+    return spaces.Dict({**own, **sight_space(sight)})
+
+
+def check_observes(observes: str, sight: str | None) -> None:
+    """Check what is to be observed.
+
+    Raises:
+        UnknownNameError: There is no such sight or choice.
+        OptionError: Sight alone is wanted, and there is none.
+    """
+    check_sight(sight)
+    if observes not in OBSERVES:
+        raise UnknownNameError("observe", observes, OBSERVES)
+    if observes == SIGHT and sight is None:
+        raise OptionError(
+            f"observe={SIGHT!r} leaves only what is seen, but sight is None; set sight to 'points' or 'images'"
+        )
+
+
+def as_receiver(observation: Observation, sight: Observation, observes: str = ALL) -> Observation:
+    """The receiver's observation.
+
+    Args:
+        observation: What `observe` says.
+        sight: What the camera adds.
+        observes: "all" or "sight".
+    """
+    own = observation if observes == ALL else {key: observation[key] for key in PROPRIOCEPTION}
+    return {**own, **sight}
 
 
 def giver_observation_space(config: GiverConfig = OFFICIAL.giver) -> spaces.Dict:

@@ -40,6 +40,7 @@ def play(
     giver_clock = None if giver is None else PolicyClock(giver)
     scene_id = episode.scene.info.scene_id
     robot_clock.reset(policy_seed(seed, scene_id, "receiver"))
+    episode.seed_sight(policy_seed(seed, scene_id, "camera"))
     if giver_clock is not None:
         giver_clock.reset(policy_seed(seed, scene_id, "giver"))
     giver_space = giver_action_space(episode.config.giver)
@@ -55,8 +56,10 @@ def play(
             seen = {key: value.copy() for key, value in seen.items()}
             deviation = check_giver_action(giver_clock.ask(seen, now), giver_space)
         if now >= robot_clock.due:
+            # Drawing what it sees is not planning.
+            seen = episode.observe_for(receiver, observation)
             started = time.perf_counter()
-            action = robot_clock.ask(observation, now)
+            action = robot_clock.ask(seen, now)
             seconds = time.perf_counter() - started
             robot = check_receiver_action(action)
         if callable(until) and until():

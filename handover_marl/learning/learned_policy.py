@@ -11,6 +11,7 @@ from handover_marl.learning.policy_files import PolicyFile, read_policy
 from handover_marl.learning.schemes import make_scheme, scheme_size
 from handover_marl.policies.context import PolicyContext
 from handover_marl.policies.policy import Action, Policy
+from handover_marl.policies.waiting import wait_ms
 
 #: Trained for the receiver yang2021; the file says how.
 SHIPPED_GIVER = Path(handover_marl.givers.__file__).parent / "policies" / "for_yang2021.npz"
@@ -25,6 +26,7 @@ class LearnedPolicy(Policy):
         path: A policy file, see `handover_marl.learning.policy_files`.
         trust: Whether code in the file may run.
         control_period: How often it was asked in training (s), for files that do not tell.
+        wait: How long to stay at the waiting pose (s) instead of as in training, for schemes with a wait.
 
     Raises:
         DataNotFoundError, DataFormatError, UnsafeFileError, OptionError: As `read_policy`; OptionError also without
@@ -40,6 +42,7 @@ class LearnedPolicy(Policy):
         path: str | os.PathLike[str] | None = None,
         trust: bool = False,
         control_period: float | None = None,
+        wait: float | None = None,
     ) -> None:
         if path is None and agent != "giver":
             raise OptionError(f"{agent} 'learned' needs a policy file: learned:FILE, see experiments/")
@@ -47,6 +50,10 @@ class LearnedPolicy(Policy):
         found = read_policy(file, agent, trust, control_period)
         self._label = self.name if path is None else f"{self.name}:{found.label}"
         self._use(found, context)
+        if wait is not None:
+            if not self._scheme.wait:
+                raise OptionError(f"{found.label}: its actions ({found.spec.actions!r}) have no wait to be set")
+            self._scheme.wait = wait_ms(wait) / 1000.0
 
     def _use(self, found: PolicyFile, context: PolicyContext) -> None:
         spec, function = found.spec, found.function
@@ -65,6 +72,11 @@ class LearnedPolicy(Policy):
     def label(self) -> str:
         """The name, and which file."""
         return self._label
+
+    @property
+    def wait(self) -> float:
+        """How long it stays at the waiting pose (s)."""
+        return self._scheme.wait
 
     @property
     def hold_time(self) -> float:

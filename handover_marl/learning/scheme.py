@@ -24,6 +24,7 @@ class ActionScheme(ABC):
         name: What policy files call it.
         agent: Whose actions these are, "giver" or "receiver".
         size: Number of outputs.
+        wait: How long the agent stays away at the start of an episode (s); may be set where it is not zero.
 
     Args:
         context: The robot, the task and the objects' grasps.
@@ -32,6 +33,7 @@ class ActionScheme(ABC):
     name: ClassVar[str]
     agent: ClassVar[str]
     size: ClassVar[int]
+    wait: float = 0.0
 
     def __init__(self, context: PolicyContext) -> None:
         self.context = context

@@ -62,20 +62,21 @@ class KinematicTree:
         moving = [joint.kind in (*_TURNING, *_SLIDING) for joint in joints]
         self.n_dof = sum(moving)
         # Links without a degree of freedom read a zero behind the last one.
-        self._dof = np.where(moving, np.cumsum(moving) - 1, self.n_dof)
-        self._offsets = np.array([joint.offset for joint in joints])
-        self._turns = np.array([joint.turn for joint in joints])
-        axes = np.array([joint.axis for joint in joints])
-        turning = np.array([joint.kind in _TURNING for joint in joints])[:, None]
-        sliding = np.array([joint.kind in _SLIDING for joint in joints])[:, None]
+        self._dof = np.where(moving, np.cumsum(moving) - 1, self.n_dof).astype(np.int64)
+        # Shaped, so that a model of one link without joints is a tree too.
+        self._offsets = np.array([joint.offset for joint in joints]).reshape(-1, 3)
+        self._turns = np.array([joint.turn for joint in joints]).reshape(-1, 3, 3)
+        axes = np.array([joint.axis for joint in joints]).reshape(-1, 3)
+        turning = np.array([joint.kind in _TURNING for joint in joints], dtype=bool)[:, None]
+        sliding = np.array([joint.kind in _SLIDING for joint in joints], dtype=bool)[:, None]
         self._cross = np.cross(np.eye(3), (axes * turning)[:, None, :])
         self._cross_squared = self._cross @ self._cross
         self._slides = (self._turns @ (axes * sliding)[..., None])[..., 0]
-        parents = np.array([joint.parent for joint in joints])
+        parents = np.array([joint.parent for joint in joints], dtype=np.int64)
         depths: list[int] = []
         for parent in parents.tolist():
             depths.append(0 if parent < 0 else depths[parent] + 1)
-        levels = [np.flatnonzero(np.array(depths) == depth) for depth in range(1, max(depths) + 1)]
+        levels = [np.flatnonzero(np.array(depths) == depth) for depth in range(1, max(depths, default=0) + 1)]
         self._levels = [(links, parents[links]) for links in levels]
 
     def frames(self, dof: npt.ArrayLike) -> tuple[Array, Array]:

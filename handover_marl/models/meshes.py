@@ -31,7 +31,7 @@ def link_vertices(urdf: Path, purpose: str, names: list[str]) -> list[Array]:
     shapes = read_urdf_shapes(urdf, tree, purpose)
     found = []
     for name in names:
-        own = [_triangles(shape, urdf)[0] for shape in shapes if shape.link == numbers.index(name)]
+        own = [shape_triangles(shape, urdf)[0] for shape in shapes if shape.link == numbers.index(name)]
         if not own:
             raise DataFormatError(f"{urdf}: link {name!r} has no {purpose} shape to plan with; check the file")
         found.append(np.concatenate(own))
@@ -47,7 +47,7 @@ def model_triangles(urdf: Path) -> tuple[Array, Faces]:
     shapes = read_urdf_shapes(urdf, read_tree(urdf), "collision")
     if not shapes:
         raise DataFormatError(f"{urdf}: the model has no collision shape to keep away from; check the file")
-    parts = [_triangles(shape, urdf) for shape in shapes]
+    parts = [shape_triangles(shape, urdf) for shape in shapes]
     firsts = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
     return (
         np.concatenate([vertices for vertices, _ in parts]),
@@ -55,7 +55,12 @@ def model_triangles(urdf: Path) -> tuple[Array, Faces]:
     )
 
 
-def _triangles(shape: UrdfShape, urdf: Path) -> tuple[Array, Faces]:
+def shape_triangles(shape: UrdfShape, urdf: Path) -> tuple[Array, Faces]:
+    """Vertices (v, 3) in m in the link's frame, and faces (f, 3), of one shape of a model.
+
+    Raises:
+        DataFormatError: Its file cannot be read.
+    """
     vertices, faces = _in_shape(shape, urdf)
     scale = shape.size if shape.kind == "mesh" else 1.0
     return compose_point(shape.link_from_shape, vertices * scale), faces

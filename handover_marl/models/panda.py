@@ -3,9 +3,20 @@
 Lengths in m, angles in rad, quaternions xyzw.
 """
 
+#: The Pandas: HandoverSim's usual one, and the one with a depth camera on its hand, which collides and has other
+#: finger friction, so that results with it are results of another robot.
+PANDA, PANDA_CAMERA = "panda", "panda_camera"
+ROBOTS = (PANDA, PANDA_CAMERA)
+
 #: Links by their names in every Panda's URDF; their numbers differ between files.
 HAND_LINK = "panda_hand"
+CAMERA_LINK = "panda_hand_camera"
 FINGER_LINKS = ("panda_leftfinger", "panda_rightfinger")
+
+#: Where the camera's link is on the hand, as URDF writes it: position (m) and roll, pitch, yaw (rad).
+HAND_FROM_CAMERA_LINK_URDF = ("0.036 0 0.036", "-1.57079632679 0 -1.57079632679")
+#: The same as a pose.
+HAND_FROM_CAMERA_LINK = (0.036, 0.0, 0.036, -0.5, 0.5, -0.5, 0.5)
 
 #: Limits of the seven arm joints and the two fingers.
 LOWER_LIMITS = (-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973, 0.0, 0.0)

@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.episode.observations import Observation
+from handover_marl.episode.observations import ALL, Observation
 
 Action = npt.NDArray[np.float32]
 
@@ -21,11 +21,16 @@ class Policy(ABC):
         agent: Whose policy it is, "giver" or "receiver"; None if either's.
         name: What tables and files call it.
         control_period: How often it decides (s); a whole number of milliseconds.
+        sight: What a receiver wants to be shown of the wrist camera: "points", "images", or None; pictures are drawn
+            only when it is asked, and drawing is not planning time. See `handover_marl.episode.sight.sight_space`.
+        observes: "all", or "sight": proprioception and sight alone, so that the true pose cannot be used by accident.
     """
 
     agent: ClassVar[str | None] = None
     name: ClassVar[str]
     control_period: ClassVar[float] = 0.1
+    sight: str | None = None
+    observes: str = ALL
 
     @abstractmethod
     def reset(self, seed: int | None = None) -> None:
@@ -43,6 +48,11 @@ class Policy(ABC):
     def label(self) -> str:
         """What results are filed under: the name, and what else tells two apart."""
         return self.name
+
+    @property
+    def wait(self) -> float | None:
+        """How long (s) it stays away from the start of every episode, so that results can say it; None if unknown."""
+        return 0.0
 
     @property
     def hold_time(self) -> float:

@@ -28,5 +28,5 @@ class Receiver(Policy):
         """Decide on nine target joint positions, 7 arm (rad) and 2 fingers (m), float32.
 
         Args:
-            observation: As described in `handover_marl.episode.observations.observation_space`.
+            observation: As described in `handover_marl.episode.observations.receiver_observation_space`.
         """

@@ -24,11 +24,13 @@ import cloudpickle
 
 from handover_marl.config import OFFICIAL, WorldConfig
 from handover_marl.datasets import Dataset, open_dataset
+from handover_marl.episode.observations import ALL, check_observes
 from handover_marl.errors import HandoverError, OptionError, PolicyError, UnknownNameError
 from handover_marl.policies.context import context_of
 from handover_marl.policies.policy import Policy
 from handover_marl.policies.registry import available, registered
 from handover_marl.policies.source_hash import source_hash
+from handover_marl.policies.waiting import wait_ms
 
 _OPTIONS = re.compile(r"[A-Za-z_]\w*=[^=,]*(,[A-Za-z_]\w*=[^=,]*)*")
 # What a constructor gets if it asks for it; not for users to set by name.
@@ -46,8 +48,11 @@ class PolicyReference:
         file: The policy file, or None.
         options: What its constructor gets, by name.
         trust: Whether code in its file may run.
-        label: What tables and folders call it; known once it is `resolved`, and so is
-        source: the hash of its code, options and file.
+        label: What tables and folders call it; known once it is `resolved`, and so are
+        source: the hash of its code, options and file,
+        wait: how long it stays away at the start (s), None if unknown,
+        sight: what it wants to be shown of the wrist camera, and
+        observes: whether it sees all, or by sight alone.
     """
 
     agent: str
@@ -58,6 +63,9 @@ class PolicyReference:
     trust: bool = False
     label: str = ""
     source: str = ""
+    wait: float | None = None
+    sight: str | None = None
+    observes: str = ALL
 
     def make(self, dataset: Dataset | None = None, config: WorldConfig = OFFICIAL) -> Policy:
         """The policy itself, for the robot and the objects of a dataset; default: what `open_dataset()` gives.
@@ -101,7 +109,15 @@ class PolicyReference:
             content += cloudpickle.dumps(vars(found))
         if self.file is not None:
             content += Path(self.file).expanduser().read_bytes()
-        return replace(self, label=label, source=source_hash(type(made), content))
+        check_observes(made.observes, made.sight)
+        return replace(
+            self,
+            label=label,
+            source=source_hash(type(made), content),
+            wait=_told_wait(made),
+            sight=made.sight,
+            observes=made.observes,
+        )
 
     def _found(self) -> Any:
         return pickle.loads(self.pickled) if self.pickled else _named(self.agent, self.text)
@@ -129,7 +145,9 @@ def policy_reference(agent: str, policy: PolicyLike, trust: bool = False) -> Pol
     if isinstance(policy, PolicyReference):
         if policy.agent != agent:
             raise OptionError(f"this is a {policy.agent}'s policy ({policy.text}); a {agent}'s is wanted")
-        return replace(policy, options=_merged(policy.options, extra), label="", source="") if extra else policy
+        if not extra:
+            return policy
+        return replace(policy, options=_merged(policy.options, extra), label="", source="", wait=None)
     if isinstance(policy, str):
         return _read_text(agent, policy, extra, trust)
     if isinstance(policy, (type, Policy)):
@@ -253,6 +271,11 @@ def _check_kind(agent: str, kind: Any, name: str) -> None:
 
 def _parameters(kind: Any) -> dict[str, inspect.Parameter]:
     return dict(inspect.signature(kind).parameters)
+
+
+def _told_wait(policy: Policy) -> float | None:
+    """How long a policy says it waits (s), in whole milliseconds."""
+    return None if policy.wait is None else wait_ms(policy.wait) / 1000.0
 
 
 def _merged(options: tuple[tuple[str, Any], ...], extra: Mapping[str, Any]) -> tuple[tuple[str, Any], ...]:

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from handover_marl.config import CameraConfig
 from handover_marl.datasets.scene import Scene
 from handover_marl.protocol.contacts import Contacts
+from handover_marl.sim.camera.photo import Photo
 from handover_marl.sim.motion import Motion
 
 
@@ -42,6 +43,17 @@ class Postures(NamedTuple):
 
     robot: npt.NDArray[np.float32]
     hand: npt.NDArray[np.float32] | None
+
+
+class Snapshot(NamedTuple):
+    """All joints at one moment, float32, m and rad: with the models they tell where everything is.
+
+    `robot` (9,), `hand` (51,) or None without a hand, `objects` (n, 6).
+    """
+
+    robot: npt.NDArray[np.float32]
+    hand: npt.NDArray[np.float32] | None
+    objects: npt.NDArray[np.float32]
 
 
 class World(ABC):
@@ -83,9 +95,22 @@ class World(ABC):
     def object_dof(self) -> npt.NDArray[np.float32]:
         """(n, 6) joint positions of the objects' chains (m, rad), float32."""
 
+    def snapshot(self) -> Snapshot:
+        """The present joints of everything."""
+        return Snapshot(*self.postures(), self.object_dof())
+
     @abstractmethod
     def render(self, camera: CameraConfig) -> npt.NDArray[np.uint8]:
         """An RGB picture (height, width, 3) of the present state."""
+
+    @abstractmethod
+    def photograph(self, color: bool, at: Snapshot | None = None) -> Photo:
+        """What the wrist camera shows, as the engine's own renderer draws it.
+
+        Args:
+            color: Whether colours are wanted.
+            at: An earlier moment of the same scene; None is the present one.
+        """
 
     @abstractmethod
     def close(self) -> None:

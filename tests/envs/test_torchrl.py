@@ -19,7 +19,9 @@ def test_the_two_agent_environment(rewards: str) -> None:
     env = torchrl_envs.PettingZooWrapper(handover_marl.parallel_env(rewards=rewards, **OPTIONS), return_state=True)
     check_env_specs(env)
     rollout = env.rollout(20)
-    assert rollout.shape == (10,)
+    # Random actions may end an episode before it is cut off.
+    assert rollout.shape[0] == 10 or rollout["next", "receiver", "done"][-1].all()
+    assert rollout.shape[0] <= 10
     assert ("next", "receiver", "info", "reward/task") in rollout.keys(True)
     env.close()
 

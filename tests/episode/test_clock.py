@@ -47,18 +47,18 @@ def test_policies_are_asked_when_they_want_to_be(hold_time: float, expected: lis
     clock = PolicyClock(CountingPolicy(hold_time))
     for _ in range(2):
         clock.reset(None)
-        assert [int(clock.act(SEEN, 100 * n)[0]) for n in range(5)] == expected
+        assert [int(clock.act(lambda: SEEN, 100 * n)[0]) for n in range(5)] == expected
 
 
 def test_due_is_told_in_physics_steps() -> None:
     clock = PolicyClock(CountingPolicy(0.13))
     clock.reset(None)
     assert clock.due == 0
-    clock.act(SEEN, 0)
+    clock.act(lambda: SEEN, 0)
     assert clock.due == 130
-    clock.act(SEEN, 129)
+    clock.act(lambda: SEEN, 129)
     assert clock.due == 130
-    clock.act(SEEN, 150)
+    clock.act(lambda: SEEN, 150)
     assert clock.due == 280
     clock.reset(None)
     assert clock.due == 0
@@ -69,7 +69,7 @@ def test_no_time_at_all_is_refused(hold_time: Any) -> None:
     clock = PolicyClock(CountingPolicy(hold_time))
     clock.reset(None)
     with pytest.raises(OptionError, match="hold_time"):
-        clock.act(SEEN, 0)
+        clock.act(lambda: SEEN, 0)
 
 
 def test_short_times_are_one_step() -> None:
@@ -84,11 +84,11 @@ def test_whose_fault_it_was(error: BaseException) -> None:
     with pytest.raises(PolicyError, match=rf"policy 'counting' failed \(reset\): {type(error).__name__}: {error}"):
         clock.reset(None)
     with pytest.raises(PolicyError, match=r"policy 'counting' failed \(after 300 steps\)"):
-        clock.act(SEEN, 300)
+        clock.act(lambda: SEEN, 300)
 
 
 def test_errors_of_the_library_and_of_the_user_stay_what_they_are() -> None:
     with pytest.raises(SimulationError, match="broken"):
         PolicyClock(CountingPolicy(0.1, SimulationError("broken"))).reset(None)
     with pytest.raises(KeyboardInterrupt):
-        PolicyClock(CountingPolicy(0.1, KeyboardInterrupt())).act(SEEN, 0)
+        PolicyClock(CountingPolicy(0.1, KeyboardInterrupt())).act(lambda: SEEN, 0)

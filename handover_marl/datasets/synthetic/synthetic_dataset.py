@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from handover_marl.assets.hand_model import hand_model, hand_urdf
 from handover_marl.assets.human_grasps import human_grasps
 from handover_marl.assets.object_models import object_urdf
-from handover_marl.assets.robot_model import PANDA_URDF
+from handover_marl.assets.robot_model import PANDA_URDF, camera_panda_urdf
 from handover_marl.assets.shipped_grasps import load_object_grasps
 from handover_marl.assets.table_model import TABLE_URDF
 from handover_marl.datasets.dataset import TABLE_HEIGHT, Dataset
@@ -22,18 +22,26 @@ from handover_marl.datasets.synthetic.handing_over import KeyMotion, draw_motion
 from handover_marl.datasets.synthetic.resampling import hand_trajectory, object_trajectory, rounded
 from handover_marl.datasets.synthetic.room import grasp_poses
 from handover_marl.datasets.synthetic.staging import draw_stage, hold
+from handover_marl.models.panda import PANDA
 from handover_marl.models.ycb import CLASS_NAMES
 
 
 class SyntheticDataset(Dataset):
-    """A thousand generated handovers; needs no data folder."""
+    """A thousand generated handovers; needs no data folder.
+
+    Args:
+        robot: Which Panda stands in the scenes.
+
+    Raises:
+        UnknownNameError: There is no such robot.
+    """
 
     name = "synthetic"
 
     @property
     def panda_urdf(self) -> Path:
-        """PyBullet's own Panda."""
-        return PANDA_URDF
+        """PyBullet's own Panda, as it is or with a camera."""
+        return PANDA_URDF if self.robot == PANDA else camera_panda_urdf()
 
     def info(self, scene_id: int) -> SceneInfo:
         """Who gives what; the other objects are drawn with the motion."""

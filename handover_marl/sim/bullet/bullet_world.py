@@ -4,9 +4,11 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.config import CameraConfig, PhysicsConfig
-from handover_marl.errors import SimulationError
+from handover_marl.datasets.scene import Scene
+from handover_marl.errors import ResetNeededError, SimulationError
 from handover_marl.sim.bullet.client import BulletClient, connect, pybullet_error
 from handover_marl.sim.bullet.drawing import render
+from handover_marl.sim.bullet.picture_world import PictureWorld
 from handover_marl.sim.world import World
 
 
@@ -21,6 +23,8 @@ class BulletWorld(World):
     def __init__(self, config: PhysicsConfig, window: bool = False) -> None:
         self._config = config
         self._client: BulletClient = connect(window)
+        self._scene: Scene | None = None
+        self._pictures: PictureWorld | None = None
 
     def render(self, camera: CameraConfig) -> npt.NDArray[np.uint8]:
         """An RGB picture (height, width, 3) of the present state."""
@@ -28,7 +32,22 @@ class BulletWorld(World):
 
     def close(self) -> None:
         """Disconnect from PyBullet."""
+        self._forget_pictures()
         self._client.close()
+
+    def _picture_world(self) -> PictureWorld:
+        """The present scene in a server that is not simulated."""
+        if self._scene is None:
+            raise ResetNeededError("the world is empty; call reset() first")
+        if self._pictures is None or self._pictures.scene is not self._scene:
+            self._forget_pictures()
+            self._pictures = PictureWorld(self._scene, self._config)
+        return self._pictures
+
+    def _forget_pictures(self) -> None:
+        if self._pictures is not None:
+            self._pictures.close()
+        self._pictures = None
 
     def _simulate(self) -> None:
         try:

@@ -14,8 +14,10 @@ from handover_marl.sim.bullet.drawing import without_drawing
 from handover_marl.sim.bullet.hand_body import Hand
 from handover_marl.sim.bullet.object_body import Object
 from handover_marl.sim.bullet.stage import set_stage
+from handover_marl.sim.bullet.wrist_view import photograph, seen_bodies
+from handover_marl.sim.camera.photo import Photo
 from handover_marl.sim.motion import Motion
-from handover_marl.sim.world import Postures, WorldState
+from handover_marl.sim.world import Postures, Snapshot, WorldState
 
 
 class ExactWorld(BulletWorld):
@@ -28,7 +30,6 @@ class ExactWorld(BulletWorld):
 
     def __init__(self, config: PhysicsConfig, window: bool = False) -> None:
         super().__init__(config, window)
-        self._scene: Scene | None = None
         self._hand: Hand | None = None
         self._release_pending = False
 
@@ -105,6 +106,14 @@ class ExactWorld(BulletWorld):
     def object_dof(self) -> npt.NDArray[np.float32]:
         """(n, 6) joint positions of the objects' chains (m, rad), float32."""
         return np.stack([body.joint_positions() for body in self._objects])
+
+    def photograph(self, color: bool, at: Snapshot | None = None) -> Photo:
+        """What the wrist camera shows."""
+        if at is not None:
+            return self._picture_world().photograph(at, color)
+        objects = [body.id for body in self._objects]
+        bodies = seen_bodies(self._table_id, self._panda.id, objects, None if self._hand is None else self._hand.id)
+        return photograph(self._client, self._panda.camera_pose(), bodies, color)
 
     def _place_hand(self, target: list[float] | None) -> None:
         if target is None and self._hand is not None:

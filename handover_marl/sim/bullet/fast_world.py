@@ -24,10 +24,10 @@ from handover_marl.sim.bullet.drawing import without_drawing
 from handover_marl.sim.bullet.ghosts import Ghosts
 from handover_marl.sim.bullet.kinematic_hand import HandModel, KinematicHand, read_hand
 from handover_marl.sim.bullet.panda_body import Panda
-from handover_marl.sim.bullet.picture_world import PictureWorld
 from handover_marl.sim.bullet.stage import Stage, set_stage
+from handover_marl.sim.camera.photo import Photo
 from handover_marl.sim.motion import Motion
-from handover_marl.sim.world import Postures, WorldState
+from handover_marl.sim.world import Postures, Snapshot, WorldState
 
 
 class Sleeper(Protocol):
@@ -72,8 +72,6 @@ class FastWorld(BulletWorld):
         self._objects: list[DormantObject] = []
         self._hand: KinematicHand | None = None
         self._ghosts = Ghosts(self._client)
-        self._scene: Scene | None = None
-        self._pictures: PictureWorld | None = None
         # Physics steps since the last reset.
         self._simulated = 0
 
@@ -232,23 +230,11 @@ class FastWorld(BulletWorld):
         if self._window:
             self._draw()
             return super().render(camera)
-        scene = self._scene
-        if scene is None:
-            raise ResetNeededError("the world is empty; call reset() first")
-        if self._pictures is None or self._pictures.scene is not scene:
-            self._forget_pictures()
-            self._pictures = PictureWorld(scene, self._config)
-        return self._pictures.draw(self.postures(), self.object_dof(), camera)
+        return self._picture_world().draw(self.snapshot(), camera)
 
-    def close(self) -> None:
-        """Disconnect from PyBullet."""
-        self._forget_pictures()
-        super().close()
-
-    def _forget_pictures(self) -> None:
-        if self._pictures is not None:
-            self._pictures.close()
-        self._pictures = None
+    def photograph(self, color: bool, at: Snapshot | None = None) -> Photo:
+        """What the wrist camera shows."""
+        return self._picture_world().photograph(at or self.snapshot(), color)
 
     def _draw(self) -> None:
         """Show what is not simulated."""

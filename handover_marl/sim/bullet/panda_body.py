@@ -2,8 +2,12 @@
 
 from pathlib import Path
 
+import numpy as np
+import numpy.typing as npt
+
 from handover_marl.config import PANDA_DOF, PandaConfig
-from handover_marl.models.panda import FINGER_LINKS, HAND_LINK
+from handover_marl.models.panda import CAMERA_LINK, FINGER_LINKS, HAND_FROM_CAMERA_LINK, HAND_LINK
+from handover_marl.models.poses import compose
 from handover_marl.sim.bullet.body import Body, Start
 from handover_marl.sim.bullet.client import BulletClient, float32_list
 
@@ -31,6 +35,14 @@ class Panda(Body):
         self.hand_link = self.link(HAND_LINK)
         left, right = (self.link(name) for name in FINGER_LINKS)
         self.finger_links = (left, right)
+        self._camera_link = self.link(CAMERA_LINK) if CAMERA_LINK in self._link_names else None
+
+    def camera_pose(self) -> npt.NDArray[np.float32]:
+        """World pose (7,) of the wrist camera's link, float32; where it would be on a Panda without one."""
+        if self._camera_link is not None:
+            pose: npt.NDArray[np.float32] = self.link_poses([self._camera_link])[0]
+            return pose
+        return compose(self.link_poses([self.hand_link])[0], HAND_FROM_CAMERA_LINK).astype(np.float32)
 
     def withdraw(self) -> None:
         """Stand at the start pose and touch nothing, until the restart."""
