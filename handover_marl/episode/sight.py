@@ -23,7 +23,8 @@ SIGHTS = (POINTS, IMAGES)
 #: Rows of a cloud in an observation.
 N_POINTS = 1024
 
-_SUBSAMPLING, _NOISE = 0, 1
+# What is drawn at random at a moment: which points of either cloud, and noise.
+_NOISE = 2
 
 
 def check_sight(sight: str | None) -> None:
@@ -204,8 +205,7 @@ class Sight:
             }
         photo = self._photo(world, steps, whole=False)
         clouds = [self._points(photo, seen) for seen in (Seen.TARGET, Seen.HAND)]
-        rng = self._rng(steps, _SUBSAMPLING)
-        item, hand = (_of_fixed_length(cloud, rng) for cloud in clouds)
+        item, hand = (self._thinned(cloud, steps, number) for number, cloud in enumerate(clouds))
         counts = np.array([len(cloud) for cloud in clouds], dtype=np.float32)
         return {"wrist_object_points": item, "wrist_hand_points": hand, "wrist_point_counts": counts}
 
@@ -238,14 +238,14 @@ class Sight:
             self._renderer = make_renderer(name, self._scene, self._world_config)
         return self._renderer
 
+    def _thinned(self, cloud: npt.NDArray[np.float32], steps: int, number: int) -> npt.NDArray[np.float32]:
+        """(1024, 3) of a cloud (n, 3): as many drawn without replacement, in their order, or all and zeros."""
+        if len(cloud) > N_POINTS:
+            chosen = self._rng(steps, number).choice(len(cloud), N_POINTS, replace=False)
+            return cloud[np.sort(chosen)]
+        fixed = np.zeros((N_POINTS, 3), dtype=np.float32)
+        fixed[: len(cloud)] = cloud
+        return fixed
+
     def _rng(self, steps: int, purpose: int) -> np.random.Generator:
         return np.random.default_rng((self._seed, steps, purpose))
-
-
-def _of_fixed_length(cloud: npt.NDArray[np.float32], rng: np.random.Generator) -> npt.NDArray[np.float32]:
-    """(1024, 3) of a cloud (n, 3): as many drawn without replacement, in their order, or all and zeros."""
-    if len(cloud) > N_POINTS:
-        return cloud[np.sort(rng.choice(len(cloud), N_POINTS, replace=False))]
-    fixed = np.zeros((N_POINTS, 3), dtype=np.float32)
-    fixed[: len(cloud)] = cloud
-    return fixed

@@ -63,11 +63,11 @@ def deproject(depth: Array, seen: npt.NDArray[np.bool_], geometry: str = REFEREN
     Returns:
         (n, 3) float32 in the hand link's frame (m), row by row of the picture.
     """
-    rows, columns = np.nonzero(seen)
-    right, down = (number.astype(np.float32) for number in (columns, rows))
+    pixels = np.flatnonzero(seen)
+    down, right = (number.astype(np.float32) for number in np.divmod(pixels, SIDE))
     if geometry == TRUE:
         right, down = right + np.float32(SAMPLED_AT[0]), down + np.float32(SAMPLED_AT[1])
-    z = depth[rows, columns]
+    z = depth.ravel()[pixels]
     x, y = np.float32(PINHOLE[0]) - z * (_SCALE * down + _SHIFT), z * (_SCALE * right + _SHIFT)
     points: Array = np.stack([x, y, z + np.float32(PINHOLE[2])], axis=1)
     return points

@@ -23,22 +23,18 @@ _ORIGIN = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
 
 @dataclass(frozen=True, eq=False)
-class Placed:
-    """A mesh at its place.
+class Parts:
+    """The links of a body that show something, at their places.
 
     Attributes:
-        mesh: The mesh.
-        turn: (3, 3) its axes in the world.
-        shift: (3,) its origin in the world (m).
-        colors: (f, 3) of its faces.
-        seen: What it is seen as.
+        body: The body.
+        turns: (n, 3, 3) the links' axes in the world.
+        shifts: (n, 3) their origins in the world (m).
     """
 
-    mesh: RayMesh
-    turn: Array
-    shift: Array
-    colors: npt.NDArray[np.float32]
-    seen: Seen
+    body: "RayBody"
+    turns: Array
+    shifts: Array
 
 
 class RayBody:
@@ -50,56 +46,51 @@ class RayBody:
         base: (7,) world pose of its base, xyz (m) and quaternion xyzw.
         without: Names of links to leave out.
 
+    Attributes:
+        seen: What it is seen as.
+        names: Names of its links, as they are numbered.
+        meshes: What each link shows that shows something.
+        colors: (f, 3) red, green and blue of the faces of each of these, 0 to 1.
+        lowest: (n, 3) lower corners of boxes around these, in the links' frames (m).
+        highest: (n, 3) the upper ones.
+
     Raises:
         SimulationError, DataFormatError: The model or one of its meshes cannot be read.
     """
 
     def __init__(self, urdf: Path, seen: Seen, base: npt.ArrayLike = _ORIGIN, without: Collection[str] = ()) -> None:
-        self.tree = read_tree(urdf)
+        self._tree = read_tree(urdf)
+        self.seen = seen
+        self.names = [joint.link for joint in self._tree.joints]
         pose = np.asarray(base, dtype=np.float64)
         self._turn, self._shift = Rotation.from_quat(pose[3:]).as_matrix(), pose[:3]
-        self.shown = read_visual_meshes(urdf, self.tree, without)
-        self.seen = seen
-        self._meshes: list[RayMesh] = []
+        shown = read_visual_meshes(urdf, self._tree, without)
+        self._links = [part.link for part in shown]
+        self.meshes = [RayMesh(part.vertices, part.faces) for part in shown]
+        self.colors = [part.colors for part in shown]
+        self.lowest = np.array([mesh.vertices.min(axis=0) for mesh in self.meshes]).reshape(-1, 3)
+        self.highest = np.array([mesh.vertices.max(axis=0) for mesh in self.meshes]).reshape(-1, 3)
+        self._known: tuple[Joints, Array, Array] | None = None
 
-    def placed(self, joints: Joints) -> list[Placed]:
-        """Its meshes, for the positions of its joints (m, rad)."""
-        if not self._meshes:
-            self._meshes = [RayMesh(shown.vertices, shown.faces) for shown in self.shown]
-        frames = self.frames(joints)
-        return [
-            Placed(mesh, *frames[shown.link], shown.colors, self.seen)
-            for mesh, shown in zip(self._meshes, self.shown, strict=True)
-        ]
+    def parts(self, joints: Joints) -> Parts:
+        """What it shows, for the positions of its joints (m, rad)."""
+        turns, shifts = self._frames(joints)
+        return Parts(self, turns[self._links], shifts[self._links])
 
-    def frames(self, joints: Joints) -> dict[int, tuple[Array, Array]]:
-        """Axes (3, 3) and origin (3,) in the world of every link, -1 being the base."""
-        origins, turns = self.tree.frames(joints[None])
-        turned = self._turn @ turns[0]
-        moved = origins[0] @ self._turn.T + self._shift
-        return {-1: (self._turn, self._shift), **dict(enumerate(zip(turned, moved, strict=True)))}
+    def frame(self, link: int, joints: Joints) -> tuple[Array, Array]:
+        """Axes (3, 3) and origin (3,) of a link in the world, -1 being the base."""
+        turns, shifts = self._frames(joints)
+        return turns[link], shifts[link]
 
-
-class SuppleBody(RayBody):
-    """A model of many small links, such as a hand, as one mesh that is made anew when its joints have moved.
-
-    One mesh of a few thousand triangles is built in less time than rays are sent to sixteen.
-    """
-
-    _joints: Joints | None = None
-    _placed: Placed | None = None
-
-    def placed(self, joints: Joints) -> list[Placed]:
-        """Its one mesh, in the world's frame."""
-        if self._placed is None or self._joints is None or not np.array_equal(joints, self._joints):
-            frames = self.frames(joints)
-            parts = [shown.vertices @ frames[shown.link][0].T + frames[shown.link][1] for shown in self.shown]
-            firsts = np.cumsum([0, *map(len, parts)])
-            faces = [shown.faces + first for shown, first in zip(self.shown, firsts, strict=False)]
-            mesh = RayMesh(np.concatenate(parts).astype(np.float32), np.concatenate(faces).astype(np.int32))
-            colors = np.concatenate([shown.colors for shown in self.shown])
-            self._placed, self._joints = Placed(mesh, np.eye(3), np.zeros(3), colors, self.seen), joints.copy()
-        return [self._placed]
+    def _frames(self, joints: Joints) -> tuple[Array, Array]:
+        """Axes (L + 1, 3, 3) and origins (L + 1, 3) of all links in the world, the base's last."""
+        # Much stands still between two pictures: the table always, the hand once it is there.
+        if self._known is None or not np.array_equal(joints, self._known[0]):
+            origins, turns = self._tree.frames(joints[None])
+            turns = np.concatenate([self._turn @ turns[0], self._turn[None]])
+            shifts = np.concatenate([origins[0] @ self._turn.T + self._shift, self._shift[None]])
+            self._known = joints.copy(), turns, shifts
+        return self._known[1:]
 
 
 def ray_body(urdf: Path, seen: Seen, base: tuple[float, ...] = _ORIGIN) -> RayBody:
@@ -121,7 +112,5 @@ def ray_body(urdf: Path, seen: Seen, base: tuple[float, ...] = _ORIGIN) -> RayBo
 
 @functools.lru_cache(maxsize=64)
 def _kept(urdf: Path, changed: int, seen: Seen, base: tuple[float, ...]) -> RayBody:
-    if seen is Seen.HAND:
-        return SuppleBody(urdf, seen, base)
     # The camera does not see itself: all of its housing is nearer than the near plane.
     return RayBody(urdf, seen, base, (CAMERA_LINK,) if seen is Seen.ROBOT else ())
