@@ -48,7 +48,7 @@ class Args:
         scenes: Scenes of the validation splits of all setups to look at.
         views: Views of each.
         receiver: Whose views.
-        period: Control period of the environments (s).
+        period: Time between decisions (s).
         steps: Control steps of each environment in a turn.
         turns: Turns of each environment; 0 leaves this out.
         out: Markdown file to write.
@@ -66,18 +66,16 @@ class Args:
     out: str | None = None
 
 
-class Views(Watcher):
-    """Looks at one episode with both renderers.
+class Decisions(Watcher):
+    """Asks for clouds as often as a receiver that decides every so many steps.
 
     Attributes:
-        pairs: Pictures of Bullet and of the ray caster.
-        times: CPU time (s) of a cloud, of object and hand alone, of the whole picture, and of Bullet's.
+        times: CPU time (s) of every cloud.
     """
 
-    def __init__(self, moments: list[int], camera: RayCamera) -> None:
-        self.pairs: list[tuple[Photo, Photo]] = []
-        self.times: list[tuple[float, float, float, float]] = []
-        self._moments, self._camera = set(moments), camera
+    def __init__(self, period: int) -> None:
+        self.times: list[float] = []
+        self._period = period
         self._sight = Sight(SightConfig(renderer="rays"), "fast", OFFICIAL.physics)
 
     def started(self, episode: Episode) -> None:
@@ -87,12 +85,31 @@ class Views(Watcher):
 
     def stepped(self, episode: Episode) -> None:
         """Look, if it is time to."""
+        if episode.steps % self._period == 0:
+            started = time.process_time()
+            self._sight.observe("points", episode.world, episode.steps)
+            self.times.append(time.process_time() - started)
+
+
+class Views(Watcher):
+    """Looks at one episode with both renderers.
+
+    Attributes:
+        pairs: Pictures of Bullet and of the ray caster.
+        times: CPU time (s) of object and hand alone, of the whole picture, and of Bullet's.
+    """
+
+    def __init__(self, moments: list[int], camera: RayCamera) -> None:
+        self.pairs: list[tuple[Photo, Photo]] = []
+        self.times: list[tuple[float, ...]] = []
+        self._moments, self._camera = set(moments), camera
+
+    def stepped(self, episode: Episode) -> None:
+        """Look, if it is time to."""
         if episode.steps not in self._moments:
             return
         world, now = episode.world, episode.world.snapshot()
         stamps = [time.process_time()]
-        self._sight.observe("points", world, episode.steps)
-        stamps.append(time.process_time())
         self._camera.sought(now)
         stamps.append(time.process_time())
         rays = self._camera.photograph(now, color=False)
@@ -103,17 +120,20 @@ class Views(Watcher):
         self.times.append(tuple(np.diff(stamps).tolist()))
 
 
-def look(args: Args, data: Dataset) -> Views:
+def look(args: Args, data: Dataset) -> tuple[Decisions, Views]:
     """All pictures and times."""
     scenes = list(dict.fromkeys(scene for setup in SETUPS for scene in data.split(setup, "val")))
     chosen = [scenes[int(place)] for place in np.linspace(0, len(scenes) - 1, min(args.scenes, len(scenes)))]
     episode = Episode("fast")
     robot = policy_reference("receiver", args.receiver).make(data)
-    found = Views([], RayCamera(data.scene(chosen[0]).assets, OFFICIAL.physics))
+    decisions, found = (
+        Decisions(round(1000 * args.period)),
+        Views([], RayCamera(data.scene(0).assets, OFFICIAL.physics)),
+    )
     for scene_id in track(chosen, "views", console=Console(stderr=True)):
         scene = data.scene(scene_id)
         episode.reset(scene)
-        play(episode, robot, seed=0)
+        play(episode, robot, seed=0, watchers=[decisions])
         moments = np.linspace(0, episode.steps, args.views + 1)[1:].astype(int).tolist()
         views = Views(moments, RayCamera(scene.assets, OFFICIAL.physics))
         episode.reset(scene)
@@ -121,7 +141,7 @@ def look(args: Args, data: Dataset) -> Views:
         found.pairs += views.pairs
         found.times += views.times
     episode.close()
-    return found
+    return decisions, found
 
 
 def agreement_table(pairs: list[tuple[Photo, Photo]]) -> str:
@@ -146,16 +166,20 @@ def agreement_table(pairs: list[tuple[Photo, Photo]]) -> str:
     return table(header, rows)
 
 
-def time_table(times: list[tuple[float, float, float, float]]) -> str:
+def time_table(decisions: Decisions, views: Views) -> str:
     """CPU times of views."""
-    names = ("cloud of a decision (rays)", "object and hand (rays)", "whole picture (rays)", "whole picture (bullet)")
+    sought, whole, bullet = zip(*views.times, strict=True)
     rows = []
-    for name, column in zip(names, zip(*times, strict=True), strict=True):
-        milliseconds = 1000.0 * np.array(column)
-        rows.append(
-            [name, *(f"{np.percentile(milliseconds, share):.2f}" for share in (50, 95)), f"{milliseconds.mean():.2f}"]
-        )
-    return table(["224 x 224", "median ms", "95 % ms", "mean ms"], rows)
+    for name, seconds in (
+        ("cloud of a decision (rays)", decisions.times),
+        ("object and hand (rays)", sought),
+        ("whole picture (rays)", whole),
+        ("whole picture (bullet)", bullet),
+    ):
+        middle, most = np.percentile(seconds, [50, 95])
+        times = [f"{1000.0 * value:.2f}" for value in (middle, most, np.mean(seconds))]
+        rows.append([name, len(seconds), *times])
+    return table(["224 x 224", "views", "median ms", "95 % ms", "mean ms"], rows)
 
 
 def environment(args: Args, physics: str) -> HandoverEnv:
@@ -217,13 +241,13 @@ def environment_table(args: Args) -> str:
 def main(args: Args) -> None:
     """Print the tables and write them."""
     data = open_dataset(args.dataset, args.data_dir, args.robot)
-    found = look(args, data)
+    decisions, found = look(args, data)
     name = {"dexycb": "DexYCB", "synthetic": "synthetic scenes"}[data.name]
     parts = [
         f"{len(found.pairs)} views of {args.scenes} scenes of the validation splits, {name}, {args.robot}, receiver "
         f"{args.receiver}, fast physics. {describe_machine()}, {date.today()}.",
         agreement_table(found.pairs),
-        time_table(found.times),
+        time_table(decisions, found),
     ]
     if args.turns:
         parts.append(environment_table(args))

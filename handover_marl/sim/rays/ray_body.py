@@ -70,12 +70,23 @@ class RayBody:
         self.colors = [part.colors for part in shown]
         self.lowest = np.array([mesh.vertices.min(axis=0) for mesh in self.meshes]).reshape(-1, 3)
         self.highest = np.array([mesh.vertices.max(axis=0) for mesh in self.meshes]).reshape(-1, 3)
+        self._faces: dict[tuple[int, ...], npt.NDArray[np.int32]] = {}
         self._known: tuple[Joints, Array, Array] | None = None
 
     def parts(self, joints: Joints) -> Parts:
         """What it shows, for the positions of its joints (m, rad)."""
         turns, shifts = self._frames(joints)
         return Parts(self, turns[self._links], shifts[self._links])
+
+    def faces(self, links: tuple[int, ...]) -> npt.NDArray[np.int32]:
+        """(f, 3) faces of some of what is shown, as of one mesh."""
+        if links not in self._faces:
+            meshes = [self.meshes[link] for link in links]
+            firsts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
+            parts = [mesh.faces + first for mesh, first in zip(meshes, firsts, strict=False)]
+            # Mostly it is all of them; other choices are not worth keeping.
+            self._faces = {links: np.concatenate(parts)}
+        return self._faces[links]
 
     def frame(self, link: int, joints: Joints) -> tuple[Array, Array]:
         """Axes (3, 3) and origin (3,) of a link in the world, -1 being the base."""

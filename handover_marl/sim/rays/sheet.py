@@ -65,10 +65,8 @@ class Sheet:
         if not shown:
             return _NONE
         points = [body.meshes[link].vertices @ turns[link].T + shifts[link] for link in shown]
-        firsts = np.cumsum([0, *map(len, points)])
-        faces = [body.meshes[link].faces + first for link, first in zip(shown, firsts, strict=False)]
         # All links at once, since there may be many small ones.
-        pixels = outlined_pixels(np.concatenate(points), np.concatenate(faces))
+        pixels = outlined_pixels(np.concatenate(points), body.faces(tuple(shown)))
         shares = [pixels] if len(shown) == 1 else pixels_within(pixels, points)
         frames = [(turns[link], shifts[link]) for link in shown]
         drawn = [
@@ -101,9 +99,9 @@ class Sheet:
         """(8, 3) corners, in the camera's frame, of what lies between the near plane and what some pixels show."""
         if not len(pixels):
             return np.zeros((0, 3), dtype=np.float32)
-        ways = self._WAYS[pixels]
-        (left, top, _), (right, bottom, _) = ways.min(axis=0), ways.max(axis=0)
-        sides = np.array([[x, y, 1.0] for x in (left, right) for y in (top, bottom)], dtype=np.float32)
+        rows, columns = np.divmod(pixels, SIDE)
+        ends = [row * SIDE + column for row in (rows.min(), rows.max()) for column in (columns.min(), columns.max())]
+        sides = self._WAYS[ends]
         return np.concatenate([sides * np.float32(NEAR), sides * self._depth[pixels].max()])
 
     def photo(self) -> Photo:
