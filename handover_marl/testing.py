@@ -18,6 +18,7 @@ from handover_marl.episode.clock import held_steps
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.play import play
+from handover_marl.episode.sight import SightConfig
 from handover_marl.episode.watchers import Decision, Watcher
 from handover_marl.errors import ConformanceError
 from handover_marl.policies.policy import Action, Policy
@@ -79,6 +80,7 @@ class _Supervised:
 
     def __init__(self, policy: Policy) -> None:
         self._policy, self.name = policy, policy.name
+        self.sight, self.observes = policy.sight, policy.observes
 
     def reset(self, seed: int | None = None) -> None:
         self._policy.reset(seed)
@@ -102,7 +104,8 @@ class _Supervised:
 
 def _check(agent: str, policy: PolicyLike, dataset: Dataset, scenes: Sequence[int], steps: int) -> None:
     reference = policy_reference(agent, policy).resolved(dataset)
-    episode = Episode("fast")
+    # Slower than casting rays, but it needs no extra.
+    episode = Episode("fast", sight=SightConfig(renderer="bullet"))
     partner = None if agent == "receiver" else policy_reference("receiver", "yang2021").make(dataset)
 
     def played(player: Policy, scene: int, seed: int) -> list[tuple[int, Action]]:

@@ -1,0 +1,85 @@
+"""The wrist camera against recordings of the reference, bit for bit, and its two renderers on real motion."""
+
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from handover_marl.config import OFFICIAL
+from handover_marl.datasets import OfficialDataset
+from handover_marl.episode.episode import Episode
+from handover_marl.sim.camera.photo import Seen
+from handover_marl.sim.rays.ray_camera import RayCamera
+from tests.conftest import RECORDINGS
+from tests.integration.test_reference import STRIDE, read_recording
+
+NAMES = sorted(path.stem for path in Path(RECORDINGS).glob("camera/*.npz")) if RECORDINGS else ["none"]
+#: What body numbers of the recordings are seen as: ground 0, table, Panda, object, hand, nothing -1.
+SEEN = np.array([Seen.BACKGROUND, Seen.TABLE, Seen.ROBOT, Seen.TARGET, Seen.HAND, Seen.BACKGROUND], dtype=np.uint8)
+
+
+class Clouds:
+    """The clouds of a recording, by frame."""
+
+    def __init__(self, recording: dict[str, npt.NDArray[np.generic]]) -> None:
+        ends = {name: np.cumsum(recording[f"{name}_cloud_size"])[:-1] for name in ("object", "hand")}
+        parts = [np.split(recording[f"{name}_cloud"], ends[name]) for name in ("object", "hand")]
+        self.by_frame = dict(zip(recording["cloud_frames"].tolist(), zip(*parts, strict=True), strict=True))
+
+
+@pytest.fixture
+def camera_dataset(real_dataset: OfficialDataset) -> OfficialDataset:
+    return OfficialDataset(real_dataset.data_dir, robot="panda_camera")
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_recorded_views_are_seen(name: str, recordings: Path, camera_dataset: OfficialDataset) -> None:
+    expected = read_recording(recordings, f"camera/{name}")
+    clouds, episode = Clouds(expected).by_frame, Episode("exact")
+    episode.reset(camera_dataset.scene(int(expected["scene_id"])))
+    assert len(clouds) > 30
+    for step in range(len(expected["action"]) + 1):
+        if step in clouds:
+            view = episode.look()
+            np.testing.assert_array_equal(view.object_points, clouds[step][0], err_msg=f"object at {step}")
+            np.testing.assert_array_equal(view.hand_points, clouds[step][1], err_msg=f"hand at {step}")
+            if f"depth_{step}" in expected:
+                np.testing.assert_array_equal(view.depth, expected[f"depth_{step}"])
+                np.testing.assert_array_equal(view.segmentation, SEEN[expected[f"segmentation_{step}"]])
+        if step == len(expected["action"]):
+            break
+        assert not episode.status
+        episode.advance(expected["action"][step], 1)
+        if step % STRIDE == 0:
+            seen = episode.observe()
+            for key, value in (
+                ("robot_joint_position", seen["robot_joint_position"]),
+                ("object_pose", seen["object_poses"][0]),
+                ("hand_dof_position", seen["hand_dof_position"]),
+            ):
+                np.testing.assert_array_equal(value, expected[key][step // STRIDE], err_msg=f"{key} after {step + 1}")
+    assert (episode.status, episode.steps) == (expected["status"], expected["steps"])
+    episode.close()
+
+
+@pytest.mark.parametrize("scene_id", [4, 297])
+def test_rays_meet_what_the_engine_draws(scene_id: int, camera_dataset: OfficialDataset) -> None:
+    scene, episode = camera_dataset.scene(scene_id), Episode("exact")
+    episode.reset(scene)
+    camera = RayCamera(scene.assets, OFFICIAL.physics)
+    start = np.array(OFFICIAL.physics.panda.start_joints, dtype=np.float32)
+    alike, either, apart = 0, 0, []
+    for _ in range(5):
+        episode.advance(start, 600)
+        drawn = episode.world.photograph(color=False)
+        cast = camera.photograph(episode.world.snapshot(), color=False)
+        for seen in (Seen.TARGET, Seen.HAND):
+            both = drawn.shows(seen) & cast.shows(seen)
+            alike += int(both.sum())
+            either += int((drawn.shows(seen) | cast.shows(seen)).sum())
+            apart.append(np.abs(drawn.depth - cast.depth)[both])
+    assert either > 500
+    assert alike >= 0.999 * either
+    assert np.mean(np.concatenate(apart) < 1e-4) >= 0.99
+    episode.close()
