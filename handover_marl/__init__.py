@@ -29,17 +29,23 @@ if TYPE_CHECKING:
     from handover_marl.envs.encode import encode
     from handover_marl.envs.freeze import freeze
     from handover_marl.envs.handover_env import HandoverEnv
+    from handover_marl.episode.sight import View
     from handover_marl.pictures.plan_picture import render_plan
     from handover_marl.pictures.rendering import render_scene
     from handover_marl.protocol.status import EpisodeStatus
     from handover_marl.run import Execution, Run
+    from handover_marl.sim.camera.imperfections import CameraImperfections
+    from handover_marl.sim.camera.photo import Seen
 
 __all__ = [
+    "CameraImperfections",
     "EpisodeStatus",
     "Execution",
     "HandoverEnv",
     "Report",
     "Run",
+    "Seen",
+    "View",
     "WorldConfig",
     "__version__",
     "agreement",
@@ -59,11 +65,14 @@ __all__ = [
 
 # Loaded at first use, so that the import itself stays quick.
 _HOMES = {
+    "CameraImperfections": "sim.camera.imperfections",
     "EpisodeStatus": "protocol.status",
     "Execution": "run",
     "HandoverEnv": "envs.handover_env",
     "Report": "benchmarking.report",
     "Run": "run",
+    "Seen": "sim.camera.photo",
+    "View": "episode.sight",
     "WorldConfig": "config",
     "agreement": "benchmarking.agreement",
     "benchmark": "benchmarking.runner",

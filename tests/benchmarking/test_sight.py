@@ -1,0 +1,131 @@
+"""Receivers that look, in the benchmark."""
+
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import handover_marl
+from handover_marl.benchmarking.settings import read_settings
+from handover_marl.episode.episode import Episode
+from handover_marl.errors import OptionError, ResultsError, UnknownNameError
+from handover_marl.receivers import Receiver
+from handover_marl.testing import check_receiver
+from tests.benchmarking.quick import SHORT
+
+OPTIONS: dict[str, Any] = {
+    "dataset": "synthetic",
+    "physics": "fast",
+    "split": "val",
+    "config": SHORT,
+    "progress": False,
+}
+SCENES = (9, 14, 19)
+
+
+class Seeing(Receiver):
+    """Leaves a mark of every cloud in its action, and so in the result files."""
+
+    name = "seeing"
+    control_period = 0.3
+    sight = "points"
+
+    def __init__(self, context: Any, wait: float = 0.0) -> None:
+        super().__init__(context)
+        self._wait = wait
+
+    @property
+    def wait(self) -> float:
+        return self._wait
+
+    def reset(self, seed: int | None = None) -> None:
+        pass
+
+    def act(self, observation: dict[str, np.ndarray]) -> np.ndarray:
+        marks = [observation[f"wrist_{name}_points"].astype(np.float64).sum() for name in ("object", "hand")]
+        action = observation["robot_joint_position"].copy()
+        action[:3] += 1e-3 * np.array([*marks, observation["wrist_point_counts"].sum() / 1000.0], dtype=np.float32)
+        return action
+
+
+def actions(folder: Path) -> list[np.ndarray]:
+    return [np.load(path)["action"] for path in sorted(folder.glob("[0-9]*.npz"))]
+
+
+def test_clouds_do_not_depend_on_who_plays_which_scene(tmp_path: Path) -> None:
+    for workers in (1, 2):
+        out = tmp_path / str(workers)
+        handover_marl.evaluate_pair(receiver=Seeing, scenes=SCENES, workers=workers, out=out, **OPTIONS)
+    first, second = actions(tmp_path / "1"), actions(tmp_path / "2")
+    assert len(first) == len(SCENES)
+    for one, other in zip(first, second, strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert any(len(np.unique(one[:, 0])) > 2 for one in first), "something was seen"
+
+
+def test_drawing_is_not_planning(monkeypatch: pytest.MonkeyPatch) -> None:
+    draw = Episode.observe_sight
+
+    def slowly(self: Episode, sight: str | None) -> Any:
+        time.sleep(0.2)
+        return draw(self, sight)
+
+    monkeypatch.setattr(Episode, "observe_sight", slowly)
+    report = handover_marl.evaluate_pair(receiver=Seeing, scenes=SCENES[:1], workers=1, **OPTIONS)
+    assert report.episodes[0].plan_time < 0.2
+
+
+def test_nothing_is_drawn_for_who_does_not_look(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Episode, "observe_sight", lambda self, sight: pytest.fail("drawn"))
+    handover_marl.evaluate_pair(receiver="hold", scenes=SCENES[:1], workers=1, **OPTIONS)
+
+
+def test_results_say_robot_sight_and_wait(tmp_path: Path) -> None:
+    run = {"receiver": (Seeing, {"wait": 1.5}), "scenes": SCENES[:1], "workers": 1, "out": tmp_path, **OPTIONS}
+    report = handover_marl.evaluate_pair(**run, robot="panda_camera", geometry="true")
+    settings = read_settings(tmp_path)
+    assert (settings.robot, settings.wait) == ("panda_camera", "1.5")
+    assert settings.sight == "sees points and poses, rays, true geometry"
+    assert (
+        "Receiver seeing:wait=1.5 (wait 1.5 s, sees points and poses, rays, true geometry, robot panda_camera)"
+        in str(report)
+    )
+    for other in ({}, {"robot": "panda_camera"}, {"robot": "panda_camera", "renderer": "bullet", "geometry": "true"}):
+        with pytest.raises(ResultsError, match="holds another run"):
+            handover_marl.evaluate_pair(**run, **other)
+
+
+def test_who_does_not_look_has_no_sight_in_its_results(tmp_path: Path) -> None:
+    run = {"receiver": "hold", "scenes": SCENES[:1], "workers": 1, "out": tmp_path, **OPTIONS}
+    handover_marl.evaluate_pair(**run)
+    settings = read_settings(tmp_path)
+    assert (settings.robot, settings.wait, settings.sight) == ("panda", "", "")
+    # How pictures would be drawn makes no difference to who sees none.
+    handover_marl.evaluate_pair(**run, geometry="true")
+
+
+class Lost(Seeing):
+    sight = "sonar"
+
+
+class Blind(Seeing):
+    sight = None
+    observes = "sight"
+
+
+def test_wishes_that_cannot_be_met_are_told_before_the_start(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(UnknownNameError, match="unknown sight 'sonar'"):
+        handover_marl.evaluate_pair(receiver=Lost, scenes=SCENES, **OPTIONS)
+    with pytest.raises(OptionError, match="sight is None"):
+        handover_marl.evaluate_pair(receiver=Blind, scenes=SCENES, **OPTIONS)
+    with pytest.raises(UnknownNameError, match="unknown renderer"):
+        handover_marl.evaluate_pair(receiver=Seeing, scenes=SCENES, renderer="x", **OPTIONS)
+    monkeypatch.setattr("handover_marl.sim.renderers.importlib.util.find_spec", lambda name: None)
+    with pytest.raises(OptionError, match=r"handover-marl\[vision\]"):
+        handover_marl.evaluate_pair(receiver=Seeing, scenes=SCENES, **OPTIONS)
+
+
+def test_receivers_that_look_conform() -> None:
+    check_receiver(Seeing, scenes=(9,), steps=700)

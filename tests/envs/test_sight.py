@@ -1,0 +1,256 @@
+"""Environments whose receiver looks through the wrist camera."""
+
+import copy
+import pickle
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from pettingzoo.test import parallel_api_test
+
+import handover_marl
+from handover_marl.errors import DataNotFoundError, OptionError, ResetNeededError, UnknownNameError
+from handover_marl.receivers import Receiver
+
+pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
+OPTIONS: dict[str, Any] = {"dataset": "synthetic", "physics": "fast", "control_period": 0.15, "scenes": (5, 6)}
+TEST: dict[str, Any] = {"split": "test", "scenes": (209,)}
+POINTS = {"wrist_object_points", "wrist_hand_points", "wrist_point_counts"}
+IMAGES = {"wrist_depth", "wrist_segmentation", "wrist_rgb"}
+OWN = {"robot_joint_position", "robot_joint_velocity", "gripper_pose", "time"}
+START = np.array([0.0, -1.285, 0.0, -2.356, 0.0, 1.571, 0.785, 0.04, 0.04], dtype=np.float32)
+
+
+def make(**options: Any) -> handover_marl.HandoverEnv:
+    return handover_marl.parallel_env(**OPTIONS | options)
+
+
+def rollout(steps: int = 14, seed: int = 3, looks: bool = False, **options: Any) -> list[dict[str, np.ndarray]]:
+    """What the receiver sees while its arm trembles."""
+    env = make(**{"sight": "points", **options})
+    seen = [env.reset(seed=seed)[0]["receiver"]]
+    rng = np.random.default_rng(0)
+    while env.agents and len(seen) <= steps:
+        if looks:
+            env.look()
+        action = START + rng.uniform(-0.1, 0.1, 9).astype(np.float32)
+        seen.append(env.step({"giver": np.zeros(8, dtype=np.float32), "receiver": action})[0]["receiver"])
+    env.close()
+    return seen
+
+
+def assert_same(first: list[dict[str, np.ndarray]], second: list[dict[str, np.ndarray]]) -> None:
+    assert len(first) == len(second)
+    for one, other in zip(first, second, strict=True):
+        assert one.keys() == other.keys()
+        for key, value in one.items():
+            np.testing.assert_array_equal(value, other[key], err_msg=key)
+
+
+@pytest.mark.parametrize(("sight", "keys"), [("points", POINTS), ("images", IMAGES)])
+def test_what_is_seen_is_in_the_space(sight: str, keys: set[str]) -> None:
+    blind, env = make(), make(sight=sight)
+    plain, seeing = blind.observation_space("receiver"), env.observation_space("receiver")
+    assert set(seeing.spaces) - set(plain.spaces) == keys
+    assert env.observation_space("giver") == blind.observation_space("giver")
+    assert env.state_space == blind.state_space
+    observation = env.reset(seed=0)[0]["receiver"]
+    assert seeing.contains(observation)
+    env.close()
+
+
+@pytest.mark.parametrize("sight", ["points", "images"])
+def test_sight_alone_has_no_privileged_key(sight: str) -> None:
+    env = make(sight=sight, observe="sight")
+    observations, _ = env.reset(seed=0)
+    keys = POINTS if sight == "points" else IMAGES
+    assert set(observations["receiver"]) == set(env.observation_space("receiver").spaces) == OWN | keys
+    assert "object_poses" in observations["giver"]
+    assert env.observation_space("receiver").contains(observations["receiver"])
+    assert env.step({"giver": np.zeros(8, dtype=np.float32), "receiver": START})[1]["receiver"] == 0.0
+    env.close()
+
+
+@pytest.mark.parametrize("sight", ["points", "images"])
+def test_the_checkers_are_content(sight: str) -> None:
+    parallel_api_test(make(sight=sight, max_cycles=5), num_cycles=8)
+    env = handover_marl.freeze(make(sight=sight, max_cycles=5), api="gymnasium")
+    check_env(env, skip_render_check=True)
+    sb3 = pytest.importorskip("stable_baselines3.common.env_checker", reason="needs the extra `train`")
+    sb3.check_env(env, warn=False)
+
+
+@pytest.mark.parametrize("sight", ["points", "images"])
+def test_torchrl_is_content(sight: str) -> None:
+    torchrl = pytest.importorskip("torchrl.envs", reason="needs the extra `torchrl`")
+    from torchrl.envs.utils import check_env_specs
+
+    env = torchrl.PettingZooWrapper(make(sight=sight, max_cycles=5))
+    check_env_specs(env)
+    env.close()
+
+
+def test_whole_rollouts_repeat_whoever_looks() -> None:
+    first = rollout()
+    assert max(float(seen["wrist_point_counts"][0]) for seen in first) > 50
+    assert_same(first, rollout())
+    assert_same(first, rollout(looks=True))
+    noisy = rollout(imperfections="realsense")
+    assert_same(noisy, rollout(imperfections="realsense", looks=True))
+    assert any(
+        not np.array_equal(one["wrist_object_points"], two["wrist_object_points"])
+        for one, two in zip(first, noisy, strict=True)
+    )
+
+
+def test_looking_changes_nothing_else() -> None:
+    for physics, steps in (("exact", 4), ("fast", 8)):
+        blind = rollout(steps, sight=None, physics=physics)
+        seeing = rollout(steps, physics=physics, renderer="bullet", looks=True)
+        assert_same(blind, [{key: value for key, value in seen.items() if key not in POINTS} for seen in seeing])
+
+
+def test_episodes_draw_noise_of_their_own() -> None:
+    env = make(sight="images", imperfections="realsense", scenes=[5])
+    first = env.reset(seed=0)[0]["receiver"]["wrist_depth"]
+    second = env.reset()[0]["receiver"]["wrist_depth"]
+    assert not np.array_equal(first, second)
+    np.testing.assert_array_equal(first, env.reset(seed=0)[0]["receiver"]["wrist_depth"])
+    env.close()
+
+
+def test_scenes_are_drawn_as_without_sight() -> None:
+    drawn = []
+    for options in ({}, {"sight": "points"}):
+        env = make(scenes=None, max_cycles=1, **options)
+        drawn.append(
+            [env.reset(seed=5)[1]["giver"]["scene_id"], *(env.reset()[1]["giver"]["scene_id"] for _ in range(2))]
+        )
+        env.close()
+    assert drawn[0] == drawn[1]
+
+
+def test_a_look_is_the_view_of_the_moment() -> None:
+    env = make(sight="images", **TEST)
+    with pytest.raises(ResetNeededError):
+        env.look()
+    observation = env.reset(seed=0, options={"scene_id": 209})[0]["receiver"]
+    for _ in range(12):
+        observation = env.step({"giver": np.zeros(8, dtype=np.float32), "receiver": START})[0]["receiver"]
+    view = env.unwrapped.look()
+    np.testing.assert_array_equal(view.depth, observation["wrist_depth"][..., 0])
+    np.testing.assert_array_equal(view.segmentation, observation["wrist_segmentation"][..., 0])
+    np.testing.assert_array_equal(view.rgb, observation["wrist_rgb"])
+    assert (view.depth.dtype, view.segmentation.dtype, view.object_points.dtype) == (np.float32, np.uint8, np.float32)
+    assert len(view.object_points) == (view.segmentation == handover_marl.Seen.TARGET).sum() > 50
+    assert len(view.hand_points) == (view.segmentation == handover_marl.Seen.HAND).sum()
+    env.close()
+
+
+def test_the_geometry_is_a_choice() -> None:
+    clouds = {}
+    for geometry in ("reference", "true"):
+        env = make(geometry=geometry, **TEST)
+        env.reset(seed=0, options={"scene_id": 209})
+        clouds[geometry] = env.look().object_points
+        env.close()
+    apart = clouds["reference"] - clouds["true"]
+    depth = clouds["true"][:, 2] - np.float32(0.036)
+    np.testing.assert_allclose(apart[:, 0], depth / 112.0, atol=1e-6)
+    np.testing.assert_allclose(apart[:, 1:], 0.0, atol=1e-6)
+
+
+def test_copies_see_alike() -> None:
+    env = make(sight="points", observe="sight", robot="panda_camera", renderer="bullet", geometry="true")
+    for other in (copy.deepcopy(env), pickle.loads(pickle.dumps(env))):
+        assert other.observation_space("receiver") == env.observation_space("receiver")
+        assert_same([env.reset(seed=1)[0]["receiver"]], [other.reset(seed=1)[0]["receiver"]])
+        other.close()
+    env.close()
+
+
+@pytest.mark.slow
+def test_vector_environments_repeat_from_their_seed() -> None:
+    def last(n: int) -> dict[str, np.ndarray]:
+        envs = gymnasium.make_vec(
+            "handover_marl:HandoverMARL/Receiver-v0", num_envs=n, vectorization_mode="async", sight="points", **OPTIONS
+        )
+        envs.reset(seed=5)
+        for _ in range(8):
+            seen = envs.step(np.tile(START, (n, 1)))[0]
+        envs.close()
+        return seen
+
+    first, again, fewer = last(2), last(2), last(1)
+    for key, value in first.items():
+        np.testing.assert_array_equal(value, again[key])
+        np.testing.assert_array_equal(value[:1], fewer[key])
+
+
+class Looker(Receiver):
+    """Asks for points alone and lets them move its arm."""
+
+    name = "looker"
+    sight = "points"
+    observes = "sight"
+
+    def reset(self, seed: int | None = None) -> None:
+        self.asked = 0
+
+    def act(self, observation: dict[str, np.ndarray]) -> np.ndarray:
+        assert set(observation) == OWN | POINTS
+        self.asked += 1
+        shift = np.float32(1e-4) * observation["wrist_point_counts"].sum()
+        return START + np.array([shift, *[0.0] * 8], dtype=np.float32)
+
+
+def test_frozen_receivers_see_what_they_ask_for() -> None:
+    env = handover_marl.freeze(make(), "giver", Looker, api="gymnasium")
+    env.reset(seed=0)
+    for _ in range(3):
+        observation = env.step(np.zeros(8, dtype=np.float32))[0]
+    assert "wrist_object_points" not in observation
+    env.close()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"sight": "lidar"}, "unknown sight 'lidar'; valid: points, images"),
+        ({"renderer": "cycles"}, "unknown renderer 'cycles'; valid: auto, bullet, rays"),
+        ({"geometry": "wrong"}, "unknown geometry 'wrong'; valid: reference, true"),
+        ({"robot": "ur5"}, "unknown robot 'ur5'; valid: panda, panda_camera"),
+        ({"observe": "nothing"}, "unknown observe 'nothing'; valid: all, sight"),
+        ({"imperfections": "kinect"}, "unknown camera 'kinect'; valid: realsense"),
+    ],
+)
+def test_unknown_names_are_told(options: dict[str, str], message: str) -> None:
+    with pytest.raises(UnknownNameError, match=message):
+        make(**options)
+
+
+def test_sight_alone_needs_sight() -> None:
+    with pytest.raises(OptionError, match="set sight to 'points' or 'images'"):
+        make(observe="sight")
+
+
+def test_rays_need_their_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("handover_marl.sim.renderers.importlib.util.find_spec", lambda name: None)
+    with pytest.raises(OptionError, match=r"pip install 'handover-marl\[vision\]', or take renderer='bullet'"):
+        make(sight="points")
+    make(sight="points", renderer="bullet").close()
+    env = make()
+    env.reset(seed=0)
+    with pytest.raises(OptionError, match=r"handover-marl\[vision\]"):
+        env.look()
+    env.close()
+
+
+def test_data_without_the_camera_robot(fake_data: Path) -> None:
+    (fake_data / "assets/franka_panda/panda_gripper_hand_camera.urdf").unlink(missing_ok=True)
+    env = handover_marl.parallel_env(data_dir=fake_data, split="val", robot="panda_camera", scenes=[9])
+    with pytest.raises(DataNotFoundError, match=r"panda_gripper_hand_camera\.urdf is missing"):
+        env.reset()
