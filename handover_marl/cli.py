@@ -5,7 +5,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 from docstring_parser import parse
@@ -53,10 +53,14 @@ _HIDDEN: dict[type, tuple[str, ...]] = {
     Execution: (),
     SceneExecution: ("workers", "out", "fresh"),
 }
+# Fields of a run that also one scene has.
+_OF_A_SCENE = ("dataset", "data_dir", "physics", "robot", "renderer", "geometry", "imperfections", "seed", "giver")
 _WORDS: dict[str, Any] = {
     "giver": Annotated[str, tyro.conf.arg(metavar="POLICY")],
     "receiver": Annotated[str, tyro.conf.arg(metavar="POLICY")],
     "scenes": Annotated[str | None, tyro.conf.arg(metavar="N,N,...")],
+    # A camera of one's own is described in Python.
+    "imperfections": Annotated[str | None, tyro.conf.arg(metavar="CAMERA")],
     "data_dir": Annotated[str | None, tyro.conf.arg(metavar="DIR")],
     "out": Annotated[str | None, tyro.conf.arg(metavar="DIR")],
     "workers": Annotated[int | None, tyro.conf.arg(metavar="N")],
@@ -167,6 +171,7 @@ def run_render(
     out: Annotated[str, tyro.conf.arg(metavar="FILE")],
     receiver: Annotated[str | None, tyro.conf.arg(metavar="POLICY")] = None,
     plan: bool = False,
+    view: Literal["outside", "wrist"] = "outside",
     key_frames: int = 6,
     width: int | None = None,
     height: int | None = None,
@@ -180,6 +185,7 @@ def run_render(
         out: A .png is a sheet of key frames; .gif and .mp4 are films.
         receiver: The robot's policy; without one the robot stays at rest.
         plan: Draw the plan of a receiver such as omg (.png): start, goals, the chosen one, the hand's path.
+        view: outside, or wrist: the same beside depth, segmentation and cloud of the robot's wrist camera.
         key_frames: Pictures on a sheet.
         width: Width of a picture in pixels.
         height: Height of a picture in pixels.
@@ -189,7 +195,7 @@ def run_render(
     from handover_marl.config import CameraConfig
     from handover_marl.pictures.rendering import render_scene
 
-    told: Any = {key: getattr(run, key) for key in ("dataset", "data_dir", "physics", "seed", "giver")}
+    told: Any = {key: getattr(run, key) for key in _OF_A_SCENE}
     told |= {"trust": how.trust}
     if plan:
         from handover_marl.pictures.plan_picture import PLAN_CAMERA, render_plan
@@ -199,7 +205,7 @@ def run_render(
         return
     camera = _sized(CameraConfig(), width, height)
     told |= {"progress": how.progress}
-    print(render_scene(scene, out, receiver=receiver, key_frames=key_frames, camera=camera, **told))
+    print(render_scene(scene, out, receiver=receiver, key_frames=key_frames, camera=camera, view=view, **told))
 
 
 def _sized(camera: "CameraConfig", width: int | None, height: int | None) -> "CameraConfig":

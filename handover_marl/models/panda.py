@@ -34,5 +34,11 @@ GRIPPER_FROM_HAND = (0.0, 0.0, 0.0, 0.0, 0.0, 0.7071068, -0.7071068)
 #: A gripper turned by half a turn about its approach grasps the same.
 HALF_TURN = (0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0)
 
+#: The gripper's outline in the hand link, a fork from fingertip over palm to fingertip.
+GRIPPER_OUTLINE = (
+    *((0.0, 0.04, 0.103), (0.0, 0.04, 0.05), (0.0, 0.0, 0.05), (0.0, 0.0, 0.0)),
+    *((0.0, 0.0, 0.05), (0.0, -0.04, 0.05), (0.0, -0.04, 0.103)),
+)
+
 #: The middle between the fingertips in the hand link.
 FINGERTIPS = (0.0, 0.0, 0.1034)

@@ -20,6 +20,7 @@ from handover_marl.errors import OptionError
 from handover_marl.files import write_atomically
 from handover_marl.models.arm import Arm, Frames
 from handover_marl.models.meshes import model_triangles
+from handover_marl.models.panda import GRIPPER_OUTLINE
 from handover_marl.models.poses import compose_point
 from handover_marl.models.ycb import CLASS_NAMES
 from handover_marl.options import shows
@@ -32,9 +33,7 @@ from handover_marl.run import REPLAY, Execution, Run, SceneOptions, describe
 
 Array = npt.NDArray[np.float64]
 
-# The gripper's outline in the hand link (m): palm to fingertips, as a fork.
-_FORK = np.array([[0, 0.04, 0.103], [0, 0.04, 0.05], [0, 0, 0.05], [0, 0, 0], [0, 0, 0.05], [0, -0.04, 0.05]])
-_FORK = np.concatenate([_FORK, [[0, -0.04, 0.103]]])
+_FORK = np.array(GRIPPER_OUTLINE)
 # Elevation and azimuth of the two views (degrees).
 _VIEWS = ((20.0, -20.0), (89.0, -90.0))
 _STEEP = 80.0  # degrees

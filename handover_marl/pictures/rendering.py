@@ -4,7 +4,7 @@ import importlib.util
 import io
 import os
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -18,21 +18,25 @@ from handover_marl.config import CameraConfig
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.play import play
 from handover_marl.episode.watchers import Watcher
-from handover_marl.errors import OptionError, ResultsError
+from handover_marl.errors import OptionError, ResultsError, UnknownNameError
 from handover_marl.files import write_atomically
 from handover_marl.options import shows
+from handover_marl.pictures.wrist_picture import WristPicture
 from handover_marl.policies.reference import PolicyLike, policy_reference
 from handover_marl.run import REPLAY, Execution, Run, SceneOptions, describe
+from handover_marl.sim.renderers import chosen_renderer
 
 Picture = npt.NDArray[np.uint8]
 
 _NEEDED: dict[str, tuple[str, ...]] = {".png": (), ".gif": (), ".mp4": ("imageio", "imageio_ffmpeg")}
 
+#: What a picture can show.
+VIEWS = ("outside", "wrist")
 #: Kinds of files, by suffix.
 SUFFIXES = tuple(_NEEDED)
 
 _FILM_PERIOD_MS = 80
-_SHEET_COLUMNS = 3
+_SHEET_COLUMNS = {"outside": 3, "wrist": 1}
 _BLANK_AFTER_MS = 500
 
 
@@ -41,7 +45,7 @@ class Film(Watcher):
 
     Args:
         times: Steps, ascending.
-        camera: Where to look from.
+        draw: Draws the present moment.
         progress: Whether to show a progress bar, on stderr.
         with_end: Whether to show how it ended, too.
 
@@ -50,10 +54,14 @@ class Film(Watcher):
     """
 
     def __init__(
-        self, times: Sequence[int], camera: CameraConfig, progress: bool = False, with_end: bool = True
+        self,
+        times: Sequence[int],
+        draw: Callable[[Episode], Picture],
+        progress: bool = False,
+        with_end: bool = True,
     ) -> None:
         self.pictures: list[Picture] = []
-        self._times, self._camera, self._with_end = set(times), camera, with_end
+        self._times, self._draw, self._with_end = set(times), draw, with_end
         self._progress = Progress(console=Console(stderr=True), disable=not progress, transient=False)
         self._bar = self._progress.add_task("drawing", total=max(len(self._times), 1))
 
@@ -65,13 +73,13 @@ class Film(Watcher):
     def stepped(self, episode: Episode) -> None:
         """A picture, if wanted now."""
         if episode.steps in self._times:
-            self.pictures.append(episode.render(self._camera))
+            self.pictures.append(self._draw(episode))
             self._progress.advance(self._bar)
 
     def ended(self, episode: Episode) -> None:
         """The last picture."""
         if self._with_end and episode.steps not in self._times:
-            self.pictures.append(episode.render(self._camera))
+            self.pictures.append(self._draw(episode))
         self._progress.update(self._bar, completed=max(len(self._times), 1))
         self._progress.stop()
 
@@ -85,6 +93,7 @@ def render_scene(
     giver: PolicyLike = REPLAY,
     key_frames: int = 6,
     camera: CameraConfig | None = None,
+    view: str = "outside",
     **options: Unpack[SceneOptions],
 ) -> Path:
     """Draw a scene, or the episode that policies make of it.
@@ -96,8 +105,9 @@ def render_scene(
         giver: As in `evaluate_pair`.
         key_frames: Pictures on a sheet, evenly over the episode, its start and its end among them.
         camera: Where to look from.
-        options: `dataset`, `data_dir`, `physics`, `seed`, `progress` and `trust`, as `handover_marl.Run` and
-            `handover_marl.Execution` say.
+        view: "outside", or "wrist": the same beside depth, segmentation and cloud of the robot's wrist camera.
+        options: `dataset`, `data_dir`, `physics`, `robot`, `renderer`, `geometry`, `imperfections`, `seed`, `progress`
+            and `trust`, as `handover_marl.Run` and `handover_marl.Execution` say.
 
     Returns:
         The file that was written.
@@ -105,9 +115,13 @@ def render_scene(
     Raises:
         OptionError: The file's suffix is unknown, a library for it is not installed, or a size is impossible.
         ResultsError: The file cannot be written; noticed before drawing.
-        UnknownNameError, SceneError, DataNotFoundError, DataFormatError: As for a benchmark.
+        UnknownNameError: There is no such view; or as for a benchmark, and so are
+        SceneError, DataNotFoundError, DataFormatError.
     """
-    path, view = checked_path(out, SUFFIXES), camera or CameraConfig()
+    path = checked_path(out, SUFFIXES)
+    if view not in VIEWS:
+        raise UnknownNameError("view", view, VIEWS)
+    draw = _drawing(view, camera or CameraConfig())
     if isinstance(key_frames, bool) or not isinstance(key_frames, int) or key_frames < 1:
         raise OptionError(f"key_frames={key_frames!r}: a sheet needs a whole number of pictures, one or more")
     run, how = describe("s0", options, receiver="hold" if receiver is None else receiver, giver=giver)
@@ -117,10 +131,11 @@ def render_scene(
         for agent in ("receiver", "giver")
     )
     scene = data.scene(scene_id)
-    episode = Episode(run.physics, run.config)
+    chosen_renderer(run.renderer, run.physics, installed=view == "wrist")
+    episode = Episode(run.physics, run.config, sight=run.camera)
 
     def filmed(times: Sequence[int], until: int | None, with_end: bool = True) -> Film:
-        film = Film(times, view, how.progress, with_end)
+        film = Film(times, draw, how.progress, with_end)
         episode.reset(scene)
         play(episode, robot, person, seed=run.seed, until=until, watchers=[film])
         return film
@@ -133,13 +148,20 @@ def render_scene(
             episode.reset(scene)
             play(episode, robot, person, seed=run.seed)
             end = episode.steps
-        picture = _sheet(filmed(np.linspace(0, end, key_frames).round().astype(int).tolist(), until, False).pictures)
+        times = np.linspace(0, end, key_frames).round().astype(int).tolist()
+        picture = _sheet(filmed(times, until, False).pictures, _SHEET_COLUMNS[view])
     else:
-        times = range(0, until or run.config.protocol.horizon_steps, _FILM_PERIOD_MS)
+        times = list(range(0, until or run.config.protocol.horizon_steps, _FILM_PERIOD_MS))
         picture = _encode(filmed(times, until).pictures, path.suffix.lower())
     episode.close()
     write_atomically(path, picture)
     return path
+
+
+def _drawing(view: str, camera: CameraConfig) -> Callable[[Episode], Picture]:
+    if view == "wrist":
+        return WristPicture(camera)
+    return lambda episode: episode.render(camera)
 
 
 def checked_path(out: str | os.PathLike[str], suffixes: Sequence[str]) -> Path:
@@ -171,10 +193,10 @@ def checked_path(out: str | os.PathLike[str], suffixes: Sequence[str]) -> Path:
     return path
 
 
-def _sheet(pictures: list[Picture]) -> bytes:
-    rows = [pictures[start : start + _SHEET_COLUMNS] for start in range(0, len(pictures), _SHEET_COLUMNS)]
+def _sheet(pictures: list[Picture], columns: int) -> bytes:
+    rows = [pictures[start : start + columns] for start in range(0, len(pictures), columns)]
     blank = np.full_like(pictures[0], 255)
-    width = min(_SHEET_COLUMNS, len(pictures))
+    width = min(columns, len(pictures))
     full = [np.concatenate([*row, *[blank] * (width - len(row))], axis=1) for row in rows]
     image = Image.fromarray(np.concatenate(full))
     stream = io.BytesIO()

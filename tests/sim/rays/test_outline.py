@@ -11,8 +11,8 @@ from handover_marl.sim.rays.outline import outlined_pixels, pixels_within, proje
 NEAR = 0.035
 PIXELS = np.arange(224 * 224)
 WAYS = np.stack([PIXELS % 224 - 112.0, PIXELS // 224 + 1 - 112.0, np.full(len(PIXELS), 112.0)], axis=1) / 112.0
-#: A triangle that is met within so small a share of its sides from its edge may be met or not.
-EDGE = 1e-4
+#: Triangles met within so small a share of their sides from their edge, or so nearly edgewise, may be met or not.
+EDGE = 1e-6
 
 Array = npt.NDArray[np.float32]
 Faces = npt.NDArray[np.int32]
@@ -26,7 +26,7 @@ def met(corners: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
     determinant = across @ first
     # Rays run along the front of a triangle if they run against its normal, which makes this positive.
     size = np.linalg.norm(first) * np.linalg.norm(second)
-    front = determinant > 1e-4 * size
+    front = determinant > EDGE * size
     divisor = np.where(front, determinant, 1.0)
     u = across @ -corners[0] / divisor
     along = np.cross(-corners[0], first)
@@ -101,11 +101,11 @@ def test_no_pixel_of_a_triangle_is_missed(corners: Array, side: int) -> None:
 
 
 @settings(max_examples=30, deadline=None)
-@given(st.lists(triangles(), min_size=2, max_size=5), st.randoms(use_true_random=False))
-def test_no_pixel_of_a_mesh_is_missed(parts: list[Array], rng: object) -> None:
+@given(st.lists(triangles(), min_size=2, max_size=5), st.integers(0, 2**32 - 1))
+def test_no_pixel_of_a_mesh_is_missed(parts: list[Array], seed: int) -> None:
     """Triangles of all kinds together, some of whose corners are shared and some of no triangle."""
     points = np.concatenate([*parts, np.zeros((1, 3), dtype=np.float32)])
-    order = np.random.default_rng(len(parts)).integers(0, len(points), (len(parts), 3))
+    order = np.random.default_rng(seed).integers(0, len(points), (len(parts), 3))
     faces = np.concatenate([np.arange(3 * len(parts)).reshape(-1, 3), order]).astype(np.int32)
     check_nothing_is_missed(points, faces)
 
@@ -185,8 +185,8 @@ def test_points_are_projected_to_sampled_places(seed: int) -> None:
     np.testing.assert_allclose(projected(points), expected, atol=1e-4)
 
 
-@settings(max_examples=60, deadline=None)
-@given(st.lists(triangles(), min_size=1, max_size=5), st.integers(0, 2**32 - 1))
+@settings(max_examples=40, deadline=None)
+@given(st.lists(triangles(), min_size=1, max_size=4), st.integers(0, 2**32 - 1))
 def test_no_part_loses_a_pixel_that_shows_it(parts: list[Array], seed: int) -> None:
     rng = np.random.default_rng(seed)
     pixels = np.flatnonzero(rng.random(len(PIXELS)) < rng.choice([0.0, 0.1, 1.0]))

@@ -1,0 +1,101 @@
+"""What the robot's wrist camera sees of a handover, as a picture. Needs the extras `plot` and `vision`.
+
+    python experiments/wrist_cloud.py --out docs/wrist.png
+
+The robot waits at its start pose while the person brings the object. `look()` gives the view of the moment: depth,
+segmentation, colours, and the points of object and hand in the frame of the gripper.
+"""
+
+import io
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tyro
+from matplotlib.colors import ListedColormap
+from matplotlib.figure import Figure
+
+import handover_marl
+from handover_marl.files import write_atomically
+from handover_marl.models.panda import GRIPPER_OUTLINE
+
+COLORS = ListedColormap(["#e8e8e8", "#555555", "#b08d57", "#e4572e", "#76b041", "#2e86ab"])
+
+
+@dataclass(frozen=True)
+class Args:
+    """What to look at.
+
+    Attributes:
+        scene: A scene of s0 test.
+        time: When to look (s).
+        dataset: dexycb, synthetic or auto.
+        data_dir: Folder in HandoverSim's layout; default: HANDOVER_MARL_DATA.
+        out: The .png to write.
+    """
+
+    scene: int = 209
+    time: float = 2.5
+    dataset: str = "synthetic"
+    data_dir: str | None = None
+    out: str = "wrist.png"
+
+
+def view_at(args: Args) -> handover_marl.View:
+    """The view at a time of a scene."""
+    env = handover_marl.parallel_env(
+        split="test",
+        dataset=args.dataset,
+        data_dir=args.data_dir,
+        robot="panda_camera",
+        physics="fast",
+        geometry="true",
+    )
+    env.reset(options={"scene_id": args.scene})
+    start = np.array(env.config.physics.panda.start_joints, dtype=np.float32)
+    for _ in range(round(args.time / env.control_period)):
+        env.step({"giver": np.zeros(8, dtype=np.float32), "receiver": start})
+    view: handover_marl.View = env.look()
+    env.close()
+    return view
+
+
+def draw(view: handover_marl.View) -> Figure:
+    """Colours, depth and segmentation in a row, and the cloud beside them."""
+    figure = Figure(figsize=(13.0, 4.2), dpi=110, layout="constrained")
+    grid = figure.add_gridspec(1, 4, width_ratios=[1.0, 1.0, 1.0, 1.5])
+    pictures: list[tuple[str, Any, dict[str, Any]]] = [
+        ("colours", view.rgb, {}),
+        ("depth", view.depth, {"cmap": "viridis_r"}),
+        ("segmentation", view.segmentation, {"cmap": COLORS, "vmin": -0.5, "vmax": 5.5, "interpolation": "nearest"}),
+    ]
+    for column, (title, picture, options) in enumerate(pictures):
+        axes = figure.add_subplot(grid[column])
+        axes.imshow(picture, **options)
+        axes.set_title(title)
+        axes.set_axis_off()
+    cloud: Any = figure.add_subplot(grid[3], projection="3d")
+    for seen, points in ((handover_marl.Seen.TARGET, view.object_points), (handover_marl.Seen.HAND, view.hand_points)):
+        cloud.scatter(points[:, 1], points[:, 2], points[:, 0], s=2.0, color=COLORS(int(seen)), label=seen.name.lower())
+    fork = np.array(GRIPPER_OUTLINE)
+    cloud.plot(fork[:, 1], fork[:, 2], fork[:, 0], color=COLORS(int(handover_marl.Seen.ROBOT)), label="gripper")
+    cloud.set_xlabel("y (m)")
+    cloud.set_ylabel("z, ahead (m)")
+    cloud.set_zlabel("x (m)")
+    cloud.set_aspect("equal")
+    cloud.view_init(elev=25.0, azim=-60.0)
+    cloud.set_title("cloud in the gripper's frame")
+    cloud.legend(loc="upper left", fontsize=8)
+    return figure
+
+
+def main(args: Args) -> None:
+    """Look and draw."""
+    stream = io.BytesIO()
+    draw(view_at(args)).savefig(stream, format="png")
+    write_atomically(Path(args.out), stream.getvalue())
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Args))
