@@ -84,6 +84,8 @@ def draw(view: handover_marl.View) -> Figure:
     cloud.set_ylabel("z, ahead (m)")
     cloud.set_zlabel("x (m)")
     cloud.set_aspect("equal")
+    cloud.set_box_aspect(None, zoom=0.8)
+    cloud.locator_params(nbins=4)
     cloud.view_init(elev=25.0, azim=-60.0)
     cloud.set_title("cloud in the gripper's frame")
     cloud.legend(loc="upper left", fontsize=8)
