@@ -32,6 +32,9 @@ def test_pairs_scenes_that_both_have(tmp_path: Path, capsys: pytest.CaptureFixtu
     text = capsys.readouterr().out
     assert "Receiver mine" in text
     assert "3 scenes that both have" in text
+    (speed,) = [line for line in text.splitlines() if line.startswith("| AS")]
+    # Successes of 100 and 101 steps of 13,000, beside one of 100.
+    assert [cell.split()[0] for cell in speed.strip("| ").split(" | ")] == ["AS", "66.15", "33.08", "+33.07"]
     (changed,) = [line for line in text.splitlines() if "| success | 101" in line]
     assert [cell.strip() for cell in changed.strip("|").split("|")] == ["1", "-", "success", "101", "drop", "101"]
 

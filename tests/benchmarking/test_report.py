@@ -3,6 +3,7 @@ import json
 import pytest
 
 from handover_marl.benchmarking.episodes import EpisodeResult
+from handover_marl.benchmarking.published import PUBLISHED, SOURCES
 from handover_marl.benchmarking.report import Report
 from handover_marl.benchmarking.settings import RunSettings
 from handover_marl.protocol.status import EpisodeStatus
@@ -62,3 +63,44 @@ def test_breakdown_by_object() -> None:
     lines = str(Report(SETTINGS, episodes, 144)).splitlines()
     mug = next(line for line in lines if "025_mug" in line)
     assert [cell.strip() for cell in mug.split("|")[2:7]] == ["2", "0", "1", "1", "0"]
+
+
+def test_average_success_rewards_speed() -> None:
+    episodes = (episode(0, 1, 2600), episode(1, 1, 13000), episode(2, 2, 100), episode(3, 8, 13000))
+    found = Report(SETTINGS, episodes, 144)
+    assert found.average_success == pytest.approx((0.8 + 0.0) / 4)
+    assert found.to_json()["average_success"]["mean"] == found.average_success  # type: ignore[index]
+
+
+def test_average_success_is_what_published_rows_say() -> None:
+    yang = next(row for row in PUBLISHED["s0"] if row.method == "Yang et al.")
+    assert yang.average_success == pytest.approx(40.4, abs=0.05)
+    steps = [round(1000.0 * yang.time_exec)] * 93
+    episodes = tuple(episode(index, 1, time) for index, time in enumerate(steps))
+    episodes += tuple(episode(index, 2) for index in range(93, 144))
+    assert 100.0 * Report(SETTINGS, episodes, 144).average_success == pytest.approx(yang.average_success, abs=0.01)
+
+
+def cells(text: str, start: str) -> list[str]:
+    header = next(line for line in text.splitlines() if "success %" in line)
+    row = next(line for line in text.splitlines() if line.startswith(f"| {start}"))
+    return [dict(zip(header.split("|"), row.split("|"), strict=True))[key].strip() for key in header.split("|")[-3:-1]]
+
+
+def test_tables_tell_average_success_and_wait() -> None:
+    text = str(report(1, 2, wait="1.5"))
+    assert "Receiver mine (wait 1.5 s), giver replay" in text
+    assert cells(text, "mine") == ["30.77", "1.5"]
+    assert cells(text, "95 % interval") == ["0.0 to 61.5", "-"]
+    assert cells(text, "published: GA-DDPG w/o hold") == ["23.60", "0"]
+    assert cells(text, "published: handover-sim2real")[1] == "1.5"
+    assert cells(str(report(1, 2)), "mine")[1] == "-"
+
+
+def test_every_published_row_has_its_wait_and_source() -> None:
+    for rows in PUBLISHED.values():
+        for row in rows:
+            assert 0.0 <= row.wait <= 3.0
+            assert row.source in SOURCES
+            total = row.success + row.contact + row.drop + row.timeout
+            assert total == pytest.approx(100.0, abs=0.03)
