@@ -11,6 +11,7 @@ from gymnasium.utils import EzPickle, seeding
 from pettingzoo import ParallelEnv
 
 from handover_marl.envs.handover_env import HandoverEnv
+from handover_marl.episode.sight import View
 from handover_marl.errors import OptionError
 
 ParallelStep = tuple[dict[str, Any], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, float]]]
@@ -81,6 +82,10 @@ class ParallelWrapper(ParallelEnv, EzPickle):  # type: ignore[misc]
         """As `HandoverEnv.render`."""
         return self.world.render()
 
+    def look(self) -> View:
+        """As `HandoverEnv.look`."""
+        return self.world.look()
+
     def close(self) -> None:
         """Free the simulation."""
         self.env.close()
@@ -135,6 +140,10 @@ class SingleAgentEnv(gymnasium.Env[Any, Any], EzPickle):
     def render(self) -> Any:
         """As `HandoverEnv.render`."""
         return self.env.render()
+
+    def look(self) -> View:
+        """As `HandoverEnv.look`."""
+        return self.env.look()
 
     def close(self) -> None:
         """Free the simulation."""

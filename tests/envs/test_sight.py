@@ -150,6 +150,20 @@ def test_a_look_is_the_view_of_the_moment() -> None:
     env.close()
 
 
+def test_every_kind_of_environment_can_look() -> None:
+    blind = {**OPTIONS, "max_cycles": 3}
+    made = [
+        gymnasium.make("HandoverMARL/Receiver-v0", **blind),
+        handover_marl.env(**blind),
+        handover_marl.freeze(make()),
+        handover_marl.encode(make()),
+    ]
+    for env in made:
+        env.reset(seed=0)
+        assert env.unwrapped.look().depth.shape == (224, 224)
+        env.close()
+
+
 def test_the_geometry_is_a_choice() -> None:
     clouds = {}
     for geometry in ("reference", "true"):

@@ -70,6 +70,8 @@ class Stand:
         ahead = rng.uniform(near, far, (count, 1))
         aside = rng.uniform(-0.7, 0.7, (count, 2)) * np.maximum(np.abs(ahead), 0.05)
         dof = np.c_[self.in_view(robot, np.c_[aside, ahead]), rng.uniform(-np.pi, np.pi, (count, 3))]
+        # The ground hides object and hand in whole pictures only, but nothing ever is below it.
+        dof[:, 2] = np.maximum(dof[:, 2], 0.3)
         hand = np.concatenate([dof[0], rng.uniform(-0.8, 0.8, 45)])
         return Snapshot(robot, hand.astype(np.float32), dof[1:].astype(np.float32))
 
@@ -92,26 +94,28 @@ def assert_same_bits(first: Photo, second: Photo) -> None:
 
 
 class Agreement:
-    """Pixels that two renderers see alike, over several pictures."""
+    """Pixels that two renderers see alike, over several pictures; (n, 6) by what is seen."""
 
     def __init__(self) -> None:
-        self.both, self.either = np.zeros(6, dtype=int), np.zeros(6, dtype=int)
-        self.apart: list[list[npt.NDArray[np.float32]]] = [[] for _ in Seen]
+        self.both, self.either, self.near = (np.zeros((0, 6), dtype=int) for _ in range(3))
 
     def add(self, drawn: Photo, cast: Photo) -> None:
-        for seen in Seen:
-            both, either = drawn.shows(seen) & cast.shows(seen), drawn.shows(seen) | cast.shows(seen)
-            self.both[seen] += both.sum()
-            self.either[seen] += either.sum()
-            self.apart[seen].append(np.abs(drawn.depth - cast.depth)[both])
+        shown = [(drawn.shows(seen), cast.shows(seen)) for seen in Seen]
+        near = np.abs(drawn.depth - cast.depth) < 1e-4
+        self.both = np.r_[self.both, [[(one & other).sum() for one, other in shown]]]
+        self.either = np.r_[self.either, [[(one | other).sum() for one, other in shown]]]
+        self.near = np.r_[self.near, [[(one & other & near).sum() for one, other in shown]]]
+
+    def seen(self, *wanted: Seen) -> int:
+        return int(self.either[:, list(wanted)].sum())
 
     def check(self, *wanted: Seen, least: int = 500) -> None:
-        """As asked for, of all that is seen, and more than a few pixels of what is wanted."""
-        for seen in Seen:
-            if self.either[seen] > 2000 or seen in wanted:
-                assert self.both[seen] >= 0.999 * self.either[seen], seen.name
-                assert np.mean(np.concatenate(self.apart[seen]) < 1e-4) >= 0.99, seen.name
-        assert (self.either[list(wanted)] >= least).all()
+        """As asked for, of what is wanted, and of all else; and more than a few pixels of each that is wanted."""
+        for kinds in (wanted, Seen):
+            both, either, near = (value[:, list(kinds)].sum() for value in (self.both, self.either, self.near))
+            assert both >= 0.999 * either
+            assert near >= 0.99 * both
+        assert min(self.seen(kind) for kind in wanted) >= least
 
 
 # ---------------------------------------------------------------------------------------------- beside the engine
@@ -125,7 +129,7 @@ def test_rays_meet_what_the_engine_draws_wherever_things_are(stands: dict[int, S
         agreement.add(stand.engine.photograph(now, False), stand.rays.photograph(now, False))
     agreement.check(*SOUGHT, Seen.OTHER_OBJECT, Seen.ROBOT, least=2000)
     # Ground and table are in some of them, and so is nothing at all.
-    assert agreement.either[[Seen.BACKGROUND, Seen.TABLE]].min() > 2000
+    assert min(agreement.seen(Seen.BACKGROUND), agreement.seen(Seen.TABLE)) > 2000
 
 
 @pytest.mark.parametrize("physics", ["exact", "fast"])
@@ -135,7 +139,7 @@ def test_rays_meet_what_the_engine_draws_of_motion(physics: str) -> None:
     episode, camera = Episode(physics), RayCamera(scene.assets, OFFICIAL.physics)
     episode.reset(scene)
     goal = START + np.array([0.1, 0.3, 0.05, 0.2, 0.1, 0.3, 0.2, -0.02, -0.01], dtype=np.float32)
-    for steps in (1, 599, 300, 300):
+    for steps in (1, 499, 200, 200, 200, 100):
         episode.advance(goal, steps)
         agreement.add(episode.world.photograph(False), camera.photograph(episode.world.snapshot(), False))
     agreement.check(*SOUGHT)
@@ -154,19 +158,23 @@ def grasped(stand: Stand, robot: npt.NDArray[np.float32], place: npt.ArrayLike, 
     return Snapshot(robot, np.concatenate([points[1], np.zeros(48)]).astype(np.float32), objects)
 
 
-@pytest.mark.parametrize("place", [FINGERTIPS, (0.036, 0.0, 0.075), (0.03, 0.01, 0.036), (0.036, 0.0, -0.02)])
 @pytest.mark.parametrize("fingers", [0.0, 0.03])
+@pytest.mark.parametrize(
+    ("place", "seen"),
+    [(FINGERTIPS, True), ((0.16, 0.0, 0.09), True), ((0.036, -0.1, 0.07), True), ((0.03, 0.01, 0.036), False)],
+)
 def test_rays_meet_what_the_engine_draws_of_a_grasped_object(
-    stands: dict[int, Stand], place: tuple[float, ...], fingers: float
+    stands: dict[int, Stand], place: tuple[float, ...], seen: bool, fingers: float
 ) -> None:
-    """Between the fingers, through the near plane, and all around the camera."""
+    """Between the fingers, through the near plane on two sides, and all around the camera, where it is not seen."""
     stand, agreement, robot = stands[209], Agreement(), START.copy()
     robot[7:] = fingers
-    for turn in ([0.0, 0.0, 0.0], [0.3, 1.2, -0.5], [1.5, 0.1, 0.7]):
+    for turn in ([0.0, 0.0, 0.0], [0.3, 1.2, -0.5], [1.5, 0.1, 0.7], [-0.5, 0.5, 2.0]):
         now = grasped(stand, robot, place, turn)
         assert_sought_is_part_of_the_whole(stand.rays, now)
         agreement.add(stand.engine.photograph(now, False), stand.rays.photograph(now, False))
-    agreement.check(Seen.HAND if place[2] < 0.0 else Seen.TARGET)
+    agreement.check(*(SOUGHT if seen else [Seen.HAND]))
+    assert seen == bool(agreement.seen(Seen.TARGET))
 
 
 def test_without_a_hand_none_is_seen(stands: dict[int, Stand]) -> None:
@@ -228,7 +236,7 @@ def assert_sought_is_part_of_the_whole(rays: RayCamera, now: Snapshot) -> Photo:
     return part
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(st.sampled_from(SCENES), seeds, st.sampled_from([(0.0, 0.3), (-0.1, 0.6), (0.3, 1.8)]))
 def test_object_and_hand_alone_are_those_of_the_whole_picture(
     stands: dict[int, Stand], scene_id: int, seed: int, depths: tuple[float, float]
