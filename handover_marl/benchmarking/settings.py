@@ -14,11 +14,13 @@ from handover_marl._version import __version__
 from handover_marl.config import OFFICIAL, TIME_STEP, WorldConfig
 from handover_marl.datasets.splits import SETUPS, SPLITS
 from handover_marl.errors import ResultsError
-from handover_marl.models.panda import PANDA
+from handover_marl.models.panda import PANDA, PANDA_CAMERA
 from handover_marl.run import Run, reference_of
 
 CONFIG_FILE = "config.yaml"
 _OWN_SECTION = "HANDOVER_MARL"
+#: The original's environment with the other Panda, whose camera receivers may look through.
+_CAMERA_ENV = "HandoverHandCameraPointStateEnv-v1"
 _LARGEST = 64_000  # bytes of a configuration; the original's have a few thousand
 #: How the official world and rules are called.
 OFFICIAL_WORLD = "official"
@@ -110,7 +112,7 @@ def read_settings(path: Path) -> RunSettings:
         own = content.get(_OWN_SECTION)
         benchmark = content["BENCHMARK"]
         named = {"setup": benchmark["SETUP"], "split": benchmark["SPLIT"]}
-        settings = RunSettings(**named, **(_official_section(path) if own is None else own))
+        settings = RunSettings(**named, **(_official_section(path, content) if own is None else own))
     except Exception as error:  # whatever shape the file has
         raise ResultsError(f"{config_path}: not a readable configuration ({_brief(error)})") from error
     if settings.setup not in SETUPS or settings.split not in SPLITS:
@@ -189,9 +191,12 @@ def _brief(value: object) -> str:
     return text if len(text) <= 200 else f"{text[:200]}..."
 
 
-def _official_section(path: Path) -> dict[str, str]:
-    """What a folder of the original code stands for."""
+def _official_section(path: Path, content: Mapping[str, Any]) -> dict[str, str]:
+    """What a folder of the original code stands for; it does not tell the wait."""
+    sees = content.get("ENV", {}).get("ID", "") == _CAMERA_ENV
     return {
+        "robot": PANDA_CAMERA if sees else PANDA,
+        "sight": "sees points" if sees else "",
         "receiver": _method_in_name(path.resolve().name),
         "giver": "replay",
         "physics": "exact",

@@ -208,3 +208,18 @@ def test_what_is_written_is_read(tmp_path: Path) -> None:
     settings = RunSettings("s3", "val", "omg:wait=1.5", "learned: {x}", "fast", "no", "1e5", "12345678", "0", "-1")
     (tmp_path / "config.yaml").write_text(config_text(settings, OFFICIAL))
     assert read_settings(tmp_path) == settings
+
+
+@pytest.mark.parametrize(
+    ("env", "robot", "sight"),
+    [
+        ({"ID": "HandoverHandCameraPointStateEnv-v1"}, "panda_camera", "sees points"),
+        ({"ID": "HandoverStateEnv-v1"}, "panda", ""),
+        ({}, "panda", ""),
+    ],
+)
+def test_the_originals_folders_tell_their_robot(tmp_path: Path, env: dict[str, str], robot: str, sight: str) -> None:
+    content = {"BENCHMARK": {"SETUP": "s0", "SPLIT": "test"}, "ENV": env}
+    (tmp_path / "config.yaml").write_text(yaml.safe_dump(content))
+    settings = read_settings(tmp_path)
+    assert (settings.robot, settings.sight, settings.wait) == (robot, sight, "")

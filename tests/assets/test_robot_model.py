@@ -1,0 +1,138 @@
+"""The Panda with a camera on its hand."""
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from handover_marl.assets.robot_model import PANDA_URDF, camera_panda_urdf
+from handover_marl.config import PandaConfig
+from handover_marl.datasets import open_dataset
+from handover_marl.models.kinematic_tree import read_tree
+from handover_marl.models.panda import CAMERA_LINK, HAND_LINK, LOWER_LIMITS, UPPER_LIMITS
+from handover_marl.models.poses import compose, inverse
+from handover_marl.sim.bullet.client import BulletClient, connect, load_urdf
+from handover_marl.sim.bullet.panda_body import Panda
+
+#: Places in what PyBullet tells of a joint.
+TYPE, FIRST_LIMIT, LINK, AXIS = 2, 8, 12, 13
+
+
+@pytest.fixture
+def client() -> Iterator[BulletClient]:
+    client = connect()
+    yield client
+    client.close()
+
+
+def joints(client: BulletClient, urdf: Path) -> dict[str, tuple[Any, ...]]:
+    """What PyBullet tells of each link's joint, but for its number and its parent's."""
+    body = load_urdf(client, urdf, useFixedBase=True)
+    infos = [client.getJointInfo(body, joint) for joint in range(client.getNumJoints(body))]
+    return {info[LINK].decode(): (info[1], info[TYPE], *info[6:16]) for info in infos}
+
+
+def test_joints_are_those_of_the_plain_panda(client: BulletClient) -> None:
+    plain, camera = joints(client, PANDA_URDF), joints(client, camera_panda_urdf())
+    assert set(camera) - set(plain) == {CAMERA_LINK}
+    assert camera.pop(CAMERA_LINK)[1] == client.JOINT_FIXED
+    assert camera == plain
+    assert list(camera) == list(plain), "moving joints keep their order"
+
+
+def test_only_the_camera_is_added(client: BulletClient) -> None:
+    bodies = [load_urdf(client, urdf, useFixedBase=True) for urdf in (PANDA_URDF, camera_panda_urdf())]
+    masses, shapes = [], []
+    for body in bodies:
+        links = range(-1, client.getNumJoints(body))
+        names = [HAND_LINK if link < 0 else client.getJointInfo(body, link)[LINK].decode() for link in links]
+        masses.append({name: client.getDynamicsInfo(body, link)[0] for name, link in zip(names, links, strict=True)})
+        shapes.append(
+            {name: len(client.getCollisionShapeData(body, link)) for name, link in zip(names, links, strict=True)}
+        )
+    assert masses[1].pop(CAMERA_LINK) == pytest.approx(0.01)
+    assert shapes[1].pop(CAMERA_LINK) == 1, "it collides"
+    assert masses[0] == masses[1]
+    assert shapes[0] == shapes[1]
+    assert len(client.getVisualShapeData(bodies[1])) == len(client.getVisualShapeData(bodies[0])) + 1
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_camera_is_where_handoversim_has_it(client: BulletClient, seed: int) -> None:
+    low, high = np.array(LOWER_LIMITS), np.array(UPPER_LIMITS)
+    robot = np.random.default_rng(seed).uniform(low, high)
+    panda = Panda(client, camera_panda_urdf(), PandaConfig())
+    panda.place(robot.tolist())
+    hand, camera = panda.link_poses([panda.link(HAND_LINK), panda.link(CAMERA_LINK)]).astype(np.float64)
+    relative = compose(inverse(hand), camera)
+    np.testing.assert_allclose(relative[:3], [0.036, 0.0, 0.036], atol=1e-6)
+    assert abs(relative[3:] @ [-0.5, 0.5, -0.5, 0.5]) == pytest.approx(1.0, abs=1e-6)
+    np.testing.assert_allclose(panda.camera_pose(), camera, atol=1e-6)
+    # A Panda without one looks from the same place.
+    plain = Panda(client, PANDA_URDF, PandaConfig())
+    plain.place(robot.tolist())
+    pose = plain.camera_pose()
+    assert pose.dtype == np.float32
+    np.testing.assert_allclose(pose[:3], camera[:3], atol=1e-6)
+    assert abs(pose[3:] @ camera[3:]) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_the_model_is_read_without_bullet_too() -> None:
+    tree = read_tree(camera_panda_urdf())
+    names = [joint.link for joint in tree.joints]
+    assert tree.n_dof == 9
+    assert tree.joints[names.index(CAMERA_LINK)].parent == names.index(HAND_LINK)
+
+
+def test_one_process_has_one_file() -> None:
+    path = camera_panda_urdf()
+    assert camera_panda_urdf() == path == open_dataset("synthetic", robot="panda_camera").scene(209).assets.panda
+    assert open_dataset("synthetic", robot="panda").scene(209).assets.panda == PANDA_URDF
+    assert path.is_file()
+    assert PANDA_URDF.is_file()
+    assert CAMERA_LINK not in PANDA_URDF.read_text()
+
+
+def run(code: str) -> list[Path]:
+    """Run a program and tell the paths that it printed."""
+    program = f"import os, sys\nfrom handover_marl.assets.robot_model import camera_panda_urdf\n{code}"
+    done = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True, timeout=60)
+    assert not done.stderr
+    return [Path(line) for line in done.stdout.split()]
+
+
+def test_the_file_is_removed_when_the_process_ends() -> None:
+    (path,) = run("print(camera_panda_urdf())\nassert camera_panda_urdf().is_file()")
+    assert path != camera_panda_urdf()
+    assert not path.parent.exists()
+    assert camera_panda_urdf().is_file(), "each process has its own"
+
+
+FORKS = """
+path = camera_panda_urdf()
+for own in (False, True):
+    child = os.fork()
+    if not child:
+        if own:
+            print(camera_panda_urdf(), flush=True)
+            assert camera_panda_urdf() != path
+            assert camera_panda_urdf().is_file()
+        # Ends with all that is done at exit, other than os._exit.
+        sys.exit(0)
+    assert os.waitpid(child, 0)[1] == 0
+    assert path.is_file()
+print(path)
+"""
+
+
+@pytest.mark.skipif(not hasattr(sys.modules["os"], "fork"), reason="no fork here")
+def test_forked_children_leave_their_parents_file_alone() -> None:
+    childs, parents = run(FORKS)
+    assert childs != parents
+    assert not childs.parent.exists()
+    assert not parents.parent.exists()
