@@ -5,6 +5,7 @@ import pytest
 
 from handover_marl.datasets import DATA_VARIABLE, OfficialDataset
 from tests.fake_layout import write_layout
+from tests.slow import name_of, slow_tests
 
 #: Folder with recordings of the reference simulator (`scene*.npz`, `yang_s0_val.json`).
 RECORDINGS_VARIABLE = "HANDOVER_MARL_RECORDINGS"
@@ -62,6 +63,15 @@ def recordings(real_data: Path) -> Path:
     if not RECORDINGS:
         pytest.skip(f"REFERENCE RECORDINGS MISSING: set {RECORDINGS_VARIABLE} to their folder")
     return Path(RECORDINGS)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark what was measured to be slow."""
+    slow = slow_tests()
+    for item in items:
+        module = item.nodeid.partition("::")[0].removesuffix(".py").replace("/", ".")
+        if name_of(module, item.name) in slow:
+            item.add_marker(pytest.mark.slow)
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

@@ -130,7 +130,7 @@ print(path)
 """
 
 
-@pytest.mark.skipif(not hasattr(sys.modules["os"], "fork"), reason="no fork here")
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
 def test_forked_children_leave_their_parents_file_alone() -> None:
     childs, parents = run(FORKS)
     assert childs != parents

@@ -1,9 +1,9 @@
 """Who draws what the wrist camera shows."""
 
 import importlib.util
+import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
@@ -154,19 +154,13 @@ def test_rays_are_cast_at_the_moment_that_is_asked_for() -> None:
     assert (renderer.sought(given, None).depth != renderer.sought(given, at).depth).any()
 
 
-@pytest.fixture
-def spoilt_hand(tmp_path: Path) -> Iterator[Path]:
-    """A hand one of whose visual meshes is missing."""
-    source = SCENE.assets.hand
-    text = source.read_text().replace('filename="../meshes', f'filename="{source.parents[1]}/meshes')
-    path = tmp_path / "mano.urdf"
-    path.write_text(text.replace("visual/palm.obj", "visual/no_palm.obj"))
-    yield path
-
-
-def test_what_a_model_shows_that_cannot_be_read_is_named_when_somebody_looks(spoilt_hand: Path) -> None:
+def test_meshes_that_cannot_be_read_are_named_when_somebody_looks(tmp_path: Path) -> None:
+    folder = shutil.copytree(SCENE.assets.objects[0].parent, tmp_path / "target")
+    target = folder / SCENE.assets.objects[0].name
     episode = Episode("fast")
-    episode.reset(replace(SCENE, assets=replace(SCENE.assets, hand=spoilt_hand)))
-    with pytest.raises(DataFormatError, match=r"visual/no_palm\.obj"):
-        episode.observe_sight("points")
+    episode.reset(replace(SCENE, assets=replace(SCENE.assets, objects=(target, *SCENE.assets.objects[1:]))))
+    (folder / "textured_simple.obj").write_text("")
+    for look in (episode.look, lambda: episode.observe_sight("points")):
+        with pytest.raises(DataFormatError, match=r"target/textured_simple\.obj: the mesh is empty"):
+            look()
     episode.close()

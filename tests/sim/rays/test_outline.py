@@ -139,12 +139,23 @@ def test_backs_and_what_is_behind_have_no_pixels(seed: int) -> None:
 def test_a_triangle_between_pixels_has_none_and_on_a_pixel_one() -> None:
     def tiny(column: float, row: float) -> Array:
         places = np.array([[column - 0.1, row - 0.1], [column - 0.1, row + 0.1], [column + 0.1, row]])
-        return np.c_[(places - (112.0, 111.0)) / 112.0, np.ones(3)].astype(np.float32)
+        return np.array(np.c_[(places - (112.0, 111.0)) / 112.0, np.ones(3)], dtype=np.float32)
 
     for column, row in ((100, 50), (0, 0), (223, 223), (0, 223), (7, 0)):
         assert outlined_pixels(tiny(column, row), FACES).tolist() == [224 * row + column]
         assert not len(outlined_pixels(tiny(column + 0.5, row), FACES))
         assert not len(outlined_pixels(tiny(column, row + 0.5), FACES))
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_pixels_on_which_corners_fall_count(seed: int) -> None:
+    """However they are rounded."""
+    rng = np.random.default_rng(seed)
+    pixels = rng.integers(0, len(PIXELS), 3)
+    points = (WAYS[pixels] * rng.uniform(0.04, 2.0, (3, 1))).astype(np.float32)
+    assert np.isin(pixels, outlined_pixels(points, FACES)).all()
+    assert np.isin(np.sort(pixels), pixels_within(PIXELS, [points])[0]).all()
 
 
 @pytest.mark.parametrize("depth", [0.036, 1.0, 1.9])

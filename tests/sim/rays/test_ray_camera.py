@@ -5,6 +5,7 @@ import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -130,6 +131,21 @@ def test_rays_meet_what_the_engine_draws_wherever_things_are(stands: dict[int, S
     agreement.check(*SOUGHT, Seen.OTHER_OBJECT, Seen.ROBOT, least=2000)
     # Ground and table are in some of them, and so is nothing at all.
     assert min(agreement.seen(Seen.BACKGROUND), agreement.seen(Seen.TABLE)) > 2000
+
+
+def test_rays_meet_what_the_engine_draws_of_far_things(stands: dict[int, Stand]) -> None:
+    """Up to where the picture ends, and through it."""
+    stand, agreement, rng = stands[9], Agreement(), np.random.default_rng(4)
+    farthest = 0.0
+    for _ in range(8):
+        now = stand.thrown(rng, 1.2, 2.1)
+        drawn, cast = stand.engine.photograph(now, False), stand.rays.photograph(now, False)
+        agreement.add(drawn, cast)
+        things = cast.segmentation >= Seen.TARGET
+        farthest = max(farthest, cast.depth[things].max(initial=0.0))
+        assert (drawn.depth[drawn.segmentation >= Seen.TARGET] < NOTHING).all()
+    agreement.check(*SOUGHT, Seen.OTHER_OBJECT, least=200)
+    assert 1.98 < farthest < NOTHING
 
 
 @pytest.mark.parametrize("physics", ["exact", "fast"])
@@ -428,9 +444,9 @@ def test_spoilt_models_are_named(tmp_path: Path, body: str, text: str | None) ->
     path = tmp_path / "broken.urdf"
     if text is not None:
         path.write_text(text)
-    assets = replace(DATA.scene(209).assets, **{body: (path,) if body == "objects" else path})
+    changed: dict[str, Any] = {body: (path,) if body == "objects" else path}
     with pytest.raises(SimulationError, match=r"broken\.urdf"):
-        RayCamera(assets, OFFICIAL.physics)
+        RayCamera(replace(DATA.scene(209).assets, **changed), OFFICIAL.physics)
 
 
 def test_shapes_that_cannot_be_drawn_are_named(tmp_path: Path) -> None:
