@@ -44,7 +44,7 @@ def parameters(function: Callable[..., Any]) -> dict[str, inspect.Parameter]:
         (handover_marl.crossplay, {"execution", "givers", "receivers"}, {"giver", "receiver"}),
         (
             handover_marl.render_scene,
-            {"scene_id", "out", "key_frames", "camera"},
+            {"scene_id", "out", "key_frames", "camera", "view"},
             {"setup", "split", "scenes", "config", "workers", "fresh"},
         ),
         (
