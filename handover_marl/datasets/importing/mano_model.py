@@ -74,7 +74,8 @@ class ManoModel:
         moved = self.shapedirs[:, :, 0] * shape[0]
         for number in range(1, N_BETAS):
             moved += self.shapedirs[:, :, number] * shape[number]
-        return self.v_template + moved
+        vertices: Array = self.v_template + moved
+        return vertices
 
     def joints(self, vertices: Array) -> Array:
         """Joints (16, 3) of a shaped hand at rest, m.
@@ -112,13 +113,14 @@ def read_mano_model(path: Path, side: str) -> ManoModel:
     if side not in SIDES:
         raise UnknownNameError("side", side, SIDES)
     content = read_mano_pickle(path, (*_NUMBERS, *_INDICES))
-    numbers = {key: _checked_numbers(path, key, content[key]) for key in _NUMBERS}
+    matrix = _checked_matrix(path, "J_regressor", content["J_regressor"])
+    numbers = {key: _checked_numbers(path, key, content[key]) for key in _NUMBERS if key != "J_regressor"}
     indices = {key: _checked_indices(path, key, content[key]) for key in _INDICES}
     return ManoModel(
         side=side,
         v_template=numbers["v_template"],
         shapedirs=numbers["shapedirs"],
-        j_regressor=numbers["J_regressor"],
+        j_regressor=matrix,
         weights=numbers["weights"],
         faces=_faces(path, indices["f"]),
         parents=_parents(path, indices["kintree_table"]),
@@ -131,33 +133,45 @@ def _bad(path: Path, reason: str) -> DataFormatError:
     return DataFormatError(f"{path}: {reason}; take the file from the original mano_v1_2.zip")
 
 
-def _checked_numbers(path: Path, key: str, value: Any) -> Any:
-    """An array of float64 with its bytes in the machine's order; J_regressor as a sparse matrix."""
-    shape, bound = _NUMBERS[key]
+def _checked_numbers(path: Path, key: str, value: npt.NDArray[Any] | csc_matrix) -> Array:
+    """An array of float64 in the machine's byte order."""
+    _check_type(path, key, value)
+    if isinstance(value, csc_matrix):
+        raise _bad(path, f"{key} must be an array, found a sparse matrix")
+    array = np.ascontiguousarray(value, dtype=np.float64)
+    _check_range(path, key, array)
+    array.flags.writeable = False
+    return array
+
+
+def _checked_matrix(path: Path, key: str, value: npt.NDArray[Any] | csc_matrix) -> csc_matrix:
+    """A sparse matrix of float64, which may have been written as an array."""
+    _check_type(path, key, value)
+    matrix = value if isinstance(value, csc_matrix) else csc_matrix(np.asarray(value, dtype=np.float64))
+    _check_range(path, key, matrix.data)
+    for part in (matrix.data, matrix.indices, matrix.indptr):
+        part.flags.writeable = False
+    return matrix
+
+
+def _check_type(path: Path, key: str, value: npt.NDArray[Any] | csc_matrix) -> None:
+    shape, _ = _NUMBERS[key]
     if value.shape != shape:
         raise _bad(path, f"{key} must have shape {shape}, found {value.shape}")
     # Other floats have been rounded on the way, and nothing that is made of them would equal the official files.
     if value.dtype.kind != "f" or value.dtype.itemsize != 8:
         raise _bad(path, f"{key} must be float64, found {value.dtype}")
-    if not isinstance(value, csc_matrix):
-        value = np.ascontiguousarray(value, dtype=np.float64)
-    elif key != "J_regressor":
-        raise _bad(path, f"{key} must be an array, found a sparse matrix")
-    if key == "J_regressor":
-        value = csc_matrix(value)
-        parts = value.data, value.indices, value.indptr
-    else:
-        parts = (value,)
-    if not np.isfinite(parts[0]).all():
+
+
+def _check_range(path: Path, key: str, numbers: Array) -> None:
+    _, bound = _NUMBERS[key]
+    if not np.isfinite(numbers).all():
         raise _bad(path, f"{key} has numbers that are not finite")
-    if np.abs(parts[0]).max(initial=0.0) > bound:
+    if np.abs(numbers).max(initial=0.0) > bound:
         raise _bad(path, f"{key} has numbers beyond {bound:g}, which no hand in metres and radians has")
-    for part in parts:
-        part.flags.writeable = False
-    return value
 
 
-def _checked_indices(path: Path, key: str, value: Any) -> Any:
+def _checked_indices(path: Path, key: str, value: npt.NDArray[Any] | csc_matrix) -> npt.NDArray[Any]:
     shape = _INDICES[key]
     if isinstance(value, csc_matrix) or value.shape != shape or value.dtype.kind not in "iu":
         raise _bad(path, f"{key} must be whole numbers of shape {shape}, found {value.dtype} of shape {value.shape}")
