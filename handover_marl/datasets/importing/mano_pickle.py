@@ -84,12 +84,13 @@ def _read(path: Path) -> bytes:
         if not stat.S_ISREG(path.stat().st_mode):
             raise DataFormatError(f"{path}: not a plain file; give MANO_RIGHT.pkl or MANO_LEFT.pkl of mano_v1_2.zip")
         with path.open("rb") as stream:
-            if os.fstat(stream.fileno()).st_size > _LARGEST:
+            size = os.fstat(stream.fileno()).st_size
+            if size > _LARGEST:
                 raise DataFormatError(
                     f"{path}: more than {_LARGEST // 1_000_000} MB, which no MANO model has; "
                     "copy it again from mano_v1_2.zip"
                 )
-            return stream.read(_LARGEST)
+            return stream.read(size)
     except FileNotFoundError as error:
         raise DataNotFoundError(
             f"{path} does not exist; MANO_RIGHT.pkl and MANO_LEFT.pkl are in mano_v1_2.zip, under models/"
