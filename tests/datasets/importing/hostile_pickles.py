@@ -93,10 +93,10 @@ DAMAGED = {
     "nothing to mark": b"t",
 }
 
-_DOUBLED_TUPLES = b")q\x00" + b"".join(bytes([ord("h"), k, ord("h"), k, 0x86, ord("q"), k + 1]) for k in range(99))
-_DOUBLED_LISTS = b"]q\x00" + b"".join(
-    b"](" + bytes([ord("h"), k]) * 2 + b"e" + bytes([ord("q"), k + 1]) for k in range(99)
-)
+_DOUBLED_TUPLES = b")q\x00" + b"".join(bytes([ord("h"), k, 0x86, ord("q"), k + 1]) for k in range(99))
+_DOUBLED_LISTS = b"(" * 99 + b"]q\x00" + b"".join(bytes([ord("h"), k, ord("l"), ord("q"), k + 1]) for k in range(99))
+_LONG_NUMBER = b"\x8b" + (1_000_000).to_bytes(4, "little") + b"\x7f" * 1_000_000
+_F8 = called("numpy", "dtype", text("f8"))
 _SIZE = sequence(integer(2**30), integer(2**30), integer(2**30))
 _MEGABYTE = b"X" + (1_000_000).to_bytes(4, "little") + b"a" * 1_000_000 + b"q\x00"
 #: Would take all memory, or for ever, or overflow the stack.
@@ -109,7 +109,7 @@ EXHAUSTING = {
     "tuples that double": _DOUBLED_TUPLES,
     "a key of tuples that double": b"}" + _DOUBLED_TUPLES + b"Ns",
     "a shape of tuples that double": called("numpy.core.multiarray", "_reconstruct")
-    + sequence(integer(1), _DOUBLED_TUPLES, called("numpy", "dtype", text("f8")), b"\x89", text(b""))
+    + sequence(integer(1), _DOUBLED_TUPLES, _F8, b"\x89", text(b""))
     + b"b",
     "a set of tuples that double": b"\x8f(" + _DOUBLED_TUPLES + b"\x90",
     "a frozen set of tuples that double": b"(" + _DOUBLED_TUPLES + b"\x91",
@@ -126,10 +126,13 @@ EXHAUSTING = {
     "an array of bytes that are not there": b"\x96" + (2**62).to_bytes(8, "little"),
     "a frame that is not there": b"\x95" + (2**62).to_bytes(8, "little"),
     "a number that is not there": b"\x8b\xff\xff\xff\x7f",
-    "a number of a million bytes": b"\x8b" + (1_000_000).to_bytes(4, "little") + b"\x7f" * 1_000_000,
+    "a number of a million bytes": _LONG_NUMBER,
+    "a shape of such numbers": called("numpy.core.multiarray", "_reconstruct")
+    + sequence(integer(1), sequence(_LONG_NUMBER, b"q\x00" + b"h\x00" * 2_000), _F8, b"\x89", text(b""))
+    + b"b",
     "a number of a million digits": b"L" + b"9" * 1_000_000 + b"L\n",
     "a shape beyond the data": called("numpy.core.multiarray", "_reconstruct")
-    + sequence(integer(1), _SIZE, called("numpy", "dtype", text("f8")), b"\x89", text(b""))
+    + sequence(integer(1), _SIZE, _F8, b"\x89", text(b""))
     + b"b",
     "elements of no size": called("numpy.core.multiarray", "_reconstruct")
     + sequence(integer(1), _SIZE, called("numpy", "dtype", text("S0")), b"\x89", text(b""))

@@ -196,7 +196,7 @@ WRONG = {
         "out of range",
     ),
     "J_regressor that runs back": (
-        {"J_regressor": sparse(REGRESSOR, indptr=array(REGRESSOR.indptr[::-1].copy()))},
+        {"J_regressor": sparse(REGRESSOR, indptr=array(np.where(np.arange(779) == 400, 0, REGRESSOR.indptr)))},
         "no proper columns",
     ),
     "J_regressor that lacks elements": (
