@@ -13,9 +13,13 @@ RECORDINGS_VARIABLE = "HANDOVER_MARL_RECORDINGS"
 #: Folder in HandoverSim's layout with the scenes of several objects that `multi/*.npz` were recorded in.
 SEVERAL_OBJECTS_VARIABLE = "HANDOVER_MARL_SEVERAL_OBJECTS"
 
+#: Folder with `raw/` (DexYCB and MANO, or fabricated stand-ins) and `expected/`, what HandoverSim's scripts make of it.
+RAW_VARIABLE = "HANDOVER_MARL_RAW_DEXYCB"
+
 REAL_DATA = os.environ.get(DATA_VARIABLE)
 RECORDINGS = os.environ.get(RECORDINGS_VARIABLE)
 SEVERAL_OBJECTS = os.environ.get(SEVERAL_OBJECTS_VARIABLE)
+RAW = os.environ.get(RAW_VARIABLE)
 
 
 @pytest.fixture(autouse=True)
@@ -74,11 +78,20 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker(pytest.mark.slow)
 
 
+@pytest.fixture(scope="session")
+def raw_dexycb() -> Path:
+    """Raw DexYCB and MANO in `raw/`, and what the original scripts make of them in `expected/`."""
+    if not RAW:
+        pytest.skip(f"RAW DEXYCB MISSING: set {RAW_VARIABLE} to the folder that holds raw/ and expected/")
+    return Path(RAW)
+
+
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     wanted = {
         DATA_VARIABLE: REAL_DATA,
         RECORDINGS_VARIABLE: RECORDINGS,
         SEVERAL_OBJECTS_VARIABLE: SEVERAL_OBJECTS,
+        RAW_VARIABLE: RAW,
     }
     missing = [name for name, value in wanted.items() if not value]
     if missing:

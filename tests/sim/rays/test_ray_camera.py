@@ -110,11 +110,11 @@ class Agreement:
     def seen(self, *wanted: Seen) -> int:
         return int(self.either[:, list(wanted)].sum())
 
-    def check(self, *wanted: Seen, least: int = 500) -> None:
+    def check(self, *wanted: Seen, least: int = 500, alike: float = 0.999) -> None:
         """As asked for, of what is wanted, and of all else; and more than a few pixels of each that is wanted."""
         for kinds in (wanted, Seen):
             both, either, near = (value[:, list(kinds)].sum() for value in (self.both, self.either, self.near))
-            assert both >= 0.999 * either
+            assert both >= alike * either
             assert near >= 0.99 * both
         assert min(self.seen(kind) for kind in wanted) >= least
 
@@ -134,18 +134,15 @@ def test_rays_meet_what_the_engine_draws_wherever_things_are(stands: dict[int, S
 
 
 def test_rays_meet_what_the_engine_draws_of_far_things(stands: dict[int, Stand]) -> None:
-    """Up to where the picture ends, and through it."""
-    stand, agreement, rng = stands[9], Agreement(), np.random.default_rng(4)
-    farthest = 0.0
+    """Up to where the picture ends, and through it. The engine leaves triangles out that are far less than a pixel."""
+    stand, agreement, rng, farthest = stands[9], Agreement(), np.random.default_rng(4), []
     for _ in range(8):
         now = stand.thrown(rng, 1.2, 2.1)
         drawn, cast = stand.engine.photograph(now, False), stand.rays.photograph(now, False)
         agreement.add(drawn, cast)
-        things = cast.segmentation >= Seen.TARGET
-        farthest = max(farthest, cast.depth[things].max(initial=0.0))
-        assert (drawn.depth[drawn.segmentation >= Seen.TARGET] < NOTHING).all()
-    agreement.check(*SOUGHT, Seen.OTHER_OBJECT, least=200)
-    assert 1.98 < farthest < NOTHING
+        farthest.append(cast.depth[cast.segmentation > Seen.TABLE].max(initial=0.0))
+    agreement.check(*SOUGHT, Seen.OTHER_OBJECT, least=200, alike=0.995)
+    assert 1.98 < max(farthest) < NOTHING
 
 
 @pytest.mark.parametrize("physics", ["exact", "fast"])

@@ -1,0 +1,1 @@
+"""From raw DexYCB and MANO to the folder that HandoverSim reads."""
