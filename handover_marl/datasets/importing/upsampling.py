@@ -64,10 +64,10 @@ class Span:
 
     # Times count from the recording's start, since a difference of times depends on both by its last bit.
     def _key_times(self) -> npt.NDArray[np.float64]:
-        return np.arange(self.first, self.last + 1) * _KEY_PERIOD
+        return np.arange(self.first, self.last + 1, dtype=np.float64) * _KEY_PERIOD
 
     def _times(self) -> npt.NDArray[np.float64]:
-        return np.arange(self.frames.start, self.frames.stop) * _PERIOD
+        return np.arange(self.frames.start, self.frames.stop, dtype=np.float64) * _PERIOD
 
 
 def n_frames(n_keys: int) -> int:
