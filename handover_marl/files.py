@@ -91,11 +91,12 @@ def read_yaml(path: Path, largest: int) -> object:
 
 
 def brief(value: object) -> str:
-    """Something strange in a few words, for messages."""
+    """Something strange in a few words on one line, for messages."""
     try:
         text = f"{type(value).__name__}: {value}" if isinstance(value, BaseException) else str(value)
     except (ValueError, RecursionError):  # numbers of thousands of digits, what contains itself
         text = type(value).__name__
+    text = " ".join(text[:1000].split())
     return text if len(text) <= 200 else f"{text[:200]}..."
 
 
