@@ -22,7 +22,8 @@ _SMALLEST_COSINE = 4.0 * sys.float_info.epsilon
 def angles_of_rotations(rotations: Rotation) -> Float64:
     """Angles (n, 3) as SciPy gave them up to 1.10: through the matrix, x and z in [-pi, pi], y in [-pi/2, pi/2].
 
-    At y = +-pi/2 z is zero. Later versions go through the quaternion, which gives other signs where x or z is +-pi.
+    At y = +-pi/2, which may come out 5e-8 beyond, z is zero. Later versions go through the quaternion, which gives
+    other signs where x or z is +-pi.
     """
     m = rotations.as_matrix() + 0.0  # no negative zeros, whose sign atan2 would take for that of an angle
     tilt = _each(math.acos, np.clip(m[:, 0, 2], -1.0, 1.0))  # from +x; y = pi / 2 - tilt

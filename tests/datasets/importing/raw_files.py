@@ -15,9 +15,14 @@ EXTRINSICS = "20200702_151821"
 N_KEYS = 6
 
 
+def random_rotations(n: int, seed: int) -> Rotation:
+    """Rotations, none likelier than another."""
+    return Rotation.from_quat(np.random.default_rng(seed).normal(size=(n, 4)))
+
+
 def tag_pose(seed: int = 0) -> np.ndarray:
     """(3, 4) pose of a tag."""
-    turn = Rotation.random(random_state=seed).as_matrix()
+    turn = random_rotations(1, seed).as_matrix()[0]
     return np.concatenate([turn, [[0.3], [-0.2], [0.9]]], axis=1)
 
 
@@ -26,7 +31,7 @@ def object_poses(n_keys: int = N_KEYS, n_objects: int = 1, seed: int = 0) -> np.
     time = np.linspace(0.0, 1.0, n_keys)[:, None]
     poses = []
     for number in range(n_objects):
-        start = Rotation.random(random_state=seed + number)
+        start = random_rotations(1, seed + number)
         quaternions = (start * Rotation.from_rotvec(time * [0.3, -0.2, 0.5])).as_quat()
         poses.append(np.concatenate([quaternions, [0.1 * number, 0.2, 0.6] + time * [0.1, 0.0, 0.2]], axis=1))
     return np.stack(poses, axis=1).astype(np.float32)
@@ -46,7 +51,7 @@ def hand_model(side: str = "right", seed: int = 0) -> ManoModel:
     """A hand of the right sizes that looks like nothing."""
     rng = np.random.default_rng(seed)
     vertices = rng.normal(scale=0.05, size=(778, 3))
-    regressor = scipy.sparse.random(16, 778, density=0.02, random_state=seed, format="csc")
+    regressor = np.where(rng.random((16, 778)) < 0.02, rng.random((16, 778)), 0.0)
     return ManoModel(
         side=side,
         v_template=vertices,

@@ -5,6 +5,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from handover_marl.datasets.importing.upsampling import STRIDE, Span, n_frames, original_can
+from tests.datasets.importing.raw_files import random_rotations
 
 
 def test_lengths_at_which_the_original_stops() -> None:
@@ -34,7 +35,7 @@ def test_key_poses_are_met(first: int, n: int, seed: int) -> None:
     assert positions.dtype == np.float32
     assert len(positions) == span.frames.stop - span.frames.start == n_frames(n)
     np.testing.assert_allclose(positions[::STRIDE], keys, atol=1e-5)
-    quaternions = Rotation.random(n, random_state=seed).as_quat().astype(np.float32)
+    quaternions = random_rotations(n, seed).as_quat().astype(np.float32)
     rotations = span.rotations(quaternions)
     apart = rotations[::STRIDE] * Rotation.from_quat(quaternions).inv()
     assert apart.magnitude().max() < 1e-6
