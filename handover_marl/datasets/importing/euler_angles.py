@@ -30,7 +30,7 @@ def angles_of_rotations(rotations: Rotation) -> Float64:
     up, down = np.abs(tilt) < _LOCKED, np.abs(tilt - np.pi) < _LOCKED
     safe = ~(up | down)
     x = _each(math.atan2, m[:, 1, 2], -m[:, 2, 2])
-    z = _each(math.atan2, m[:, 0, 1], -m[:, 0, 0] + 0.0)
+    z = _each(math.atan2, m[:, 0, 1], -m[:, 0, 0])
     x[up] = _each(math.atan2, (m[:, 2, 1] + m[:, 1, 0])[up], (m[:, 1, 1] - m[:, 2, 0])[up])
     x[down] = _each(math.atan2, (m[:, 2, 1] - m[:, 1, 0])[down], (m[:, 1, 1] + m[:, 2, 0])[down])
     z[~safe] = 0.0

@@ -62,6 +62,9 @@ def test_base_angles_go_on_beyond_half_a_turn() -> None:
 
 def test_another_shape_moves_the_base_only() -> None:
     poses = hand_poses(6)
-    usual, other = trajectory(poses), trajectory(poses, base=WRIST + np.array([0.01, 0.0, 0.0]))
+    shift = np.array([0.1, 0.0, 0.2])
+    usual, other = trajectory(poses), trajectory(poses, base=WRIST + shift)
     np.testing.assert_array_equal(usual[:, 3:], other[:, 3:])
-    assert np.abs(usual[:, :3] - other[:, :3]).max() > 1e-3
+    keys = Rotation.from_euler("XYZ", usual[::STRIDE, 3:6])
+    moved = other[::STRIDE, :3] - usual[::STRIDE, :3]
+    np.testing.assert_allclose(moved, shift - keys.apply(shift), atol=1e-5)

@@ -6,9 +6,13 @@ import numpy as np
 import pytest
 
 from handover_marl.datasets.importing.cache_writer import CACHE_FOLDER
+from handover_marl.datasets.importing.hand_motion import hand_trajectory
+from handover_marl.datasets.importing.hand_shape import wrist
+from handover_marl.datasets.importing.object_motion import object_trajectory
 from handover_marl.datasets.importing.scene_import import find_first_betas, import_scene
+from handover_marl.datasets.importing.tag_frame import TagFrame
 from handover_marl.errors import DataFormatError, DataNotFoundError, ResultsError
-from tests.datasets.importing.raw_files import RawScene, hand_model, hand_poses, object_poses
+from tests.datasets.importing.raw_files import RawScene, hand_model, hand_poses, object_poses, tag_pose
 
 MODELS = {side: hand_model(side, seed) for seed, side in enumerate(("right", "left"))}
 SUBJECT = "20200709-subject-01"
@@ -29,7 +33,8 @@ def test_a_scene_in_the_cache(tmp_path: Path) -> None:
     }
     with np.load(cache / "pose_042.npz") as archive:
         pose_y, pose_m = archive["pose_y"], archive["pose_m"]
-    assert pose_y.shape == (361, 3, 6)
+    tag = TagFrame.from_extrinsics(tag_pose())
+    np.testing.assert_array_equal(pose_y, np.stack([object_trajectory(objects[:, k], tag) for k in range(3)], axis=1))
     assert pose_m.shape == (361, 1, 51)
     np.testing.assert_array_equal(np.flatnonzero(pose_m.any(axis=(1, 2)))[[0, -1]], [80, 320])
 
@@ -47,12 +52,12 @@ def test_the_first_shape_of_subject_and_side_counts(tmp_path: Path) -> None:
     raw = tmp_path / "raw"
     scenes = [
         RawScene(name="20200709_100000", betas=[0.1] * 10, meta={"mano_calib": ["one"]}),
-        RawScene(name="20200709_110000", side="left", betas=[0.2] * 10, meta={"mano_calib": ["two"]}),
-        RawScene(name="20200709_120000", betas=[0.3] * 10, meta={"mano_calib": ["three"]}),
+        RawScene(name="20200709_110000", betas=[0.3] * 10, meta={"mano_calib": ["three"]}),
+        RawScene(name="20200709_120000", side="left", betas=[0.2] * 10, meta={"mano_calib": ["two"]}),
         RawScene(name="20200709_100000", subject=1, betas=[0.4] * 10, meta={"mano_calib": ["four"]}),
     ]
     sequences = [scene.write(raw, number) for number, scene in enumerate(scenes)]
-    for scene, name in zip(scenes, ("one", "two", "three", "four"), strict=True):
+    for scene, name in zip(scenes, ("one", "three", "two", "four"), strict=True):
         folder = raw / "calibration" / f"mano_{name}"
         folder.mkdir()
         (folder / "mano.yml").write_text(json.dumps({"betas": scene.betas}))
@@ -62,14 +67,13 @@ def test_the_first_shape_of_subject_and_side_counts(tmp_path: Path) -> None:
         (SUBJECT, "left"): 0.2,
         ("20200813-subject-02", "right"): 0.4,
     }
-    import_scene(sequences[2], MODELS, first, tmp_path / "with")
-    import_scene(sequences[2], MODELS, {}, tmp_path / "own")
-    motions = []
-    for folder in ("with", "own"):
-        with np.load(tmp_path / folder / CACHE_FOLDER / "pose_002.npz") as archive:
-            motions.append(archive["pose_m"])
-    np.testing.assert_array_equal(motions[0][..., 3:], motions[1][..., 3:])
-    assert (motions[0][..., :3] != motions[1][..., :3]).any()
+    model, tag = MODELS["right"], TagFrame.from_extrinsics(tag_pose())
+    base = wrist(model, [0.1] * 10)
+    for number, own in ((0, 0.1), (1, 0.3)):
+        import_scene(sequences[number], MODELS, first, tmp_path / "out")
+        with np.load(tmp_path / "out" / CACHE_FOLDER / f"pose_{number:03d}.npz") as archive:
+            expected = hand_trajectory(hand_poses(), tag, model, wrist(model, [own] * 10), base)
+            np.testing.assert_array_equal(archive["pose_m"][:, 0], expected)
     # One that cannot be read is passed over.
     (sequences[0].folder / "meta.yml").write_text("[]")
     (raw / "calibration" / "mano_four" / "mano.yml").unlink()

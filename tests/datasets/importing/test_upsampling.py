@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import Rotation, Slerp
 
 from handover_marl.datasets.importing.upsampling import STRIDE, Span, n_frames, original_can
 from tests.datasets.importing.raw_files import random_rotations
@@ -47,6 +47,14 @@ def test_constant_speed_stays_constant() -> None:
     np.testing.assert_allclose(np.diff(line, axis=0), [[0.01, -0.02, 0.0]] * (len(line) - 1), atol=1e-6)
     turn = Span(0, 7).rotations(Rotation.from_rotvec(time * [0.0, 0.2, 0.0]).as_quat().astype(np.float32))
     np.testing.assert_allclose((turn[1:] * turn[:-1].inv()).as_rotvec(), [[0.0, 0.005, 0.0]] * 280, atol=1e-6)
+
+
+def test_rotations_are_kept_as_float32_quaternions() -> None:
+    span, keys = Span(0, 9), random_rotations(10, 0).as_quat().astype(np.float32)
+    exact = Slerp(span._key_times(), Rotation.from_quat(keys))(span._times()).as_quat()
+    found = span.rotations(keys).as_quat()
+    np.testing.assert_array_equal(found, Rotation.from_quat(exact.astype(np.float32)).as_quat())
+    assert (found != exact).any()
 
 
 def test_signs_of_quaternions_do_not_matter() -> None:
