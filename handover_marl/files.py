@@ -7,6 +7,11 @@ import tempfile
 import zipfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import yaml
 
 from handover_marl.errors import ResultsError
 
@@ -46,6 +51,63 @@ def check_archive(path: Path, largest: int) -> None:
     with zipfile.ZipFile(path) as archive:
         if sum(part.file_size for part in archive.infolist()) > largest:
             raise ValueError(f"it unpacks to more than {largest // 1_000_000} MB")
+
+
+def read_arrays(path: Path, names: tuple[str, ...], largest: int) -> dict[str, npt.NDArray[Any]]:
+    """Arrays of an `.npz` file, without unpickling anything.
+
+    Args:
+        path: The file.
+        names: Arrays that it must have.
+        largest: Bytes that it may unpack to.
+
+    Raises:
+        Exception: What NumPy and zipfile raise on damaged bytes has no end.
+    """
+    check_archive(path, largest)
+    with np.load(path, allow_pickle=False) as archive:
+        return {name: archive[name] for name in names}
+
+
+def read_yaml(path: Path, largest: int) -> object:
+    """Content of a plain YAML file: numbers, text, lists and mappings, without aliases.
+
+    Args:
+        path: The file.
+        largest: Bytes that it may have.
+
+    Raises:
+        ValueError: It is no plain file, too large, or not such YAML.
+        OSError: It cannot be opened.
+    """
+    state = path.stat()
+    if not stat.S_ISREG(state.st_mode) or state.st_size > largest:
+        raise ValueError(f"no file of less than {largest // 1000} kB")
+    data = path.read_bytes()
+    try:
+        return yaml.load(data.decode(), _PlainLoader)
+    except Exception as error:  # YAML lets errors of its constructors through
+        raise ValueError(brief(error)) from error
+
+
+def brief(value: object) -> str:
+    """Something strange in a few words on one line, for messages."""
+    try:
+        text = f"{type(value).__name__}: {value}" if isinstance(value, BaseException) else str(value)
+    except (ValueError, RecursionError):  # numbers of thousands of digits, what contains itself
+        text = type(value).__name__
+    text = " ".join(text[:1000].split())
+    return text if len(text) <= 200 else f"{text[:200]}..."
+
+
+class _PlainLoader(yaml.SafeLoader):
+    """Plain YAML without aliases, which can make a few lines mean gigabytes, or themselves."""
+
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        """Refuse aliases."""
+        if self.check_event(yaml.AliasEvent):
+            raise yaml.YAMLError("aliases are not admitted")
+        return super().compose_node(parent, index)
 
 
 def _link(temporary: Path, path: Path) -> None:

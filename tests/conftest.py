@@ -13,13 +13,13 @@ RECORDINGS_VARIABLE = "HANDOVER_MARL_RECORDINGS"
 #: Folder in HandoverSim's layout with the scenes of several objects that `multi/*.npz` were recorded in.
 SEVERAL_OBJECTS_VARIABLE = "HANDOVER_MARL_SEVERAL_OBJECTS"
 
-#: Folder with `raw/` (DexYCB and MANO, or fabricated stand-ins) and `expected/`, what HandoverSim's scripts make of it.
-RAW_VARIABLE = "HANDOVER_MARL_RAW_DEXYCB"
+#: Folder with a raw DexYCB, MANO and what HandoverSim's scripts made of them (`raw/`, `expected/checksums.json`).
+RAW_DEXYCB_VARIABLE = "HANDOVER_MARL_RAW_DEXYCB"
 
 REAL_DATA = os.environ.get(DATA_VARIABLE)
 RECORDINGS = os.environ.get(RECORDINGS_VARIABLE)
 SEVERAL_OBJECTS = os.environ.get(SEVERAL_OBJECTS_VARIABLE)
-RAW = os.environ.get(RAW_VARIABLE)
+RAW_DEXYCB = os.environ.get(RAW_DEXYCB_VARIABLE)
 
 
 @pytest.fixture(autouse=True)
@@ -62,6 +62,14 @@ def several_objects() -> OfficialDataset:
 
 
 @pytest.fixture(scope="session")
+def raw_dexycb() -> Path:
+    """A raw DexYCB with MANO, and what the original made of it."""
+    if not RAW_DEXYCB:
+        pytest.skip(f"RAW DEXYCB MISSING: set {RAW_DEXYCB_VARIABLE} to a folder with raw/ and expected/")
+    return Path(RAW_DEXYCB)
+
+
+@pytest.fixture(scope="session")
 def recordings(real_data: Path) -> Path:
     """Recordings of the reference simulator."""
     if not RECORDINGS:
@@ -78,20 +86,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker(pytest.mark.slow)
 
 
-@pytest.fixture(scope="session")
-def raw_dexycb() -> Path:
-    """Raw DexYCB and MANO in `raw/`, and what the original scripts make of them in `expected/`."""
-    if not RAW:
-        pytest.skip(f"RAW DEXYCB MISSING: set {RAW_VARIABLE} to the folder that holds raw/ and expected/")
-    return Path(RAW)
-
-
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     wanted = {
         DATA_VARIABLE: REAL_DATA,
         RECORDINGS_VARIABLE: RECORDINGS,
         SEVERAL_OBJECTS_VARIABLE: SEVERAL_OBJECTS,
-        RAW_VARIABLE: RAW,
+        RAW_DEXYCB_VARIABLE: RAW_DEXYCB,
     }
     missing = [name for name, value in wanted.items() if not value]
     if missing:

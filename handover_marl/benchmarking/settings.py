@@ -2,7 +2,6 @@
 
 import hashlib
 import re
-import stat
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -14,6 +13,7 @@ from handover_marl._version import __version__
 from handover_marl.config import OFFICIAL, TIME_STEP, WorldConfig
 from handover_marl.datasets.splits import SETUPS, SPLITS
 from handover_marl.errors import ResultsError
+from handover_marl.files import brief, read_yaml
 from handover_marl.models.panda import PANDA, PANDA_CAMERA
 from handover_marl.run import Run, reference_of
 
@@ -114,14 +114,12 @@ def read_settings(path: Path) -> RunSettings:
         named = {"setup": benchmark["SETUP"], "split": benchmark["SPLIT"]}
         settings = RunSettings(**named, **(_official_section(path, content) if own is None else own))
     except Exception as error:  # whatever shape the file has
-        raise ResultsError(f"{config_path}: not a readable configuration ({_brief(error)})") from error
+        raise ResultsError(f"{config_path}: not a readable configuration ({brief(error)})") from error
     if settings.setup not in SETUPS or settings.split not in SPLITS:
-        raise ResultsError(
-            f"{config_path}: unknown setup {_brief(settings.setup)!r} or split {_brief(settings.split)!r}"
-        )
+        raise ResultsError(f"{config_path}: unknown setup {brief(settings.setup)!r} or split {brief(settings.split)!r}")
     for key, value in asdict(settings).items():
         if not isinstance(value, str):
-            raise ResultsError(f"{config_path}: {key} in section {_OWN_SECTION} is {_brief(value)}, expected text")
+            raise ResultsError(f"{config_path}: {key} in section {_OWN_SECTION} is {brief(value)}, expected text")
     _check_rules(config_path, settings, content)
     return settings
 
@@ -143,52 +141,29 @@ def _check_rules(path: Path, settings: RunSettings, content: Mapping[str, Any]) 
         return
     simulation = content.get("SIM", {})
     if not isinstance(simulation, dict):
-        raise ResultsError(f"{path}: not a readable configuration (SIM is {_brief(simulation)})")
+        raise ResultsError(f"{path}: not a readable configuration (SIM is {brief(simulation)})")
     told = {**content["BENCHMARK"], "TIME_STEP": simulation.get("TIME_STEP", TIME_STEP)}
     for key, value in (_rules(OFFICIAL) | {"TIME_STEP": TIME_STEP}).items():
         found = told.get(key, value)
         same = list(found) == value if isinstance(value, list) and isinstance(found, (list, tuple)) else found == value
         if not same:
             raise ResultsError(
-                f"{path}: {key} is {_brief(found)}, but the official rules say {value}; these are no official results"
+                f"{path}: {key} is {brief(found)}, but the official rules say {value}; these are no official results"
             )
-
-
-class _PlainLoader(yaml.SafeLoader):
-    """Plain YAML without aliases, which can make a few lines mean gigabytes, or themselves."""
-
-    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
-        """Refuse aliases."""
-        if self.check_event(yaml.AliasEvent):
-            raise yaml.YAMLError("aliases are not admitted")
-        return super().compose_node(parent, index)
 
 
 def _read_yaml(config_path: Path, folder: Path) -> dict[str, Any]:
     try:
-        state = config_path.stat()
+        content = read_yaml(config_path, _LARGEST)
     except (FileNotFoundError, NotADirectoryError) as error:
         raise ResultsError(f"{folder} is no result folder: it has no {CONFIG_FILE}") from error
     except OSError as error:
         raise ResultsError(f"cannot read {config_path}: {error.strerror or error}") from error
-    if not stat.S_ISREG(state.st_mode) or state.st_size > _LARGEST:
-        raise ResultsError(f"{config_path}: not a readable configuration (no file of less than 64 kB)")
-    try:
-        content = yaml.load(config_path.read_text(), _PlainLoader)
-    except Exception as error:  # YAML lets errors of its constructors through
-        raise ResultsError(f"{config_path}: not a readable configuration ({_brief(error)})") from error
+    except ValueError as error:
+        raise ResultsError(f"{config_path}: not a readable configuration ({error})") from error
     if not isinstance(content, dict):
         raise ResultsError(f"{config_path}: not a readable configuration (no sections)")
     return content
-
-
-def _brief(value: object) -> str:
-    """Something strange in a few words."""
-    try:
-        text = f"{type(value).__name__}: {value}" if isinstance(value, BaseException) else str(value)
-    except (ValueError, RecursionError):  # numbers of thousands of digits, what contains itself
-        text = type(value).__name__
-    return text if len(text) <= 200 else f"{text[:200]}..."
 
 
 def _official_section(path: Path, content: Mapping[str, Any]) -> dict[str, str]:

@@ -20,7 +20,7 @@ from handover_marl.datasets.dataset import TABLE_HEIGHT, Dataset
 from handover_marl.datasets.pickled_grasps import load_grasps
 from handover_marl.datasets.scene import Scene, SceneAssets, SceneInfo
 from handover_marl.errors import DataFormatError, DataNotFoundError
-from handover_marl.files import check_archive
+from handover_marl.files import read_arrays
 from handover_marl.models.panda import PANDA, PANDA_CAMERA
 from handover_marl.models.urdf_shapes import named_meshes
 from handover_marl.models.ycb import CLASS_NAMES, SCENE_CLASSES
@@ -176,14 +176,14 @@ class OfficialDataset(Dataset):
         path = self._meta_path(scene_id)
         try:
             meta = json.loads(path.read_text())
-            ids = [_whole(number) for number in meta["ycb_ids"]]
-            grasped, sides, name = _whole(meta["ycb_grasp_ind"]), list(meta["mano_sides"]), str(meta["name"])
+            ids = [whole(number) for number in meta["ycb_ids"]]
+            grasped, sides, name = whole(meta["ycb_grasp_ind"]), list(meta["mano_sides"]), str(meta["name"])
         except (ValueError, KeyError, TypeError, RecursionError) as error:
             raise DataFormatError(
                 f"{path}: not a scene's meta file ({type(error).__name__}: {error}). It needs name, ycb_ids, "
                 "ycb_grasp_ind and mano_sides; copy it again from the HandoverSim data."
             ) from error
-        _check_meta(path, ids, grasped, sides)
+        check_meta(path, ids, grasped, sides)
         order = [grasped, *(index for index in range(len(ids)) if index != grasped)]
         ids = [ids[index] for index in order]
         info = SceneInfo(
@@ -220,13 +220,19 @@ def _is_folder(path: Path) -> bool:
         return False
 
 
-def _whole(number: object) -> int:
+def whole(number: object) -> int:
+    """A number as it is, if it is whole.
+
+    Raises:
+        TypeError: It is something else.
+    """
     if type(number) is not int:  # True is an int too
         raise TypeError(f"{number!r} is no whole number")
     return number
 
 
-def _check_meta(path: Path, ids: list[int], grasped: int, sides: list[Any]) -> None:
+def check_meta(path: Path, ids: list[int], grasped: int, sides: list[Any]) -> None:
+    """Raise `DataFormatError` naming the file unless a scene can have these objects and hands."""
     unknown = [number for number in ids if number not in SCENE_CLASSES]
     if unknown:
         raise DataFormatError(
@@ -257,9 +263,7 @@ def _real(array: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
 
 def _read_npz(path: Path, keys: tuple[str, ...]) -> dict[str, npt.NDArray[np.float32]]:
     try:
-        check_archive(path, _LARGEST)
-        with np.load(path, allow_pickle=False) as archive:
-            return {key: _real(archive[key]) for key in keys}
+        return {key: _real(array) for key, array in read_arrays(path, keys, _LARGEST).items()}
     except Exception as error:  # what NumPy and zipfile raise on damaged bytes has no end
         raise DataFormatError(
             f"{path}: not a readable pose file ({type(error).__name__}: {error}). It may be truncated; "

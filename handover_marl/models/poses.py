@@ -54,6 +54,13 @@ def quaternion_from_matrix(matrix: npt.ArrayLike) -> npt.NDArray[np.float64]:
     SciPy's conversion also orthogonalises in recent versions and not in older ones, which changes the eighth
     digit for matrices stored as float32; this one is the same everywhere.
     """
+    q = shepperd_row(matrix)
+    unit: npt.NDArray[np.float64] = q / np.sqrt(q[..., None, :] @ q[..., :, None])[..., 0]
+    return unit
+
+
+def shepperd_row(matrix: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    """The same times four times the quaternion's largest entry."""
     m = np.asarray(matrix, dtype=np.float64)
     trace = m[..., 0, 0] + m[..., 1, 1] + m[..., 2, 2]
     largest = np.argmax(np.stack([m[..., 0, 0], m[..., 1, 1], m[..., 2, 2], trace], axis=-1), axis=-1)
@@ -65,9 +72,8 @@ def quaternion_from_matrix(matrix: npt.ArrayLike) -> npt.NDArray[np.float64]:
         rows[..., i, j] = rows[..., j, i] = m[..., j, i] + m[..., i, j]
         rows[..., i, 3] = rows[..., 3, i] = m[..., k, j] - m[..., j, k]
     rows[..., 3, 3] = 1.0 + trace
-    q = np.take_along_axis(rows, largest[..., None, None], axis=-2)[..., 0, :]
-    unit: npt.NDArray[np.float64] = q / np.sqrt(q[..., None, :] @ q[..., :, None])[..., 0]
-    return unit
+    row: npt.NDArray[np.float64] = np.take_along_axis(rows, largest[..., None, None], axis=-2)[..., 0, :]
+    return row
 
 
 def poses_from_matrices(matrices: npt.ArrayLike) -> npt.NDArray[np.float64]:
