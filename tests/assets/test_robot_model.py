@@ -136,3 +136,30 @@ def test_forked_children_leave_their_parents_file_alone() -> None:
     assert childs != parents
     assert not childs.parent.exists()
     assert not parents.parent.exists()
+
+
+@pytest.mark.parametrize(
+    "method",
+    [
+        "spawn",
+        *(
+            pytest.param(
+                name, marks=pytest.mark.xfail(strict=True, reason="these children end without what is done at exit")
+            )
+            for name in ("fork", "forkserver")
+        ),
+    ],
+)
+def test_children_of_multiprocessing_leave_nothing_behind(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, method: str
+) -> None:
+    """As vectors of environments start them."""
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    run(
+        "import multiprocessing\n"
+        f"child = multiprocessing.get_context({method!r}).Process(target=camera_panda_urdf)\n"
+        "child.start()\n"
+        "child.join()\n"
+        "assert child.exitcode == 0"
+    )
+    assert not list(tmp_path.glob("handover_marl_*"))

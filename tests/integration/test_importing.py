@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from handover_marl.datasets.importing.cache_writer import CACHE_FOLDER
-from handover_marl.datasets.importing.mano_model import ManoModel
+from handover_marl.datasets.importing.mano_model import ManoModel, read_mano_model
 from handover_marl.datasets.importing.raw_layout import SUBJECTS, RawLayout, find_sequences
 from handover_marl.datasets.importing.scene_import import Betas, find_first_betas, import_scene
-from tests.datasets.importing.mano_pickles import load_hand
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +27,7 @@ def first_betas(layout: RawLayout) -> Betas:
 @pytest.fixture(scope="module")
 def models(raw_dexycb: Path) -> dict[str, ManoModel]:
     folder = raw_dexycb / "raw" / "mano_v1_2" / "models"
-    return {side: load_hand(folder / f"MANO_{side.upper()}.pkl", side) for side in ("right", "left")}
+    return {side: read_mano_model(folder / f"MANO_{side.upper()}.pkl", side) for side in ("right", "left")}
 
 
 @pytest.fixture(scope="module")

@@ -96,6 +96,18 @@ class ManoModel:
                 found[matrix.indices[element]] += matrix.data[element] * vertices[vertex]
         return found
 
+    def wrist(self, betas: Sequence[float] | Array) -> Array:
+        """The root joint (3,) of a person's hand at rest (m), about which the whole hand turns.
+
+        Args:
+            betas: As for `shaped_vertices`.
+
+        Raises:
+            OptionError: As `shaped_vertices`.
+        """
+        root: Array = self.joints(self.shaped_vertices(betas))[0]
+        return root
+
 
 def read_mano_model(path: Path, side: str) -> ManoModel:
     """Read one of MANO's model files.

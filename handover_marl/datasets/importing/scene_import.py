@@ -7,7 +7,6 @@ import numpy as np
 
 from handover_marl.datasets.importing.cache_writer import CACHE_FOLDER, CachedScene, write_scene
 from handover_marl.datasets.importing.hand_motion import hand_trajectory
-from handover_marl.datasets.importing.hand_shape import wrist
 from handover_marl.datasets.importing.mano_model import ManoModel
 from handover_marl.datasets.importing.object_motion import object_trajectory
 from handover_marl.datasets.importing.raw_calibration import read_betas
@@ -70,9 +69,9 @@ def convert(
 ) -> CachedScene:
     """A scene from what `read_sequence` gave; the other arguments as `import_scene`."""
     meta, model, tag = raw.meta, models[raw.meta.side], TagFrame.from_extrinsics(raw.world_from_tag)
-    base = wrist(model, first_betas.get((sequence.subject, meta.side), raw.betas))
+    base = model.wrist(first_betas.get((sequence.subject, meta.side), raw.betas))
     objects = [object_trajectory(raw.objects[:, number], tag) for number in range(raw.objects.shape[1])]
-    hand = hand_trajectory(raw.hand, tag, model, wrist(model, raw.betas), base)
+    hand = hand_trajectory(raw.hand, tag, model, model.wrist(raw.betas), base)
     return CachedScene(
         scene_id=sequence.scene_id,
         meta={

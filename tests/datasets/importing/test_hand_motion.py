@@ -5,13 +5,12 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from handover_marl.datasets.importing.hand_motion import finger_poses, hand_span, hand_trajectory
-from handover_marl.datasets.importing.hand_shape import wrist
 from handover_marl.datasets.importing.tag_frame import TagFrame
 from handover_marl.datasets.importing.upsampling import STRIDE, Span
 from tests.datasets.importing.raw_files import hand_model, hand_poses, tag_pose
 
 MODEL = hand_model()
-WRIST = wrist(MODEL, [0.5] * 10)
+WRIST = MODEL.wrist([0.5] * 10)
 
 
 def trajectory(poses: np.ndarray, seed: int = 0, base: np.ndarray = WRIST) -> np.ndarray:

@@ -7,7 +7,6 @@ import pytest
 
 from handover_marl.datasets.importing.cache_writer import CACHE_FOLDER
 from handover_marl.datasets.importing.hand_motion import hand_trajectory
-from handover_marl.datasets.importing.hand_shape import wrist
 from handover_marl.datasets.importing.object_motion import object_trajectory
 from handover_marl.datasets.importing.scene_import import find_first_betas, import_scene
 from handover_marl.datasets.importing.tag_frame import TagFrame
@@ -68,11 +67,11 @@ def test_the_first_shape_of_subject_and_side_counts(tmp_path: Path) -> None:
         ("20200813-subject-02", "right"): 0.4,
     }
     model, tag = MODELS["right"], TagFrame.from_extrinsics(tag_pose())
-    base = wrist(model, [0.1] * 10)
+    base = model.wrist([0.1] * 10)
     for number, own in ((0, 0.1), (1, 0.3)):
         import_scene(sequences[number], MODELS, first, tmp_path / "out")
         with np.load(tmp_path / "out" / CACHE_FOLDER / f"pose_{number:03d}.npz") as archive:
-            expected = hand_trajectory(hand_poses(), tag, model, wrist(model, [own] * 10), base)
+            expected = hand_trajectory(hand_poses(), tag, model, model.wrist([own] * 10), base)
             np.testing.assert_array_equal(archive["pose_m"][:, 0], expected)
     # One that cannot be read is passed over.
     (sequences[0].folder / "meta.yml").write_text("[]")
