@@ -1,11 +1,11 @@
 """The robot: PyBullet's own Panda, from the data that PyBullet installs, as it is or with a camera on its hand."""
 
-import atexit
 import functools
 import os
 import shutil
 import tempfile
 import xml.etree.ElementTree as ET
+from multiprocessing import util
 from pathlib import Path
 from typing import Final
 
@@ -27,13 +27,19 @@ def camera_panda_urdf() -> Path:
 
     Written anew by every process into a folder of its own, since the meshes are named by where PyBullet is installed.
     """
-    return _written(os.getpid())
+    path = _written(os.getpid())
+    if not path.exists():
+        # Temporary folders are tidied up by others, too.
+        _written.cache_clear()
+        path = _written(os.getpid())
+    return path
 
 
 @functools.cache
 def _written(process: int) -> Path:
     folder = Path(tempfile.mkdtemp(prefix="handover_marl_"))
-    atexit.register(_remove, folder, process)
+    # Also at the end of worker processes, and never in a child of the process that made it.
+    util.Finalize(None, shutil.rmtree, (folder,), {"ignore_errors": True}, exitpriority=0)
     path = folder / "panda_camera.urdf"
     robot = ET.parse(PANDA_URDF).getroot()
     for mesh in robot.iter("mesh"):
@@ -42,12 +48,6 @@ def _written(process: int) -> Path:
     robot.append(_camera_joint())
     ET.ElementTree(robot).write(path)
     return path
-
-
-def _remove(folder: Path, process: int) -> None:
-    # A forked child that ends must not take the file from its parent.
-    if os.getpid() == process:
-        shutil.rmtree(folder, ignore_errors=True)
 
 
 def _camera_link() -> ET.Element:

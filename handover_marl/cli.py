@@ -1,4 +1,4 @@
-"""The command line: handover-marl benchmark | pair | crossplay | agreement | evaluate | compare | render."""
+"""The command line: handover-marl benchmark | pair | crossplay | agreement | evaluate | compare | render | import."""
 
 import os
 import sys
@@ -238,6 +238,31 @@ def run_compare(
     from handover_marl.benchmarking.comparison import compare
 
     print(compare(first, second))
+
+
+@app.command(name="import")
+def run_import(
+    dexycb: Annotated[str, tyro.conf.arg(metavar="DIR")],
+    mano: Annotated[str, tyro.conf.arg(metavar="DIR")],
+    out: Annotated[str, tyro.conf.arg(metavar="DIR")],
+    scenes: Annotated[str | None, tyro.conf.arg(metavar="N,N,...")] = None,
+    workers: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
+    progress: bool = True,
+) -> None:
+    """Make HandoverSim's data folder from raw DexYCB and MANO, as far as these two tell it.
+
+    Args:
+        dexycb: The folder that DexYCB's archives were expanded into.
+        mano: The folder with MANO_RIGHT.pkl and MANO_LEFT.pkl.
+        out: The data folder to make, or to go on with.
+        scenes: Only these scenes, e.g. 209,214.
+        workers: Processes; default: one a core.
+        progress: Show a progress bar on stderr.
+    """
+    from handover_marl.datasets.importing.import_dexycb import import_dexycb
+
+    chosen = parse_scenes(scenes)
+    print(import_dexycb(dexycb, mano, out, scenes=chosen, workers=workers, progress=progress))
 
 
 def parse_scenes(text: str | None) -> list[int] | None:

@@ -141,11 +141,11 @@ class Sight:
         world: Where robot and table stand.
 
     Raises:
-        UnknownNameError: There is no such renderer.
-        OptionError: It needs an extra that is not installed.
+        UnknownNameError: There is no such renderer. Whether what it needs is installed shows at the first look.
     """
 
     def __init__(self, config: SightConfig, physics: str, world: PhysicsConfig) -> None:
+        chosen_renderer(config.renderer, physics, installed=False)
         self._config, self._physics, self._world_config = config, physics, world
         camera = config.camera
         self._delay = 0 if camera is None else round(camera.latency / TIME_STEP)

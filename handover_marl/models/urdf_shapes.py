@@ -1,5 +1,6 @@
 """The shapes that a URDF gives its links, as the file says it."""
 
+import math
 import re
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass
@@ -63,18 +64,25 @@ def read_urdf_shapes(urdf: Path, tree: KinematicTree, purpose: str) -> list[Urdf
     """
     robot = ET.parse(urdf).getroot()
     numbers = {joint.link: number for number, joint in enumerate(tree.joints)}
-    colors = {material.get("name"): _color(material) for material in robot.findall("material")}
+    colors = _named_colors(urdf, robot)
     shapes = []
     for link in robot.findall("link"):
         for element in link.findall(purpose):
-            color = _shape_color(element.find("material"), colors)
             try:
+                color = _shape_color(element.find("material"), colors)
                 shapes.append(_shape(element, numbers.get(link.attrib["name"], -1), urdf.parent, color))
             except (ValueError, KeyError, IndexError, TypeError) as error:
                 raise SimulationError(
                     f"{urdf}: cannot read a {purpose} shape of link {link.get('name')!r} ({error!r}); check the file"
                 ) from error
     return shapes
+
+
+def _named_colors(urdf: Path, robot: ET.Element) -> dict[str | None, Color | None]:
+    try:
+        return {material.get("name"): _color(material) for material in robot.findall("material")}
+    except (ValueError, KeyError) as error:
+        raise SimulationError(f"{urdf}: cannot read a material's colour ({error!r}); check the file") from error
 
 
 def _shape(element: ET.Element, link: int, folder: Path, color: Color) -> UrdfShape:
@@ -90,12 +98,21 @@ def _shape(element: ET.Element, link: int, folder: Path, color: Color) -> UrdfSh
         size = shape.attrib["radius"]
     else:
         raise ValueError(f"<{shape.tag}> is neither mesh nor box nor sphere")
-    return UrdfShape(link, shape.tag, tuple(float(value) for value in size.split()), mesh, _origin(element), color)
+    numbers = _numbers(size, 1 if shape.tag == "sphere" else 3)
+    return UrdfShape(link, shape.tag, numbers, mesh, _origin(element), color)
+
+
+def _numbers(text: str, count: int) -> tuple[float, ...]:
+    values = tuple(float(value) for value in text.split())
+    if len(values) != count or not all(math.isfinite(value) for value in values):
+        raise ValueError(f"expected {count} finite numbers, found {text!r}")
+    return values
 
 
 def _origin(element: ET.Element) -> npt.NDArray[np.float64]:
     xyz, rpy = (attribute(element, "origin", name, "0 0 0") for name in ("xyz", "rpy"))
-    return poses_from_rotations(np.array(xyz.split(), dtype=np.float64), euler_matrix(rpy))
+    _numbers(rpy, 3)
+    return poses_from_rotations(np.array(_numbers(xyz, 3)), euler_matrix(rpy))
 
 
 def _shape_color(material: ET.Element | None, named: dict[str | None, Color | None]) -> Color:
@@ -106,4 +123,4 @@ def _shape_color(material: ET.Element | None, named: dict[str | None, Color | No
 
 def _color(material: ET.Element) -> Color | None:
     color = material.find("color")
-    return None if color is None else tuple(float(value) for value in color.attrib["rgba"].split())
+    return None if color is None else _numbers(color.attrib["rgba"], 4)

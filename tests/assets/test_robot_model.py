@@ -142,12 +142,8 @@ def test_forked_children_leave_their_parents_file_alone() -> None:
     "method",
     [
         "spawn",
-        *(
-            pytest.param(
-                name, marks=pytest.mark.xfail(strict=True, reason="these children end without what is done at exit")
-            )
-            for name in ("fork", "forkserver")
-        ),
+        "fork",
+        "forkserver",
     ],
 )
 def test_children_of_multiprocessing_leave_nothing_behind(

@@ -10,8 +10,9 @@ import pytest
 
 from handover_marl.datasets.importing.cache_writer import CACHE_FOLDER
 from handover_marl.datasets.importing.mano_model import ManoModel, read_mano_model
-from handover_marl.datasets.importing.raw_layout import SUBJECTS, RawLayout, find_sequences
+from handover_marl.datasets.importing.raw_layout import RawLayout, find_sequences
 from handover_marl.datasets.importing.scene_import import Betas, find_first_betas, import_scene
+from handover_marl.models.ycb import SUBJECTS
 
 
 @pytest.fixture(scope="module")

@@ -187,7 +187,6 @@ def test_sizes_of_too_few_numbers_are_named(tmp_path: Path, shape: str) -> None:
         read(write(tmp_path, visual(shape)))
 
 
-@pytest.mark.xfail(strict=True, reason="bare ValueError or KeyError, or nan; Bullet loads these models")
 @pytest.mark.parametrize(
     "shapes",
     [

@@ -79,7 +79,8 @@ def worsened(photo: Photo, camera: CameraImperfections, rng: np.random.Generator
     lost = _beside_edges(photo.depth, camera.edge_step) & (chance < camera.edge_drop)
     empty = lost | (photo.depth >= NOTHING)
     return Photo(
-        np.where(empty, NOTHING, np.maximum(depth, np.float32(0.0))),
+        # What is seen stays before what is not, however much noise there is.
+        np.where(empty, NOTHING, np.clip(depth, np.float32(0.0), np.nextafter(NOTHING, np.float32(0.0)))),
         np.where(lost, np.uint8(Seen.BACKGROUND), photo.segmentation),
         photo.rgb,
     )

@@ -62,7 +62,11 @@ def deproject(depth: Array, seen: npt.NDArray[np.bool_], geometry: str = REFEREN
 
     Returns:
         (n, 3) float32 in the hand link's frame (m), row by row of the picture.
+
+    Raises:
+        UnknownNameError: There is no such geometry.
     """
+    check_geometry(geometry)
     pixels = np.flatnonzero(seen)
     down, right = (number.astype(np.float32) for number in np.divmod(pixels, SIDE))
     if geometry == TRUE:

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from handover_marl.errors import SimulationError
 from handover_marl.models.kinematic_tree import read_tree
 from handover_marl.models.panda import CAMERA_LINK
+from handover_marl.models.urdf_shapes import named_meshes
 from handover_marl.models.visual_meshes import read_visual_meshes
 from handover_marl.sim.camera.photo import Seen
 from handover_marl.sim.rays.ray_mesh import RayMesh
@@ -116,12 +117,19 @@ def ray_body(urdf: Path, seen: Seen, base: tuple[float, ...] = _ORIGIN) -> RayBo
         SimulationError, DataFormatError: The model or one of its meshes cannot be read.
     """
     try:
-        return _kept(urdf, urdf.stat().st_mtime_ns, seen, base)
+        changed = urdf.stat().st_mtime_ns
+        meshes = tuple(mesh.stat().st_mtime_ns if mesh.exists() else 0 for mesh in _meshes(urdf, changed))
+        return _kept(urdf, (changed, *meshes), seen, base)
     except OSError as error:
         raise SimulationError(f"{urdf}: cannot read this model ({error.strerror or error})") from error
 
 
 @functools.lru_cache(maxsize=64)
-def _kept(urdf: Path, changed: int, seen: Seen, base: tuple[float, ...]) -> RayBody:
+def _meshes(urdf: Path, changed: int) -> tuple[Path, ...]:
+    return tuple(mesh for _, mesh in named_meshes(urdf))
+
+
+@functools.lru_cache(maxsize=64)
+def _kept(urdf: Path, changed: tuple[int, ...], seen: Seen, base: tuple[float, ...]) -> RayBody:
     # The camera does not see itself: all of its housing is nearer than the near plane.
     return RayBody(urdf, seen, base, (CAMERA_LINK,) if seen is Seen.ROBOT else ())

@@ -59,6 +59,7 @@ class RayCamera:
         sheet = Sheet(*self._camera_frame(now))
         # Where the second one hid the first, a pixel is told twice, which does no harm.
         found = np.concatenate([sheet.add(parts) for parts in self._sought(now)])
+        found = sheet.hide_below_ground(found)
         corners = sheet.corners(found)
         for parts in self._in_the_way(now):
             found = sheet.hide_behind(parts, found, corners)

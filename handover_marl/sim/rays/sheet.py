@@ -95,6 +95,15 @@ class Sheet:
             pixels = pixels[self._seen[pixels] != Seen.BACKGROUND] if len(hidden) else pixels
         return pixels
 
+    def hide_below_ground(self, pixels: Pixels) -> Pixels:
+        """Take away what is seen below the plane z = 0, and tell the pixels of these that are left."""
+        heights = self._eye[2] + self._depth[pixels] * (self._WAYS[pixels] @ self._turn[2])
+        below = heights < 0.0
+        hidden = pixels[below]
+        self._depth[hidden], self._seen[hidden] = NOTHING, Seen.BACKGROUND
+        left: Pixels = pixels[~below]
+        return left
+
     def corners(self, pixels: Pixels) -> Array:
         """(8, 3) corners, in the camera's frame, of what lies between the near plane and what some pixels show."""
         if not len(pixels):

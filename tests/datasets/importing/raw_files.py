@@ -9,7 +9,8 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 from handover_marl.datasets.importing.mano_model import ManoModel
-from handover_marl.datasets.importing.raw_layout import SUBJECTS, SequenceFolder
+from handover_marl.datasets.importing.raw_layout import SequenceFolder
+from handover_marl.models.ycb import SUBJECTS
 
 EXTRINSICS = "20200702_151821"
 N_KEYS = 6

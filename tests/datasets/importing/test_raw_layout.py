@@ -3,8 +3,9 @@ from pathlib import Path
 
 import pytest
 
-from handover_marl.datasets.importing.raw_layout import SUBJECTS, find_sequences
+from handover_marl.datasets.importing.raw_layout import find_sequences
 from handover_marl.errors import DataNotFoundError
+from handover_marl.models.ycb import SUBJECTS
 
 
 def write_subject(raw: Path, number: int, n: int = 100) -> list[Path]:
