@@ -13,7 +13,7 @@ from pathlib import Path
 
 LIST = Path(__file__).with_name("slow.txt")
 #: Tests whose cases together take longer (s) are slow.
-LONGEST = 1.5
+LONGEST = 2.0
 
 
 def slow_tests() -> frozenset[str]:

@@ -58,7 +58,7 @@ def rollout(name: str, seed: int, steps: int = 40) -> list[np.ndarray]:
     clock.reset(seed)
     actions = []
     for _ in range(steps):
-        action = clock.act(episode.observe_as_giver(episode.observe()), episode.steps)
+        action = clock.act(lambda: episode.observe_as_giver(episode.observe()), episode.steps)
         checked = check_giver_action(action, giver_action_space())
         assert giver_action_space().contains(checked)
         episode.advance(START, 100, checked)

@@ -119,7 +119,7 @@ def test_drawing_changes_nothing(scene_id: int, physics: str) -> None:
     for times in ([], [0, 295, 589, 884, 1178, 1473], range(0, 13_000, 333), range(0, 13_000, 80)):
         episode, joints = Episode(physics), Joints()
         episode.reset(dataset.scene(scene_id))
-        play(episode, *players, seed=0, watchers=[joints, rendering.Film(times, CAMERA)])
+        play(episode, *players, seed=0, watchers=[joints, rendering.Film(times, lambda now: now.render(CAMERA))])
         ends.append((episode.status, episode.steps, np.array(joints.rows)))
         episode.close()
     for number, (*end, rows) in enumerate(ends[1:], start=1):

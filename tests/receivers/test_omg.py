@@ -119,7 +119,7 @@ def test_asked_more_often_it_commands_the_same() -> None:
         actions = []
         while not episode.status:
             seen, now = episode.observe(), episode.steps
-            action = clock.act(seen, now) if period is None else receiver.act(seen)
+            action = clock.ask(seen, now) if period is None else receiver.act(seen)
             count = min(clock.due, 13_000) - now if period is None else period
             episode.advance(action, count)
             actions += [action] * (episode.steps - now)
