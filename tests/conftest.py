@@ -78,12 +78,13 @@ def recordings(real_data: Path) -> Path:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark what was measured to be slow."""
+    """Mark what was measured to be slow, and begin with it, so that no core is left waiting for another at the end."""
     slow = slow_tests()
     for item in items:
         module = item.nodeid.partition("::")[0].removesuffix(".py").replace("/", ".")
         if name_of(module, item.name) in slow:
             item.add_marker(pytest.mark.slow)
+    items.sort(key=lambda item: item.get_closest_marker("slow") is None)
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
