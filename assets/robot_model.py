@@ -9,12 +9,11 @@ from multiprocessing import util
 from pathlib import Path
 from typing import Final
 
-import pybullet_data
-
+from handover_marl.assets.bullet_files import bullet_files
 from handover_marl.models.panda import CAMERA_LINK, HAND_FROM_CAMERA_LINK_URDF, HAND_LINK
 
 #: Seven arm joints, two fingers; its links are numbered otherwise than HandoverSim's but named alike.
-PANDA_URDF: Final = Path(pybullet_data.getDataPath()) / "franka_panda" / "panda.urdf"
+PANDA_URDF: Final = bullet_files() / "franka_panda" / "panda.urdf"
 
 # A housing of the size of a RealSense D435 (m) in the camera's link, where x is left in the picture, y back, z up. It
 # lies behind the lens, so that the camera does not see it.

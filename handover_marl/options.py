@@ -1,8 +1,11 @@
-"""Keywords that several public functions pass on, typed once, and shown where they are taken."""
+"""Options that several public functions take: shown where they are passed on, and checked in one place."""
 
 import inspect
+import os
 from collections.abc import Callable
 from typing import Any, TypeVar
+
+from handover_marl.errors import OptionError
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
@@ -29,3 +32,21 @@ def shows(*sources: Callable[..., Any], without: tuple[str, ...] = ()) -> Callab
         return function
 
     return decorate
+
+
+def available_cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def check_workers(workers: int | None) -> int:
+    """The number of workers; None takes one a core.
+
+    Raises:
+        OptionError: It is not a whole number of at least one.
+    """
+    if workers is None:
+        return available_cores()
+    if isinstance(workers, bool) or not isinstance(workers, int) or workers < 1:
+        raise OptionError(f"workers={workers!r} must be a whole number, 1 or more")
+    return workers

@@ -12,12 +12,12 @@ from handover_marl.benchmarking.progress import BenchmarkProgress
 from handover_marl.benchmarking.report import Report
 from handover_marl.benchmarking.results import ResultFolder
 from handover_marl.benchmarking.settings import RunSettings
-from handover_marl.benchmarking.workers import check_workers, play_tasks
+from handover_marl.benchmarking.workers import play_tasks
 from handover_marl.benchmarking.writing import write_report
 from handover_marl.config import OFFICIAL
 from handover_marl.datasets import Dataset
 from handover_marl.errors import OptionError
-from handover_marl.options import shows
+from handover_marl.options import check_workers, shows
 from handover_marl.policies.reference import PolicyLike
 from handover_marl.run import REPLAY, Execution, Run, RunOptions, describe, resolve
 

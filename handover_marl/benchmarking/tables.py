@@ -158,6 +158,9 @@ def _notes(report: Report) -> str:
         lines.append("Synthetic scenes are generated: not comparable with published results, which are on DexYCB.")
     if _comparable(report):
         lines.append("Published, on DexYCB with all objects and MANO hands, times on the authors' machines:")
+        lines.append(
+            "GA-DDPG and handover-sim2real have the Panda with the camera (panda_camera), the others the plain one."
+        )
         sources = {row.source: None for row in _comparable(report)}
         lines += [f"{SOURCES[source]}." for source in sources]
     return "\n".join(lines)

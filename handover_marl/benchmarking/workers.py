@@ -16,29 +16,11 @@ from multiprocessing.connection import Connection, wait
 from types import TracebackType
 
 from handover_marl.benchmarking.playing import Played, Player, Task
-from handover_marl.errors import HandoverError, OptionError, PolicyError, WorkerError
+from handover_marl.errors import HandoverError, PolicyError, WorkerError
 from handover_marl.run import Run
 
 _ATTEMPTS = 2
 _PATIENCE = 1.0
-
-
-def available_cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def check_workers(workers: int | None) -> int:
-    """The number of workers; None takes one a core.
-
-    Raises:
-        OptionError: It is not a whole number of at least one.
-    """
-    if workers is None:
-        return available_cores()
-    if isinstance(workers, bool) or not isinstance(workers, int) or workers < 1:
-        raise OptionError(f"workers={workers!r} must be a whole number, 1 or more")
-    return workers
 
 
 def play_tasks(run: Run, machine: str, tasks: Sequence[Task], workers: int) -> Generator[Played, None, None]:

@@ -26,9 +26,13 @@ from handover_marl.models.urdf_shapes import named_meshes
 from handover_marl.models.ycb import CLASS_NAMES, SCENE_CLASSES
 
 _LARGEST = 500_000_000  # bytes of a scene's motion, unpacked
-_PANDAS = {PANDA: "panda_gripper.urdf", PANDA_CAMERA: "panda_gripper_hand_camera.urdf"}
+#: Models of the robots, relative to `assets/`.
+PANDA_FILES = {
+    PANDA: "franka_panda/panda_gripper.urdf",
+    PANDA_CAMERA: "franka_panda/panda_gripper_hand_camera.urdf",
+}
 #: HandoverSim comes without grasps of these; its setups never ask for them.
-_WITHOUT_GRASPS = ("002_master_chef_can", "036_wood_block")
+WITHOUT_GRASPS = ("002_master_chef_can", "036_wood_block")
 
 
 class OfficialDataset(Dataset):
@@ -60,7 +64,7 @@ class OfficialDataset(Dataset):
     @property
     def panda_urdf(self) -> Path:
         """The Panda with its gripper, as the reference loads it."""
-        return self._asset(f"franka_panda/{_PANDAS[self.robot]}")
+        return self._asset(PANDA_FILES[self.robot])
 
     def info(self, scene_id: int) -> SceneInfo:
         """A scene's meta file.
@@ -170,7 +174,7 @@ class OfficialDataset(Dataset):
 
     def _grasp_path(self, object_name: str) -> Path | None:
         path = self.data_dir / "assets" / "grasps" / f"{object_name}.npy"
-        return None if object_name in _WITHOUT_GRASPS and not path.is_file() else self._existing(path)
+        return None if object_name in WITHOUT_GRASPS and not path.is_file() else self._existing(path)
 
     def _read_info(self, scene_id: int) -> tuple[SceneInfo, list[int]]:
         path = self._meta_path(scene_id)

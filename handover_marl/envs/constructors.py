@@ -9,8 +9,9 @@ from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 from typing_extensions import TypedDict, Unpack
 
 from handover_marl.config import CameraConfig, WorldConfig
+from handover_marl.envs.arguments import GIVER, RECEIVER
 from handover_marl.envs.freeze import FrozenPartnerEnv, freeze
-from handover_marl.envs.handover_env import GIVER, RECEIVER, HandoverEnv
+from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.envs.rewards import RewardConfig
 from handover_marl.envs.wrapper import SingleAgentEnv
 from handover_marl.episode.observations import ALL

@@ -8,8 +8,9 @@ import numpy.typing as npt
 from gymnasium import spaces
 from gymnasium.utils import EzPickle
 
+from handover_marl.envs.arguments import GIVER, RECEIVER
 from handover_marl.envs.freeze import as_api
-from handover_marl.envs.handover_env import GIVER, RECEIVER, HandoverEnv
+from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.envs.wrapper import ParallelStep, ParallelWrapper, SingleAgentEnv
 from handover_marl.episode.observations import Observation
 from handover_marl.errors import ActionError, OptionError, ResetNeededError

@@ -4,7 +4,8 @@ from typing import Any, Literal, TypeVar, overload
 
 from gymnasium.utils import EzPickle
 
-from handover_marl.envs.handover_env import AGENTS, GIVER, RECEIVER, HandoverEnv
+from handover_marl.envs.arguments import AGENTS, GIVER, RECEIVER
+from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.envs.wrapper import ParallelStep, ParallelWrapper, SingleAgentEnv
 from handover_marl.episode.clock import PolicyClock
 from handover_marl.episode.observations import Observation

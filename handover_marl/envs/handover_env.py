@@ -4,7 +4,7 @@
 |---|---|
 | agents | `giver` (a human hand with an object), `receiver` (a Franka Panda) |
 | actions | receiver: Box(9), target joint positions; giver: Box(8), deviation from the replay |
-| observations | Dict of float32 arrays; the giver's has the recording's next half second; see `observations` |
+| observations | Dict of arrays; the giver's has the recording's next half second; see `observations` |
 | rewards | 1 to both in the step that completes the handover, else 0; or shaped, see `handover_marl.envs.rewards` |
 | termination | success, contact of robot and person, or drop |
 | truncation | 13 s without success, or `max_cycles` steps |
@@ -19,11 +19,9 @@ an index into `RELEASES`, or -1; `reward/...`, the weighted terms that the agent
 Version history: v0, initial.
 """
 
-import operator
 import os
 import time
-import warnings
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import fields
 from typing import Any
 
@@ -36,7 +34,16 @@ from pettingzoo import ParallelEnv
 from handover_marl.config import OFFICIAL, TIME_STEP, CameraConfig, WorldConfig
 from handover_marl.datasets import open_dataset
 from handover_marl.datasets.splits import choose_scenes
-from handover_marl.envs.arguments import checked_cycles, control_steps, has_screen
+from handover_marl.envs.arguments import (
+    AGENTS,
+    GIVER,
+    RECEIVER,
+    checked_actions,
+    checked_cycles,
+    checked_scene,
+    control_steps,
+    has_screen,
+)
 from handover_marl.envs.rewards import RewardConfig, Rewards, Situation, reward_config
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.observations import (
@@ -49,12 +56,10 @@ from handover_marl.episode.observations import (
 )
 from handover_marl.episode.sight import SightConfig, View
 from handover_marl.episode.spaces import (
-    check_giver_action,
-    check_receiver_action,
     giver_action_space,
     receiver_action_space,
 )
-from handover_marl.errors import ActionError, OptionError, ResetNeededError, SceneError, UnknownNameError
+from handover_marl.errors import ResetNeededError, UnknownNameError
 from handover_marl.models.panda import FINGERTIPS, PANDA
 from handover_marl.models.poses import compose_point
 from handover_marl.protocol.release import Release
@@ -63,8 +68,6 @@ from handover_marl.sim.camera.imperfections import CameraImperfections
 from handover_marl.sim.camera.optics import REFERENCE
 from handover_marl.sim.renderers import chosen_renderer
 
-GIVER, RECEIVER = "giver", "receiver"
-AGENTS = (GIVER, RECEIVER)
 RENDER_MODES = ("human", "rgb_array")
 #: What `release` in infos is an index into.
 RELEASES = tuple(Release)
@@ -209,7 +212,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         self._observation = None
         if seed is not None:
             self._rng, _ = seeding.np_random(seed)
-        self._episode.reset(self.dataset.scene(self._choose_scene(self.np_random, options or {})))
+        self._episode.reset(self.dataset.scene(self._chosen_scene(options)))
         self._episode.seed_sight(self._next_camera_seed())
         self._cycles = 0
         self.agents = list(AGENTS)
@@ -230,7 +233,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         """
         if not self.agents:
             raise ResetNeededError("no episode is running; call reset() before step()")
-        robot_target, deviation = self._check_actions(actions)
+        robot_target, deviation = checked_actions(actions, self._action_spaces[GIVER])
         started = time.monotonic()
         # Should the simulation fail below, there is no episode any more.
         self.agents = []
@@ -270,34 +273,10 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         self.agents = []
         self._observation = None
 
-    def _check_actions(self, actions: dict[str, Any]) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
-        if not isinstance(actions, Mapping):
-            raise ActionError(f"step() takes a dict of actions by agent, not {type(actions).__name__}")
-        unknown = sorted(map(str, actions.keys() - set(AGENTS)))
-        if unknown:
-            raise ActionError(f"there is no agent {unknown[0]!r}; actions are for {' and '.join(AGENTS)}")
-        deviation = check_giver_action(actions.get(GIVER), self._action_spaces[GIVER])
-        return check_receiver_action(actions.get(RECEIVER)), deviation
-
-    def _choose_scene(self, rng: np.random.Generator, options: dict[str, Any]) -> int:
-        if not isinstance(options, Mapping):
-            raise OptionError(f"reset() takes options as a dict, not {type(options).__name__}")
-        unknown = sorted(map(str, options.keys() - {"scene_id"}))
-        if unknown:
-            warnings.warn(f"reset() knows no option {', '.join(unknown)}; valid: scene_id", stacklevel=3)
-        scene_id = options.get("scene_id")
-        if scene_id is None:
-            return int(rng.choice(self.scene_ids))
-        try:
-            chosen = operator.index(scene_id)
-        except TypeError:
-            chosen = -1
-        if chosen not in self.scene_ids:
-            raise SceneError(
-                f"scene {scene_id!r} is not in {self.setup} {self.split}, which has {len(self.scene_ids)} scenes "
-                f"from {self.scene_ids[0]} to {self.scene_ids[-1]}; env.scene_ids lists them"
-            )
-        return chosen
+    def _chosen_scene(self, options: dict[str, Any] | None) -> int:
+        where = f"{self.setup} {self.split}"
+        wanted = checked_scene(options or {}, self.scene_ids, where)
+        return int(self.np_random.choice(self.scene_ids)) if wanted is None else wanted
 
     def _observe(self) -> Observations:
         self._observation = self._episode.observe()

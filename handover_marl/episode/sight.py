@@ -182,12 +182,11 @@ class Sight:
     def look(self, world: World, steps: int) -> View:
         """The view of now: what arrives from the camera after so many steps."""
         photo = self._photo(world, steps, whole=True)
-        if photo.rgb is None:
-            raise AssertionError("a whole photo has colours")
         return View(
             photo.depth.copy(),
             photo.segmentation.copy(),
-            photo.rgb.copy(),
+            # Whole photos have colours.
+            np.array(photo.rgb, dtype=np.uint8),
             self._points(photo, Seen.TARGET),
             self._points(photo, Seen.HAND),
         )

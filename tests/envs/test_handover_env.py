@@ -11,7 +11,8 @@ from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test
 import handover_marl
 from handover_marl import parallel_env
 from handover_marl.config import CameraConfig, PandaConfig, ProtocolConfig, WorldConfig
-from handover_marl.envs.handover_env import AGENTS, RELEASES, HandoverEnv
+from handover_marl.envs.arguments import AGENTS
+from handover_marl.envs.handover_env import RELEASES, HandoverEnv
 from handover_marl.envs.rewards import SHAPED, GiverWeights, ReceiverWeights
 from handover_marl.episode.spaces import GIVER_ACTION_SIZE
 from handover_marl.errors import (

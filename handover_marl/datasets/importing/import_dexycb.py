@@ -19,8 +19,10 @@ from handover_marl.datasets.importing.raw_layout import SequenceFolder, find_seq
 from handover_marl.datasets.importing.raw_sequence import read_meta
 from handover_marl.datasets.importing.scene_import import Betas, find_first_betas, import_scene
 from handover_marl.datasets.importing.table_assets import write_table_assets
-from handover_marl.errors import DataNotFoundError, HandoverError, OptionError, ResultsError, SceneError
+from handover_marl.datasets.official import PANDA_FILES, WITHOUT_GRASPS
+from handover_marl.errors import DataNotFoundError, HandoverError, ResultsError, SceneError
 from handover_marl.models.ycb import CLASS_NAMES
+from handover_marl.options import check_workers
 
 SIDES = ("right", "left")
 #: What neither DexYCB nor MANO has: it comes in an archive of HandoverSim's authors, relative to `assets/`.
@@ -30,9 +32,8 @@ THIRD_PARTY = (
         for name in CLASS_NAMES.values()
         for mesh in ("textured_simple.obj", "model_normalized_convex.obj")
     ),
-    "franka_panda/panda_gripper.urdf",
-    "franka_panda/panda_gripper_hand_camera.urdf",
-    *(f"grasps/{name}.npy" for name in CLASS_NAMES.values() if name not in ("002_master_chef_can", "036_wood_block")),
+    *PANDA_FILES.values(),
+    *(f"grasps/{name}.npy" for name in CLASS_NAMES.values() if name not in WITHOUT_GRASPS),
 )
 
 
@@ -102,7 +103,7 @@ def import_dexycb(
         OptionError: `workers` is less than one.
         ResultsError: The data folder cannot be written, or holds models made of other data.
     """
-    n_workers = _n_workers(workers)
+    n_workers = check_workers(workers)
     layout = find_sequences(Path(dexycb).expanduser())
     folder = _mano_folder(Path(mano).expanduser())
     models = {side: read_mano_model(folder / f"MANO_{side.upper()}.pkl", side) for side in SIDES}
@@ -124,14 +125,6 @@ def import_dexycb(
         ignored=layout.ignored,
         lacking=tuple(name for name in THIRD_PARTY if not (target / "assets" / name).is_file()),
     )
-
-
-def _n_workers(workers: int | None) -> int:
-    if workers is None:
-        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    if isinstance(workers, bool) or not isinstance(workers, int) or workers < 1:
-        raise OptionError(f"workers={workers!r} must be a whole number, 1 or more")
-    return workers
 
 
 def _mano_folder(mano: Path) -> Path:

@@ -2,8 +2,7 @@
 
 from pathlib import Path
 
-import pybullet_data
-
+from handover_marl.assets.bullet_files import bullet_files
 from handover_marl.datasets.importing.asset_files import put_files
 from handover_marl.errors import DataFormatError
 
@@ -48,7 +47,7 @@ def write_table_assets(assets: Path) -> None:
         DataFormatError: PyBullet's table cannot be read, or is another one.
         ResultsError: A file is there with other content, or cannot be written.
     """
-    source = Path(pybullet_data.getDataPath()) / "table"
+    source = bullet_files() / "table"
     try:
         original = (source / "table.urdf").read_bytes().decode()
         copies = {name: (source / name).read_bytes() for name in _COPIED}

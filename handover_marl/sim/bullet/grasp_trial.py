@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-import pybullet_data
 from scipy.spatial.transform import Rotation
 
+from handover_marl.assets.bullet_files import bullet_files
 from handover_marl.config import OBJECT_DOF, TIME_STEP, PandaConfig, ProtocolConfig
 from handover_marl.models.panda import FINGER_LINKS, GRIPPER_FROM_HAND, HAND_LINK, OPEN
 from handover_marl.models.poses import (
@@ -172,7 +172,7 @@ class GraspTrial:
 
 
 def _panda_folder() -> Path:
-    return Path(pybullet_data.getDataPath()) / "franka_panda"
+    return bullet_files() / "franka_panda"
 
 
 def _load_hand(client: BulletClient) -> int:

@@ -2,8 +2,7 @@
 
 from dataclasses import dataclass
 
-import pybullet_data
-
+from handover_marl.assets.bullet_files import bullet_files
 from handover_marl.config import TIME_STEP, PhysicsConfig
 from handover_marl.datasets.scene import SceneAssets
 from handover_marl.sim.bullet.body import Body, Start
@@ -29,7 +28,7 @@ def set_stage(client: BulletClient, assets: SceneAssets, config: PhysicsConfig) 
     client.resetSimulation()
     client.setGravity(0.0, 0.0, config.gravity)
     client.setPhysicsEngineParameter(fixedTimeStep=TIME_STEP, numSubSteps=1, deterministicOverlappingPairs=1)
-    load_urdf(client, f"{pybullet_data.getDataPath()}/plane_implicit.urdf")
+    load_urdf(client, bullet_files() / "plane_implicit.urdf")
     place = Start(base=[*float32_list(config.table_position), 0.0, 0.0, 0.0, 1.0])
     table = Body(client, assets.table, (), TABLE_MASK, place)
     return Stage(table.id, Panda(client, assets.panda, config.panda))

@@ -17,8 +17,10 @@ class CameraImperfections:
 
     Attributes:
         depth_noise: Standard deviation of the depth at 1 m (m); it grows with the square of the depth, as for every
-            stereo camera. Intel's tuning guide for the D400 series gives depth^2 * subpixel / (focal * baseline): with
-            0.08 pixels, 450 pixels (848 wide, 86 degrees) and 0.05 m that is 0.0036 m at 1 m.
+            stereo camera: depth^2 * subpixel / (focal * baseline), see Grunnet-Jepsen et al., "Subpixel linearity
+            improvement for Intel RealSense depth camera D400 series" (Intel). A D435 whose pictures are 848 pixels wide
+            has a focal length of 450 pixels and a baseline of 0.05 m; with disparities right to 0.08 pixels, which is
+            a choice, that is 0.0036 m at 1 m.
         edge_step: Where neighbouring depths differ by more than this (m), there is an edge.
         edge_drop: Share of the pixels beside edges that show nothing. Stereo cameras see nothing where only one of
             their two eyes does; how often that is depends on the scene, and 0.5 is a choice, not a measurement.
