@@ -7,7 +7,7 @@
 
 PYTHON ?= python3
 VENV ?= .venv
-EXTRAS ?= assets,dev,planning,plot,render,torchrl,train,vision
+EXTRAS ?= assets,dev,import,planning,plot,render,torchrl,train,vision
 SETUP ?= s3
 DATA ?= $(HANDOVER_MARL_DATA)
 DATASET := $(if $(DATA),dexycb,synthetic)

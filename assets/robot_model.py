@@ -34,18 +34,29 @@ def camera_panda_urdf() -> Path:
     return path
 
 
+def panda_text(meshes: str, camera: bool) -> str:
+    """PyBullet's Panda as URDF.
+
+    Args:
+        meshes: What takes the place of "package:/" in the names of its meshes.
+        camera: Whether it has a camera at HandoverSim's place on the hand.
+    """
+    robot = ET.parse(PANDA_URDF).getroot()
+    for mesh in robot.iter("mesh"):
+        mesh.set("filename", f"{meshes}/{mesh.attrib['filename'].removeprefix('package://')}")
+    if camera:
+        robot.append(_camera_link())
+        robot.append(_camera_joint())
+    return ET.tostring(robot, encoding="unicode")
+
+
 @functools.cache
 def _written(process: int) -> Path:
     folder = Path(tempfile.mkdtemp(prefix="handover_marl_"))
     # Also at the end of worker processes, and never in a child of the process that made it.
     util.Finalize(None, shutil.rmtree, (folder,), {"ignore_errors": True}, exitpriority=0)
     path = folder / "panda_camera.urdf"
-    robot = ET.parse(PANDA_URDF).getroot()
-    for mesh in robot.iter("mesh"):
-        mesh.set("filename", str(PANDA_URDF.parent / mesh.attrib["filename"].removeprefix("package://")))
-    robot.append(_camera_link())
-    robot.append(_camera_joint())
-    ET.ElementTree(robot).write(path)
+    path.write_text(panda_text(str(PANDA_URDF.parent), camera=True))
     return path
 
 

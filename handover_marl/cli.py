@@ -1,4 +1,4 @@
-"""The command line: handover-marl benchmark | pair | crossplay | agreement | evaluate | compare | render | import."""
+"""The command line: handover-marl benchmark, pair, crossplay, agreement, evaluate, compare, render, import, doctor."""
 
 import os
 import sys
@@ -245,16 +245,19 @@ def run_import(
     dexycb: Annotated[str, tyro.conf.arg(metavar="DIR")],
     mano: Annotated[str, tyro.conf.arg(metavar="DIR")],
     out: Annotated[str, tyro.conf.arg(metavar="DIR")],
+    third_party: Annotated[str | None, tyro.conf.arg(metavar="DIR|ARCHIVE")] = None,
     scenes: Annotated[str | None, tyro.conf.arg(metavar="N,N,...")] = None,
     workers: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
     progress: bool = True,
 ) -> None:
-    """Make HandoverSim's data folder from raw DexYCB and MANO, as far as these two tell it.
+    """Make HandoverSim's data folder from raw DexYCB, MANO and HandoverSim's third-party archive.
 
     Args:
         dexycb: The folder that DexYCB's archives were expanded into.
         mano: The folder with MANO_RIGHT.pkl and MANO_LEFT.pkl.
         out: The data folder to make, or to go on with.
+        third_party: HandoverSim's assets-3rd-party archive, or the folder that it was unpacked into; without it,
+            DexYCB's models, convex parts made of them, the library's grasps and PyBullet's Panda stand in.
         scenes: Only these scenes, e.g. 209,214.
         workers: Processes; default: one a core.
         progress: Show a progress bar on stderr.
@@ -262,7 +265,36 @@ def run_import(
     from handover_marl.datasets.importing.import_dexycb import import_dexycb
 
     chosen = parse_scenes(scenes)
-    print(import_dexycb(dexycb, mano, out, scenes=chosen, workers=workers, progress=progress))
+    print(import_dexycb(dexycb, mano, out, third_party=third_party, scenes=chosen, workers=workers, progress=progress))
+
+
+@app.command(name="doctor")
+def run_doctor(
+    data_dir: Annotated[str | None, tyro.conf.arg(metavar="DIR")] = None,
+    progress: bool = True,
+) -> int:
+    """Look what is installed and what of a data folder is there, and tell what to do about what is not.
+
+    The exit status is 0 if nothing is wrong, 1 if something is. Notes, such as a hand that stands in for MANO's, are
+    not wrong.
+
+    Args:
+        data_dir: A folder in HandoverSim's layout; default: the one that HANDOVER_MARL_DATA names, if any.
+        progress: Show a progress bar on stderr.
+    """
+    from handover_marl.datasets import DATA_VARIABLE
+    from handover_marl.doctor.data_folder import examine
+    from handover_marl.doctor.findings import State, findings_text
+    from handover_marl.doctor.installation import examine_installation
+
+    findings = list(examine_installation())
+    chosen = data_dir or os.environ.get(DATA_VARIABLE)
+    if chosen:
+        findings += examine(Path(chosen).expanduser(), progress)
+    print(findings_text(findings))
+    if not chosen:
+        print(f"\nNo data folder (--data-dir or {DATA_VARIABLE}): everything runs on the synthetic scenes.")
+    return int(any(finding.state is State.FAULT for finding in findings))
 
 
 def parse_scenes(text: str | None) -> list[int] | None:
@@ -290,7 +322,10 @@ def _description() -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command; errors a user can mend come as one message and exit status 2, Ctrl-C as 130."""
+    """Run a command; errors a user can mend come as one message and exit status 2, Ctrl-C as 130.
+
+    `doctor` tells by status 1 that it found something.
+    """
     arguments = sys.argv[1:] if arguments is None else arguments
     if list(arguments) == ["--version"]:
         print(f"handover-marl {__version__}")
@@ -298,7 +333,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # Policies of one's own are found where one stands, like with `python -m`, but shadow nothing that is installed.
     sys.path.append(str(Path.cwd()))
     try:
-        app.cli(
+        status: object = app.cli(
             prog="handover-marl",
             description=_description(),
             args=arguments,
@@ -316,7 +351,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # Who reads our output has seen enough; nothing more may be written to it at exit either.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
-    return 0
+    return status if isinstance(status, int) else 0
 
 
 if __name__ == "__main__":

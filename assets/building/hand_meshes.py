@@ -13,6 +13,7 @@ import trimesh
 from handover_marl.assets.anthropometry import REFERENCE_SIZE
 from handover_marl.assets.building.hand_palm import forearm_capsules, palm_capsules
 from handover_marl.assets.hand_model import DIGIT_ORDER, FloatArray, HandModel, sized_hand
+from handover_marl.models.hulls import extreme_points
 
 #: Most vertices of a collision mesh: Bullet's convex shapes get slow beyond.
 MAX_COLLISION_VERTICES = 60
@@ -50,7 +51,7 @@ def collision_mesh(link: int) -> trimesh.Trimesh:
         for end, radius in ((start, first), (stop, last))
     ]
     hull = _convex_hull(np.vstack(balls))
-    return _convex_hull(_extreme_points(np.asarray(hull.vertices), MAX_COLLISION_VERTICES))
+    return _convex_hull(extreme_points(np.asarray(hull.vertices), MAX_COLLISION_VERTICES))
 
 
 def _convex_hull(points: FloatArray) -> trimesh.Trimesh:
@@ -105,16 +106,3 @@ def _sphere_points(around: int, rings: int) -> FloatArray:
     turn = np.arange(around) * 2.0 * np.pi / around
     points = [[np.sin(p) * np.cos(t), np.cos(p), np.sin(p) * np.sin(t)] for p in polar for t in turn]
     return np.array([[0.0, 1.0, 0.0], [0.0, -1.0, 0.0], *points])
-
-
-def _extreme_points(points: FloatArray, limit: int) -> FloatArray:
-    """Of many hull points, at most `limit`: those that reach furthest along evenly spread directions."""
-    for count in range(4 * limit, limit - 1, -1):
-        k = np.arange(count) + 0.5
-        height, turn = 1.0 - 2.0 * k / count, np.pi * (1.0 + np.sqrt(5.0)) * k
-        radius = np.sqrt(1.0 - height**2)
-        directions = np.column_stack([radius * np.cos(turn), height, radius * np.sin(turn)])
-        chosen = np.unique(np.argmax(points @ directions.T, axis=0))
-        if len(chosen) <= limit:
-            break
-    return np.asarray(points[chosen])

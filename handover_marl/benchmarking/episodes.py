@@ -22,6 +22,8 @@ class EpisodeResult:
         subject: The person who gave it, or None if unknown.
         side: "right" or "left" hand, or None if unknown.
         n_objects: Objects on the table, or None if unknown.
+        models: Which hand the scene was played with and what else was not HandoverSim's own, in words, or None if
+            unknown.
         fingerprint: Hash of the scene's data files, or None if unknown.
         machine: Where `plan_time` was measured, or None if unknown.
         fluency: Metrics beyond the official ones, or None if unknown.
@@ -37,6 +39,7 @@ class EpisodeResult:
     subject: str | None = None
     side: str | None = None
     n_objects: int | None = None
+    models: str | None = None
     fingerprint: str | None = None
     machine: str | None = None
     fluency: Fluency | None = None

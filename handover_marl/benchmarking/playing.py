@@ -83,6 +83,7 @@ class Player:
             subject=info.subject,
             side=info.side,
             n_objects=len(info.object_ids),
+            models=self._dataset.models_in_words(task.scene_id) or None,
             fingerprint=self._dataset.fingerprint(task.scene_id),
             machine=self._machine,
             fluency=fluency(self._recorder.track),

@@ -102,10 +102,12 @@ class Report:
         return " and ".join(machines)
 
     def data_label(self) -> str:
-        """The dataset in words."""
-        counts = {episode.n_objects for episode in self.episodes}
+        """The dataset in words: objects in a scene, whose hands, and what else is not HandoverSim's own."""
         name = {"dexycb": "DexYCB", "synthetic": "synthetic scenes"}.get(self.settings.dataset, self.settings.dataset)
-        return f"{name}, grasped object only" if counts == {1} else name
+        counts = sorted({episode.n_objects for episode in self.episodes if episode.n_objects is not None})
+        models = sorted({episode.models for episode in self.episodes if episode.models})
+        said = [name, _objects_in_words(counts), *([" or ".join(models)] if models else [])]
+        return ", ".join(part for part in said if part)
 
     def to_json(self) -> dict[str, object]:
         """Everything, ready for `json.dump`; rates 0..1, intervals 95 %, times in s."""
@@ -150,6 +152,14 @@ class Report:
 
     def _rate(self, status: EpisodeStatus) -> float:
         return self.count(status) / len(self.episodes)
+
+
+def _objects_in_words(counts: list[int]) -> str:
+    if not counts:
+        return ""
+    if counts == [1]:
+        return "1 object a scene"
+    return f"{counts[0]} to {counts[-1]} objects a scene" if len(counts) > 1 else f"{counts[0]} objects a scene"
 
 
 def _mean(values: list[float]) -> float | None:

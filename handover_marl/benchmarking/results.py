@@ -33,6 +33,7 @@ _EXTRAS = {
     "subject": str,
     "side": str,
     "n_objects": int,
+    "models": str,
     "fingerprint": str,
     "machine": str,
 }

@@ -2,11 +2,15 @@
 
 import os
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from handover_marl.datasets.dataset import Dataset
 from handover_marl.datasets.official import OfficialDataset
 from handover_marl.errors import DataNotFoundError, OptionError, UnknownNameError
 from handover_marl.models.panda import PANDA
+
+if TYPE_CHECKING:
+    from handover_marl.datasets.importing.import_dexycb import Imported, import_dexycb
 
 #: Environment variable that names the data folder when no argument does.
 DATA_VARIABLE = "HANDOVER_MARL_DATA"
@@ -14,7 +18,16 @@ DATA_VARIABLE = "HANDOVER_MARL_DATA"
 #: What can be asked for. "auto" takes DexYCB when a data folder is given or set, else the generated scenes.
 DATASETS = ("auto", "synthetic", "dexycb")
 
-__all__ = ["DATASETS", "DATA_VARIABLE", "Dataset", "OfficialDataset", "open_dataset"]
+__all__ = ["DATASETS", "DATA_VARIABLE", "Dataset", "Imported", "OfficialDataset", "import_dexycb", "open_dataset"]
+
+
+def __getattr__(name: str) -> Any:
+    # Only for who imports data, since it pulls in what nobody else needs.
+    if name in ("Imported", "import_dexycb"):
+        from handover_marl.datasets.importing import import_dexycb
+
+        return getattr(import_dexycb, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def open_dataset(dataset: str = "auto", data_dir: str | os.PathLike[str] | None = None, robot: str = PANDA) -> Dataset:

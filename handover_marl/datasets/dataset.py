@@ -82,6 +82,10 @@ class Dataset(ABC):
     def fingerprint(self, scene_id: int) -> str:
         """A short text that changes when the scene's motion, its models or its target's grasps do."""
 
+    @abstractmethod
+    def models_in_words(self, scene_id: int) -> str:
+        """What results must say of the models that a scene is played with; empty if nothing."""
+
     def split(self, setup: str, split: str) -> tuple[int, ...]:
         """Scene ids of an official split, ascending."""
         return split_scenes(setup, split, self.side)

@@ -7,7 +7,6 @@
 
 import hashlib
 import json
-import os
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -17,22 +16,14 @@ import numpy.typing as npt
 
 from handover_marl.config import HAND_DOF, MAX_OBJECTS, OBJECT_DOF
 from handover_marl.datasets.dataset import TABLE_HEIGHT, Dataset
-from handover_marl.datasets.pickled_grasps import load_grasps
-from handover_marl.datasets.scene import Scene, SceneAssets, SceneInfo
+from handover_marl.datasets.official_models import OfficialModels, existing
+from handover_marl.datasets.scene import Scene, SceneInfo
 from handover_marl.errors import DataFormatError, DataNotFoundError
 from handover_marl.files import read_arrays
-from handover_marl.models.panda import PANDA, PANDA_CAMERA
-from handover_marl.models.urdf_shapes import named_meshes
+from handover_marl.models.panda import PANDA
 from handover_marl.models.ycb import CLASS_NAMES, SCENE_CLASSES
 
 _LARGEST = 500_000_000  # bytes of a scene's motion, unpacked
-#: Models of the robots, relative to `assets/`.
-PANDA_FILES = {
-    PANDA: "franka_panda/panda_gripper.urdf",
-    PANDA_CAMERA: "franka_panda/panda_gripper_hand_camera.urdf",
-}
-#: HandoverSim comes without grasps of these; its setups never ask for them.
-WITHOUT_GRASPS = ("002_master_chef_can", "036_wood_block")
 
 
 class OfficialDataset(Dataset):
@@ -58,13 +49,13 @@ class OfficialDataset(Dataset):
                     f"data folder {folder} does not exist. Give the folder that holds dex-ycb-cache/ and assets/ "
                     "(HandoverSim's handover/data) as data_dir=, --data-dir or HANDOVER_MARL_DATA."
                 )
+        self._models = OfficialModels(data_dir / "assets", robot)
         self._info = lru_cache(maxsize=None)(self._read_info)
-        self._grasps = lru_cache(maxsize=None)(self._read_grasps)
 
     @property
     def panda_urdf(self) -> Path:
         """The Panda with its gripper, as the reference loads it."""
-        return self._asset(PANDA_FILES[self.robot])
+        return self._models.panda
 
     def info(self, scene_id: int) -> SceneInfo:
         """A scene's meta file.
@@ -84,20 +75,29 @@ class OfficialDataset(Dataset):
             SceneError, DataNotFoundError, DataFormatError: As `info`, and for the pose file and the models.
         """
         self.check_scene_id(scene_id)
-        info, order = self._info(scene_id)
-        object_dof, hand_dof = self._read_motion(scene_id, order)
+        info = self._info(scene_id)[0]
+        object_dof, hand_dof = self.motion(scene_id)
         present = np.flatnonzero(hand_dof.any(axis=1))
         object_dof[:, :, 2] += TABLE_HEIGHT
         hand_dof[present, 2] += TABLE_HEIGHT
         return Scene(
             info=info,
             dataset=self.name,
-            assets=self._scene_assets(info),
+            assets=self._models.of_scene(info),
             object_dof=object_dof,
             hand_dof=hand_dof,
             hand_first=int(present[0]) if len(present) else None,
             hand_last=int(present[-1]) if len(present) else None,
         )
+
+    def motion(self, scene_id: int) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+        """A scene's motion in the table's frame: objects (T, n, 6), the given one first, and hand (T, 51).
+
+        Raises:
+            SceneError, DataNotFoundError, DataFormatError: As `info`, and for the pose file.
+        """
+        self.check_scene_id(scene_id)
+        return self._read_motion(scene_id, self._info(scene_id)[1])
 
     def object_urdf(self, object_name: str) -> Path:
         """The model of an object class.
@@ -105,7 +105,7 @@ class OfficialDataset(Dataset):
         Raises:
             DataNotFoundError: It is not there.
         """
-        return self._asset(f"{object_name}/model_normalized.urdf")
+        return self._models.object(object_name)
 
     def grasps(self, object_name: str) -> npt.NDArray[np.float64] | None:
         """The official grasps of an object class, or None (master chef can and wood block have none).
@@ -114,67 +114,33 @@ class OfficialDataset(Dataset):
             DataNotFoundError: The grasp file of another class is missing.
             UnsafeFileError, DataFormatError: The file holds foreign content or is damaged.
         """
-        return self._grasps(object_name)
+        return self._models.grasps(object_name)
 
     def check_scenes(self, scene_ids: tuple[int, ...]) -> None:
         """Raise `DataNotFoundError` naming the first missing file of the scenes."""
         for scene_id in scene_ids:
             info = self.info(scene_id)
-            self._scene_assets(info)
-            self._existing(self._pose_path(scene_id))
-            self._grasp_path(info.target_name)
+            self._models.of_scene(info)
+            existing(self._pose_path(scene_id))
+            self._models.grasp_file(info.target_name)
 
     def fingerprint(self, scene_id: int) -> str:
         """Hash of the scene's meta, pose and grasp file and its URDFs, and of the sizes of their meshes."""
-        info = self.info(scene_id)
-        assets = self._scene_assets(info)
-        data = [self._meta_path(scene_id), self._existing(self._pose_path(scene_id))]
-        grasps = self._grasp_path(info.target_name)
         digest = hashlib.sha256()
-        for path in data if grasps is None else [*data, grasps]:
+        for path in (self._meta_path(scene_id), existing(self._pose_path(scene_id))):
             digest.update(path.read_bytes())
-        for urdf in (assets.table, assets.panda, assets.hand, *assets.objects):
-            digest.update(urdf.read_bytes())
-            digest.update(_mesh_sizes(urdf))
+        self._models.hash_into(digest, self.info(scene_id))
         return digest.hexdigest()[:16]
 
+    def models_in_words(self, scene_id: int) -> str:
+        """Which hand the scene is played with, and what else is not HandoverSim's own."""
+        return self._models.in_words(self.info(scene_id))
+
     def _meta_path(self, scene_id: int) -> Path:
-        return self._existing(self.data_dir / "dex-ycb-cache" / f"meta_{scene_id:03d}.json")
+        return existing(self.data_dir / "dex-ycb-cache" / f"meta_{scene_id:03d}.json")
 
     def _pose_path(self, scene_id: int) -> Path:
         return self.data_dir / "dex-ycb-cache" / f"pose_{scene_id:03d}.npz"
-
-    def _existing(self, path: Path) -> Path:
-        try:
-            there = path.is_file() and os.access(path, os.R_OK)
-        except OSError as error:
-            raise DataNotFoundError(f"{path} cannot be read ({error.strerror or error}); check its rights") from error
-        if path.exists() and not there:
-            raise DataNotFoundError(f"{path} cannot be read; check its rights")
-        if not there:
-            raise DataNotFoundError(
-                f"{path} is missing. The data folder is incomplete: copy or expand the HandoverSim data again."
-            )
-        return path
-
-    def _asset(self, relative: str) -> Path:
-        return self._existing(self.data_dir / "assets" / relative)
-
-    def _scene_assets(self, info: SceneInfo) -> SceneAssets:
-        return SceneAssets(
-            table=self._asset("table/table.urdf"),
-            panda=self.panda_urdf,
-            objects=tuple(self.object_urdf(name) for name in info.object_names),
-            hand=self._asset(f"{info.subject}_{info.side}/mano.urdf"),
-        )
-
-    def _read_grasps(self, object_name: str) -> npt.NDArray[np.float64] | None:
-        path = self._grasp_path(object_name)
-        return None if path is None else load_grasps(path)
-
-    def _grasp_path(self, object_name: str) -> Path | None:
-        path = self.data_dir / "assets" / "grasps" / f"{object_name}.npy"
-        return None if object_name in WITHOUT_GRASPS and not path.is_file() else self._existing(path)
 
     def _read_info(self, scene_id: int) -> tuple[SceneInfo, list[int]]:
         path = self._meta_path(scene_id)
@@ -201,7 +167,7 @@ class OfficialDataset(Dataset):
         return info, order
 
     def _read_motion(self, scene_id: int, order: list[int]) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
-        path = self._existing(self._pose_path(scene_id))
+        path = existing(self._pose_path(scene_id))
         arrays = _read_npz(path, ("pose_y", "pose_m"))
         objects, hand = arrays["pose_y"], arrays["pose_m"]
         n_objects = len(order)
@@ -249,14 +215,6 @@ def check_meta(path: Path, ids: list[int], grasped: int, sides: list[Any]) -> No
         raise DataFormatError(f"{path}: ycb_grasp_ind {grasped} is not an index into {len(ids)} ycb_ids")
     if sides not in (["right"], ["left"]):
         raise DataFormatError(f"{path}: mano_sides is {sides}, expected ['right'] or ['left']")
-
-
-def _mesh_sizes(urdf: Path) -> bytes:
-    """Names and sizes of the meshes that a model refers to; hashing their bytes would take seconds."""
-    sizes = [
-        b"%s %d" % (name.encode(), mesh.stat().st_size if mesh.is_file() else -1) for name, mesh in named_meshes(urdf)
-    ]
-    return b"\n".join(sizes)
 
 
 def _real(array: npt.NDArray[Any]) -> npt.NDArray[np.float32]:

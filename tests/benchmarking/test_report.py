@@ -47,7 +47,7 @@ def test_no_success_prints_dashes_and_json_has_null() -> None:
 
 def test_text_says_what_was_run() -> None:
     text = str(report(1, 2))
-    for word in ("s0 test", "2 of 144 scenes (partial)", "mine", "replay", "exact", "DexYCB, grasped object only"):
+    for word in ("s0 test", "2 of 144 scenes (partial)", "mine", "replay", "exact", "DexYCB, 1 object a scene"):
         assert word in text
     assert "published: Yang et al." in text
     assert "a machine" in text

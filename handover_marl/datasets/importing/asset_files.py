@@ -3,16 +3,18 @@
 from collections.abc import Mapping
 from pathlib import Path
 
+from handover_marl.datasets.official_files import stands_in
 from handover_marl.errors import ResultsError
-from handover_marl.files import create_exclusively
+from handover_marl.files import create_exclusively, write_atomically
 
 
-def put_files(folder: Path, files: Mapping[str, bytes]) -> None:
+def put_files(folder: Path, files: Mapping[str, bytes], over_stand_ins: bool = False) -> None:
     """Write the files that are missing, each whole or not at all, and compare those that are there.
 
     Args:
         folder: Where they go; it is made if need be.
         files: Path relative to the folder -> content.
+        over_stand_ins: Whether what only stands in for these files makes way for them.
 
     Raises:
         ResultsError: A file is there with other content, or one cannot be written.
@@ -23,6 +25,8 @@ def put_files(folder: Path, files: Mapping[str, bytes]) -> None:
             path.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise ResultsError(f"cannot make the folder {path.parent} ({error.strerror or error})") from error
+        if over_stand_ins and stands_in(path):
+            write_atomically(path, content)
         create_exclusively(path, content)
         if not _holds(path, content):
             raise ResultsError(
@@ -32,7 +36,11 @@ def put_files(folder: Path, files: Mapping[str, bytes]) -> None:
 
 
 def _holds(path: Path, content: bytes) -> bool:
+    return path.is_file() and _read(path) == content
+
+
+def _read(path: Path) -> bytes:
     try:
-        return path.is_file() and path.stat().st_size == len(content) and path.read_bytes() == content
+        return path.read_bytes()
     except OSError as error:
         raise ResultsError(f"cannot read {path} ({error.strerror or error}); check its rights") from error

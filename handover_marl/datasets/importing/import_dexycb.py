@@ -1,4 +1,4 @@
-"""From raw DexYCB and MANO to the data folder that HandoverSim reads, as far as these two tell it."""
+"""From raw DexYCB, MANO and HandoverSim's third-party archive to the data folder that HandoverSim reads."""
 
 import multiprocessing
 import os
@@ -18,23 +18,14 @@ from handover_marl.datasets.importing.raw_calibration import read_betas
 from handover_marl.datasets.importing.raw_layout import SequenceFolder, find_sequences
 from handover_marl.datasets.importing.raw_sequence import read_meta
 from handover_marl.datasets.importing.scene_import import Betas, find_first_betas, import_scene
+from handover_marl.datasets.importing.stand_ins import write_stand_ins
 from handover_marl.datasets.importing.table_assets import write_table_assets
-from handover_marl.datasets.official import PANDA_FILES, WITHOUT_GRASPS
+from handover_marl.datasets.importing.third_party import ARCHIVE, Placed, place_third_party
+from handover_marl.datasets.official_files import needed_files, stands_in
 from handover_marl.errors import DataNotFoundError, HandoverError, ResultsError, SceneError
-from handover_marl.models.ycb import CLASS_NAMES
 from handover_marl.options import check_workers
 
 SIDES = ("right", "left")
-#: What neither DexYCB nor MANO has: it comes in an archive of HandoverSim's authors, relative to `assets/`.
-THIRD_PARTY = (
-    *(
-        f"{name}/{mesh}"
-        for name in CLASS_NAMES.values()
-        for mesh in ("textured_simple.obj", "model_normalized_convex.obj")
-    ),
-    *PANDA_FILES.values(),
-    *(f"grasps/{name}.npy" for name in CLASS_NAMES.values() if name not in WITHOUT_GRASPS),
-)
 
 
 @dataclass(frozen=True)
@@ -46,31 +37,39 @@ class Imported:
         scenes: Numbers of the scenes that are there now, ascending.
         hands: Folders of the hands that are there now.
         faults: What could not be imported, a sentence each that says where, why and what to do.
-        ignored: What was passed over, likewise.
+        notes: What else is worth knowing, likewise.
         lacking: Files of the third-party archive that are not there yet, relative to `assets/`.
+        stand_ins: Files that stand in for those of the archive, likewise.
     """
 
     out: Path
     scenes: tuple[int, ...]
     hands: tuple[str, ...]
     faults: tuple[str, ...]
-    ignored: tuple[str, ...]
+    notes: tuple[str, ...]
     lacking: tuple[str, ...]
+    stand_ins: tuple[str, ...]
 
     @property
     def complete(self) -> bool:
-        """Whether nothing is missing."""
-        return not (self.faults or self.lacking)
+        """Whether nothing is missing, nor stood in for."""
+        return not (self.faults or self.lacking or self.stand_ins)
 
     def __str__(self) -> str:
         lines = [f"{self.out}: {len(self.scenes)} scenes, {len(self.hands)} hands."]
         lines += [f"not imported: {fault}" for fault in self.faults]
-        lines += [f"note: {text}" for text in self.ignored]
+        lines += [f"note: {text}" for text in self.notes]
+        if self.stand_ins:
+            lines.append(
+                f"{len(self.stand_ins)} files stand in for those of {ARCHIVE}, such as {self.stand_ins[0]}; results on "
+                "them say so. With --third-party the original ones take their place."
+            )
         if self.lacking:
             lines.append(
-                f"{len(self.lacking)} files come from neither DexYCB nor MANO, such as {self.lacking[0]}: expand "
-                f"HandoverSim's assets-3rd-party archive into {self.out / 'assets'}"
+                f"{len(self.lacking)} files come from neither DexYCB nor MANO, such as {self.lacking[0]}: give "
+                f"HandoverSim's {ARCHIVE}, or the folder that it was unpacked into, as --third-party"
             )
+        lines.append(f"handover-marl doctor --data-dir {self.out} tells what is there and what it can be used for.")
         return "\n".join(lines)
 
 
@@ -79,11 +78,12 @@ def import_dexycb(
     mano: str | os.PathLike[str],
     out: str | os.PathLike[str],
     *,
+    third_party: str | os.PathLike[str] | None = None,
     scenes: Iterable[int] | None = None,
     workers: int | None = None,
     progress: bool = True,
 ) -> Imported:
-    """Write `dex-ycb-cache/` and the models of hands, objects and table, to the bit as HandoverSim's scripts do.
+    """Write `dex-ycb-cache/` and `assets/`, to the bit as HandoverSim's scripts do.
 
     What is there already is compared and stays; an import that was stopped goes on where it was. A recording that is
     missing or damaged does not keep the others from being imported, under their right numbers.
@@ -92,13 +92,17 @@ def import_dexycb(
         dexycb: The folder that DexYCB's archives were expanded into.
         mano: The folder with MANO_RIGHT.pkl and MANO_LEFT.pkl, or one that has them in `models/`.
         out: The data folder to make or to go on with.
+        third_party: The archive of meshes and grasps that HandoverSim's authors publish, or the folder that it was
+            unpacked into. Without it, what DexYCB's `models/` allow is made: convex parts by CoACD (extra `import`),
+            with the library's grasps and PyBullet's Panda.
         scenes: Only these scenes; default: all.
         workers: Processes; default: one a core.
         progress: Whether to show a progress bar on stderr.
 
     Raises:
         DataNotFoundError: One of the folders or of MANO's files is not there.
-        UnsafeFileError, DataFormatError: One of MANO's files is not what it should be; no code in it is run.
+        UnsafeFileError, DataFormatError: One of MANO's files or the archive is not what it should be; no code in it
+            is run, and nothing is written outside of the data folder.
         SceneError: There is no such scene.
         OptionError: `workers` is less than one.
         ResultsError: The data folder cannot be written, or holds models made of other data.
@@ -109,7 +113,11 @@ def import_dexycb(
     models = {side: read_mano_model(folder / f"MANO_{side.upper()}.pkl", side) for side in SIDES}
     target = Path(out).expanduser()
     chosen = _chosen(layout.sequences, scenes)
-    hands, faults = _write_models(layout.sequences, models, target / "assets")
+    assets = target / "assets"
+    notes = [*layout.ignored]
+    if third_party is not None:
+        notes += _third_party_notes(place_third_party(Path(third_party).expanduser(), assets))
+    hands, faults = _write_models(layout.sequences, models, assets)
     done: list[int] = []
     betas = find_first_betas(layout.sequences)
     for sequence, fault in _converted(chosen, models, betas, target, n_workers, progress):
@@ -117,14 +125,26 @@ def import_dexycb(
             faults.append(fault)
         else:
             done.append(sequence.scene_id)
+    if third_party is None:
+        faults += write_stand_ins(Path(dexycb).expanduser() / "models", assets, n_workers, progress)
     return Imported(
         out=target,
         scenes=tuple(sorted(done)),
         hands=tuple(hands),
         faults=(*layout.missing, *sorted(faults)),
-        ignored=layout.ignored,
-        lacking=tuple(name for name in THIRD_PARTY if not (target / "assets" / name).is_file()),
+        notes=tuple(notes),
+        lacking=tuple(path for path in needed_files() if not (assets / path).is_file()),
+        stand_ins=tuple(path for path in needed_files() if stands_in(assets / path)),
     )
+
+
+def _third_party_notes(placed: Placed) -> list[str]:
+    if not placed.different:
+        return []
+    return [
+        f"{len(placed.different)} of the {len(placed.files)} third-party files are not the known ones, such as "
+        f"{placed.different[0]}; results on them say so"
+    ]
 
 
 def _mano_folder(mano: Path) -> Path:

@@ -87,6 +87,10 @@ class SyntheticDataset(Dataset):
         """The generator's version."""
         return f"synthetic-{VERSION}"
 
+    def models_in_words(self, scene_id: int) -> str:
+        """Nothing: all synthetic scenes have the library's models."""
+        return ""
+
 
 def key_motion(scene_id: int) -> tuple[KeyMotion, tuple[StandingObject, ...]]:
     """The key poses of a scene at 25 Hz, and what else stands on the table (table frame)."""

@@ -8,7 +8,8 @@ import pytest
 
 from handover_marl.cli import main
 from handover_marl.datasets import OfficialDataset
-from handover_marl.datasets.importing.import_dexycb import THIRD_PARTY, import_dexycb
+from handover_marl.datasets.importing.import_dexycb import import_dexycb
+from handover_marl.datasets.official_files import needed_files
 from handover_marl.errors import DataNotFoundError, OptionError, ResultsError, SceneError, UnsafeFileError
 from handover_marl.models.ycb import SUBJECTS
 from tests.datasets.importing.mano_files import made_up_hand, official, write
@@ -43,7 +44,7 @@ def test_what_is_there_is_imported_under_the_right_numbers(given: Path, tmp_path
     assert found.scenes == SCENES
     assert found.hands == (f"{SUBJECTS[3]}_right", f"{SUBJECTS[3]}_left")
     assert len(found.faults) == 9, "subjects that are not there"
-    assert set(found.lacking) == set(THIRD_PARTY)
+    assert set(found.lacking) == set(needed_files())
     assert not found.complete
     assert "assets-3rd-party" in str(found)
     dataset = OfficialDataset(tmp_path)

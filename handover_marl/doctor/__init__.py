@@ -1,0 +1,1 @@
+"""What is installed and what of a data folder is there, for `handover-marl doctor`."""
