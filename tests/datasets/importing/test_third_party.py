@@ -7,9 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from handover_marl import receivers
 from handover_marl.assets.object_models import object_urdf
 from handover_marl.assets.shipped_grasps import load_object_grasps
-from handover_marl.datasets import official_files
+from handover_marl.datasets import OfficialDataset, official_files
+from handover_marl.datasets.importing.object_assets import write_object_assets
 from handover_marl.datasets.importing.stand_ins import convex_parts, write_stand_ins
 from handover_marl.datasets.importing.third_party import place_third_party
 from handover_marl.datasets.official_files import (
@@ -21,10 +23,13 @@ from handover_marl.datasets.official_files import (
     third_party_sums,
 )
 from handover_marl.datasets.pickled_grasps import load_grasps
+from handover_marl.episode.episode import Episode
 from handover_marl.errors import DataFormatError, ResultsError, UnsafeFileError
 from handover_marl.models.obj_files import read_obj
 from handover_marl.models.urdf_shapes import named_meshes
 from tests.datasets.importing.test_archives import link, tar
+from tests.fake_layout import FakeScene, write_layout
+from tests.playing import play
 
 FILES = {
     "003_cracker_box/textured_simple.obj": b"v 0 0 0\n",
@@ -145,3 +150,22 @@ def test_the_original_takes_the_place_of_a_stand_in(stood_in: Path, tmp_path: Pa
     # And the other way round nothing happens.
     write_stand_ins(tmp_path, assets, workers=1, progress=False)
     assert (assets / "grasps/025_mug.npy").read_bytes() == b"original"
+
+
+@pytest.mark.parametrize("robot", ["panda", "panda_camera"])
+def test_a_scene_of_stand_ins_is_played_and_says_so(stood_in: Path, tmp_path: Path, robot: str) -> None:
+    folder = write_layout(tmp_path / "data", (FakeScene(5),))
+    for name in ("franka_panda", "grasps", "003_cracker_box"):
+        shutil.rmtree(folder / "assets" / name)
+    shutil.copytree(stood_in, folder / "assets", dirs_exist_ok=True)
+    write_object_assets(folder / "assets")
+    dataset = OfficialDataset(folder, robot)
+    scene = dataset.scene(5)
+    assert (
+        dataset.models_in_words(5) == "hand of unknown origin, stand-in convex parts, stand-in grasps, stand-in Panda"
+    )
+    receiver = receivers.make("yang2021", dataset)
+    episode = Episode("exact")
+    play(episode, scene, receiver)
+    assert episode.steps > 3000
+    episode.close()
