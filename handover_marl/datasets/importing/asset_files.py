@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from handover_marl.errors import ResultsError
-from handover_marl.files import create_exclusively
+from handover_marl.files import create_exclusively, holds, remove_abandoned
 
 
 def put_files(folder: Path, files: Mapping[str, bytes]) -> None:
@@ -17,6 +17,8 @@ def put_files(folder: Path, files: Mapping[str, bytes]) -> None:
     Raises:
         ResultsError: A file is there with other content, or one cannot be written.
     """
+    for parent in {(folder / name).parent for name in files}:
+        remove_abandoned(parent)
     for name, content in files.items():
         path = folder / name
         try:
@@ -33,6 +35,6 @@ def put_files(folder: Path, files: Mapping[str, bytes]) -> None:
 
 def _holds(path: Path, content: bytes) -> bool:
     try:
-        return path.is_file() and path.stat().st_size == len(content) and path.read_bytes() == content
+        return holds(path, content)
     except OSError as error:
         raise ResultsError(f"cannot read {path} ({error.strerror or error}); check its rights") from error

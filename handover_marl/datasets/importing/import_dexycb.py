@@ -2,25 +2,28 @@
 
 import multiprocessing
 import os
+import threading
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path
 
 from rich.console import Console
 from rich.progress import track
 
+from handover_marl.datasets.importing.cache_writer import CACHE_FOLDER
 from handover_marl.datasets.importing.hand_assets import write_hand_assets
+from handover_marl.datasets.importing.hand_sides import check_sides
 from handover_marl.datasets.importing.mano_model import ManoModel, read_mano_model
 from handover_marl.datasets.importing.object_assets import write_object_assets
-from handover_marl.datasets.importing.raw_calibration import read_betas
 from handover_marl.datasets.importing.raw_layout import SequenceFolder, find_sequences
-from handover_marl.datasets.importing.raw_sequence import read_meta
-from handover_marl.datasets.importing.scene_import import Betas, find_first_betas, import_scene
+from handover_marl.datasets.importing.scene_import import Betas, find_first_betas, import_scene, read_hand_betas
 from handover_marl.datasets.importing.table_assets import write_table_assets
 from handover_marl.datasets.official import PANDA_FILES, WITHOUT_GRASPS
 from handover_marl.errors import DataNotFoundError, HandoverError, ResultsError, SceneError
+from handover_marl.files import remove_abandoned
 from handover_marl.models.ycb import CLASS_NAMES
 from handover_marl.options import check_workers
 
@@ -107,9 +110,11 @@ def import_dexycb(
     layout = find_sequences(Path(dexycb).expanduser())
     folder = _mano_folder(Path(mano).expanduser())
     models = {side: read_mano_model(folder / f"MANO_{side.upper()}.pkl", side) for side in SIDES}
+    check_sides(models["right"], models["left"], folder)
     target = Path(out).expanduser()
     chosen = _chosen(layout.sequences, scenes)
     hands, faults = _write_models(layout.sequences, models, target / "assets")
+    remove_abandoned(target / CACHE_FOLDER)
     done: list[int] = []
     betas = find_first_betas(layout.sequences)
     for sequence, fault in _converted(chosen, models, betas, target, n_workers, progress):
@@ -154,17 +159,14 @@ def _write_models(
     write_object_assets(assets)
     write_table_assets(assets)
     hands, faults = [], []
-    # A person's hands are made from the first recording's shape, whichever hand that shows.
-    for sequence in sequences:
-        if sequence.scene_id % 100:
-            continue
+    for subject, recordings in groupby(sequences, lambda sequence: sequence.subject):
         try:
-            betas = read_betas(sequence.calibration, read_meta(sequence).mano_calib)
-            hands += [write_hand_assets(assets, sequence.subject, models[side], betas).name for side in SIDES]
+            betas = read_hand_betas(list(recordings))
+            hands += [write_hand_assets(assets, subject, models[side], betas).name for side in SIDES]
         except ResultsError:
             raise
         except HandoverError as error:
-            faults.append(f"hands of {sequence.subject}: {error}")
+            faults.append(f"hands of {subject}: {error}")
     return hands, faults
 
 
@@ -204,6 +206,15 @@ def _start(models: dict[str, ManoModel], betas: Betas, out: Path) -> None:
     """What a process is told once."""
     global _given
     _given = models, betas, out
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    # A parent that was killed has told nobody, and its processes would wait for work for ever.
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
 
 
 def _import_one(sequence: SequenceFolder) -> str:
