@@ -192,8 +192,9 @@ def _converted(
                 yield pending[future], future.result()
         except BrokenProcessPool as error:
             raise ResultsError(
-                f"a process of the import died ({error}), perhaps for lack of memory. What is in {out} is whole; run "
-                "the same again, with fewer workers"
+                f"a process of the import died ({error}), perhaps for lack of memory, or since the script that calls "
+                f'this has no `if __name__ == "__main__":`. What is in {out} is whole; run the same again, with fewer '
+                "workers"
             ) from error
         finally:
             pool.shutdown(cancel_futures=True)

@@ -78,13 +78,18 @@ def find_sequences(raw: Path) -> RawLayout:
     missing: list[str] = []
     ignored: list[str] = []
     if not _is_folder(raw / "calibration"):
-        missing.append(f"{raw / 'calibration'} is missing; expand DexYCB's calibration.tar.gz there")
+        missing.append(
+            f"{raw / 'calibration'} is missing, without which no recording can be imported; expand DexYCB's "
+            "calibration.tar.gz there"
+        )
     for number, subject in enumerate(SUBJECTS):
         found = _find_subject(raw / subject, number)
         sequences += found.sequences
         missing += found.missing
         ignored += found.ignored
-    return RawLayout(tuple(sequences), tuple(missing), tuple(ignored))
+    # One sentence instead of a thousand.
+    usable = sequences if _is_folder(raw / "calibration") else []
+    return RawLayout(tuple(usable), tuple(missing), tuple(ignored))
 
 
 def _find_subject(folder: Path, number: int) -> RawLayout:

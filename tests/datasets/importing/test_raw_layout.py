@@ -106,8 +106,9 @@ def test_recordings_without_their_files(raw: Path) -> None:
 def test_missing_calibration(raw: Path) -> None:
     (raw / "calibration").rmdir()
     layout = find_sequences(raw)
-    assert "calibration is missing" in layout.missing[0]
-    assert len(layout.sequences) == 200
+    assert "calibration is missing, without which no recording can be imported" in layout.missing[0]
+    assert len(layout.missing) == 9
+    assert not layout.sequences
 
 
 @pytest.mark.parametrize("name", ["nowhere", "file", "empty"])
@@ -131,7 +132,8 @@ def test_links_to_folders_count(raw: Path) -> None:
 
 
 def write_known(raw: Path, number: int, names: Iterable[str]) -> None:
-    """Recordings of these names, their files empty."""
+    """Recordings of these names, their files empty, and an empty calibration."""
+    (raw / "calibration").mkdir(exist_ok=True)
     for name in names:
         folder = raw / SUBJECTS[number] / name
         folder.mkdir(parents=True)
@@ -194,7 +196,7 @@ def test_a_name_that_is_dexycbs_by_chance_tells_nothing(tmp_path: Path) -> None:
     shutil.rmtree(tmp_path / SUBJECTS[0] / names[5])
     layout = find_sequences(tmp_path)
     assert not layout.sequences
-    assert "holds 99 recordings instead of 100" in layout.missing[1]
+    assert "holds 99 recordings instead of 100" in layout.missing[0]
 
 
 def test_folders_that_may_not_be_entered(raw: Path, monkeypatch: pytest.MonkeyPatch) -> None:
