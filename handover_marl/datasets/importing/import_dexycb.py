@@ -109,7 +109,7 @@ def import_dexycb(
     n_workers = check_workers(workers)
     layout = find_sequences(Path(dexycb).expanduser())
     folder = _mano_folder(Path(mano).expanduser())
-    models = {side: read_mano_model(folder / f"MANO_{side.upper()}.pkl", side) for side in SIDES}
+    models = _read_models(folder)
     check_sides(models["right"], models["left"], folder)
     target = Path(out).expanduser()
     chosen = _chosen(layout.sequences, scenes)
@@ -117,7 +117,7 @@ def import_dexycb(
     remove_abandoned(target / CACHE_FOLDER)
     done: list[int] = []
     betas = find_first_betas(layout.sequences)
-    for sequence, fault in _converted(chosen, models, betas, target, n_workers, progress):
+    for sequence, fault in _converted(chosen, folder, betas, target, n_workers, progress):
         if fault:
             faults.append(fault)
         else:
@@ -140,6 +140,10 @@ def _mano_folder(mano: Path) -> Path:
         f"{mano} holds no MANO_RIGHT.pkl, nor does its models/. Register at MANO's site, download mano_v1_2.zip and "
         "give the folder that it was expanded into."
     )
+
+
+def _read_models(folder: Path) -> dict[str, ManoModel]:
+    return {side: read_mano_model(folder / f"MANO_{side.upper()}.pkl", side) for side in SIDES}
 
 
 def _chosen(sequences: Sequence[SequenceFolder], scenes: Iterable[int] | None) -> list[SequenceFolder]:
@@ -172,7 +176,7 @@ def _write_models(
 
 def _converted(
     sequences: Sequence[SequenceFolder],
-    models: dict[str, ManoModel],
+    mano: Path,
     betas: Betas,
     out: Path,
     workers: int,
@@ -182,9 +186,9 @@ def _converted(
     # Fresh processes, since forking one that has threads is not safe.
     context = multiprocessing.get_context("spawn")
     count = min(workers, max(1, len(sequences)))
-    with ProcessPoolExecutor(count, context, initializer=_start, initargs=(models, betas, out)) as pool:
-        pending: dict[Future[str], SequenceFolder] = {pool.submit(_import_one, one): one for one in sequences}
+    with ProcessPoolExecutor(count, context, initializer=_start, initargs=(mano, betas, out)) as pool:
         try:
+            pending: dict[Future[str], SequenceFolder] = {pool.submit(_import_one, one): one for one in sequences}
             bar = track(
                 as_completed(pending), "scenes", len(pending), console=Console(stderr=True), disable=not progress
             )
@@ -203,10 +207,14 @@ def _converted(
 _given: tuple[dict[str, ManoModel], Betas, Path]
 
 
-def _start(models: dict[str, ManoModel], betas: Betas, out: Path) -> None:
-    """What a process is told once."""
+def _start(mano: Path, betas: Betas, out: Path) -> None:
+    """What a process is told once.
+
+    The models are not sent: with more than a pipe holds (64 kB), the parent would wait for ever for a process that
+    died before it read them.
+    """
     global _given
-    _given = models, betas, out
+    _given = _read_models(mano), betas, out
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
 

@@ -131,6 +131,30 @@ def test_a_killed_worker(given: Path, tmp_path: Path, started: subprocess.Popen[
     check_goes_on(given, out)
 
 
+def test_a_worker_that_is_killed_at_once(given: Path, tmp_path: Path, started: subprocess.Popen[str]) -> None:
+    until(lambda: workers(started.pid))
+    os.kill(workers(started.pid)[0], signal.SIGKILL)
+    _, told = started.communicate(timeout=60)
+    assert started.returncode == 2
+    assert "a process of the import died" in " ".join(told.split())
+    check_goes_on(given, tmp_path / "out")
+
+
+def test_a_script_that_is_not_guarded(given: Path, tmp_path: Path) -> None:
+    """Every process that it starts runs it again."""
+    script = tmp_path / "script.py"
+    paths = (str(given / "raw"), str(given / "mano"), str(tmp_path / "out"))
+    script.write_text(
+        "from handover_marl.datasets.importing.import_dexycb import import_dexycb\n"
+        f"import_dexycb(*{paths!r}, workers=2, progress=False)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, str(script)], capture_output=True, text=True, check=False, timeout=60, cwd=tmp_path
+    )
+    assert done.returncode == 1
+    assert 'the script that calls this has no `if __name__ == "__main__":`' in done.stderr.splitlines()[-1]
+
+
 def test_an_import_that_is_interrupted(given: Path, tmp_path: Path, started: subprocess.Popen[str]) -> None:
     out = tmp_path / "out"
     until(lambda: len(cached(out)) >= 5)

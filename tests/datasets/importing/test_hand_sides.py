@@ -52,9 +52,10 @@ def test_one_file_under_both_names(tmp_path: Path) -> None:
     [
         (made_up_hand(0), made_up_hand(1)),
         (mirrored(right_hand()), made_up_hand(1)),
+        (mirrored(right_hand()), right_hand(-0.082)),
         (right_hand(0.02), mirrored(right_hand(0.02))),
     ],
-    ids=["two strangers", "no twins", "fingers that hardly point anywhere"],
+    ids=["two strangers", "no twins", "nearly twins", "fingers that hardly point anywhere"],
 )
 def test_nothing_is_said_of_hands_that_are_not_manos(tmp_path: Path, right: Content, left: Content) -> None:
     check_sides(*models(tmp_path, right, left), tmp_path)
