@@ -1,6 +1,7 @@
 """Writing files so that a reader never meets half of one, and reading those of strangers with care."""
 
 import contextlib
+import fcntl
 import os
 import stat
 import tempfile
@@ -14,6 +15,8 @@ import numpy.typing as npt
 import yaml
 
 from handover_marl.errors import ResultsError
+
+_MOST_PACKING = 1_000_000  # bytes that an archive may have beyond its contents
 
 
 def write_atomically(path: Path, content: bytes | str) -> None:
@@ -31,8 +34,30 @@ def create_exclusively(path: Path, content: bytes | str) -> None:
     Raises:
         ResultsError: The file cannot be written.
     """
-    if not path.exists():
+    if not os.path.lexists(path):
         _write(path, content, _link)
+
+
+def remove_abandoned(folder: Path) -> None:
+    """Remove temporary files whose writer was killed; those that are being written stay, as does all else.
+
+    Args:
+        folder: Where files were written; it need not exist.
+    """
+    for path in folder.glob(f".*.{'[a-z0-9_]' * 8}.part"):  # as Python names temporary files
+        # A writer holds a lock on its file for as long as it lives.
+        with contextlib.suppress(OSError), _opened(path) as handle:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            path.unlink()
+
+
+def holds(path: Path, content: bytes) -> bool:
+    """Whether there is a plain file of just this content.
+
+    Raises:
+        OSError: It cannot be read.
+    """
+    return path.is_file() and path.stat().st_size == len(content) and path.read_bytes() == content
 
 
 def check_archive(path: Path, largest: int) -> None:
@@ -43,14 +68,25 @@ def check_archive(path: Path, largest: int) -> None:
         largest: Bytes that it may unpack to.
 
     Raises:
-        ValueError: It is no plain file, no archive, or far larger than it should be.
+        ValueError: It is no plain file, no archive, far larger than it should be, or packed in a way that NumPy
+            never does.
         OSError: It cannot be opened.
     """
-    if not stat.S_ISREG(path.stat().st_mode):
+    state = path.stat()
+    if not stat.S_ISREG(state.st_mode):
         raise ValueError("not a plain file")
+    # Before it is opened, since even a list of contents may be endless.
+    if state.st_size > largest + _MOST_PACKING:
+        raise ValueError(f"it has more than {largest // 1_000_000} MB")
     with zipfile.ZipFile(path) as archive:
-        if sum(part.file_size for part in archive.infolist()) > largest:
-            raise ValueError(f"it unpacks to more than {largest // 1_000_000} MB")
+        parts = archive.infolist()
+    if sum(part.file_size for part in parts) > largest:
+        raise ValueError(f"it unpacks to more than {largest // 1_000_000} MB")
+    if len({part.filename for part in parts}) < len(parts):
+        raise ValueError("it holds two files of one name")
+    # Python unpacks the other methods without minding the size that the archive states.
+    if any(part.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) for part in parts):
+        raise ValueError("it is packed by another method than deflate")
 
 
 def read_arrays(path: Path, names: tuple[str, ...], largest: int) -> dict[str, npt.NDArray[Any]]:
@@ -66,7 +102,11 @@ def read_arrays(path: Path, names: tuple[str, ...], largest: int) -> dict[str, n
     """
     check_archive(path, largest)
     with np.load(path, allow_pickle=False) as archive:
-        return {name: archive[name] for name in names}
+        arrays = {name: archive[name] for name in names}
+    for name, array in arrays.items():
+        if not isinstance(array, np.ndarray):  # NumPy gives the bytes of what it does not know
+            raise TypeError(f"{name} is no array")
+    return arrays
 
 
 def read_yaml(path: Path, largest: int) -> object:
@@ -118,20 +158,22 @@ def _link(temporary: Path, path: Path) -> None:
         except FileExistsError:
             raise
         except OSError:  # a file system without links
-            with path.open("xb") as stream:
-                stream.write(temporary.read_bytes())
+            path.open("xb").close()
+            # The name is ours now; what comes there comes whole.
+            with _removed_on_failure(path):
+                temporary.replace(path)
+            return
     temporary.unlink()
 
 
 def _write(path: Path, content: bytes | str, put: Callable[[Path, Path], object]) -> None:
     data = content.encode() if isinstance(content, str) else content
     try:
-        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent)
-        with _removed_on_failure(Path(name)) as temporary:
-            with os.fdopen(handle, "wb") as stream:
-                stream.write(data)
-                stream.flush()
-                os.fsync(stream.fileno())
+        handle, temporary = _temporary(path)
+        with os.fdopen(handle, "wb") as stream, _removed_on_failure(temporary):
+            stream.write(data)
+            stream.flush()
+            os.fsync(stream.fileno())
             temporary.chmod(0o644)
             put(temporary, path)
     except (OSError, ValueError) as error:
@@ -142,10 +184,31 @@ def _write(path: Path, content: bytes | str, put: Callable[[Path, Path], object]
         ) from error
 
 
+def _temporary(path: Path) -> tuple[int, Path]:
+    """A new file beside `path`, open and locked, so that `remove_abandoned` lets it be."""
+    while True:
+        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent)
+        with contextlib.suppress(OSError):  # a file system without locks, on which nothing is removed either
+            fcntl.flock(handle, fcntl.LOCK_EX)
+        if os.fstat(handle).st_nlink:
+            return handle, Path(name)
+        os.close(handle)  # somebody removed it before it was locked
+
+
 @contextlib.contextmanager
-def _removed_on_failure(temporary: Path) -> Iterator[Path]:
+def _opened(path: Path) -> Iterator[int]:
+    # Neither through links, nor waiting for whoever writes into a pipe.
+    handle = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
     try:
-        yield temporary
+        yield handle
+    finally:
+        os.close(handle)
+
+
+@contextlib.contextmanager
+def _removed_on_failure(temporary: Path) -> Iterator[None]:
+    try:
+        yield
     except BaseException:  # Ctrl-C too must leave no litter
         with contextlib.suppress(OSError):
             temporary.unlink()

@@ -1,12 +1,17 @@
 import os
+import subprocess
+import sys
+import tempfile
+import warnings
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from handover_marl.errors import ResultsError
-from handover_marl.files import check_archive, create_exclusively, write_atomically
+from handover_marl.files import check_archive, create_exclusively, read_arrays, remove_abandoned, write_atomically
 from tests.benchmarking.deadline import ends_within
 
 WRITERS = [write_atomically, create_exclusively]
@@ -120,3 +125,105 @@ def test_archives_that_may_be_read(tmp_path: Path) -> None:
     for other in (tmp_path / "pipe.npz", tmp_path):
         with ends_within(5.0), pytest.raises(ValueError, match="not a plain file"):
             check_archive(other, 1000)
+
+
+def zipped(path: Path, members: list[tuple[str, bytes]], method: int = zipfile.ZIP_DEFLATED) -> Path:
+    with zipfile.ZipFile(path, "w", method) as archive, warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # two members of one name
+        for name, data in members:
+            archive.writestr(name, data)
+    return path
+
+
+@pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+def test_archives_that_python_would_unpack_without_bounds(tmp_path: Path, method: int) -> None:
+    path = zipped(tmp_path / "a.npz", [("one", bytes(100))], method)
+    with pytest.raises(ValueError, match="another method than deflate"):
+        check_archive(path, 1000)
+
+
+def test_archives_of_doubtful_content(tmp_path: Path) -> None:
+    path = zipped(tmp_path / "a.npz", [("one", b"1"), ("one", b"2")])
+    with pytest.raises(ValueError, match="two files of one name"):
+        check_archive(path, 1000)
+    many = zipped(tmp_path / "many.npz", [(f"{number}", b"") for number in range(20_000)])
+    with pytest.raises(ValueError, match="more than 0 MB"):
+        check_archive(many, 1000)
+
+
+def test_arrays_that_are_none(tmp_path: Path) -> None:
+    path = zipped(tmp_path / "a.npz", [("one.npy", b"text")])
+    with pytest.raises(TypeError, match="one is no array"):
+        read_arrays(path, ("one",), 1000)
+    np.savez(path, one=np.arange(3))
+    np.testing.assert_array_equal(read_arrays(path, ("one",), 1000)["one"], [0, 1, 2])
+
+
+_KILLED = """
+import os, pathlib, signal, sys
+from handover_marl import files
+os.fsync = lambda _: os.kill(os.getpid(), signal.SIGKILL)
+files.create_exclusively(pathlib.Path(sys.argv[1]), "text")
+"""
+
+
+def test_what_a_killed_writer_left_is_removed(tmp_path: Path) -> None:
+    path = tmp_path / "a.txt"
+    subprocess.run([sys.executable, "-c", _KILLED, str(path)], check=False)
+    assert [name.suffix for name in tmp_path.iterdir()] == [".part"]
+    others = [tmp_path / name for name in ("a.part", ".a.part", ".a.txt.part", "b.txt", ".a.txt.long-name.part")]
+    for other in others:
+        other.write_text("mine")
+    (tmp_path / ".a.txt.abcdefgh.part").mkdir()
+    os.mkfifo(tmp_path / ".b.txt.abcdefgh.part")
+    (tmp_path / ".c.txt.abcdefgh.part").symlink_to(tmp_path / "b.txt")
+    with ends_within(5.0):
+        remove_abandoned(tmp_path)
+    assert sorted(name for name in tmp_path.iterdir() if name.is_file() and not name.is_symlink()) == sorted(others)
+    assert (tmp_path / "b.txt").read_text() == "mine"
+    remove_abandoned(tmp_path / "nowhere")
+
+
+@pytest.mark.parametrize("write", WRITERS)
+def test_what_is_being_written_is_not_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, write: Write) -> None:
+    sync, seen = os.fsync, []
+
+    def sync_late(handle: int) -> None:
+        sync(handle)
+        remove_abandoned(tmp_path)
+        seen.extend(tmp_path.iterdir())
+
+    monkeypatch.setattr(os, "fsync", sync_late)
+    write(tmp_path / "a.txt", "text")
+    assert len(seen) == 1
+    assert [path.read_text() for path in tmp_path.iterdir()] == ["text"]
+
+
+def test_a_temporary_file_that_is_taken_for_abandoned_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    make, made = tempfile.mkstemp, []
+
+    def make_and_lose(**where: object) -> tuple[int, str]:
+        handle, name = make(**where)  # type: ignore[call-overload]
+        made.append(name)
+        if len(made) == 1:
+            remove_abandoned(tmp_path)
+            assert not Path(name).exists()
+        return handle, name
+
+    monkeypatch.setattr(tempfile, "mkstemp", make_and_lose)
+    create_exclusively(tmp_path / "a.txt", "text")
+    assert [path.read_text() for path in tmp_path.iterdir()] == ["text"]
+    assert len(made) == 2
+
+
+def test_without_links_a_name_is_not_kept_that_nothing_comes_to(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise PermissionError(1, "Operation not permitted")
+
+    monkeypatch.setattr(Path, "hardlink_to", refuse)
+    monkeypatch.setattr(Path, "replace", refuse)
+    with pytest.raises(ResultsError):
+        create_exclusively(tmp_path / "a.txt", "text")
+    assert not list(tmp_path.iterdir())

@@ -10,7 +10,8 @@ from handover_marl.errors import DataNotFoundError, OptionError, UnknownNameErro
 from handover_marl.models.panda import PANDA
 
 if TYPE_CHECKING:
-    from handover_marl.datasets.importing.import_dexycb import Imported, import_dexycb
+    from handover_marl.datasets.importing.import_dexycb import import_dexycb
+    from handover_marl.datasets.importing.imported import Imported
 
 #: Environment variable that names the data folder when no argument does.
 DATA_VARIABLE = "HANDOVER_MARL_DATA"
@@ -24,9 +25,9 @@ __all__ = ["DATASETS", "DATA_VARIABLE", "Dataset", "Imported", "OfficialDataset"
 def __getattr__(name: str) -> Any:
     # Only for who imports data, since it pulls in what nobody else needs.
     if name in ("Imported", "import_dexycb"):
-        from handover_marl.datasets.importing import import_dexycb
+        from handover_marl.datasets.importing import import_dexycb, imported
 
-        return getattr(import_dexycb, name)
+        return getattr(imported if name == "Imported" else import_dexycb, name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from handover_marl.datasets.official_files import stands_in
 from handover_marl.errors import ResultsError
-from handover_marl.files import create_exclusively, write_atomically
+from handover_marl.files import create_exclusively, holds, remove_abandoned, write_atomically
 
 
 def put_files(folder: Path, files: Mapping[str, bytes], over_stand_ins: bool = False) -> None:
@@ -19,6 +19,8 @@ def put_files(folder: Path, files: Mapping[str, bytes], over_stand_ins: bool = F
     Raises:
         ResultsError: A file is there with other content, or one cannot be written.
     """
+    for parent in {(folder / name).parent for name in files}:
+        remove_abandoned(parent)
     for name, content in files.items():
         path = folder / name
         try:
@@ -36,11 +38,7 @@ def put_files(folder: Path, files: Mapping[str, bytes], over_stand_ins: bool = F
 
 
 def _holds(path: Path, content: bytes) -> bool:
-    return path.is_file() and _read(path) == content
-
-
-def _read(path: Path) -> bytes:
     try:
-        return path.read_bytes()
+        return holds(path, content)
     except OSError as error:
         raise ResultsError(f"cannot read {path} ({error.strerror or error}); check its rights") from error

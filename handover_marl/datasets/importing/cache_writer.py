@@ -2,6 +2,7 @@
 
 import io
 import json
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.errors import DataFormatError
-from handover_marl.files import create_exclusively, read_arrays
+from handover_marl.files import create_exclusively, holds, read_arrays
 
 Float32 = npt.NDArray[np.float32]
 
@@ -49,16 +50,15 @@ def write_scene(scene: CachedScene, cache: Path) -> None:
     """
     arrays = {"pose_y": np.ascontiguousarray(scene.pose_y), "pose_m": np.ascontiguousarray(scene.pose_m)}
     pose = cache / f"pose_{scene.scene_id:03d}.npz"
-    if not pose.exists():
+    if not os.path.lexists(pose):
         stream = io.BytesIO()
         np.savez_compressed(stream, **arrays)  # type: ignore[arg-type]
         create_exclusively(pose, stream.getvalue())
     _check_pose(pose, arrays)
     # The meta file comes last: with it the scene is complete.
-    meta, text = cache / f"meta_{scene.scene_id:03d}.json", json.dumps(scene.meta)
+    meta, text = cache / f"meta_{scene.scene_id:03d}.json", json.dumps(scene.meta).encode()
     create_exclusively(meta, text)
-    if _bytes(meta) != text.encode():
-        raise _differs(meta)
+    _check_meta(meta, text)
 
 
 def _check_pose(path: Path, expected: dict[str, Float32]) -> None:
@@ -74,11 +74,13 @@ def _check_pose(path: Path, expected: dict[str, Float32]) -> None:
             raise _differs(path)
 
 
-def _bytes(path: Path) -> bytes:
+def _check_meta(path: Path, expected: bytes) -> None:
     try:
-        return path.read_bytes()
+        same = holds(path, expected)
     except OSError as error:
         raise _differs(path) from error
+    if not same:
+        raise _differs(path)
 
 
 def _differs(path: Path) -> DataFormatError:

@@ -13,7 +13,8 @@ Float64 = npt.NDArray[np.float64]
 #: Shape parameters of a hand.
 N_BETAS = 10
 _LARGEST = 64_000  # bytes of a YAML file; real ones have a few thousand
-_FARTHEST = 1e6  # no number in these files is near it
+_FARTHEST = 1e6  # no number of a pose is near it
+_LARGEST_BETA = 100.0
 _SQUARENESS = 1e-2  # how far a rotation matrix may be from orthogonal
 
 
@@ -32,7 +33,7 @@ def read_world_from_tag(calibration: Path, extrinsics: str) -> Float64:
     poses = read_mapping(path).get("extrinsics")
     if not isinstance(poses, dict) or "apriltag" not in poses:
         raise damaged(path, "it has no extrinsics of the apriltag")
-    pose = np.array(_numbers(path, poses["apriltag"], 12, "apriltag"), dtype=np.float64).reshape(3, 4)
+    pose = np.array(_numbers(path, poses["apriltag"], 12, "apriltag", _FARTHEST), dtype=np.float64).reshape(3, 4)
     rotation = pose[:, :3]
     if np.abs(rotation @ rotation.T - np.eye(3)).max() > _SQUARENESS or np.linalg.det(rotation) < 0.0:
         raise damaged(path, "the rotation of apriltag is none")
@@ -51,7 +52,7 @@ def read_betas(calibration: Path, mano: str) -> tuple[float, ...]:
         DataFormatError: It holds no ten numbers.
     """
     path = calibration / f"mano_{mano}" / "mano.yml"
-    return tuple(_numbers(path, read_mapping(path).get("betas"), N_BETAS, "betas"))
+    return tuple(_numbers(path, read_mapping(path).get("betas"), N_BETAS, "betas", _LARGEST_BETA))
 
 
 def read_mapping(path: Path) -> dict[object, object]:
@@ -81,12 +82,12 @@ def damaged(path: Path, fault: str) -> DataFormatError:
     return DataFormatError(f"{path}: not as DexYCB writes it ({fault}); expand DexYCB's archives again")
 
 
-def _numbers(path: Path, values: object, count: int, name: str) -> list[float]:
+def _numbers(path: Path, values: object, count: int, name: str, bound: float) -> list[float]:
     if not isinstance(values, list) or len(values) != count:
         raise damaged(path, f"{name} is {brief(values)}, expected {count} numbers")
     for value in values:
         # True is an int too.
-        if type(value) not in (int, float) or not abs(value) < _FARTHEST:
+        if type(value) not in (int, float) or not abs(value) <= bound:
             kind = "the text " if isinstance(value, str) else ""  # which YAML 1.1 takes 1e-5 for, without a point
-            raise damaged(path, f"{name} holds {kind}{brief(value)}, expected finite numbers")
+            raise damaged(path, f"{name} holds {kind}{brief(value)}, expected finite numbers within +-{bound:g}")
     return list(values)

@@ -3,14 +3,16 @@
 <raw>/<subject>/<sequence>/meta.yml, pose.npz   (and camera folders, which are not read)
 <raw>/calibration/                               extrinsics and hand shapes
 
-A scene's number is 100 * subject + the rank of its recording among the subject's, by name. The rank is only known
-when all of a subject's recordings are there.
+A scene's number is 100 * subject + the rank of its recording among the subject's, by name. Recordings that are called
+as DexYCB's are have the rank that they have there, whichever are missing. A subject whose recordings are called
+otherwise must have all hundred.
 """
 
 import re
 from dataclasses import dataclass
 from pathlib import Path
 
+from handover_marl.datasets.importing.sequence_names import SEQUENCE_NAMES
 from handover_marl.errors import DataNotFoundError
 from handover_marl.models.ycb import SUBJECTS
 
@@ -67,7 +69,7 @@ def find_sequences(raw: Path) -> RawLayout:
     Raises:
         DataNotFoundError: There is no such folder, or it holds neither a subject nor the calibration.
     """
-    if not raw.is_dir() or not any((raw / name).is_dir() for name in (*SUBJECTS, "calibration")):
+    if not _is_folder(raw) or not any(_is_folder(raw / name) for name in (*SUBJECTS, "calibration")):
         raise DataNotFoundError(
             f"{raw} is no raw DexYCB folder: it holds neither calibration/ nor a subject such as {SUBJECTS[0]}/. Give "
             "the folder that DexYCB's archives were expanded into."
@@ -75,59 +77,94 @@ def find_sequences(raw: Path) -> RawLayout:
     sequences: list[SequenceFolder] = []
     missing: list[str] = []
     ignored: list[str] = []
-    if not (raw / "calibration").is_dir():
-        missing.append(f"{raw / 'calibration'} is missing; expand DexYCB's calibration.tar.gz there")
+    if not _is_folder(raw / "calibration"):
+        missing.append(
+            f"{raw / 'calibration'} is missing, without which no recording can be imported; expand DexYCB's "
+            "calibration.tar.gz there"
+        )
     for number, subject in enumerate(SUBJECTS):
         found = _find_subject(raw / subject, number)
         sequences += found.sequences
         missing += found.missing
         ignored += found.ignored
-    return RawLayout(tuple(sequences), tuple(missing), tuple(ignored))
+    # One sentence instead of a thousand.
+    usable = sequences if _is_folder(raw / "calibration") else []
+    return RawLayout(tuple(usable), tuple(missing), tuple(ignored))
 
 
 def _find_subject(folder: Path, number: int) -> RawLayout:
     try:
         entries = sorted(folder.iterdir())
+        folders = [entry for entry in entries if entry.is_dir() and not entry.name.startswith(".")]
     except OSError as error:
         reason = "is missing" if isinstance(error, FileNotFoundError) else f"cannot be read ({error.strerror})"
         return RawLayout((), (f"{folder} {reason}; expand DexYCB's {folder.name}.tar.gz there",), ())
-    folders = [entry for entry in entries if entry.is_dir() and not entry.name.startswith(".")]
     passed = [entry.name for entry in entries if entry not in folders]
     ignored = (f"{folder}: ignored {_listed(passed)}, which HandoverSim would have counted",) if passed else ()
-    fault = _fault([entry.name for entry in folders])
-    if fault:
-        return RawLayout((), (f"{folder} {fault}",), ignored)
-    sequences = [
-        SequenceFolder(SEQUENCES_PER_SUBJECT * number + rank, f"{folder.name}/{entry.name}", entry)
-        for rank, entry in enumerate(folders)
+    ranks, faults = _ranks(folder.name, [entry.name for entry in folders])
+    found = [
+        SequenceFolder(SEQUENCES_PER_SUBJECT * number + ranks[entry.name], f"{folder.name}/{entry.name}", entry)
+        for entry in folders
+        if entry.name in ranks
     ]
-    lacking = {sequence: _lacking(sequence) for sequence in sequences}
+    lacking = {sequence: _lacking(sequence) for sequence in found}
     return RawLayout(
-        tuple(sequence for sequence in sequences if not lacking[sequence]),
-        tuple(text for text in lacking.values() if text),
+        tuple(sequence for sequence in found if not lacking[sequence]),
+        (*(f"{folder} {fault}" for fault in faults), *(text for text in lacking.values() if text)),
         ignored,
     )
 
 
-def _fault(names: list[str]) -> str:
-    """Why folders of these names do not tell the scene numbers; empty if they do."""
+def _ranks(subject: str, names: list[str]) -> tuple[dict[str, int], list[str]]:
+    """Ranks of a subject's recordings by their names, sorted, and what is wrong with these."""
+    known = {name: rank for rank, name in enumerate(SEQUENCE_NAMES[subject]) if name in set(names)}
+    # Other data may have a name or two of DexYCB's by chance, which tell nothing.
+    if 2 * len(known) > len(names):
+        return known, [fault for fault in (_strangers(known, names), _absent(subject, known)) if fault]
     strangers = [name for name in names if not _SEQUENCE_NAME.fullmatch(name)]
     if strangers:
-        return f"holds {_listed(strangers)}, which no recording is called; remove what is not DexYCB's"
+        return {}, [f"holds {_listed(strangers)}, which no recording is called; remove what is not DexYCB's"]
     if len(names) != SEQUENCES_PER_SUBJECT:
         remedy = "complete the download" if len(names) < SEQUENCES_PER_SUBJECT else "remove what is not DexYCB's"
-        return (
+        return {}, [
             f"holds {len(names)} recordings instead of {SEQUENCES_PER_SUBJECT}, so that their scene numbers, which "
             f"are ranks, are unknown; {remedy}"
-        )
-    return ""
+        ]
+    return {name: rank for rank, name in enumerate(names)}, []
+
+
+def _strangers(known: dict[str, int], names: list[str]) -> str:
+    strangers = [name for name in names if name not in known]
+    if not strangers:
+        return ""
+    return f"holds {_listed(strangers)} beside DexYCB's recordings, which was left out; remove what is not DexYCB's"
+
+
+def _absent(subject: str, known: dict[str, int]) -> str:
+    absent = [name for name in SEQUENCE_NAMES[subject] if name not in known]
+    if not absent:
+        return ""
+    return (
+        f"lacks {_listed(absent)}, {len(absent)} of {SEQUENCES_PER_SUBJECT} recordings; expand DexYCB's "
+        f"{subject}.tar.gz again"
+    )
 
 
 def _lacking(sequence: SequenceFolder) -> str:
-    files = [name for name in (META_FILE, POSE_FILE) if not (sequence.folder / name).is_file()]
+    try:
+        files = [name for name in (META_FILE, POSE_FILE) if not (sequence.folder / name).is_file()]
+    except OSError as error:
+        return f"{sequence.folder} cannot be read ({error.strerror}); check its rights"
     if not files:
         return ""
     return f"{sequence.folder} lacks {' and '.join(files)}; expand DexYCB's {sequence.subject}.tar.gz again"
+
+
+def _is_folder(path: Path) -> bool:
+    try:
+        return path.is_dir()
+    except OSError:  # a folder above it may not be entered
+        return False
 
 
 def _listed(names: list[str]) -> str:

@@ -96,6 +96,8 @@ def read_meta(sequence: SequenceFolder) -> SequenceMeta:
             raise ValueError(f"mano_calib is {calibrations}, expected one hand")
         mano_calib = _identifier(calibrations[0])
         check_meta(path, ids, grasped, sides)
+        if len(set(ids)) < len(ids):
+            raise ValueError(f"ycb_ids {ids} names an object twice")
     except DataFormatError:
         raise
     except KeyError as error:

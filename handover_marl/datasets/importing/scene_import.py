@@ -1,6 +1,6 @@
 """One recording of raw DexYCB to one scene of HandoverSim's cache; scenes do not depend on each other."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +10,9 @@ from handover_marl.datasets.importing.hand_motion import hand_trajectory
 from handover_marl.datasets.importing.mano_model import ManoModel
 from handover_marl.datasets.importing.object_motion import object_trajectory
 from handover_marl.datasets.importing.raw_calibration import read_betas
-from handover_marl.datasets.importing.raw_layout import SequenceFolder
+from handover_marl.datasets.importing.raw_layout import SEQUENCES_PER_SUBJECT, SequenceFolder
 from handover_marl.datasets.importing.raw_sequence import RawSequence, read_meta, read_sequence
+from handover_marl.datasets.importing.sequence_names import SEQUENCE_NAMES
 from handover_marl.datasets.importing.tag_frame import TagFrame
 from handover_marl.errors import DataFormatError, DataNotFoundError, ResultsError
 
@@ -39,6 +40,35 @@ def find_first_betas(sequences: Iterable[SequenceFolder]) -> dict[tuple[str, str
         except (DataNotFoundError, DataFormatError):
             continue
     return first
+
+
+def read_hand_betas(sequences: Sequence[SequenceFolder]) -> tuple[float, ...]:
+    """Shape parameters that the models of a subject's two hands are made from.
+
+    They are those of the subject's first recording, whichever hand that shows. In DexYCB all are equal, so that any
+    of its recordings will do if that one is missing or damaged.
+
+    Args:
+        sequences: Recordings of one subject, at least one, by ascending scene number.
+
+    Raises:
+        DataNotFoundError: The first recording is missing, or its meta.yml or its calibration.
+        DataFormatError: One of these files is damaged.
+    """
+    faults = []
+    for sequence in sequences:
+        known = sequence.folder.name in SEQUENCE_NAMES[sequence.subject]
+        if sequence.scene_id % SEQUENCES_PER_SUBJECT and not known:
+            break
+        try:
+            return read_betas(sequence.calibration, read_meta(sequence).mano_calib)
+        except (DataNotFoundError, DataFormatError) as error:
+            faults.append(error)
+    if faults:
+        raise faults[0]
+    raise DataNotFoundError(
+        f"{sequences[0].folder.parent} lacks its first recording, from which they are made; complete the download"
+    )
 
 
 def import_scene(sequence: SequenceFolder, models: Mapping[str, ManoModel], first_betas: Betas, out: Path) -> None:

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from handover_marl.datasets.importing.mano_model import ManoModel
 from handover_marl.datasets.importing.raw_layout import SequenceFolder
 from handover_marl.models.ycb import SUBJECTS
+from tests.datasets.importing.mano_files import made_up_hand, official
 
 EXTRINSICS = "20200702_151821"
 N_KEYS = 6
@@ -77,16 +78,18 @@ class RawScene:
     meta: dict[str, object] = field(default_factory=dict)
     objects: np.ndarray = field(default_factory=lambda: object_poses(n_objects=2))
     hand: np.ndarray = field(default_factory=hand_poses)
+    extrinsics: str = EXTRINSICS
+    mano: str = ""  # which calibration of the hand; empty: the person's and the side's
 
     def write(self, raw: Path, scene_id: int = 0) -> SequenceFolder:
         """Its files below a raw folder."""
         subject = SUBJECTS[self.subject]
-        mano = f"20200709_140042_{subject[9:]}_{self.side}"
+        mano = self.mano or f"20200709_140042_{subject[9:]}_{self.side}"
         folder = raw / subject / self.name
         meta = {
             "serials": ["1", "2"],
             "num_frames": len(self.objects),
-            "extrinsics": EXTRINSICS,
+            "extrinsics": self.extrinsics,
             "ycb_ids": [2, 5],
             "ycb_grasp_ind": 1,
             "mano_sides": [self.side],
@@ -96,12 +99,15 @@ class RawScene:
         write_yaml(folder / "meta.yml", {key: value for key, value in meta.items() if value is not None})
         np.savez(folder / "pose.npz", pose_y=self.objects, pose_m=self.hand[:, None])
         write_yaml(mano_file(raw, mano), {"betas": self.betas})
-        write_yaml(extrinsics_file(raw), {"extrinsics": {"apriltag": tag_pose().ravel().tolist()}, "master": "1"})
+        write_yaml(
+            extrinsics_file(raw, self.extrinsics),
+            {"extrinsics": {"apriltag": tag_pose().ravel().tolist()}, "master": "1"},
+        )
         return SequenceFolder(scene_id, f"{subject}/{self.name}", folder)
 
 
-def extrinsics_file(raw: Path) -> Path:
-    return raw / "calibration" / f"extrinsics_{EXTRINSICS}" / "extrinsics.yml"
+def extrinsics_file(raw: Path, extrinsics: str = EXTRINSICS) -> Path:
+    return raw / "calibration" / f"extrinsics_{extrinsics}" / "extrinsics.yml"
 
 
 def mano_file(raw: Path, mano: str = "20200709_140042_subject-01_right") -> Path:
@@ -111,3 +117,16 @@ def mano_file(raw: Path, mano: str = "20200709_140042_subject-01_right") -> Path
 def write_yaml(path: Path, content: object) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(yaml.safe_dump(content, sort_keys=False))
+
+
+def write_mano(folder: Path) -> Path:
+    """MANO_RIGHT.pkl and MANO_LEFT.pkl of two made-up hands; the folder."""
+    folder.mkdir(parents=True)
+    for seed, side in enumerate(("RIGHT", "LEFT")):
+        (folder / f"MANO_{side}.pkl").write_bytes(official(made_up_hand(seed)))
+    return folder
+
+
+def all_files(folder: Path) -> dict[str, bytes]:
+    """Content of all files below a folder, also hidden ones, by path relative to it."""
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}

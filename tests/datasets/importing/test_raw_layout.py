@@ -1,9 +1,17 @@
+import errno
+import os
+import re
 import shutil
+import tempfile
+from collections.abc import Iterable
 from pathlib import Path
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from handover_marl.datasets.importing.raw_layout import find_sequences
+from handover_marl.datasets.importing.sequence_names import SEQUENCE_NAMES
 from handover_marl.errors import DataNotFoundError
 from handover_marl.models.ycb import SUBJECTS
 
@@ -98,8 +106,9 @@ def test_recordings_without_their_files(raw: Path) -> None:
 def test_missing_calibration(raw: Path) -> None:
     (raw / "calibration").rmdir()
     layout = find_sequences(raw)
-    assert "calibration is missing" in layout.missing[0]
-    assert len(layout.sequences) == 200
+    assert "calibration is missing, without which no recording can be imported" in layout.missing[0]
+    assert len(layout.missing) == 9
+    assert not layout.sequences
 
 
 @pytest.mark.parametrize("name", ["nowhere", "file", "empty"])
@@ -120,3 +129,91 @@ def test_links_to_folders_count(raw: Path) -> None:
     shutil.move(raw / SUBJECTS[0], moved)
     (raw / SUBJECTS[0]).symlink_to(moved)
     assert len(find_sequences(raw).sequences) == 200
+
+
+def write_known(raw: Path, number: int, names: Iterable[str]) -> None:
+    """Recordings of these names, their files empty, and an empty calibration."""
+    (raw / "calibration").mkdir(exist_ok=True)
+    for name in names:
+        folder = raw / SUBJECTS[number] / name
+        folder.mkdir(parents=True)
+        (folder / "meta.yml").touch()
+        (folder / "pose.npz").touch()
+
+
+def test_the_table_of_names() -> None:
+    names = [f"{subject}/{name}" for subject in SUBJECTS for name in SEQUENCE_NAMES[subject]]
+    assert len(set(names)) == 1000
+    assert names == sorted(names)
+    assert all(re.fullmatch(r"(\d{8})-subject-\d\d/\1_[0-2]\d[0-5]\d[0-5]\d", name) for name in names)
+    assert names[0] == "20200709-subject-01/20200709_141754"
+    assert names[-1] == "20201022-subject-10/20201022_114909"
+
+
+@pytest.mark.parametrize("number", range(10))
+def test_dexycbs_own_names_have_the_same_number_by_rank_and_by_table(tmp_path: Path, number: int) -> None:
+    names = SEQUENCE_NAMES[SUBJECTS[number]]
+    write_known(tmp_path, number, names)
+    layout = find_sequences(tmp_path)
+    by_rank = [(100 * number + rank, f"{SUBJECTS[number]}/{name}") for rank, name in enumerate(sorted(names))]
+    assert [(sequence.scene_id, sequence.name) for sequence in layout.sequences] == by_rank
+    assert not any("holds" in text or "lacks" in text for text in layout.missing)
+
+
+@given(ranks=st.sets(st.integers(0, 99), min_size=1, max_size=100))
+@settings(max_examples=20, deadline=None)
+def test_any_part_of_dexycb_has_its_right_numbers(ranks: set[int]) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        names = SEQUENCE_NAMES[SUBJECTS[6]]
+        write_known(Path(folder), 6, [names[rank] for rank in ranks])
+        layout = find_sequences(Path(folder))
+    assert [(one.scene_id - 600, one.folder.name) for one in layout.sequences] == [
+        (rank, names[rank]) for rank in sorted(ranks)
+    ]
+    told = [text for text in layout.missing if "lacks" in text]
+    assert len(told) == (len(ranks) < 100)
+    for text in told:
+        first = min(set(range(100)) - ranks)
+        assert f"{SUBJECTS[6]} lacks '{names[first]}'" in text
+        assert f"{100 - len(ranks)} of 100 recordings; expand DexYCB's {SUBJECTS[6]}.tar.gz again" in text
+
+
+@pytest.mark.parametrize("stranger", ["backup", "20200813_000000", "20200709_141754"])
+@pytest.mark.parametrize("missing", [0, 1])
+def test_strangers_beside_dexycbs_recordings(tmp_path: Path, stranger: str, missing: int) -> None:
+    """Also where there are a hundred, and all numbers would be wrong by rank."""
+    names = SEQUENCE_NAMES[SUBJECTS[1]]
+    write_known(tmp_path, 1, [stranger, *names[missing:]])
+    layout = find_sequences(tmp_path)
+    assert [sequence.scene_id for sequence in layout.sequences] == list(range(100 + missing, 200))
+    assert any(f"holds '{stranger}' beside DexYCB's recordings, which was left out" in text for text in layout.missing)
+
+
+def test_a_name_that_is_dexycbs_by_chance_tells_nothing(tmp_path: Path) -> None:
+    names = [f"20200709_{90000 + rank:06d}" for rank in range(97)]
+    write_known(tmp_path, 0, [*names, *SEQUENCE_NAMES[SUBJECTS[0]][20:23]])
+    assert [sequence.scene_id for sequence in find_sequences(tmp_path).sequences] == list(range(100))
+    shutil.rmtree(tmp_path / SUBJECTS[0] / names[5])
+    layout = find_sequences(tmp_path)
+    assert not layout.sequences
+    assert "holds 99 recordings instead of 100" in layout.missing[0]
+
+
+def test_folders_that_may_not_be_entered(raw: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As root enters all, by what the system would say."""
+    closed = raw / SUBJECTS[0] / "20200709_009007"
+    stat = Path.stat
+
+    def refuse(path: Path, **options: bool) -> os.stat_result:
+        if path.parent == closed or path.parent.name == "closed":
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
+        return stat(path, **options)
+
+    monkeypatch.setattr(Path, "stat", refuse)
+    layout = find_sequences(raw)
+    assert [sequence.scene_id for sequence in layout.sequences][:2] == [0, 2]
+    assert any(
+        "20200709_009007 cannot be read (Permission denied); check its rights" in text for text in layout.missing
+    )
+    with pytest.raises(DataNotFoundError, match="no raw DexYCB folder"):
+        find_sequences(raw / "closed" / "dex-ycb")

@@ -8,10 +8,11 @@ import pytest
 from handover_marl.datasets.importing.cache_writer import CACHE_FOLDER
 from handover_marl.datasets.importing.hand_motion import hand_trajectory
 from handover_marl.datasets.importing.object_motion import object_trajectory
-from handover_marl.datasets.importing.scene_import import find_first_betas, import_scene
+from handover_marl.datasets.importing.scene_import import find_first_betas, import_scene, read_hand_betas
+from handover_marl.datasets.importing.sequence_names import SEQUENCE_NAMES
 from handover_marl.datasets.importing.tag_frame import TagFrame
 from handover_marl.errors import DataFormatError, DataNotFoundError, ResultsError
-from tests.datasets.importing.raw_files import RawScene, hand_model, hand_poses, object_poses, tag_pose
+from tests.datasets.importing.raw_files import RawScene, hand_model, hand_poses, mano_file, object_poses, tag_pose
 
 MODELS = {side: hand_model(side, seed) for seed, side in enumerate(("right", "left"))}
 SUBJECT = "20200709-subject-01"
@@ -80,6 +81,30 @@ def test_the_first_shape_of_subject_and_side_counts(tmp_path: Path) -> None:
         (SUBJECT, "right"): 0.3,
         (SUBJECT, "left"): 0.2,
     }
+
+
+def test_hands_are_made_from_the_first_recording(tmp_path: Path) -> None:
+    names = SEQUENCE_NAMES[SUBJECT][:3]
+    known = [
+        RawScene(name=name, betas=[0.1 * rank] * 10, mano=f"hand{rank}").write(tmp_path, rank)
+        for rank, name in enumerate(names)
+    ]
+    assert read_hand_betas(known) == (0.0,) * 10
+    # In DexYCB all of a person's are equal, so another will do.
+    assert read_hand_betas(known[1:]) == (0.1,) * 10
+    mano_file(tmp_path, "hand0").write_text("betas: [1.0]")
+    mano_file(tmp_path, "hand1").unlink()
+    assert read_hand_betas(known) == (0.2,) * 10
+    with pytest.raises(DataFormatError, match="expected 10 numbers"):
+        read_hand_betas(known[:2])
+    # Of other data nothing is known.
+    others = [RawScene(name=f"20200709_00000{rank}").write(tmp_path, rank) for rank in range(2)]
+    assert len(read_hand_betas(others)) == 10
+    with pytest.raises(DataNotFoundError, match=f"{SUBJECT} lacks its first recording, from which they are made"):
+        read_hand_betas(others[1:])
+    (others[0].folder / "meta.yml").unlink()
+    with pytest.raises(DataNotFoundError, match=r"000000/meta\.yml is missing"):
+        read_hand_betas(others)
 
 
 def test_nothing_is_written_of_a_scene_that_fails(tmp_path: Path) -> None:
