@@ -2,12 +2,15 @@
 
 from collections import Counter
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from pathlib import Path
 
 from rich.console import Console
 from rich.progress import track
 
 from handover_marl.datasets.importing.object_assets import object_urdf
+from handover_marl.datasets.importing.raw_layout import SEQUENCES_PER_SUBJECT
+from handover_marl.datasets.importing.sequence_names import SEQUENCE_NAMES
 from handover_marl.datasets.official import OfficialDataset
 from handover_marl.datasets.official_files import (
     N_HAND_MESHES,
@@ -18,6 +21,7 @@ from handover_marl.datasets.official_files import (
     needed_files,
     third_party_sums,
 )
+from handover_marl.datasets.scene import SceneInfo
 from handover_marl.datasets.splits import N_SCENES, SETUPS, SPLIT_SIZES, SPLITS, split_scenes
 from handover_marl.doctor.findings import Finding, State
 from handover_marl.errors import DataNotFoundError, HandoverError
@@ -40,53 +44,74 @@ def examine(data_dir: Path, progress: bool = False) -> tuple[Finding, ...]:
     except DataNotFoundError as error:
         return (Finding("data folder", "not there", State.FAULT, str(error)),)
     assets = data_dir / "assets"
-    sound, broken, counts, sides = _read_scenes(dataset, progress)
+    scenes = _read_scenes(dataset, progress)
+    used = {(info.subject, info.side) for info in scenes.infos.values()}
     return (
-        _scenes(sound, broken),
-        *_splits(sound, sides),
-        _objects_in_a_scene(counts),
-        *_hands(assets, {(SUBJECTS[scene // 100], side) for scene, side in sides.items()}),
+        _scenes(scenes),
+        _numbers(scenes.infos),
+        *_splits(scenes.infos),
+        _objects_in_a_scene(scenes.infos),
+        *_hands(assets, used),
         *_third_party(assets),
         *_models(assets),
         *_leftovers(data_dir),
     )
 
 
-def _read_scenes(dataset: OfficialDataset, progress: bool) -> tuple[set[int], list[str], Counter[int], dict[int, str]]:
-    """Scenes that can be read, what is wrong with the others, numbers of objects, and hands."""
-    sound: set[int] = set()
-    broken: list[str] = []
-    counts: Counter[int] = Counter()
-    sides: dict[int, str] = {}
+@dataclass(frozen=True)
+class _Scenes:
+    """What is known of the scenes that can be read, by number, and what is wrong with the others."""
+
+    infos: dict[int, SceneInfo]
+    faults: list[str]
+
+
+def _read_scenes(dataset: OfficialDataset, progress: bool) -> _Scenes:
+    found = _Scenes({}, [])
     bar = track(range(N_SCENES), "scenes", console=Console(stderr=True), disable=not progress, transient=True)
     for scene in bar:
         try:
-            info = dataset.info(scene)
             dataset.motion(scene)
+            found.infos[scene] = dataset.info(scene)
         except HandoverError as error:
-            broken.append(str(error))
-            continue
-        sound.add(scene)
-        counts[len(info.object_ids)] += 1
-        sides[scene] = info.side
-    return sound, broken, counts, sides
+            found.faults.append(str(error))
+    return found
 
 
-def _scenes(sound: set[int], broken: list[str]) -> Finding:
-    found = f"{len(sound)} of {N_SCENES}"
-    if not broken:
+def _scenes(scenes: _Scenes) -> Finding:
+    found = f"{len(scenes.infos)} of {N_SCENES}"
+    if not scenes.faults:
         return Finding("scenes", found)
-    return Finding("scenes", found, State.FAULT, f"{broken[0]}{_more(broken)}")
+    return Finding("scenes", found, State.FAULT, f"{scenes.faults[0]}{_more(scenes.faults)}")
 
 
-def _splits(sound: set[int], sides: dict[int, str]) -> list[Finding]:
+def _numbers(infos: dict[int, SceneInfo]) -> Finding:
+    """Whether DexYCB's recordings have the numbers that all published results go by."""
+    numbers = {
+        f"{subject}/{name}": SEQUENCES_PER_SUBJECT * number + rank
+        for number, subject in enumerate(SUBJECTS)
+        for rank, name in enumerate(SEQUENCE_NAMES[subject])
+    }
+    known = [scene for scene, info in infos.items() if info.name in numbers]
+    wrong = [scene for scene in known if numbers[infos[scene].name] != scene]
+    if wrong:
+        first = f"{infos[wrong[0]].name} is scene {numbers[infos[wrong[0]].name]}, here {wrong[0]}"
+        advice = f"{first}{_more(wrong)}; import anew into another folder"
+        return Finding("numbers of scenes", f"{len(wrong)} wrong", State.FAULT, advice)
+    if len(known) < len(infos):
+        advice = "other data than DexYCB's, or made up"
+        return Finding("numbers of scenes", f"{len(infos) - len(known)} of unknown names", State.NOTE, advice)
+    return Finding("numbers of scenes", f"{len(known)} as in DexYCB")
+
+
+def _splits(infos: dict[int, SceneInfo]) -> list[Finding]:
     """Which splits can be run."""
     findings = []
     for setup in SETUPS:
         told, whole = [], True
         for split in SPLITS:
-            scenes = split_scenes(setup, split, lambda scene: sides.get(scene, "right"))
-            there = sum(scene in sound for scene in scenes)
+            scenes = split_scenes(setup, split, lambda scene: infos[scene].side if scene in infos else "right")
+            there = sum(scene in infos for scene in scenes)
             # Of the left hands some scenes cannot be told while they are missing, hence the official number.
             needed = SPLIT_SIZES[setup, split]
             whole &= there == needed
@@ -96,7 +121,8 @@ def _splits(sound: set[int], sides: dict[int, str]) -> list[Finding]:
     return findings
 
 
-def _objects_in_a_scene(counts: Counter[int]) -> Finding:
+def _objects_in_a_scene(infos: dict[int, SceneInfo]) -> Finding:
+    counts = Counter(len(info.object_ids) for info in infos.values())
     told = ", ".join(f"{number} in {counts[number]} scenes" for number in sorted(counts))
     if set(counts) == {1}:
         advice = "only the grasped objects; official numbers are with all, which `handover-marl import` reads"

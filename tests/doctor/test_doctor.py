@@ -10,6 +10,7 @@ import pytest
 from handover_marl.cli import main
 from handover_marl.datasets.importing.hand_assets import write_hand_assets
 from handover_marl.datasets.importing.mano_model import read_mano_model
+from handover_marl.datasets.importing.sequence_names import SEQUENCE_NAMES
 from handover_marl.datasets.official_files import Origin, hand_origin
 from handover_marl.doctor.data_folder import examine
 from handover_marl.doctor.findings import Finding, State, findings_text
@@ -32,6 +33,20 @@ def test_a_partial_folder_tells_what_is_missing(fake_data: Path) -> None:
     assert found["grasps"].state is State.FAULT
     assert "--third-party" in found["grasps"].advice
     assert found["URDFs"].state is State.FAULT
+
+
+def test_scenes_under_wrong_numbers_are_found(fake_data: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "data"
+    shutil.copytree(fake_data, folder, symlinks=True)
+    assert by_name(examine(folder))["numbers of scenes"].state is State.NOTE, "made-up names"
+    for number, rank in ((5, 5), (9, 10)):
+        meta = folder / f"dex-ycb-cache/meta_{number:03d}.json"
+        name = f"{SUBJECTS[0]}/{SEQUENCE_NAMES[SUBJECTS[0]][rank]}"
+        meta.write_text(json.dumps({**json.loads(meta.read_text()), "name": name}))
+    found = by_name(examine(folder))["numbers of scenes"]
+    assert found.state is State.FAULT
+    assert found.found == "1 wrong"
+    assert "is scene 10, here 9" in found.advice
 
 
 def test_no_folder_is_a_fault(tmp_path: Path) -> None:
@@ -81,6 +96,7 @@ def test_the_real_data_are_whole(real_data: Path) -> None:
     assert found["scenes"].found == "1000 of 1000"
     assert found["setup s2"].found == "train 449, val 91, test 360"
     assert found["hands"].found == "20 stand-ins"
+    assert found["numbers of scenes"].found == "1000 as in DexYCB"
     assert found["grasps"].found == "19 equal to the known ones"
 
 
