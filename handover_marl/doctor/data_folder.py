@@ -1,7 +1,7 @@
 """What of a data folder is there, where it comes from, and what to do about what is not."""
 
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -234,5 +234,5 @@ def _leftovers(data_dir: Path) -> Iterable[Finding]:
         yield Finding("leftovers", f"{len(found)} files", State.NOTE, f"{found[0]}{_more(found)} may be removed")
 
 
-def _more(items: list[str] | list[Path]) -> str:
+def _more(items: Sequence[object]) -> str:
     return f" (and {len(items) - 1} more)" if len(items) > 1 else ""

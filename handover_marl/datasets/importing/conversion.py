@@ -1,17 +1,10 @@
 """Many recordings to scenes, in processes of their own."""
 
-import multiprocessing
-import os
-import threading
 from collections.abc import Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
-from rich.console import Console
-from rich.progress import track
-
 from handover_marl.datasets.importing.mano_model import SIDES, ManoModel, read_mano_model
+from handover_marl.datasets.importing.process_pool import worked_on
 from handover_marl.datasets.importing.raw_layout import SequenceFolder
 from handover_marl.datasets.importing.scene_import import Betas, import_scene
 from handover_marl.errors import HandoverError, ResultsError
@@ -27,55 +20,24 @@ def read_models(folder: Path) -> dict[str, ManoModel]:
 
 
 def converted(
-    sequences: Sequence[SequenceFolder],
-    mano: Path,
-    betas: Betas,
-    out: Path,
-    workers: int,
-    progress: bool,
+    sequences: Sequence[SequenceFolder], mano: Path, betas: Betas, out: Path, workers: int, progress: bool
 ) -> Iterator[tuple[SequenceFolder, str]]:
-    """Every recording with what kept it from being imported, empty if nothing did, as they are finished."""
-    # Fresh processes, since forking one that has threads is not safe.
-    context = multiprocessing.get_context("spawn")
-    count = min(workers, max(1, len(sequences)))
-    with ProcessPoolExecutor(count, context, initializer=_start, initargs=(mano, betas, out)) as pool:
-        try:
-            pending: dict[Future[str], SequenceFolder] = {pool.submit(_import_one, one): one for one in sequences}
-            bar = track(
-                as_completed(pending), "scenes", len(pending), console=Console(stderr=True), disable=not progress
-            )
-            for future in bar:
-                yield pending[future], future.result()
-        except BrokenProcessPool as error:
-            raise ResultsError(
-                f"a process of the import died ({error}), perhaps for lack of memory, or since the script that calls "
-                f'this has no `if __name__ == "__main__":`. What is in {out} is whole; run the same again, with fewer '
-                "workers"
-            ) from error
-        finally:
-            pool.shutdown(cancel_futures=True)
+    """Every recording with what kept it from being imported, empty if nothing did, as they are finished.
+
+    Raises:
+        ResultsError: The data folder cannot be written, or a process died.
+    """
+    # The models are not sent: they are more than a pipe holds.
+    return worked_on(_import_one, sequences, "scenes", workers, progress, _start, (mano, betas, out))
 
 
 _given: tuple[dict[str, ManoModel], Betas, Path]
 
 
 def _start(mano: Path, betas: Betas, out: Path) -> None:
-    """What a process is told once.
-
-    The models are not sent: with more than a pipe holds (64 kB), the parent would wait for ever for a process that
-    died before it read them.
-    """
+    """What a process is told once."""
     global _given
     _given = read_models(mano), betas, out
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-
-
-def _end_with_parent() -> None:
-    # A parent that was killed has told nobody, and its processes would wait for work for ever.
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
 
 
 def _import_one(sequence: SequenceFolder) -> str:

@@ -5,20 +5,17 @@ of the same outer dimensions, and the Panda is PyBullet's. Every such file says 
 """
 
 import io
-import multiprocessing
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from rich.console import Console
-from rich.progress import track
 from scipy.spatial import QhullError
 
 from handover_marl.assets.robot_model import PANDA_URDF, panda_text
 from handover_marl.assets.shipped_grasps import load_object_grasps
 from handover_marl.datasets.importing.asset_files import put_files
+from handover_marl.datasets.importing.process_pool import worked_on
 from handover_marl.datasets.official_files import PANDA_FILES, STAND_IN
 from handover_marl.errors import DataFormatError
 from handover_marl.models.hulls import extreme_points, hull
@@ -72,18 +69,12 @@ def _cut(assets: Path, names: list[str], workers: int, progress: bool) -> list[s
             "(--third-party), which has the original ones, or install what cuts them (pip install "
             "'handover-marl[import]')"
         ]
-    with ProcessPoolExecutor(min(workers, len(names)), multiprocessing.get_context("spawn")) as pool:
-        pending = [pool.submit(_cut_one, assets, name) for name in names]
-        try:
-            bar = track(
-                as_completed(pending), "convex parts", len(pending), console=Console(stderr=True), disable=not progress
-            )
-            return [fault for future in bar if (fault := future.result())]
-        finally:
-            pool.shutdown(cancel_futures=True)
+    cut = worked_on(_cut_one, [(assets, name) for name in names], "convex parts", workers, progress)
+    return [fault for _, fault in cut if fault]
 
 
-def _cut_one(assets: Path, name: str) -> str:
+def _cut_one(thing: tuple[Path, str]) -> str:
+    assets, name = thing
     try:
         put_files(assets, {f"{name}/{_COLLISION}": convex_parts(assets / name / _SHOWN[0]).encode()})
     except DataFormatError as error:
