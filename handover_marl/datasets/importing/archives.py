@@ -8,7 +8,6 @@ import os
 import stat
 import tarfile
 import zipfile
-import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -25,7 +24,6 @@ _UNPACKERS: dict[bytes, Callable[[Path], Any]] = {
     b"BZh": bz2.BZ2File,
     b"\xfd7zXZ": lzma.LZMAFile,
 }
-_DAMAGE = (tarfile.TarError, zipfile.BadZipFile, zlib.error, lzma.LZMAError, EOFError, OSError, ValueError)
 
 
 @dataclass(frozen=True)
@@ -73,7 +71,7 @@ def _told(source: Path) -> Iterator[None]:
         yield
     except (UnsafeFileError, DataNotFoundError):
         raise
-    except _DAMAGE as error:
+    except Exception as error:  # what tarfile and zipfile raise on damaged bytes has no end
         raise DataFormatError(
             f"{source}: no readable archive ({type(error).__name__}: {str(error)[:200]}); download it again"
         ) from error
