@@ -112,8 +112,8 @@ def _splits(infos: dict[int, SceneInfo]) -> list[Finding]:
         for split in SPLITS:
             scenes = split_scenes(setup, split, lambda scene: infos[scene].side if scene in infos else "right")
             there = sum(scene in infos for scene in scenes)
-            # Of the left hands some scenes cannot be told while they are missing, hence the official number.
-            needed = SPLIT_SIZES[setup, split]
+            # While scenes are missing, their hands are unknown and with them the splits; the official sizes are not.
+            needed = len(scenes) if len(infos) == N_SCENES else SPLIT_SIZES[setup, split]
             whole &= there == needed
             told.append(f"{split} {there}" if there == needed else f"{split} {there} of {needed}")
         state, advice = (State.GOOD, "") if whole else (State.FAULT, "complete the scenes")
@@ -123,7 +123,7 @@ def _splits(infos: dict[int, SceneInfo]) -> list[Finding]:
 
 def _objects_in_a_scene(infos: dict[int, SceneInfo]) -> Finding:
     counts = Counter(len(info.object_ids) for info in infos.values())
-    told = ", ".join(f"{number} in {counts[number]} scenes" for number in sorted(counts))
+    told = ", ".join(f"{number} in {counts[number]} scene{'s'[: counts[number] > 1]}" for number in sorted(counts))
     if set(counts) == {1}:
         advice = "only the grasped objects; official numbers are with all, which `handover-marl import` reads"
         return Finding("objects in a scene", told, State.NOTE, advice)

@@ -29,7 +29,7 @@ def test_a_partial_folder_tells_what_is_missing(fake_data: Path) -> None:
     assert found["scenes"].found == "6 of 1000"
     assert "meta_000.json" in found["scenes"].advice
     assert found["setup s0"].found.startswith("train 3 of 720, val 2 of 36")
-    assert found["objects in a scene"].found == "1 in 5 scenes, 3 in 1 scenes"
+    assert found["objects in a scene"].found == "1 in 5 scenes, 3 in 1 scene"
     assert found["grasps"].state is State.FAULT
     assert "--third-party" in found["grasps"].advice
     assert found["URDFs"].state is State.FAULT
