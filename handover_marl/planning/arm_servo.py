@@ -1,0 +1,84 @@
+"""Commands for an arm whose motors make up a fixed share of their error in every step."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ServoConfig:
+    """How fast the arm may move.
+
+    Attributes:
+        speeds: Largest joint speeds, the Panda's (rad/s).
+        share: Of these that is used.
+        acceleration: Largest change of a joint's speed (rad/s^2).
+        braking: Deceleration towards a goal that rests (rad/s^2).
+    """
+
+    speeds: tuple[float, ...] = (2.175, 2.175, 2.175, 2.175, 2.61, 2.61, 2.61)
+    share: float = 0.9
+    acceleration: float = 15.0
+    braking: float = 6.0
+
+
+class ArmServo:
+    """Turns joint velocities into targets.
+
+    Position motors lag behind their target by their time constant; a target that leads by as much makes the arm arrive
+    when it should.
+
+    Args:
+        config: Speeds.
+        gain: Share of the position error that a motor corrects in a step.
+        steps: Physics steps that a command stands.
+        time_step: Seconds in a step.
+    """
+
+    def __init__(self, config: ServoConfig, gain: float, steps: int, time_step: float) -> None:
+        self.config = config
+        self.period = steps * time_step
+        self.limits = config.share * np.array(config.speeds)
+        self._lead = 1.0 / (1.0 - (1.0 - gain) ** steps)
+        self._velocity = np.zeros(len(config.speeds))
+
+    def reset(self) -> None:
+        """Stand still."""
+        self._velocity = np.zeros(len(self.config.speeds))
+
+    @property
+    def velocity(self) -> Array:
+        """(7,) joint velocities commanded last (rad/s)."""
+        return self._velocity
+
+    def towards(self, joints: Array, goal: Array, drift: Array | None = None) -> Array:
+        """(7,) velocities (rad/s) along the straight joint line to a goal, braking before it.
+
+        Args:
+            joints: (7,) where the arm is (rad).
+            goal: (7,) where it is to be.
+            drift: (7,) how fast the goal moves (rad/s).
+        """
+        way = goal - joints
+        slow = np.sqrt(2.0 * self.config.braking * np.abs(way).max())
+        wanted = way / self.period
+        most = float(np.abs(wanted).max())
+        if most > slow:
+            wanted = wanted * (slow / most)
+        return wanted if drift is None else wanted + drift
+
+    def limited(self, velocity: Array) -> Array:
+        """(7,) the velocity in the same direction that keeps to the speed limits."""
+        over = float((np.abs(velocity) / self.limits).max())
+        return velocity / over if over > 1.0 else velocity
+
+    def command(self, joints: Array, velocity: Array) -> Array:
+        """(7,) targets (rad) that make the arm move at a velocity, as far as its acceleration allows."""
+        change = velocity - self._velocity
+        most = self.config.acceleration * self.period
+        over = float(np.abs(change).max()) / most
+        self._velocity = self._velocity + (change / over if over > 1.0 else change)
+        return joints + self._lead * self.period * self._velocity

@@ -1,0 +1,92 @@
+"""How much room a gripper has beside a person's hand, for many poses of the gripper at once."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from handover_marl.planning.capsules import Capsules
+
+Array = npt.NDArray[np.float64]
+
+#: The open gripper in the frame of the Panda's hand link as boxes, middles and half sizes (m): the hand's body, the
+#: two fingers, the flange behind it. The bounds of HandoverSim's collision meshes, the flange's without its corners.
+BOX_MIDDLES = np.array([[0.0, 0.0, 0.02], [0.0, 0.0533, 0.0855], [0.0, -0.0533, 0.0855], [0.0, 0.0, -0.065]])
+BOX_HALVES = np.array([[0.0316, 0.104, 0.046], [0.0105, 0.0133, 0.0271], [0.0105, 0.0133, 0.0271], [0.055, 0.055, 0.04]])
+
+_FACING = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Balls:
+    """A body as balls: `centers` (k, 3) and `radii` (k,), in m."""
+
+    centers: Array
+    radii: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Nearest:
+    """Where gripper and hand come nearest.
+
+    Attributes:
+        room: Their distance (m), negative where they overlap.
+        point: (3,) the nearest point of the gripper.
+        away: (3,) unit vector from the hand to the gripper there.
+        ball: Which ball of the hand it is.
+    """
+
+    room: float
+    point: Array
+    away: Array
+    ball: int
+
+
+def balls_of(capsules: Capsules, count: int) -> Balls:
+    """Capsules as `count` balls each, evenly along their axes."""
+    shares = np.linspace(0.0, 1.0, count)[:, None, None]
+    centers = capsules.starts + shares * (capsules.ends - capsules.starts)
+    return Balls(centers.reshape(-1, 3), np.tile(capsules.radii, count))
+
+
+def rooms(hands: Array, balls: Balls, sweep: float = 0.0) -> Array:
+    """(n,) distances (m) between balls and the open gripper at poses (n, 7) of the hand link, negative inside.
+
+    Args:
+        hands: Poses in the balls' frame.
+        balls: The person's hand.
+        sweep: Length of a straight way along the gripper's z axis that ends at the pose and counts too (m).
+    """
+    turns = Rotation.from_quat(hands[:, 3:]).as_matrix()
+    local = (balls.centers[None] - hands[:, None, :3]) @ turns
+    nearest = np.full(local.shape[:2], np.inf)
+    for middle, half in zip(BOX_MIDDLES, BOX_HALVES, strict=True):
+        middle, half = middle - [0.0, 0.0, 0.5 * sweep], half + [0.0, 0.0, 0.5 * sweep]
+        nearest = np.minimum(nearest, _box_distance(local - middle, half))
+    found: Array = (nearest - balls.radii).min(axis=1)
+    return found
+
+
+def nearest(hand: Array, balls: Balls) -> Nearest:
+    """The nearest points of a gripper at one pose (7,) of the hand link and of balls."""
+    turn = Rotation.from_quat(hand[3:]).as_matrix()
+    local = (balls.centers - hand[:3]) @ turn
+    away = local[None] - BOX_MIDDLES[:, None]
+    distances = np.stack([_box_distance(way, half) for way, half in zip(away, BOX_HALVES, strict=True)])
+    box, ball = np.unravel_index(int(np.argmin(distances - balls.radii)), distances.shape)
+    on_box = np.clip(away[box, ball], -BOX_HALVES[box], BOX_HALVES[box]) + BOX_MIDDLES[box]
+    way = on_box - local[ball]
+    length = float(np.linalg.norm(way))
+    # A ball's middle within the box has no nearest face that is worth following; out by the middle instead.
+    way = way / length if length > _FACING else -away[box, ball] / max(float(np.linalg.norm(away[box, ball])), _FACING)
+    room = float(distances[box, ball] - balls.radii[ball])
+    return Nearest(room, hand[:3] + turn @ on_box, turn @ way, int(ball))
+
+
+def _box_distance(points: Array, half: Array) -> Array:
+    """(...) distances of points (..., 3) to a box about the origin, negative inside."""
+    beyond = np.abs(points) - half
+    outside = np.maximum(beyond, 0.0)
+    found: Array = np.sqrt(np.einsum("...i,...i->...", outside, outside)) + np.minimum(beyond.max(axis=-1), 0.0)
+    return found

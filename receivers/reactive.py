@@ -1,0 +1,346 @@
+"""A receiver that moves with the person: it follows the object, chooses and changes its grasp, and keeps clear.
+
+Knows the true poses of object and hand.
+"""
+
+from enum import Enum, auto
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from handover_marl.config import ARM_JOINTS, TIME_STEP
+from handover_marl.episode.observations import Observation
+from handover_marl.models.arm import Arm
+from handover_marl.models.kinematic_tree import read_tree
+from handover_marl.models.panda import CLOSED, HALF_TURN, LOWER_LIMITS, OPEN, UPPER_LIMITS, WAITING_JOINTS
+from handover_marl.models.poses import compose, inverse, poses_from_rotations, rotate, rotation_angle
+from handover_marl.models.ycb import CLASS_NAMES
+from handover_marl.planning.arm_servo import ArmServo
+from handover_marl.planning.capsules import hand_capsules
+from handover_marl.planning.grasp_rules import usable
+from handover_marl.planning.gripper_room import Balls, balls_of, nearest, rooms
+from handover_marl.planning.inverse_kinematics import solve
+from handover_marl.planning.offer_prediction import OfferPrediction
+from handover_marl.policies.context import PolicyContext
+from handover_marl.policies.policy import Action
+from handover_marl.policies.receiver import Receiver
+from handover_marl.policies.waiting import wait_ms
+from handover_marl.receivers.object_grasps import ObjectGrasps
+from handover_marl.receivers.reactive_config import ReactiveConfig
+
+Array = npt.NDArray[np.float64]
+
+_HOME = np.array(WAITING_JOINTS[:ARM_JOINTS])
+
+
+class Phase(Enum):
+    WAIT = auto()
+    APPROACH = auto()
+    CLOSE = auto()
+    BACK = auto()
+    RETREAT = auto()
+
+
+class ReactiveReceiver(Receiver):
+    name = "reactive"
+    control_period = 0.05
+
+    def __init__(self, context: PolicyContext, wait: float = 0.0, config: ReactiveConfig | None = None) -> None:
+        super().__init__(context)
+        self.config = config or ReactiveConfig()
+        self._wait = wait_ms(wait) / 1000.0
+        self._arm = Arm(read_tree(context.panda_urdf))
+        pad = 0.03
+        self._limits = (np.array(LOWER_LIMITS[:7]) + pad, np.array(UPPER_LIMITS[:7]) - pad)
+        self._base = np.array([*context.panda.base_position, *context.panda.base_orientation])
+        self._base_inv = inverse(self._base)
+        steps = round(self.config.period / TIME_STEP)
+        self._servo = ArmServo(self.config.servo, context.panda.motor.position_gain, steps, TIME_STEP)
+        self._grasps = ObjectGrasps(context.grasps)
+        self.home_pose = self._hand(_HOME)
+
+    @property
+    def wait(self) -> float:
+        return self._wait
+
+    def reset(self, seed: int | None = None) -> None:
+        self._servo.reset()
+        self._offer = OfferPrediction(self.config.offer)
+        self._phase = Phase.WAIT
+        self._table: Array | None = None
+        self._chosen = -1
+        self._banned: dict[int, float] = {}
+        self._keys: Array | None = None
+        self._keyv = np.zeros((16, 3))
+        self._since = 0.0
+        self._goal_before: Array | None = None
+        self._note = ""
+
+    def describe(self) -> str:
+        return f"{self._phase.name} {self._note}"
+
+    # ---- perception
+    def act(self, observation: Observation) -> Action:
+        now = round(float(observation["time"][0]), 3)
+        self._now = now
+        q = observation["robot_joint_position"].astype(np.float64)
+        self._fingers, q = q[7:], q[:7]
+        obj = observation["object_poses"][0].astype(np.float64)
+        self._offer.see(now, obj)
+        self._see_hand(observation)
+        self._observation = observation
+        if self._table is None:
+            self._table = self._grasp_table(observation)
+        self._object = obj
+        hand = self._hand(q)
+        self._note = ""
+        if now < self._wait:
+            return self._go(q, self._servo.towards(q, _HOME), OPEN)
+        if self._phase is Phase.WAIT:
+            if not self._offering(observation) or len(self._table) == 0:
+                return self._go(q, self._servo.towards(q, _HOME), OPEN)
+            self._phase = Phase.APPROACH
+        if self._phase is Phase.APPROACH:
+            if observation["released"][0]:
+                pass
+            return self._approach(q, hand)
+        if self._phase is Phase.CLOSE:
+            return self._close(q, hand, bool(observation["released"][0]))
+        if self._phase is Phase.BACK:
+            return self._back(q, hand)
+        return self._retreat(q, hand)
+
+    def _see_hand(self, observation: Observation) -> None:
+        capsules = hand_capsules(observation)
+        if capsules is None:
+            self._balls, self._keys = None, None
+            return
+        keys = observation["hand_keypoints"].astype(np.float64)
+        step = self.config.period
+        if self._keys is not None:
+            self._keyv = 0.4 * self._keyv + 0.6 * (keys - self._keys) / step
+        else:
+            self._keyv = np.zeros((16, 3))
+        self._keys = keys
+        balls = balls_of(capsules, 3)
+        # The wrist is wider than its capsules.
+        across = keys[1] - keys[7]
+        across = across / max(float(np.linalg.norm(across)), 1e-6)
+        extra = np.stack([keys[0] + 0.02 * across, keys[0] - 0.02 * across, keys[0]])
+        self._balls = Balls(np.concatenate([balls.centers, extra]), np.concatenate([balls.radii, np.full(3, 0.016)]))
+
+    def _offering(self, observation: Observation) -> bool:
+        if self._balls is None:
+            return self._now > 3.0
+        if self._offer.lifted > self.config.lifted:
+            return True
+        near = float(np.linalg.norm(self._keys - self._object[:3], axis=1).min()) < self.config.beside
+        hand_still = float(np.abs(self._keyv[0]).max()) < 0.05
+        return near and hand_still and self._offer.rest > self.config.still and self._now > 1.5
+
+    def _grasp_table(self, observation: Observation) -> Array:
+        name = CLASS_NAMES[int(observation["object_classes"][0])]
+        found = self._grasps.in_object(name)
+        if found is None:
+            return np.zeros((0, 7))
+        both = np.concatenate([found, compose(found, np.array(HALF_TURN))])
+        rule = usable(name, compose(found, np.array(HALF_TURN)))
+        return both[np.concatenate([rule, rule])]
+
+    # ---- kinematics
+    def _hand(self, q: Array) -> Array:
+        chain = self._arm.chain(q[None])
+        pose = poses_from_rotations(chain.origins[-1].T, np.moveaxis(chain.rotations[-1], -1, 0))
+        return compose(self._base, pose)[0]
+
+    def _solve(self, poses: Array, seeds: Array, iterations: int, tolerance: float = 1e-3) -> tuple[Array, Array]:
+        local = compose(self._base_inv, poses)
+        return solve(
+            self._arm, local[:, :3], Rotation.from_quat(local[:, 3:]).as_matrix(), seeds, self._limits, tolerance, iterations
+        )
+
+    def _go(self, q: Array, velocity: Array, fingers: float) -> Action:
+        target = self._servo.command(q, self._servo.limited(velocity))
+        return np.array([*target, fingers, fingers], dtype=np.float32)
+
+    def _damped(self, q: Array, hand: Array, velocity: Array, stop: float) -> Array:
+        """Velocity that does not use up the room to the person's hand too fast."""
+        if self._balls is None:
+            return velocity
+        near = nearest(hand, self._balls)
+        self.room = near.room
+        chain = self._arm.chain(q[None])
+        J = self._arm.jacobian(chain)[..., 0]
+        turn = Rotation.from_quat(self._base_inv[3:]).as_matrix()
+        away = turn @ near.away
+        lever = turn @ (near.point - hand[:3])
+        row = away @ J[:3] + np.cross(lever, away) @ J[3:]
+        hv = float(near.away @ self._keyv.mean(axis=0))
+        rate = row @ velocity - hv
+        least = -(near.room - stop) / self.config.separation.time
+        least = min(least, 0.3)
+        if rate < least:
+            velocity = velocity + row * (least - rate) / (row @ row + 1e-4)
+        return velocity
+
+    # ---- choice
+    def _choose(self, q: Array, hand: Array, pose: Array) -> Array | None:
+        """Sets the chosen grasp; returns its standoff joints."""
+        costs = self.config.grasps
+        table = self._table
+        world = compose(pose, table)
+        room = np.full(len(table), 0.2)
+        if self._balls is not None:
+            inv = inverse(self._object)
+            local = Balls(rotate(inv[3:], self._balls.centers) + inv[:3], self._balls.radii)
+            room = rooms(table, local, 0.08)
+        turns = (Rotation.from_quat(self.home_pose[3:]).inv() * Rotation.from_quat(world[:, 3:])).magnitude()
+        rough = costs.turn * turns + costs.lack * np.maximum(0.0, costs.room - room)
+        rough[room < costs.least_room] += 100.0
+        z = world[:, 2] + rotate(world[:, 3:], np.array([0.0, 0.0, 0.112]))[:, 2] * 0 
+        tips = world[:, :3] + rotate(world[:, 3:], np.array([0.0, 0.0, 0.112]))
+        rough[np.minimum(tips[:, 2], world[:, 2] - 0.03) < 0.925] += 100.0
+        for number, until in self._banned.items():
+            if self._now < until:
+                rough[number] += 10.0
+        order = np.argsort(rough, kind="stable")[: costs.candidates]
+        if self._chosen >= 0 and self._chosen not in order:
+            order = np.append(order, self._chosen)
+        standoffs = compose(world[order], np.array([0, 0, -self.config.approach.standoff, 0, 0, 0, 1.0]))
+        n = len(order)
+        seeds = np.repeat(_HOME[None], n, axis=0)
+        qs, ok = self._solve(standoffs, seeds, 15)
+        qg, ok2 = self._solve(world[order], qs, 8)
+        ok &= ok2 & (np.abs(qg - qs).max(axis=1) < 0.8)
+        travel = (np.abs(qs - q) / self._servo.limits).max(axis=1)
+        edge = np.minimum(qg - self._limits[0], self._limits[1] - qg).min(axis=1)
+        edge = np.minimum(edge, np.minimum(qs - self._limits[0], self._limits[1] - qs).min(axis=1))
+        cost = travel + costs.tight * np.maximum(0, costs.limit - edge)
+        cost += rough[order]
+        cost[~ok] += 1000.0
+        best = int(np.argmin(cost))
+        if cost[best] > 50.0:
+            self._note = f"nothing ok={ok.sum()} room={room.max():.3f}"
+            if cost[best] >= 1000.0:
+                self._chosen = -1
+                return None
+        if self._chosen >= 0:
+            old = int(np.flatnonzero(order == self._chosen)[0])
+            if cost[old] <= cost[best] + costs.gain:
+                best = old
+        if order[best] != self._chosen:
+            self._goal_before = None
+        self._chosen = int(order[best])
+        self._grasp_room = float(room[self._chosen])
+        self._joints = qg[best]
+        return qs[best]
+
+    # ---- phases
+    def _approach(self, q: Array, hand: Array) -> Action:
+        config = self.config.approach
+        offset = None
+        locked = False
+        if self._chosen >= 0:
+            offset = self._offset(hand, self._object)
+            axial, lateral, angle = offset
+            locked = axial < 0.06 and lateral < 0.03 and angle < 0.3
+        if not locked:
+            standoff = self._choose(q, hand, self._offer.offered())
+            if standoff is None:
+                return self._go(q, self._damped(q, hand, self._servo.towards(q, _HOME), self.config.separation.stop), OPEN)
+        axial, lateral, angle = self._offset(hand, self._object)
+        speed = self._offer.speed
+        near = axial < config.standoff + 0.05 and lateral < 0.06 and angle < 0.5
+        self._note += f" g{self._chosen} room={self._grasp_room:.3f} ax={axial:.3f} lat={lateral:.3f} ang={angle:.2f} v={speed:.2f}"
+        if not near:
+            velocity = self._servo.towards(q, standoff)
+            velocity = self._servo.limited(velocity)
+            return self._go(q, self._damped(q, hand, velocity, self.config.separation.stop), OPEN)
+        # closed loop relative to the moving object
+        if axial < config.close_axial and lateral < config.lateral + 0.002 and angle < config.turn and speed < config.close_speed:
+            self._phase, self._since = Phase.CLOSE, self._now
+            self._close_pose = compose(self._object, self._table[self._chosen])
+            return self._close(q, hand, False)
+        ok = lateral < config.lateral + config.funnel * max(axial, 0.0) and angle < config.turn + axial
+        if speed < config.object_speed and ok:
+            depth = max(0.0, axial - config.speed * self.config.period)
+        elif ok and axial < config.standoff:
+            depth = max(axial, 0.0) if speed < 2 * config.object_speed else config.standoff
+        else:
+            depth = config.standoff if axial > 0.03 else axial
+        pose = compose(self._offer.soon(self.config.period), self._table[self._chosen])
+        pose = compose(pose, np.array([0, 0, -depth, 0, 0, 0, 1.0]))
+        goal, okay = self._solve(pose[None], q[None], 8)
+        velocity = (goal[0] - q) / self.config.period
+        velocity = self._servo.limited(velocity)
+        stop = min(self.config.separation.stop, max(self._grasp_room - 0.006, 0.001))
+        return self._go(q, self._damped(q, hand, velocity, stop), OPEN)
+
+    def _offset(self, hand: Array, pose: Array) -> tuple[float, float, float]:
+        grasp = compose(pose, self._table[self._chosen])
+        local = compose(inverse(grasp), hand)
+        return -float(local[2]), float(np.hypot(local[0], local[1])), rotation_angle(grasp[3:], hand[3:])
+
+    def _close(self, q: Array, hand: Array, released: bool) -> Action:
+        config = self.config.approach
+        if released:
+            self._phase = Phase.RETREAT
+            self._release_pose = hand.copy()
+            self._speed = 0.0
+            return self._retreat(q, hand)
+        self._note = f"fingers={self._fingers[0]:.4f} {self._fingers[1]:.4f}"
+        since = self._now - self._since
+        empty = since > 0.3 and self._fingers.max() < config.empty
+        if empty or since > config.close_time:
+            self._banned[self._chosen] = self._now + config.pushed
+            self._phase, self._since = Phase.BACK, self._now
+            self._back_pose = compose(hand, np.array([0, 0, -config.backing, 0, 0, 0, 1.0]))
+            return self._back(q, hand)
+        if self._balls is not None:
+            self._close_pose[:3] += self._keyv.mean(axis=0) * self.config.period
+        goal, okay = self._solve(self._close_pose[None], q[None], 6)
+        return self._go(q, 0.5*(goal[0] - q) / self.config.period, CLOSED)
+
+    def _back(self, q: Array, hand: Array) -> Action:
+        if float(np.linalg.norm(hand[:3] - self._back_pose[:3])) < 0.03 or self._now - self._since > 1.0:
+            self._phase = Phase.APPROACH
+            self._chosen = -1
+            return self._approach(q, hand)
+        # fingers first
+        velocity = np.zeros(7)
+        if self._now - self._since > 0.1:
+            way = self._back_pose[:3] - hand[:3]
+            velocity = self._cartesian(q, 0.25 * way / max(np.linalg.norm(way), 1e-6), np.zeros(3))
+        return self._go(q, velocity, OPEN)
+
+    def _cartesian(self, q: Array, linear: Array, angular: Array, weight: float = 0.3) -> Array:
+        chain = self._arm.chain(q[None])
+        J = self._arm.jacobian(chain)[..., 0]
+        turn = Rotation.from_quat(self._base_inv[3:]).as_matrix()
+        x = np.concatenate([turn @ linear, turn @ angular])
+        W = np.diag([1, 1, 1, weight, weight, weight])
+        A = W @ J
+        return A.T @ np.linalg.solve(A @ A.T + 1e-3 * np.eye(6), W @ x)
+
+    def _retreat(self, q: Array, hand: Array) -> Action:
+        config = self.config.retreat
+        goal = np.array(self.context.protocol.goal_center)
+        room = 1.0 if self._balls is None else nearest(hand, self._balls).room
+        axis = rotate(self._release_pose[3:], np.array([0, 0, 1.0]))
+        backed = -float((hand[:3] - self._release_pose[:3]) @ axis)
+        way = goal - hand[:3]
+        left = float(np.linalg.norm(way))
+        to_goal = way / max(left, 1e-6)
+        share = float(np.clip(backed / config.back, 0.0, 1.0))
+        direction = (1 - share) * -axis + share * to_goal
+        direction /= max(float(np.linalg.norm(direction)), 1e-6)
+        self._speed = min(config.speed, self._speed + config.acceleration * self.config.period)
+        speed = min(self._speed, np.sqrt(2 * config.acceleration * max(left - 0.03, 0.0))) if share >= 1 else self._speed
+        turn = (Rotation.from_quat(self._release_pose[3:]) * Rotation.from_quat(hand[3:]).inv()).as_rotvec()
+        velocity = self._cartesian(q, speed * direction, 2.0 * turn)
+        low, high = self._limits
+        nextq = np.clip(q + velocity * self.config.period, low, high)
+        velocity = self._servo.limited((nextq - q) / self.config.period)
+        self._note = f"room={room:.3f} left={left:.3f} fingers={self._fingers[0]:.4f}"
+        return self._go(q, self._damped(q, hand, velocity, min(self.config.separation.stop, room)), CLOSED)
