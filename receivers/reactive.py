@@ -3,6 +3,7 @@
 Knows the true poses of object and hand.
 """
 
+import itertools
 from enum import Enum, auto
 
 import numpy as np
@@ -32,6 +33,9 @@ from handover_marl.receivers.reactive_config import ReactiveConfig
 Array = npt.NDArray[np.float64]
 
 _HOME = np.array(WAITING_JOINTS[:ARM_JOINTS])
+# Where searches for joints start.
+_SEEDS = np.array([_HOME, (-0.386, 0.559, 0.048, -2.175, -1.173, 1.994, 0.797), (0.276, 0.693, 0.397, -2.782, 1.358, 2.557, -0.02)])
+_DIRECTIONS = np.array([v / np.linalg.norm(v) for v in itertools.product((-1.0, 0.0, 1.0), repeat=3) if any(v)])
 
 
 class Phase(Enum):
@@ -74,6 +78,7 @@ class ReactiveReceiver(Receiver):
         self._keys: Array | None = None
         self._keyv = np.zeros((16, 3))
         self._since = 0.0
+        self._page = 0
         self._goal_before: Array | None = None
         self._note = ""
 
@@ -204,16 +209,24 @@ class ReactiveReceiver(Receiver):
         for number, until in self._banned.items():
             if self._now < until:
                 rough[number] += 10.0
-        order = np.argsort(rough, kind="stable")[: costs.candidates]
+        order = np.argsort(rough, kind="stable")
+        order = np.roll(order[rough[order] < 50.0], -self._page * costs.candidates)[: costs.candidates]
+        if len(order) == 0:
+            self._note = f"no room={room.max():.3f}"
+            self._chosen = -1
+            return None
         if self._chosen >= 0 and self._chosen not in order:
             order = np.append(order, self._chosen)
         standoffs = compose(world[order], np.array([0, 0, -self.config.approach.standoff, 0, 0, 0, 1.0]))
         n = len(order)
-        seeds = np.repeat(_HOME[None], n, axis=0)
-        qs, ok = self._solve(standoffs, seeds, 15)
-        qg, ok2 = self._solve(world[order], qs, 8)
+        seeds = np.repeat(_SEEDS, n, axis=0)
+        count = len(_SEEDS)
+        qs, ok = self._solve(np.tile(standoffs, (count, 1)), seeds, 12)
+        qg, ok2 = self._solve(np.tile(world[order], (count, 1)), qs, 6)
         ok &= ok2 & (np.abs(qg - qs).max(axis=1) < 0.8)
         travel = (np.abs(qs - q) / self._servo.limits).max(axis=1)
+        which = np.argmin(np.where(ok, travel, np.inf).reshape(count, n), axis=0) * n + np.arange(n)
+        qs, qg, ok, travel = qs[which], qg[which], ok[which], travel[which]
         edge = np.minimum(qg - self._limits[0], self._limits[1] - qg).min(axis=1)
         edge = np.minimum(edge, np.minimum(qs - self._limits[0], self._limits[1] - qs).min(axis=1))
         cost = travel + costs.tight * np.maximum(0, costs.limit - edge)
@@ -223,15 +236,16 @@ class ReactiveReceiver(Receiver):
         if cost[best] > 50.0:
             self._note = f"nothing ok={ok.sum()} room={room.max():.3f}"
             if cost[best] >= 1000.0:
+                self._page += 1
                 self._chosen = -1
                 return None
-        if self._chosen >= 0:
+        if self._chosen >= 0 and cost[np.flatnonzero(order == self._chosen)[0]] < 50:
             old = int(np.flatnonzero(order == self._chosen)[0])
             if cost[old] <= cost[best] + costs.gain:
                 best = old
         if order[best] != self._chosen:
             self._goal_before = None
-        self._chosen = int(order[best])
+        self._chosen, self._page = int(order[best]), 0
         self._grasp_room = float(room[self._chosen])
         self._joints = qg[best]
         return qs[best]
@@ -287,7 +301,7 @@ class ReactiveReceiver(Receiver):
         if released:
             self._phase = Phase.RETREAT
             self._release_pose = hand.copy()
-            self._speed = 0.0
+            self._speed, self._share, self._goal_joints = 0.0, 0.0, None
             return self._retreat(q, hand)
         self._note = f"fingers={self._fingers[0]:.4f} {self._fingers[1]:.4f}"
         since = self._now - self._since
@@ -319,28 +333,51 @@ class ReactiveReceiver(Receiver):
         J = self._arm.jacobian(chain)[..., 0]
         turn = Rotation.from_quat(self._base_inv[3:]).as_matrix()
         x = np.concatenate([turn @ linear, turn @ angular])
-        W = np.diag([1, 1, 1, weight, weight, weight])
-        A = W @ J
-        return A.T @ np.linalg.solve(A @ A.T + 1e-3 * np.eye(6), W @ x)
+        W = np.array([1, 1, 1, weight, weight, weight])[:, None]
+        free = np.ones(7, dtype=bool)
+        low, high = self._limits
+        velocity = np.zeros(7)
+        for _ in range(4):
+            A = W * J * free
+            velocity = A.T @ np.linalg.solve(A @ A.T + 1e-3 * np.eye(6), W[:, 0] * x)
+            soon = q + velocity * self.config.period
+            bad = free & (((soon < low) & (velocity < 0)) | ((soon > high) & (velocity > 0)))
+            if not bad.any():
+                break
+            free &= ~bad
+        return velocity * free
+
+    def _carry_goal(self, q: Array, hand: Array) -> Array:
+        """Joints near the goal that are soonest reached."""
+        goal = np.array(self.context.protocol.goal_center)
+        home = Rotation.from_quat(self.home_pose[3:])
+        here = Rotation.from_quat(hand[3:])
+        ways = np.concatenate([np.zeros((1, 3)), self.config.retreat.inside * _DIRECTIONS])
+        turn = (home * here.inv()).as_rotvec()
+        turns = [(Rotation.from_rotvec(share * turn) * here).as_quat() for share in (0.0, 0.25, 0.5, 1.0)]
+        poses = np.array([[*(goal + way), *quat] for way in ways for quat in turns])
+        count = len(poses)
+        seeds = np.concatenate([np.repeat(q[None], count, axis=0), np.repeat(_SEEDS, count, axis=0)])
+        joints, ok = self._solve(np.tile(poses, (1 + len(_SEEDS), 1)), seeds, 12, 5e-3)
+        travel = (np.abs(joints - q) / self._servo.limits).max(axis=1)
+        travel[~ok] += 100.0
+        return joints[int(np.argmin(travel))]
 
     def _retreat(self, q: Array, hand: Array) -> Action:
         config = self.config.retreat
-        goal = np.array(self.context.protocol.goal_center)
+        if self._goal_joints is None:
+            self._goal_joints = self._carry_goal(q, hand)
         room = 1.0 if self._balls is None else nearest(hand, self._balls).room
         axis = rotate(self._release_pose[3:], np.array([0, 0, 1.0]))
         backed = -float((hand[:3] - self._release_pose[:3]) @ axis)
-        way = goal - hand[:3]
-        left = float(np.linalg.norm(way))
-        to_goal = way / max(left, 1e-6)
-        share = float(np.clip(backed / config.back, 0.0, 1.0))
-        direction = (1 - share) * -axis + share * to_goal
-        direction /= max(float(np.linalg.norm(direction)), 1e-6)
+        share = float(np.clip(backed / config.back, self._share, 1.0))
+        self._share = share
         self._speed = min(config.speed, self._speed + config.acceleration * self.config.period)
-        speed = min(self._speed, np.sqrt(2 * config.acceleration * max(left - 0.03, 0.0))) if share >= 1 else self._speed
         turn = (Rotation.from_quat(self._release_pose[3:]) * Rotation.from_quat(hand[3:]).inv()).as_rotvec()
-        velocity = self._cartesian(q, speed * direction, 2.0 * turn)
-        low, high = self._limits
-        nextq = np.clip(q + velocity * self.config.period, low, high)
-        velocity = self._servo.limited((nextq - q) / self.config.period)
-        self._note = f"room={room:.3f} left={left:.3f} fingers={self._fingers[0]:.4f}"
+        velocity = np.zeros(7)
+        if share < 1.0:
+            velocity = (1.0 - share) * self._cartesian(q, -self._speed * axis, 2.0 * turn, 0.1)
+        velocity = velocity + share * self._servo.limited(self._servo.towards(q, self._goal_joints))
+        velocity = self._servo.limited(velocity)
+        self._note = f"room={room:.3f} back={backed:.3f} fingers={self._fingers[0]:.4f} joints={np.abs(q - self._goal_joints).max():.2f}"
         return self._go(q, self._damped(q, hand, velocity, min(self.config.separation.stop, room)), CLOSED)
