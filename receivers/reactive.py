@@ -19,7 +19,6 @@ from handover_marl.models.poses import compose, inverse, poses_from_rotations, r
 from handover_marl.models.ycb import CLASS_NAMES
 from handover_marl.planning.arm_servo import ArmServo
 from handover_marl.planning.capsules import hand_capsules
-from handover_marl.planning.grasp_rules import usable
 from handover_marl.planning.gripper_room import Balls, balls_of, nearest, rooms
 from handover_marl.planning.inverse_kinematics import solve
 from handover_marl.planning.offer_prediction import OfferPrediction
@@ -28,6 +27,7 @@ from handover_marl.policies.policy import Action
 from handover_marl.policies.receiver import Receiver
 from handover_marl.policies.waiting import wait_ms
 from handover_marl.receivers.object_grasps import ObjectGrasps
+from handover_marl.receivers.reactive_grasps import TriedGrasps, tried_grasps
 from handover_marl.receivers.reactive_config import ReactiveConfig
 
 Array = npt.NDArray[np.float64]
@@ -62,6 +62,7 @@ class ReactiveReceiver(Receiver):
         steps = round(self.config.period / TIME_STEP)
         self._servo = ArmServo(self.config.servo, context.panda.motor.position_gain, steps, TIME_STEP)
         self._grasps = ObjectGrasps(context.grasps)
+        self._tried: dict[str, TriedGrasps] = {}
         self.home_pose = self._hand(_HOME)
 
     @property
@@ -78,7 +79,7 @@ class ReactiveReceiver(Receiver):
         self._keys: Array | None = None
         self._keyv = np.zeros((16, 3))
         self._since = 0.0
-        self._page = 0
+        self._page, self._lost = 0, 0.0
         self._goal_before: Array | None = None
         self._note = ""
 
@@ -149,9 +150,11 @@ class ReactiveReceiver(Receiver):
         found = self._grasps.in_object(name)
         if found is None:
             return np.zeros((0, 7))
-        both = np.concatenate([found, compose(found, np.array(HALF_TURN))])
-        rule = usable(name, compose(found, np.array(HALF_TURN)))
-        return both[np.concatenate([rule, rule])]
+        if name not in self._tried:
+            self._tried[name] = tried_grasps(self.context.object_urdf(name), found, self.config.trials)
+        tried = self._tried[name]
+        self._holds = np.concatenate([tried.holds, tried.holds])
+        return np.concatenate([tried.poses, compose(tried.poses, np.array(HALF_TURN))])
 
     # ---- kinematics
     def _hand(self, q: Array) -> Array:
@@ -202,7 +205,8 @@ class ReactiveReceiver(Receiver):
             room = rooms(table, local, 0.08)
         turns = (Rotation.from_quat(self.home_pose[3:]).inv() * Rotation.from_quat(world[:, 3:])).magnitude()
         rough = costs.turn * turns + costs.lack * np.maximum(0.0, costs.room - room)
-        rough[room < costs.least_room] += 100.0
+        rough += costs.unstable * ~self._holds
+        rough[room < costs.least_room - costs.patience * self._lost] += 100.0
         z = world[:, 2] + rotate(world[:, 3:], np.array([0.0, 0.0, 0.112]))[:, 2] * 0 
         tips = world[:, :3] + rotate(world[:, 3:], np.array([0.0, 0.0, 0.112]))
         rough[np.minimum(tips[:, 2], world[:, 2] - 0.03) < 0.925] += 100.0
@@ -213,6 +217,7 @@ class ReactiveReceiver(Receiver):
         order = np.roll(order[rough[order] < 50.0], -self._page * costs.candidates)[: costs.candidates]
         if len(order) == 0:
             self._note = f"no room={room.max():.3f}"
+            self._lost += self.config.period * (self._offer.rest > 0.2)
             self._chosen = -1
             return None
         if self._chosen >= 0 and self._chosen not in order:
@@ -237,6 +242,7 @@ class ReactiveReceiver(Receiver):
             self._note = f"nothing ok={ok.sum()} room={room.max():.3f}"
             if cost[best] >= 1000.0:
                 self._page += 1
+                self._lost += self.config.period * (self._offer.rest > 0.2) * 0.3
                 self._chosen = -1
                 return None
         if self._chosen >= 0 and cost[np.flatnonzero(order == self._chosen)[0]] < 50:

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from handover_marl.planning.arm_servo import ServoConfig
 from handover_marl.planning.offer_prediction import OfferConfig
+from handover_marl.receivers.reactive_grasps import GraspTrials
 
 
 @dataclass(frozen=True)
@@ -16,7 +17,9 @@ class GraspCosts:
         way: of a way from there (s/m), for the choice of candidates.
         room: Room beside the person's hand that is wanted (m), and
         lack: price of each metre that is missing (s/m).
-        least_room: Grasps with less room are not taken.
+        least_room: Grasps with less room are not taken, but
+        patience: for each second in which there is none this gives way by so much (m/s).
+        unstable: Price of a grasp that did not hold when it was tried (s).
         limit: Distance to a joint limit that is wanted (rad), and
         tight: price of each radian that is missing (s/rad).
         gain: A grasp is given up only for one that is cheaper by so much (s).
@@ -28,6 +31,8 @@ class GraspCosts:
     room: float = 0.045
     lack: float = 40.0
     least_room: float = 0.008
+    patience: float = 0.01
+    unstable: float = 5.0
     limit: float = 0.3
     tight: float = 2.0
     gain: float = 0.3
@@ -122,3 +127,4 @@ class ReactiveConfig:
     separation: SeparationConfig = SeparationConfig()
     offer: OfferConfig = OfferConfig()
     servo: ServoConfig = ServoConfig()
+    trials: GraspTrials = GraspTrials()
