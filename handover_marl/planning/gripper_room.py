@@ -15,6 +15,9 @@ Array = npt.NDArray[np.float64]
 BOX_MIDDLES = np.array([[0.0, 0.0, 0.02], [0.0, 0.0533, 0.0855], [0.0, -0.0533, 0.0855], [0.0, 0.0, -0.065]])
 BOX_HALVES = np.array([[0.0316, 0.104, 0.046], [0.0105, 0.0133, 0.0271], [0.0105, 0.0133, 0.0271], [0.055, 0.055, 0.04]])
 
+# What the fingers sweep when they close, and what the hand's body and the flange sweep on the way to a grasp.
+_CLOSING = (np.array([0.0, 0.0, 0.0855]), np.array([0.0105, 0.0666, 0.0271]))
+_COMING = (0, 3)
 _FACING = 1e-9
 
 
@@ -51,7 +54,9 @@ def balls_of(capsules: Capsules, count: int) -> Balls:
 
 
 def rooms(hands: Array, balls: Balls, sweep: float = 0.0) -> Array:
-    """(n,) distances (m) between balls and the open gripper at poses (n, 7) of the hand link, negative inside.
+    """(n,) distances (m) between balls and a gripper that closes at poses (n, 7) of the hand link, negative inside.
+
+    What lies between the open fingers counts as touched.
 
     Args:
         hands: Poses in the balls' frame.
@@ -60,12 +65,12 @@ def rooms(hands: Array, balls: Balls, sweep: float = 0.0) -> Array:
     """
     turns = Rotation.from_quat(hands[:, 3:]).as_matrix()
     local = (balls.centers[None] - hands[:, None, :3]) @ turns
-    nearest = np.full(local.shape[:2], np.inf)
-    for middle, half in zip(BOX_MIDDLES, BOX_HALVES, strict=True):
-        middle, half = middle - [0.0, 0.0, 0.5 * sweep], half + [0.0, 0.0, 0.5 * sweep]
-        nearest = np.minimum(nearest, _box_distance(local - middle, half))
-    found: Array = (nearest - balls.radii).min(axis=1)
-    return found
+    back = np.array([0.0, 0.0, 0.5 * sweep])
+    found = _box_distance(local - _CLOSING[0], _CLOSING[1])
+    for box in _COMING:
+        found = np.minimum(found, _box_distance(local - BOX_MIDDLES[box] + back, BOX_HALVES[box] + back))
+    least: Array = (found - balls.radii).min(axis=1)
+    return least
 
 
 def nearest(hand: Array, balls: Balls) -> Nearest:
