@@ -14,12 +14,13 @@ from handover_marl.config import ARM_JOINTS, TIME_STEP
 from handover_marl.episode.observations import Observation
 from handover_marl.models.arm import Arm
 from handover_marl.models.kinematic_tree import read_tree
+from handover_marl.models.meshes import model_triangles
 from handover_marl.models.panda import CLOSED, HALF_TURN, LOWER_LIMITS, OPEN, UPPER_LIMITS, WAITING_JOINTS
-from handover_marl.models.poses import compose, inverse, poses_from_rotations, rotate, rotation_angle
+from handover_marl.models.poses import compose, compose_point, inverse, poses_from_rotations, rotate, rotation_angle
 from handover_marl.models.ycb import CLASS_NAMES
 from handover_marl.planning.arm_servo import ArmServo
 from handover_marl.planning.capsules import hand_capsules
-from handover_marl.planning.gripper_room import Balls, balls_of, nearest, rooms
+from handover_marl.planning.gripper_room import Balls, balls_of, corners, nearest, rooms, surface_balls
 from handover_marl.planning.inverse_kinematics import solve
 from handover_marl.planning.offer_prediction import OfferPrediction
 from handover_marl.policies.context import PolicyContext
@@ -35,6 +36,17 @@ Array = npt.NDArray[np.float64]
 _HOME = np.array(WAITING_JOINTS[:ARM_JOINTS])
 # Where searches for joints start.
 _SEEDS = np.array([_HOME, (-0.386, 0.559, 0.048, -2.175, -1.173, 1.994, 0.797), (0.276, 0.693, 0.397, -2.782, 1.358, 2.557, -0.02)])
+_MORE_SEEDS = np.array(
+    [
+        (0.641, -1.612, -0.197, -2.53, -0.095, 1.678, 0.587),
+        (-0.059, -1.612, -0.197, -2.53, -0.095, 1.678, -0.913),
+        (-0.059, -1.612, -1.097, -2.53, -0.095, 1.678, 0.587),
+        (0.7, 0.2, 0.0, -2.0, 0.0, 2.2, 0.785),
+        (-0.059, -1.612, -0.197, -2.53, -0.095, 0.878, 0.587),
+        (2.0, 0.23, -2.85, -1.69, 0.056, 1.46, -1.27),
+    ]
+)
+_TABLE = 0.92
 _DIRECTIONS = np.array([v / np.linalg.norm(v) for v in itertools.product((-1.0, 0.0, 1.0), repeat=3) if any(v)])
 
 
@@ -59,9 +71,11 @@ class ReactiveReceiver(Receiver):
         self._limits = (np.array(LOWER_LIMITS[:7]) + pad, np.array(UPPER_LIMITS[:7]) - pad)
         self._base = np.array([*context.panda.base_position, *context.panda.base_orientation])
         self._base_inv = inverse(self._base)
+        self._turn = Rotation.from_quat(self._base_inv[3:]).as_matrix()
         steps = round(self.config.period / TIME_STEP)
         self._servo = ArmServo(self.config.servo, context.panda.motor.position_gain, steps, TIME_STEP)
         self._grasps = ObjectGrasps(context.grasps)
+        self._surfaces: dict[str, Balls] = {}
         self._tried: dict[str, TriedGrasps] = {}
         self.home_pose = self._hand(_HOME)
 
@@ -80,7 +94,7 @@ class ReactiveReceiver(Receiver):
         self._keyv = np.zeros((16, 3))
         self._since = 0.0
         self._page, self._lost = 0, 0.0
-        self._goal_before: Array | None = None
+        self._left, self._left_at = np.inf, 0.0
         self._note = ""
 
     def describe(self) -> str:
@@ -147,6 +161,10 @@ class ReactiveReceiver(Receiver):
 
     def _grasp_table(self, observation: Observation) -> Array:
         name = CLASS_NAMES[int(observation["object_classes"][0])]
+        if name not in self._surfaces:
+            triangles = model_triangles(self.context.object_urdf(name))
+            self._surfaces[name] = surface_balls(*triangles, 80, 0.01)
+        self._surface = self._surfaces[name]
         found = self._grasps.in_object(name)
         if found is None:
             return np.zeros((0, 7))
@@ -172,24 +190,24 @@ class ReactiveReceiver(Receiver):
         target = self._servo.command(q, self._servo.limited(velocity))
         return np.array([*target, fingers, fingers], dtype=np.float32)
 
-    def _damped(self, q: Array, hand: Array, velocity: Array, stop: float) -> Array:
+    def _damped(self, q: Array, hand: Array, velocity: Array, stop: float, transit: bool = False) -> Array:
         """Velocity that does not use up the room to the person's hand too fast."""
-        if self._balls is None:
-            return velocity
-        near = nearest(hand, self._balls)
-        self.room = near.room
         chain = self._arm.chain(q[None])
-        J = self._arm.jacobian(chain)[..., 0]
-        turn = Rotation.from_quat(self._base_inv[3:]).as_matrix()
-        away = turn @ near.away
-        lever = turn @ (near.point - hand[:3])
-        row = away @ J[:3] + np.cross(lever, away) @ J[3:]
-        hv = float(near.away @ self._keyv.mean(axis=0))
-        rate = row @ velocity - hv
-        least = -(near.room - stop) / self.config.separation.time
-        least = min(least, 0.3)
-        if rate < least:
-            velocity = velocity + row * (least - rate) / (row @ row + 1e-4)
+        jacobian = self._arm.jacobian(chain)[..., 0]
+        bodies = []
+        if transit:
+            here = Balls(compose_point(self._object, self._surface.centers), self._surface.radii)
+            bodies.append((here, self.config.separation.object_stop, self._offer.velocity))
+        if self._balls is not None:
+            bodies.append((self._balls, stop, self._keyv.mean(axis=0)))
+        for balls, least_room, moving in bodies:
+            near = nearest(hand, balls)
+            away = self._turn @ near.away
+            row = away @ jacobian[:3] + np.cross(self._turn @ (near.point - hand[:3]), away) @ jacobian[3:]
+            rate = row @ velocity - float(near.away @ moving)
+            least = min((least_room - near.room) / self.config.separation.time, 0.3)
+            if rate < least:
+                velocity = velocity + row * (least - rate) / (row @ row + 1e-4)
         return velocity
 
     # ---- choice
@@ -205,11 +223,11 @@ class ReactiveReceiver(Receiver):
             room = rooms(table, local, 0.08)
         turns = (Rotation.from_quat(self.home_pose[3:]).inv() * Rotation.from_quat(world[:, 3:])).magnitude()
         rough = costs.turn * turns + costs.lack * np.maximum(0.0, costs.room - room)
-        rough += costs.unstable * ~self._holds
+        rough += costs.unstable * (self._holds == 0.0) + costs.shaky * (1.0 - self._holds)
         rough[room < costs.least_room - costs.patience * self._lost] += 100.0
-        z = world[:, 2] + rotate(world[:, 3:], np.array([0.0, 0.0, 0.112]))[:, 2] * 0 
-        tips = world[:, :3] + rotate(world[:, 3:], np.array([0.0, 0.0, 0.112]))
-        rough[np.minimum(tips[:, 2], world[:, 2] - 0.03) < 0.925] += 100.0
+        backed = compose(world, np.array([0, 0, -self.config.approach.standoff, 0, 0, 0, 1.0]))
+        lowest = np.minimum(corners(world)[..., 2].min(axis=1), corners(backed)[..., 2].min(axis=1))
+        rough[lowest < _TABLE + costs.table] += 100.0
         for number, until in self._banned.items():
             if self._now < until:
                 rough[number] += 10.0
@@ -224,8 +242,9 @@ class ReactiveReceiver(Receiver):
             order = np.append(order, self._chosen)
         standoffs = compose(world[order], np.array([0, 0, -self.config.approach.standoff, 0, 0, 0, 1.0]))
         n = len(order)
-        seeds = np.repeat(_SEEDS, n, axis=0)
-        count = len(_SEEDS)
+        base = np.concatenate([_SEEDS, _MORE_SEEDS]) if self._page else _SEEDS
+        seeds = np.repeat(base, n, axis=0)
+        count = len(base)
         qs, ok = self._solve(np.tile(standoffs, (count, 1)), seeds, 12)
         qg, ok2 = self._solve(np.tile(world[order], (count, 1)), qs, 6)
         ok &= ok2 & (np.abs(qg - qs).max(axis=1) < 0.8)
@@ -250,7 +269,7 @@ class ReactiveReceiver(Receiver):
             if cost[old] <= cost[best] + costs.gain:
                 best = old
         if order[best] != self._chosen:
-            self._goal_before = None
+            self._left, self._left_at = np.inf, self._now
         self._chosen, self._page = int(order[best]), 0
         self._grasp_room = float(room[self._chosen])
         self._joints = qg[best]
@@ -276,9 +295,11 @@ class ReactiveReceiver(Receiver):
         if not near:
             velocity = self._servo.towards(q, standoff)
             velocity = self._servo.limited(velocity)
-            return self._go(q, self._damped(q, hand, velocity, self.config.separation.stop), OPEN)
+            self._stalled(float(np.abs(standoff - q).max()))
+            return self._go(q, self._damped(q, hand, velocity, self.config.separation.stop, True), OPEN)
+        self._stalled(axial + lateral)
         # closed loop relative to the moving object
-        if axial < config.close_axial and lateral < config.lateral + 0.002 and angle < config.turn and speed < config.close_speed:
+        if axial < config.close_axial and lateral < config.lateral and angle < config.turn and speed < config.close_speed:
             self._phase, self._since = Phase.CLOSE, self._now
             self._close_pose = compose(self._object, self._table[self._chosen])
             return self._close(q, hand, False)
@@ -294,8 +315,16 @@ class ReactiveReceiver(Receiver):
         goal, okay = self._solve(pose[None], q[None], 8)
         velocity = (goal[0] - q) / self.config.period
         velocity = self._servo.limited(velocity)
-        stop = min(self.config.separation.stop, max(self._grasp_room - 0.006, 0.001))
+        stop = min(self.config.separation.stop, max(self._grasp_room - 0.015, 0.001))
         return self._go(q, self._damped(q, hand, velocity, stop), OPEN)
+
+    def _stalled(self, left: float) -> None:
+        """Gives a grasp up that does not come nearer."""
+        if left < 0.95 * self._left or self._offer.rest < 0.2:
+            self._left, self._left_at = left, self._now
+        elif self._now - self._left_at > self.config.approach.stall:
+            self._banned[self._chosen] = self._now + self.config.approach.pushed
+            self._chosen, self._left = -1, np.inf
 
     def _offset(self, hand: Array, pose: Array) -> tuple[float, float, float]:
         grasp = compose(pose, self._table[self._chosen])
@@ -308,6 +337,7 @@ class ReactiveReceiver(Receiver):
             self._phase = Phase.RETREAT
             self._release_pose = hand.copy()
             self._speed, self._share, self._goal_joints = 0.0, 0.0, None
+            self._stuck: list[Array] = []
             return self._retreat(q, hand)
         self._note = f"fingers={self._fingers[0]:.4f} {self._fingers[1]:.4f}"
         since = self._now - self._since
@@ -337,8 +367,7 @@ class ReactiveReceiver(Receiver):
     def _cartesian(self, q: Array, linear: Array, angular: Array, weight: float = 0.3) -> Array:
         chain = self._arm.chain(q[None])
         J = self._arm.jacobian(chain)[..., 0]
-        turn = Rotation.from_quat(self._base_inv[3:]).as_matrix()
-        x = np.concatenate([turn @ linear, turn @ angular])
+        x = np.concatenate([self._turn @ linear, self._turn @ angular])
         W = np.array([1, 1, 1, weight, weight, weight])[:, None]
         free = np.ones(7, dtype=bool)
         low, high = self._limits
@@ -367,12 +396,43 @@ class ReactiveReceiver(Receiver):
         joints, ok = self._solve(np.tile(poses, (1 + len(_SEEDS), 1)), seeds, 12, 5e-3)
         travel = (np.abs(joints - q) / self._servo.limits).max(axis=1)
         travel[~ok] += 100.0
-        return joints[int(np.argmin(travel))]
+        for other in self._stuck:
+            travel[np.abs(joints - other).max(axis=1) < 0.5] += 20.0
+        held = compose_point(compose(inverse(hand), self._object), self._surface.centers)
+        order = np.argsort(travel, kind="stable")
+        for number in order[:40]:
+            if travel[number] < 50.0 and self._way_free(q, joints[number], held):
+                return joints[number]
+        return joints[order[0]]
+
+    def _way_free(self, q: Array, goal: Array, held: Array) -> bool:
+        """Whether gripper and held object keep clear of the arm itself on the straight joint way."""
+        line = q + np.array([0.35, 0.7, 1.0])[:, None] * (goal - q)
+        chain = self._arm.chain(line)
+        hands = poses_from_rotations(chain.origins[-1].T, np.moveaxis(chain.rotations[-1], -1, 0))
+        for number, hand in enumerate(hands):
+            shoulder, elbow, wrist = chain.origins[1, :, number], chain.origins[3, :, number], chain.origins[4, :, number]
+            ends = np.array([np.zeros(3), shoulder, elbow, wrist])
+            shares = np.linspace(0.0, 1.0, 6)[:, None, None]
+            centers = (ends[:-1] + shares * (ends[1:] - ends[:-1])).reshape(-1, 3)
+            radii = np.tile([0.1, 0.09, 0.075], 6)
+            body = centers @ Rotation.from_quat(hand[3:]).as_matrix() - Rotation.from_quat(hand[3:]).inv().apply(hand[:3])
+            if _gripper_near(body, radii) or (np.linalg.norm(held[:, None] - body, axis=-1) - radii).min() < 0.0:
+                return False
+        return True
 
     def _retreat(self, q: Array, hand: Array) -> Action:
         config = self.config.retreat
         if self._goal_joints is None:
             self._goal_joints = self._carry_goal(q, hand)
+            self._left, self._left_at = np.inf, self._now
+        left = float(np.abs(q - self._goal_joints).max())
+        if left < 0.95 * self._left:
+            self._left, self._left_at = left, self._now
+        elif self._now - self._left_at > self.config.approach.stall and left > 0.05:
+            self._stuck.append(self._goal_joints)
+            self._goal_joints, self._left = None, np.inf
+            return self._retreat(q, hand)
         room = 1.0 if self._balls is None else nearest(hand, self._balls).room
         axis = rotate(self._release_pose[3:], np.array([0, 0, 1.0]))
         backed = -float((hand[:3] - self._release_pose[:3]) @ axis)
@@ -387,3 +447,9 @@ class ReactiveReceiver(Receiver):
         velocity = self._servo.limited(velocity)
         self._note = f"room={room:.3f} back={backed:.3f} fingers={self._fingers[0]:.4f} joints={np.abs(q - self._goal_joints).max():.2f}"
         return self._go(q, self._damped(q, hand, velocity, min(self.config.separation.stop, room)), CLOSED)
+
+
+def _gripper_near(centers: Array, radii: Array) -> bool:
+    """Whether balls in the hand's frame touch its body or fingers."""
+    pose = np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]])
+    return bool(rooms(pose, Balls(centers[:], radii), flange=False)[0] < 0.0)

@@ -19,7 +19,9 @@ class GraspCosts:
         lack: price of each metre that is missing (s/m).
         least_room: Grasps with less room are not taken, but
         patience: for each second in which there is none this gives way by so much (m/s).
-        unstable: Price of a grasp that did not hold when it was tried (s).
+        unstable: Price of a grasp that did not hold when it was tried (s), and
+        shaky: of one that held in no trial but from its very place, shares of it in between.
+        table: Room above the table that a gripper needs.
         limit: Distance to a joint limit that is wanted (rad), and
         tight: price of each radian that is missing (s/rad).
         gain: A grasp is given up only for one that is cheaper by so much (s).
@@ -33,6 +35,8 @@ class GraspCosts:
     least_room: float = 0.008
     patience: float = 0.01
     unstable: float = 5.0
+    shaky: float = 1.0
+    table: float = 0.005
     limit: float = 0.3
     tight: float = 2.0
     gain: float = 0.3
@@ -55,10 +59,11 @@ class ApproachConfig:
         empty: Fingers nearer to each other than twice this hold nothing.
         backing: How far it backs out after a miss.
         pushed: A grasp that failed is not tried again for this time.
+        stall: One that has come no nearer for this time is given up.
     """
 
     standoff: float = 0.10
-    lateral: float = 0.006
+    lateral: float = 0.005
     funnel: float = 0.3
     turn: float = 0.12
     speed: float = 0.3
@@ -69,6 +74,7 @@ class ApproachConfig:
     empty: float = 0.0015
     backing: float = 0.1
     pushed: float = 4.0
+    stall: float = 0.8
 
 
 @dataclass(frozen=True)
@@ -98,12 +104,14 @@ class SeparationConfig:
     Attributes:
         stop: Room below which the gripper does not come nearer, while it does not close in on a grasp.
         touch: The same while it does.
+        object_stop: Room that it keeps from the object on its way to a standoff.
         time: Time in which the remaining room would be used up at the speed allowed (s).
     """
 
     stop: float = 0.03
     touch: float = 0.004
     time: float = 0.15
+    object_stop: float = 0.015
 
 
 @dataclass(frozen=True)

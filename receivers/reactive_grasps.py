@@ -24,10 +24,9 @@ from handover_marl.planning.field_cache import cache_folder
 from handover_marl.sim.bullet.grasp_trial import GraspTrial, TrialConfig
 
 Array = npt.NDArray[np.float64]
-Flags = npt.NDArray[np.bool_]
 
 # Changes when the same files give other grasps.
-_VERSION = 1
+_VERSION = 2
 _HAND_FROM_GRIPPER = inverse(np.array(GRIPPER_FROM_HAND))
 
 _log = logging.getLogger(__name__)
@@ -43,6 +42,7 @@ class GraspTrials:
         apart: Copies nearer to another grasp than this (m), with a turn counted by `arm`, are left out.
         arm: Metres that a radian counts.
         most: So many copies at most.
+        aside: Displacements in the gripper's frame (m) from which a grasp that holds is tried too.
         trial: What a grasp must stand.
     """
 
@@ -51,15 +51,16 @@ class GraspTrials:
     apart: float = 0.035
     arm: float = 0.1
     most: int = 150
+    aside: tuple[tuple[float, float, float], ...] = ((0.005, 0.0, -0.004), (-0.005, 0.0, -0.004))
     trial: TrialConfig = TrialConfig(close_time=0.25, shake_time=0.06)
 
 
 @dataclass(frozen=True, eq=False)
 class TriedGrasps:
-    """Poses (n, 7) of the hand link in the object's frame, and whether each holds (n,)."""
+    """Poses (n, 7) of the hand link in the object's frame, and the share of trials that each has stood (n,)."""
 
     poses: Array
-    holds: Flags
+    holds: Array
 
 
 def tried_grasps(object_urdf: Path, known: Array, config: GraspTrials) -> TriedGrasps:
@@ -97,21 +98,29 @@ def distances(pose: Array, poses: Array, arm: float) -> Array:
 def _try(object_urdf: Path, known: Array, config: GraspTrials) -> TriedGrasps:
     trial = GraspTrial(object_urdf, config.trial)
     try:
-        holds = [trial.holds(_matrix(pose)) for pose in known]
+        holds = [_share(trial, pose, config) for pose in known]
         poses, kept = known, 0
         for pose in tilted(known, config):
             if kept == config.most:
                 break
-            if (distances(pose, poses, config.arm) < config.apart).any():
+            if (distances(pose, poses, config.arm) < config.apart).any() or not trial.is_free(_matrix(pose)):
                 continue
-            matrix = _matrix(pose)
-            if trial.is_free(matrix) and trial.holds(matrix):
+            share = _share(trial, pose, config)
+            if share > 0.0:
                 poses = np.concatenate([poses, pose[None]])
-                holds.append(True)
+                holds.append(share)
                 kept += 1
     finally:
         trial.close()
-    return TriedGrasps(poses, np.array(holds, dtype=bool))
+    return TriedGrasps(poses, np.array(holds, dtype=np.float64))
+
+
+def _share(trial: GraspTrial, pose: Array, config: GraspTrials) -> float:
+    """Of trials that a grasp stands; none where it does not hold from its very place."""
+    if not trial.holds(_matrix(pose)):
+        return 0.0
+    moved = [compose(pose, np.array([*way, 0.0, 0.0, 0.0, 1.0])) for way in config.aside]
+    return (1 + sum(trial.holds(_matrix(other)) for other in moved)) / (1 + len(moved))
 
 
 def _matrix(hand: Array) -> Array:

@@ -1,5 +1,6 @@
 """How much room a gripper has beside a person's hand, for many poses of the gripper at once."""
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +20,7 @@ BOX_HALVES = np.array([[0.0316, 0.104, 0.046], [0.0105, 0.0133, 0.0271], [0.0105
 _CLOSING = (np.array([0.0, 0.0, 0.0855]), np.array([0.0105, 0.0666, 0.0271]))
 _COMING = (0, 3)
 _FACING = 1e-9
+_GRID = np.linspace(0.0, 1.0, 6)
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +55,28 @@ def balls_of(capsules: Capsules, count: int) -> Balls:
     return Balls(centers.reshape(-1, 3), np.tile(capsules.radii, count))
 
 
-def rooms(hands: Array, balls: Balls, sweep: float = 0.0) -> Array:
+def corners(hands: Array) -> Array:
+    """(n, 32, 3) corners of the open gripper's boxes at poses (n, 7) of the hand link."""
+    signs = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
+    local = (BOX_MIDDLES[:, None] + signs * BOX_HALVES[:, None]).reshape(-1, 3)
+    turns = Rotation.from_quat(hands[:, 3:]).as_matrix()
+    found: Array = local @ turns.transpose(0, 2, 1) + hands[:, None, :3]
+    return found
+
+
+def surface_balls(vertices: Array, faces: npt.NDArray[np.int_], count: int, radius: float) -> Balls:
+    """`count` balls of a radius (m) over the surface of a mesh, spread evenly."""
+    shares = np.array([(a, b, 1.0 - a - b) for a in _GRID for b in _GRID if a + b <= 1.0])
+    points = np.einsum("sk,fkc->fsc", shares, vertices[faces]).reshape(-1, 3)
+    chosen = [0]
+    away = np.linalg.norm(points - points[0], axis=1)
+    while len(chosen) < min(count, len(points)):
+        chosen.append(int(np.argmax(away)))
+        away = np.minimum(away, np.linalg.norm(points - points[chosen[-1]], axis=1))
+    return Balls(points[chosen], np.full(len(chosen), radius))
+
+
+def rooms(hands: Array, balls: Balls, sweep: float = 0.0, flange: bool = True) -> Array:
     """(n,) distances (m) between balls and a gripper that closes at poses (n, 7) of the hand link, negative inside.
 
     What lies between the open fingers counts as touched.
@@ -62,12 +85,13 @@ def rooms(hands: Array, balls: Balls, sweep: float = 0.0) -> Array:
         hands: Poses in the balls' frame.
         balls: The person's hand.
         sweep: Length of a straight way along the gripper's z axis that ends at the pose and counts too (m).
+        flange: Whether the flange behind the hand counts.
     """
     turns = Rotation.from_quat(hands[:, 3:]).as_matrix()
     local = (balls.centers[None] - hands[:, None, :3]) @ turns
     back = np.array([0.0, 0.0, 0.5 * sweep])
     found = _box_distance(local - _CLOSING[0], _CLOSING[1])
-    for box in _COMING:
+    for box in _COMING if flange else _COMING[:1]:
         found = np.minimum(found, _box_distance(local - BOX_MIDDLES[box] + back, BOX_HALVES[box] + back))
     least: Array = (found - balls.radii).min(axis=1)
     return least
