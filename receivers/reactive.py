@@ -7,6 +7,7 @@ goal. It knows the true poses of object and hand, and remembers little: the moti
 grasps that failed.
 """
 
+from dataclasses import replace
 from enum import Enum
 
 import numpy as np
@@ -188,7 +189,7 @@ class ReactiveReceiver(Receiver):
             return self._move(self._apart(velocity, self.config.separation.stop, transit=True), OPEN)
         self.phase = Phase.REACH
         self._watch_progress(axial + aside)
-        there = axial < config.close_axial and aside < config.lateral and turn < config.turn
+        there = abs(axial) < config.close_axial and aside < config.lateral and turn < config.turn
         if there and self._offer.speed < config.close_speed:
             self.phase, self._since = Phase.CLOSE, self._time
             self._closing_pose = self.choice.grasp(choice, self._object)
@@ -213,12 +214,13 @@ class ReactiveReceiver(Receiver):
 
     def _depth(self, axial: float, aside: float, turn: float) -> float:
         """How far before the grasp to be next (m)."""
-        config, speed = self.config.approach, self._offer.speed
+        config, moving = self.config.approach, self._offer.speed
         before = max(axial, 0.0)
         fits = aside < config.lateral + config.funnel * before and turn < config.turn + config.turn_funnel * before
-        if fits and speed < config.object_speed:
-            return max(0.0, axial - config.speed * self.config.period)
-        if fits and axial < config.standoff and speed < 2.0 * config.object_speed:
+        if fits and moving < config.object_speed:
+            speed = min(config.speed, float(np.sqrt(2.0 * config.braking * before)))
+            return max(0.0, before - speed * self.config.period)
+        if fits and axial < config.standoff and moving < 2.0 * config.object_speed:
             return before
         return config.standoff if axial > 0.5 * config.fixed else axial
 
@@ -229,8 +231,7 @@ class ReactiveReceiver(Receiver):
         goal, _ = self._arm.solve(pose[None], self._joints[None], _STRAIGHT_STEPS)
         velocity = self._servo.limited((goal[0] - self._joints) / self.config.period)
         separation = self.config.separation
-        room = min(separation.stop, max(choice.room - separation.spare, separation.touch))
-        return self._move(self._apart(velocity, room), OPEN)
+        return self._move(self._apart(velocity, separation.touch, separation.last_time), OPEN)
 
     def _watch_progress(self, left: float) -> None:
         """Give up a grasp that does not come nearer."""
@@ -280,7 +281,9 @@ class ReactiveReceiver(Receiver):
         velocity = self._servo.limited(self._retreat.velocity(self._time, self._joints, self._hand))
         return self._move(self._apart(velocity, self.config.separation.stop, leaving=True), CLOSED)
 
-    def _apart(self, velocity: Array, room: float, transit: bool = False, leaving: bool = False) -> Array:
+    def _apart(
+        self, velocity: Array, room: float, time: float | None = None, transit: bool = False, leaving: bool = False
+    ) -> Array:
         """The velocity, kept apart from the person's hand, and in transit from the object."""
         neighbours = []
         if transit:
@@ -289,7 +292,8 @@ class ReactiveReceiver(Receiver):
         if self._person.balls is not None:
             neighbours.append(Neighbour(self._person.balls, self._person.velocity, room))
         jacobian = self._arm.jacobian(self._joints)
-        return separated(velocity, self._hand, jacobian, neighbours, self.config.separation, leaving)
+        config = self.config.separation if time is None else replace(self.config.separation, time=time)
+        return separated(velocity, self._hand, jacobian, neighbours, config, leaving)
 
     def _move(self, velocity: Array, fingers: float) -> Action:
         target = self._servo.command(self._joints, self._servo.limited(velocity))

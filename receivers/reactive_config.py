@@ -64,7 +64,8 @@ class ApproachConfig:
         funnel: per metre before it.
         turn: It must be turned as the grasp up to this, and
         turn_funnel: per metre before it.
-        speed: Along the axis (m/s).
+        speed: Along the axis (m/s), with
+        braking: this deceleration before the grasp (m/s^2).
         object_speed: An object faster than this is not closed in on (m/s).
         close_speed: Fingers close only on an object slower than this (m/s).
         close_axial: They close this near to the grasp, along its axis.
@@ -92,6 +93,7 @@ class ApproachConfig:
     turn: float = 0.12
     turn_funnel: float = 1.0
     speed: float = 0.45
+    braking: float = 2.0
     object_speed: float = 0.2
     close_speed: float = 0.08
     close_axial: float = 0.006

@@ -20,9 +20,9 @@ class ServoConfig:
     """
 
     speeds: tuple[float, ...] = (2.175, 2.175, 2.175, 2.175, 2.61, 2.61, 2.61)
-    share: float = 0.9
+    share: float = 1.0
     acceleration: float = 15.0
-    braking: float = 6.0
+    braking: float = 12.0
 
 
 class ArmServo:

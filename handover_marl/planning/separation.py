@@ -24,17 +24,17 @@ class SeparationConfig:
     Attributes:
         stop: Room beside the person's hand below which the gripper does not come nearer (m), and
         object_stop: beside the object, on the way to a standoff.
-        spare: While it closes in on a grasp, so much less than the room that the grasp has (m), but at least
-        touch: this (m).
-        time: Time in which the room beyond that may be used up (s).
+        touch: Likewise beside the hand, while it closes in on a grasp, which has room (m).
+        time: Time in which the room beyond that may be used up (s), and
+        last_time: while it closes in on a grasp (s).
         flee: Speed at most with which it gives way when the room is less (m/s).
     """
 
     stop: float = 0.03
     object_stop: float = 0.015
-    spare: float = 0.015
-    touch: float = 0.001
+    touch: float = 0.003
     time: float = 0.15
+    last_time: float = 0.05
     flee: float = 0.3
 
 
