@@ -228,7 +228,10 @@ class ReactiveReceiver(Receiver):
         """Be at a depth before the grasp when the next decision falls due, where the object will be then."""
         soon = self.choice.grasp(choice, self._offer.soon(self.config.period))
         pose = compose(soon, np.array([0.0, 0.0, -depth, 0.0, 0.0, 0.0, 1.0]))
-        goal, _ = self._arm.solve(pose[None], self._joints[None], _STRAIGHT_STEPS)
+        # From where the choice found that it can be reached; from the present joints limits may be in the way.
+        share = depth / self.config.approach.standoff
+        seed = choice.goal + share * (choice.standoff - choice.goal)
+        goal, _ = self._arm.solve(pose[None], seed[None], _STRAIGHT_STEPS)
         velocity = self._servo.limited((goal[0] - self._joints) / self.config.period)
         separation = self.config.separation
         return self._move(self._apart(velocity, separation.touch, separation.last_time), OPEN)
