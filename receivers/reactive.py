@@ -218,7 +218,8 @@ class ReactiveReceiver(Receiver):
         before = max(axial, 0.0)
         fits = aside < config.lateral + config.funnel * before and turn < config.turn + config.turn_funnel * before
         if fits and moving < config.object_speed:
-            speed = min(config.speed, float(np.sqrt(2.0 * config.braking * before)))
+            half = 0.5 * config.braking * self.config.period
+            speed = min(config.speed, float(np.sqrt(half**2 + 2.0 * config.braking * before)) - half)
             return max(0.0, before - speed * self.config.period)
         if fits and axial < config.standoff and moving < 2.0 * config.object_speed:
             return before

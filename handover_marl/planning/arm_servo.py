@@ -54,21 +54,22 @@ class ArmServo:
         """(7,) joint velocities commanded last (rad/s)."""
         return self._velocity
 
-    def towards(self, joints: Array, goal: Array, drift: Array | None = None) -> Array:
+    def towards(self, joints: Array, goal: Array) -> Array:
         """(7,) velocities (rad/s) along the straight joint line to a goal, braking before it.
 
         Args:
             joints: (7,) where the arm is (rad).
             goal: (7,) where it is to be.
-            drift: (7,) how fast the goal moves (rad/s).
         """
         way = goal - joints
-        slow = np.sqrt(2.0 * self.config.braking * np.abs(way).max())
+        # Speeds change once in a period: what is too fast to stop in time is half a period's braking less.
+        half = 0.5 * self.config.braking * self.period
+        slow = float(np.sqrt(half**2 + 2.0 * self.config.braking * np.abs(way).max())) - half
         wanted = way / self.period
         most = float(np.abs(wanted).max())
         if most > slow:
             wanted = wanted * (slow / most)
-        return wanted if drift is None else wanted + drift
+        return wanted
 
     def limited(self, velocity: Array) -> Array:
         """(7,) the velocity in the same direction that keeps to the speed limits."""
