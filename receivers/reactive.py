@@ -148,7 +148,7 @@ class ReactiveReceiver(Receiver):
         if name != self._seen:
             self._seen = name
             grasps, self._surface = self._about(name)
-            self.choice.reset(grasps)
+            self.choice.reset(grasps, self._surface)
 
     def _about(self, name: str) -> tuple[TriedGrasps, Balls]:
         """Grasps and surface of an object class."""
@@ -229,9 +229,12 @@ class ReactiveReceiver(Receiver):
         """Be at a depth before the grasp when the next decision falls due, where the object will be then."""
         soon = self.choice.grasp(choice, self._offer.soon(self.config.period))
         pose = compose(soon, np.array([0.0, 0.0, -depth, 0.0, 0.0, 0.0, 1.0]))
-        # From where the choice found that it can be reached; from the present joints limits may be in the way.
+        # A little way to where the choice found that it can be reached: from the present joints limits may be in the
+        # way, and to go there at once would swing the hand aside.
         share = depth / self.config.approach.standoff
-        seed = choice.goal + share * (choice.standoff - choice.goal)
+        drawn = choice.goal + share * (choice.standoff - choice.goal) - self._joints
+        most = self.config.approach.drawn / max(float(np.abs(drawn).max()), self.config.approach.drawn)
+        seed = self._joints + most * drawn
         goal, _ = self._arm.solve(pose[None], seed[None], _STRAIGHT_STEPS)
         velocity = self._servo.limited((goal[0] - self._joints) / self.config.period)
         separation = self.config.separation

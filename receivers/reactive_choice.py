@@ -7,9 +7,9 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from handover_marl.models.panda import HALF_TURN, WAITING_JOINTS
-from handover_marl.models.poses import compose, inverse, inverse_transform_points
+from handover_marl.models.poses import compose, compose_point, inverse, inverse_transform_points
 from handover_marl.planning.arm_in_world import ArmInWorld
-from handover_marl.planning.gripper_room import Balls, corners, rooms
+from handover_marl.planning.gripper_room import Balls, corners, flange_rooms, forearm_rooms, rooms
 from handover_marl.receivers.reactive_config import GraspCosts
 from handover_marl.receivers.reactive_grasps import TriedGrasps
 
@@ -41,6 +41,7 @@ _TABLE = 0.92  # m
 _ROOMY = 0.2  # m, where there is no hand
 # A price that no other sum of prices reaches: not to be taken.
 _NEVER = 100.0
+_ELBOW, _WRIST = 3, 4
 _STANDOFF_STEPS, _GRASP_STEPS = 12, 6
 
 
@@ -96,10 +97,13 @@ class ReactiveChoice:
         self._standoff = np.array([0.0, 0.0, -standoff, 0.0, 0.0, 0.0, 1.0])
         self._length = standoff
         self._home_turn = Rotation.from_quat(arm.hand(HOME)[3:])
-        self.reset(TriedGrasps(np.zeros((0, 7)), np.zeros(0)))
+        self.reset(TriedGrasps(np.zeros((0, 7)), np.zeros(0)), Balls(np.zeros((1, 3)), np.zeros(1)))
 
-    def reset(self, tried: TriedGrasps) -> None:
-        """Forget everything; choose from these from now on."""
+    def reset(self, tried: TriedGrasps, surface: Balls) -> None:
+        """Forget everything; choose from these grasps of an object with this surface from now on."""
+        self._surface = surface
+        clear = flange_rooms(tried.poses, surface) > 0.0
+        tried = TriedGrasps(tried.poses[clear], tried.holds[clear])
         self.grasps = np.concatenate([tried.poses, compose(tried.poses, np.array(HALF_TURN))])
         loose = self._costs.unstable * (tried.holds == 0.0) + self._costs.shaky * (1.0 - tried.holds)
         self._loose = np.concatenate([loose, loose])
@@ -128,6 +132,7 @@ class ReactiveChoice:
             return self._nothing("no room", situation.rests, 1.0)
         standoffs, goals, found = self._reach(world[numbers], situation.joints)
         prices = rough[numbers] + self._travel(standoffs, situation.joints) + self._tightness(standoffs, goals)
+        found &= self._arm_clear(goals, situation)
         prices[~found] += _NEVER
         best = int(np.argmin(prices))
         if prices[best] >= _NEVER:
@@ -189,6 +194,18 @@ class ReactiveChoice:
         travel = np.where(found, self._travel(standoffs, joints), np.inf).reshape(copies, count)
         best = np.argmin(travel, axis=0) * count + np.arange(count)
         return standoffs[best], goals[best], found[best]
+
+    def _arm_clear(self, goals: Array, situation: Situation) -> npt.NDArray[np.bool_]:
+        """(n,) whether forearm and wrist keep clear of hand and object at the grasps."""
+        origins = self._arm.origins(goals)
+        elbows, wrists = origins[:, _ELBOW], origins[:, _WRIST]
+        place = compose(situation.offered, inverse(situation.now))
+        obj = Balls(compose_point(situation.offered, self._surface.centers), self._surface.radii)
+        clear = forearm_rooms(elbows, wrists, obj) > self._costs.arm_room
+        if situation.hand is not None:
+            hand = Balls(compose_point(place, situation.hand.centers), situation.hand.radii)
+            clear &= forearm_rooms(elbows, wrists, hand) > self._costs.arm_room
+        return clear
 
     def _travel(self, standoffs: Array, joints: Array) -> Array:
         """(n,) time to the standoffs (s)."""

@@ -22,6 +22,7 @@ class GraspCosts:
         patience: for each second in which there is none this gives way by so much (m/s), and
         search: by this share of it while there are some out of reach.
         table: Room above the table that a gripper needs.
+        arm_room: Room that forearm and wrist need beside hand and object.
         limit: Distance to a joint limit that is wanted (rad), and
         tight: price of each radian that is missing (s/rad).
         longest_way: Joints change less than this between standoff and grasp.
@@ -39,6 +40,7 @@ class GraspCosts:
     patience: float = 0.01
     search: float = 0.3
     table: float = 0.005
+    arm_room: float = 0.005
     limit: float = 0.3
     tight: float = 2.0
     longest_way: float = 0.8
@@ -66,6 +68,7 @@ class ApproachConfig:
         turn_funnel: per metre before it.
         speed: Along the axis (m/s), with
         braking: this deceleration before the grasp (m/s^2).
+        drawn: So far at most its joints are drawn to the chosen ones in a decision (rad).
         object_speed: An object faster than this is not closed in on (m/s).
         close_speed: Fingers close only on an object slower than this (m/s).
         close_axial: They close this near to the grasp, along its axis.
@@ -94,6 +97,7 @@ class ApproachConfig:
     turn_funnel: float = 1.0
     speed: float = 0.45
     braking: float = 2.0
+    drawn: float = 0.05
     object_speed: float = 0.2
     close_speed: float = 0.08
     close_axial: float = 0.006

@@ -19,6 +19,9 @@ BOX_HALVES = np.array([[0.0316, 0.104, 0.046], [0.0105, 0.0133, 0.0271], [0.0105
 # What the fingers sweep when they close, and what the hand's body and the flange sweep on the way to a grasp.
 _CLOSING = (np.array([0.0, 0.0, 0.0855]), np.array([0.0105, 0.0666, 0.0271]))
 _COMING = (0, 3)
+#: The Panda's forearm and wrist, thick as their collision meshes are beside the line from elbow to wrist (m).
+FOREARM_RADIUS = 0.075
+
 _FACING = 1e-9
 _GRID = np.linspace(0.0, 1.0, 6)
 
@@ -74,6 +77,24 @@ def surface_balls(vertices: Array, faces: npt.NDArray[np.int_], count: int, radi
         chosen.append(int(np.argmax(away)))
         away = np.minimum(away, np.linalg.norm(points - points[chosen[-1]], axis=1))
     return Balls(points[chosen], np.full(len(chosen), radius))
+
+
+def forearm_rooms(elbows: Array, wrists: Array, balls: Balls) -> Array:
+    """(n,) distances (m) between balls and the Panda's forearm between elbows and wrists (n, 3), negative inside."""
+    axes = wrists - elbows
+    away = balls.centers - elbows[:, None]
+    along = np.einsum("nkc,nc->nk", away, axes) / np.maximum((axes**2).sum(axis=1), _FACING)[:, None]
+    beside = away - np.clip(along, 0.0, 1.0)[..., None] * axes[:, None]
+    found: Array = (np.linalg.norm(beside, axis=-1) - balls.radii).min(axis=1) - FOREARM_RADIUS
+    return found
+
+
+def flange_rooms(hands: Array, balls: Balls) -> Array:
+    """(n,) distances (m) between balls and the flange behind the hand at poses (n, 7), negative inside."""
+    turns = Rotation.from_quat(hands[:, 3:]).as_matrix()
+    local = (balls.centers[None] - hands[:, None, :3]) @ turns - BOX_MIDDLES[_COMING[1]]
+    found: Array = (_box_distance(local, BOX_HALVES[_COMING[1]]) - balls.radii).min(axis=1)
+    return found
 
 
 def rooms(hands: Array, balls: Balls, sweep: float = 0.0, flange: bool = True) -> Array:
