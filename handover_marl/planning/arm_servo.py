@@ -21,7 +21,7 @@ class ServoConfig:
 
     speeds: tuple[float, ...] = (2.175, 2.175, 2.175, 2.175, 2.61, 2.61, 2.61)
     share: float = 1.0
-    acceleration: float = 15.0
+    acceleration: float = 20.0
     braking: float = 12.0
 
 
@@ -78,8 +78,7 @@ class ArmServo:
 
     def command(self, joints: Array, velocity: Array) -> Array:
         """(7,) targets (rad) that make the arm move at a velocity, as far as its acceleration allows."""
-        change = velocity - self._velocity
+        # Each joint for itself: were all slowed down alike, one that turns round would make the others overshoot.
         most = self.config.acceleration * self.period
-        over = float(np.abs(change).max()) / most
-        self._velocity = self._velocity + (change / over if over > 1.0 else change)
+        self._velocity = self._velocity + np.clip(velocity - self._velocity, -most, most)
         return joints + self._lead * self.period * self._velocity
