@@ -106,6 +106,11 @@ class ReactiveReceiver(Receiver):
         """Until the next decision; while the fingers close it looks more often whether the person has let go."""
         return self.config.approach.close_period if self.phase is Phase.CLOSE else self.config.period
 
+    @property
+    def commanded_velocity(self) -> Array:
+        """(7,) joint velocities of the last decision (rad/s)."""
+        return self._servo.velocity
+
     def reset(self, seed: int | None = None) -> None:
         """Forget the episode; nothing here is random."""
         self._servo.reset()
@@ -207,7 +212,7 @@ class ReactiveReceiver(Receiver):
         situation = Situation(
             self._time, self._joints, self._object, self._offer.offered(), self._person.balls, self._offer.rest > 0.2
         )
-        found = self.choice.update(situation)
+        found = self.choice.update(situation, self.phase is Phase.REACH)
         if found is None or chosen is None or found.number != chosen.number:
             self._left, self._left_at = np.inf, self._time
         return found
@@ -236,7 +241,8 @@ class ReactiveReceiver(Receiver):
         most = self.config.approach.drawn / max(float(np.abs(drawn).max()), self.config.approach.drawn)
         seed = self._joints + most * drawn
         goal, _ = self._arm.solve(pose[None], seed[None], _STRAIGHT_STEPS)
-        velocity = self._servo.limited((goal[0] - self._joints) / self.config.period)
+        velocity = (goal[0] - self._joints) / self.config.period
+        velocity *= min(1.0, self.config.approach.joint_speed / max(float(np.abs(velocity).max()), 1e-9))
         separation = self.config.separation
         return self._move(self._apart(velocity, separation.touch, separation.last_time), OPEN)
 
@@ -298,9 +304,8 @@ class ReactiveReceiver(Receiver):
             neighbours.append(Neighbour(here, self._offer.velocity, self.config.separation.object_stop))
         if self._person.balls is not None:
             neighbours.append(Neighbour(self._person.balls, self._person.velocity, room))
-        jacobian = self._arm.jacobian(self._joints)
         config = self.config.separation if time is None else replace(self.config.separation, time=time)
-        return separated(velocity, self._hand, jacobian, neighbours, config, leaving)
+        return separated(velocity, self._arm, self._joints, neighbours, config, leaving)
 
     def _move(self, velocity: Array, fingers: float) -> Action:
         target = self._servo.command(self._joints, self._servo.limited(velocity))

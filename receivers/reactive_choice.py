@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from handover_marl.models.panda import HALF_TURN, WAITING_JOINTS
 from handover_marl.models.poses import compose, compose_point, inverse, inverse_transform_points
 from handover_marl.planning.arm_in_world import ArmInWorld
-from handover_marl.planning.gripper_room import Balls, corners, flange_rooms, forearm_rooms, rooms
+from handover_marl.planning.gripper_room import ELBOW, WRIST, Balls, corners, flange_rooms, forearm_rooms, rooms
 from handover_marl.receivers.reactive_config import GraspCosts
 from handover_marl.receivers.reactive_grasps import TriedGrasps
 
@@ -41,7 +41,6 @@ _TABLE = 0.92  # m
 _ROOMY = 0.2  # m, where there is no hand
 # A price that no other sum of prices reaches: not to be taken.
 _NEVER = 100.0
-_ELBOW, _WRIST = 3, 4
 _STANDOFF_STEPS, _GRASP_STEPS = 12, 6
 
 
@@ -122,8 +121,13 @@ class ReactiveChoice:
         """Choose anew, the present grasp included."""
         self.chosen = None
 
-    def update(self, situation: Situation) -> Choice | None:
-        """The grasp to go for now: the one of before unless another is better by more than the margin."""
+    def update(self, situation: Situation, near: bool = False) -> Choice | None:
+        """The grasp to go for now: the one of before unless another is better by more than the margin.
+
+        Args:
+            situation: As it is.
+            near: Whether the gripper is before the grasp of before already; the margin is wider then.
+        """
         world = compose(situation.offered, self.grasps)
         room = self._rooms(situation)
         rough = self._rough(world, room, situation.time)
@@ -140,7 +144,7 @@ class ReactiveChoice:
             return self._nothing("out of reach", situation.rests, self._costs.search)
         if self.chosen is not None:
             old = int(np.flatnonzero(numbers == self.chosen.number)[0])
-            if prices[old] < min(prices[best] + self._costs.gain, _NEVER):
+            if prices[old] < min(prices[best] + self._costs.gain + (self._costs.near_gain if near else 0.0), _NEVER):
                 best = old
         number = int(numbers[best])
         self._page, self.trouble = 0, ""
@@ -164,7 +168,7 @@ class ReactiveChoice:
         costs = self._costs
         turns = (self._home_turn.inv() * Rotation.from_quat(world[:, 3:])).magnitude()
         rough = self._loose + costs.turn * turns + costs.lack * np.maximum(0.0, costs.room - room)
-        rough[room < costs.least_room - costs.patience * self._without] += _NEVER
+        rough[room < max(costs.bare_room, costs.least_room - costs.patience * self._without)] += _NEVER
         lowest = np.minimum(*(corners(poses)[..., 2].min(axis=1) for poses in (world, compose(world, self._standoff))))
         rough[lowest < _TABLE + costs.table] += _NEVER
         for number, until in self._failed.items():
@@ -198,7 +202,7 @@ class ReactiveChoice:
     def _arm_clear(self, goals: Array, situation: Situation) -> npt.NDArray[np.bool_]:
         """(n,) whether forearm and wrist keep clear of hand and object at the grasps."""
         origins = self._arm.origins(goals)
-        elbows, wrists = origins[:, _ELBOW], origins[:, _WRIST]
+        elbows, wrists = origins[:, ELBOW], origins[:, WRIST]
         place = compose(situation.offered, inverse(situation.now))
         obj = Balls(compose_point(situation.offered, self._surface.centers), self._surface.radii)
         clear = forearm_rooms(elbows, wrists, obj) > self._costs.arm_room

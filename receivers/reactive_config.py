@@ -20,6 +20,7 @@ class GraspCosts:
         lack: price of each metre that is missing (s/m).
         least_room: Grasps with less room are not taken, but
         patience: for each second in which there is none this gives way by so much (m/s), and
+        bare_room: not below this (m), and
         search: by this share of it while there are some out of reach.
         table: Room above the table that a gripper needs.
         arm_room: Room that forearm and wrist need beside hand and object.
@@ -27,9 +28,10 @@ class GraspCosts:
         tight: price of each radian that is missing (s/rad).
         longest_way: Joints change less than this between standoff and grasp.
         unstable: Price of a grasp that did not hold when it was tried, and
-        shaky: of one that held in no trial but from its very place, shares of it in between.
+        shaky: of one that held by the edges of the pads twice of what it costs (see `TriedGrasps`).
         failed: Price of a grasp that failed in this episode.
-        gain: A grasp is given up only for one that is cheaper by so much.
+        gain: A grasp is given up only for one that is cheaper by so much, and
+        near_gain: by so much more where the gripper is before it already.
     """
 
     candidates: int = 32
@@ -38,6 +40,7 @@ class GraspCosts:
     lack: float = 40.0
     least_room: float = 0.008
     patience: float = 0.01
+    bare_room: float = 0.002
     search: float = 0.3
     table: float = 0.005
     arm_room: float = 0.005
@@ -45,9 +48,10 @@ class GraspCosts:
     tight: float = 2.0
     longest_way: float = 0.8
     unstable: float = 5.0
-    shaky: float = 1.0
+    shaky: float = 2.0
     failed: float = 10.0
     gain: float = 0.3
+    near_gain: float = 0.5
 
 
 @dataclass(frozen=True)
@@ -68,6 +72,7 @@ class ApproachConfig:
         turn_funnel: per metre before it.
         speed: Along the axis (m/s), with
         braking: this deceleration before the grasp (m/s^2).
+        joint_speed: No joint is faster on this way (rad/s).
         drawn: So far at most its joints are drawn to the chosen ones in a decision (rad).
         object_speed: An object faster than this is not closed in on (m/s).
         close_speed: Fingers close only on an object slower than this (m/s).
@@ -97,6 +102,7 @@ class ApproachConfig:
     turn_funnel: float = 1.0
     speed: float = 0.45
     braking: float = 2.0
+    joint_speed: float = 1.3
     drawn: float = 0.05
     object_speed: float = 0.2
     close_speed: float = 0.08

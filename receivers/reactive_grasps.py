@@ -26,7 +26,8 @@ from handover_marl.sim.bullet.grasp_trial import GraspTrial, TrialConfig
 Array = npt.NDArray[np.float64]
 
 # Changes when the same files give other grasps.
-_VERSION = 2
+_VERSION = 5
+_ON_EDGE = 0.5
 _HAND_FROM_GRIPPER = inverse(np.array(GRIPPER_FROM_HAND))
 
 _log = logging.getLogger(__name__)
@@ -37,27 +38,28 @@ class GraspTrials:
     """How known grasps become tried ones.
 
     Attributes:
-        tilts: Angles of the copies about the line between the finger pads (rad).
+        copies: How copies differ: an angle about the line between the finger pads (rad), and a way on (m).
         pads: Distance of that line from the hand's frame (m).
-        apart: Copies nearer to another grasp than this (m), with a turn counted by `arm`, are left out.
+        apart: Copies nearer than this to a grasp worth as much (m), with a turn counted by `arm`, are left out.
         arm: Metres that a radian counts.
         most: So many copies at most.
-        aside: Displacements in the gripper's frame (m) from which a grasp that holds is tried too.
+        margin: The fingers should touch so far within their pads (m).
         trial: What a grasp must stand.
     """
 
-    tilts: tuple[float, ...] = (-0.4, 0.4, -0.8, 0.8)
+    copies: tuple[tuple[float, float], ...] = ((0.0, 0.012), (-0.4, 0.0), (0.4, 0.0), (-0.8, 0.0), (0.8, 0.0))
     pads: float = 0.1
-    apart: float = 0.035
+    apart: float = 0.03
     arm: float = 0.1
-    most: int = 150
-    aside: tuple[tuple[float, float, float], ...] = ((0.005, 0.0, -0.004), (-0.005, 0.0, -0.004))
+    most: int = 120
+    margin: float = 0.004
     trial: TrialConfig = TrialConfig(close_time=0.25, shake_time=0.06)
 
 
 @dataclass(frozen=True, eq=False)
 class TriedGrasps:
-    """Poses (n, 7) of the hand link in the object's frame, and the share of trials that each has stood (n,)."""
+    """Poses (n, 7) of the hand link in the object's frame, and what each is worth (n,): 0 what does not hold, 1 what does, in
+    between what the fingers hold by the edges of their pads."""
 
     poses: Array
     holds: Array
@@ -77,14 +79,14 @@ def tried_grasps(object_urdf: Path, known: Array, config: GraspTrials) -> TriedG
     return kept
 
 
-def tilted(known: Array, config: GraspTrials) -> Array:
-    """(m, 7) copies of grasps (n, 7), tilted about the line between the pads, that are no near doubles."""
-    pads = np.array([0.0, 0.0, config.pads, 0.0, 0.0, 0.0, 1.0])
-    copies = []
-    for tilt in config.tilts:
-        turn = np.concatenate([np.zeros(3), Rotation.from_euler("y", tilt).as_quat()])
-        copies.append(compose(compose(compose(known, pads), turn), inverse(pads)))
-    return np.concatenate(copies) if copies else np.zeros((0, 7))
+def changed(known: Array, config: GraspTrials) -> Array:
+    """(m, 7) copies of grasps (n, 7), tilted about the line between the pads and moved on."""
+    back = np.array([0.0, 0.0, -config.pads, 0.0, 0.0, 0.0, 1.0])
+    copies = [np.zeros((0, 7))]
+    for tilt, way in config.copies:
+        turn = np.array([0.0, 0.0, config.pads + way, *Rotation.from_euler("y", tilt).as_quat()])
+        copies.append(compose(compose(known, turn), back))
+    return np.concatenate(copies)
 
 
 def distances(pose: Array, poses: Array, arm: float) -> Array:
@@ -98,29 +100,29 @@ def distances(pose: Array, poses: Array, arm: float) -> Array:
 def _try(object_urdf: Path, known: Array, config: GraspTrials) -> TriedGrasps:
     trial = GraspTrial(object_urdf, config.trial)
     try:
-        holds = [_share(trial, pose, config) for pose in known]
+        holds = [_worth(trial, pose, config) for pose in known]
         poses, kept = known, 0
-        for pose in tilted(known, config):
+        for pose in changed(known, config):
             if kept == config.most:
                 break
-            if (distances(pose, poses, config.arm) < config.apart).any() or not trial.is_free(_matrix(pose)):
+            near = np.array(holds)[distances(pose, poses, config.arm) < config.apart].max(initial=0.0)
+            if near == 1.0 or not trial.is_free(_matrix(pose)):
                 continue
-            share = _share(trial, pose, config)
-            if share > 0.0:
+            worth = _worth(trial, pose, config)
+            if worth > near:
                 poses = np.concatenate([poses, pose[None]])
-                holds.append(share)
+                holds.append(worth)
                 kept += 1
     finally:
         trial.close()
     return TriedGrasps(poses, np.array(holds, dtype=np.float64))
 
 
-def _share(trial: GraspTrial, pose: Array, config: GraspTrials) -> float:
-    """Of trials that a grasp stands; none where it does not hold from its very place."""
-    if not trial.holds(_matrix(pose)):
+def _worth(trial: GraspTrial, pose: Array, config: GraspTrials) -> float:
+    matrix = _matrix(pose)
+    if not trial.holds(matrix):
         return 0.0
-    moved = [compose(pose, np.array([*way, 0.0, 0.0, 0.0, 1.0])) for way in config.aside]
-    return (1 + sum(trial.holds(_matrix(other)) for other in moved)) / (1 + len(moved))
+    return 1.0 if trial.pads_meet(matrix, config.margin) else _ON_EDGE
 
 
 def _matrix(hand: Array) -> Array:

@@ -55,6 +55,16 @@ class ArmInWorld:
         found: Array = np.concatenate([self._turn @ local[:3], self._turn @ local[3:]])
         return found
 
+    def point_jacobian(self, joints: Array, point: Array, link: int) -> Array:
+        """(3, 7): how a point (3,) of the world that is fixed to a turning link, from 0, moves with each joint."""
+        chain = self.arm.chain(joints[None])
+        axes = chain.rotations[:-1, :, 2, 0] @ self._turn.T
+        origins = chain.origins[:-1, :, 0] @ self._turn.T + self._base[:3]
+        columns = np.cross(axes, point - origins)
+        columns[link + 1 :] = 0.0
+        found: Array = columns.T
+        return found
+
     def solve(
         self, poses: Array, seeds: Array, iterations: int, tolerance: float = 1e-3
     ) -> tuple[Array, npt.NDArray[np.bool_]]:

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.planning.gripper_room import Balls, nearest
+from handover_marl.planning.arm_in_world import ArmInWorld
+from handover_marl.planning.gripper_room import ELBOW, FOREARM, WRIST, Balls, nearest, nearest_forearm
 
 Array = npt.NDArray[np.float64]
 
@@ -49,29 +50,31 @@ class Neighbour:
 
 def separated(
     velocity: Array,
-    hand: Array,
-    jacobian: Array,
+    arm: ArmInWorld,
+    joints: Array,
     neighbours: Sequence[Neighbour],
     config: SeparationConfig,
     leaving: bool = False,
 ) -> Array:
-    """(7,) joint velocities (rad/s), changed as little as separation asks.
+    """(7,) joint velocities (rad/s), changed as little as separation asks of gripper and forearm.
 
     Args:
         velocity: (7,) wanted (rad/s).
-        hand: (7,) pose of the hand link.
-        jacobian: (6, 7) of the hand link.
+        arm: The arm.
+        joints: (7,) where it is (rad).
         neighbours: What to keep clear of, what matters most last.
         config: How.
         leaving: Whether it is enough to come no nearer where there is too little room, since it is on its way out.
     """
+    hand, origins = arm.hand(joints), arm.origins(joints[None])[0]
     for neighbour in neighbours:
-        near = nearest(hand, neighbour.balls)
-        lever = near.point - hand[:3]
-        row = near.away @ jacobian[:3] + np.cross(lever, near.away) @ jacobian[3:]
-        rate = float(row @ velocity - near.away @ neighbour.velocity)
-        room = min(neighbour.room, near.room) if leaving else neighbour.room
-        least = min((room - near.room) / config.time, config.flee)
-        if rate < least:
-            velocity = velocity + row * (least - rate) / (row @ row + _TINY)
+        forearm = nearest_forearm(origins[ELBOW], origins[WRIST], neighbour.balls)
+        gripper = nearest(hand, neighbour.balls)
+        for near, link in ((forearm, FOREARM), (gripper, arm.arm.n_joints)):
+            row = near.away @ arm.point_jacobian(joints, near.point, link)
+            room = min(neighbour.room, near.room) if leaving else neighbour.room
+            least = min((room - near.room) / config.time, config.flee)
+            rate = float(row @ velocity - near.away @ neighbour.velocity)
+            if rate < least:
+                velocity = velocity + row * (least - rate) / (row @ row + _TINY)
     return velocity
