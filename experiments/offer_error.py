@@ -7,6 +7,7 @@ up. Prints the distance to where they end in the recording, by time and by the o
 for the object's present place and for the middle place of all; `--fit` also fits the prediction's constants anew.
 """
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -88,7 +89,9 @@ def rows(moments: list[Followed], groups: list[tuple[str, npt.NDArray[np.bool_]]
     lines = []
     for name, chosen in groups:
         if chosen.any():
-            cells = [f"{100 * np.median(e[chosen]):.1f} / {100 * np.quantile(e[chosen], 0.9):.1f}" for e in found.values()]
+            cells = [
+                f"{100 * np.median(e[chosen]):.1f} / {100 * np.quantile(e[chosen], 0.9):.1f}" for e in found.values()
+            ]
             lines.append([name, str(int(chosen.sum())), *cells])
     return table(["", "n", *found], lines)
 
@@ -102,7 +105,9 @@ def fit(moments: list[Followed]) -> str:
     left = np.array([moment.end - moment.place for moment in moments])
     weights = np.linalg.lstsq(np.stack([column.ravel() for column in columns], axis=1), left.ravel(), rcond=None)[0]
     place = weights[2:] / -weights[1]
-    return f"ahead {weights[0]:.3f} s, pull {-weights[1]:.3f}, place {np.round(place, 3).tolist()}, at brisk {brisk} m/s"
+    return (
+        f"ahead {weights[0]:.3f} s, pull {-weights[1]:.3f}, place {np.round(place, 3).tolist()}, at brisk {brisk} m/s"
+    )
 
 
 def main(args: Args) -> None:
@@ -111,9 +116,10 @@ def main(args: Args) -> None:
     moments = [moment for scene in track(scenes, "following") for moment in follow(data.scene(scene))]
     times = np.array([moment.time for moment in moments])
     speeds = np.array([np.linalg.norm(moment.velocity) for moment in moments])
-    print(f"Distance to the last place in cm, median / 90 %: {len(scenes)} scenes of {args.setup} {args.split}, {data.name}")
+    what = f"{len(scenes)} scenes of {args.setup} {args.split}, {data.name}"
+    print(f"Distance to the last place in cm, median / 90 %: {what}")
     print(rows(moments, [(f"{time / 1000:.2f} s", times == time) for time in TIMES]))
-    bands = zip(SPEEDS[:-1], SPEEDS[1:], strict=True)
+    bands = itertools.pairwise(SPEEDS)
     print(rows(moments, [(f"{low:g} to {high:g} m/s", (speeds >= low) & (speeds < high)) for low, high in bands]))
     if args.fit:
         print(fit(moments))

@@ -1,4 +1,4 @@
-"""A receiver that moves with the person: it follows the object, chooses and changes its grasp, and keeps clear of the hand.
+"""A receiver that moves with the person: follows the object, changes its grasp, keeps clear of the hand.
 
 While the person lifts the object it goes to a standoff before a grasp at the place where the object will be held out.
 It closes in on the grasp in a straight line relative to the moving object, closes its fingers once it is there, backs
@@ -12,7 +12,6 @@ from enum import Enum
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
 
 from handover_marl.config import ARM_JOINTS, TIME_STEP
 from handover_marl.episode.observations import Observation
@@ -310,14 +309,6 @@ class ReactiveReceiver(Receiver):
     def _move(self, velocity: Array, fingers: float) -> Action:
         target = self._servo.command(self._joints, self._servo.limited(velocity))
         return np.array([*target, fingers, fingers], dtype=np.float32)
-
-    def describe(self) -> str:
-        chosen = self.choice.chosen
-        text = f"{self.phase.name} "
-        if chosen is None:
-            return text + self.choice.trouble
-        way = self.choice.offset(chosen, self._object, self._hand)
-        return text + f"g{chosen.number} room={chosen.room:.3f} ax={-way[2]:.3f} lat={np.hypot(way[0], way[1]):.3f} ang={_angle(way):.2f} v={self._offer.speed:.2f} f={self._fingers[0]:.4f}"
 
 
 def _angle(offset: Array) -> float:

@@ -133,7 +133,8 @@ class ReactiveChoice:
         rough = self._rough(world, room, situation.time)
         numbers = self._candidates(rough)
         if not len(numbers):
-            return self._nothing("no room", situation.rests, 1.0)
+            self._nothing("no room", situation.rests, 1.0)
+            return None
         standoffs, goals, found = self._reach(world[numbers], situation.joints)
         prices = rough[numbers] + self._travel(standoffs, situation.joints) + self._tightness(standoffs, goals)
         found &= self._arm_clear(goals, situation)
@@ -141,7 +142,8 @@ class ReactiveChoice:
         best = int(np.argmin(prices))
         if prices[best] >= _NEVER:
             self._page += 1
-            return self._nothing("out of reach", situation.rests, self._costs.search)
+            self._nothing("out of reach", situation.rests, self._costs.search)
+            return None
         if self.chosen is not None:
             old = int(np.flatnonzero(numbers == self.chosen.number)[0])
             if prices[old] < min(prices[best] + self._costs.gain + (self._costs.near_gain if near else 0.0), _NEVER):

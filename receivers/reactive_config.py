@@ -1,6 +1,6 @@
 """Every constant of the reactive receiver (m, rad, s)."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from handover_marl.errors import OptionError
 from handover_marl.planning.arm_servo import ServoConfig
@@ -48,7 +48,7 @@ class GraspCosts:
     tight: float = 2.0
     longest_way: float = 0.8
     unstable: float = 5.0
-    shaky: float = 2.0
+    shaky: float = 1.0
     failed: float = 10.0
     gain: float = 0.3
     near_gain: float = 0.5
@@ -176,12 +176,12 @@ class ReactiveConfig:
     surface: int = 80
     surface_radius: float = 0.01
     grasps: GraspCosts = GraspCosts()
-    trials: GraspTrials = GraspTrials()
+    trials: GraspTrials = field(default_factory=GraspTrials)
     approach: ApproachConfig = ApproachConfig()
     retreat: RetreatConfig = RetreatConfig()
-    separation: SeparationConfig = SeparationConfig()
-    offer: OfferConfig = OfferConfig()
-    servo: ServoConfig = ServoConfig()
+    separation: SeparationConfig = field(default_factory=SeparationConfig)
+    offer: OfferConfig = field(default_factory=OfferConfig)
+    servo: ServoConfig = field(default_factory=ServoConfig)
 
 
 def with_risk(config: ReactiveConfig, risk: float) -> ReactiveConfig:

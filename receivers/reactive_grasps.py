@@ -8,7 +8,8 @@ import io
 import logging
 import zipfile
 import zlib
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -26,8 +27,7 @@ from handover_marl.sim.bullet.grasp_trial import GraspTrial, TrialConfig
 Array = npt.NDArray[np.float64]
 
 # Changes when the same files give other grasps.
-_VERSION = 5
-_ON_EDGE = 0.5
+_VERSION = 2
 _HAND_FROM_GRIPPER = inverse(np.array(GRIPPER_FROM_HAND))
 
 _log = logging.getLogger(__name__)
@@ -38,55 +38,81 @@ class GraspTrials:
     """How known grasps become tried ones.
 
     Attributes:
-        copies: How copies differ: an angle about the line between the finger pads (rad), and a way on (m).
+        tilts: Angles of the copies about the line between the finger pads (rad).
         pads: Distance of that line from the hand's frame (m).
-        apart: Copies nearer than this to a grasp worth as much (m), with a turn counted by `arm`, are left out.
+        apart: Copies nearer to another grasp than this (m), with a turn counted by `arm`, are left out.
         arm: Metres that a radian counts.
         most: So many copies at most.
-        margin: The fingers should touch so far within their pads (m).
+        aside: Displacements in the gripper's frame (m) from which a grasp that holds is tried too.
+        deeper: Grasps are moved on by the first of these ways (m) that leaves the open gripper free of the object, with
+        spare: so much room before it (m): what the fingers hold by their very tips springs away when the person lets
+            go, before they press as hard as in a trial.
         trial: What a grasp must stand.
     """
 
-    copies: tuple[tuple[float, float], ...] = ((0.0, 0.012), (-0.4, 0.0), (0.4, 0.0), (-0.8, 0.0), (0.8, 0.0))
+    tilts: tuple[float, ...] = (-0.4, 0.4, -0.8, 0.8)
     pads: float = 0.1
-    apart: float = 0.03
+    apart: float = 0.035
     arm: float = 0.1
-    most: int = 120
-    margin: float = 0.004
+    most: int = 150
+    aside: tuple[tuple[float, float, float], ...] = ((0.005, 0.0, -0.004), (-0.005, 0.0, -0.004))
+    deeper: tuple[float, ...] = (0.01, 0.0075, 0.005, 0.0025)
+    spare: float = 0.004
     trial: TrialConfig = TrialConfig(close_time=0.25, shake_time=0.06)
 
 
 @dataclass(frozen=True, eq=False)
 class TriedGrasps:
-    """Poses (n, 7) of the hand link in the object's frame, and what each is worth (n,): 0 what does not hold, 1 what does, in
-    between what the fingers hold by the edges of their pads."""
+    """Poses (n, 7) of the hand link in the object's frame, and the share of trials that each has stood (n,)."""
 
     poses: Array
     holds: Array
 
 
 def tried_grasps(object_urdf: Path, known: Array, config: GraspTrials) -> TriedGrasps:
-    """The known grasps (n, 7) of an object and their copies, tried; from the cache if it has them.
+    """The known grasps (n, 7) of an object and their copies, tried and moved on; from the cache if it has them.
 
     Raises:
         SimulationError: The model cannot be loaded.
     """
-    path = _path(object_urdf, known, config)
-    kept = _read(path)
-    if kept is None:
-        kept = _try(object_urdf, known, config)
-        _keep(path, kept)
-    return kept
+    tried = _kept(_path(object_urdf, known, replace(config, deeper=())), lambda: _try(object_urdf, known, config))
+    return _kept(_path(object_urdf, known, config), lambda: _deepen(object_urdf, tried, config))
 
 
-def changed(known: Array, config: GraspTrials) -> Array:
-    """(m, 7) copies of grasps (n, 7), tilted about the line between the pads and moved on."""
-    back = np.array([0.0, 0.0, -config.pads, 0.0, 0.0, 0.0, 1.0])
-    copies = [np.zeros((0, 7))]
-    for tilt, way in config.copies:
-        turn = np.array([0.0, 0.0, config.pads + way, *Rotation.from_euler("y", tilt).as_quat()])
-        copies.append(compose(compose(known, turn), back))
-    return np.concatenate(copies)
+def _kept(path: Path, make: Callable[[], TriedGrasps]) -> TriedGrasps:
+    found = _read(path)
+    if found is None:
+        found = make()
+        _keep(path, found)
+    return found
+
+
+def _deepen(object_urdf: Path, tried: TriedGrasps, config: GraspTrials) -> TriedGrasps:
+    trial, poses = GraspTrial(object_urdf, config.trial), tried.poses.copy()
+    try:
+        for number, pose in enumerate(tried.poses):
+            for way in config.deeper:
+                if trial.is_free(_matrix(_onward(pose, way + config.spare))):
+                    poses[number] = _onward(pose, way)
+                    break
+    finally:
+        trial.close()
+    return TriedGrasps(poses, tried.holds)
+
+
+def _onward(pose: Array, way: float) -> Array:
+    moved: Array = compose(pose, np.array([0.0, 0.0, way, 0.0, 0.0, 0.0, 1.0]))
+    return moved
+
+
+def tilted(known: Array, config: GraspTrials) -> Array:
+    """(m, 7) copies of grasps (n, 7), tilted about the line between the pads, that are no near doubles."""
+    pads = np.array([0.0, 0.0, config.pads, 0.0, 0.0, 0.0, 1.0])
+    copies = []
+    for tilt in config.tilts:
+        turn = np.concatenate([np.zeros(3), Rotation.from_euler("y", tilt).as_quat()])
+        copies.append(compose(compose(compose(known, pads), turn), inverse(pads)))
+    return np.concatenate(copies) if copies else np.zeros((0, 7))
 
 
 def distances(pose: Array, poses: Array, arm: float) -> Array:
@@ -100,29 +126,29 @@ def distances(pose: Array, poses: Array, arm: float) -> Array:
 def _try(object_urdf: Path, known: Array, config: GraspTrials) -> TriedGrasps:
     trial = GraspTrial(object_urdf, config.trial)
     try:
-        holds = [_worth(trial, pose, config) for pose in known]
+        holds = [_share(trial, pose, config) for pose in known]
         poses, kept = known, 0
-        for pose in changed(known, config):
+        for pose in tilted(known, config):
             if kept == config.most:
                 break
-            near = np.array(holds)[distances(pose, poses, config.arm) < config.apart].max(initial=0.0)
-            if near == 1.0 or not trial.is_free(_matrix(pose)):
+            if (distances(pose, poses, config.arm) < config.apart).any() or not trial.is_free(_matrix(pose)):
                 continue
-            worth = _worth(trial, pose, config)
-            if worth > near:
+            share = _share(trial, pose, config)
+            if share > 0.0:
                 poses = np.concatenate([poses, pose[None]])
-                holds.append(worth)
+                holds.append(share)
                 kept += 1
     finally:
         trial.close()
     return TriedGrasps(poses, np.array(holds, dtype=np.float64))
 
 
-def _worth(trial: GraspTrial, pose: Array, config: GraspTrials) -> float:
-    matrix = _matrix(pose)
-    if not trial.holds(matrix):
+def _share(trial: GraspTrial, pose: Array, config: GraspTrials) -> float:
+    """Of trials that a grasp stands; none where it does not hold from its very place."""
+    if not trial.holds(_matrix(pose)):
         return 0.0
-    return 1.0 if trial.pads_meet(matrix, config.margin) else _ON_EDGE
+    moved = [compose(pose, np.array([*way, 0.0, 0.0, 0.0, 1.0])) for way in config.aside]
+    return (1 + sum(trial.holds(_matrix(other)) for other in moved)) / (1 + len(moved))
 
 
 def _matrix(hand: Array) -> Array:

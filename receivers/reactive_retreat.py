@@ -15,7 +15,9 @@ from handover_marl.receivers.reactive_config import RetreatConfig
 
 Array = npt.NDArray[np.float64]
 
-_DIRECTIONS = np.array([np.array(way) / np.linalg.norm(way) for way in itertools.product((-1, 0, 1), repeat=3) if any(way)])
+_DIRECTIONS = np.array(
+    [np.array(way) / np.linalg.norm(way) for way in itertools.product((-1, 0, 1), repeat=3) if any(way)]
+)
 _TURN_SHARES = (0.0, 0.25, 0.5, 1.0)
 # Shares of the way at which it is looked whether it is free.
 _LOOKS = np.array([0.35, 0.7, 1.0])

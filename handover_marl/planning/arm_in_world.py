@@ -47,7 +47,8 @@ class ArmInWorld:
     def origins(self, joints: Array) -> Array:
         """(n, 8, 3) origins of the turning links and the hand for configurations (n, 7) (m)."""
         local = self.arm.chain(joints).origins.transpose(2, 0, 1)
-        return local @ self._turn.T + self._base[:3]
+        found: Array = local @ self._turn.T + self._base[:3]
+        return found
 
     def jacobian(self, joints: Array) -> Array:
         """(6, 7): how the hand's origin moves (m/rad) and turns with each joint at one configuration (7,)."""

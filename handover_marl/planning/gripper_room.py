@@ -14,7 +14,9 @@ Array = npt.NDArray[np.float64]
 #: The open gripper in the frame of the Panda's hand link as boxes, middles and half sizes (m): the hand's body, the
 #: two fingers, the flange behind it. The bounds of HandoverSim's collision meshes, the flange's without its corners.
 BOX_MIDDLES = np.array([[0.0, 0.0, 0.02], [0.0, 0.0533, 0.0855], [0.0, -0.0533, 0.0855], [0.0, 0.0, -0.065]])
-BOX_HALVES = np.array([[0.0316, 0.104, 0.046], [0.0105, 0.0133, 0.0271], [0.0105, 0.0133, 0.0271], [0.055, 0.055, 0.04]])
+BOX_HALVES = np.array(
+    [[0.0316, 0.104, 0.046], [0.0105, 0.0133, 0.0271], [0.0105, 0.0133, 0.0271], [0.055, 0.055, 0.04]]
+)
 
 # What the fingers sweep when they close, and what the hand's body and the flange sweep on the way to a grasp.
 _CLOSING = (np.array([0.0, 0.0, 0.0855]), np.array([0.0105, 0.0666, 0.0271]))

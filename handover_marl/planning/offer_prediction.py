@@ -11,7 +11,9 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class OfferConfig:
-    """The remaining way of an object with velocity v at p is
+    """How an object with velocity v at p goes on.
+
+    The remaining way is
 
         ahead * v + pull * tanh(|v| / brisk) * (place - p).
 

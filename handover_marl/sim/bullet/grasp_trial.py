@@ -15,7 +15,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from handover_marl.assets.bullet_files import bullet_files
-from handover_marl.config import OBJECT_DOF, TIME_STEP, ObjectConfig, PandaConfig, ProtocolConfig
+from handover_marl.config import OBJECT_DOF, TIME_STEP, PandaConfig, ProtocolConfig
 from handover_marl.models.panda import FINGER_LINKS, GRIPPER_FROM_HAND, HAND_LINK, OPEN
 from handover_marl.models.poses import (
     compose_point,
@@ -99,23 +99,6 @@ class GraspTrial:
                 return False
         return True
 
-    def pads_meet(self, object_from_gripper: npt.ArrayLike, margin: float) -> bool:
-        """Whether both fingers, closed on an object that is held in its place, touch it well within their pads.
-
-        A person holds an object in its place until the robot has it; what the fingers then touch with an edge or with
-        their very tips springs away when the person lets go.
-
-        Args:
-            object_from_gripper: The grasp (4, 4).
-            margin: Distance from the edges of the region in which HandoverSim's human feels a grasp (m).
-        """
-        grasp = np.asarray(object_from_gripper, dtype=np.float64)
-        self._place(grasp)
-        self._hold_object()
-        self._drive_fingers()
-        self._simulate(self._config.close_time, (0.0, 0.0, 0.0))
-        return self._is_gripped(margin)
-
     def close(self) -> None:
         """End the physics server."""
         self._client.close()
@@ -130,21 +113,6 @@ class GraspTrial:
         for finger in self._fingers:
             self._client.resetJointState(self._hand, finger, OPEN, 0.0)
         self._put_hand(grasp, 0.0)
-
-    def _hold_object(self) -> None:
-        """With the motors that carry it in a scene."""
-        config = ObjectConfig()
-        for joint in range(OBJECT_DOF):
-            motor = config.translation_motor if joint < OBJECT_DOF // 2 else config.rotation_motor
-            self._client.setJointMotorControl2(
-                self._object,
-                joint,
-                self._client.POSITION_CONTROL,
-                targetPosition=0.0,
-                positionGain=motor.position_gain,
-                velocityGain=motor.velocity_gain,
-                force=motor.force,
-            )
 
     def _put_hand(self, grasp: npt.NDArray[np.float64], backoff: float) -> None:
         position = grasp[:3, 3] - backoff * grasp[:3, 2]
@@ -171,11 +139,9 @@ class GraspTrial:
         for _ in range(round(duration / TIME_STEP)):
             self._client.stepSimulation()
 
-    def _is_gripped(self, margin: float = 0.0) -> bool:
-        """Whether either finger presses on the object where HandoverSim's human feels a grasp, so far within (m)."""
+    def _is_gripped(self) -> bool:
+        """Whether either finger presses on the object where HandoverSim's human feels a grasp."""
         rule = ProtocolConfig()
-        inset = np.array([margin, 0.0, margin])
-        lower, upper = rule.region_lower + inset, rule.region_upper - inset
         points = self._client.getContactPoints(self._hand, self._object)
         for finger in self._fingers:
             on_finger = [
@@ -185,7 +151,7 @@ class GraspTrial:
                 return False
             state = self._client.getLinkState(self._hand, finger, computeForwardKinematics=1)
             local = inverse_transform_points(state[4] + state[5], np.array(on_finger))
-            if not ((local > lower) & (local < upper)).all(axis=1).any():
+            if not ((local > rule.region_lower) & (local < rule.region_upper)).all(axis=1).any():
                 return False
         return True
 
