@@ -160,7 +160,7 @@ class ReactiveReceiver(Receiver):
             urdf, known = self.context.object_urdf(name), self._known.in_object(name)
             grasps = TriedGrasps(np.zeros((0, 7)), np.zeros(0))
             if known is not None:
-                grasps = tried_grasps(urdf, known, self.config.trials)
+                grasps = tried_grasps(urdf, self.context.panda_urdf, known, self.config.trials)
             vertices, faces = model_triangles(urdf)
             self._objects[name] = (
                 grasps,

@@ -48,7 +48,7 @@ class GraspCosts:
     tight: float = 2.0
     longest_way: float = 0.8
     unstable: float = 5.0
-    shaky: float = 1.0
+    shaky: float = 2.0
     failed: float = 10.0
     gain: float = 0.3
     near_gain: float = 0.5

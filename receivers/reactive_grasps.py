@@ -9,7 +9,7 @@ import logging
 import zipfile
 import zlib
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -47,6 +47,10 @@ class GraspTrials:
         deeper: Grasps are moved on by the first of these ways (m) that leaves the open gripper free of the object, with
         spare: so much room before it (m): what the fingers hold by their very tips springs away when the person lets
             go, before they press as hard as in a trial.
+        held_time: The object is held for so long while the fingers close, and then let go for
+        free_time: so long (s), in which it may slip by
+        slip: this (m), from the grasp's place and from
+        around: places around it in the gripper's frame (m).
         trial: What a grasp must stand.
     """
 
@@ -58,7 +62,11 @@ class GraspTrials:
     aside: tuple[tuple[float, float, float], ...] = ((0.005, 0.0, -0.004), (-0.005, 0.0, -0.004))
     deeper: tuple[float, ...] = (0.01, 0.0075, 0.005, 0.0025)
     spare: float = 0.004
-    trial: TrialConfig = TrialConfig(close_time=0.25, shake_time=0.06)
+    held_time: float = 0.22
+    free_time: float = 0.06
+    slip: float = 0.003
+    around: tuple[tuple[float, float, float], ...] = ((0.003, 0.0, -0.002), (-0.003, 0.0, -0.002), (0.0, 0.003, 0.0))
+    trial: TrialConfig = field(default_factory=lambda: TrialConfig(close_time=0.25, shake_time=0.06))
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,14 +77,18 @@ class TriedGrasps:
     holds: Array
 
 
-def tried_grasps(object_urdf: Path, known: Array, config: GraspTrials) -> TriedGrasps:
+def tried_grasps(object_urdf: Path, panda_urdf: Path, known: Array, config: GraspTrials) -> TriedGrasps:
     """The known grasps (n, 7) of an object and their copies, tried and moved on; from the cache if it has them.
 
     Raises:
         SimulationError: The model cannot be loaded.
     """
-    tried = _kept(_path(object_urdf, known, replace(config, deeper=())), lambda: _try(object_urdf, known, config))
-    return _kept(_path(object_urdf, known, config), lambda: _deepen(object_urdf, tried, config))
+    shared = (config.tilts, config.pads, config.apart, config.arm, config.most, config.aside, config.trial)
+    first = f"{_VERSION} {' '.join(map(str, shared))}"
+    tried = _kept(_path(object_urdf, known, first), lambda: _try(object_urdf, known, config))
+    return _kept(
+        _path(object_urdf, known, f"{_VERSION} {config}"), lambda: _finish(object_urdf, panda_urdf, tried, config)
+    )
 
 
 def _kept(path: Path, make: Callable[[], TriedGrasps]) -> TriedGrasps:
@@ -87,17 +99,34 @@ def _kept(path: Path, make: Callable[[], TriedGrasps]) -> TriedGrasps:
     return found
 
 
-def _deepen(object_urdf: Path, tried: TriedGrasps, config: GraspTrials) -> TriedGrasps:
-    trial, poses = GraspTrial(object_urdf, config.trial), tried.poses.copy()
+def _finish(object_urdf: Path, panda_urdf: Path, tried: TriedGrasps, config: GraspTrials) -> TriedGrasps:
+    """The same moved on, and worth what holds when a person lets go."""
+    trial = GraspTrial(object_urdf, config.trial, panda_urdf)
+    poses, holds = tried.poses.copy(), tried.holds.copy()
     try:
         for number, pose in enumerate(tried.poses):
             for way in config.deeper:
                 if trial.is_free(_matrix(_onward(pose, way + config.spare))):
                     poses[number] = _onward(pose, way)
                     break
+            if holds[number] > 0.0:
+                holds[number] *= _share_kept(trial, poses[number], config)
     finally:
         trial.close()
-    return TriedGrasps(poses, tried.holds)
+    return TriedGrasps(poses, holds)
+
+
+def _share_kept(trial: GraspTrial, pose: Array, config: GraspTrials) -> float:
+    """Of releases in which the object stays in the fingers; none where it does not from the grasp's very place."""
+    ways = np.array([(0.0, 0.0, 0.0), *config.around])
+    moved = compose(pose, np.concatenate([ways, np.tile([0.0, 0.0, 0.0, 1.0], (len(ways), 1))], axis=1))
+    kept = 0
+    for number, place in enumerate(moved):
+        slip = trial.slip_on_release(_matrix(place), config.held_time, config.free_time)
+        if number == 0 and slip > config.slip:
+            return 0.0
+        kept += slip <= config.slip
+    return kept / len(moved)
 
 
 def _onward(pose: Array, way: float) -> Array:
@@ -159,8 +188,8 @@ def _matrix(hand: Array) -> Array:
     return matrix
 
 
-def _path(object_urdf: Path, known: Array, config: GraspTrials) -> Path:
-    digest = hashlib.sha256(f"{_VERSION} {config}".encode())
+def _path(object_urdf: Path, known: Array, key: str) -> Path:
+    digest = hashlib.sha256(key.encode())
     digest.update(np.round(known, 6).astype(np.float32).tobytes())
     for path in (object_urdf, *mesh_files(object_urdf, "collision")):
         digest.update(path.read_bytes())
