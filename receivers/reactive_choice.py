@@ -169,7 +169,7 @@ class ReactiveChoice:
         """(n,) prices as far as they need no inverse kinematics."""
         costs = self._costs
         turns = (self._home_turn.inv() * Rotation.from_quat(world[:, 3:])).magnitude()
-        rough = self._loose + costs.turn * turns + costs.lack * np.maximum(0.0, costs.room - room)
+        rough: Array = self._loose + costs.turn * turns + costs.lack * np.maximum(0.0, costs.room - room)
         rough[room < max(costs.bare_room, costs.least_room - costs.patience * self._without)] += _NEVER
         lowest = np.minimum(*(corners(poses)[..., 2].min(axis=1) for poses in (world, compose(world, self._standoff))))
         rough[lowest < _TABLE + costs.table] += _NEVER
