@@ -4,6 +4,7 @@ The hand stands still and the world's gravity turns instead. In the frame of a h
 this is the same thing, and the object starts where its own frame is the world's.
 """
 
+import math
 import tempfile
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
@@ -15,7 +16,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from handover_marl.assets.bullet_files import bullet_files
-from handover_marl.config import OBJECT_DOF, TIME_STEP, PandaConfig, ProtocolConfig
+from handover_marl.config import OBJECT_DOF, TIME_STEP, ObjectConfig, PandaConfig, ProtocolConfig
 from handover_marl.models.panda import FINGER_LINKS, GRIPPER_FROM_HAND, HAND_LINK, OPEN
 from handover_marl.models.poses import (
     compose_point,
@@ -61,16 +62,17 @@ class GraspTrial:
     Args:
         object_urdf: Model of the object, on HandoverSim's chain of six joints.
         config: What a grasp must stand.
+        panda_urdf: The Panda whose hand it is; default: PyBullet's.
     """
 
-    def __init__(self, object_urdf: Path, config: TrialConfig | None = None) -> None:
+    def __init__(self, object_urdf: Path, config: TrialConfig | None = None, panda_urdf: Path | None = None) -> None:
         self._config = config or TrialConfig()
         self._client = connect()
         self._client.setPhysicsEngineParameter(fixedTimeStep=TIME_STEP, numSubSteps=1, deterministicOverlappingPairs=1)
         self._object_urdf = object_urdf
         self._object = load_urdf(self._client, object_urdf, useFixedBase=True)
         self._mesh_link = self._client.getNumJoints(self._object) - 1
-        self._hand = _load_hand(self._client)
+        self._hand = _load_hand(self._client, panda_urdf or _panda_folder() / "panda.urdf")
         self._fingers = list(range(self._client.getNumJoints(self._hand)))
 
     def is_free(self, object_from_gripper: npt.ArrayLike) -> bool:
@@ -99,6 +101,32 @@ class GraspTrial:
                 return False
         return True
 
+    def slip_on_release(self, object_from_gripper: npt.ArrayLike, held_time: float, free_time: float) -> float:
+        """How far the gripped point moves in the fingers (m) when the object is let go by who held it in its place.
+
+        In a scene a person holds the object while the fingers close and lets go a tenth of a second later: what they
+        touch with an edge only springs away then.
+
+        Args:
+            object_from_gripper: The grasp (4, 4).
+            held_time: How long the object is held while the fingers close (s).
+            free_time: How long it is free (s).
+
+        Returns:
+            Infinity if a finger does not touch it in the end.
+        """
+        grasp = np.asarray(object_from_gripper, dtype=np.float64)
+        self._place(grasp)
+        self._hold_object()
+        self._drive_fingers()
+        self._simulate(held_time, (0.0, 0.0, 0.0))
+        self._free_object()
+        before = self._held_pose(grasp)
+        self._simulate(free_time, (0.0, 0.0, -self._config.acceleration))
+        if not self._is_gripped():
+            return math.inf
+        return float(np.linalg.norm(self._held_pose(grasp)[:3] - before[:3]))
+
     def close(self) -> None:
         """End the physics server."""
         self._client.close()
@@ -107,12 +135,30 @@ class GraspTrial:
         """Object at its own frame, at rest and limp; hand at the grasp, open."""
         for joint in range(OBJECT_DOF):
             self._client.resetJointState(self._object, joint, 0.0, 0.0)
-        self._client.setJointMotorControlArray(
-            self._object, range(OBJECT_DOF), self._client.VELOCITY_CONTROL, forces=[0.0] * OBJECT_DOF
-        )
+        self._free_object()
         for finger in self._fingers:
             self._client.resetJointState(self._hand, finger, OPEN, 0.0)
         self._put_hand(grasp, 0.0)
+
+    def _free_object(self) -> None:
+        self._client.setJointMotorControlArray(
+            self._object, range(OBJECT_DOF), self._client.VELOCITY_CONTROL, forces=[0.0] * OBJECT_DOF
+        )
+
+    def _hold_object(self) -> None:
+        """With the motors that carry it in a scene."""
+        config = ObjectConfig()
+        for joint in range(OBJECT_DOF):
+            motor = config.translation_motor if joint < OBJECT_DOF // 2 else config.rotation_motor
+            self._client.setJointMotorControl2(
+                self._object,
+                joint,
+                self._client.POSITION_CONTROL,
+                targetPosition=0.0,
+                positionGain=motor.position_gain,
+                velocityGain=motor.velocity_gain,
+                force=motor.force,
+            )
 
     def _put_hand(self, grasp: npt.NDArray[np.float64], backoff: float) -> None:
         position = grasp[:3, 3] - backoff * grasp[:3, 2]
@@ -175,10 +221,10 @@ def _panda_folder() -> Path:
     return bullet_files() / "franka_panda"
 
 
-def _load_hand(client: BulletClient) -> int:
-    """The hand and fingers of PyBullet's Panda as a body of its own; joints 0 and 1 are the fingers."""
-    folder = _panda_folder()
-    panda = ET.parse(folder / "panda.urdf").getroot()
+def _load_hand(client: BulletClient, urdf: Path) -> int:
+    """The hand and fingers of a Panda as a body of its own; joints 0 and 1 are the fingers."""
+    folder = urdf.parent
+    panda = ET.parse(urdf).getroot()
     robot = ET.Element("robot", name="panda_hand")
     for element in panda:
         child = element.find("child")

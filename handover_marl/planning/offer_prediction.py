@@ -1,0 +1,93 @@
+"""Where an object will be held out, as far as its motion so far tells."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class OfferConfig:
+    """How an object with velocity v at p goes on.
+
+    The remaining way is
+
+        ahead * v + pull * tanh(|v| / brisk) * (place - p).
+
+    A moving object is drawn to where people hold things out, one at rest stays. `experiments/offer_error.py` fits and
+    measures this.
+
+    Attributes:
+        ahead: Time for which the velocity goes on (s).
+        pull: Share of the way to `place` that a brisk object still goes.
+        brisk: Speed scale of that (m/s).
+        place: Where objects are held out in the middle, world frame (m).
+        turn_ahead: Time for which the turning goes on (s).
+        smoothing: Time constant of the velocities (s).
+        slow: An object slower than this rests (m/s).
+    """
+
+    ahead: float = 0.21
+    pull: float = 0.61
+    brisk: float = 0.3
+    place: tuple[float, float, float] = (0.577, 0.139, 1.239)
+    turn_ahead: float = 0.1
+    smoothing: float = 0.05
+    slow: float = 0.05
+
+
+class OfferPrediction:
+    """Follows one object through an episode.
+
+    Attributes:
+        velocity: (3,) of the object (m/s).
+        turning: (3,) its angular velocity as a rotation vector in the world (rad/s).
+        rest: How long the object has been slow (s).
+    """
+
+    def __init__(self, config: OfferConfig) -> None:
+        self.config = config
+        self.velocity, self.turning, self.rest = np.zeros(3), np.zeros(3), 0.0
+        self.start: Array | None = None
+        self._time, self._pose = 0.0, np.zeros(7)
+
+    def see(self, time: float, pose: Array) -> None:
+        """Take note of the object's pose (7,) in the world at a time (s)."""
+        if self.start is None:
+            self.start = pose[:3].copy()
+        elif time > self._time:
+            step = time - self._time
+            kept = float(np.exp(-step / self.config.smoothing))
+            turn = (Rotation.from_quat(pose[3:]) * Rotation.from_quat(self._pose[3:]).inv()).as_rotvec()
+            self.velocity = kept * self.velocity + (1.0 - kept) * (pose[:3] - self._pose[:3]) / step
+            self.turning = kept * self.turning + (1.0 - kept) * turn / step
+            self.rest = self.rest + step if self.speed < self.config.slow else 0.0
+        self._time, self._pose = time, pose.copy()
+
+    @property
+    def speed(self) -> float:
+        """Of the object (m/s)."""
+        return float(np.linalg.norm(self.velocity))
+
+    @property
+    def lifted(self) -> float:
+        """How far the object is from where it was first seen (m)."""
+        return 0.0 if self.start is None else float(np.linalg.norm(self._pose[:3] - self.start))
+
+    def offered(self) -> Array:
+        """The pose (7,) at which the object will be held out."""
+        config = self.config
+        drawn = config.pull * np.tanh(self.speed / config.brisk)
+        place = self._pose[:3] + config.ahead * self.velocity + drawn * (np.array(config.place) - self._pose[:3])
+        return np.concatenate([place, self._turned(config.turn_ahead)])
+
+    def soon(self, ahead: float) -> Array:
+        """The pose (7,) a short time (s) from now, at the present velocity."""
+        return np.concatenate([self._pose[:3] + ahead * self.velocity, self._turned(ahead)])
+
+    def _turned(self, ahead: float) -> Array:
+        turned: Array = (Rotation.from_rotvec(ahead * self.turning) * Rotation.from_quat(self._pose[3:])).as_quat()
+        return turned

@@ -1,0 +1,235 @@
+"""Which grasp the reactive receiver goes for, and when it changes its mind."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from handover_marl.models.panda import HALF_TURN, WAITING_JOINTS
+from handover_marl.models.poses import compose, compose_point, inverse, inverse_transform_points
+from handover_marl.planning.arm_in_world import ArmInWorld
+from handover_marl.planning.gripper_room import ELBOW, WRIST, Balls, corners, flange_rooms, forearm_rooms, rooms
+from handover_marl.receivers.reactive_config import GraspCosts
+from handover_marl.receivers.reactive_grasps import TriedGrasps
+
+Array = npt.NDArray[np.float64]
+Numbers = npt.NDArray[np.int_]
+
+HOME = np.array(WAITING_JOINTS[:7])
+#: Where searches for joints start, and where they also start when nothing was found from there: a greedy cover of what
+#: can be reached from the waiting pose in little time.
+SEEDS = np.array(
+    [
+        HOME,
+        (-0.386, 0.559, 0.048, -2.175, -1.173, 1.994, 0.797),
+        (0.276, 0.693, 0.397, -2.782, 1.358, 2.557, -0.02),
+    ]
+)
+MORE_SEEDS = np.array(
+    [
+        (0.641, -1.612, -0.197, -2.53, -0.095, 1.678, 0.587),
+        (-0.059, -1.612, -0.197, -2.53, -0.095, 1.678, -0.913),
+        (-0.059, -1.612, -1.097, -2.53, -0.095, 1.678, 0.587),
+        (0.7, 0.2, 0.0, -2.0, 0.0, 2.2, 0.785),
+        (-0.059, -1.612, -0.197, -2.53, -0.095, 0.878, 0.587),
+        (2.0, 0.23, -2.85, -1.69, 0.056, 1.46, -1.27),
+    ]
+)
+
+_TABLE = 0.92  # m
+_ROOMY = 0.2  # m, where there is no hand
+# A price that no other sum of prices reaches: not to be taken.
+_NEVER = 100.0
+_STANDOFF_STEPS, _GRASP_STEPS = 12, 6
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """A grasp: its number, (7,) joints at its standoff and at itself, and its room beside the person's hand (m)."""
+
+    number: int
+    standoff: Array
+    goal: Array
+    room: float
+
+
+@dataclass(frozen=True, eq=False)
+class Situation:
+    """What a choice depends on.
+
+    Attributes:
+        time: Since the start of the episode (s).
+        joints: (7,) where the arm is (rad).
+        now: (7,) pose of the object.
+        offered: (7,) pose at which it will be held out.
+        hand: The person's hand, or None.
+        rests: Whether the object rests.
+    """
+
+    time: float
+    joints: Array
+    now: Array
+    offered: Array
+    hand: Balls | None
+    rests: bool
+
+
+class ReactiveChoice:
+    """Remembers the grasp chosen last, and those that failed.
+
+    Args:
+        arm: The arm.
+        speeds: (7,) speeds of its joints (rad/s).
+        costs: Prices.
+        standoff: Distance of a standoff from its grasp (m).
+        period: Time between choices (s).
+
+    Attributes:
+        grasps: (n, 7) poses of the hand link in the object's frame to choose from, each in both turns.
+        chosen: The grasp chosen last, or None.
+        trouble: Why there is none, in a word.
+    """
+
+    def __init__(self, arm: ArmInWorld, speeds: Array, costs: GraspCosts, standoff: float, period: float) -> None:
+        self._arm, self._speeds, self._costs, self._period = arm, speeds, costs, period
+        self._standoff = np.array([0.0, 0.0, -standoff, 0.0, 0.0, 0.0, 1.0])
+        self._length = standoff
+        self._home_turn = Rotation.from_quat(arm.hand(HOME)[3:])
+        self.reset(TriedGrasps(np.zeros((0, 7)), np.zeros(0)), Balls(np.zeros((1, 3)), np.zeros(1)))
+
+    def reset(self, tried: TriedGrasps, surface: Balls) -> None:
+        """Forget everything; choose from these grasps of an object with this surface from now on."""
+        self._surface = surface
+        clear = flange_rooms(tried.poses, surface) > 0.0
+        tried = TriedGrasps(tried.poses[clear], tried.holds[clear])
+        self.grasps = np.concatenate([tried.poses, compose(tried.poses, np.array(HALF_TURN))])
+        loose = self._costs.unstable * (tried.holds == 0.0) + self._costs.shaky * (1.0 - tried.holds)
+        self._loose = np.concatenate([loose, loose])
+        self.chosen: Choice | None = None
+        self.trouble = ""
+        self._failed: dict[int, float] = {}
+        self._page, self._without = 0, 0.0
+
+    def give_up(self, until: float) -> None:
+        """Leave the chosen grasp alone until a time (s), unless there is no other."""
+        if self.chosen is not None:
+            self._failed[self.chosen.number] = until
+        self.chosen = None
+
+    def forget(self) -> None:
+        """Choose anew, the present grasp included."""
+        self.chosen = None
+
+    def update(self, situation: Situation, near: bool = False) -> Choice | None:
+        """The grasp to go for now: the one of before unless another is better by more than the margin.
+
+        Args:
+            situation: As it is.
+            near: Whether the gripper is before the grasp of before already; the margin is wider then.
+        """
+        world = compose(situation.offered, self.grasps)
+        room = self._rooms(situation)
+        rough = self._rough(world, room, situation.time)
+        numbers = self._candidates(rough)
+        if not len(numbers):
+            self._nothing("no room", situation.rests, 1.0)
+            return None
+        standoffs, goals, found = self._reach(world[numbers], situation.joints)
+        prices = rough[numbers] + self._travel(standoffs, situation.joints) + self._tightness(standoffs, goals)
+        found &= self._arm_clear(goals, situation)
+        prices[~found] += _NEVER
+        best = int(np.argmin(prices))
+        if prices[best] >= _NEVER:
+            self._page += 1
+            self._nothing("out of reach", situation.rests, self._costs.search)
+            return None
+        if self.chosen is not None:
+            old = int(np.flatnonzero(numbers == self.chosen.number)[0])
+            if prices[old] < min(prices[best] + self._costs.gain + (self._costs.near_gain if near else 0.0), _NEVER):
+                best = old
+        number = int(numbers[best])
+        self._page, self.trouble = 0, ""
+        self.chosen = Choice(number, standoffs[best], goals[best], float(room[number]))
+        return self.chosen
+
+    def _nothing(self, trouble: str, rests: bool, share: float) -> None:
+        if rests:
+            self._without += share * self._period
+        self.chosen, self.trouble = None, trouble
+
+    def _rooms(self, situation: Situation) -> Array:
+        """(n,) room beside the person's hand (m); as hand and object are now, since they move together."""
+        if situation.hand is None:
+            return np.full(len(self.grasps), _ROOMY)
+        centers = inverse_transform_points(situation.now, situation.hand.centers)
+        return rooms(self.grasps, Balls(centers, situation.hand.radii), self._length)
+
+    def _rough(self, world: Array, room: Array, time: float) -> Array:
+        """(n,) prices as far as they need no inverse kinematics."""
+        costs = self._costs
+        turns = (self._home_turn.inv() * Rotation.from_quat(world[:, 3:])).magnitude()
+        rough: Array = self._loose + costs.turn * turns + costs.lack * np.maximum(0.0, costs.room - room)
+        rough[room < max(costs.bare_room, costs.least_room - costs.patience * self._without)] += _NEVER
+        lowest = np.minimum(*(corners(poses)[..., 2].min(axis=1) for poses in (world, compose(world, self._standoff))))
+        rough[lowest < _TABLE + costs.table] += _NEVER
+        for number, until in self._failed.items():
+            if time < until:
+                rough[number] += costs.failed
+        return rough
+
+    def _candidates(self, rough: Array) -> Numbers:
+        """The cheapest; others in turn while none of these can be reached; and the one chosen last."""
+        order = np.argsort(rough, kind="stable")
+        order = order[rough[order] < _NEVER]
+        numbers = np.roll(order, -self._page * self._costs.candidates)[: self._costs.candidates]
+        if len(numbers) and self.chosen is not None and self.chosen.number not in numbers:
+            numbers = np.append(numbers, self.chosen.number)
+        return numbers
+
+    def _reach(self, grasps: Array, joints: Array) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
+        """(n, 7) joints at the standoffs and at the grasps, from the seed that is nearest to the arm, and whether."""
+        seeds = np.concatenate([SEEDS, MORE_SEEDS]) if self._page else SEEDS
+        count, copies = len(grasps), len(seeds)
+        poses = np.tile(grasps, (copies, 1))
+        standoffs, found = self._arm.solve(
+            compose(poses, self._standoff), np.repeat(seeds, count, axis=0), _STANDOFF_STEPS
+        )
+        goals, straight = self._arm.solve(poses, standoffs, _GRASP_STEPS)
+        found &= straight & (np.abs(goals - standoffs).max(axis=1) < self._costs.longest_way)
+        travel = np.where(found, self._travel(standoffs, joints), np.inf).reshape(copies, count)
+        best = np.argmin(travel, axis=0) * count + np.arange(count)
+        return standoffs[best], goals[best], found[best]
+
+    def _arm_clear(self, goals: Array, situation: Situation) -> npt.NDArray[np.bool_]:
+        """(n,) whether forearm and wrist keep clear of hand and object at the grasps."""
+        origins = self._arm.origins(goals)
+        elbows, wrists = origins[:, ELBOW], origins[:, WRIST]
+        place = compose(situation.offered, inverse(situation.now))
+        obj = Balls(compose_point(situation.offered, self._surface.centers), self._surface.radii)
+        clear = forearm_rooms(elbows, wrists, obj) > self._costs.arm_room
+        if situation.hand is not None:
+            hand = Balls(compose_point(place, situation.hand.centers), situation.hand.radii)
+            clear &= forearm_rooms(elbows, wrists, hand) > self._costs.arm_room
+        return clear
+
+    def _travel(self, standoffs: Array, joints: Array) -> Array:
+        """(n,) time to the standoffs (s)."""
+        time: Array = (np.abs(standoffs - joints) / self._speeds).max(axis=1)
+        return time
+
+    def _tightness(self, standoffs: Array, goals: Array) -> Array:
+        low, high = self._arm.limits
+        edge = np.minimum(*(np.minimum(joints - low, high - joints).min(axis=1) for joints in (standoffs, goals)))
+        price: Array = self._costs.tight * np.maximum(0.0, self._costs.limit - edge)
+        return price
+
+    def grasp(self, choice: Choice, obj: Array) -> Array:
+        """(7,) pose of the hand link at a grasp of the object at pose (7,)."""
+        pose: Array = compose(obj, self.grasps[choice.number])
+        return pose
+
+    def offset(self, choice: Choice, obj: Array, hand: Array) -> Array:
+        """(7,) pose of the hand link at (7,) in the frame of the grasp of the object at (7,)."""
+        pose: Array = compose(inverse(self.grasp(choice, obj)), hand)
+        return pose

@@ -1,0 +1,68 @@
+"""The nearer, the slower."""
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from handover_marl.models.poses import compose_point
+from handover_marl.planning.arm_in_world import ArmInWorld
+from handover_marl.planning.gripper_room import ELBOW, WRIST, Balls, nearest, nearest_forearm
+from handover_marl.planning.separation import Neighbour, SeparationConfig, separated
+from tests.planning.robots import ARM, LIMITS, START
+
+CONFIG = SeparationConfig()
+IN_WORLD = ArmInWorld(ARM, np.array([0.61, -0.5, 0.875, 0.0, 0.0, 0.7071068, 0.7071068]), LIMITS)
+HAND = IN_WORLD.hand(START)
+
+vectors = st.lists(st.floats(-1.0, 1.0), min_size=7, max_size=7).map(np.array)
+
+
+def beyond(room: float, least: float, moving: float = 0.0) -> Neighbour:
+    """A ball so far before a fingertip, that moves along the gripper's axis (m/s)."""
+    place = compose_point(HAND, np.array([0.0, 0.05, 0.1126 + room + 0.01]))
+    axis = compose_point(HAND, np.array([0.0, 0.0, 1.0])) - HAND[:3]
+    return Neighbour(Balls(place[None], np.array([0.01])), moving * axis, least)
+
+
+def coming_nearer(velocity: np.ndarray, neighbour: Neighbour) -> float:
+    """How fast the room beside a ball shrinks (m/s), by small steps."""
+    step = 1e-5
+    rooms = [nearest(IN_WORLD.hand(START + time * velocity), neighbour.balls).room for time in (0.0, step)]
+    return (rooms[0] - rooms[1]) / step
+
+
+@given(vectors, st.floats(0.005, 0.2))
+def test_room_is_not_used_up_too_soon(velocity: np.ndarray, room: float) -> None:
+    neighbour = beyond(room, 0.03)
+    found = separated(velocity, IN_WORLD, START, [neighbour], CONFIG)
+    near = nearest(HAND, neighbour.balls).room
+    assert coming_nearer(found, neighbour) <= max((near - 0.03) / CONFIG.time, -CONFIG.flee) + 5e-3
+
+
+def test_what_is_slow_enough_stays_as_it_is() -> None:
+    velocity = np.array([0.1, 0.1, 0.1, 0.0, 0.1, 0.0, 0.1])
+    np.testing.assert_array_equal(separated(velocity, IN_WORLD, START, [beyond(0.3, 0.03)], CONFIG), velocity)
+
+
+def test_a_coming_hand_counts() -> None:
+    still, coming = beyond(0.05, 0.03), beyond(0.05, 0.03, -0.4)
+    rest = np.zeros(7)
+    np.testing.assert_array_equal(separated(rest, IN_WORLD, START, [still], CONFIG), rest)
+    assert coming_nearer(separated(rest, IN_WORLD, START, [coming], CONFIG), coming) < -0.1
+
+
+def test_on_the_way_out_it_is_enough_to_come_no_nearer() -> None:
+    narrow, rest = beyond(0.01, 0.03), np.zeros(7)
+    assert coming_nearer(separated(rest, IN_WORLD, START, [narrow], CONFIG), narrow) < -0.05
+    np.testing.assert_array_equal(separated(rest, IN_WORLD, START, [narrow], CONFIG, leaving=True), rest)
+
+
+def test_the_forearm_counts() -> None:
+    origins = IN_WORLD.origins(START[None])[0]
+    middle = 0.5 * (origins[ELBOW] + origins[WRIST])
+    ball = Balls(middle[None] + [[0.0, 0.0, -0.1]], np.array([0.01]))
+    before = nearest_forearm(origins[ELBOW], origins[WRIST], ball).room
+    assert before < 0.03
+    found = separated(np.zeros(7), IN_WORLD, START, [Neighbour(ball, np.zeros(3), 0.03)], CONFIG)
+    after = IN_WORLD.origins((START + 1e-3 * found)[None])[0]
+    assert nearest_forearm(after[ELBOW], after[WRIST], ball).room > before
