@@ -25,8 +25,8 @@ from handover_marl.models.ycb import CLASS_NAMES
 from handover_marl.planning.arm_in_world import ArmInWorld
 from handover_marl.planning.arm_servo import ArmServo
 from handover_marl.planning.gripper_room import Balls, surface_balls
-from handover_marl.planning.hand_motion import HandMotion
 from handover_marl.planning.offer_prediction import OfferPrediction
+from handover_marl.planning.person_motion import HandMotion
 from handover_marl.planning.separation import Neighbour, separated
 from handover_marl.policies.context import PolicyContext
 from handover_marl.policies.policy import Action
