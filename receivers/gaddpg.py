@@ -18,6 +18,7 @@ What decides results and is not what one would expect, each as the original scri
   the beginning; the hand may turn.
 """
 
+import importlib.util
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -234,11 +235,13 @@ def _chosen(network: GaddpgFunction | None, weights: str | None) -> tuple[Gaddpg
         raise OptionError(
             "receiver 'gaddpg': no weights ship yet; give weights=FILE (the original authors' checkpoint) or train"
         )
-    # Only who has weights needs PyTorch.
+    if importlib.util.find_spec("torch") is None:
+        raise OptionError("receiver 'gaddpg' with weights needs PyTorch: pip install 'handover-marl[train]'")
+    # Only who has weights needs it.
     from handover_marl.networks.gaddpg_weights import read_weights
 
     found, fingerprint = read_weights(weights)
-    return found, f"{GaddpgReceiver.name}@{fingerprint}"
+    return found.decide, f"{GaddpgReceiver.name}@{fingerprint}"
 
 
 def _pose_step(step: Array) -> Array:

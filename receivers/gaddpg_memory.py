@@ -66,7 +66,7 @@ class PointMemory:
         self.remaining = self.config.max_steps
         self.cloud = np.zeros((3, 0))
         self._mean = np.zeros(3)
-        # The scripts seed NumPy's global generator, whose bits come from this older kind; everything counts on its order.
+        # NumPy's older kind of generator: the scripts seed the global one, and all depends on its bits.
         self._rng = np.random.RandomState(self.config.seed)
 
     def see(self, points: npt.NDArray[np.float32], base_from_hand: Array) -> None:

@@ -22,7 +22,8 @@ class Policy(ABC):
         name: What tables and files call it.
         control_period: How often it decides (s); a whole number of milliseconds.
         sight: What a receiver wants to be shown of the wrist camera: "points", "clouds", "images", or None; pictures
-            are drawn only when it is asked, and drawing is not planning time. See `handover_marl.episode.sight.sight_space`.
+            are drawn only when it is asked, and drawing is not planning time. See
+            `handover_marl.episode.sight.sight_space`.
         observes: "all", or "sight": proprioception and sight alone, so that the true pose cannot be used by accident.
     """
 
