@@ -127,7 +127,7 @@ def test_of_several_the_latest_is_taken(own: Path) -> None:
     (own / "DDPG_actor_PandaYCBEnv_80000").write_bytes(b"")
     assert read_weights(own)[1] == latest
     (own / "BC_actor_PandaYCBEnv_latest").write_bytes(b"")
-    with pytest.raises(DataNotFoundError, match="BC_actor_PandaYCBEnv_latest, DDPG_actor_.*; name one of them"):
+    with pytest.raises(DataNotFoundError, match=r"BC_actor_PandaYCBEnv_latest, DDPG_actor_.*; name one of them"):
         read_weights(own)
 
 

@@ -17,8 +17,13 @@ def size(module: nn.Module) -> int:
 
 
 def lively(module: nn.Module) -> nn.Module:
-    """With other statistics in every batch normalisation than fresh ones, for inference."""
+    """For inference, with other batch statistics than fresh ones, and so that centimetres make a difference."""
     generator = torch.Generator().manual_seed(1)
+    for name, parameter in module.named_parameters():
+        if name.endswith("stages.0.mlps.0.0.weight"):
+            parameter.data *= 30.0
+        elif "mlps" in name and parameter.ndim == 4:
+            parameter.data *= 2.0
     for name, buffer in module.named_buffers():
         if name.endswith("running_mean"):
             buffer.copy_(0.1 * torch.randn(buffer.shape, generator=generator))
@@ -90,8 +95,9 @@ def test_the_encoder_is_what_its_table_says(count: int) -> None:
     with torch.no_grad():
         found = encoder(cloud)[0].numpy()
     expected = ByLoops(encoder)(cloud[0].numpy().astype(np.float64))
-    assert np.ptp(expected) > 0.1
-    np.testing.assert_allclose(found, expected, atol=2e-5)
+    other = ByLoops(encoder)(patch(count + 1, count)[0].numpy().astype(np.float64))
+    assert np.abs(other - expected).max() > 0.05
+    np.testing.assert_allclose(found, expected, atol=1e-4)
 
 
 @pytest.mark.parametrize("device", DEVICES)
@@ -102,8 +108,8 @@ def test_a_cloud_alone_gives_what_it_gives_among_others(device: str) -> None:
         together = encoder(many.to(device)).cpu()
         alone = torch.cat([encoder(one[None].to(device)) for one in many]).cpu()
         at_home = encoder.cpu()(many)
-    np.testing.assert_allclose(together, alone, atol=1e-5)
-    np.testing.assert_allclose(together, at_home, atol=1e-4)
+    np.testing.assert_allclose(together, alone, atol=1e-4)
+    np.testing.assert_allclose(together, at_home, atol=1e-3)
 
 
 def test_order_and_repeats_mean_nothing_to_the_light_encoder() -> None:
@@ -125,11 +131,11 @@ def test_order_behind_the_first_means_nothing_to_pointnet_plus_plus() -> None:
     order = torch.randperm(199, generator=torch.Generator().manual_seed(2)) + 1
     order = torch.cat([torch.zeros(1, dtype=torch.long), order])
     sparse, dense = patch(0, 200), patch(0, 200)
-    # Some in one ball, more than are looked at.
-    dense[:, :3, 100:] = dense[:, :3, 100:101] + 0.1 * (dense[:, :3, 100:] - dense[:, :3, 100:101])
+    # All in one ball, more than are looked at.
+    dense[:, :3] = dense[:, :3, :1] + 0.15 * (dense[:, :3] - dense[:, :3, :1])
     with torch.no_grad():
-        np.testing.assert_allclose(encoder(sparse[..., order]), encoder(sparse), atol=1e-6)
-        assert (encoder(dense[..., order]) - encoder(dense)).abs().max() > 1e-4
+        np.testing.assert_allclose(encoder(sparse[..., order]), encoder(sparse), atol=1e-5)
+        assert (encoder(dense[..., order]) - encoder(dense)).abs().max() > 1e-3
 
 
 def test_groups_are_seen_from_their_centers() -> None:
