@@ -66,8 +66,8 @@ class GaddpgTiming:
 class GaddpgReceiver(Receiver):
     """Moves by what a network makes of points.
 
-    Made for `robot="panda_camera"`, the Panda with the camera's body. Ready for any period: asked late it decides
-    late, asked more often it commands the same.
+    Made for `robot="panda_camera"`, the Panda with the camera's body. Asked late it decides late, asked more often it
+    commands the same. A receiver with a network of your own is a subclass that passes it here, under a name of its own.
 
     Args:
         context: The robot and the task.

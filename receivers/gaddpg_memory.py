@@ -1,6 +1,7 @@
 """What GA-DDPG keeps of what it saw, and what it makes its network's input of."""
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -83,7 +84,7 @@ class PointMemory:
         kept = min(int(config.thinning**taken * config.n_points), seen.shape[1])
         self.cloud = seen[:, self._rng.choice(seen.shape[1], kept, replace=False)].astype(np.float64)
         mean = self.cloud.mean(axis=1)
-        if np.linalg.norm(self._mean - mean) > config.moved and taken > 0:
+        if np.linalg.norm(self._mean - mean) > config.moved:
             self.remaining = min(self.remaining + config.more_steps, config.max_steps)
         self._mean = mean
 
@@ -101,10 +102,10 @@ class PointMemory:
             return False
         hand = _transformed(_rounded_inverse(base_from_hand), self.cloud)
         lower, upper = (np.array(corner)[:, None] for corner in (self.config.cage_lower, self.config.cage_upper))
-        inside = ((hand > lower) & (hand < upper)).all(axis=0)
-        return bool(self._filled_up(inside[None]).sum() > self.config.cage_points)
+        inside = np.logical_and.reduce((hand > lower) & (hand < upper), axis=0, keepdims=True)
+        return bool(self._filled_up(inside).sum() > self.config.cage_points)
 
-    def _filled_up(self, columns: npt.NDArray[np.generic]) -> npt.NDArray[np.generic]:
+    def _filled_up(self, columns: npt.NDArray[Any]) -> npt.NDArray[Any]:
         """(m, n_points) of at most as many columns: repeats of them, drawn at random, behind them."""
         count = columns.shape[1]
         lacking = self.config.n_points - count
@@ -113,9 +114,9 @@ class PointMemory:
         return np.concatenate([columns, columns[:, self._rng.choice(count, lacking)]], axis=1)
 
 
-def _transformed(a_from_b: Array, points: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
+def _transformed(a_from_b: npt.NDArray[np.floating], points: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
     """Points (3, n) of frame b in frame a, in their own precision; three points alone are left in double."""
-    moved = a_from_b[:3, :3].dot(points) + a_from_b[:3, [3]]
+    moved: npt.NDArray[np.floating] = a_from_b[:3, :3].dot(points) + a_from_b[:3, [3]]
     return moved if points.shape[1] == 3 else moved.astype(points.dtype)
 
 

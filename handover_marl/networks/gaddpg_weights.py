@@ -93,7 +93,7 @@ def _weights(file: Path, content: bytes) -> dict[str, Tensor]:
 
 def _encoder(weights: dict[str, Tensor]) -> dict[str, Tensor]:
     """The actor's encoder by this library's names."""
-    named = {}
+    named: dict[str, Tensor] = {}
     for pattern, part in ((_STAGES, "stages."), (_DENSE, "dense.")):
         named |= {pattern.sub(part, name): value for name, value in weights.items() if pattern.match(name)}
     return named

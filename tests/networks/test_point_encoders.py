@@ -5,7 +5,7 @@ import torch
 from torch import nn
 
 from handover_marl.networks.gaddpg_network import GaddpgNetwork
-from handover_marl.networks.point_encoders import PointNet, PointNetPlusPlus, SetAbstraction
+from handover_marl.networks.point_encoders import Grouping, PointNet, PointNetPlusPlus, SetAbstraction
 from handover_marl.networks.policy_heads import PolicyHead
 from tests.networks.test_point_sampling import DEVICES, farthest_by_loops, neighbours_by_loops
 
@@ -50,6 +50,11 @@ def test_as_large_as_the_published_ones() -> None:
     assert size(PolicyHead()) == 202_259
     # GenH2R's head has 18 more outputs instead of the deviations.
     assert size(PolicyHead(timed=False)) == 205_087 - 18 * 257 + 6 * 257
+
+
+def test_looks_where_the_published_one_looks() -> None:
+    stages: list[SetAbstraction] = list(PointNetPlusPlus().stages)  # type: ignore[arg-type]
+    assert [stage.grouping for stage in stages] == [Grouping(32, 0.02, 64), Grouping(32, 0.04, 128), None]
 
 
 class ByLoops:
@@ -175,7 +180,7 @@ def test_the_gripper_is_left_out() -> None:
     cloud = patch(0, 1024)[0].numpy().astype(np.float64)
     led = np.concatenate([np.random.default_rng(0).normal(size=(4, 6)), cloud], axis=1)
     first = network.decide(led, 7)
-    np.testing.assert_array_equal(first, network.decide(cloud, 7))
+    np.testing.assert_array_equal(first, network.train().decide(cloud, 7))
     assert first.dtype == np.float32
     assert (first != network.decide(cloud, 8)).any()
 

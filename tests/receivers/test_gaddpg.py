@@ -343,6 +343,21 @@ def test_asked_late_it_judges_before_it_decides(
     assert len(network.asked) == 1
 
 
+def test_a_reset_forgets_the_episode(
+    receiver: GaddpgReceiver, network: Scripted, gripper: npt.NDArray[np.float32]
+) -> None:
+    played = []
+    for _ in range(2):
+        network.asked.clear()
+        actions = [receiver.act(seen(moment, gripper, BETWEEN)) for moment in (0, 149, 150, 650, 800)]
+        played.append((actions, list(network.asked)))
+        receiver.reset(seed=len(played))
+    (actions, asked), (again, asked_again) = played
+    np.testing.assert_array_equal(actions, again)
+    assert len(asked) == len(asked_again) == 1
+    np.testing.assert_array_equal(asked[0][0], asked_again[0][0])
+
+
 def test_without_weights_it_says_so() -> None:
     with pytest.raises(
         OptionError, match=r"no weights ship yet; give weights=FILE \(the original authors' checkpoint\)"
