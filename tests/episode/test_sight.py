@@ -414,7 +414,8 @@ def test_who_looks_has_one_picture_drawn_a_decision(
     episode, looker = Episode("fast", sight=SightConfig(imperfections=camera)), Looker(sight=sight)
     episode.reset(SCENE)
     play(episode, looker, until=200)
-    assert [list(seen) for seen in looker.seen] == [list(sight_space(sight))] * 4
+    keys = [key for key in sight_space(sight) if key.startswith("wrist")]
+    assert [list(seen) for seen in looker.seen] == [keys] * 4
     assert drawings.taken() == expected
     # Seen by the seed of the episode, as anybody sees it now who looks again.
     assert_same(episode.observe_sight(sight), episode.observe_sight(sight))
