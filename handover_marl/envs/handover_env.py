@@ -97,7 +97,8 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         max_cycles: Episodes are cut off after so many steps, to learn from more of them; None plays to the end.
         config: The world and the rules.
         robot: "panda", or "panda_camera" with HandoverSim's depth camera on its hand.
-        sight: What the receiver is shown of the wrist camera, "points", "images" or None; either robot has the view.
+        sight: What the receiver is shown of the wrist camera, "points", "clouds", "images" or None; either robot has
+            the view.
         observe: "all", or "sight": proprioception and sight alone, so that nobody learns from the true pose.
         renderer: "bullet", "rays", or "auto": bullet in exact physics, rays in others.
         geometry: "reference" puts points where HandoverSim puts them, "true" where they are.

@@ -159,7 +159,7 @@ class Episode:
         return self._sight.look(self.world, self.steps)
 
     def observe_sight(self, sight: str | None) -> Observation:
-        """What a kind of sight adds to the receiver's observation: "points", "images" or None.
+        """What a kind of sight adds to the receiver's observation: see `sight_space`.
 
         Raises:
             OptionError: The renderer needs an extra that is not installed.

@@ -63,7 +63,7 @@ def receiver_observation_space(sight: str | None = None, observes: str = ALL) ->
     """What the receiver sees.
 
     Args:
-        sight: What it is shown of the wrist camera: "points", "images" or None; see `sight_space`.
+        sight: What it is shown of the wrist camera: "points", "clouds", "images" or None; see `sight_space`.
         observes: "all", or "sight": proprioception and sight alone, so that nobody learns from the true pose.
 
     Raises:

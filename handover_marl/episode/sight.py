@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from handover_marl.config import TIME_STEP, PhysicsConfig
+from handover_marl.config import PANDA_DOF, TIME_STEP, PhysicsConfig
 from handover_marl.datasets.scene import Scene
 from handover_marl.errors import ResetNeededError, UnknownNameError
 from handover_marl.sim.camera.imperfections import CameraImperfections, imperfections, worsened
@@ -17,9 +17,9 @@ from handover_marl.sim.camera.photo import Photo, Seen
 from handover_marl.sim.renderers import Renderer, chosen_renderer, make_renderer
 from handover_marl.sim.world import Snapshot, World
 
-#: What an agent may be shown: clouds of object and hand, or pictures.
-POINTS, IMAGES = "points", "images"
-SIGHTS = (POINTS, IMAGES)
+#: What an agent may be shown: clouds of object and hand, thinned or whole, or pictures.
+POINTS, IMAGES, CLOUDS = "points", "images", "clouds"
+SIGHTS = (POINTS, IMAGES, CLOUDS)
 #: Rows of a cloud in an observation.
 N_POINTS = 1024
 
@@ -48,17 +48,32 @@ def sight_space(sight: str | None) -> dict[str, spaces.Space[Any]]:
     | images | wrist_depth | (224, 224, 1) float32 | depth along the viewing axis, m |
     | images | wrist_segmentation | (224, 224, 1) uint8 | values of `Seen` |
     | images | wrist_rgb | (224, 224, 3) uint8 | colours |
+    | clouds | wrist_object_cloud | (50176, 3) float32 | all that is seen of the object, row by row of the picture |
+    | clouds | wrist_hand_cloud | (50176, 3) float32 | all that is seen of the human hand, likewise |
+    | clouds | wrist_point_counts | (2,) float32 | as above |
+    | clouds | robot_joint_position_exact | (9,) float64 | the robot's joints before they are rounded to float32 |
 
-    Of more than 1024 points as many are drawn without replacement; behind fewer come zeros.
+    Of more than 1024 points as many are drawn without replacement; behind fewer come zeros, in whole clouds too.
+    "clouds" is for methods that choose points themselves and go on from the engine's own numbers, as HandoverSim's
+    scripts for GA-DDPG do.
 
     Raises:
         UnknownNameError: There is no such sight.
     """
     check_sight(sight)
+    counts = spaces.Box(0.0, float(SIDE * SIDE), (2,), np.float32)
     if sight == POINTS:
         cloud = spaces.Box(-np.inf, np.inf, (N_POINTS, 3), np.float32)
-        counts = spaces.Box(0.0, float(SIDE * SIDE), (2,), np.float32)
         return {"wrist_object_points": cloud, "wrist_hand_points": cloud, "wrist_point_counts": counts}
+    if sight == CLOUDS:
+        whole = spaces.Box(-np.inf, np.inf, (SIDE * SIDE, 3), np.float32)
+        joints = spaces.Box(-np.inf, np.inf, (PANDA_DOF,), np.float64)
+        return {
+            "wrist_object_cloud": whole,
+            "wrist_hand_cloud": whole,
+            "wrist_point_counts": counts,
+            "robot_joint_position_exact": joints,
+        }
     if sight == IMAGES:
         return {
             "wrist_depth": spaces.Box(0.0, np.inf, (SIDE, SIDE, 1), np.float32),
@@ -204,8 +219,15 @@ class Sight:
             }
         photo = self._photo(world, steps, whole=False)
         clouds = [self._points(photo, seen) for seen in (Seen.TARGET, Seen.HAND)]
-        item, hand = (self._thinned(cloud, steps, number) for number, cloud in enumerate(clouds))
         counts = np.array([len(cloud) for cloud in clouds], dtype=np.float32)
+        if sight == CLOUDS:
+            return {
+                "wrist_object_cloud": _filled(clouds[0], SIDE * SIDE),
+                "wrist_hand_cloud": _filled(clouds[1], SIDE * SIDE),
+                "wrist_point_counts": counts,
+                "robot_joint_position_exact": world.exact_joints(),
+            }
+        item, hand = (self._thinned(cloud, steps, number) for number, cloud in enumerate(clouds))
         return {"wrist_object_points": item, "wrist_hand_points": hand, "wrist_point_counts": counts}
 
     def _points(self, photo: Photo, seen: Seen) -> npt.NDArray[np.float32]:
@@ -242,9 +264,14 @@ class Sight:
         if len(cloud) > N_POINTS:
             chosen = self._rng(steps, number).choice(len(cloud), N_POINTS, replace=False)
             return cloud[np.sort(chosen)]
-        fixed = np.zeros((N_POINTS, 3), dtype=np.float32)
-        fixed[: len(cloud)] = cloud
-        return fixed
+        return _filled(cloud, N_POINTS)
 
     def _rng(self, steps: int, purpose: int) -> np.random.Generator:
         return np.random.default_rng((self._seed, steps, purpose))
+
+
+def _filled(cloud: npt.NDArray[np.float32], rows: int) -> npt.NDArray[np.float32]:
+    """(rows, 3): a cloud (n, 3) and zeros behind it."""
+    filled = np.zeros((rows, 3), dtype=np.float32)
+    filled[: len(cloud)] = cloud
+    return filled

@@ -21,8 +21,9 @@ class Policy(ABC):
         agent: Whose policy it is, "giver" or "receiver"; None if either's.
         name: What tables and files call it.
         control_period: How often it decides (s); a whole number of milliseconds.
-        sight: What a receiver wants to be shown of the wrist camera: "points", "images", or None; pictures are drawn
-            only when it is asked, and drawing is not planning time. See `handover_marl.episode.sight.sight_space`.
+        sight: What a receiver wants to be shown of the wrist camera: "points", "clouds", "images", or None; pictures
+            are drawn only when it is asked, and drawing is not planning time. See
+            `handover_marl.episode.sight.sight_space`.
         observes: "all", or "sight": proprioception and sight alone, so that the true pose cannot be used by accident.
     """
 

@@ -92,6 +92,10 @@ class World(ABC):
         """The present joints of robot and hand."""
 
     @abstractmethod
+    def exact_joints(self) -> npt.NDArray[np.float64]:
+        """The robot's joints (9,) in the engine's own double precision (m, rad), which `state` rounds to float32."""
+
+    @abstractmethod
     def object_dof(self) -> npt.NDArray[np.float32]:
         """(n, 6) joint positions of the objects' chains (m, rad), float32."""
 

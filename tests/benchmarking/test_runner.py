@@ -218,7 +218,7 @@ def test_a_full_disk_loses_nothing(fake_data: Path, tmp_path: Path, monkeypatch:
     [
         ({"setup": "s5"}, UnknownNameError, "setup 's5'; valid: s0, s1, s2, s3"),
         ({"split": "dev"}, UnknownNameError, "split 'dev'"),
-        ({"receiver": "nobody"}, UnknownNameError, "receiver 'nobody'; valid: hold, learned, omg"),
+        ({"receiver": "nobody"}, UnknownNameError, "receiver 'nobody'; valid: gaddpg, hold, learned, omg"),
         ({"scenes": [9, 10]}, SceneError, "scene 10 is not in s0 val"),
         ({"scenes": []}, SceneError, "no scene"),
         ({"scenes": 9}, SceneError, "expected scene numbers"),

@@ -20,6 +20,8 @@ OPTIONS: dict[str, Any] = {"dataset": "synthetic", "physics": "fast", "control_p
 TEST: dict[str, Any] = {"split": "test", "scenes": (209,)}
 POINTS = {"wrist_object_points", "wrist_hand_points", "wrist_point_counts"}
 IMAGES = {"wrist_depth", "wrist_segmentation", "wrist_rgb"}
+CLOUDS = {"wrist_object_cloud", "wrist_hand_cloud", "wrist_point_counts", "robot_joint_position_exact"}
+KEYS = {"points": POINTS, "images": IMAGES, "clouds": CLOUDS}
 OWN = {"robot_joint_position", "robot_joint_velocity", "gripper_pose", "time"}
 START = np.array([0.0, -1.285, 0.0, -2.356, 0.0, 1.571, 0.785, 0.04, 0.04], dtype=np.float32)
 
@@ -50,7 +52,7 @@ def assert_same(first: list[dict[str, np.ndarray]], second: list[dict[str, np.nd
             np.testing.assert_array_equal(value, other[key], err_msg=key)
 
 
-@pytest.mark.parametrize(("sight", "keys"), [("points", POINTS), ("images", IMAGES)])
+@pytest.mark.parametrize(("sight", "keys"), KEYS.items())
 def test_what_is_seen_is_in_the_space(sight: str, keys: set[str]) -> None:
     blind, env = make(), make(sight=sight)
     plain, seeing = blind.observation_space("receiver"), env.observation_space("receiver")
@@ -62,19 +64,18 @@ def test_what_is_seen_is_in_the_space(sight: str, keys: set[str]) -> None:
     env.close()
 
 
-@pytest.mark.parametrize("sight", ["points", "images"])
+@pytest.mark.parametrize("sight", KEYS)
 def test_sight_alone_has_no_privileged_key(sight: str) -> None:
     env = make(sight=sight, observe="sight")
     observations, _ = env.reset(seed=0)
-    keys = POINTS if sight == "points" else IMAGES
-    assert set(observations["receiver"]) == set(env.observation_space("receiver").spaces) == OWN | keys
+    assert set(observations["receiver"]) == set(env.observation_space("receiver").spaces) == OWN | KEYS[sight]
     assert "object_poses" in observations["giver"]
     assert env.observation_space("receiver").contains(observations["receiver"])
     assert env.step({"giver": np.zeros(8, dtype=np.float32), "receiver": START})[1]["receiver"] == 0.0
     env.close()
 
 
-@pytest.mark.parametrize("sight", ["points", "images"])
+@pytest.mark.parametrize("sight", KEYS)
 def test_the_checkers_are_content(sight: str) -> None:
     parallel_api_test(make(sight=sight, max_cycles=5), num_cycles=8)
     env = handover_marl.freeze(make(sight=sight, max_cycles=5), api="gymnasium")

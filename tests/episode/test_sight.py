@@ -15,6 +15,7 @@ from handover_marl.episode import sight as sight_module
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.play import play
 from handover_marl.episode.sight import (
+    CLOUDS,
     IMAGES,
     POINTS,
     SIGHTS,
@@ -85,19 +86,19 @@ def places_in(rows: npt.NDArray[np.float32], cloud: npt.NDArray[np.float32]) -> 
 
 
 def test_sights_by_name() -> None:
-    assert SIGHTS == ("points", "images")
+    assert SIGHTS == ("points", "images", "clouds")
     for known in (*SIGHTS, None):
         check_sight(known)
     for wrong in ("", "Points", "depth"):
         for check in (check_sight, sight_space):
-            with pytest.raises(UnknownNameError, match=f"unknown sight '{wrong}'; valid: points, images"):
+            with pytest.raises(UnknownNameError, match=f"unknown sight '{wrong}'; valid: points, images, clouds"):
                 check(wrong)
 
 
 def test_spaces_are_as_documented() -> None:
     assert sight_space(None) == {}
-    points, images = sight_space(POINTS), sight_space(IMAGES)
-    shapes = {key: (space.shape, space.dtype) for key, space in {**points, **images}.items()}
+    points, images, clouds = (sight_space(sight) for sight in (POINTS, IMAGES, CLOUDS))
+    shapes = {key: (space.shape, space.dtype) for key, space in {**points, **images, **clouds}.items()}
     assert list(points) == [OBJECT, HAND, COUNTS]
     assert shapes == {
         OBJECT: ((1024, 3), np.float32),
@@ -106,6 +107,9 @@ def test_spaces_are_as_documented() -> None:
         "wrist_depth": ((224, 224, 1), np.float32),
         "wrist_segmentation": ((224, 224, 1), np.uint8),
         "wrist_rgb": ((224, 224, 3), np.uint8),
+        "wrist_object_cloud": ((224 * 224, 3), np.float32),
+        "wrist_hand_cloud": ((224 * 224, 3), np.float32),
+        "robot_joint_position_exact": ((9,), np.float64),
     }
     for key, high in ((COUNTS, 224 * 224), ("wrist_segmentation", 5), ("wrist_rgb", 255)):
         space = {**points, **images}[key]
@@ -113,7 +117,7 @@ def test_spaces_are_as_documented() -> None:
         assert (space.low.min(), space.high.max()) == (0, high)
 
 
-@pytest.mark.parametrize("sight", [POINTS, IMAGES, None])
+@pytest.mark.parametrize("sight", [*SIGHTS, None])
 @pytest.mark.parametrize("camera", [None, "realsense"])
 @pytest.mark.parametrize("renderer", ["rays", "bullet"])
 def test_observations_are_elements_of_their_space(
@@ -185,6 +189,28 @@ def test_many_points_are_thinned_and_few_filled_up(world: World, camera: CameraI
     assert 50 < count < 1024
     np.testing.assert_array_equal(seen[HAND][:count], view.hand_points)
     assert not seen[HAND][count:].any()
+
+
+@pytest.mark.parametrize("camera", [None, NOISY])
+def test_clouds_are_all_that_is_seen(world: World, camera: CameraImperfections | None) -> None:
+    sight = new_sight(world, imperfections=camera)
+    seen, view = sight.observe(CLOUDS, world, STEPS), sight.look(world, STEPS)
+    assert seen[COUNTS].tolist() == [len(view.object_points), len(view.hand_points)]
+    for key, points in (("wrist_object_cloud", view.object_points), ("wrist_hand_cloud", view.hand_points)):
+        assert len(points) > 50
+        np.testing.assert_array_equal(seen[key][: len(points)], points)
+        assert not seen[key][len(points) :].any()
+
+
+@pytest.mark.parametrize("physics", ["exact", "fast"])
+def test_exact_joints_are_those_that_are_rounded(physics: str) -> None:
+    episode = Episode(physics, sight=SightConfig(renderer="bullet"))
+    episode.reset(SCENE)
+    episode.advance(np.array([0.3, *OFFICIAL.physics.panda.start_joints[1:]], dtype=np.float32), 100)
+    exact = episode.observe_sight(CLOUDS)["robot_joint_position_exact"]
+    np.testing.assert_array_equal(exact.astype(np.float32), episode.observe()["robot_joint_position"])
+    assert (exact != exact.astype(np.float32)).any()
+    episode.close()
 
 
 def test_images_are_the_view(world: World) -> None:
@@ -377,6 +403,7 @@ def test_nothing_is_drawn_for_who_does_not_look(
     [
         (POINTS, None, (1, 0, 4, 0)),
         (IMAGES, None, (1, 4, 0, 0)),
+        (CLOUDS, None, (1, 0, 4, 0)),
         # Edges are those of whole pictures.
         (POINTS, NOISY, (1, 4, 0, 0)),
     ],
@@ -387,7 +414,8 @@ def test_who_looks_has_one_picture_drawn_a_decision(
     episode, looker = Episode("fast", sight=SightConfig(imperfections=camera)), Looker(sight=sight)
     episode.reset(SCENE)
     play(episode, looker, until=200)
-    assert [list(seen) for seen in looker.seen] == [list(sight_space(sight))] * 4
+    keys = [key for key in sight_space(sight) if key.startswith("wrist")]
+    assert [list(seen) for seen in looker.seen] == [keys] * 4
     assert drawings.taken() == expected
     # Seen by the seed of the episode, as anybody sees it now who looks again.
     assert_same(episode.observe_sight(sight), episode.observe_sight(sight))

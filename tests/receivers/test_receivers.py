@@ -20,7 +20,7 @@ def test_names() -> None:
 
 
 def test_unknown_names(fake_data: Path) -> None:
-    known = "hold, learned, omg, omg_hand_aware, omg_unchecked_last, random, reactive, yang2021"
+    known = "gaddpg, hold, learned, omg, omg_hand_aware, omg_unchecked_last, random, reactive, yang2021"
     with pytest.raises(UnknownNameError, match=f"receiver 'yang'; valid: {known}"):
         receivers.make("yang", OfficialDataset(fake_data))
     with pytest.raises(OptionError, match="a giver is a name, a class or an instance of a policy, not 3"):

@@ -174,6 +174,10 @@ class Body:
         """Positions (m, rad) of the moving joints, float32."""
         return self.joint_states()[0]
 
+    def exact_joints(self) -> npt.NDArray[np.float64]:
+        """Positions (m, rad) of the moving joints as the engine has them."""
+        return np.array([state[0] for state in self.client.getJointStates(self.id, self.joints)], dtype=np.float64)
+
     def joint_states(self) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
         """Positions (m, rad) and velocities (m/s, rad/s) of the moving joints, float32."""
         states = self.client.getJointStates(self.id, self.joints)

@@ -103,6 +103,10 @@ class ExactWorld(BulletWorld):
         hand = self._hand
         return Postures(self._panda.joint_positions(), None if hand is None else hand.joint_positions())
 
+    def exact_joints(self) -> npt.NDArray[np.float64]:
+        """The robot's joints (9,) in double precision (m, rad)."""
+        return self._panda.exact_joints()
+
     def object_dof(self) -> npt.NDArray[np.float32]:
         """(n, 6) joint positions of the objects' chains (m, rad), float32."""
         return np.stack([body.joint_positions() for body in self._objects])

@@ -221,6 +221,10 @@ class FastWorld(BulletWorld):
         robot = self._stage_now.panda.joint_positions()
         return Postures(robot, hand.dof(row) if hand.present_after(row) else None)
 
+    def exact_joints(self) -> npt.NDArray[np.float64]:
+        """The robot's joints (9,) in double precision (m, rad)."""
+        return self._stage_now.panda.exact_joints()
+
     def object_dof(self) -> npt.NDArray[np.float32]:
         """(n, 6) joint positions of the objects' chains (m, rad), float32."""
         return np.stack([item.dof(self._row) for item in self._objects])

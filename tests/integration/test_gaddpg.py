@@ -1,0 +1,129 @@
+"""GA-DDPG's protocol against recordings of the original scripts, bit for bit."""
+
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from handover_marl.datasets import OfficialDataset
+from handover_marl.episode.episode import Episode
+from handover_marl.episode.observations import Observation
+from handover_marl.episode.watchers import Watcher
+from handover_marl.policies.context import context_of
+from handover_marl.policies.policy import Action
+from handover_marl.receivers.gaddpg import GaddpgReceiver
+from tests.conftest import RECORDINGS
+from tests.integration.test_reference import STRIDE, read_recording
+from tests.playing import play
+
+NAMES = sorted(path.stem for path in Path(RECORDINGS).glob("gaddpg/*.npz")) if RECORDINGS else ["none"]
+#: Recorded after scene 12 in one process, with a world of its own. The scripts ask PyBullet's first server for inverse
+#: kinematics, which was that of the other world: every answer began at the joints that the robot had there in the end.
+ELSEWHERE, AFTER = "gaddpg_scene009_wo_hold", "gaddpg_scene012_hold"
+
+
+class StandIn:
+    """The function that the recordings were made with, which answers what it was recorded to answer."""
+
+    def __init__(self, expected: dict[str, npt.NDArray[np.generic]]) -> None:
+        self.inputs: list[npt.NDArray[np.float64]] = []
+        self.remaining: list[int] = []
+        self._outputs = expected["network_output"]
+
+    def __call__(self, points: npt.NDArray[np.float64], remaining: int) -> npt.NDArray[np.float64]:
+        self.inputs.append(points.copy())
+        self.remaining.append(remaining)
+        mean = points[:3, 6:].mean(axis=1)
+        shift = np.clip(0.3 * (mean - np.array([0.0, 0.0, 0.085])), -0.06, 0.06)
+        turn = [0.06 * np.sin(9.0 * mean[1]), 0.06 * np.sin(7.0 * mean[0]), 0.01 * np.cos(remaining)]
+        answer = np.array(self._outputs[len(self.inputs) - 1])
+        np.testing.assert_array_equal(answer[:3], shift)
+        # The recordings' NumPy (1.23.5) had sines of its own, up to four units in the last place from others.
+        np.testing.assert_array_max_ulp(answer[3:], np.array(turn), maxulp=4)
+        return answer
+
+
+class Watched(GaddpgReceiver):
+    """Notes when it decides; solves from the joints that it is told instead of its own, if it is told any."""
+
+    joints: npt.NDArray[np.float64] | None = None
+
+    def reset(self, seed: int | None = None) -> None:
+        super().reset(seed)
+        self.decision_steps: list[int] = []
+
+    def act(self, observation: Observation) -> Action:
+        before = len(self._network.inputs)  # type: ignore[attr-defined]
+        if self.joints is not None:
+            observation = {**observation, "robot_joint_position_exact": self.joints}
+        action = super().act(observation)
+        if len(self._network.inputs) > before:  # type: ignore[attr-defined]
+            self.decision_steps.append(round(1000.0 * float(observation["time"][0])))
+        return action
+
+
+class Joints(Watcher):
+    """The robot's joints after steps 1, 11, 21, ..., and in the end."""
+
+    def __init__(self) -> None:
+        self.rows: list[npt.NDArray[np.float32]] = []
+
+    def stepped(self, episode: Episode) -> None:
+        if episode.steps % STRIDE == 1:
+            self.rows.append(episode.world.postures().robot)
+
+    def ended(self, episode: Episode) -> None:
+        self.last = episode.world.exact_joints()
+
+
+@pytest.fixture(scope="module")
+def dataset(real_dataset: OfficialDataset) -> OfficialDataset:
+    return OfficialDataset(real_dataset.data_dir, robot="panda_camera")
+
+
+@pytest.fixture(scope="module")
+def joints_elsewhere(recordings: Path, dataset: OfficialDataset) -> npt.NDArray[np.float64]:
+    """Where the robot is at the end of another recording."""
+    expected, episode = read_recording(recordings, f"gaddpg/{AFTER}"), Episode("exact")
+    episode.reset(dataset.scene(int(expected["scene_id"])))
+    for action in expected["action"]:
+        episode.advance(action, 1)
+    assert episode.status == expected["status"]
+    joints = episode.world.exact_joints()
+    episode.close()
+    return joints
+
+
+def assert_plays(
+    expected: dict[str, npt.NDArray[np.generic]], dataset: OfficialDataset, joints: npt.NDArray[np.float64] | None
+) -> None:
+    network = StandIn(expected)
+    receiver = Watched(context_of(dataset), network=network, wait=float(expected["wait"]))
+    receiver.joints = joints
+    episode, watcher = Episode("exact"), Joints()
+    actions, _ = play(episode, dataset.scene(int(expected["scene_id"])), receiver, None, watcher)
+    for points, wanted in zip(network.inputs, expected["network_input"], strict=False):
+        np.testing.assert_array_equal(points, wanted)
+    means = [points[:3, 6:].mean(axis=1) for points in network.inputs]
+    np.testing.assert_array_equal(means, expected["input_mean"])
+    assert network.remaining == expected["remaining"].tolist()
+    assert receiver.decision_steps == expected["decision_steps"].tolist()
+    np.testing.assert_array_equal(actions, expected["action"])
+    assert int(np.argmax(actions[:, 7] == 0.0)) == expected["done_step"]
+    np.testing.assert_array_equal(watcher.rows, expected["robot_joint_position"])
+    assert (episode.steps, episode.status) == (expected["steps"], expected["status"])
+    episode.close()
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if name != ELSEWHERE])
+def test_decisions_actions_and_outcome_are_the_recorded_ones(
+    name: str, recordings: Path, dataset: OfficialDataset
+) -> None:
+    assert_plays(read_recording(recordings, f"gaddpg/{name}"), dataset, None)
+
+
+def test_so_are_those_of_a_recording_that_solved_from_joints_elsewhere(
+    recordings: Path, dataset: OfficialDataset, joints_elsewhere: npt.NDArray[np.float64]
+) -> None:
+    assert_plays(read_recording(recordings, f"gaddpg/{ELSEWHERE}"), dataset, joints_elsewhere)
