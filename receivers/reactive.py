@@ -88,10 +88,15 @@ class ReactiveReceiver(Receiver):
         self._servo = ArmServo(self.config.servo, context.panda.motor.position_gain, steps, TIME_STEP)
         config_ = self.config
         self.choice = ReactiveChoice(
-            self._arm, self._servo.limits, config_.grasps, config_.approach.standoff, config_.period
+            self._arm,
+            self._servo.limits,
+            config_.grasps,
+            config_.approach.standoff,
+            config_.period,
+            config_.displacements,
         )
         self._known = ObjectGrasps(context.grasps)
-        self._objects: dict[str, tuple[TriedGrasps, Balls]] = {}
+        self._objects: dict[str, tuple[TriedGrasps, Balls, Array]] = {}
         self._seen: str | None = None
         self._ready = False
 
@@ -151,21 +156,20 @@ class ReactiveReceiver(Receiver):
         name = CLASS_NAMES[int(observation["object_classes"][0])]
         if name != self._seen:
             self._seen = name
-            grasps, self._surface = self._about(name)
-            self.choice.reset(grasps, self._surface)
+            grasps, self._surface, points = self._about(name)
+            self.choice.reset(grasps, self._surface, points)
 
-    def _about(self, name: str) -> tuple[TriedGrasps, Balls]:
+    def _about(self, name: str) -> tuple[TriedGrasps, Balls, Array]:
         """Grasps and surface of an object class."""
         if name not in self._objects:
             urdf, known = self.context.object_urdf(name), self._known.in_object(name)
             grasps = TriedGrasps(np.zeros((0, 7)), np.zeros(0))
             if known is not None:
                 grasps = tried_grasps(urdf, self.context.panda_urdf, known, self.config.trials)
-            vertices, faces = model_triangles(urdf)
-            self._objects[name] = (
-                grasps,
-                surface_balls(vertices, faces, self.config.surface, self.config.surface_radius),
-            )
+            points = surface_balls(*model_triangles(urdf), self.config.points, self.config.surface_radius)
+            # Each is the farthest from those before it: the first few are spread evenly, too.
+            surface = Balls(points.centers[: self.config.surface], points.radii[: self.config.surface])
+            self._objects[name] = grasps, surface, points.centers
         return self._objects[name]
 
     def _offers(self) -> bool:

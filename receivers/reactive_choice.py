@@ -11,6 +11,7 @@ from handover_marl.models.poses import compose, compose_point, inverse, inverse_
 from handover_marl.planning.arm_in_world import ArmInWorld
 from handover_marl.planning.gripper_room import ELBOW, WRIST, Balls, corners, flange_rooms, forearm_rooms, rooms
 from handover_marl.receivers.reactive_config import GraspCosts
+from handover_marl.receivers.reactive_displaced import Displacements, displaced
 from handover_marl.receivers.reactive_grasps import TriedGrasps
 
 Array = npt.NDArray[np.float64]
@@ -84,6 +85,7 @@ class ReactiveChoice:
         costs: Prices.
         standoff: Distance of a standoff from its grasp (m).
         period: Time between choices (s).
+        displacements: Copies of grasps for when there is none with room.
 
     Attributes:
         grasps: (n, 7) poses of the hand link in the object's frame to choose from, each in both turns.
@@ -91,25 +93,46 @@ class ReactiveChoice:
         trouble: Why there is none, in a word.
     """
 
-    def __init__(self, arm: ArmInWorld, speeds: Array, costs: GraspCosts, standoff: float, period: float) -> None:
+    def __init__(
+        self,
+        arm: ArmInWorld,
+        speeds: Array,
+        costs: GraspCosts,
+        standoff: float,
+        period: float,
+        displacements: Displacements,
+    ) -> None:
         self._arm, self._speeds, self._costs, self._period = arm, speeds, costs, period
+        self._displacements = displacements
         self._standoff = np.array([0.0, 0.0, -standoff, 0.0, 0.0, 0.0, 1.0])
         self._length = standoff
         self._home_turn = Rotation.from_quat(arm.hand(HOME)[3:])
-        self.reset(TriedGrasps(np.zeros((0, 7)), np.zeros(0)), Balls(np.zeros((1, 3)), np.zeros(1)))
+        self.reset(TriedGrasps(np.zeros((0, 7)), np.zeros(0)), Balls(np.zeros((1, 3)), np.zeros(1)), np.zeros((1, 3)))
 
-    def reset(self, tried: TriedGrasps, surface: Balls) -> None:
-        """Forget everything; choose from these grasps of an object with this surface from now on."""
-        self._surface = surface
+    def reset(self, tried: TriedGrasps, surface: Balls, points: Array) -> None:
+        """Forget everything; choose from these grasps of an object with this surface from now on.
+
+        Args:
+            tried: Poses of the hand link in the object's frame.
+            surface: Of the object, as few balls.
+            points: (k, 3) on it, more of them (m).
+        """
+        self._surface, self._points = surface, points
         clear = flange_rooms(tried.poses, surface) > 0.0
-        tried = TriedGrasps(tried.poses[clear], tried.holds[clear])
-        self.grasps = np.concatenate([tried.poses, compose(tried.poses, np.array(HALF_TURN))])
-        loose = self._costs.unstable * (tried.holds == 0.0) + self._costs.shaky * (1.0 - tried.holds)
-        self._loose = np.concatenate([loose, loose])
+        self._tried = TriedGrasps(tried.poses[clear], tried.holds[clear])
+        self.grasps, self._loose = np.zeros((0, 7)), np.zeros(0)
+        self._add(self._tried, 0.0)
         self.chosen: Choice | None = None
         self.trouble = ""
         self._failed: dict[int, float] = {}
-        self._page, self._without = 0, 0.0
+        self._page, self._without, self._waited = 0, 0.0, 0.0
+        self._displaced = False
+
+    def _add(self, tried: TriedGrasps, price: float) -> None:
+        """Choose from these too, in both turns."""
+        loose = price + self._costs.unstable * (tried.holds == 0.0) + self._costs.shaky * (1.0 - tried.holds)
+        self.grasps = np.concatenate([self.grasps, tried.poses, compose(tried.poses, np.array(HALF_TURN))])
+        self._loose = np.concatenate([self._loose, loose, loose])
 
     def give_up(self, until: float) -> None:
         """Leave the chosen grasp alone until a time (s), unless there is no other."""
@@ -128,6 +151,10 @@ class ReactiveChoice:
             situation: As it is.
             near: Whether the gripper is before the grasp of before already; the margin is wider then.
         """
+        if self._waited > self._costs.waiting and not self._displaced and situation.hand is not None:
+            hand = _seen_from(situation.now, situation.hand)
+            self._add(displaced(self._tried, self._points, hand, self._length, self._displacements), self._costs.untried)
+            self._displaced = True
         world = compose(situation.offered, self.grasps)
         room = self._rooms(situation)
         rough = self._rough(world, room, situation.time)
@@ -156,14 +183,14 @@ class ReactiveChoice:
     def _nothing(self, trouble: str, rests: bool, share: float) -> None:
         if rests:
             self._without += share * self._period
+            self._waited += self._period
         self.chosen, self.trouble = None, trouble
 
     def _rooms(self, situation: Situation) -> Array:
         """(n,) room beside the person's hand (m); as hand and object are now, since they move together."""
         if situation.hand is None:
             return np.full(len(self.grasps), _ROOMY)
-        centers = inverse_transform_points(situation.now, situation.hand.centers)
-        return rooms(self.grasps, Balls(centers, situation.hand.radii), self._length)
+        return rooms(self.grasps, _seen_from(situation.now, situation.hand), self._length)
 
     def _rough(self, world: Array, room: Array, time: float) -> Array:
         """(n,) prices as far as they need no inverse kinematics."""
@@ -182,7 +209,8 @@ class ReactiveChoice:
         """The cheapest; others in turn while none of these can be reached; and the one chosen last."""
         order = np.argsort(rough, kind="stable")
         order = order[rough[order] < _NEVER]
-        numbers = np.roll(order, -self._page * self._costs.candidates)[: self._costs.candidates]
+        count = self._costs.candidates * (self._costs.wider if self._displaced else 1)
+        numbers = np.roll(order, -self._page * count)[:count]
         if len(numbers) and self.chosen is not None and self.chosen.number not in numbers:
             numbers = np.append(numbers, self.chosen.number)
         return numbers
@@ -233,3 +261,8 @@ class ReactiveChoice:
         """(7,) pose of the hand link at (7,) in the frame of the grasp of the object at (7,)."""
         pose: Array = compose(inverse(self.grasp(choice, obj)), hand)
         return pose
+
+
+def _seen_from(pose: Array, balls: Balls) -> Balls:
+    """Balls of the world in the frame of a pose (7,)."""
+    return Balls(inverse_transform_points(pose, balls.centers), balls.radii)

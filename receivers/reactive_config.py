@@ -6,6 +6,7 @@ from handover_marl.errors import OptionError
 from handover_marl.planning.arm_servo import ServoConfig
 from handover_marl.planning.offer_prediction import OfferConfig
 from handover_marl.planning.separation import SeparationConfig
+from handover_marl.receivers.reactive_displaced import Displacements
 from handover_marl.receivers.reactive_grasps import GraspTrials
 
 
@@ -22,6 +23,9 @@ class GraspCosts:
         patience: for each second in which there is none this gives way by so much (m/s), and
         bare_room: not below this (m), and
         search: by this share of it while there are some out of reach.
+        waiting: After so long without one displaced grasps are looked at, too (s), at
+        untried: this price, and
+        wider: so many times as many at once.
         table: Room above the table that a gripper needs.
         arm_room: Room that forearm and wrist need beside hand and object.
         limit: Distance to a joint limit that is wanted (rad), and
@@ -42,6 +46,9 @@ class GraspCosts:
     patience: float = 0.01
     bare_room: float = 0.002
     search: float = 0.3
+    waiting: float = 0.8
+    untried: float = 3.0
+    wider: int = 4
     table: float = 0.005
     arm_room: float = 0.005
     limit: float = 0.3
@@ -127,6 +134,7 @@ class RetreatConfig:
         back: Way straight back out of the person's hand, on which it turns to the goal.
         speed: Of the gripper on it (m/s).
         acceleration: Of the gripper on it (m/s^2).
+        back_time: On it for so long at most: it need not lead to the goal (s).
         turn_gain: How fast the gripper's turning is undone on it (1/s), and
         turn_weight: how much that counts (m/rad).
         inside: How far from the goal it may stop.
@@ -140,6 +148,7 @@ class RetreatConfig:
     back: float = 0.05
     speed: float = 0.8
     acceleration: float = 6.0
+    back_time: float = 0.4
     turn_gain: float = 2.0
     turn_weight: float = 0.1
     inside: float = 0.12
@@ -163,7 +172,8 @@ class ReactiveConfig:
         alone: Without a hand it is from this time on.
         limit_padding: Joint limits are narrowed by so much on each side (rad).
         surface: So many balls stand for the object,
-        surface_radius: of this radius.
+        surface_radius: of this radius, and where it matters
+        points: so many points.
     """
 
     period: float = 0.05
@@ -175,7 +185,9 @@ class ReactiveConfig:
     limit_padding: float = 0.03
     surface: int = 80
     surface_radius: float = 0.01
+    points: int = 1000
     grasps: GraspCosts = GraspCosts()
+    displacements: Displacements = Displacements()
     trials: GraspTrials = field(default_factory=GraspTrials)
     approach: ApproachConfig = ApproachConfig()
     retreat: RetreatConfig = RetreatConfig()

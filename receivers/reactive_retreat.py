@@ -51,6 +51,7 @@ class Retreat:
         self._joints: Array | None = None
         self._blocked: list[Array] = []
         self._left, self._left_at = np.inf, 0.0
+        self._begun: float | None = None
 
     def velocity(self, time: float, joints: Array, hand: Array) -> Array:
         """(7,) joint velocities (rad/s) at a time (s), for the arm at (7,) with its hand at pose (7,)."""
@@ -59,8 +60,10 @@ class Retreat:
                 self._blocked.append(self._joints)
             self._joints, self._left, self._left_at = self._choose(joints, hand), np.inf, time
         config, period = self._config, self._servo.period
+        self._begun = time if self._begun is None else self._begun
         backed = float((hand[:3] - self._start[:3]) @ self._back)
-        self._share = float(np.clip(backed / config.back, self._share, 1.0))
+        done = max(backed / config.back, (time - self._begun) / config.back_time)
+        self._share = float(np.clip(done, self._share, 1.0))
         self._speed = min(config.speed, self._speed + config.acceleration * period)
         there = self._servo.limited(self._servo.towards(joints, self._joints))
         if self._share >= 1.0:
