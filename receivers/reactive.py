@@ -36,6 +36,7 @@ from handover_marl.receivers.object_grasps import ObjectGrasps
 from handover_marl.receivers.reactive_choice import HOME, Choice, ReactiveChoice, Situation
 from handover_marl.receivers.reactive_config import ReactiveConfig, with_risk
 from handover_marl.receivers.reactive_grasps import TriedGrasps, tried_grasps
+from handover_marl.receivers.reactive_grips import Graspable, grips, spread_points
 from handover_marl.receivers.reactive_retreat import Retreat, held_points
 
 Array = npt.NDArray[np.float64]
@@ -96,7 +97,7 @@ class ReactiveReceiver(Receiver):
             config_.displacements,
         )
         self._known = ObjectGrasps(context.grasps)
-        self._objects: dict[str, tuple[TriedGrasps, Balls, Array]] = {}
+        self._objects: dict[str, Graspable] = {}
         self._seen: str | None = None
         self._ready = False
 
@@ -156,20 +157,21 @@ class ReactiveReceiver(Receiver):
         name = CLASS_NAMES[int(observation["object_classes"][0])]
         if name != self._seen:
             self._seen = name
-            grasps, self._surface, points = self._about(name)
-            self.choice.reset(grasps, self._surface, points)
+            graspable = self._about(name)
+            self._surface = graspable.surface
+            self.choice.reset(graspable)
 
-    def _about(self, name: str) -> tuple[TriedGrasps, Balls, Array]:
+    def _about(self, name: str) -> Graspable:
         """Grasps and surface of an object class."""
         if name not in self._objects:
             urdf, known = self.context.object_urdf(name), self._known.in_object(name)
             grasps = TriedGrasps(np.zeros((0, 7)), np.zeros(0))
             if known is not None:
                 grasps = tried_grasps(urdf, self.context.panda_urdf, known, self.config.trials)
-            points = surface_balls(*model_triangles(urdf), self.config.points, self.config.surface_radius)
-            # Each is the farthest from those before it: the first few are spread evenly, too.
-            surface = Balls(points.centers[: self.config.surface], points.radii[: self.config.surface])
-            self._objects[name] = grasps, surface, points.centers
+            vertices, faces = model_triangles(urdf)
+            surface = surface_balls(vertices, faces, self.config.surface, self.config.surface_radius)
+            points = spread_points(vertices, faces, self.config.points)
+            self._objects[name] = Graspable(grasps, grips(grasps.poses, points), surface, points)
         return self._objects[name]
 
     def _offers(self) -> bool:

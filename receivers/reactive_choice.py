@@ -13,6 +13,7 @@ from handover_marl.planning.gripper_room import ELBOW, WRIST, Balls, corners, fl
 from handover_marl.receivers.reactive_config import GraspCosts
 from handover_marl.receivers.reactive_displaced import Displacements, displaced
 from handover_marl.receivers.reactive_grasps import TriedGrasps
+from handover_marl.receivers.reactive_grips import Graspable, grips
 
 Array = npt.NDArray[np.float64]
 Numbers = npt.NDArray[np.int_]
@@ -107,30 +108,28 @@ class ReactiveChoice:
         self._standoff = np.array([0.0, 0.0, -standoff, 0.0, 0.0, 0.0, 1.0])
         self._length = standoff
         self._home_turn = Rotation.from_quat(arm.hand(HOME)[3:])
-        self.reset(TriedGrasps(np.zeros((0, 7)), np.zeros(0)), Balls(np.zeros((1, 3)), np.zeros(1)), np.zeros((1, 3)))
+        nothing = TriedGrasps(np.zeros((0, 7)), np.zeros(0))
+        self.reset(Graspable(nothing, np.zeros(0), Balls(np.zeros((1, 3)), np.zeros(1)), np.zeros((1, 3))))
 
-    def reset(self, tried: TriedGrasps, surface: Balls, points: Array) -> None:
-        """Forget everything; choose from these grasps of an object with this surface from now on.
-
-        Args:
-            tried: Poses of the hand link in the object's frame.
-            surface: Of the object, as few balls.
-            points: (k, 3) on it, more of them (m).
-        """
-        self._surface, self._points = surface, points
-        clear = flange_rooms(tried.poses, surface) > 0.0
+    def reset(self, graspable: Graspable) -> None:
+        """Forget everything; choose from the grasps of this object from now on."""
+        self._surface, self._points = graspable.surface, graspable.points
+        tried = graspable.tried
+        clear = flange_rooms(tried.poses, graspable.surface) > 0.0
         self._tried = TriedGrasps(tried.poses[clear], tried.holds[clear])
         self.grasps, self._loose = np.zeros((0, 7)), np.zeros(0)
-        self._add(self._tried, 0.0)
+        self._add(self._tried, graspable.grips[clear], 0.0)
         self.chosen: Choice | None = None
         self.trouble = ""
         self._failed: dict[int, float] = {}
         self._page, self._without, self._waited = 0, 0.0, 0.0
         self._displaced = False
 
-    def _add(self, tried: TriedGrasps, price: float) -> None:
-        """Choose from these too, in both turns."""
-        loose = price + self._costs.unstable * (tried.holds == 0.0) + self._costs.shaky * (1.0 - tried.holds)
+    def _add(self, tried: TriedGrasps, inside: Array, price: float) -> None:
+        """Choose from these too, in both turns; (n,) tells how well on the pads they have the object (m)."""
+        costs = self._costs
+        loose = price + costs.unstable * (tried.holds == 0.0) + costs.shaky * (1.0 - tried.holds)
+        loose += costs.tips * np.maximum(0.0, 1.0 - inside / costs.inside)
         self.grasps = np.concatenate([self.grasps, tried.poses, compose(tried.poses, np.array(HALF_TURN))])
         self._loose = np.concatenate([self._loose, loose, loose])
 
@@ -152,9 +151,7 @@ class ReactiveChoice:
             near: Whether the gripper is before the grasp of before already; the margin is wider then.
         """
         if self._waited > self._costs.waiting and not self._displaced and situation.hand is not None:
-            hand = _seen_from(situation.now, situation.hand)
-            self._add(displaced(self._tried, self._points, hand, self._length, self._displacements), self._costs.untried)
-            self._displaced = True
+            self._displace(_seen_from(situation.now, situation.hand))
         world = compose(situation.offered, self.grasps)
         room = self._rooms(situation)
         rough = self._rough(world, room, situation.time)
@@ -179,6 +176,14 @@ class ReactiveChoice:
         self._page, self.trouble = 0, ""
         self.chosen = Choice(number, standoffs[best], goals[best], float(room[number]))
         return self.chosen
+
+    def _displace(self, hand: Balls) -> None:
+        """Choose from displaced grasps, too, which have room beside a hand in the object's frame."""
+        more = displaced(self._tried, self._points, hand, self._length, self._displacements)
+        inside = grips(more.poses, self._points)
+        held = inside > self._costs.bare_inside
+        self._add(TriedGrasps(more.poses[held], more.holds[held]), inside[held], self._costs.untried)
+        self._displaced = True
 
     def _nothing(self, trouble: str, rests: bool, share: float) -> None:
         if rests:

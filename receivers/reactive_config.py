@@ -33,6 +33,9 @@ class GraspCosts:
         longest_way: Joints change less than this between standoff and grasp.
         unstable: Price of a grasp that did not hold when it was tried, and
         shaky: of one that held by the edges of the pads twice of what it costs (see `TriedGrasps`).
+        tips: Price of one that has the object by the very tip or edge of a finger, falling to none where it is
+        inside: so far from them (m).
+        bare_inside: Displaced grasps have it at least so far from them (m).
         failed: Price of a grasp that failed in this episode.
         gain: A grasp is given up only for one that is cheaper by so much, and
         near_gain: by so much more where the gripper is before it already.
@@ -56,6 +59,9 @@ class GraspCosts:
     longest_way: float = 0.8
     unstable: float = 5.0
     shaky: float = 2.0
+    tips: float = 3.0
+    inside: float = 0.008
+    bare_inside: float = 0.004
     failed: float = 10.0
     gain: float = 0.3
     near_gain: float = 0.5
@@ -173,7 +179,7 @@ class ReactiveConfig:
         limit_padding: Joint limits are narrowed by so much on each side (rad).
         surface: So many balls stand for the object,
         surface_radius: of this radius, and where it matters
-        points: so many points.
+        points: so many points, besides its corners.
     """
 
     period: float = 0.05
@@ -185,9 +191,9 @@ class ReactiveConfig:
     limit_padding: float = 0.03
     surface: int = 80
     surface_radius: float = 0.01
-    points: int = 1000
+    points: int = 5000
     grasps: GraspCosts = GraspCosts()
-    displacements: Displacements = Displacements()
+    displacements: Displacements = field(default_factory=Displacements)
     trials: GraspTrials = field(default_factory=GraspTrials)
     approach: ApproachConfig = ApproachConfig()
     retreat: RetreatConfig = RetreatConfig()
