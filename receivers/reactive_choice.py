@@ -43,6 +43,8 @@ _TABLE = 0.92  # m
 _ROOMY = 0.2  # m, where there is no hand
 # A price that no other sum of prices reaches: not to be taken.
 _NEVER = 100.0
+# After so many pages without one within reach only every so manieth decision looks for one.
+_PAGES, _SELDOM = 40, 10
 _STANDOFF_STEPS, _GRASP_STEPS = 12, 6
 
 
@@ -152,6 +154,10 @@ class ReactiveChoice:
         """
         if self._waited > self._costs.waiting and not self._displaced and situation.hand is not None:
             self._displace(_seen_from(situation.now, situation.hand))
+        if self._displaced and self._page > _PAGES and self._page % _SELDOM:
+            # All has been looked at: nothing but a hand that moves on can help.
+            self._page += 1
+            return None
         world = compose(situation.offered, self.grasps)
         room = self._rooms(situation)
         rough = self._rough(world, room, situation.time)
@@ -174,6 +180,7 @@ class ReactiveChoice:
                 best = old
         number = int(numbers[best])
         self._page, self.trouble = 0, ""
+        self._waited += self._period if self._loose[number] > self._costs.poor else 0.0
         self.chosen = Choice(number, standoffs[best], goals[best], float(room[number]))
         return self.chosen
 

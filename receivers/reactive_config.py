@@ -23,7 +23,8 @@ class GraspCosts:
         patience: for each second in which there is none this gives way by so much (m/s), and
         bare_room: not below this (m), and
         search: by this share of it while there are some out of reach.
-        waiting: After so long without one displaced grasps are looked at, too (s), at
+        waiting: After so long without one, or with one that costs more than
+        poor: this for how it holds, displaced grasps are looked at, too (s), at
         untried: this price, and
         wider: so many times as many at once.
         table: Room above the table that a gripper needs.
@@ -49,8 +50,9 @@ class GraspCosts:
     patience: float = 0.01
     bare_room: float = 0.002
     search: float = 0.3
-    waiting: float = 0.8
-    untried: float = 3.0
+    waiting: float = 0.5
+    poor: float = 1.5
+    untried: float = 1.5
     wider: int = 4
     table: float = 0.005
     arm_room: float = 0.005
@@ -59,7 +61,7 @@ class GraspCosts:
     longest_way: float = 0.8
     unstable: float = 5.0
     shaky: float = 2.0
-    tips: float = 3.0
+    tips: float = 4.0
     inside: float = 0.008
     bare_inside: float = 0.004
     failed: float = 10.0

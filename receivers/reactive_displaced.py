@@ -29,16 +29,18 @@ class Displacements:
         pads: Distance of the pads' middle from the hand's frame (m).
         room: Room beside the person's hand that a copy needs (m).
         spare: Room that the open gripper needs beside the object's points (m).
-        inside: So many of the object's points at least are between the pads.
+        points: The last so many of the object's points are looked at here.
+        inside: So many of them at least are between the pads.
         most: So many copies at most, evenly from all.
     """
 
-    tilts: tuple[float, ...] = (0.0, -0.35, 0.35)
+    tilts: tuple[float, ...] = (0.0, -0.35, 0.35, -0.7, 0.7)
     aside: tuple[float, ...] = (0.0, -0.012, 0.012, -0.024, 0.024)
     back: tuple[float, ...] = (0.0, 0.01)
     pads: float = 0.1
     room: float = 0.003
     spare: float = 0.001
+    points: int = 1200
     inside: int = 2
     most: int = 1500
 
@@ -59,9 +61,10 @@ def displaced(tried: TriedGrasps, points: Array, hand: Balls, sweep: float, conf
     holds = np.tile(holds, len(ways))
     keep = np.flatnonzero(rooms(copies, hand, sweep) > config.room)
     keep = keep[:: max(1, -(-len(keep) // config.most))]
-    surface = Balls(points, np.zeros(len(points)))
+    few = points[-config.points :]
+    surface = Balls(few, np.zeros(len(few)))
     keep = keep[open_rooms(copies[keep], surface) > config.spare]
-    keep = keep[between_pads(copies[keep], points) >= config.inside]
+    keep = keep[between_pads(copies[keep], few) >= config.inside]
     return TriedGrasps(copies[keep], holds[keep])
 
 
