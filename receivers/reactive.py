@@ -264,7 +264,8 @@ class ReactiveReceiver(Receiver):
             self.phase = Phase.RETREAT
             held = held_points(self._hand, self._object, self._surface.centers)
             goal = np.array(self.context.protocol.goal_center)
-            self._retreat = Retreat(self._arm, self._servo, goal, self.config.retreat, self._hand, held)
+            person = self._person.balls
+            self._retreat = Retreat(self._arm, self._servo, goal, self.config.retreat, self._hand, held, person)
             return self._carry()
         since = self._time - self._since
         if since > config.close_time or (since > config.empty_after and float(self._fingers.max()) < config.empty):

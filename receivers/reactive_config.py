@@ -146,6 +146,7 @@ class RetreatConfig:
         turn_gain: How fast the gripper's turning is undone on it (1/s), and
         turn_weight: how much that counts (m/rad).
         inside: How far from the goal it may stop.
+        room: Ways that pass the person's hand with so much room, or with what there is at first, are preferred (m).
         looks: So many ends of the way are looked at, whether the way is free.
         stall: If it comes no nearer for this time it takes another end,
         other: with joints that differ by this (rad).
@@ -160,6 +161,7 @@ class RetreatConfig:
     turn_gain: float = 2.0
     turn_weight: float = 0.1
     inside: float = 0.12
+    room: float = 0.02
     looks: int = 40
     stall: float = 0.6
     other: float = 0.5

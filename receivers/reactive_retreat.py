@@ -39,13 +39,21 @@ class Retreat:
         config: How.
         start: (7,) pose of the hand link when the person let go.
         held: (k, 3) points of the object in the hand's frame (m).
+        person: The person's hand, or None.
     """
 
     def __init__(
-        self, arm: ArmInWorld, servo: ArmServo, goal: Array, config: RetreatConfig, start: Array, held: Array
+        self,
+        arm: ArmInWorld,
+        servo: ArmServo,
+        goal: Array,
+        config: RetreatConfig,
+        start: Array,
+        held: Array,
+        person: Balls | None,
     ) -> None:
         self._arm, self._servo, self._goal, self._config = arm, servo, goal, config
-        self._start, self._held = start, held
+        self._start, self._held, self._person = start, held, person
         self._back = -rotate(start[3:], np.array([0.0, 0.0, 1.0]))
         self._share, self._speed = 0.0, 0.0
         self._joints: Array | None = None
@@ -94,10 +102,19 @@ class Retreat:
         for other in self._blocked:
             travel[np.abs(found - other).max(axis=1) < self._config.other] += 0.5 * _FAR
         order = np.argsort(travel, kind="stable")
-        for number in order[: self._config.looks]:
-            if travel[number] < 0.5 * _FAR and self._free(joints, found[number]):
+        looks = [n for n in order[: self._config.looks] if travel[n] < 0.5 * _FAR and self._free(joints, found[n])]
+        for number in looks:
+            if self._passes(joints, found[number]):
                 return np.asarray(found[number])
-        return np.asarray(found[order[0]])
+        return np.asarray(found[looks[0] if looks else order[0]])
+
+    def _passes(self, joints: Array, goal: Array) -> bool:
+        """Whether the gripper has enough room beside the person's hand on the straight joint way."""
+        if self._person is None:
+            return True
+        hands = self._arm.hands(joints + np.array([0.0, *_LOOKS])[:, None] * (goal - joints))
+        room = rooms(hands, self._person)
+        return bool(room[1:].min() > min(float(room[0]), self._config.room))
 
     def _free(self, joints: Array, goal: Array) -> bool:
         """Whether gripper and object keep clear of the arm itself on the straight joint way."""
