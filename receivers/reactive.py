@@ -36,6 +36,7 @@ from handover_marl.receivers.object_grasps import ObjectGrasps
 from handover_marl.receivers.reactive_choice import HOME, Choice, ReactiveChoice, Situation
 from handover_marl.receivers.reactive_config import ReactiveConfig, with_risk
 from handover_marl.receivers.reactive_grasps import TriedGrasps, tried_grasps
+from handover_marl.receivers.reactive_grips import Graspable, grips, spread_points
 from handover_marl.receivers.reactive_retreat import Retreat, held_points
 
 Array = npt.NDArray[np.float64]
@@ -88,10 +89,15 @@ class ReactiveReceiver(Receiver):
         self._servo = ArmServo(self.config.servo, context.panda.motor.position_gain, steps, TIME_STEP)
         config_ = self.config
         self.choice = ReactiveChoice(
-            self._arm, self._servo.limits, config_.grasps, config_.approach.standoff, config_.period
+            self._arm,
+            self._servo.limits,
+            config_.grasps,
+            config_.approach.standoff,
+            config_.period,
+            config_.displacements,
         )
         self._known = ObjectGrasps(context.grasps)
-        self._objects: dict[str, tuple[TriedGrasps, Balls]] = {}
+        self._objects: dict[str, Graspable] = {}
         self._seen: str | None = None
         self._ready = False
 
@@ -151,10 +157,11 @@ class ReactiveReceiver(Receiver):
         name = CLASS_NAMES[int(observation["object_classes"][0])]
         if name != self._seen:
             self._seen = name
-            grasps, self._surface = self._about(name)
-            self.choice.reset(grasps, self._surface)
+            graspable = self._about(name)
+            self._surface = graspable.surface
+            self.choice.reset(graspable)
 
-    def _about(self, name: str) -> tuple[TriedGrasps, Balls]:
+    def _about(self, name: str) -> Graspable:
         """Grasps and surface of an object class."""
         if name not in self._objects:
             urdf, known = self.context.object_urdf(name), self._known.in_object(name)
@@ -162,10 +169,9 @@ class ReactiveReceiver(Receiver):
             if known is not None:
                 grasps = tried_grasps(urdf, self.context.panda_urdf, known, self.config.trials)
             vertices, faces = model_triangles(urdf)
-            self._objects[name] = (
-                grasps,
-                surface_balls(vertices, faces, self.config.surface, self.config.surface_radius),
-            )
+            surface = surface_balls(vertices, faces, self.config.surface, self.config.surface_radius)
+            points = spread_points(vertices, faces, self.config.points)
+            self._objects[name] = Graspable(grasps, grips(grasps.poses, points), surface, points)
         return self._objects[name]
 
     def _offers(self) -> bool:
@@ -258,7 +264,8 @@ class ReactiveReceiver(Receiver):
             self.phase = Phase.RETREAT
             held = held_points(self._hand, self._object, self._surface.centers)
             goal = np.array(self.context.protocol.goal_center)
-            self._retreat = Retreat(self._arm, self._servo, goal, self.config.retreat, self._hand, held)
+            person = self._person.balls
+            self._retreat = Retreat(self._arm, self._servo, goal, self.config.retreat, self._hand, held, person)
             return self._carry()
         since = self._time - self._since
         if since > config.close_time or (since > config.empty_after and float(self._fingers.max()) < config.empty):

@@ -11,7 +11,9 @@ from handover_marl.models.poses import compose, compose_point, inverse, inverse_
 from handover_marl.planning.arm_in_world import ArmInWorld
 from handover_marl.planning.gripper_room import ELBOW, WRIST, Balls, corners, flange_rooms, forearm_rooms, rooms
 from handover_marl.receivers.reactive_config import GraspCosts
+from handover_marl.receivers.reactive_displaced import Displacements, displaced
 from handover_marl.receivers.reactive_grasps import TriedGrasps
+from handover_marl.receivers.reactive_grips import Graspable, grips
 
 Array = npt.NDArray[np.float64]
 Numbers = npt.NDArray[np.int_]
@@ -41,6 +43,8 @@ _TABLE = 0.92  # m
 _ROOMY = 0.2  # m, where there is no hand
 # A price that no other sum of prices reaches: not to be taken.
 _NEVER = 100.0
+# After so many pages without one within reach only every so manieth decision looks for one.
+_PAGES, _SELDOM = 40, 10
 _STANDOFF_STEPS, _GRASP_STEPS = 12, 6
 
 
@@ -84,6 +88,7 @@ class ReactiveChoice:
         costs: Prices.
         standoff: Distance of a standoff from its grasp (m).
         period: Time between choices (s).
+        displacements: Copies of grasps for when there is none with room.
 
     Attributes:
         grasps: (n, 7) poses of the hand link in the object's frame to choose from, each in both turns.
@@ -91,25 +96,44 @@ class ReactiveChoice:
         trouble: Why there is none, in a word.
     """
 
-    def __init__(self, arm: ArmInWorld, speeds: Array, costs: GraspCosts, standoff: float, period: float) -> None:
+    def __init__(
+        self,
+        arm: ArmInWorld,
+        speeds: Array,
+        costs: GraspCosts,
+        standoff: float,
+        period: float,
+        displacements: Displacements,
+    ) -> None:
         self._arm, self._speeds, self._costs, self._period = arm, speeds, costs, period
+        self._displacements = displacements
         self._standoff = np.array([0.0, 0.0, -standoff, 0.0, 0.0, 0.0, 1.0])
         self._length = standoff
         self._home_turn = Rotation.from_quat(arm.hand(HOME)[3:])
-        self.reset(TriedGrasps(np.zeros((0, 7)), np.zeros(0)), Balls(np.zeros((1, 3)), np.zeros(1)))
+        nothing = TriedGrasps(np.zeros((0, 7)), np.zeros(0))
+        self.reset(Graspable(nothing, np.zeros(0), Balls(np.zeros((1, 3)), np.zeros(1)), np.zeros((1, 3))))
 
-    def reset(self, tried: TriedGrasps, surface: Balls) -> None:
-        """Forget everything; choose from these grasps of an object with this surface from now on."""
-        self._surface = surface
-        clear = flange_rooms(tried.poses, surface) > 0.0
-        tried = TriedGrasps(tried.poses[clear], tried.holds[clear])
-        self.grasps = np.concatenate([tried.poses, compose(tried.poses, np.array(HALF_TURN))])
-        loose = self._costs.unstable * (tried.holds == 0.0) + self._costs.shaky * (1.0 - tried.holds)
-        self._loose = np.concatenate([loose, loose])
+    def reset(self, graspable: Graspable) -> None:
+        """Forget everything; choose from the grasps of this object from now on."""
+        self._surface, self._points = graspable.surface, graspable.points
+        tried = graspable.tried
+        clear = flange_rooms(tried.poses, graspable.surface) > 0.0
+        self._tried = TriedGrasps(tried.poses[clear], tried.holds[clear])
+        self.grasps, self._loose = np.zeros((0, 7)), np.zeros(0)
+        self._add(self._tried, graspable.grips[clear], 0.0)
         self.chosen: Choice | None = None
         self.trouble = ""
         self._failed: dict[int, float] = {}
-        self._page, self._without = 0, 0.0
+        self._page, self._without, self._waited = 0, 0.0, 0.0
+        self._displaced = False
+
+    def _add(self, tried: TriedGrasps, inside: Array, price: float) -> None:
+        """Choose from these too, in both turns; (n,) tells how well on the pads they have the object (m)."""
+        costs = self._costs
+        loose = price + costs.unstable * (tried.holds == 0.0) + costs.shaky * (1.0 - tried.holds)
+        loose += costs.tips * np.maximum(0.0, 1.0 - inside / costs.inside)
+        self.grasps = np.concatenate([self.grasps, tried.poses, compose(tried.poses, np.array(HALF_TURN))])
+        self._loose = np.concatenate([self._loose, loose, loose])
 
     def give_up(self, until: float) -> None:
         """Leave the chosen grasp alone until a time (s), unless there is no other."""
@@ -128,6 +152,12 @@ class ReactiveChoice:
             situation: As it is.
             near: Whether the gripper is before the grasp of before already; the margin is wider then.
         """
+        if self._waited > self._costs.waiting and not self._displaced and situation.hand is not None:
+            self._displace(_seen_from(situation.now, situation.hand))
+        if self._displaced and self._page > _PAGES and self._page % _SELDOM:
+            # All has been looked at: nothing but a hand that moves on can help.
+            self._page += 1
+            return None
         world = compose(situation.offered, self.grasps)
         room = self._rooms(situation)
         rough = self._rough(world, room, situation.time)
@@ -150,20 +180,29 @@ class ReactiveChoice:
                 best = old
         number = int(numbers[best])
         self._page, self.trouble = 0, ""
+        self._waited += self._period if self._loose[number] > self._costs.poor else 0.0
         self.chosen = Choice(number, standoffs[best], goals[best], float(room[number]))
         return self.chosen
+
+    def _displace(self, hand: Balls) -> None:
+        """Choose from displaced grasps, too, which have room beside a hand in the object's frame."""
+        more = displaced(self._tried, self._points, hand, self._length, self._displacements)
+        inside = grips(more.poses, self._points)
+        held = inside > self._costs.bare_inside
+        self._add(TriedGrasps(more.poses[held], more.holds[held]), inside[held], self._costs.untried)
+        self._displaced = True
 
     def _nothing(self, trouble: str, rests: bool, share: float) -> None:
         if rests:
             self._without += share * self._period
+            self._waited += self._period
         self.chosen, self.trouble = None, trouble
 
     def _rooms(self, situation: Situation) -> Array:
         """(n,) room beside the person's hand (m); as hand and object are now, since they move together."""
         if situation.hand is None:
             return np.full(len(self.grasps), _ROOMY)
-        centers = inverse_transform_points(situation.now, situation.hand.centers)
-        return rooms(self.grasps, Balls(centers, situation.hand.radii), self._length)
+        return rooms(self.grasps, _seen_from(situation.now, situation.hand), self._length)
 
     def _rough(self, world: Array, room: Array, time: float) -> Array:
         """(n,) prices as far as they need no inverse kinematics."""
@@ -182,7 +221,8 @@ class ReactiveChoice:
         """The cheapest; others in turn while none of these can be reached; and the one chosen last."""
         order = np.argsort(rough, kind="stable")
         order = order[rough[order] < _NEVER]
-        numbers = np.roll(order, -self._page * self._costs.candidates)[: self._costs.candidates]
+        count = self._costs.candidates * (self._costs.wider if self._displaced else 1)
+        numbers = np.roll(order, -self._page * count)[:count]
         if len(numbers) and self.chosen is not None and self.chosen.number not in numbers:
             numbers = np.append(numbers, self.chosen.number)
         return numbers
@@ -233,3 +273,8 @@ class ReactiveChoice:
         """(7,) pose of the hand link at (7,) in the frame of the grasp of the object at (7,)."""
         pose: Array = compose(inverse(self.grasp(choice, obj)), hand)
         return pose
+
+
+def _seen_from(pose: Array, balls: Balls) -> Balls:
+    """Balls of the world in the frame of a pose (7,)."""
+    return Balls(inverse_transform_points(pose, balls.centers), balls.radii)

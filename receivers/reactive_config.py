@@ -6,6 +6,7 @@ from handover_marl.errors import OptionError
 from handover_marl.planning.arm_servo import ServoConfig
 from handover_marl.planning.offer_prediction import OfferConfig
 from handover_marl.planning.separation import SeparationConfig
+from handover_marl.receivers.reactive_displaced import Displacements
 from handover_marl.receivers.reactive_grasps import GraspTrials
 
 
@@ -22,6 +23,10 @@ class GraspCosts:
         patience: for each second in which there is none this gives way by so much (m/s), and
         bare_room: not below this (m), and
         search: by this share of it while there are some out of reach.
+        waiting: After so long without one, or with one that costs more than
+        poor: this for how it holds, displaced grasps are looked at, too (s), at
+        untried: this price, and
+        wider: so many times as many at once.
         table: Room above the table that a gripper needs.
         arm_room: Room that forearm and wrist need beside hand and object.
         limit: Distance to a joint limit that is wanted (rad), and
@@ -29,6 +34,9 @@ class GraspCosts:
         longest_way: Joints change less than this between standoff and grasp.
         unstable: Price of a grasp that did not hold when it was tried, and
         shaky: of one that held by the edges of the pads twice of what it costs (see `TriedGrasps`).
+        tips: Price of one that has the object by the very tip or edge of a finger, falling to none where it is
+        inside: so far from them (m).
+        bare_inside: Displaced grasps have it at least so far from them (m).
         failed: Price of a grasp that failed in this episode.
         gain: A grasp is given up only for one that is cheaper by so much, and
         near_gain: by so much more where the gripper is before it already.
@@ -42,6 +50,10 @@ class GraspCosts:
     patience: float = 0.01
     bare_room: float = 0.002
     search: float = 0.3
+    waiting: float = 0.5
+    poor: float = 1.5
+    untried: float = 1.5
+    wider: int = 4
     table: float = 0.005
     arm_room: float = 0.005
     limit: float = 0.3
@@ -49,6 +61,9 @@ class GraspCosts:
     longest_way: float = 0.8
     unstable: float = 5.0
     shaky: float = 2.0
+    tips: float = 4.0
+    inside: float = 0.008
+    bare_inside: float = 0.004
     failed: float = 10.0
     gain: float = 0.3
     near_gain: float = 0.5
@@ -127,9 +142,11 @@ class RetreatConfig:
         back: Way straight back out of the person's hand, on which it turns to the goal.
         speed: Of the gripper on it (m/s).
         acceleration: Of the gripper on it (m/s^2).
+        back_time: On it for so long at most: it need not lead to the goal (s).
         turn_gain: How fast the gripper's turning is undone on it (1/s), and
         turn_weight: how much that counts (m/rad).
         inside: How far from the goal it may stop.
+        room: Ways that pass the person's hand with so much room, or with what there is at first, are preferred (m).
         looks: So many ends of the way are looked at, whether the way is free.
         stall: If it comes no nearer for this time it takes another end,
         other: with joints that differ by this (rad).
@@ -140,9 +157,11 @@ class RetreatConfig:
     back: float = 0.05
     speed: float = 0.8
     acceleration: float = 6.0
+    back_time: float = 0.4
     turn_gain: float = 2.0
     turn_weight: float = 0.1
     inside: float = 0.12
+    room: float = 0.02
     looks: int = 40
     stall: float = 0.6
     other: float = 0.5
@@ -163,7 +182,8 @@ class ReactiveConfig:
         alone: Without a hand it is from this time on.
         limit_padding: Joint limits are narrowed by so much on each side (rad).
         surface: So many balls stand for the object,
-        surface_radius: of this radius.
+        surface_radius: of this radius, and where it matters
+        points: so many points, besides its corners.
     """
 
     period: float = 0.05
@@ -175,7 +195,9 @@ class ReactiveConfig:
     limit_padding: float = 0.03
     surface: int = 80
     surface_radius: float = 0.01
+    points: int = 5000
     grasps: GraspCosts = GraspCosts()
+    displacements: Displacements = field(default_factory=Displacements)
     trials: GraspTrials = field(default_factory=GraspTrials)
     approach: ApproachConfig = ApproachConfig()
     retreat: RetreatConfig = RetreatConfig()

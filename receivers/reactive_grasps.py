@@ -85,10 +85,11 @@ def tried_grasps(object_urdf: Path, panda_urdf: Path, known: Array, config: Gras
     """
     shared = (config.tilts, config.pads, config.apart, config.arm, config.most, config.aside, config.trial)
     first = f"{_VERSION} {' '.join(map(str, shared))}"
+    last = _path(object_urdf, known, f"{_VERSION} {config}")
+    if not last.exists():
+        _log.warning("trying out the grasps of %s, once and for a minute or two", object_urdf.parent.name)
     tried = _kept(_path(object_urdf, known, first), lambda: _try(object_urdf, known, config))
-    return _kept(
-        _path(object_urdf, known, f"{_VERSION} {config}"), lambda: _finish(object_urdf, panda_urdf, tried, config)
-    )
+    return _kept(last, lambda: _finish(object_urdf, panda_urdf, tried, config))
 
 
 def _kept(path: Path, make: Callable[[], TriedGrasps]) -> TriedGrasps:

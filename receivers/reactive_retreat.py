@@ -39,18 +39,27 @@ class Retreat:
         config: How.
         start: (7,) pose of the hand link when the person let go.
         held: (k, 3) points of the object in the hand's frame (m).
+        person: The person's hand, or None.
     """
 
     def __init__(
-        self, arm: ArmInWorld, servo: ArmServo, goal: Array, config: RetreatConfig, start: Array, held: Array
+        self,
+        arm: ArmInWorld,
+        servo: ArmServo,
+        goal: Array,
+        config: RetreatConfig,
+        start: Array,
+        held: Array,
+        person: Balls | None,
     ) -> None:
         self._arm, self._servo, self._goal, self._config = arm, servo, goal, config
-        self._start, self._held = start, held
+        self._start, self._held, self._person = start, held, person
         self._back = -rotate(start[3:], np.array([0.0, 0.0, 1.0]))
         self._share, self._speed = 0.0, 0.0
         self._joints: Array | None = None
         self._blocked: list[Array] = []
         self._left, self._left_at = np.inf, 0.0
+        self._begun: float | None = None
 
     def velocity(self, time: float, joints: Array, hand: Array) -> Array:
         """(7,) joint velocities (rad/s) at a time (s), for the arm at (7,) with its hand at pose (7,)."""
@@ -59,8 +68,10 @@ class Retreat:
                 self._blocked.append(self._joints)
             self._joints, self._left, self._left_at = self._choose(joints, hand), np.inf, time
         config, period = self._config, self._servo.period
+        self._begun = time if self._begun is None else self._begun
         backed = float((hand[:3] - self._start[:3]) @ self._back)
-        self._share = float(np.clip(backed / config.back, self._share, 1.0))
+        done = max(backed / config.back, (time - self._begun) / config.back_time)
+        self._share = float(np.clip(done, self._share, 1.0))
         self._speed = min(config.speed, self._speed + config.acceleration * period)
         there = self._servo.limited(self._servo.towards(joints, self._joints))
         if self._share >= 1.0:
@@ -91,10 +102,19 @@ class Retreat:
         for other in self._blocked:
             travel[np.abs(found - other).max(axis=1) < self._config.other] += 0.5 * _FAR
         order = np.argsort(travel, kind="stable")
-        for number in order[: self._config.looks]:
-            if travel[number] < 0.5 * _FAR and self._free(joints, found[number]):
+        looks = [n for n in order[: self._config.looks] if travel[n] < 0.5 * _FAR and self._free(joints, found[n])]
+        for number in looks:
+            if self._passes(joints, found[number]):
                 return np.asarray(found[number])
-        return np.asarray(found[order[0]])
+        return np.asarray(found[looks[0] if looks else order[0]])
+
+    def _passes(self, joints: Array, goal: Array) -> bool:
+        """Whether the gripper has enough room beside the person's hand on the straight joint way."""
+        if self._person is None:
+            return True
+        hands = self._arm.hands(joints + np.array([0.0, *_LOOKS])[:, None] * (goal - joints))
+        room = rooms(hands, self._person)
+        return bool(room[1:].min() > min(float(room[0]), self._config.room))
 
     def _free(self, joints: Array, goal: Array) -> bool:
         """Whether gripper and object keep clear of the arm itself on the straight joint way."""

@@ -21,6 +21,8 @@ BOX_HALVES = np.array(
 # What the fingers sweep when they close, and what the hand's body and the flange sweep on the way to a grasp.
 _CLOSING = (np.array([0.0, 0.0, 0.0855]), np.array([0.0105, 0.0666, 0.0271]))
 _COMING = (0, 3)
+# Between the pads, half sizes about their middle, a little less than where the fingers can press (m).
+_BETWEEN = (np.array([0.0, 0.0, 0.094]), np.array([0.008, 0.04, 0.014]))
 #: The Panda's forearm and wrist, thick as their collision meshes are beside the line from elbow to wrist (m).
 FOREARM_RADIUS = 0.075
 #: Numbers of the turning links whose origins are elbow and wrist, and of the link between them.
@@ -110,6 +112,24 @@ def flange_rooms(hands: Array, balls: Balls) -> Array:
     turns = Rotation.from_quat(hands[:, 3:]).as_matrix()
     local = (balls.centers[None] - hands[:, None, :3]) @ turns - BOX_MIDDLES[_COMING[1]]
     found: Array = (_box_distance(local, BOX_HALVES[_COMING[1]]) - balls.radii).min(axis=1)
+    return found
+
+
+def open_rooms(hands: Array, balls: Balls) -> Array:
+    """(n,) distances (m) between balls and the open gripper at poses (n, 7), negative inside."""
+    turns = Rotation.from_quat(hands[:, 3:]).as_matrix()
+    local = (balls.centers[None] - hands[:, None, :3]) @ turns
+    boxes = zip(BOX_MIDDLES, BOX_HALVES, strict=True)
+    least = [(_box_distance(local - middle, half) - balls.radii).min(axis=1) for middle, half in boxes]
+    found: Array = np.min(least, axis=0)
+    return found
+
+
+def between_pads(hands: Array, points: Array) -> npt.NDArray[np.int_]:
+    """(n,) how many of the points (k, 3) are between the pads of open grippers at poses (n, 7)."""
+    turns = Rotation.from_quat(hands[:, 3:]).as_matrix()
+    local = (points[None] - hands[:, None, :3]) @ turns
+    found: npt.NDArray[np.int_] = (np.abs(local - _BETWEEN[0]) < _BETWEEN[1]).all(axis=-1).sum(axis=1)
     return found
 
 
