@@ -30,7 +30,7 @@ def test_benchmark_and_evaluate(fake_data: Path, tmp_path: Path, capsys: pytest.
             "--scenes takes scene numbers separated by commas, such as 209,214, not '1,x'",
         ),
         (["benchmark", "--workers", "0"], "workers=0 must be a whole number"),
-        (["benchmark", "--receiver", "nobody"], "unknown receiver 'nobody'; valid: hold"),
+        (["benchmark", "--receiver", "nobody"], "unknown receiver 'nobody'; valid: gaddpg, hold"),
         (["pair", "--giver", "nobody"], "unknown giver 'nobody'; valid: cooperative"),
         (["crossplay", "--givers", "replay,nobody"], "unknown giver 'nobody'"),
         (["agreement", "--physics", "nuclear", "--scenes", "1"], "scene 1 is not in s0 val"),
