@@ -141,10 +141,6 @@ class ReactiveChoice:
             self._failed[self.chosen.number] = until
         self.chosen = None
 
-    def forget(self) -> None:
-        """Choose anew, the present grasp included."""
-        self.chosen = None
-
     def update(self, situation: Situation, near: bool = False) -> Choice | None:
         """The grasp to go for now: the one of before unless another is better by more than the margin.
 

@@ -1,13 +1,10 @@
 """Grasps that hold: the known ones and tilted copies of them, tried out in a simulation of the gripper alone.
 
-What was found is kept in the user's cache folder, by the contents of the object's files and its known grasps.
+What was found is kept in the user's cache folder, by the contents of the object's files, its known grasps and
+the robot's model.
 """
 
-import hashlib
-import io
 import logging
-import zipfile
-import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,18 +13,16 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from handover_marl.errors import HandoverError
-from handover_marl.files import write_atomically
-from handover_marl.models.meshes import mesh_files
 from handover_marl.models.panda import GRIPPER_FROM_HAND
 from handover_marl.models.poses import IDENTITY, compose, inverse
-from handover_marl.planning.field_cache import cache_folder
+from handover_marl.planning.array_cache import cache_file, keep, read_kept
 from handover_marl.sim.bullet.grasp_trial import GraspTrial, TrialConfig
 
 Array = npt.NDArray[np.float64]
 
 # Changes when the same files give other grasps.
 _VERSION = 2
+_KIND, _WHAT = "grasps", "list of tried grasps"
 _HAND_FROM_GRIPPER = inverse(np.array(GRIPPER_FROM_HAND))
 
 _log = logging.getLogger(__name__)
@@ -84,11 +79,13 @@ def tried_grasps(object_urdf: Path, panda_urdf: Path, known: Array, config: Gras
         SimulationError: The model cannot be loaded.
     """
     shared = (config.tilts, config.pads, config.apart, config.arm, config.most, config.aside, config.trial)
-    first = f"{_VERSION} {' '.join(map(str, shared))}"
-    last = _path(object_urdf, known, f"{_VERSION} {config}")
+    given = np.round(known, 6).astype(np.float32).tobytes()
+    first = cache_file(_KIND, object_urdf, f"{_VERSION} {' '.join(map(str, shared))}".encode(), given)
+    # The fingers of another robot weigh and rub otherwise.
+    last = cache_file(_KIND, object_urdf, f"{_VERSION} {config}".encode(), given, panda_urdf.read_bytes())
     if not last.exists():
         _log.warning("trying out the grasps of %s, once and for a minute or two", object_urdf.parent.name)
-    tried = _kept(_path(object_urdf, known, first), lambda: _try(object_urdf, known, config))
+    tried = _kept(first, lambda: _try(object_urdf, known, config))
     return _kept(last, lambda: _finish(object_urdf, panda_urdf, tried, config))
 
 
@@ -96,7 +93,7 @@ def _kept(path: Path, make: Callable[[], TriedGrasps]) -> TriedGrasps:
     found = _read(path)
     if found is None:
         found = make()
-        _keep(path, found)
+        keep(path, {"poses": found.poses, "holds": found.holds}, _WHAT)
     return found
 
 
@@ -189,34 +186,12 @@ def _matrix(hand: Array) -> Array:
     return matrix
 
 
-def _path(object_urdf: Path, known: Array, key: str) -> Path:
-    digest = hashlib.sha256(key.encode())
-    digest.update(np.round(known, 6).astype(np.float32).tobytes())
-    for path in (object_urdf, *mesh_files(object_urdf, "collision")):
-        digest.update(path.read_bytes())
-    return cache_folder().parent / "grasps" / f"{object_urdf.parent.name}-{digest.hexdigest()[:16]}.npz"
-
-
 def _read(path: Path) -> TriedGrasps | None:
-    if not path.exists():
+    kept = read_kept(path, ("poses", "holds"), _WHAT)
+    if kept is None:
         return None
-    try:
-        with np.load(path, allow_pickle=False) as content:
-            found = TriedGrasps(content["poses"], content["holds"])
-    except (OSError, ValueError, KeyError, EOFError, TypeError, zipfile.BadZipFile, zlib.error) as error:
-        _log.warning("%s: no whole list of grasps (%s); trying them anew", path, error)
+    poses, holds = kept["poses"], kept["holds"]
+    if poses.ndim != 2 or poses.shape[1] != len(IDENTITY) or holds.shape != poses.shape[:1]:
+        _log.warning("%s: no %s; making it anew", path, _WHAT)
         return None
-    if found.poses.ndim != 2 or found.poses.shape[1] != len(IDENTITY) or found.holds.shape != found.poses.shape[:1]:
-        _log.warning("%s: no list of grasps; trying them anew", path)
-        return None
-    return found
-
-
-def _keep(path: Path, grasps: TriedGrasps) -> None:
-    stream = io.BytesIO()
-    np.savez_compressed(stream, poses=grasps.poses, holds=grasps.holds)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_atomically(path, stream.getvalue())
-    except (OSError, HandoverError):
-        _log.warning("grasps %s not kept: cannot write to that folder; they are tried anew each time", path)
+    return TriedGrasps(poses, holds)

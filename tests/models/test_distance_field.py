@@ -15,7 +15,8 @@ from handover_marl.errors import DataFormatError
 from handover_marl.models.distance_field import FAR, DistanceField, field_of
 from handover_marl.models.meshes import model_triangles
 from handover_marl.planning import field_cache
-from handover_marl.planning.field_cache import cache_folder, object_field
+from handover_marl.planning.array_cache import cache_folder
+from handover_marl.planning.field_cache import KIND, object_field
 from handover_marl.planning.obstacles import nearness, steepness
 
 RADIUS, REACH = 0.05, 0.2
@@ -78,7 +79,7 @@ def test_cost_falls_to_nothing_and_its_derivative_is_right(distance: float, padd
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     field_cache._field.cache_clear()
-    return cache_folder()
+    return cache_folder(KIND)
 
 
 def test_field_of_a_box(cache: Path, fake_data: Path) -> None:

@@ -22,12 +22,10 @@ class Placed:
     Attributes:
         files: Paths in `assets/`.
         different: Those that are not the known ones.
-        foreign: How many files it had besides.
     """
 
     files: tuple[str, ...]
     different: tuple[str, ...]
-    foreign: int
 
 
 def place_third_party(source: Path, assets: Path) -> Placed:
@@ -42,8 +40,7 @@ def place_third_party(source: Path, assets: Path) -> Placed:
         DataFormatError: The source has none of the files, or one of them twice.
         ResultsError: A file is there with other content, or cannot be written.
     """
-    paths = [member.path for member in read_members(source)]
-    places = _places(source, paths)
+    places = _places(source, (member.path for member in read_members(source)))
     different = []
     for member in read_members(source):
         place = places.get(member.path)
@@ -53,7 +50,7 @@ def place_third_party(source: Path, assets: Path) -> Placed:
         put_files(assets, {place: content}, over_stand_ins=True)
         if third_party_sums()[place] and file_origin(place, content) is not Origin.ORIGINAL:
             different.append(place)
-    return Placed(tuple(sorted(places.values())), tuple(sorted(different)), len(paths) - len(places))
+    return Placed(tuple(sorted(places.values())), tuple(sorted(different)))
 
 
 def _places(source: Path, paths: Iterable[PurePosixPath]) -> dict[PurePosixPath, str]:

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from handover_marl.assets.bullet_files import bullet_files
-from handover_marl.config import OBJECT_DOF, TIME_STEP, ObjectConfig, PandaConfig, ProtocolConfig
+from handover_marl.config import OBJECT_DOF, TIME_STEP, MotorConfig, ObjectConfig, PandaConfig, ProtocolConfig
 from handover_marl.models.panda import FINGER_LINKS, GRIPPER_FROM_HAND, HAND_LINK, OPEN
 from handover_marl.models.poses import (
     compose_point,
@@ -150,15 +150,7 @@ class GraspTrial:
         config = ObjectConfig()
         for joint in range(OBJECT_DOF):
             motor = config.translation_motor if joint < OBJECT_DOF // 2 else config.rotation_motor
-            self._client.setJointMotorControl2(
-                self._object,
-                joint,
-                self._client.POSITION_CONTROL,
-                targetPosition=0.0,
-                positionGain=motor.position_gain,
-                velocityGain=motor.velocity_gain,
-                force=motor.force,
-            )
+            self._drive(self._object, joint, motor)
 
     def _put_hand(self, grasp: npt.NDArray[np.float64], backoff: float) -> None:
         position = grasp[:3, 3] - backoff * grasp[:3, 2]
@@ -170,15 +162,19 @@ class GraspTrial:
     def _drive_fingers(self) -> None:
         motor = PandaConfig().motor
         for finger in self._fingers:
-            self._client.setJointMotorControl2(
-                self._hand,
-                finger,
-                self._client.POSITION_CONTROL,
-                targetPosition=0.0,
-                positionGain=motor.position_gain,
-                velocityGain=motor.velocity_gain,
-                force=motor.force,
-            )
+            self._drive(self._hand, finger, motor)
+
+    def _drive(self, body: int, joint: int, motor: MotorConfig) -> None:
+        """Have a motor bring a joint to zero."""
+        self._client.setJointMotorControl2(
+            body,
+            joint,
+            self._client.POSITION_CONTROL,
+            targetPosition=0.0,
+            positionGain=motor.position_gain,
+            velocityGain=motor.velocity_gain,
+            force=motor.force,
+        )
 
     def _simulate(self, duration: float, gravity: Sequence[float] | npt.NDArray[np.float64]) -> None:
         self._client.setGravity(*(float(component) for component in gravity))
