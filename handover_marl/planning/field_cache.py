@@ -11,7 +11,7 @@ import numpy as np
 
 from handover_marl.models.distance_field import DistanceField, mesh_field
 from handover_marl.models.meshes import model_triangles
-from handover_marl.planning.array_cache import cache_file, keep, read_kept
+from handover_marl.planning.array_cache import Arrays, cache_file, keep, read_kept
 
 #: Folder of the fields within the user's cache folder.
 KIND = "distance_fields"
@@ -38,7 +38,7 @@ def _field(urdf: Path, changed: int, margin: float) -> DistanceField:
     if kept is not None:
         return kept
     field = mesh_field(*model_triangles(urdf), margin, CELL)
-    arrays = {"values": field.values, "lower": field.lower, "cell": np.array(field.cell)}
+    arrays: Arrays = {"values": field.values, "lower": field.lower, "cell": np.array(field.cell)}
     keep(path, arrays, "distance field")
     return field
 
