@@ -17,8 +17,8 @@ from handover_marl.episode.observations import giver_observation_space, observat
 from handover_marl.errors import DataFormatError
 from handover_marl.models.panda import LOWER_LIMITS, UPPER_LIMITS
 
-# Joints may overshoot their limits by that much (rad, m).
-_BEYOND = 0.05
+# The Panda's joints stop 4 degrees beyond the limits that targets keep, where an arm at speed does arrive (rad, m).
+_BEYOND = 0.075
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|[-+]?inf")
 
 

@@ -1,5 +1,6 @@
 """Policies on disk: what may be loaded, and that nothing in a file runs."""
 
+import contextlib
 import io
 import itertools
 import json
@@ -25,6 +26,8 @@ from handover_marl.learning.network import Network
 from handover_marl.learning.observing import n_features
 from handover_marl.learning.policy_files import read_policy, write_policy
 from handover_marl.learning.policy_spec import PolicySpec
+from handover_marl.learning.training_record import TrainingRecord
+from handover_marl.models import panda
 from handover_marl.policies.policy import Policy
 
 RAN = "HANDOVER_MARL_TEST_CODE_RAN"
@@ -215,7 +218,7 @@ def made(path: Path, agent: str, **options: Any) -> Policy:
 def trained(path: Path, env: Any, policy: str = "MultiInputPolicy", **options: Any) -> Path:
     """A file of PPO after a few steps."""
     sb3 = pytest.importorskip("stable_baselines3", reason="needs the extra `train`")
-    options = {"policy_kwargs": {"net_arch": [8]}} | options
+    options = {"policy_kwargs": {"net_arch": [8]}, "seed": 0} | options
     sb3.PPO(policy, env, n_steps=8, batch_size=8, n_epochs=1, **options).learn(8).save(path)
     env.close()
     return path
@@ -300,6 +303,16 @@ def test_normalised_observations_are_refused(tmp_path: Path, name: str) -> None:
     path = trained(tmp_path / "normalised.zip", normalised(name))
     with pytest.raises(DataFormatError, match=r"normalised observations \(VecNormalize\)"):
         made(path, name.lower())
+
+
+@pytest.mark.parametrize(("beyond", "plain"), [(0.0698, True), (0.2, False)])
+def test_an_arm_at_its_stops_is_not_taken_for_a_normalised_one(beyond: float, plain: bool) -> None:
+    """Thrown at its limits, a joint comes to rest 4 degrees beyond them, where the robot's stops are."""
+    space = gymnasium.spaces.Box(-1.0, 1.0, (9,))
+    joints = np.array([[*panda.UPPER_LIMITS[:7], 0.0, 0.0]]) + beyond
+    record = TrainingRecord(space.low, space.high, None, False, {"robot_joint_position": joints})
+    with contextlib.nullcontext() if plain else pytest.raises(DataFormatError, match="normalised"):
+        record.check(Path("policy.zip"), "receiver", space)
 
 
 def test_normalised_rewards_do_no_harm(tmp_path: Path) -> None:
