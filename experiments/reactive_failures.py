@@ -2,12 +2,14 @@
 
     python experiments/reactive_failures.py --data-dir DIR --split train --stride 10
 
-Plays scenes in one process and prints every failure with its cause, a table of causes, and how long decisions took. Of
-a contact it tells which part of the robot was nearest to the hand and what the receiver was doing; of a drop whether
+Plays scenes and prints every failure with its cause, a table of causes, and how long decisions took. Of a contact it tells which part of the robot was nearest to the hand and what the receiver was doing; of a drop whether
 the object was pushed out of the hand, slipped as the person let go, or was lost on the way; of a timeout whether there
 was no grasp with room, none within reach, one that was never reached, or no way to the goal.
 """
 
+import concurrent.futures
+import functools
+import multiprocessing
 from collections import Counter
 from dataclasses import dataclass
 
@@ -15,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 import tyro
 
+from handover_marl import givers
 from handover_marl.benchmarking.tables import table
 from handover_marl.config import ARM_JOINTS
 from handover_marl.datasets import open_dataset
@@ -46,7 +49,11 @@ class Args:
         data_dir: Folder in HandoverSim's layout; default: HANDOVER_MARL_DATA.
         dataset: dexycb, synthetic, or auto.
         physics: fast or exact.
-        stride: Take every n-th scene.
+        stride: Take every n-th scene,
+        offset: from this one on.
+        scenes: Instead of a split: these scenes.
+        giver: Who hands over.
+        workers: Processes.
         wait: The receiver's wait (s).
         risk: Its risk.
     """
@@ -57,6 +64,10 @@ class Args:
     dataset: str = "auto"
     physics: str = "fast"
     stride: int = 1
+    offset: int = 0
+    scenes: tuple[int, ...] = ()
+    giver: str = "replay"
+    workers: int = 1
     wait: float = 0.0
     risk: float = 0.5
 
@@ -135,28 +146,72 @@ class Causes:
         return self._links[int(np.argmin(hand.distances(world))) // POINTS]
 
 
+@dataclass(frozen=True)
+class Played:
+    """An episode: its scene, the object's name, its end, its length in steps, the cause, and its decisions' times."""
+
+    scene: int
+    target: str
+    status: EpisodeStatus
+    steps: int
+    cause: str
+    seconds: tuple[float, ...]
+
+
+class Player:
+    """Plays scenes in one process."""
+
+    def __init__(self, args: Args) -> None:
+        self._data = open_dataset(args.dataset, args.data_dir)
+        self._receiver = ReactiveReceiver(context_of(self._data), args.wait, args.risk)
+        self._giver = givers.make(args.giver, self._data)
+        self._episode, self._causes = Episode(args.physics), Causes(self._receiver)
+
+    def play(self, number: int) -> Played:
+        """One scene."""
+        scene, episode, notes = self._data.scene(number), self._episode, Notes()
+        episode.reset(scene)
+        play(episode, self._receiver, self._giver, seed=0, watchers=[notes])
+        cause = self._causes.of(episode, notes.gripped)
+        return Played(number, scene.info.target_name, episode.status, episode.steps, cause, tuple(notes.seconds))
+
+
+@functools.cache
+def player(args: Args) -> Player:
+    """The one of this process."""
+    return Player(args)
+
+
+def play_scene(args: Args, number: int) -> Played:
+    """One scene, in a worker."""
+    return player(args).play(number)
+
+
 def main(args: Args) -> None:
     data = open_dataset(args.dataset, args.data_dir)
-    scenes = data.split(args.setup, args.split)[:: args.stride]
-    receiver = ReactiveReceiver(context_of(data), args.wait, args.risk)
-    episode, notes, causes = Episode(args.physics), Notes(), Causes(receiver)
+    scenes = args.scenes or data.split(args.setup, args.split)[args.offset :: args.stride]
+    horizon = Episode(args.physics).config.protocol.horizon_steps
     found: Counter[str] = Counter()
+    seconds: list[float] = []
     share = 0.0
-    for number in scenes:
-        scene = data.scene(number)
-        episode.reset(scene)
-        play(episode, receiver, seed=0, watchers=[notes])
-        cause = causes.of(episode, notes.gripped)
-        found[cause] += 1
-        if episode.status is EpisodeStatus.SUCCESS:
-            share += 1.0 - episode.steps / episode.config.protocol.horizon_steps
-        else:
-            print(f"{number:4d} {scene.info.target_name:24s} {episode.steps:6d} {cause}", flush=True)
+    processes = multiprocessing.get_context("spawn")
+    with concurrent.futures.ProcessPoolExecutor(args.workers, processes) as pool:
+        for played in pool.map(functools.partial(play_scene, args), scenes):
+            found[played.cause] += 1
+            seconds += played.seconds
+            if played.status is EpisodeStatus.SUCCESS:
+                share += 1.0 - played.steps / horizon
+            else:
+                print(f"{played.scene:4d} {played.target:24s} {played.steps:6d} {played.cause}", flush=True)
     count = len(scenes)
+    print(
+        f"{data.name}, {args.setup} {args.split}, {count} episodes, giver {args.giver}, {args.physics} physics, "
+        f"wait {args.wait}, risk {args.risk}"
+    )
     print(
         table(["cause", "episodes", "%"], [[name, str(n), f"{100 * n / count:.1f}"] for name, n in found.most_common()])
     )
-    low, middle, high = 1000.0 * np.quantile(notes.seconds, [0.5, 0.95, 1.0])
+    low, middle, high = 1000.0 * np.quantile(seconds, [0.5, 0.95, 1.0])
     print(f"AS {100 * share / count:.1f} %; decisions: median {low:.1f}, 95 % {middle:.1f}, most {high:.0f} ms")
 
 

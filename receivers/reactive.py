@@ -42,6 +42,8 @@ from handover_marl.receivers.reactive_retreat import Retreat, held_points
 Array = npt.NDArray[np.float64]
 
 _STRAIGHT_STEPS = 8
+# How much a radian counts against a metre where an arm follows what moves.
+_TURN_WEIGHT = 0.1
 
 
 class Phase(Enum):
@@ -85,8 +87,9 @@ class ReactiveReceiver(Receiver):
         limits = np.array(LOWER_LIMITS[:ARM_JOINTS]) + padding, np.array(UPPER_LIMITS[:ARM_JOINTS]) - padding
         base = np.array([*context.panda.base_position, *context.panda.base_orientation])
         self._arm = ArmInWorld(Arm(read_tree(context.panda_urdf)), base, limits)
-        steps = round(self.config.period / TIME_STEP)
-        self._servo = ArmServo(self.config.servo, context.panda.motor.position_gain, steps, TIME_STEP)
+        self._servo = ArmServo(
+            self.config.servo, context.panda.motor.position_gain, self.config.period, TIME_STEP
+        )
         config_ = self.config
         self.choice = ReactiveChoice(
             self._arm,
@@ -108,8 +111,8 @@ class ReactiveReceiver(Receiver):
 
     @property
     def hold_time(self) -> float:
-        """Until the next decision; while the fingers close it looks more often whether the person has let go."""
-        return self.config.approach.close_period if self.phase is Phase.CLOSE else self.config.period
+        """Until the next decision; where something near moves, and while the fingers close, it looks more often."""
+        return self._servo.period
 
     @property
     def commanded_velocity(self) -> Array:
@@ -123,7 +126,10 @@ class ReactiveReceiver(Receiver):
         self.phase, self._seen, self._ready = Phase.WAIT, None, True
         self._since = 0.0
         self._left, self._left_at = np.inf, 0.0
-        self._closing_pose = self._way_out = np.zeros(7)
+        self._chose_at = -np.inf
+        self._closing_pose, self._closing_points = np.zeros(7), np.zeros((0, 3))
+        self._way, self._way_at = np.zeros(3), -np.inf
+        self._way_out = np.zeros(7)
         self._retreat: Retreat | None = None
 
     def act(self, observation: Observation) -> Action:
@@ -154,12 +160,19 @@ class ReactiveReceiver(Receiver):
         self._object = observation["object_poses"][0].astype(np.float64)
         self._offer.see(self._time, self._object)
         self._person.see(self._time, observation)
+        self._servo.period = self._period()
         name = CLASS_NAMES[int(observation["object_classes"][0])]
         if name != self._seen:
             self._seen = name
             graspable = self._about(name)
             self._surface = graspable.surface
             self.choice.reset(graspable)
+
+    def _period(self) -> float:
+        """Until the next decision (s)."""
+        near = float(np.linalg.norm(self._object[:3] - self._hand[:3])) < self.config.near
+        moving = max(self._offer.speed, self._person.speed) > self.config.near_speed
+        return self.config.near_period if near and moving else self.config.period
 
     def _about(self, name: str) -> Graspable:
         """Grasps and surface of an object class."""
@@ -199,12 +212,26 @@ class ReactiveReceiver(Receiver):
             return self._move(self._apart(velocity, self.config.separation.stop, transit=True), OPEN)
         self.phase = Phase.REACH
         self._watch_progress(axial + aside)
-        there = abs(axial) < config.close_axial and aside < config.lateral and turn < config.turn
-        if there and self._offer.speed < config.close_speed:
+        loose = self._looseness()
+        there = abs(axial) < loose * config.close_axial and aside < loose * config.lateral and turn < config.turn
+        if self._beside(way[:3]) < loose * config.close_speed and there:
             self.phase, self._since = Phase.CLOSE, self._time
             self._closing_pose = self.choice.grasp(choice, self._object)
+            self._closing_points = self._person.points
             return self._close(False)
         return self._straight_on(choice, self._depth(axial, aside, turn))
+
+    def _beside(self, way: Array) -> float:
+        """Speed of the object (m/s); of one that hovers, beside the gripper, at offset (3,) from the grasp."""
+        since, before = self._time - self._way_at, self._way
+        self._way, self._way_at = way, self._time
+        if self._looseness() > 1.0 and since < 2.0 * self.config.period:
+            return float(np.linalg.norm(way - before)) / since
+        return self._offer.speed
+
+    def _looseness(self) -> float:
+        """How many times the usual tolerances are enough: one cannot wait for what hovers to rest."""
+        return self.config.approach.hover_loose if self._offer.hovers and self._offer.rest == 0.0 else 1.0
 
     def _choose(self) -> Choice | None:
         """The grasp to go for; the one chosen last while the fingers are about to reach it."""
@@ -214,6 +241,9 @@ class ReactiveReceiver(Receiver):
             beside = float(np.hypot(way[0], way[1])) < config.fixed_beside
             if -way[2] < config.fixed and beside and _angle(way) < config.fixed_turned:
                 return chosen
+        if self._time - self._chose_at < self.config.period - TIME_STEP:
+            return chosen
+        self._chose_at = self._time
         situation = Situation(
             self._time, self._joints, self._object, self._offer.offered(), self._person.balls, self._offer.rest > 0.2
         )
@@ -226,34 +256,38 @@ class ReactiveReceiver(Receiver):
         """How far before the grasp to be next (m)."""
         config, moving = self.config.approach, self._offer.speed
         before = max(axial, 0.0)
-        fits = aside < config.lateral + config.funnel * before and turn < config.turn + config.turn_funnel * before
-        if fits and moving < config.object_speed:
-            half = 0.5 * config.braking * self.config.period
+        loose = self._looseness()
+        fits = aside < loose * (config.lateral + config.funnel * before)
+        fits &= turn < loose * (config.turn + config.turn_funnel * before)
+        if fits and moving < (config.hover_speed if self._offer.hovers else config.object_speed):
+            half = 0.5 * config.braking * self._servo.period
             speed = min(config.speed, float(np.sqrt(half**2 + 2.0 * config.braking * before)) - half)
-            return max(0.0, before - speed * self.config.period)
+            return max(0.0, before - speed * self._servo.period)
         if fits and axial < config.standoff and moving < 2.0 * config.object_speed:
             return before
         return config.standoff if axial > 0.5 * config.fixed else axial
 
     def _straight_on(self, choice: Choice, depth: float) -> Action:
-        """Be at a depth before the grasp when the next decision falls due, where the object will be then."""
-        soon = self.choice.grasp(choice, self._offer.soon(self.config.period))
-        pose = compose(soon, np.array([0.0, 0.0, -depth, 0.0, 0.0, 0.0, 1.0]))
+        """Go to a depth before the grasp, and with it as the object moves."""
+        config, period = self.config.approach, self._servo.period
+        pose = compose(self.choice.grasp(choice, self._object), np.array([0.0, 0.0, -depth, 0.0, 0.0, 0.0, 1.0]))
         # A little way to where the choice found that it can be reached: from the present joints limits may be in the
         # way, and to go there at once would swing the hand aside.
-        share = depth / self.config.approach.standoff
+        share = depth / config.standoff
         drawn = choice.goal + share * (choice.standoff - choice.goal) - self._joints
-        most = self.config.approach.drawn / max(float(np.abs(drawn).max()), self.config.approach.drawn)
+        most = config.drawn / max(float(np.abs(drawn).max()), config.drawn)
         seed = self._joints + most * drawn
         goal, _ = self._arm.solve(pose[None], seed[None], _STRAIGHT_STEPS)
-        velocity = (goal[0] - self._joints) / self.config.period
-        velocity *= min(1.0, self.config.approach.joint_speed / max(float(np.abs(velocity).max()), 1e-9))
+        velocity = config.gain * (goal[0] - self._joints)
+        velocity *= min(1.0, config.joint_speed / max(float(np.abs(velocity).max()), 1e-9))
+        linear, angular = self._offer.twist(pose[:3], period)
+        velocity = velocity + self._arm.velocity(self._joints, linear, angular, _TURN_WEIGHT, period)
         separation = self.config.separation
         return self._move(self._apart(velocity, separation.touch, separation.last_time), OPEN)
 
     def _watch_progress(self, left: float) -> None:
         """Give up a grasp that does not come nearer."""
-        if left < 0.95 * self._left or self._offer.rest < 0.2:
+        if left < 0.95 * self._left or not (self._offer.rest > 0.2 or self._offer.hovers):
             self._left, self._left_at = left, self._time
         elif self._time - self._left_at > self.config.approach.stall:
             self.choice.give_up(self._time + self.config.approach.ban)
@@ -274,10 +308,11 @@ class ReactiveReceiver(Receiver):
             self._way_out = compose(self._hand, np.array([0.0, 0.0, -config.backing, 0.0, 0.0, 0.0, 1.0]))
             return self._back_out()
         # Stay with the person's hand rather than with the object, which the fingers push.
-        pose = self._closing_pose.copy()
-        pose[:3] += since * self._person.velocity
+        self._servo.period = config.close_period
+        pose = self._person.moved(self._closing_points, self._closing_pose, config.close_period)
         goal, _ = self._arm.solve(pose[None], self._joints[None], _STRAIGHT_STEPS)
-        return self._move(0.5 * (goal[0] - self._joints) / self.config.period, CLOSED)
+        ahead = self._arm.velocity(self._joints, self._person.velocity, np.zeros(3), _TURN_WEIGHT, config.close_period)
+        return self._move(ahead + config.close_gain * (goal[0] - self._joints), CLOSED)
 
     def _back_out(self) -> Action:
         config = self.config.approach
@@ -290,7 +325,7 @@ class ReactiveReceiver(Receiver):
         if since < config.opening_time:
             return self._move(np.zeros(ARM_JOINTS), OPEN)
         velocity = self._arm.velocity(
-            self._joints, config.backing_speed * way / left, np.zeros(3), 0.3, self.config.period
+            self._joints, config.backing_speed * way / left, np.zeros(3), 0.3, self._servo.period
         )
         return self._move(velocity, OPEN)
 
@@ -307,7 +342,7 @@ class ReactiveReceiver(Receiver):
         neighbours = []
         if transit:
             here = Balls(compose_point(self._object, self._surface.centers), self._surface.radii)
-            neighbours.append(Neighbour(here, self._offer.velocity, self.config.separation.object_stop))
+            neighbours.append(Neighbour(here, self._offer.latest, self.config.separation.object_stop))
         if self._person.balls is not None:
             neighbours.append(Neighbour(self._person.balls, self._person.velocity, room))
         config = self.config.separation if time is None else replace(self.config.separation, time=time)

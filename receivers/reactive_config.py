@@ -87,13 +87,18 @@ class ApproachConfig:
         turn_funnel: per metre before it.
         speed: Along the axis (m/s), with
         braking: this deceleration before the grasp (m/s^2).
-        joint_speed: No joint is faster on this way (rad/s).
+        gain: What is left of the way is made up so fast (1/s), while
+        joint_speed: no joint is faster than this (rad/s) but for following the object.
         drawn: So far at most its joints are drawn to the chosen ones in a decision (rad).
-        object_speed: An object faster than this is not closed in on (m/s).
-        close_speed: Fingers close only on an object slower than this (m/s).
+        object_speed: An object faster than this is not closed in on (m/s), but for one that hovers,
+        hover_speed: up to this (m/s).
+        close_speed: Fingers close only on an object slower than this, or, if it hovers, that moves beside them slower
+            than this (m/s).
         close_axial: They close this near to the grasp, along its axis.
+        hover_loose: These two and `lateral` times so much for one that hovers.
         close_time: How long it waits for the person to let go.
-        close_period: Time between decisions meanwhile.
+        close_period: Time between decisions meanwhile, in which
+        close_gain: it follows the person's hand so fast (1/s).
         empty: Fingers nearer to each other than twice this hold nothing,
         empty_after: so long after they began to close.
         backing: How far it backs out after a miss, with
@@ -117,13 +122,17 @@ class ApproachConfig:
     turn_funnel: float = 1.0
     speed: float = 0.45
     braking: float = 2.0
+    gain: float = 20.0
     joint_speed: float = 1.3
     drawn: float = 0.05
     object_speed: float = 0.2
+    hover_speed: float = 0.6
     close_speed: float = 0.08
     close_axial: float = 0.006
+    hover_loose: float = 2.0
     close_time: float = 0.8
     close_period: float = 0.01
+    close_gain: float = 10.0
     empty: float = 0.0015
     empty_after: float = 0.35
     backing: float = 0.1
@@ -174,7 +183,10 @@ class ReactiveConfig:
     """All of it.
 
     Attributes:
-        period: Time between decisions.
+        period: Time between decisions, and
+        near_period: where the object is nearer than
+        near: this and it or the person's hand is faster than
+        near_speed: this (m/s).
         lifted: An object so far from where it lay is being handed over.
         still: One that lies still for so long beside a hand is, too,
         beside: if a joint of the hand is this near to its origin, and
@@ -187,13 +199,16 @@ class ReactiveConfig:
     """
 
     period: float = 0.05
+    near_period: float = 0.02
+    near: float = 0.3
+    near_speed: float = 0.1
     lifted: float = 0.04
     still: float = 0.6
     beside: float = 0.15
     after: float = 1.5
     alone: float = 3.0
     limit_padding: float = 0.03
-    surface: int = 80
+    surface: int = 200
     surface_radius: float = 0.01
     points: int = 5000
     grasps: GraspCosts = GraspCosts()

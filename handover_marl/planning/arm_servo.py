@@ -34,15 +34,17 @@ class ArmServo:
     Args:
         config: Speeds.
         gain: Share of the position error that a motor corrects in a step.
-        steps: Physics steps that a command stands.
         time_step: Seconds in a step.
+
+    Attributes:
+        period: How long a command stands (s); may be set anew before each.
     """
 
-    def __init__(self, config: ServoConfig, gain: float, steps: int, time_step: float) -> None:
+    def __init__(self, config: ServoConfig, gain: float, period: float, time_step: float) -> None:
         self.config = config
-        self.period = steps * time_step
+        self.period = period
         self.limits = config.share * np.array(config.speeds)
-        self._lead = 1.0 / (1.0 - (1.0 - gain) ** steps)
+        self._gain, self._time_step = gain, time_step
         self._velocity = np.zeros(len(config.speeds))
 
     def reset(self) -> None:
@@ -81,4 +83,5 @@ class ArmServo:
         # Each joint for itself: were all slowed down alike, one that turns round would make the others overshoot.
         most = self.config.acceleration * self.period
         self._velocity = self._velocity + np.clip(velocity - self._velocity, -most, most)
-        return joints + self._lead * self.period * self._velocity
+        lead = 1.0 / (1.0 - (1.0 - self._gain) ** (self.period / self._time_step))
+        return joints + lead * self.period * self._velocity

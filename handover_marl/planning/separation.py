@@ -36,7 +36,7 @@ class SeparationConfig:
     touch: float = 0.003
     time: float = 0.15
     last_time: float = 0.05
-    flee: float = 0.3
+    flee: float = 0.6
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ vectors = st.lists(st.floats(-3.0, 3.0), min_size=7, max_size=7).map(np.array)
 
 
 def servo(**changes: float) -> ArmServo:
-    return ArmServo(ServoConfig(**changes), GAIN, STEPS, 0.001)  # type: ignore[arg-type]
+    return ArmServo(ServoConfig(**changes), GAIN, STEPS * 0.001, 0.001)  # type: ignore[arg-type]
 
 
 def motors(joints: np.ndarray, target: np.ndarray) -> np.ndarray:

@@ -26,7 +26,7 @@ START = HOME + np.array([0.6, 0.5, 0.0, 0.4, 0.0, 0.0, 0.0])
 
 def gone(person: Balls | None = None, config: RetreatConfig | None = None, seconds: float = 2.5) -> np.ndarray:
     """(n, 7) the hand on its way, with motors that follow at once."""
-    arm, servo = ArmInWorld(ARM, BASE, LIMITS), ArmServo(ReactiveConfig().servo, 0.01, 50, 0.001)
+    arm, servo = ArmInWorld(ARM, BASE, LIMITS), ArmServo(ReactiveConfig().servo, 0.01, 0.05, 0.001)
     joints = START.copy()
     held = np.array([[0.0, 0.0, 0.1]])
     retreat = Retreat(arm, servo, GOAL, config or RetreatConfig(), arm.hand(joints), held, person)
