@@ -2,9 +2,10 @@
 
     python experiments/reactive_failures.py --data-dir DIR --split train --stride 10
 
-Plays scenes and prints every failure with its cause, a table of causes, and how long decisions took. Of a contact it tells which part of the robot was nearest to the hand and what the receiver was doing; of a drop whether
-the object was pushed out of the hand, slipped as the person let go, or was lost on the way; of a timeout whether there
-was no grasp with room, none within reach, one that was never reached, or no way to the goal.
+Plays scenes and prints every failure with its cause, a table of causes, and how long decisions took. Of a contact it
+tells which part of the robot was nearest to the hand and what the receiver was doing; of a drop whether the object
+was pushed out of the hand, slipped as the person let go, or was lost on the way; of a timeout whether there was no
+grasp with room, none within reach, one that was never reached, or no way to the goal.
 """
 
 import concurrent.futures

@@ -82,6 +82,9 @@ class _Supervised:
         self._policy, self.name = policy, policy.name
         self.sight, self.observes = policy.sight, policy.observes
 
+    def prepare(self, object_names: Sequence[str]) -> None:
+        self._policy.prepare(object_names)
+
     def reset(self, seed: int | None = None) -> None:
         self._policy.reset(seed)
 

@@ -7,6 +7,7 @@ goal. It knows the true poses of object and hand, and remembers little: the moti
 grasps that failed.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 from enum import Enum
 
@@ -87,9 +88,7 @@ class ReactiveReceiver(Receiver):
         limits = np.array(LOWER_LIMITS[:ARM_JOINTS]) + padding, np.array(UPPER_LIMITS[:ARM_JOINTS]) - padding
         base = np.array([*context.panda.base_position, *context.panda.base_orientation])
         self._arm = ArmInWorld(Arm(read_tree(context.panda_urdf)), base, limits)
-        self._servo = ArmServo(
-            self.config.servo, context.panda.motor.position_gain, self.config.period, TIME_STEP
-        )
+        self._servo = ArmServo(self.config.servo, context.panda.motor.position_gain, self.config.period, TIME_STEP)
         config_ = self.config
         self.choice = ReactiveChoice(
             self._arm,
@@ -118,6 +117,11 @@ class ReactiveReceiver(Receiver):
     def commanded_velocity(self) -> Array:
         """(7,) joint velocities of the last decision (rad/s)."""
         return self._servo.velocity
+
+    def prepare(self, object_names: Sequence[str]) -> None:
+        """Try out grasps of the first object, which is the one that is handed over, or look up what was found."""
+        for name in object_names[:1]:
+            self._about(name)
 
     def reset(self, seed: int | None = None) -> None:
         """Forget the episode; nothing here is random."""
@@ -312,7 +316,8 @@ class ReactiveReceiver(Receiver):
         pose = self._person.moved(self._closing_points, self._closing_pose, config.close_period)
         goal, _ = self._arm.solve(pose[None], self._joints[None], _STRAIGHT_STEPS)
         ahead = self._arm.velocity(self._joints, self._person.velocity, np.zeros(3), _TURN_WEIGHT, config.close_period)
-        return self._move(ahead + config.close_gain * (goal[0] - self._joints), CLOSED)
+        velocity = ahead + config.close_gain * (goal[0] - self._joints)
+        return self._move(velocity, CLOSED, config.close_acceleration)
 
     def _back_out(self) -> Action:
         config = self.config.approach
@@ -348,8 +353,8 @@ class ReactiveReceiver(Receiver):
         config = self.config.separation if time is None else replace(self.config.separation, time=time)
         return separated(velocity, self._arm, self._joints, neighbours, config, leaving)
 
-    def _move(self, velocity: Array, fingers: float) -> Action:
-        target = self._servo.command(self._joints, self._servo.limited(velocity))
+    def _move(self, velocity: Array, fingers: float, acceleration: float | None = None) -> Action:
+        target = self._servo.command(self._joints, self._servo.limited(velocity), acceleration)
         return np.array([*target, fingers, fingers], dtype=np.float32)
 
 

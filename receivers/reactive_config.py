@@ -98,7 +98,9 @@ class ApproachConfig:
         hover_loose: These two and `lateral` times so much for one that hovers.
         close_time: How long it waits for the person to let go.
         close_period: Time between decisions meanwhile, in which
-        close_gain: it follows the person's hand so fast (1/s).
+        close_gain: it follows the person's hand so fast (1/s), with
+        close_acceleration: changes of joint speeds like this at most (rad/s^2): a gripper that still moves as it closes
+            pushes the object.
         empty: Fingers nearer to each other than twice this hold nothing,
         empty_after: so long after they began to close.
         backing: How far it backs out after a miss, with
@@ -133,6 +135,7 @@ class ApproachConfig:
     close_time: float = 0.8
     close_period: float = 0.01
     close_gain: float = 10.0
+    close_acceleration: float = 100.0
     empty: float = 0.0015
     empty_after: float = 0.35
     backing: float = 0.1

@@ -64,7 +64,7 @@ class FrozenPartnerEnv(ParallelWrapper):
         """As `HandoverEnv.reset`, for the live agent; every episode has a partner's seed of its own."""
         self._seed(seed)
         observations, infos = self.env.reset(seed, options)
-        self._partner.reset(int(self.np_random.integers(2**32)))
+        self._partner.reset(int(self.np_random.integers(2**32)), self.world.object_names)
         self._steps = 0
         return self._mine(observations), self._mine(infos)
 

@@ -181,6 +181,11 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         self.metadata = {**self.metadata, "render_modes": modes, "render_fps": max(1, round(1.0 / control_period))}
 
     @property
+    def object_names(self) -> tuple[str, ...]:
+        """YCB names of the present episode's objects, the given one first."""
+        return self._episode.scene.info.object_names
+
+    @property
     def np_random(self) -> np.random.Generator:
         """What scenes are drawn with."""
         if self._rng is None:

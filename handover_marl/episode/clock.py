@@ -1,7 +1,7 @@
 """When a policy is asked."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -22,6 +22,9 @@ class Player(Protocol):
     @property
     def name(self) -> str:
         """What it is called."""
+
+    def prepare(self, object_names: Sequence[str]) -> None:
+        """Get ready for episodes with these objects."""
 
     def reset(self, seed: int | None = None) -> None:
         """Forget the last episode."""
@@ -49,13 +52,14 @@ class PolicyClock:
         self._action: Action | None = None
         self.due = 0
 
-    def reset(self, seed: int | None) -> None:
-        """Start an episode.
+    def reset(self, seed: int | None, object_names: Sequence[str] = ()) -> None:
+        """Start an episode with these objects.
 
         Raises:
             PolicyError: The policy fails.
         """
         try:
+            self._policy.prepare(object_names)
             self._policy.reset(seed)
         except HandoverError:
             raise

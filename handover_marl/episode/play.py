@@ -38,11 +38,11 @@ def play(
     end = min(until, horizon) if isinstance(until, int) else horizon
     robot_clock = PolicyClock(receiver)
     giver_clock = None if giver is None else PolicyClock(giver)
-    scene_id = episode.scene.info.scene_id
-    robot_clock.reset(policy_seed(seed, scene_id, "receiver"))
+    scene_id, objects = episode.scene.info.scene_id, episode.scene.info.object_names
+    robot_clock.reset(policy_seed(seed, scene_id, "receiver"), objects)
     episode.seed_sight(policy_seed(seed, scene_id, "camera"))
     if giver_clock is not None:
-        giver_clock.reset(policy_seed(seed, scene_id, "giver"))
+        giver_clock.reset(policy_seed(seed, scene_id, "giver"), objects)
     giver_space = giver_action_space(episode.config.giver)
     deviation = NO_DEVIATION
     for watcher in watchers:

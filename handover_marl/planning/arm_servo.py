@@ -78,10 +78,17 @@ class ArmServo:
         over = float((np.abs(velocity) / self.limits).max())
         return velocity / over if over > 1.0 else velocity
 
-    def command(self, joints: Array, velocity: Array) -> Array:
-        """(7,) targets (rad) that make the arm move at a velocity, as far as its acceleration allows."""
+    def command(self, joints: Array, velocity: Array, acceleration: float | None = None) -> Array:
+        """(7,) targets (rad) that make the arm move at a velocity, as far as its acceleration allows.
+
+        Args:
+            joints: (7,) where the arm is (rad).
+            velocity: (7,) wanted (rad/s).
+            acceleration: Largest change of a joint's speed (rad/s^2), if not the usual one.
+        """
         # Each joint for itself: were all slowed down alike, one that turns round would make the others overshoot.
-        most = self.config.acceleration * self.period
+        most = (acceleration or self.config.acceleration) * self.period
         self._velocity = self._velocity + np.clip(velocity - self._velocity, -most, most)
         lead = 1.0 / (1.0 - (1.0 - self._gain) ** (self.period / self._time_step))
-        return joints + lead * self.period * self._velocity
+        target: Array = joints + lead * self.period * self._velocity
+        return target

@@ -9,6 +9,8 @@ from scipy.spatial.transform import Rotation
 
 Array = npt.NDArray[np.float64]
 
+_SAME_TIME = 1e-6  # s
+
 
 @dataclass(frozen=True)
 class OfferConfig:
@@ -30,7 +32,8 @@ class OfferConfig:
         smoothing: Time constant of the velocities (s).
         slow: An object slower than this rests (m/s).
         hover: One that is no farther than this (m) from where it was
-        hover_time: this long ago (s) hovers, and
+        hover_time: this long ago (s) hovers, if it had been lifted by then, by
+        hover_lifted: at least this (m), and
         hover_ahead: goes on with its velocity for this time (s).
     """
 
@@ -43,6 +46,7 @@ class OfferConfig:
     slow: float = 0.05
     hover: float = 0.08
     hover_time: float = 0.6
+    hover_lifted: float = 0.1
     hover_ahead: float = 0.05
 
 
@@ -84,15 +88,18 @@ class OfferPrediction:
             self.rest = self.rest + step if self.speed < self.config.slow else 0.0
         self._time, self._pose = time, pose.copy()
         self._track.append((time, self._pose[:3]))
-        while len(self._track) > 1 and self._track[1][0] <= time - self.config.hover_time:
+        while len(self._track) > 1 and self._track[1][0] < time - self.config.hover_time + _SAME_TIME:
             self._track.popleft()
 
     @property
     def hovers(self) -> bool:
-        """Whether the object, at rest or not, gets nowhere."""
-        since, place = self._track[0] if self._track else (self._time, np.zeros(3))
-        gone = float(np.linalg.norm(self._pose[:3] - place))
-        return self._time - since >= self.config.hover_time and gone < self.config.hover
+        """Whether the object, at rest or not, is held up and gets nowhere."""
+        if self.start is None:
+            return False
+        config, (since, place) = self.config, self._track[0]
+        lifted, gone = (float(np.linalg.norm(place - other)) for other in (self.start, self._pose[:3]))
+        long = self._time - since > config.hover_time - _SAME_TIME
+        return long and lifted > config.hover_lifted and gone < config.hover
 
     @property
     def speed(self) -> float:

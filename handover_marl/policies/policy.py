@@ -1,6 +1,7 @@
 """What every policy is, the person's as well as the robot's."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from typing import ClassVar
 
 import numpy as np
@@ -32,6 +33,16 @@ class Policy(ABC):
     control_period: ClassVar[float] = 0.1
     sight: str | None = None
     observes: str = ALL
+
+    def prepare(self, object_names: Sequence[str]) -> None:  # noqa: B027
+        """Get ready for episodes with these objects, before the clock of one runs.
+
+        For what takes long and is kept, such as trying out grasps. It is called before `reset`, and may be called with
+        the same objects again and again; what it finds out must depend on nothing else.
+
+        Args:
+            object_names: YCB names, e.g. "025_mug", the one that is handed over first.
+        """
 
     @abstractmethod
     def reset(self, seed: int | None = None) -> None:

@@ -1,5 +1,6 @@
 """When policies are asked."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,10 @@ class CountingPolicy:
         self.hold_time = hold_time
         self.asked = 0
         self.error = error
+        self.prepared: tuple[str, ...] = ()
+
+    def prepare(self, object_names: Sequence[str]) -> None:
+        self.prepared += tuple(object_names)
 
     def reset(self, seed: int | None = None) -> None:
         if self.error is not None:
@@ -92,3 +97,9 @@ def test_errors_of_the_library_and_of_the_user_stay_what_they_are() -> None:
         PolicyClock(CountingPolicy(0.1, SimulationError("broken"))).reset(None)
     with pytest.raises(KeyboardInterrupt):
         PolicyClock(CountingPolicy(0.1, KeyboardInterrupt())).act(lambda: SEEN, 0)
+
+
+def test_policies_get_ready_before_an_episode() -> None:
+    policy = CountingPolicy(0.1)
+    PolicyClock(policy).reset(0, ("025_mug",))
+    assert policy.prepared == ("025_mug",)

@@ -12,6 +12,7 @@ from handover_marl.episode.episode import Episode
 from handover_marl.episode.play import play, policy_seed
 from handover_marl.episode.watchers import Decision, Watcher
 from handover_marl.givers.cooperative import CooperativeGiver
+from handover_marl.policies.policy import Policy
 from handover_marl.receivers import context_of
 from handover_marl.receivers.yang2021 import Yang2021Receiver
 
@@ -150,15 +151,19 @@ def test_an_episode_does_not_depend_on_those_before_it(physics: str, giver: str,
     used.close()
 
 
-class Counting:
+class Counting(Policy):
     """Says what it was asked and told."""
 
     name = "counting"
 
     def __init__(self, action: np.ndarray, hold_time: float) -> None:
-        self.action, self.hold_time = action, hold_time
+        self.action, self._hold_time = action, hold_time
         self.seeds: list[int | None] = []
         self.times: list[int] = []
+
+    @property
+    def hold_time(self) -> float:
+        return self._hold_time
 
     def reset(self, seed: int | None = None) -> None:
         self.seeds.append(seed)

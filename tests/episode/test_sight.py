@@ -26,6 +26,7 @@ from handover_marl.episode.sight import (
     sight_space,
 )
 from handover_marl.errors import OptionError, ResetNeededError, UnknownNameError
+from handover_marl.policies.policy import Policy
 from handover_marl.sim.bullet.fast_world import FastWorld
 from handover_marl.sim.camera.imperfections import CameraImperfections
 from handover_marl.sim.camera.optics import NOTHING, REFERENCE, TRUE, deproject
@@ -368,7 +369,7 @@ def drawings(monkeypatch: pytest.MonkeyPatch) -> Drawings:
     return Drawings(monkeypatch)
 
 
-class Looker:
+class Looker(Policy):
     """A receiver that is asked every 50 ms and sees what it is told to."""
 
     name, hold_time = "looker", 0.05
