@@ -174,7 +174,8 @@ class ReactiveReceiver(Receiver):
 
     def _period(self) -> float:
         """Until the next decision (s)."""
-        near = float(np.linalg.norm(self._object[:3] - self._hand[:3])) < self.config.near
+        coming = self.phase in (Phase.APPROACH, Phase.REACH)
+        near = coming and float(np.linalg.norm(self._object[:3] - self._hand[:3])) < self.config.near
         moving = max(self._offer.speed, self._person.speed) > self.config.near_speed
         return self.config.near_period if near and moving else self.config.period
 
@@ -212,7 +213,8 @@ class ReactiveReceiver(Receiver):
         if not (axial < config.standoff + config.near and aside < config.beside and turn < config.turned):
             self.phase = Phase.APPROACH
             self._watch_progress(float(np.abs(choice.standoff - self._joints).max()))
-            velocity = self._servo.limited(self._servo.towards(self._joints, choice.standoff))
+            next_ = choice.standoff if choice.via is None else choice.via
+            velocity = self._servo.limited(self._servo.towards(self._joints, next_))
             return self._move(self._apart(velocity, self.config.separation.stop, transit=True), OPEN)
         self.phase = Phase.REACH
         self._watch_progress(axial + aside)

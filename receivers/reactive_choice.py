@@ -9,7 +9,9 @@ from scipy.spatial.transform import Rotation
 from handover_marl.models.panda import HALF_TURN, WAITING_JOINTS
 from handover_marl.models.poses import compose, compose_point, inverse, inverse_transform_points
 from handover_marl.planning.arm_in_world import ArmInWorld
-from handover_marl.planning.gripper_room import ELBOW, WRIST, Balls, corners, flange_rooms, forearm_rooms, rooms
+from handover_marl.planning.arm_rods import rod_rooms
+from handover_marl.planning.detours import detour, way_free
+from handover_marl.planning.gripper_room import Balls, corners, flange_rooms, rooms
 from handover_marl.receivers.reactive_config import GraspCosts
 from handover_marl.receivers.reactive_displaced import Displacements, displaced
 from handover_marl.receivers.reactive_grasps import TriedGrasps
@@ -50,12 +52,21 @@ _STANDOFF_STEPS, _GRASP_STEPS = 12, 6
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """A grasp: its number, (7,) joints at its standoff and at itself, and its room beside the person's hand (m)."""
+    """A grasp to go for.
+
+    Attributes:
+        number: Of the grasp.
+        standoff: (7,) joints at its standoff.
+        goal: (7,) joints at the grasp.
+        room: Beside the person's hand (m).
+        via: (7,) joints to go to first, since something is in the straight way to the standoff, or None.
+    """
 
     number: int
     standoff: Array
     goal: Array
     room: float
+    via: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,20 +176,60 @@ class ReactiveChoice:
         prices = rough[numbers] + self._travel(standoffs, situation.joints) + self._tightness(standoffs, goals)
         found &= self._arm_clear(goals, situation)
         prices[~found] += _NEVER
-        best = int(np.argmin(prices))
+        old = None if self.chosen is None else int(np.flatnonzero(numbers == self.chosen.number)[0])
+        best = int(np.argmin(prices)) if near else self._look_at_ways(prices, standoffs, old, situation)
         if prices[best] >= _NEVER:
             self._page += 1
             self._nothing("out of reach", situation.rests, self._costs.search)
             return None
-        if self.chosen is not None:
-            old = int(np.flatnonzero(numbers == self.chosen.number)[0])
-            if prices[old] < min(prices[best] + self._costs.gain + (self._costs.near_gain if near else 0.0), _NEVER):
-                best = old
+        margin = self._costs.gain + (self._costs.near_gain if near else 0.0)
+        if old is not None and prices[old] < min(prices[best] + margin, _NEVER):
+            best = old
         number = int(numbers[best])
         self._page, self.trouble = 0, ""
         self._waited += self._period if self._loose[number] > self._costs.poor else 0.0
-        self.chosen = Choice(number, standoffs[best], goals[best], float(room[number]))
+        via = None if near else self._via(standoffs[best], situation)
+        self.chosen = Choice(number, standoffs[best], goals[best], float(room[number]), via)
         return self.chosen
+
+    def _look_at_ways(self, prices: Array, standoffs: Array, old: int | None, situation: Situation) -> int:
+        """Adds to (n,) prices what is in the ways to (n, 7) standoffs, for the old and the cheapest; the cheapest."""
+        bodies, looked = self._bodies(situation), set[int]()
+        best = int(np.argmin(prices)) if old is None else old
+        while best not in looked and len(looked) < self._costs.looks:
+            looked.add(best)
+            if not way_free(self._arm, situation.joints, standoffs[best], bodies, self._costs.way_room):
+                prices[best] += self._costs.blocked
+            best = int(np.argmin(prices))
+        return best
+
+    def _via(self, standoff: Array, situation: Situation) -> Array | None:
+        """(7,) joints by way of which to go to a standoff, if something is in the straight way and they help."""
+        joints, bodies, costs = situation.joints, self._bodies(situation), self._costs
+        if way_free(self._arm, joints, standoff, bodies, costs.way_room):
+            return None
+        known = [SEEDS, MORE_SEEDS]
+        if self.chosen is not None and self.chosen.via is not None:
+            known.append(self.chosen.via[None])
+        return detour(
+            self._arm,
+            joints,
+            standoff,
+            np.concatenate(known),
+            self._speeds,
+            bodies,
+            costs.way_room,
+            costs.detours,
+        )
+
+    def _bodies(self, situation: Situation) -> Balls:
+        """The object and the person's hand where the object will be offered."""
+        centers, radii = compose_point(situation.offered, self._surface.centers), self._surface.radii
+        if situation.hand is None:
+            return Balls(centers, radii)
+        place = compose(situation.offered, inverse(situation.now))
+        hand = compose_point(place, situation.hand.centers)
+        return Balls(np.concatenate([centers, hand]), np.concatenate([radii, situation.hand.radii]))
 
     def _displace(self, hand: Balls) -> None:
         """Choose from displaced grasps, too, which have room beside a hand in the object's frame."""
@@ -238,16 +289,9 @@ class ReactiveChoice:
         return standoffs[best], goals[best], found[best]
 
     def _arm_clear(self, goals: Array, situation: Situation) -> npt.NDArray[np.bool_]:
-        """(n,) whether forearm and wrist keep clear of hand and object at the grasps."""
-        origins = self._arm.origins(goals)
-        elbows, wrists = origins[:, ELBOW], origins[:, WRIST]
-        place = compose(situation.offered, inverse(situation.now))
-        obj = Balls(compose_point(situation.offered, self._surface.centers), self._surface.radii)
-        clear = forearm_rooms(elbows, wrists, obj) > self._costs.arm_room
-        if situation.hand is not None:
-            hand = Balls(compose_point(place, situation.hand.centers), situation.hand.radii)
-            clear &= forearm_rooms(elbows, wrists, hand) > self._costs.arm_room
-        return clear
+        """(n,) whether elbow, forearm and wrist keep clear of hand and object at the grasps."""
+        found: npt.NDArray[np.bool_] = rod_rooms(self._arm, goals, self._bodies(situation)) > self._costs.arm_room
+        return found
 
     def _travel(self, standoffs: Array, joints: Array) -> Array:
         """(n,) time to the standoffs (s)."""

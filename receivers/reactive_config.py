@@ -29,6 +29,10 @@ class GraspCosts:
         wider: so many times as many at once.
         table: Room above the table that a gripper needs.
         arm_room: Room that forearm and wrist need beside hand and object.
+        way_room: Room that arm and gripper need on the straight way to a standoff (m), and
+        blocked: price of a way that has less.
+        looks: So many ways at most are looked at in a decision, and
+        detours: so many round what is in the way.
         limit: Distance to a joint limit that is wanted (rad), and
         tight: price of each radian that is missing (s/rad).
         longest_way: Joints change less than this between standoff and grasp.
@@ -56,6 +60,10 @@ class GraspCosts:
     wider: int = 4
     table: float = 0.005
     arm_room: float = 0.005
+    way_room: float = 0.01
+    blocked: float = 2.0
+    looks: int = 6
+    detours: int = 24
     limit: float = 0.3
     tight: float = 2.0
     longest_way: float = 0.8

@@ -50,6 +50,12 @@ class ArmInWorld:
         found: Array = local @ self._turn.T + self._base[:3]
         return found
 
+    def frames(self, joints: Array) -> tuple[Array, Array]:
+        """(n, 7, 3) origins (m) and (n, 7, 3, 3) rotations of the turning links for configurations (n, 7)."""
+        chain = self.arm.chain(joints)
+        origins = chain.origins[:-1].transpose(2, 0, 1) @ self._turn.T + self._base[:3]
+        return origins, self._turn @ chain.rotations[:-1].transpose(3, 0, 1, 2)
+
     def jacobian(self, joints: Array) -> Array:
         """(6, 7): how the hand's origin moves (m/rad) and turns with each joint at one configuration (7,)."""
         local = self.arm.jacobian(self.arm.chain(joints[None]))[..., 0]

@@ -23,10 +23,6 @@ _CLOSING = (np.array([0.0, 0.0, 0.0855]), np.array([0.0105, 0.0666, 0.0271]))
 _COMING = (0, 3)
 # Between the pads, half sizes about their middle, a little less than where the fingers can press (m).
 _BETWEEN = (np.array([0.0, 0.0, 0.094]), np.array([0.008, 0.04, 0.014]))
-#: The Panda's forearm and wrist, thick as their collision meshes are beside the line from elbow to wrist (m).
-FOREARM_RADIUS = 0.075
-#: Numbers of the turning links whose origins are elbow and wrist, and of the link between them.
-ELBOW, WRIST, FOREARM = 3, 4, 4
 
 _FACING = 1e-9
 _GRID = np.linspace(0.0, 1.0, 6)
@@ -83,28 +79,6 @@ def surface_balls(vertices: Array, faces: npt.NDArray[np.int_], count: int, radi
         chosen.append(int(np.argmax(away)))
         away = np.minimum(away, np.linalg.norm(points - points[chosen[-1]], axis=1))
     return Balls(points[chosen], np.full(len(chosen), radius))
-
-
-def forearm_rooms(elbows: Array, wrists: Array, balls: Balls) -> Array:
-    """(n,) distances (m) between balls and the Panda's forearm between elbows and wrists (n, 3), negative inside."""
-    axes = wrists - elbows
-    away = balls.centers - elbows[:, None]
-    along = np.einsum("nkc,nc->nk", away, axes) / np.maximum((axes**2).sum(axis=1), _FACING)[:, None]
-    beside = away - np.clip(along, 0.0, 1.0)[..., None] * axes[:, None]
-    found: Array = (np.linalg.norm(beside, axis=-1) - balls.radii).min(axis=1) - FOREARM_RADIUS
-    return found
-
-
-def nearest_forearm(elbow: Array, wrist: Array, balls: Balls) -> Nearest:
-    """The nearest points of the Panda's forearm between elbow and wrist (3,) and of balls."""
-    axis = wrist - elbow
-    along = np.clip((balls.centers - elbow) @ axis / max(float(axis @ axis), _FACING), 0.0, 1.0)
-    feet = elbow + along[:, None] * axis
-    away = feet - balls.centers
-    distances = np.linalg.norm(away, axis=1) - balls.radii
-    ball = int(np.argmin(distances))
-    unit = away[ball] / max(float(np.linalg.norm(away[ball])), _FACING)
-    return Nearest(float(distances[ball]) - FOREARM_RADIUS, feet[ball] - FOREARM_RADIUS * unit, unit, ball)
 
 
 def flange_rooms(hands: Array, balls: Balls) -> Array:

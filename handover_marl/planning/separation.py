@@ -11,11 +11,13 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.planning.arm_in_world import ArmInWorld
-from handover_marl.planning.gripper_room import ELBOW, FOREARM, WRIST, Balls, nearest, nearest_forearm
+from handover_marl.planning.arm_rods import nearest_rod
+from handover_marl.planning.gripper_room import Balls, nearest
 
 Array = npt.NDArray[np.float64]
 
 _TINY = 1e-4
+_ROUNDS = 4
 
 
 @dataclass(frozen=True)
@@ -66,15 +68,16 @@ def separated(
         config: How.
         leaving: Whether it is enough to come no nearer where there is too little room, since it is on its way out.
     """
-    hand, origins = arm.hand(joints), arm.origins(joints[None])[0]
+    hand, dampers = arm.hand(joints), []
     for neighbour in neighbours:
-        forearm = nearest_forearm(origins[ELBOW], origins[WRIST], neighbour.balls)
         gripper = nearest(hand, neighbour.balls)
-        for near, link in ((forearm, FOREARM), (gripper, arm.arm.n_joints)):
-            row = near.away @ arm.point_jacobian(joints, near.point, link)
+        for near, link in (nearest_rod(arm, joints, neighbour.balls), (gripper, arm.arm.n_joints)):
             room = min(neighbour.room, near.room) if leaving else neighbour.room
-            least = min((room - near.room) / config.time, config.flee)
-            rate = float(row @ velocity - near.away @ neighbour.velocity)
-            if rate < least:
-                velocity = velocity + row * (least - rate) / (row @ row + _TINY)
+            least = min((room - near.room) / config.time, config.flee) + float(near.away @ neighbour.velocity)
+            dampers.append((near.away @ arm.point_jacobian(joints, near.point, link), least))
+    # What one asks for may undo what another asked for, so all are asked again.
+    for row, least in _ROUNDS * dampers:
+        rate = float(row @ velocity)
+        if rate < least:
+            velocity = velocity + row * (least - rate) / (row @ row + _TINY)
     return velocity

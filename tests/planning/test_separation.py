@@ -6,7 +6,8 @@ from hypothesis import strategies as st
 
 from handover_marl.models.poses import compose_point
 from handover_marl.planning.arm_in_world import ArmInWorld
-from handover_marl.planning.gripper_room import ELBOW, WRIST, Balls, nearest, nearest_forearm
+from handover_marl.planning.arm_rods import nearest_rod
+from handover_marl.planning.gripper_room import Balls, nearest
 from handover_marl.planning.separation import Neighbour, SeparationConfig, separated
 from tests.planning.robots import ARM, LIMITS, START
 
@@ -58,11 +59,21 @@ def test_on_the_way_out_it_is_enough_to_come_no_nearer() -> None:
 
 
 def test_the_forearm_counts() -> None:
-    origins = IN_WORLD.origins(START[None])[0]
-    middle = 0.5 * (origins[ELBOW] + origins[WRIST])
-    ball = Balls(middle[None] + [[0.0, 0.0, -0.1]], np.array([0.01]))
-    before = nearest_forearm(origins[ELBOW], origins[WRIST], ball).room
+    origins, turns = IN_WORLD.frames(START[None])
+    cover = origins[0, 4] + turns[0, 4] @ np.array([0.0, 0.16, -0.05])
+    ball = Balls(cover[None], np.array([0.01]))
+    before = nearest_rod(IN_WORLD, START, ball)[0].room
     assert before < 0.03
     found = separated(np.zeros(7), IN_WORLD, START, [Neighbour(ball, np.zeros(3), 0.03)], CONFIG)
-    after = IN_WORLD.origins((START + 1e-3 * found)[None])[0]
-    assert nearest_forearm(after[ELBOW], after[WRIST], ball).room > before
+    assert nearest_rod(IN_WORLD, START + 1e-3 * found, ball)[0].room > before
+
+
+def test_one_neighbour_does_not_undo_what_another_asks_for() -> None:
+    """A ball before a fingertip, another beside the cover of the forearm, both too near."""
+    origins, turns = IN_WORLD.frames(START[None])
+    cover = origins[0, 4] + turns[0, 4] @ np.array([0.0, 0.15, -0.05])
+    neighbours = [Neighbour(Balls(cover[None], np.array([0.01])), np.zeros(3), 0.03), beyond(0.01, 0.03)]
+    found = separated(np.array([0.5, 0.5, -0.5, 0.5, 0.5, 0.5, 0.5]), IN_WORLD, START, neighbours, CONFIG)
+    assert coming_nearer(found, neighbours[1]) < 0.0
+    before, after = (nearest_rod(IN_WORLD, q, neighbours[0].balls)[0].room for q in (START, START + 1e-5 * found))
+    assert after > before
