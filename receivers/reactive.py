@@ -8,7 +8,6 @@ grasps that failed.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 from enum import Enum
 
 import numpy as np
@@ -20,31 +19,28 @@ from handover_marl.errors import ResetNeededError
 from handover_marl.models.arm import Arm
 from handover_marl.models.kinematic_tree import read_tree
 from handover_marl.models.meshes import model_triangles
-from handover_marl.models.panda import CLOSED, LOWER_LIMITS, OPEN, UPPER_LIMITS
-from handover_marl.models.poses import compose, compose_point, rotation_angle
-from handover_marl.models.ycb import CLASS_NAMES
+from handover_marl.models.panda import LOWER_LIMITS, UPPER_LIMITS
+from handover_marl.models.poses import compose_point
 from handover_marl.planning.arm_in_world import ArmInWorld
 from handover_marl.planning.arm_servo import ArmServo
-from handover_marl.planning.gripper_room import Balls, surface_balls
-from handover_marl.planning.offer_prediction import OfferPrediction
-from handover_marl.planning.person_motion import HandMotion
-from handover_marl.planning.separation import Neighbour, separated
+from handover_marl.planning.gripper_room import surface_balls
 from handover_marl.policies.context import PolicyContext
 from handover_marl.policies.policy import Action
 from handover_marl.policies.receiver import Receiver
 from handover_marl.policies.waiting import wait_ms
 from handover_marl.receivers.object_grasps import ObjectGrasps
-from handover_marl.receivers.reactive_choice import HOME, Choice, ReactiveChoice, Situation
+from handover_marl.receivers.reactive_choice import ReactiveChoice
 from handover_marl.receivers.reactive_config import ReactiveConfig, with_risk
 from handover_marl.receivers.reactive_grasps import TriedGrasps, tried_grasps
 from handover_marl.receivers.reactive_grips import Graspable, grips, spread_points
+from handover_marl.receivers.reactive_motion import Motion
+from handover_marl.receivers.reactive_reach import TURN_WEIGHT, Reach
 from handover_marl.receivers.reactive_retreat import Retreat, held_points
+from handover_marl.receivers.reactive_view import View
 
 Array = npt.NDArray[np.float64]
 
-_STRAIGHT_STEPS = 8
-# How much a radian counts against a metre where an arm follows what moves.
-_TURN_WEIGHT = 0.1
+_STEPS = 8
 
 
 class Phase(Enum):
@@ -81,26 +77,20 @@ class ReactiveReceiver(Receiver):
         self, context: PolicyContext, wait: float = 0.0, risk: float = 0.5, config: ReactiveConfig | None = None
     ) -> None:
         super().__init__(context)
-        self.config = with_risk(config or ReactiveConfig(), risk)
+        self.config = config = with_risk(config or ReactiveConfig(), risk)
         self.phase = Phase.WAIT
         self._wait = wait_ms(wait) / 1000.0
-        padding = self.config.limit_padding
+        padding = config.limit_padding
         limits = np.array(LOWER_LIMITS[:ARM_JOINTS]) + padding, np.array(UPPER_LIMITS[:ARM_JOINTS]) - padding
         base = np.array([*context.panda.base_position, *context.panda.base_orientation])
         self._arm = ArmInWorld(Arm(read_tree(context.panda_urdf)), base, limits)
-        self._servo = ArmServo(self.config.servo, context.panda.motor.position_gain, self.config.period, TIME_STEP)
-        config_ = self.config
+        self._servo = ArmServo(config.servo, context.panda.motor.position_gain, config.period, TIME_STEP)
+        standoff = config.approach.standoff
         self.choice = ReactiveChoice(
-            self._arm,
-            self._servo.limits,
-            config_.grasps,
-            config_.approach.standoff,
-            config_.period,
-            config_.displacements,
+            self._arm, self._servo.limits, config.grasps, standoff, config.period, config.displacements
         )
         self._known = ObjectGrasps(context.grasps)
         self._objects: dict[str, Graspable] = {}
-        self._seen: str | None = None
         self._ready = False
 
     @property
@@ -126,22 +116,21 @@ class ReactiveReceiver(Receiver):
     def reset(self, seed: int | None = None) -> None:
         """Forget the episode; nothing here is random."""
         self._servo.reset()
-        self._offer, self._person = OfferPrediction(self.config.offer), HandMotion()
-        self.phase, self._seen, self._ready = Phase.WAIT, None, True
+        self._view = View(self._arm, self.config)
+        self._motion = Motion(self._arm, self._servo, self._view, self.config.separation)
+        self._reach = Reach(self._view, self._motion, self.choice, self.config.approach, self.config.period)
+        self.phase, self._seen, self._ready = Phase.WAIT, "", True
         self._since = 0.0
-        self._left, self._left_at = np.inf, 0.0
-        self._chose_at = -np.inf
         self._closing_pose, self._closing_points = np.zeros(7), np.zeros((0, 3))
-        self._way, self._way_at = np.zeros(3), -np.inf
-        self._way_out = np.zeros(7)
+        self._way_out = np.zeros(3)
         self._retreat: Retreat | None = None
 
     def act(self, observation: Observation) -> Action:
         """The next nine target joint positions."""
         self._look(observation)
-        if self._time < self._wait:
-            return self._move(self._servo.towards(self._joints, HOME), OPEN)
-        if self.phase is Phase.WAIT and len(self.choice.grasps) and self._offers():
+        if self._view.time < self._wait:
+            return self._motion.home()
+        if self.phase is Phase.WAIT and len(self.choice.grasps) and self._view.offered:
             self.phase = Phase.APPROACH
         if self.phase in (Phase.APPROACH, Phase.REACH):
             return self._approach()
@@ -151,33 +140,20 @@ class ReactiveReceiver(Receiver):
             return self._back_out()
         if self.phase is Phase.RETREAT:
             return self._carry()
-        return self._move(self._servo.towards(self._joints, HOME), OPEN)
+        return self._motion.home()
 
     def _look(self, observation: Observation) -> None:
         """Take note of what is seen."""
         if not self._ready:
             raise ResetNeededError(f"receiver {self.name!r} was asked to act before reset()")
-        joints = observation["robot_joint_position"].astype(np.float64)
-        self._time = round(float(observation["time"][0]), 3)
-        self._joints, self._fingers = joints[:ARM_JOINTS], joints[ARM_JOINTS:]
-        self._hand = self._arm.hand(self._joints)
-        self._object = observation["object_poses"][0].astype(np.float64)
-        self._offer.see(self._time, self._object)
-        self._person.see(self._time, observation)
-        self._servo.period = self._period()
-        name = CLASS_NAMES[int(observation["object_classes"][0])]
-        if name != self._seen:
-            self._seen = name
-            graspable = self._about(name)
-            self._surface = graspable.surface
-            self.choice.reset(graspable)
-
-    def _period(self) -> float:
-        """Until the next decision (s)."""
+        self._view.see(observation)
         coming = self.phase in (Phase.APPROACH, Phase.REACH)
-        near = coming and float(np.linalg.norm(self._object[:3] - self._hand[:3])) < self.config.near
-        moving = max(self._offer.speed, self._person.speed) > self.config.near_speed
-        return self.config.near_period if near and moving else self.config.period
+        self._servo.period = self.config.near_period if coming and self._view.near_motion else self.config.period
+        if self._view.object_name != self._seen:
+            self._seen = self._view.object_name
+            graspable = self._about(self._seen)
+            self._motion.surface = graspable.surface
+            self.choice.reset(graspable)
 
     def _about(self, name: str) -> Graspable:
         """Grasps and surface of an object class."""
@@ -192,174 +168,56 @@ class ReactiveReceiver(Receiver):
             self._objects[name] = Graspable(grasps, grips(grasps.poses, points), surface, points)
         return self._objects[name]
 
-    def _offers(self) -> bool:
-        """Whether the person hands the object over: it was lifted, or lies still beside a hand that is still."""
-        config = self.config
-        if self._person.balls is None:
-            return self._time > config.alone
-        if self._offer.lifted > config.lifted:
-            return True
-        beside = self._person.distance(self._object[:3]) < config.beside and self._person.speed < config.offer.slow
-        return beside and self._offer.rest > config.still and self._time > config.after
-
     def _approach(self) -> Action:
-        choice = self._choose()
-        if choice is None:
-            self.phase = Phase.APPROACH
-            return self._move(self._apart(self._servo.towards(self._joints, HOME), self.config.separation.stop), OPEN)
-        config = self.config.approach
-        way = self.choice.offset(choice, self._object, self._hand)
-        axial, aside, turn = -float(way[2]), float(np.hypot(way[0], way[1])), _angle(way)
-        if not (axial < config.standoff + config.near and aside < config.beside and turn < config.turned):
-            self.phase = Phase.APPROACH
-            self._watch_progress(float(np.abs(choice.standoff - self._joints).max()))
-            next_ = choice.standoff if choice.via is None else choice.via
-            velocity = self._servo.limited(self._servo.towards(self._joints, next_))
-            return self._move(self._apart(velocity, self.config.separation.stop, transit=True), OPEN)
-        self.phase = Phase.REACH
-        self._watch_progress(axial + aside)
-        loose = self._looseness()
-        there = abs(axial) < loose * config.close_axial and aside < loose * config.lateral and turn < config.turn
-        if self._beside(way[:3]) < loose * config.close_speed and there:
-            self.phase, self._since = Phase.CLOSE, self._time
-            self._closing_pose = self.choice.grasp(choice, self._object)
-            self._closing_points = self._person.points
-            return self._close(False)
-        return self._straight_on(choice, self._depth(axial, aside, turn))
-
-    def _beside(self, way: Array) -> float:
-        """Speed of the object (m/s); of one that hovers, beside the gripper, at offset (3,) from the grasp."""
-        since, before = self._time - self._way_at, self._way
-        self._way, self._way_at = way, self._time
-        if self._looseness() > 1.0 and since < 2.0 * self.config.period:
-            return float(np.linalg.norm(way - before)) / since
-        return self._offer.speed
-
-    def _looseness(self) -> float:
-        """How many times the usual tolerances are enough: one cannot wait for what hovers to rest."""
-        return self.config.approach.hover_loose if self._offer.hovers and self._offer.rest == 0.0 else 1.0
-
-    def _choose(self) -> Choice | None:
-        """The grasp to go for; the one chosen last while the fingers are about to reach it."""
-        config, chosen = self.config.approach, self.choice.chosen
-        if chosen is not None:
-            way = self.choice.offset(chosen, self._object, self._hand)
-            beside = float(np.hypot(way[0], way[1])) < config.fixed_beside
-            if -way[2] < config.fixed and beside and _angle(way) < config.fixed_turned:
-                return chosen
-        if self._time - self._chose_at < self.config.period - TIME_STEP:
-            return chosen
-        self._chose_at = self._time
-        situation = Situation(
-            self._time, self._joints, self._object, self._offer.offered(), self._person.balls, self._offer.rest > 0.2
-        )
-        found = self.choice.update(situation, self.phase is Phase.REACH)
-        if found is None or chosen is None or found.number != chosen.number:
-            self._left, self._left_at = np.inf, self._time
-        return found
-
-    def _depth(self, axial: float, aside: float, turn: float) -> float:
-        """How far before the grasp to be next (m)."""
-        config, moving = self.config.approach, self._offer.speed
-        before = max(axial, 0.0)
-        loose = self._looseness()
-        fits = aside < loose * (config.lateral + config.funnel * before)
-        fits &= turn < loose * (config.turn + config.turn_funnel * before)
-        if fits and moving < (config.hover_speed if self._offer.hovers else config.object_speed):
-            half = 0.5 * config.braking * self._servo.period
-            speed = min(config.speed, float(np.sqrt(half**2 + 2.0 * config.braking * before)) - half)
-            return max(0.0, before - speed * self._servo.period)
-        if fits and axial < config.standoff and moving < 2.0 * config.object_speed:
-            return before
-        return config.standoff if axial > 0.5 * config.fixed else axial
-
-    def _straight_on(self, choice: Choice, depth: float) -> Action:
-        """Go to a depth before the grasp, and with it as the object moves."""
-        config, period = self.config.approach, self._servo.period
-        pose = compose(self.choice.grasp(choice, self._object), np.array([0.0, 0.0, -depth, 0.0, 0.0, 0.0, 1.0]))
-        # A little way to where the choice found that it can be reached: from the present joints limits may be in the
-        # way, and to go there at once would swing the hand aside.
-        share = depth / config.standoff
-        drawn = choice.goal + share * (choice.standoff - choice.goal) - self._joints
-        most = config.drawn / max(float(np.abs(drawn).max()), config.drawn)
-        seed = self._joints + most * drawn
-        goal, _ = self._arm.solve(pose[None], seed[None], _STRAIGHT_STEPS)
-        velocity = config.gain * (goal[0] - self._joints)
-        velocity *= min(1.0, config.joint_speed / max(float(np.abs(velocity).max()), 1e-9))
-        linear, angular = self._offer.twist(pose[:3], period)
-        velocity = velocity + self._arm.velocity(self._joints, linear, angular, _TURN_WEIGHT, period)
-        separation = self.config.separation
-        return self._move(self._apart(velocity, separation.touch, separation.last_time), OPEN)
-
-    def _watch_progress(self, left: float) -> None:
-        """Give up a grasp that does not come nearer."""
-        if left < 0.95 * self._left or not (self._offer.rest > 0.2 or self._offer.hovers):
-            self._left, self._left_at = left, self._time
-        elif self._time - self._left_at > self.config.approach.stall:
-            self.choice.give_up(self._time + self.config.approach.ban)
+        action = self._reach.step()
+        if action is not None:
+            self.phase = Phase.REACH if self._reach.near else Phase.APPROACH
+            return action
+        view, chosen = self._view, self.choice.chosen
+        assert chosen is not None
+        self.phase, self._since = Phase.CLOSE, view.time
+        self._closing_pose, self._closing_points = self.choice.grasp(chosen, view.object), view.person.points
+        return self._close(False)
 
     def _close(self, released: bool) -> Action:
-        config = self.config.approach
+        config, view = self.config.approach, self._view
         if released:
             self.phase = Phase.RETREAT
-            held = held_points(self._hand, self._object, self._surface.centers)
+            held = held_points(view.hand, view.object, self._motion.surface.centers)
             goal = np.array(self.context.protocol.goal_center)
-            person = self._person.balls
-            self._retreat = Retreat(self._arm, self._servo, goal, self.config.retreat, self._hand, held, person)
+            self._retreat = Retreat(
+                self._arm, self._servo, goal, self.config.retreat, view.hand, held, view.person.balls
+            )
             return self._carry()
-        since = self._time - self._since
-        if since > config.close_time or (since > config.empty_after and float(self._fingers.max()) < config.empty):
-            self.choice.give_up(self._time + config.ban)
-            self.phase, self._since = Phase.BACK, self._time
-            self._way_out = compose(self._hand, np.array([0.0, 0.0, -config.backing, 0.0, 0.0, 0.0, 1.0]))
+        since = view.time - self._since
+        if since > config.close_time or (since > config.empty_after and float(view.fingers.max()) < config.empty):
+            self.choice.give_up(view.time + config.ban)
+            self.phase, self._since = Phase.BACK, view.time
+            self._way_out = compose_point(view.hand, np.array([0.0, 0.0, -config.backing]))
             return self._back_out()
         # Stay with the person's hand rather than with the object, which the fingers push.
         self._servo.period = config.close_period
-        pose = self._person.moved(self._closing_points, self._closing_pose, config.close_period)
-        goal, _ = self._arm.solve(pose[None], self._joints[None], _STRAIGHT_STEPS)
-        ahead = self._arm.velocity(self._joints, self._person.velocity, np.zeros(3), _TURN_WEIGHT, config.close_period)
-        velocity = ahead + config.close_gain * (goal[0] - self._joints)
-        return self._move(velocity, CLOSED, config.close_acceleration)
+        pose = view.person.moved(self._closing_points, self._closing_pose, config.close_period)
+        goal, _ = self._arm.solve(pose[None], view.joints[None], _STEPS)
+        ahead = self._arm.velocity(view.joints, view.person.velocity, np.zeros(3), TURN_WEIGHT, config.close_period)
+        velocity = ahead + config.close_gain * (goal[0] - view.joints)
+        return self._motion.closed(velocity, config.close_acceleration)
 
     def _back_out(self) -> Action:
-        config = self.config.approach
-        since = self._time - self._since
-        way = self._way_out[:3] - self._hand[:3]
+        config, view = self.config.approach, self._view
+        since = view.time - self._since
+        way = self._way_out - view.hand[:3]
         left = float(np.linalg.norm(way))
         if left < 0.3 * config.backing or since > config.backing_time:
             self.phase = Phase.APPROACH
             return self._approach()
         if since < config.opening_time:
-            return self._move(np.zeros(ARM_JOINTS), OPEN)
-        velocity = self._arm.velocity(
-            self._joints, config.backing_speed * way / left, np.zeros(3), 0.3, self._servo.period
-        )
-        return self._move(velocity, OPEN)
+            return self._motion.open(np.zeros(ARM_JOINTS))
+        speed = config.backing_speed * way / left
+        return self._motion.open(self._arm.velocity(view.joints, speed, np.zeros(3), 0.3, self._servo.period))
 
     def _carry(self) -> Action:
         if self._retreat is None:
             raise ResetNeededError(f"receiver {self.name!r} has nothing to carry")
-        velocity = self._servo.limited(self._retreat.velocity(self._time, self._joints, self._hand))
-        return self._move(self._apart(velocity, self.config.separation.stop, leaving=True), CLOSED)
-
-    def _apart(
-        self, velocity: Array, room: float, time: float | None = None, transit: bool = False, leaving: bool = False
-    ) -> Array:
-        """The velocity, kept apart from the person's hand, and in transit from the object."""
-        neighbours = []
-        if transit:
-            here = Balls(compose_point(self._object, self._surface.centers), self._surface.radii)
-            neighbours.append(Neighbour(here, self._offer.latest, self.config.separation.object_stop))
-        if self._person.balls is not None:
-            neighbours.append(Neighbour(self._person.balls, self._person.velocity, room))
-        config = self.config.separation if time is None else replace(self.config.separation, time=time)
-        return separated(velocity, self._arm, self._joints, neighbours, config, leaving)
-
-    def _move(self, velocity: Array, fingers: float, acceleration: float | None = None) -> Action:
-        target = self._servo.command(self._joints, self._servo.limited(velocity), acceleration)
-        return np.array([*target, fingers, fingers], dtype=np.float32)
-
-
-def _angle(offset: Array) -> float:
-    """Angle (rad) of the turn of a pose (7,)."""
-    return rotation_angle(offset[3:], np.array([0.0, 0.0, 0.0, 1.0]))
+        view = self._view
+        return self._motion.carry(self._retreat.velocity(view.time, view.joints, view.hand))

@@ -79,7 +79,7 @@ class Situation:
         now: (7,) pose of the object.
         offered: (7,) pose at which it will be held out.
         hand: The person's hand, or None.
-        rests: Whether the object rests.
+        settled: Whether the object rests, or hovers.
     """
 
     time: float
@@ -87,7 +87,7 @@ class Situation:
     now: Array
     offered: Array
     hand: Balls | None
-    rests: bool
+    settled: bool
 
 
 class ReactiveChoice:
@@ -170,7 +170,7 @@ class ReactiveChoice:
         rough = self._rough(world, room, situation.time)
         numbers = self._candidates(rough)
         if not len(numbers):
-            self._nothing("no room", situation.rests, 1.0)
+            self._nothing("no room", situation.settled, 1.0)
             return None
         standoffs, goals, found = self._reach(world[numbers], situation.joints)
         prices = rough[numbers] + self._travel(standoffs, situation.joints) + self._tightness(standoffs, goals)
@@ -180,9 +180,11 @@ class ReactiveChoice:
         best = int(np.argmin(prices)) if near else self._look_at_ways(prices, standoffs, old, situation)
         if prices[best] >= _NEVER:
             self._page += 1
-            self._nothing("out of reach", situation.rests, self._costs.search)
+            self._nothing("out of reach", situation.settled, self._costs.search)
             return None
         margin = self._costs.gain + (self._costs.near_gain if near else 0.0)
+        if self.chosen is not None and self.chosen.via is not None:
+            margin += self._costs.blocked
         if old is not None and prices[old] < min(prices[best] + margin, _NEVER):
             best = old
         number = int(numbers[best])
@@ -208,19 +210,14 @@ class ReactiveChoice:
         joints, bodies, costs = situation.joints, self._bodies(situation), self._costs
         if way_free(self._arm, joints, standoff, bodies, costs.way_room):
             return None
-        known = [SEEDS, MORE_SEEDS]
-        if self.chosen is not None and self.chosen.via is not None:
-            known.append(self.chosen.via[None])
-        return detour(
-            self._arm,
-            joints,
-            standoff,
-            np.concatenate(known),
-            self._speeds,
-            bodies,
-            costs.way_room,
-            costs.detours,
-        )
+        before = None if self.chosen is None else self.chosen.via
+        if before is not None and all(
+            way_free(self._arm, start, end, bodies, costs.way_room)
+            for start, end in ((joints, before), (before, standoff))
+        ):
+            return before
+        known = np.concatenate([SEEDS, MORE_SEEDS])
+        return detour(self._arm, joints, standoff, known, self._speeds, bodies, costs.way_room, costs.detours)
 
     def _bodies(self, situation: Situation) -> Balls:
         """The object and the person's hand where the object will be offered."""
@@ -239,8 +236,8 @@ class ReactiveChoice:
         self._add(TriedGrasps(more.poses[held], more.holds[held]), inside[held], self._costs.untried)
         self._displaced = True
 
-    def _nothing(self, trouble: str, rests: bool, share: float) -> None:
-        if rests:
+    def _nothing(self, trouble: str, settled: bool, share: float) -> None:
+        if settled:
             self._without += share * self._period
             self._waited += self._period
         self.chosen, self.trouble = None, trouble

@@ -199,7 +199,8 @@ class ReactiveConfig:
         near: this and it or the person's hand is faster than
         near_speed: this (m/s).
         lifted: An object so far from where it lay is being handed over.
-        still: One that lies still for so long beside a hand is, too,
+        settled: One that is slow for so long rests.
+        still: One that lies still for so long beside a hand is handed over, too,
         beside: if a joint of the hand is this near to its origin, and
         after: so late in the episode.
         alone: Without a hand it is from this time on.
@@ -214,6 +215,7 @@ class ReactiveConfig:
     near: float = 0.3
     near_speed: float = 0.1
     lifted: float = 0.04
+    settled: float = 0.2
     still: float = 0.6
     beside: float = 0.15
     after: float = 1.5
