@@ -55,6 +55,7 @@ class Args:
         scenes: Instead of a split: these scenes.
         giver: Who hands over.
         workers: Processes.
+        all: Print all episodes, not failures only.
         wait: The receiver's wait (s).
         risk: Its risk.
     """
@@ -69,6 +70,7 @@ class Args:
     scenes: tuple[int, ...] = ()
     giver: str = "replay"
     workers: int = 1
+    all: bool = False
     wait: float = 0.0
     risk: float = 0.5
 
@@ -202,7 +204,7 @@ def main(args: Args) -> None:
             seconds += played.seconds
             if played.status is EpisodeStatus.SUCCESS:
                 share += 1.0 - played.steps / horizon
-            else:
+            if args.all or played.status is not EpisodeStatus.SUCCESS:
                 print(f"{played.scene:4d} {played.target:24s} {played.steps:6d} {played.cause}", flush=True)
     count = len(scenes)
     print(

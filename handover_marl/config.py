@@ -19,6 +19,8 @@ Quaternion = tuple[float, float, float, float]
 TIME_STEP = 0.001
 
 PANDA_DOF = 9
+#: Of the table that the robot stands beside and objects lie on (m).
+TABLE_HEIGHT = 0.92
 ARM_JOINTS = 7
 HAND_DOF = 51
 OBJECT_DOF = 6

@@ -6,10 +6,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from handover_marl.config import TABLE_HEIGHT
 from handover_marl.models.panda import HALF_TURN, WAITING_JOINTS
 from handover_marl.models.poses import compose, compose_point, inverse, inverse_transform_points
 from handover_marl.planning.arm_in_world import ArmInWorld
-from handover_marl.planning.arm_rods import rod_rooms
+from handover_marl.planning.arm_rods import lowest, rod_rooms
 from handover_marl.planning.detours import detour, way_free
 from handover_marl.planning.gripper_room import Balls, corners, flange_rooms, rooms
 from handover_marl.receivers.reactive_config import GraspCosts
@@ -41,7 +42,6 @@ MORE_SEEDS = np.array(
     ]
 )
 
-_TABLE = 0.92  # m
 _ROOMY = 0.2  # m, where there is no hand
 # A price that no other sum of prices reaches: not to be taken.
 _NEVER = 100.0
@@ -200,7 +200,7 @@ class ReactiveChoice:
         best = int(np.argmin(prices)) if old is None else old
         while best not in looked and len(looked) < self._costs.looks:
             looked.add(best)
-            if not way_free(self._arm, situation.joints, standoffs[best], bodies, self._costs.way_room):
+            if not way_free(self._arm, situation.joints, standoffs[best], bodies, TABLE_HEIGHT, self._costs.way_room):
                 prices[best] += self._costs.blocked
             best = int(np.argmin(prices))
         return best
@@ -208,16 +208,17 @@ class ReactiveChoice:
     def _via(self, standoff: Array, situation: Situation) -> Array | None:
         """(7,) joints by way of which to go to a standoff, if something is in the straight way and they help."""
         joints, bodies, costs = situation.joints, self._bodies(situation), self._costs
-        if way_free(self._arm, joints, standoff, bodies, costs.way_room):
+        if way_free(self._arm, joints, standoff, bodies, TABLE_HEIGHT, costs.way_room):
             return None
         before = None if self.chosen is None else self.chosen.via
         if before is not None and all(
-            way_free(self._arm, start, end, bodies, costs.way_room)
+            way_free(self._arm, start, end, bodies, TABLE_HEIGHT, costs.way_room)
             for start, end in ((joints, before), (before, standoff))
         ):
             return before
         known = np.concatenate([SEEDS, MORE_SEEDS])
-        return detour(self._arm, joints, standoff, known, self._speeds, bodies, costs.way_room, costs.detours)
+        speeds, room = self._speeds, costs.way_room
+        return detour(self._arm, joints, standoff, known, speeds, bodies, TABLE_HEIGHT, room, costs.detours)
 
     def _bodies(self, situation: Situation) -> Balls:
         """The object and the person's hand where the object will be offered."""
@@ -254,8 +255,8 @@ class ReactiveChoice:
         turns = (self._home_turn.inv() * Rotation.from_quat(world[:, 3:])).magnitude()
         rough: Array = self._loose + costs.turn * turns + costs.lack * np.maximum(0.0, costs.room - room)
         rough[room < max(costs.bare_room, costs.least_room - costs.patience * self._without)] += _NEVER
-        lowest = np.minimum(*(corners(poses)[..., 2].min(axis=1) for poses in (world, compose(world, self._standoff))))
-        rough[lowest < _TABLE + costs.table] += _NEVER
+        heights = np.minimum(*(corners(poses)[..., 2].min(axis=1) for poses in (world, compose(world, self._standoff))))
+        rough[heights < TABLE_HEIGHT + costs.table] += _NEVER
         for number, until in self._failed.items():
             if time < until:
                 rough[number] += costs.failed
@@ -274,6 +275,9 @@ class ReactiveChoice:
     def _reach(self, grasps: Array, joints: Array) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
         """(n, 7) joints at the standoffs and at the grasps, from the seed that is nearest to the arm, and whether."""
         seeds = np.concatenate([SEEDS, MORE_SEEDS]) if self._page else SEEDS
+        if self.chosen is not None:
+            # What was found from a seed that is not looked at every time must not be lost again.
+            seeds = np.concatenate([self.chosen.standoff[None], seeds])
         count, copies = len(grasps), len(seeds)
         poses = np.tile(grasps, (copies, 1))
         standoffs, found = self._arm.solve(
@@ -287,7 +291,8 @@ class ReactiveChoice:
 
     def _arm_clear(self, goals: Array, situation: Situation) -> npt.NDArray[np.bool_]:
         """(n,) whether elbow, forearm and wrist keep clear of hand and object at the grasps."""
-        found: npt.NDArray[np.bool_] = rod_rooms(self._arm, goals, self._bodies(situation)) > self._costs.arm_room
+        beside = rod_rooms(self._arm, goals, self._bodies(situation)) > self._costs.arm_room
+        found: npt.NDArray[np.bool_] = beside & (lowest(self._arm, goals) > TABLE_HEIGHT + self._costs.table)
         return found
 
     def _travel(self, standoffs: Array, joints: Array) -> Array:

@@ -84,11 +84,13 @@ class ApproachConfig:
     Attributes:
         standoff: Distance before the grasp at which it waits for the object to rest.
         near: From so far before the standoff on it moves in a straight line with the object, if it is
-        beside: no farther aside, and
+        beside: no farther aside (or than `fixed_beside`, if it is nearer than `fixed`), and
         turned: no more turned than this.
         fixed: Nearer than this to the grasp it stays with it, if it is
         fixed_beside: no farther aside, and
         fixed_turned: no more turned.
+        within: No farther aside, half of `fixed` before the grasp, it has the object between its fingers: it does not
+            go back to turn or to wait.
         lateral: Aside from the axis it may be at the grasp, and
         funnel: per metre before it.
         turn: It must be turned as the grasp up to this, and
@@ -126,6 +128,7 @@ class ApproachConfig:
     fixed: float = 0.06
     fixed_beside: float = 0.03
     fixed_turned: float = 0.3
+    within: float = 0.015
     lateral: float = 0.005
     funnel: float = 0.3
     turn: float = 0.12

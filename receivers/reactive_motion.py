@@ -5,17 +5,20 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from handover_marl.config import TABLE_HEIGHT
 from handover_marl.models.panda import CLOSED, OPEN
 from handover_marl.models.poses import compose_point
 from handover_marl.planning.arm_in_world import ArmInWorld
 from handover_marl.planning.arm_servo import ArmServo
 from handover_marl.planning.gripper_room import Balls
-from handover_marl.planning.separation import Neighbour, SeparationConfig, separated
+from handover_marl.planning.separation import Neighbour, SeparationConfig, separated, slow_enough
 from handover_marl.policies.policy import Action
 from handover_marl.receivers.reactive_choice import HOME
 from handover_marl.receivers.reactive_view import View
 
 Array = npt.NDArray[np.float64]
+
+_SLOWER = np.array([1.0, 0.6, 0.3, 0.0])
 
 
 class Motion:
@@ -84,4 +87,7 @@ class Motion:
         if view.person.balls is not None:
             neighbours.append(Neighbour(view.person.balls, view.person.velocity, room))
         config = self._config if time is None else replace(self._config, time=time)
-        return separated(velocity, self.arm, view.joints, neighbours, config, leaving)
+        found = separated(velocity, self.arm, view.joints, neighbours, config, leaving)
+        slower = _SLOWER[:, None] * self.servo.limited(found)
+        reached = self.servo.reached(slower)
+        return slow_enough(slower, reached, self.arm, view.joints, neighbours, TABLE_HEIGHT, config)

@@ -53,7 +53,8 @@ class Reach:
         way, loose = self._choice.offset(choice, view.object, view.hand), view.looseness
         # The fingers close along y, and draw what is between them into the middle.
         axial, aside, turn = -float(way[2]), float(np.hypot(way[0], way[1] / loose)), _angle(way)
-        self.near = axial < config.standoff + config.near and aside < config.beside and turn < config.turned
+        beside = config.beside if axial > config.fixed else config.fixed_beside
+        self.near = axial < config.standoff + config.near and aside < beside and turn < config.turned
         if not self.near:
             self._watch_progress(float(np.abs(choice.standoff - view.joints).max()))
             return self._motion.transit(choice.standoff if choice.via is None else choice.via)
@@ -104,7 +105,8 @@ class Reach:
             return max(0.0, before - speed * period)
         if fits and axial < config.standoff and moving < 2.0 * config.object_speed:
             return before
-        return config.standoff if loose > 1.0 or axial > 0.5 * config.fixed else axial
+        within = axial < 0.5 * config.fixed and aside < config.within
+        return axial if within and loose == 1.0 else config.standoff
 
     def _straight_on(self, choice: Choice, depth: float) -> Action:
         """Go to a depth before the grasp, and with it as the object moves."""

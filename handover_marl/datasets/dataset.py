@@ -7,13 +7,14 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
+from handover_marl import config
 from handover_marl.datasets.scene import Scene, SceneInfo
 from handover_marl.datasets.splits import N_SCENES, split_scenes
 from handover_marl.errors import SceneError, UnknownNameError
 from handover_marl.models.panda import PANDA, ROBOTS
 
 #: World height of the table frame's origin (m), added in float32 as the reference does.
-TABLE_HEIGHT = np.float32(0.92)
+TABLE_HEIGHT = np.float32(config.TABLE_HEIGHT)
 
 
 class Dataset(ABC):

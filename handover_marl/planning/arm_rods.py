@@ -4,7 +4,7 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.planning.arm_in_world import ArmInWorld
-from handover_marl.planning.gripper_room import Balls, Nearest
+from handover_marl.planning.gripper_room import Balls, Nearest, corners
 
 Array = npt.NDArray[np.float64]
 
@@ -41,6 +41,14 @@ def rod_rooms(arm: ArmInWorld, joints: Array, balls: Balls) -> Array:
     away = (starts**2).sum(axis=-1)[..., None] - 2.0 * (starts @ points) + (points**2).sum(axis=0)
     distances = np.sqrt(np.maximum(away - share * (2.0 * along - share * squared), 0.0))
     found: Array = (distances - balls.radii - _RADII[:, None]).min(axis=(1, 2))
+    return found
+
+
+def lowest(arm: ArmInWorld, joints: Array) -> Array:
+    """(n,) heights (m) of the lowest points of arm and open gripper at configurations (n, 7)."""
+    starts, ends = _rods(arm, joints)
+    rods = (np.minimum(starts[..., 2], ends[..., 2]) - _RADII).min(axis=1)
+    found: Array = np.minimum(rods, corners(arm.hands(joints))[..., 2].min(axis=1))
     return found
 
 

@@ -78,6 +78,13 @@ class ArmServo:
         over = float((np.abs(velocity) / self.limits).max())
         return velocity / over if over > 1.0 else velocity
 
+    def reached(self, velocity: Array, acceleration: float | None = None) -> Array:
+        """(..., 7) velocities that the next command makes of wanted ones (rad/s), as far as acceleration allows."""
+        # Each joint for itself: were all slowed down alike, one that turns round would make the others overshoot.
+        most = (acceleration or self.config.acceleration) * self.period
+        found: Array = self._velocity + np.clip(velocity - self._velocity, -most, most)
+        return found
+
     def command(self, joints: Array, velocity: Array, acceleration: float | None = None) -> Array:
         """(7,) targets (rad) that make the arm move at a velocity, as far as its acceleration allows.
 
@@ -86,9 +93,7 @@ class ArmServo:
             velocity: (7,) wanted (rad/s).
             acceleration: Largest change of a joint's speed (rad/s^2), if not the usual one.
         """
-        # Each joint for itself: were all slowed down alike, one that turns round would make the others overshoot.
-        most = (acceleration or self.config.acceleration) * self.period
-        self._velocity = self._velocity + np.clip(velocity - self._velocity, -most, most)
+        self._velocity = self.reached(velocity, acceleration)
         lead = 1.0 / (1.0 - (1.0 - self._gain) ** (self.period / self._time_step))
         target: Array = joints + lead * self.period * self._velocity
         return target
