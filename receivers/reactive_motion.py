@@ -18,7 +18,7 @@ from handover_marl.receivers.reactive_view import View
 
 Array = npt.NDArray[np.float64]
 
-_SLOWER = np.array([1.0, 0.6, 0.3, 0.0])
+_SLOWER = np.array([1.0, 0.6, 0.35, 0.2, 0.1, 0.05, 0.0])
 
 
 class Motion:
