@@ -1,14 +1,16 @@
 """The nearer, the slower."""
 
+from dataclasses import replace
+
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
 from handover_marl.models.poses import compose_point
 from handover_marl.planning.arm_in_world import ArmInWorld
-from handover_marl.planning.arm_rods import nearest_rod
+from handover_marl.planning.arm_rods import lowest, nearest_rod
 from handover_marl.planning.gripper_room import Balls, nearest
-from handover_marl.planning.separation import Neighbour, SeparationConfig, separated
+from handover_marl.planning.separation import Neighbour, SeparationConfig, separated, slow_enough
 from tests.planning.robots import ARM, LIMITS, START
 
 CONFIG = SeparationConfig()
@@ -77,3 +79,28 @@ def test_one_neighbour_does_not_undo_what_another_asks_for() -> None:
     assert coming_nearer(found, neighbours[1]) < 0.0
     before, after = (nearest_rod(IN_WORLD, q, neighbours[0].balls)[0].room for q in (START, START + 1e-5 * found))
     assert after > before
+
+
+def test_the_first_that_is_slow_enough_is_taken() -> None:
+    neighbour = beyond(0.05, 0.03)
+    towards = np.linalg.pinv(IN_WORLD.jacobian(START)[:3]) @ (compose_point(HAND, np.array([0.0, 0.0, 1.0])) - HAND[:3])
+    wanted = np.array([1.0, 0.5, 0.2, 0.0])[:, None] * towards
+
+    def chosen(reached: np.ndarray) -> np.ndarray:
+        return slow_enough(wanted, reached, IN_WORLD, START, [neighbour], 0.0, CONFIG)
+
+    # 2 cm may be used up, and a little more, in the time that it looks ahead.
+    found = coming_nearer(chosen(wanted), neighbour) * CONFIG.look
+    assert 0.005 < found <= 0.02 + CONFIG.slack + 1e-3
+    # What the motors make of it counts: where they cannot brake, the slowest is best.
+    np.testing.assert_array_equal(chosen(np.repeat(wanted[:1], 4, axis=0)), wanted[0])
+    np.testing.assert_array_equal(chosen(wanted[[0, 0, 0, 3]]), wanted[3])
+
+
+def test_the_table_counts() -> None:
+    joints, down = np.array([0.0, 0.3, 0.0, -2.0, 0.0, 2.2, 0.785]), np.eye(7)[1]
+    height = float(lowest(IN_WORLD, joints[None])[0])
+    wanted = np.array([1.0, 0.1, 0.0])[:, None] * down
+    for table, expected in ((height - 0.2, 0), (height - CONFIG.table, 2)):
+        found = slow_enough(wanted, wanted, IN_WORLD, joints, [], table, replace(CONFIG, slack=1e-4))
+        np.testing.assert_array_equal(found, wanted[expected])
