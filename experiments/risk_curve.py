@@ -96,7 +96,7 @@ def draw(played: dict[float, list[EpisodeResult]], path: Path, heading: str) -> 
         below = [value - low for value, (low, _) in zip(values, intervals, strict=True)]
         above = [high - value for value, (_, high) in zip(values, intervals, strict=True)]
         axes.errorbar(risks, values, [below, above], marker="o", capsize=3, label=label)
-    axes.set(xlabel="risk", ylabel="%", title=heading, ylim=(0, 102))
+    axes.set(xlabel="risk", ylabel="%", title=heading.replace("replay, ", "replay,\n"), ylim=(0, 102))
     axes.title.set_fontsize(9)
     axes.legend(loc="lower right")
     axes.grid(alpha=0.3)
