@@ -2,12 +2,16 @@
 #                  layout, else on the synthetic scenes
 # make test        a venv with everything, then all tests; the quick ones alone: .venv/bin/python -m pytest -m "not slow"
 # make check       style and types
+# make loops       a venv with other libraries' training loops, then the tests of what trains with them
+# make docs        the site, into build/site, with the tutorial run; a warning is an error
 # make smoke       wheel and sdist in clean environments, an episode from each
+# make release     the same with every supported Python; what is not fit to be published is refused
 # make lowest      the lowest versions that setup.cfg claims
 
 PYTHON ?= python3
 VENV ?= .venv
-EXTRAS ?= assets,dev,import,planning,plot,render,torchrl,train,vision
+LOOPS ?= .venv-loops
+EXTRAS ?= assets,demonstrations,dev,docs,import,mujoco,planning,plot,ray,render,replay,torchrl,train,vision
 SETUP ?= s3
 DATA ?= $(HANDOVER_MARL_DATA)
 DATASET := $(if $(DATA),dexycb,synthetic)
@@ -16,7 +20,7 @@ OUT ?= results/$(DATASET)-$(SETUP)-yang2021
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 
-.PHONY: test benchmark check smoke lowest clean
+.PHONY: test benchmark check loops docs smoke release lowest clean
 
 test: $(VENV)/.tested-with
 	$(BIN)/python -m pytest -n auto --dist worksteal
@@ -33,6 +37,20 @@ check: $(VENV)/.tested-with
 	$(PIP) install --quiet --no-deps --target build/typed .
 	MYPYPATH=build/typed $(BIN)/mypy --cache-dir build/mypy -p handover_marl
 
+# On pins of their own, see constraints-loops.txt. Learning is bound to one thread, as elsewhere.
+loops: $(LOOPS)/.installed
+	OMP_NUM_THREADS=1 $(LOOPS)/bin/python -m pytest tests/training/test_loops.py tests/envs/test_homogeneous.py
+
+$(LOOPS)/.installed: setup.cfg constraints-loops.txt
+	$(PYTHON) -m venv $(LOOPS)
+	$(LOOPS)/bin/python -m pip --disable-pip-version-check install --progress-bar on -c constraints-loops.txt \
+		-e ".[benchmarl,plot,rllib,supersuit,tianshou]" hypothesis pytest pytest-timeout
+	touch $@
+
+# Learning in the tutorial is bound to one thread, as elsewhere.
+docs: $(VENV)/.tested-with
+	OMP_NUM_THREADS=1 $(BIN)/python -m sphinx -W --keep-going -q docs build/site
+
 $(VENV)/.installed: setup.cfg constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(PIP) install --progress-bar on -c constraints.txt -e .
@@ -44,13 +62,11 @@ $(VENV)/.tested-with: $(VENV)/.installed
 
 # What users install: wheel and sdist, each in a clean environment, and one episode played from each.
 smoke: $(VENV)/.tested-with
-	rm -rf dist build/smoke
-	$(BIN)/python -m build --outdir dist .
-	for package in dist/*.whl dist/*.tar.gz; do \
-		$(PYTHON) -m venv --clear build/smoke && \
-		build/smoke/bin/python -m pip install --disable-pip-version-check --quiet -c constraints.txt $$package && \
-		(cd build/smoke && bin/handover-marl benchmark --dataset synthetic --split val --scenes 9 --physics fast) || exit 1; \
-	done
+	$(BIN)/python -m tests.packages
+
+# The same with every supported Python at hand; refuses what is not fit to be published.
+release: $(VENV)/.tested-with
+	$(BIN)/python -m tests.packages --every --final
 
 # The lowest versions that setup.cfg claims, with the same episode.
 lowest: $(VENV)/.tested-with
@@ -62,4 +78,4 @@ lowest: $(VENV)/.tested-with
 	cd build/lowest && bin/handover-marl benchmark --dataset synthetic --split val --scenes 9
 
 clean:
-	rm -rf $(VENV) build dist *.egg-info
+	rm -rf $(VENV) $(LOOPS) build dist *.egg-info

@@ -1,8 +1,8 @@
-"""What a step, an episode and a reset cost in exact and in fast physics, beside the physics engine alone.
+"""What a step, an episode and a reset cost in each kind of physics, beside the physics engine alone.
 
 All contestants run in turns of a few hundred steps in one process, so that the machine's drift cancels; ratios are
 taken within one run. `stepSimulation` is timed inside an exact and a fast environment, that is with the simulated
-hand and without.
+hand and without. MuJoCo's physics are measured where it is installed.
 
     python experiments/bench_speed.py --data-dir DIR --out speed.md
 """
@@ -25,7 +25,7 @@ from tabulate import tabulate
 from handover_marl import receivers
 from handover_marl.benchmarking.machine import describe_machine
 from handover_marl.benchmarking.playing import Task
-from handover_marl.benchmarking.workers import play_tasks
+from handover_marl.benchmarking.task_pool import play_tasks
 from handover_marl.config import PandaConfig
 from handover_marl.datasets import open_dataset
 from handover_marl.envs.handover_env import HandoverEnv
@@ -34,10 +34,12 @@ from handover_marl.episode.play import play
 from handover_marl.episode.playback import NO_DEVIATION
 from handover_marl.episode.track import Recorder
 from handover_marl.files import write_atomically
+from handover_marl.pools.pool_config import PoolConfig
 from handover_marl.run import Run, resolve
-from handover_marl.sim.engines import PHYSICS
+from handover_marl.sim.engines import MUJOCO, available_physics
 
 REAL_TIME = 1000  # physics steps in a second
+PHYSICS = available_physics()
 
 
 @dataclass(frozen=True)
@@ -107,9 +109,11 @@ def step_table(args: Args) -> str:
         Contestant("stepSimulation alone, with hand", "exact", engine_only=True),
         Contestant("stepSimulation alone, without hand", "fast", engine_only=True),
     ]
+    if MUJOCO in PHYSICS:
+        contestants.insert(2, Contestant("mujoco, env.step", MUJOCO))
     for _ in progress(range(args.repeats), "steps"):
         race(args, contestants)
-    exact = np.array(contestants[0].seconds)
+    exact, fast = (np.array(contestant.seconds) for contestant in contestants[:2])
     rows = []
     for contestant in contestants:
         seconds = np.array(contestant.seconds)
@@ -121,11 +125,12 @@ def step_table(args: Args) -> str:
                 f"{rate:.0f}",
                 f"{np.median(ratios):.2f}",
                 f"{ratios.min():.2f} to {ratios.max():.2f}",
+                f"{np.median(fast / seconds):.2f}",
                 f"{rate / REAL_TIME:.1f}",
                 memory,
             ]
         )
-    head = ["", "steps/s", "ratio to exact", "range", "real-time factor", "peak memory"]
+    head = ["", "steps/s", "ratio to exact", "range", "ratio to fast", "real-time factor", "peak memory"]
     return (
         f"Scene {args.scene}, {args.steps} steps, {args.control_period:g} s control period, constant action, "
         f"{args.repeats} runs in turns:\n\n{table(head, rows)}"
@@ -228,7 +233,7 @@ def worker_table(args: Args) -> str:
         taken = []
         for workers in args.workers:
             started = time.perf_counter()
-            for _ in progress(play_tasks(run, "", tasks, workers), f"{physics}, {workers} workers", len(tasks)):
+            for _ in progress(play_tasks(run, tasks, PoolConfig(workers)), f"{physics}, {workers} workers", len(tasks)):
                 pass
             taken.append(time.perf_counter() - started)
         rows += [

@@ -8,10 +8,7 @@ learning all you need in the StarCraft multi-agent challenge?", 2020). The folde
 `--resume` goes on where a run was stopped.
 """
 
-import math
-import time
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -21,70 +18,55 @@ from rich.progress import track
 from torch import nn
 from torch.utils.tensorboard import SummaryWriter
 
-from handover_marl.benchmarking.runner import evaluate_pair
-from handover_marl.datasets import open_dataset
-from handover_marl.envs.constructors import parallel_env
-from handover_marl.envs.encode import FEATURES, SCHEMES, EncodedEnv, encode
-from handover_marl.envs.rewards import SHAPED
-from handover_marl.learning.network import Network
-from handover_marl.learning.policy_files import write_policy
-from handover_marl.learning.policy_spec import PolicySpec
+from handover_marl.envs.encode import EncodedEnv
 from handover_marl.training.checkpoint import read_checkpoint, write_checkpoint
-from handover_marl.training.learning_curve import CurvePoint
-from handover_marl.training.run_folder import RunFolder, origin, spread_scenes, training_scenes
+from handover_marl.training.dense_layers import dense_layers, mlp
+from handover_marl.training.pair_run import PairArgs, PairRun, pair_env
 from handover_marl.training.training_args import TrainingArgs
 
 AGENTS = ("giver", "receiver")
-OBSERVE = FEATURES | {"receiver": "grasp"}
 
 
 @dataclass(frozen=True)
-class Args(TrainingArgs):
+class Args(PairArgs, TrainingArgs):
     """What to train, and how. Environments are stepped one after the other in this process.
 
     Attributes:
-        rollout: Decisions in each environment between updates.
-        minibatches: Parts of a rollout.
-        clip: PPO's clipping range.
         entropy: Weight of the entropy bonus.
-        every: Updates between evaluations.
     """
 
     out: str = "runs/both"
-    control_period: float = 0.2
     time_limit: float = 8.0
     steps: int = 300_000
+    minutes: float = 60.0
+    envs: int = 8
+    learning_rate: float = 3e-4
     discount: float = 0.96
-    rollout: int = 128
-    minibatches: int = 8
-    clip: float = 0.2
+    spread: float = 0.5
+    val_scenes: int = 36
+    giver_actions: str = "deviation"
+    receiver_observe: str = "grasp"
+    receiver_actions: str = "cartesian_delta"
+    rewards: str = "shaped"
+    batch: int = 1024
+    every: int = 20_480
     entropy: float = 0.0
-    every: int = 20
 
 
 class ActorCritic(nn.Module):
     """A Gaussian policy and a value, two hidden layers each."""
 
-    def __init__(self, n_inputs: int, n_outputs: int, spread: float) -> None:
+    def __init__(self, n_inputs: int, n_outputs: int, args: Args) -> None:
         super().__init__()
-        self.actor = layers(n_inputs, n_outputs, 0.01)
-        self.critic = layers(n_inputs, 1, 1.0)
-        self.log_std = nn.Parameter(torch.full((n_outputs,), float(np.log(spread))))
+        self.actor = mlp(n_inputs, n_outputs, args.width, 0.01)
+        self.critic = mlp(n_inputs, 1, args.width)
+        self.log_std = nn.Parameter(torch.full((n_outputs,), float(np.log(args.spread))))
 
     def distribution(self, seen: torch.Tensor) -> torch.distributions.Normal:
         return torch.distributions.Normal(self.actor(seen), self.log_std.exp())
 
     def value(self, seen: torch.Tensor) -> torch.Tensor:
         return self.critic(seen).squeeze(-1)
-
-
-def layers(n_inputs: int, n_outputs: int, gain: float) -> nn.Sequential:
-    parts = [nn.Linear(n_inputs, 64), nn.Tanh(), nn.Linear(64, 64), nn.Tanh(), nn.Linear(64, n_outputs)]
-    for part in parts:
-        if isinstance(part, nn.Linear):
-            nn.init.orthogonal_(part.weight, gain if part is parts[-1] else np.sqrt(2.0))
-            nn.init.zeros_(part.bias)
-    return nn.Sequential(*parts)
 
 
 class Collector:
@@ -98,7 +80,7 @@ class Collector:
 
     def collect(self, models: dict[str, ActorCritic], args: Args) -> dict[str, dict[str, torch.Tensor]]:
         steps: list[dict[str, dict[str, np.ndarray]]] = []
-        for _ in range(args.rollout):
+        for _ in range(args.batch // args.envs):
             now = self._act(models)
             self._step(now, models, args.discount)
             steps.append(now)
@@ -167,7 +149,7 @@ def update(
     flat = {key: batch[key].flatten(0, 1) for key in ("seen", "action", "log")}
     gain = gain.flatten()
     for _ in range(args.epochs):
-        for part in torch.randperm(len(gain)).chunk(args.minibatches):
+        for part in torch.randperm(len(gain)).split(args.minibatch):
             distribution = model.distribution(flat["seen"][part])
             ratio = (distribution.log_prob(flat["action"][part]).sum(-1) - flat["log"][part]).exp()
             better = (gain[part] - gain[part].mean()) / (gain[part].std() + 1e-8)
@@ -181,37 +163,15 @@ def update(
     return {"value_loss": float(missed), "std": float(model.log_std.exp().mean())}
 
 
-def export(model: ActorCritic, agent: str, args: Args, path: Path) -> None:
-    dense = [part for part in model.actor if isinstance(part, nn.Linear)]
-    network = Network(
-        tuple(part.weight.detach().numpy().copy() for part in dense),
-        tuple(part.bias.detach().numpy().copy() for part in dense),
-    )
-    write_policy(
-        path,
-        PolicySpec(agent, OBSERVE[agent], SCHEMES[agent], args.control_period, origin("train_both_ippo", args)),
-        network,
-    )
-
-
 def main(args: Args) -> None:
+    args = args.sized()
     torch.manual_seed(args.seed)
     torch.set_num_threads(1)
-    data = open_dataset(args.dataset, args.data_dir)
-    folder = RunFolder(Path(args.out), args, args.resume, data.name)
-    common = {"setup": args.setup, "data_dir": args.data_dir, "dataset": args.dataset, "physics": args.physics}
-    scenes = training_scenes(data.split(args.setup, "train"))
-    val = spread_scenes(data.split(args.setup, "val"), args.val_scenes)
-    options = common | {
-        "control_period": args.control_period,
-        "rewards": replace(SHAPED, gamma=args.discount),
-        "split": "train",
-        "scenes": scenes,
-        "max_cycles": math.ceil(args.time_limit / args.control_period),
-    }
-    envs = [encode(parallel_env(**options), OBSERVE) for _ in range(args.envs)]
+    run = PairRun(args, "train_both_ippo")
+    folder = run.folder
+    envs = [pair_env(args) for _ in range(args.envs)]
     models = {
-        agent: ActorCritic(envs[0].observation_space(agent).shape[0], envs[0].action_space(agent).shape[0], args.spread)
+        agent: ActorCritic(envs[0].observation_space(agent).shape[0], envs[0].action_space(agent).shape[0], args)
         for agent in AGENTS
     }
     optimizers = {agent: torch.optim.Adam(models[agent].parameters(), lr=args.learning_rate) for agent in AGENTS}
@@ -222,48 +182,41 @@ def main(args: Args) -> None:
         for agent in AGENTS:
             models[agent].load_state_dict(state["models"][agent])
             optimizers[agent].load_state_dict(state["optimizers"][agent])
-        done = int(state["updates"])
+        done = int(state["steps"])
 
     if args.resume and folder.checkpoint.exists():
         read_checkpoint(folder.checkpoint, restore)
+        folder.forget_after(done)
     writer = SummaryWriter(str(folder.path / "tensorboard"))
-    collector = Collector(envs, args.seed + 1000 * done)
-    before, started = folder.seconds, time.monotonic()
+    collector = Collector(envs, args.seed + 1000 * (done // args.batch))
 
-    def assess(updates: int) -> None:
-        for agent in AGENTS:
-            export(models[agent], agent, args, folder.path / f"{agent}.npz")
-        names = [f"learned:{folder.path / agent}.npz" for agent in AGENTS]
-        report = evaluate_pair(names[0], names[1], split="val", scenes=val, progress=False, **common)
-        seconds = before + time.monotonic() - started
-        point = CurvePoint.of(report, updates * args.envs * args.rollout, seconds, "each other")
-        folder.add(point)
+    def assess(steps: int) -> None:
+        point = run.assess(steps, {agent: dense_layers(models[agent].actor) for agent in AGENTS})
         for name in ("success", "contact", "drop", "timeout"):
-            writer.add_scalar(f"evaluation/{name}", getattr(point, name), point.steps)
+            writer.add_scalar(f"evaluation/{name}", getattr(point, name), steps)
         state = {
-            "updates": updates,
+            "steps": steps,
             "models": {agent: models[agent].state_dict() for agent in AGENTS},
             "optimizers": {agent: optimizers[agent].state_dict() for agent in AGENTS},
         }
         write_checkpoint(folder.checkpoint, state)
 
-    updates = args.steps // (args.envs * args.rollout)
-    for number in track(range(done, updates), description="updates"):
-        if number % args.every == 0 and (number > done or not folder.points):
-            assess(number)
-        if before + time.monotonic() - started > 60.0 * args.minutes:
-            break
+    if not folder.points:
+        assess(0)
+    for steps in track(range(done + args.batch, args.steps + 1, args.batch), description="updates"):
         batches = collector.collect(models, args)
         for agent in AGENTS:
             with torch.no_grad():
                 gain = advantages(batches[agent], models[agent].value(collector.stacked(agent)), args)
             for key, value in update(models[agent], optimizers[agent], batches[agent], gain, args).items():
-                writer.add_scalar(f"{agent}/{key}", value, number)
+                writer.add_scalar(f"{agent}/{key}", value, steps)
         if collector.finished:
-            writer.add_scalar("rollout/receiver_return", np.mean(collector.finished), number)
+            writer.add_scalar("rollout/receiver_return", np.mean(collector.finished), steps)
             collector.finished.clear()
-        done = number + 1
-    assess(done)
+        if run.due(steps):
+            assess(steps)
+        if run.over(steps):
+            break
     writer.close()
     for env in envs:
         env.close()

@@ -1,89 +1,81 @@
-"""Train giver and receiver at once with TorchRL: collector, GAE and clipped PPO, a group an agent. Needs `torchrl`.
+"""Train giver and receiver at once with TorchRL, by MAPPO or IPPO. Needs extras `torchrl` and `plot`.
 
-    python experiments/train_both_torchrl.py --data-dir DIR --frames 100000
+    python experiments/train_both_torchrl.py --dataset synthetic --out runs/torchrl
 
-In the form of TorchRL's own multi-agent examples: what is particular to handovers is one line, the environment. Prints
-a line an update: frames so far, mean return of finished episodes, and how they ended.
+In the form of TorchRL's own multi-agent examples: collector, GAE and clipped PPO, a group an agent. By default both
+critics see what both agents see (MAPPO; Yu et al., "The surprising effectiveness of PPO in cooperative multi-agent
+games", 2022), while each actor has its own features alone; with `--critic own` every agent learns for itself (IPPO).
+The folder gets `giver.npz` and `receiver.npz`, which need no TorchRL, and a learning curve.
 """
 
+import functools
 from dataclasses import dataclass
+from typing import Literal
 
 import torch
 import tyro
+from rich.progress import track
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictSequential
 from torch import nn
 from torchrl.collectors import Collector
 from torchrl.data import LazyTensorStorage, ReplayBuffer, SamplerWithoutReplacement
-from torchrl.envs import PettingZooWrapper, RewardSum, TransformedEnv
+from torchrl.envs import EnvBase, ParallelEnv, PettingZooWrapper, RewardSum, TransformedEnv
 from torchrl.modules import NormalParamExtractor, ProbabilisticActor, TanhNormal
 from torchrl.objectives import ClipPPOLoss
 
-import handover_marl
+from handover_marl.learning.network import Network
 from handover_marl.protocol.status import EpisodeStatus
+from handover_marl.training.dense_layers import dense_layers, mlp
+from handover_marl.training.pair_run import PairArgs, PairRun, pair_env
+
+AGENTS = ("giver", "receiver")
 
 
 @dataclass(frozen=True)
-class Args:
-    """What to train on, and how long.
+class Args(PairArgs):
+    """What to train, and how.
 
     Attributes:
-        frames: Decisions in all.
-        batch: Decisions between updates.
-        minibatch: Decisions a gradient step looks at.
-        epochs: Passes over a batch.
-        learning_rate: Of Adam.
-        discount: Of rewards.
-        setup: Official setup, s0 to s3.
-        data_dir: Folder in HandoverSim's layout; default: HANDOVER_MARL_DATA.
-        dataset: dexycb, synthetic, or auto.
-        control_period: How long actions hold (s).
-        max_cycles: Decisions after which episodes are cut off.
-        seed: Of everything.
+        critic: What critics see: centralised, both agents' features (MAPPO), or own (IPPO).
+        entropy: Weight of the entropy bonus.
     """
 
-    frames: int = 100_000
-    batch: int = 2048
-    minibatch: int = 256
-    epochs: int = 8
-    learning_rate: float = 3e-4
-    discount: float = 0.97
-    setup: str = "s0"
-    data_dir: str | None = None
-    dataset: str = "auto"
-    control_period: float = 0.2
-    max_cycles: int = 40
-    seed: int = 0
+    out: str = "runs/torchrl"
+    critic: Literal["centralised", "own"] = "centralised"
+    entropy: float = 1e-4
 
 
-def make_env(args: Args) -> TransformedEnv:
-    world = handover_marl.parallel_env(
-        setup=args.setup,
-        split="train",
-        data_dir=args.data_dir,
-        dataset=args.dataset,
-        physics="fast",
-        rewards="shaped",
-        control_period=args.control_period,
-        max_cycles=args.max_cycles,
-    )
-    env = PettingZooWrapper(handover_marl.encode(world, schemes={"receiver": "grasp_servo"}))
+class Joint(nn.Sequential):
+    """Layers that see several agents' features side by side."""
+
+    def forward(self, *seen: torch.Tensor) -> torch.Tensor:
+        return super().forward(torch.cat(seen, -1))
+
+
+def make_env(args: Args) -> EnvBase:
+    one = functools.partial(_wrapped, args)
+    # Without shared buffers it sleeps while it waits for the processes; with them it would take a core from them.
+    env = one() if args.envs == 1 else ParallelEnv(args.envs, one, use_buffers=False)
     sums = RewardSum(
-        in_keys=[(group, "reward") for group in env.group_map],
-        out_keys=[(group, "episode_reward") for group in env.group_map],
+        in_keys=[(group, "reward") for group in AGENTS],
+        out_keys=[(group, "episode_reward") for group in AGENTS],
     )
     return TransformedEnv(env, sums)
 
 
-def mlp(n_inputs: int, n_outputs: int) -> nn.Sequential:
-    return nn.Sequential(nn.Linear(n_inputs, 64), nn.Tanh(), nn.Linear(64, 64), nn.Tanh(), nn.Linear(64, n_outputs))
+def _wrapped(args: Args) -> EnvBase:
+    return PettingZooWrapper(pair_env(args))
 
 
-def make_actor(env: TransformedEnv, group: str) -> ProbabilisticActor:
+def make_actor(env: EnvBase, group: str, args: Args) -> ProbabilisticActor:
     seen, outputs = (
-        spec[group, key] for spec, key in ((env.observation_spec, "observation"), (env.action_spec, "action"))
+        spec[group, key].shape[-1]
+        for spec, key in ((env.observation_spec, "observation"), (env.full_action_spec, "action"))
     )
-    network = nn.Sequential(mlp(seen.shape[-1], 2 * outputs.shape[-1]), NormalParamExtractor())
+    network = nn.Sequential(
+        mlp(seen, 2 * outputs, args.width, 0.01), NormalParamExtractor(f"biased_softplus_{args.spread}")
+    )
     means = TensorDictModule(network, in_keys=[(group, "observation")], out_keys=[(group, "loc"), (group, "scale")])
     return ProbabilisticActor(
         means,
@@ -96,12 +88,11 @@ def make_actor(env: TransformedEnv, group: str) -> ProbabilisticActor:
     )
 
 
-def make_loss(env: TransformedEnv, group: str, actor: ProbabilisticActor, args: Args) -> ClipPPOLoss:
-    seen = env.observation_spec[group, "observation"]
-    critic = TensorDictModule(
-        mlp(seen.shape[-1], 1), in_keys=[(group, "observation")], out_keys=[(group, "state_value")]
-    )
-    loss = ClipPPOLoss(actor, critic, clip_epsilon=0.2, entropy_coeff=1e-4, normalize_advantage=True)
+def make_loss(env: EnvBase, group: str, actor: ProbabilisticActor, args: Args) -> ClipPPOLoss:
+    shown = [(agent, "observation") for agent in (AGENTS if args.critic == "centralised" else (group,))]
+    n_inputs = sum(env.observation_spec[key].shape[-1] for key in shown)
+    critic = TensorDictModule(Joint(mlp(n_inputs, 1, args.width)), in_keys=shown, out_keys=[(group, "state_value")])
+    loss = ClipPPOLoss(actor, critic, clip_epsilon=args.clip, entropy_coeff=args.entropy, normalize_advantage=True)
     loss.set_keys(
         reward=(group, "reward"),
         action=(group, "action"),
@@ -112,7 +103,7 @@ def make_loss(env: TransformedEnv, group: str, actor: ProbabilisticActor, args: 
         advantage=(group, "advantage"),
         value_target=(group, "value_target"),
     )
-    loss.make_value_estimator(gamma=args.discount, lmbda=0.95)
+    loss.make_value_estimator(gamma=args.discount, lmbda=args.trace)
     return loss
 
 
@@ -134,29 +125,37 @@ def update(batch: TensorDictBase, loss: ClipPPOLoss, optimizer: torch.optim.Opti
 
 def told(batch: TensorDictBase, frames: int) -> str:
     """How the episodes that ended in a batch went."""
-    ended = batch["next", "done"].squeeze(-1)
+    ended = batch["next", "done"].flatten()
     count = max(int(ended.sum()), 1)
-    returns = batch["next", "receiver", "episode_reward"].flatten(1)[ended.flatten()].mean()
-    status = batch["next", "receiver", "info", "status"].flatten(1)[ended.flatten()].int()
+    returns = batch["next", "receiver", "episode_reward"].flatten()[ended].mean()
+    status = batch["next", "receiver", "info", "status"].flatten()[ended].int()
     rates = (f"{flag.label} {int((status & int(flag)).bool().sum()) / count:.0%}" for flag in EpisodeStatus if flag)
     return f"{frames} decisions, return {float(returns):.2f}, {', '.join(rates)}"
 
 
-def main(args: Args) -> None:
+def networks(actors: dict[str, ProbabilisticActor]) -> dict[str, Network]:
+    """What the actors do without noise: the squashed means."""
+    return {
+        group: dense_layers(actor, "tanh", actor.spec[group, "action"].shape[-1]) for group, actor in actors.items()
+    }
+
+
+def main(args: Args) -> PairRun:
+    args = args.sized()
     torch.manual_seed(args.seed)
+    torch.set_num_threads(1)
+    run = PairRun(args, "train_both_torchrl")
     env = make_env(args)
     env.set_seed(args.seed)
-    actors = {group: make_actor(env, group) for group in env.group_map}
+    actors = {group: make_actor(env, group, args) for group in AGENTS}
     losses = {group: make_loss(env, group, actor, args) for group, actor in actors.items()}
     optimizers = {group: torch.optim.Adam(loss.parameters(), args.learning_rate) for group, loss in losses.items()}
+    run.assess(0, networks(actors))
     collector = Collector(
-        env,
-        TensorDictSequential(*actors.values()),
-        frames_per_batch=args.batch,
-        total_frames=args.frames,
+        env, TensorDictSequential(*actors.values()), frames_per_batch=args.batch, total_frames=args.steps
     )
     frames = 0
-    for batch in collector:
+    for batch in track(collector, total=args.steps // args.batch, description="updates"):
         frames += batch.numel()
         for group, loss in losses.items():
             # The end of an episode is everybody's.
@@ -167,8 +166,13 @@ def main(args: Args) -> None:
             update(batch, loss, optimizers[group], args)
         collector.update_policy_weights_()
         print(told(batch, frames), flush=True)
+        if run.due(frames):
+            run.assess(frames, networks(actors))
+        if run.over(frames):
+            break
     collector.shutdown()
+    return run
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Args))
+    print(main(tyro.cli(Args)).folder.path)

@@ -4,11 +4,14 @@ env = handover_marl.parallel_env(setup="s0", split="train")      PettingZoo, bot
 env = handover_marl.env(setup="s0", split="train")               PettingZoo, one agent after the other
 env = handover_marl.freeze(env, "receiver", "replay")            one agent, the other frozen to a policy
 env = handover_marl.encode(env)                                  features and outputs as networks want them
+env = handover_marl.flatten(env)                                 vectors instead of dictionaries
+env = handover_marl.homogeneous(env)                             equal spaces for all agents
 env = gymnasium.make("HandoverMARL/Receiver-v0", setup="s0")     Gymnasium, the robot alone
 report = handover_marl.benchmark(setup="s3")                     HandoverSim's official protocol
+data = handover_marl.demonstrate(setup="s0", out="data/s0")      episodes as a data set
 
 What stands in `__all__`, here and in `handover_marl.givers`, `handover_marl.receivers` and `handover_marl.testing`, is
-public, and so are the errors, the configurations and what README names; the rest may change at any time.
+public, and so are the errors, the configurations and what the documentation names; the rest may change at any time.
 """
 
 from importlib import import_module
@@ -25,11 +28,16 @@ if TYPE_CHECKING:
     from handover_marl.benchmarking.report import Report
     from handover_marl.benchmarking.runner import benchmark, evaluate_pair
     from handover_marl.config import WorldConfig
+    from handover_marl.demonstrations.demonstrate import demonstrate
+    from handover_marl.demonstrations.demonstrations import Demonstrations
     from handover_marl.envs.constructors import benchmark_env, env, parallel_env
     from handover_marl.envs.encode import encode
+    from handover_marl.envs.flatten import flatten
     from handover_marl.envs.freeze import freeze
     from handover_marl.envs.handover_env import HandoverEnv
+    from handover_marl.envs.homogeneous import homogeneous
     from handover_marl.episode.sight import View
+    from handover_marl.merging.merge import merge
     from handover_marl.pictures.plan_picture import render_plan
     from handover_marl.pictures.rendering import render_scene
     from handover_marl.protocol.status import EpisodeStatus
@@ -39,6 +47,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "CameraImperfections",
+    "Demonstrations",
     "EpisodeStatus",
     "Execution",
     "HandoverEnv",
@@ -53,11 +62,15 @@ __all__ = [
     "benchmark_env",
     "compare",
     "crossplay",
+    "demonstrate",
     "encode",
     "env",
     "evaluate",
     "evaluate_pair",
+    "flatten",
     "freeze",
+    "homogeneous",
+    "merge",
     "parallel_env",
     "render_plan",
     "render_scene",
@@ -66,6 +79,7 @@ __all__ = [
 # Loaded at first use, so that the import itself stays quick.
 _HOMES = {
     "CameraImperfections": "sim.camera.imperfections",
+    "Demonstrations": "demonstrations.demonstrations",
     "EpisodeStatus": "protocol.status",
     "Execution": "run",
     "HandoverEnv": "envs.handover_env",
@@ -79,11 +93,15 @@ _HOMES = {
     "benchmark_env": "envs.constructors",
     "compare": "benchmarking.comparison",
     "crossplay": "benchmarking.crossplay",
+    "demonstrate": "demonstrations.demonstrate",
     "encode": "envs.encode",
     "env": "envs.constructors",
     "evaluate": "benchmarking.evaluation",
     "evaluate_pair": "benchmarking.runner",
+    "flatten": "envs.flatten",
     "freeze": "envs.freeze",
+    "homogeneous": "envs.homogeneous",
+    "merge": "merging.merge",
     "parallel_env": "envs.constructors",
     "render_plan": "pictures.plan_picture",
     "render_scene": "pictures.rendering",

@@ -1,4 +1,4 @@
-"""The command line: handover-marl benchmark, pair, crossplay, agreement, evaluate, compare, render, import, doctor."""
+"""The command line, `handover-marl`: a command for everything that can be done without writing code."""
 
 import os
 import sys
@@ -13,7 +13,8 @@ from tyro.constructors import ConstructorRegistry, StructConstructorSpec, Struct
 
 from handover_marl._version import __version__
 from handover_marl.errors import HandoverError, OptionError
-from handover_marl.run import Execution, Run
+from handover_marl.files import write_atomically
+from handover_marl.run import OF_SEVERAL, Execution, Run
 
 if TYPE_CHECKING:
     from handover_marl.config import CameraConfig
@@ -51,7 +52,7 @@ _HIDDEN: dict[type, tuple[str, ...]] = {
     CrossPlayRun: ("config", "giver", "receiver"),
     SceneRun: ("config", "setup", "split", "scenes", "receiver"),
     Execution: (),
-    SceneExecution: ("workers", "out", "fresh"),
+    SceneExecution: OF_SEVERAL,
 }
 # Fields of a run that also one scene has.
 _OF_A_SCENE = ("dataset", "data_dir", "physics", "robot", "renderer", "geometry", "imperfections", "seed", "giver")
@@ -64,6 +65,10 @@ _WORDS: dict[str, Any] = {
     "data_dir": Annotated[str | None, tyro.conf.arg(metavar="DIR")],
     "out": Annotated[str | None, tyro.conf.arg(metavar="DIR")],
     "workers": Annotated[int | None, tyro.conf.arg(metavar="N")],
+    "backend": Literal["local", "ray"],
+    "ray_address": Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT")],
+    "shard": Annotated[str | None, tyro.conf.arg(metavar="K/N")],
+    "replays": Literal["none", "failed", "all"],
 }
 
 
@@ -101,6 +106,7 @@ def _make_run(**told: Any) -> Run:
 
 _OFFICIAL, _CROSSPLAY = BenchmarkRun(), CrossPlayRun(split="val")
 _SCENE, _SHOWN = SceneRun(), SceneExecution()
+_Page = Annotated[str | None, tyro.conf.arg(metavar="FILE.html")]
 _Names = Annotated[str, tyro.conf.arg(metavar="POLICY,...")]
 
 
@@ -131,16 +137,17 @@ def run_pair(run: Run = Run(split="val"), how: Execution = Execution()) -> None:
 
 
 @app.command(name="agreement")
-def run_agreement(run: Run = Run(split="val"), how: Execution = Execution()) -> None:
-    """Play the same scenes in exact and in fast physics and compare the outcomes.
+def run_agreement(run: Run = Run(split="val"), against: str = "fast", how: Execution = Execution()) -> None:
+    """Play the same scenes in exact and in fast or MuJoCo's physics and compare the outcomes.
 
     Args:
         run: What is run; its physics do not count.
+        against: What exact physics are compared with, fast or mujoco.
         how: How it is run; outcomes do not depend on it.
     """
     from handover_marl.benchmarking.agreement import agreement
 
-    print(agreement(run, execution=_expanded(how)))
+    print(agreement(run, against=against, execution=_expanded(how)))
 
 
 @app.command(name="crossplay")
@@ -165,6 +172,29 @@ def run_crossplay(
     print(crossplay(rows, columns, run, execution=_expanded(how)))
 
 
+@app.command(name="demonstrate")
+def run_demonstrate(
+    sight: Literal["none", "points", "clouds", "images"] = "none",
+    observe: Literal["all", "sight"] = "all",
+    keep: Literal["all", "success"] = "all",
+    run: Run = Run(split="train", receiver="reactive"),
+    how: Execution = Execution(),
+) -> None:
+    """Record episodes of a train split as a data set in Minari's layout (--out DIR).
+
+    Args:
+        sight: What is recorded of the wrist camera, whatever the receiver itself looks at.
+        observe: all, or sight: proprioception and sight alone.
+        keep: all episodes, with their outcome, or only successes.
+        run: What is run.
+        how: How it is run; the data do not depend on it.
+    """
+    from handover_marl.demonstrations.demonstrate import demonstrate
+
+    shown = None if sight == "none" else sight
+    print(demonstrate(run, sight=shown, observe=observe, keep=keep, execution=_expanded(how)))
+
+
 @app.command(name="render")
 def run_render(
     scene: int,
@@ -182,7 +212,7 @@ def run_render(
 
     Args:
         scene: Number of the scene, 0 to 999.
-        out: A .png is a sheet of key frames; .gif and .mp4 are films.
+        out: A .png is a sheet of key frames; .gif and .mp4 are films; an .html plays the episode in three dimensions.
         receiver: The robot's policy; without one the robot stays at rest.
         plan: Draw the plan of a receiver such as omg (.png): start, goals, the chosen one, the hand's path.
         view: outside, or wrist: the same beside depth, segmentation and cloud of the robot's wrist camera.
@@ -200,10 +230,11 @@ def run_render(
     if plan:
         from handover_marl.pictures.plan_picture import PLAN_CAMERA, render_plan
 
-        camera = _sized(PLAN_CAMERA, width, height)
-        print(render_plan(scene, out, receiver=receiver or "omg", camera=camera, **told))
+        seen_from = _sized(PLAN_CAMERA, width, height)
+        print(render_plan(scene, out, receiver=receiver or "omg", camera=seen_from, **told))
         return
-    camera = _sized(CameraConfig(), width, height)
+    # Otherwise each kind of file is seen from where it looks best.
+    camera = None if width is None and height is None else _sized(CameraConfig(), width, height)
     told |= {"progress": how.progress}
     print(render_scene(scene, out, receiver=receiver, key_frames=key_frames, camera=camera, view=view, **told))
 
@@ -214,30 +245,72 @@ def _sized(camera: "CameraConfig", width: int | None, height: int | None) -> "Ca
 
 
 @app.command(name="evaluate")
-def run_evaluate(folder: Annotated[str, tyro.conf.arg(metavar="DIR")], /) -> None:
+def run_evaluate(folder: Annotated[str, tyro.conf.arg(metavar="DIR")], /, out: _Page = None) -> None:
     """Print the table of an official result folder, ours or the original authors'.
 
     Args:
         folder: The result folder (config.yaml and 000.npz, 001.npz, ...).
+        out: An .html file for the report as a page, too.
     """
     from handover_marl.benchmarking.evaluation import evaluate
 
-    print(evaluate(folder))
+    path = _page_path(out)
+    report = evaluate(folder)
+    print(report)
+    if path is not None:
+        from handover_marl.benchmarking.report_page import replay_links, report_page
+
+        write_atomically(path, report_page(report, replay_links(Path(folder).expanduser(), path.parent)))
 
 
 @app.command(name="compare")
 def run_compare(
-    first: Annotated[str, tyro.conf.arg(metavar="DIR")], second: Annotated[str, tyro.conf.arg(metavar="DIR")], /
+    first: Annotated[str, tyro.conf.arg(metavar="DIR")],
+    second: Annotated[str, tyro.conf.arg(metavar="DIR")],
+    /,
+    out: _Page = None,
 ) -> None:
     """Compare two result folders scene by scene, without playing anything.
 
     Args:
         first: A result folder.
         second: Another one, of the same setup, split and data.
+        out: An .html file for the comparison as a page, too.
     """
     from handover_marl.benchmarking.comparison import compare
 
-    print(compare(first, second))
+    path = _page_path(out)
+    comparison = compare(first, second)
+    print(comparison)
+    if path is not None:
+        from handover_marl.benchmarking.report_page import comparison_page, replay_links
+
+        one, other = (replay_links(Path(side).expanduser(), path.parent) for side in (first, second))
+        write_atomically(path, comparison_page(comparison, (one, other)))
+
+
+@app.command(name="merge")
+def run_merge(
+    folders: Annotated[tuple[str, ...], tyro.conf.arg(metavar="DIR"), tyro.conf.Positional],
+    out: Annotated[str, tyro.conf.arg(metavar="DIR")],
+) -> None:
+    """Make one folder of the folders of all shards of a run (--shard), and print what the run would have printed.
+
+    Args:
+        folders: The folders of the shards, in any order.
+        out: The folder to make: as the run would have written it.
+    """
+    from handover_marl.merging.merge import merge
+
+    print(merge(folders, out))
+
+
+def _page_path(out: str | None) -> Path | None:
+    if out is None:
+        return None
+    from handover_marl.pictures.rendering import checked_path
+
+    return checked_path(out, (".html",))
 
 
 @app.command(name="import")

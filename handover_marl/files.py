@@ -2,13 +2,14 @@
 
 import contextlib
 import fcntl
+import io
 import os
 import stat
 import tempfile
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 import numpy.typing as npt
@@ -26,6 +27,19 @@ def write_atomically(path: Path, content: bytes | str) -> None:
         ResultsError: The file cannot be written, e.g. because the disk is full; what was there before stays.
     """
     _write(path, content, Path.replace)
+
+
+@contextlib.contextmanager
+def written_whole(path: Path) -> Iterator[Path]:
+    """A temporary file to fill by its name, which takes the place of `path` when the block ends well.
+
+    For what does not fit into memory.
+
+    Raises:
+        ResultsError: The file cannot be written; what was there before stays.
+    """
+    with _placed(path, Path.replace) as (_, temporary):
+        yield temporary
 
 
 def create_exclusively(path: Path, content: bytes | str) -> None:
@@ -109,6 +123,17 @@ def read_arrays(path: Path, names: tuple[str, ...], largest: int) -> dict[str, n
     return arrays
 
 
+def write_arrays(path: Path, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
+    """Write arrays as an `.npz` file, whole or not at all.
+
+    Raises:
+        ResultsError: It cannot be written.
+    """
+    stream = io.BytesIO()
+    np.savez_compressed(stream, **arrays)  # type: ignore[arg-type]
+    write_atomically(path, stream.getvalue())
+
+
 def read_yaml(path: Path, largest: int) -> object:
     """Content of a plain YAML file: numbers, text, lists and mappings, without aliases.
 
@@ -168,10 +193,17 @@ def _link(temporary: Path, path: Path) -> None:
 
 def _write(path: Path, content: bytes | str, put: Callable[[Path, Path], object]) -> None:
     data = content.encode() if isinstance(content, str) else content
+    with _placed(path, put) as (stream, _):
+        stream.write(data)
+
+
+@contextlib.contextmanager
+def _placed(path: Path, put: Callable[[Path, Path], object]) -> Iterator[tuple[BinaryIO, Path]]:
+    """A temporary file, open and by name, that is put into its place when it has been filled."""
     try:
         handle, temporary = _temporary(path)
         with os.fdopen(handle, "wb") as stream, _removed_on_failure(temporary):
-            stream.write(data)
+            yield stream, temporary
             stream.flush()
             os.fsync(stream.fileno())
             temporary.chmod(0o644)

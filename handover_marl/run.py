@@ -15,6 +15,7 @@ from handover_marl.episode.sight import SightConfig
 from handover_marl.errors import OptionError
 from handover_marl.models.panda import PANDA
 from handover_marl.policies.reference import PolicyLike, PolicyReference, policy_reference
+from handover_marl.pools.pool_config import LOCAL, PoolConfig
 from handover_marl.sim.camera.imperfections import CameraImperfections
 from handover_marl.sim.camera.optics import REFERENCE
 from handover_marl.sim.engines import check_physics
@@ -22,6 +23,11 @@ from handover_marl.sim.renderers import chosen_renderer
 
 #: The giver of official results.
 REPLAY = "replay"
+#: Of which episodes there may be replays to look at.
+NO_REPLAYS, FAILED, EVERY = "none", "failed", "all"
+REPLAYS = (NO_REPLAYS, FAILED, EVERY)
+#: Fields of `Execution` that one scene alone does not have.
+OF_SEVERAL = ("workers", "backend", "ray_address", "shard", "out", "fresh", "replays")
 
 
 @dataclass(frozen=True)
@@ -34,13 +40,13 @@ class Run:
         scenes: Only these scenes of the split, e.g. 209,214; reports then say that they are partial.
         dataset: dexycb, synthetic, or auto: dexycb when there is a data folder, else synthetic.
         data_dir: Folder in HandoverSim's layout; default: the environment variable HANDOVER_MARL_DATA.
-        physics: exact, as official results are, or fast.
+        physics: exact, as official results are, fast, or mujoco, which is another engine.
         giver: The person's policy, e.g. replay, cooperative, learned:FILE or my_package:MyGiver.
         receiver: The robot's policy, e.g. yang2021, omg:wait=1.5, learned:FILE or my_package:MyReceiver.
         robot: panda, or panda_camera with HandoverSim's depth camera on its hand, which is another robot to collide
             with.
         renderer: What draws for receivers that look through the wrist camera: bullet, rays, or auto: bullet in exact
-            physics and rays in fast.
+            physics and rays in others.
         geometry: reference puts points where HandoverSim puts them, true where they are.
         imperfections: What is wrong with the camera: nothing, or as with a realsense.
         seed: Of what policies and camera draw.
@@ -87,17 +93,32 @@ class Execution:
     Attributes:
         workers: Processes to play scenes in; default: one a core. Planning times are wall clock and may depend on
             it, so that the number is told with them.
+        backend: Where they are: local, on this machine, or ray, on the nodes of a Ray cluster.
+        ray_address: Of the cluster; default: the environment variable RAY_ADDRESS, else a Ray that was started on this
+            machine, else one that is started for this.
+        shard: Only a part of the scenes, which of how many, e.g. 3/16; `merge` makes one folder of the folders of all.
         out: Folder for results and reports; an interrupted run goes on there.
         progress: Show a progress bar on stderr.
         trust: Let code in policy files (learned:FILE) run.
         fresh: Start anew in a folder that holds a run, instead of going on.
+        replays: none, failed or all: of which episodes the folder gets pages that play them in three dimensions. In a
+            folder that holds the run already, these episodes alone are played again, and must end as they did.
     """
 
     workers: int | None = None
+    backend: str = LOCAL
+    ray_address: str | None = None
+    shard: str | None = None
     out: str | None = None
     progress: bool = True
     trust: bool = False
     fresh: bool = False
+    replays: str = NO_REPLAYS
+
+    @property
+    def pool(self) -> PoolConfig:
+        """Who plays."""
+        return PoolConfig(self.workers, self.backend, self.ray_address)
 
     @property
     def folder(self) -> Path | None:
@@ -130,8 +151,12 @@ class RunOptions(SceneOptions, total=False):
     scenes: Iterable[int] | None
     config: WorldConfig
     workers: int | None
+    backend: str
+    ray_address: str | None
+    shard: str | None
     out: str | os.PathLike[str] | None
     fresh: bool
+    replays: str
 
 
 def describe(

@@ -26,6 +26,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from handover_marl.assets.shipped_weights import GADDPG_WEIGHTS
 from handover_marl.config import ARM_JOINTS
 from handover_marl.episode.observations import SIGHT, Observation
 from handover_marl.episode.sight import CLOUDS
@@ -40,6 +41,9 @@ from handover_marl.receivers.gaddpg_memory import MemoryConfig, PointMemory
 from handover_marl.sim.bullet.engine_kinematics import EngineKinematics
 
 Array = npt.NDArray[np.float64]
+
+# How files of this library's own weights end.
+_OWN = ".npz"
 
 #: From points (4, 1030) float64 and the decisions left to translation (m) and Euler angles (rad), six numbers: the
 #: next hand pose in the hand link's frame, turned about x, then y, then z, the axes at rest.
@@ -71,20 +75,22 @@ class GaddpgReceiver(Receiver):
 
     Args:
         context: The robot and the task.
-        network: What decides. Either this or `weights`.
-        weights: File or folder of the original authors' checkpoint; needs PyTorch.
+        network: What decides. Either this or `weights`, or the library's own weights where neither is given.
+        weights: File or folder of the original authors' checkpoint, or an .npz file that
+            `experiments/train_gaddpg.py` wrote; needs PyTorch.
         wait: How long to stay at the start pose (s): 3 is "hold", 0 "w/o hold".
         max_steps: Decisions that an approach may take, as the model was trained: its configuration's RL_MAX_STEP.
         memory: Constants of what is remembered.
         timing: When what happens.
 
     Raises:
-        OptionError: There is no network or more than one, or a number is impossible.
+        OptionError: There are no weights yet, or network and weights, or a number is impossible.
         DataNotFoundError, DataFormatError, UnsafeFileError: The weights cannot be read.
     """
 
     name = "gaddpg"
     control_period = 0.15
+    file_options = ("weights",)
     sight = CLOUDS
     observes = SIGHT
 
@@ -231,17 +237,22 @@ def _chosen(network: GaddpgFunction | None, weights: str | None) -> tuple[Gaddpg
         raise OptionError("receiver 'gaddpg' takes a network or weights, not both")
     if network is not None:
         return network, GaddpgReceiver.name
+    own = weights is None or weights.endswith(_OWN)
     if weights is None:
-        raise OptionError(
-            "receiver 'gaddpg': no weights ship yet; give weights=FILE (the original authors' checkpoint) or train"
-        )
+        if not GADDPG_WEIGHTS.is_file():
+            raise OptionError(
+                "receiver 'gaddpg': no weights ship yet; give weights=FILE (the original authors' checkpoint) or train"
+            )
+        weights = str(GADDPG_WEIGHTS)
     if importlib.util.find_spec("torch") is None:
         raise OptionError("receiver 'gaddpg' with weights needs PyTorch: pip install 'handover-marl[train]'")
     # Only who has weights needs it.
+    from handover_marl.networks.gaddpg_network import GaddpgNetwork
     from handover_marl.networks.gaddpg_weights import read_weights
+    from handover_marl.networks.own_weights import read_own_weights
 
-    found, fingerprint = read_weights(weights)
-    return found.decide, f"{GaddpgReceiver.name}@{fingerprint}"
+    found, fingerprint = read_own_weights(weights, GaddpgNetwork) if own else read_weights(weights)
+    return found.decide, f"{GaddpgReceiver.name}@{'own weights ' if own else ''}{fingerprint}"
 
 
 def _pose_step(step: Array) -> Array:

@@ -19,7 +19,7 @@ from handover_marl.episode.observations import Observation
 from handover_marl.errors import OptionError, ResetNeededError
 from handover_marl.models.arm import Arm
 from handover_marl.models.panda import CLOSED, HALF_TURN, OPEN, WAITING_JOINTS
-from handover_marl.models.poses import compose, compose_point, inverse
+from handover_marl.models.poses import compose, compose_point, inverse, poses_from_rotations
 from handover_marl.models.ycb import CLASS_NAMES
 from handover_marl.planning.capsules import Capsules, hand_capsules
 from handover_marl.planning.field_cache import object_field
@@ -56,6 +56,23 @@ class OmgTiming:
     waypoint_ms: int = 130
     close_ms: int = 500
     retreat_step: float = 0.03
+
+
+# Poses are told to the planner in steps of this (m, and shares of a quaternion): far below what a camera could tell.
+_STEP = 1e-5
+
+
+def _steady(poses: Array) -> Array:
+    """(n, 7) poses rounded, quaternions with their largest number positive.
+
+    Which of two goals that cost the same is chosen, and so the whole plan, hangs on the last bit of a pose, in which
+    engines differ.
+    """
+    largest = np.abs(poses[:, 3:]).argmax(axis=1)
+    signs = np.sign(np.take_along_axis(poses[:, 3:], largest[:, None], axis=1))
+    found: Array = _STEP * np.round(np.concatenate([poses[:, :3], signs * poses[:, 3:]], axis=1) / _STEP)
+    found[:, 3:] /= np.maximum(np.linalg.norm(found[:, 3:], axis=1, keepdims=True), _STEP)
+    return found
 
 
 class OmgReceiver(Receiver):
@@ -127,6 +144,15 @@ class OmgReceiver(Receiver):
         return self.timing.wait_ms / 1000.0
 
     @property
+    def intention(self) -> Array | None:
+        """The waypoints of the plan, also those behind it, until the fingers are closed."""
+        if self._plan is None or self._retreat:
+            return None
+        chain = self.arm.chain(self._plan.trajectory)
+        hand = poses_from_rotations(chain.origins[-1].T, np.moveaxis(chain.rotations[-1], -1, 0))
+        return compose(np.broadcast_to(self.world_from_base, hand.shape), hand)
+
+    @property
     def hold_time(self) -> float:
         """Until the next command differs."""
         return (self._until_ms - self._now_ms) / 1000.0
@@ -175,7 +201,7 @@ class OmgReceiver(Receiver):
         grasps = compose(grasps, np.array(HALF_TURN))
         grasps = grasps[usable(name, grasps)]
         base_from_world = inverse(self.world_from_base)
-        base_from_objects = compose(base_from_world, observation["object_poses"].astype(np.float64))
+        base_from_objects = compose(base_from_world, _steady(observation["object_poses"].astype(np.float64)))
         plan = self._ready(self._planner).plan(
             compose(base_from_objects[0], grasps),
             self._obstacles(observation, base_from_objects),

@@ -142,6 +142,14 @@ class Yang2021Receiver(Receiver):
         return self.config.wait_time
 
     @property
+    def intention(self) -> npt.NDArray[np.float64] | None:
+        """Standoff and grasp, until the fingers close."""
+        chosen = self._memory.approach
+        if chosen is None or self._memory.phase is not Phase.APPROACH:
+            return None
+        return np.stack([chosen.standoff, chosen.grasp])
+
+    @property
     def hold_time(self) -> float:
         """Until the wait is over, the next decision, the next millisecond while closing, or for ever."""
         if self._memory.phase is Phase.WAIT:

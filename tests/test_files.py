@@ -11,7 +11,14 @@ import numpy as np
 import pytest
 
 from handover_marl.errors import ResultsError
-from handover_marl.files import check_archive, create_exclusively, read_arrays, remove_abandoned, write_atomically
+from handover_marl.files import (
+    check_archive,
+    create_exclusively,
+    read_arrays,
+    remove_abandoned,
+    write_atomically,
+    written_whole,
+)
 from tests.benchmarking.deadline import ends_within
 
 WRITERS = [write_atomically, create_exclusively]
@@ -197,6 +204,31 @@ def test_what_is_being_written_is_not_removed(tmp_path: Path, monkeypatch: pytes
     write(tmp_path / "a.txt", "text")
     assert len(seen) == 1
     assert [path.read_text() for path in tmp_path.iterdir()] == ["text"]
+
+
+def _fill_half(path: Path, error: BaseException) -> None:
+    with written_whole(path) as temporary:
+        temporary.write_text("half")
+        assert path.read_text() == "before"
+        remove_abandoned(path.parent)
+        assert temporary.exists()
+        raise error
+
+
+def test_a_file_that_is_filled_by_name_appears_whole_or_not_at_all(tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    for error in (KeyboardInterrupt(), ValueError("no"), OSError("disk full")):
+        path.write_text("before")
+        with pytest.raises((type(error), ResultsError)):
+            _fill_half(path, error)
+        assert [entry.name for entry in tmp_path.iterdir()] == ["file"]
+        assert path.read_text() == "before"
+    with written_whole(path) as temporary:
+        temporary.write_text("after")
+    assert path.read_text() == "after"
+    assert path.stat().st_mode & 0o777 == 0o644
+    with pytest.raises(ResultsError, match="cannot write"), written_whole(tmp_path / "nowhere" / "file"):
+        pass
 
 
 def test_a_temporary_file_that_is_taken_for_abandoned_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

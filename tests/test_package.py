@@ -29,6 +29,10 @@ def test_import_is_light() -> None:
     assert run.stdout.strip() == "[]"
 
 
+# `out` of a picture is its own.
+NOT_OF_A_SCENE = {"workers", "backend", "ray_address", "shard", "fresh", "replays"}
+
+
 def parameters(function: Callable[..., Any]) -> dict[str, inspect.Parameter]:
     shown = inspect.signature(function).parameters
     assert not any(part.kind in (part.VAR_KEYWORD, part.VAR_POSITIONAL) for part in shown.values())
@@ -40,17 +44,18 @@ def parameters(function: Callable[..., Any]) -> dict[str, inspect.Parameter]:
     [
         (handover_marl.benchmark, {"execution"}, {"giver", "config"}),
         (handover_marl.evaluate_pair, {"execution"}, set()),
-        (handover_marl.agreement, {"execution"}, set()),
+        (handover_marl.agreement, {"execution", "against"}, set()),
+        (handover_marl.demonstrate, {"execution", "sight", "observe", "keep"}, set()),
         (handover_marl.crossplay, {"execution", "givers", "receivers"}, {"giver", "receiver"}),
         (
             handover_marl.render_scene,
             {"scene_id", "out", "key_frames", "camera", "view"},
-            {"setup", "split", "scenes", "config", "workers", "fresh"},
+            {"setup", "split", "scenes", "config", *NOT_OF_A_SCENE},
         ),
         (
             handover_marl.render_plan,
             {"scene_id", "out", "camera"},
-            {"setup", "split", "scenes", "config", "workers", "fresh", "progress"},
+            {"setup", "split", "scenes", "config", *NOT_OF_A_SCENE, "progress"},
         ),
     ],
 )

@@ -71,6 +71,13 @@ def test_only_the_bullet_room_touches_pybullet() -> None:
     assert {name.rpartition(".")[0] for name in users} == {"handover_marl.sim.bullet"}
 
 
+def test_only_its_room_touches_mujoco() -> None:
+    users = {
+        name for name, path in modules().items() if re.search(r"^\s*(import|from) mujoco\b", path.read_text(), re.M)
+    }
+    assert {name.rpartition(".")[0] for name in users} == {"handover_marl.sim.mujoco"}
+
+
 def test_the_package_list_is_the_tree() -> None:
     setup = configparser.ConfigParser()
     setup.read(REPOSITORY / "setup.cfg")
@@ -86,6 +93,6 @@ def test_a_name_means_one_thing() -> None:
 
 def test_tests_lie_where_modules_lie() -> None:
     rooms = {str(path.relative_to(REPOSITORY / "tests")) for path in (REPOSITORY / "tests").rglob("*") if path.is_dir()}
-    there = {name for name in rooms if "__pycache__" not in name and name not in ("integration", "golden")}
+    there = {name for name in rooms if "__pycache__" not in name and name not in ("docs", "integration", "golden")}
     inside = {name.removeprefix("handover_marl.").replace(".", "/") for name in modules()}
     assert there <= inside

@@ -5,13 +5,11 @@ from dataclasses import dataclass
 
 from handover_marl.benchmarking.episodes import EpisodeResult
 from handover_marl.benchmarking.evaluation import evaluate
-from handover_marl.benchmarking.report import FAILURES, Report
+from handover_marl.benchmarking.report import Report
 from handover_marl.benchmarking.statistics import paired_difference
-from handover_marl.benchmarking.tables import NO_VALUE, heading, percent_interval, percent_mean, table
+from handover_marl.benchmarking.tables import NO_VALUE, RATES, Grid, heading, percent_interval, percent_mean, table
 from handover_marl.errors import ResultsError
 from handover_marl.protocol.status import EpisodeStatus
-
-_FLAGS = (EpisodeStatus.SUCCESS, *FAILURES)
 
 
 @dataclass(frozen=True)
@@ -37,16 +35,27 @@ class Comparison:
     def __str__(self) -> str:
         parts = [
             f"A: {heading(self.first)}\nB: {heading(self.second)}",
-            f"{len(self.pairs)} scenes that both have, paired. 95 % intervals: Wilson; differences Agresti and "
-            "Min; AS bootstrap.",
-            self._rates(),
+            self.note(),
+            str(self.rates()),
             self._changes(),
         ]
         return "\n\n".join(part for part in parts if part)
 
-    def _rates(self) -> str:
+    def note(self) -> str:
+        """How many scenes are compared, and which intervals are told."""
+        return (
+            f"{len(self.pairs)} scenes that both have, paired. 95 % intervals: Wilson; differences Agresti and "
+            "Min; AS bootstrap."
+        )
+
+    def changes(self) -> list[tuple[EpisodeResult, EpisodeResult]]:
+        """The pairs that ended differently."""
+        return [(first, second) for first, second in self.pairs if first.status != second.status]
+
+    def rates(self) -> Grid:
+        """How often each ended how, and the differences."""
         n, rows = len(self.pairs), []
-        for flag in _FLAGS:
+        for flag in RATES:
             counts = [sum(bool(pair[side].status & flag) for pair in self.pairs) for side in (0, 1)]
             cells = [f"{100 * count / n:.2f} ({percent_interval(count, n)})" for count in counts]
             mean, low, high = (100 * value for value in self.difference(flag))
@@ -54,7 +63,7 @@ class Comparison:
         scores = [[result.speed_score for result in side] for side in zip(*self.pairs, strict=True)]
         gains = [first - second for first, second in zip(*scores, strict=True)]
         rows.append(["AS", *map(percent_mean, scores), percent_mean(gains, signed=True)])
-        return table(["%", "A", "B", "A less B, points"], rows)
+        return Grid(["%", "A", "B", "A less B, points"], rows)
 
     def _changes(self) -> str:
         rows = [
@@ -66,8 +75,7 @@ class Comparison:
                 second.status.label,
                 second.steps,
             ]
-            for first, second in self.pairs
-            if first.status != second.status
+            for first, second in self.changes()
         ]
         return table(["scene", "object", "A", "steps", "B", "steps"], rows) if rows else "Every scene ended alike."
 

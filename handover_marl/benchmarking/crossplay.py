@@ -6,6 +6,7 @@ import io
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 from typing_extensions import Unpack
 
@@ -16,13 +17,21 @@ from handover_marl.benchmarking.fluency_tables import (
     fluency_header,
     fluency_row,
 )
-from handover_marl.benchmarking.report import FAILURES, Report
+from handover_marl.benchmarking.report import Report
 from handover_marl.benchmarking.runner import evaluate_run
 from handover_marl.benchmarking.statistics import mean_interval, paired_difference, wilson_interval
-from handover_marl.benchmarking.tables import NO_VALUE, percent_interval, percent_mean, report_extent, table, wait_cell
+from handover_marl.benchmarking.tables import (
+    NO_VALUE,
+    RATES,
+    percent_interval,
+    percent_mean,
+    report_extent,
+    table,
+    wait_cell,
+)
 from handover_marl.datasets import Dataset
-from handover_marl.errors import OptionError
-from handover_marl.files import write_atomically
+from handover_marl.errors import OptionError, ResultsError
+from handover_marl.files import brief, write_atomically
 from handover_marl.options import shows
 from handover_marl.policies.policy import Policy
 from handover_marl.policies.reference import PolicyLike, PolicyReference, policy_reference
@@ -30,8 +39,7 @@ from handover_marl.protocol.status import EpisodeStatus
 from handover_marl.run import Execution, Run, RunOptions, describe
 
 Pair = tuple[str, str]
-
-_FLAGS = (EpisodeStatus.SUCCESS, *FAILURES)
+CSV_FILE = "crossplay.csv"
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +87,7 @@ class CrossPlay:
         """A row for every pair: rates and intervals 0..1, times in s, fluency in the units of `Fluency`."""
         stream = io.StringIO()
         writer = csv.writer(stream, lineterminator="\n")
-        names = [flag.label for flag in _FLAGS]
+        names = [flag.label for flag in RATES]
         writer.writerow(
             ["giver", "receiver", "setup", "split", "dataset", "physics", "episodes"]
             + [f"{name}{suffix}" for name in names for suffix in ("", "_low", "_high")]
@@ -89,7 +97,7 @@ class CrossPlay:
             settings, n = report.settings, len(report.episodes)
             averages = fluency_averages(report.episodes)
             rates = [
-                value for flag in _FLAGS for value in (report.count(flag) / n, *wilson_interval(report.count(flag), n))
+                value for flag in RATES for value in (report.count(flag) / n, *wilson_interval(report.count(flag), n))
             ]
             writer.writerow(
                 [giver, receiver, settings.setup, settings.split, report.data_label(), settings.physics, n]
@@ -123,13 +131,13 @@ class CrossPlay:
         rows = []
         for (giver, receiver), report in self.reports.items():
             n = len(report.episodes)
-            rates = [f"{100 * report.count(flag) / n:.1f}" for flag in _FLAGS]
+            rates = [f"{100 * report.count(flag) / n:.1f}" for flag in RATES]
             interval = mean_interval(report.exec_times())
             mean = NO_VALUE if report.time_exec is None else f"{report.time_exec:.3f}"
             spread = "" if interval is None else f" ({interval[0]:.3f} to {interval[1]:.3f})"
             speed = percent_mean(report.speed_scores())
             rows.append([giver, receiver, *rates, mean + spread, speed, wait_cell(report)])
-        return table(["giver", "receiver", *(f"{flag.label} %" for flag in _FLAGS), "exec s", "AS %", "wait s"], rows)
+        return table(["giver", "receiver", *(f"{flag.label} %" for flag in RATES), "exec s", "AS %", "wait s"], rows)
 
     def _giver_gains(self) -> str:
         first = self.givers[0]
@@ -199,20 +207,45 @@ def crossplay(
     columns = _resolved("receiver", receivers, data, run, how.trust)
     reports = {
         (giver.label, receiver.label): evaluate_run(
-            replace(run, giver=giver, receiver=receiver), how.inside(_folder_name(giver, receiver))
+            replace(run, giver=giver, receiver=receiver), how.inside(pair_folder((giver.label, receiver.label)))
         )
         for giver in rows
         for receiver in columns
     }
     result = CrossPlay(tuple(row.label for row in rows), tuple(column.label for column in columns), reports)
     if how.folder is not None:
-        from handover_marl.pictures.heat_map import heat_map
-
-        write_atomically(how.folder / "crossplay.md", f"# Cross-play\n\n{result}\n")
-        write_atomically(how.folder / "crossplay.csv", result.to_csv())
-        picture = heat_map(result.success_rates(), result.givers, result.receivers, result.title())
-        write_atomically(how.folder / "crossplay.png", picture)
+        write_crossplay(how.folder, result)
     return result
+
+
+def write_crossplay(folder: Path, result: CrossPlay) -> None:
+    """Write tables and picture; needs the extra `plot`.
+
+    Raises:
+        ResultsError: The folder cannot be written.
+    """
+    from handover_marl.pictures.heat_map import heat_map
+
+    write_atomically(folder / "crossplay.md", f"# Cross-play\n\n{result}\n")
+    write_atomically(folder / CSV_FILE, result.to_csv())
+    picture = heat_map(result.success_rates(), result.givers, result.receivers, result.title())
+    write_atomically(folder / "crossplay.png", picture)
+
+
+def read_pairs(folder: Path) -> list[Pair]:
+    """The pairs of a folder that `write_crossplay` wrote, in their order.
+
+    Raises:
+        ResultsError: There is no such file, or it is no such table.
+    """
+    path = folder / CSV_FILE
+    try:
+        with path.open(newline="") as file:
+            return [(row["giver"], row["receiver"]) for row in csv.DictReader(file)]
+    except FileNotFoundError as error:
+        raise ResultsError(f"{path} is not there: the run is not finished; the same command goes on with it") from error
+    except (OSError, ValueError, KeyError, csv.Error) as error:
+        raise ResultsError(f"{path}: no table of cross-play ({brief(error)})") from error
 
 
 def _resolved(
@@ -233,5 +266,7 @@ def _resolved(
     return list(references.values())
 
 
-def _folder_name(giver: PolicyReference, receiver: PolicyReference) -> str:
-    return re.sub(r"[^\w.@=,+-]", "_", f"{giver.label}-{receiver.label}")
+def pair_folder(pair: Pair) -> str:
+    """What the result folder of a pair is called."""
+    giver, receiver = pair
+    return re.sub(r"[^\w.@=,+-]", "_", f"{giver}-{receiver}")

@@ -1,26 +1,37 @@
 """Playing scenes one after another in one process, and what a scene leaves behind."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from handover_marl.benchmarking.episodes import EpisodeResult
+from handover_marl.benchmarking.machine import describe_machine
+from handover_marl.benchmarking.scribes import Scribe, ScribeMaker
+from handover_marl.datasets.data_place import check_scene
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.fluency import fluency
 from handover_marl.episode.play import play
 from handover_marl.episode.track import Recorder
-from handover_marl.episode.watchers import ActionLog
+from handover_marl.episode.watchers import ActionLog, Watcher
 from handover_marl.errors import ActionError, HandoverError, OptionError, PolicyError
 from handover_marl.run import REPLAY, Run, reference_of
 
 
 @dataclass(frozen=True)
 class Task:
-    """One scene to play: its number, and its position in the split."""
+    """One scene to play.
+
+    Attributes:
+        index: Its position in the split.
+        scene_id: Its number.
+        fingerprint: Hash of its data where it is asked for, which those must have where it is played; empty if any do.
+    """
 
     index: int
     scene_id: int
+    fingerprint: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,12 +43,14 @@ class Played:
         result: Its outcome.
         actions: (T, 9) the action of every physics step.
         times: (T,) the policy's wall-clock time at every step (s), zero where it was not asked.
+        written: What each scribe wrote about it.
     """
 
     task: Task
     result: EpisodeResult
     actions: npt.NDArray[np.float32]
     times: npt.NDArray[np.float64]
+    written: tuple[bytes, ...] = ()
 
 
 class Player:
@@ -45,11 +58,12 @@ class Player:
 
     Args:
         run: What is run, resolved.
-        machine: Where, in words.
+        company: How many play beside each other, in words.
+        scribes: Who puts the episodes into writing besides.
     """
 
-    def __init__(self, run: Run, machine: str) -> None:
-        self._run, self._machine = run, machine
+    def __init__(self, run: Run, company: str, scribes: Sequence[ScribeMaker] = ()) -> None:
+        self._run, self._machine = run, f"{describe_machine()}, {company}"
         self._dataset = run.open_dataset()
         giver, receiver = reference_of(run.giver), reference_of(run.receiver)
         self._receiver = receiver.make(self._dataset, run.config)
@@ -57,17 +71,20 @@ class Player:
         self._giver = None if giver.text == REPLAY else giver.make(self._dataset, run.config)
         self._episode = Episode(run.physics, run.config, sight=run.camera)
         self._recorder, self._log = Recorder(), ActionLog()
+        self._scribes: list[Scribe] = [scribe(run, self._receiver) for scribe in scribes]
 
     def play(self, task: Task) -> Played:
         """Play one scene to its end.
 
         Raises:
-            HandoverError: The scene cannot be played, or a policy fails.
+            HandoverError: The scene cannot be played or is another here, or a policy fails.
         """
         episode, scene = self._episode, self._dataset.scene(task.scene_id)
+        fingerprint = self._dataset.fingerprint(task.scene_id)
+        check_scene(task.scene_id, fingerprint, task.fingerprint)
         episode.reset(scene)
         try:
-            watchers = (self._recorder, self._log)
+            watchers: list[Watcher] = [self._recorder, self._log, *self._scribes]
             play(episode, self._receiver, self._giver, seed=self._run.seed, watchers=watchers)
         except (ActionError, OptionError, PolicyError) as error:
             raise self._told(error, task) from error
@@ -84,11 +101,12 @@ class Player:
             side=info.side,
             n_objects=len(info.object_ids),
             models=self._dataset.models_in_words(task.scene_id) or None,
-            fingerprint=self._dataset.fingerprint(task.scene_id),
+            fingerprint=fingerprint,
             machine=self._machine,
             fluency=fluency(self._recorder.track),
         )
-        return Played(task, result, self._log.actions, self._log.times)
+        written = tuple(scribe.written(result) for scribe in self._scribes)
+        return Played(task, result, self._log.actions, self._log.times, written)
 
     def close(self) -> None:
         """Free the simulation."""

@@ -9,6 +9,7 @@ from handover_marl.benchmarking.fluency_tables import fluency_averages
 from handover_marl.benchmarking.settings import RunSettings
 from handover_marl.benchmarking.statistics import mean_interval, wilson_interval
 from handover_marl.config import TIME_STEP
+from handover_marl.datasets import DATASET_TITLES
 from handover_marl.protocol.status import EpisodeStatus
 
 FAILURES = (EpisodeStatus.HUMAN_CONTACT, EpisodeStatus.OBJECT_DROP, EpisodeStatus.TIMEOUT)
@@ -103,7 +104,7 @@ class Report:
 
     def data_label(self) -> str:
         """The dataset in words: objects in a scene, whose hands, and what else is not HandoverSim's own."""
-        name = {"dexycb": "DexYCB", "synthetic": "synthetic scenes"}.get(self.settings.dataset, self.settings.dataset)
+        name = DATASET_TITLES.get(self.settings.dataset, self.settings.dataset)
         counts = sorted({episode.n_objects for episode in self.episodes if episode.n_objects is not None})
         models = sorted({episode.models for episode in self.episodes if episode.models})
         said = [name, _objects_in_words(counts), *([" or ".join(models)] if models else [])]

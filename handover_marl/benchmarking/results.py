@@ -4,7 +4,6 @@ Official keys: `action` (T, 9), `elapsed_time` (T,) policy time of every step (s
 the status flags. Files written here hold the rest of an `EpisodeResult` besides, which official readers pass by.
 """
 
-import io
 import re
 from collections.abc import Mapping
 from dataclasses import asdict, fields
@@ -19,11 +18,12 @@ from handover_marl.benchmarking.settings import CONFIG_FILE, RunSettings, config
 from handover_marl.config import OFFICIAL, WorldConfig
 from handover_marl.episode.fluency import Fluency
 from handover_marl.errors import ResultsError
-from handover_marl.files import check_archive, create_exclusively, write_atomically
+from handover_marl.files import check_archive, create_exclusively, write_arrays
 from handover_marl.protocol.status import EpisodeStatus
 
 #: What stands beside the results of scenes.
-REPORT_FILES = ("report.json", "report.md")
+REPORT_FILES = ("report.json", "report.md", "report.html")
+_REPLAYS = "episodes"
 _RESULT_FILE = re.compile(r"([0-9]{3})\.npz")
 _LARGEST = 64_000_000  # bytes of a scene's result, unpacked
 _EXTRAS = {
@@ -38,6 +38,17 @@ _EXTRAS = {
     "machine": str,
 }
 _FLUENCY = "fluency_"
+
+
+def replay_path(folder: Path, scene_id: int) -> Path:
+    """Where a result folder has the replay of a scene."""
+    return folder / _REPLAYS / f"{scene_id:03d}.html"
+
+
+def replay_paths(folder: Path) -> dict[int, Path]:
+    """The replays that a result folder has, by scene."""
+    paths = (folder / _REPLAYS).glob("[0-9][0-9][0-9].html")
+    return {int(path.stem): path for path in sorted(paths)}
 
 
 class ResultFolder:
@@ -55,29 +66,7 @@ class ResultFolder:
 
     def __init__(self, path: Path, settings: RunSettings, config: WorldConfig = OFFICIAL, fresh: bool = False) -> None:
         self.path = path
-        try:
-            path.mkdir(parents=True, exist_ok=True)
-            entries = [entry.name for entry in path.iterdir() if not entry.name.startswith(".")]
-            if CONFIG_FILE not in entries and entries:
-                raise ResultsError(
-                    f"{path} is not empty and has no {CONFIG_FILE}, so it is no result folder; choose another one"
-                )
-            if fresh and CONFIG_FILE in entries:
-                # Whatever else has a file of that name is not ours to clear.
-                read_settings(path)
-                self._clear(entries)
-        except ResultsError:
-            raise
-        except (OSError, ValueError) as error:
-            raise ResultsError(f"cannot use {path} as result folder: {_reason(error)}") from error
-        # Of several runs that start at once in an empty folder one writes this, and the others read it.
-        create_exclusively(path / CONFIG_FILE, config_text(settings, config))
-        _check_same_run(path, read_settings(path), settings)
-
-    def _clear(self, entries: list[str]) -> None:
-        for name in entries:
-            if _RESULT_FILE.fullmatch(name) or name in (CONFIG_FILE, *REPORT_FILES):
-                (self.path / name).unlink()
+        claim_folder(path, settings, config_text(settings, config), fresh)
 
     def finished(self, index: int, fingerprint: str) -> EpisodeResult | None:
         """The scene's result if it is there and whole, else None.
@@ -89,7 +78,7 @@ class ResultFolder:
         Raises:
             ResultsError: The scene was run on other data.
         """
-        path = self.path / f"{index:03d}.npz"
+        path = result_path(self.path, index)
         try:
             result = _read_result(path) if path.is_file() else None
         except ResultsError:
@@ -116,9 +105,52 @@ class ResultFolder:
             **{key: np.array(value) for key in _EXTRAS if (value := getattr(result, key)) is not None},
             **_fluency_arrays(result.fluency),
         }
-        stream = io.BytesIO()
-        np.savez_compressed(stream, **arrays)
-        write_atomically(self.path / f"{result.index:03d}.npz", stream.getvalue())
+        write_arrays(result_path(self.path, result.index), arrays)
+
+
+def claim_folder(path: Path, settings: RunSettings, config: str, fresh: bool = False) -> None:
+    """Make a folder that of a run, or see that it is.
+
+    Args:
+        path: The folder; made, with its parents, if it is not there.
+        settings: What is run.
+        config: Its `config.yaml`.
+        fresh: Whether to remove the results of an earlier run that are there.
+
+    Raises:
+        ResultsError: The folder belongs to another run, holds something else, or cannot be written.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        entries = [entry.name for entry in path.iterdir() if not entry.name.startswith(".")]
+        if CONFIG_FILE not in entries and entries:
+            raise ResultsError(
+                f"{path} is not empty and has no {CONFIG_FILE}, so it is no result folder; choose another one"
+            )
+        if fresh and CONFIG_FILE in entries:
+            # Whatever else has a file of that name is not ours to clear.
+            read_settings(path)
+            _clear(path, entries)
+    except ResultsError:
+        raise
+    except (OSError, ValueError) as error:
+        raise ResultsError(f"cannot use {path} as result folder: {_reason(error)}") from error
+    # Of several runs that start at once in an empty folder one writes this, and the others read it.
+    create_exclusively(path / CONFIG_FILE, config)
+    _check_same_run(path, read_settings(path), settings)
+
+
+def _clear(path: Path, entries: list[str]) -> None:
+    for name in entries:
+        if _RESULT_FILE.fullmatch(name) or name in (CONFIG_FILE, *REPORT_FILES):
+            (path / name).unlink()
+    for replay in replay_paths(path).values():
+        replay.unlink()
+
+
+def result_path(folder: Path, index: int) -> Path:
+    """Where a result folder has the result of a scene, by its position in the split."""
+    return folder / f"{index:03d}.npz"
 
 
 def read_results(path: Path) -> list[EpisodeResult]:
@@ -127,13 +159,26 @@ def read_results(path: Path) -> list[EpisodeResult]:
     Raises:
         ResultsError: A file is damaged, or there is none.
     """
-    try:
-        files = sorted(entry for entry in path.iterdir() if _RESULT_FILE.fullmatch(entry.name))
-    except OSError as error:
-        raise ResultsError(f"cannot read {path}: {_reason(error)}") from error
+    files = _result_files(path)
     if not files:
         raise ResultsError(f"{path} has no result files (000.npz, 001.npz, ...)")
     return [_read_result(file) for file in files]
+
+
+def finished_indices(path: Path) -> list[int]:
+    """Positions in the split of the scenes that a folder has results of, ascending.
+
+    Raises:
+        ResultsError: It cannot be read.
+    """
+    return [int(file.stem) for file in _result_files(path)]
+
+
+def _result_files(path: Path) -> list[Path]:
+    try:
+        return sorted(entry for entry in path.iterdir() if _RESULT_FILE.fullmatch(entry.name))
+    except OSError as error:
+        raise ResultsError(f"cannot read {path}: {_reason(error)}") from error
 
 
 def _read_result(path: Path) -> EpisodeResult:

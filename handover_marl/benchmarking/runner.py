@@ -2,22 +2,24 @@
 
 import contextlib
 from collections.abc import Sequence
+from dataclasses import replace
 
 from typing_extensions import Unpack
 
 from handover_marl.benchmarking.episodes import EpisodeResult
-from handover_marl.benchmarking.machine import describe_machine
 from handover_marl.benchmarking.playing import Task
 from handover_marl.benchmarking.progress import BenchmarkProgress
+from handover_marl.benchmarking.replay_shelf import replay_shelves
 from handover_marl.benchmarking.report import Report
 from handover_marl.benchmarking.results import ResultFolder
+from handover_marl.benchmarking.scribes import Shelf
 from handover_marl.benchmarking.settings import RunSettings
-from handover_marl.benchmarking.workers import play_tasks
+from handover_marl.benchmarking.task_pool import play_tasks
 from handover_marl.benchmarking.writing import write_report
 from handover_marl.config import OFFICIAL
-from handover_marl.datasets import Dataset
-from handover_marl.errors import OptionError
-from handover_marl.options import check_workers, shows
+from handover_marl.datasets.shards import Shard, ShardOfRun
+from handover_marl.errors import OptionError, ResultsError
+from handover_marl.options import shows
 from handover_marl.policies.reference import PolicyLike
 from handover_marl.run import REPLAY, Execution, Run, RunOptions, describe, resolve
 
@@ -87,24 +89,45 @@ def evaluate_pair(
     return evaluate_run(run, how)
 
 
-def evaluate_run(run: Run, execution: Execution) -> Report:
+def evaluate_run(run: Run, execution: Execution, shelf: Shelf | None = None) -> Report:
     """What `evaluate_pair` does, for a description.
+
+    Args:
+        run: What is run.
+        execution: How.
+        shelf: What is kept of the episodes beside their results and replays, if anything; it needs a folder (`out`).
 
     Raises:
         HandoverError: As `benchmark` does.
     """
-    n_workers = check_workers(execution.workers)
+    shelves = [*([] if shelf is None else [shelf]), *replay_shelves(execution)]
+    execution.pool.check()
+    shard = None if execution.shard is None else Shard.parse(execution.shard)
     run, data = resolve(run, execution.trust)
-    settings = RunSettings.of(run)
     split_ids = data.split(run.setup, run.split)
+    told = ""
+    if shard is not None and run.scenes is not None:
+        told = str(ShardOfRun(shard, None if run.scenes == split_ids else run.scenes))
+        run = replace(run, scenes=shard.of(run.scenes))
+    settings = RunSettings.of(run, ", ".join(filter(None, (shelf.described(run) for shelf in shelves))), told)
     folder = None if execution.folder is None else ResultFolder(execution.folder, settings, run.config, execution.fresh)
-    tasks = [Task(split_ids.index(scene_id), scene_id) for scene_id in run.scenes or ()]
-    machine = f"{describe_machine()}, {min(n_workers, len(tasks))} at a time"
+    if folder is not None:
+        for kept in shelves:
+            kept.open(folder.path, run, execution.fresh)
+    tasks = [Task(split_ids.index(scene), scene, data.fingerprint(scene)) for scene in run.scenes or ()]
     with BenchmarkProgress(len(tasks), shown=execution.progress) as bar:
-        known = _finished(tasks, folder, data, bar)
+        before = _finished(tasks, folder)
+        known = {task: result for task, result in before.items() if all(shelf.has(result) for shelf in shelves)}
+        for result in known.values():
+            bar.add(result, known=True)
         left = [task for task in tasks if task not in known]
-        with contextlib.closing(play_tasks(run, machine, left, n_workers)) as finished:
+        scribes = tuple(shelf.scribe for shelf in shelves)
+        with contextlib.closing(play_tasks(run, left, execution.pool, scribes)) as finished:
             for played in finished:
+                _check_same_end(before.get(played.task), played.result)
+                # Before the result, which says that the scene is done.
+                for kept, written in zip(shelves, played.written, strict=True):
+                    kept.keep(played.result, written)
                 if folder is not None:
                     folder.save(played.result, played.actions, played.times)
                 known[played.task] = played.result
@@ -115,14 +138,22 @@ def evaluate_run(run: Run, execution: Execution) -> Report:
     return report
 
 
-def _finished(
-    tasks: Sequence[Task], folder: ResultFolder | None, data: Dataset, bar: BenchmarkProgress
-) -> dict[Task, EpisodeResult]:
+def _finished(tasks: Sequence[Task], folder: ResultFolder | None) -> dict[Task, EpisodeResult]:
     """Results that the folder has from an earlier run."""
-    results: dict[Task, EpisodeResult] = {}
-    for task in tasks:
-        known = None if folder is None else folder.finished(task.index, data.fingerprint(task.scene_id))
-        if known is not None:
-            results[task] = known
-            bar.add(known, known=True)
-    return results
+    found = {} if folder is None else {task: folder.finished(task.index, task.fingerprint) for task in tasks}
+    return {task: result for task, result in found.items() if result is not None}
+
+
+def _check_same_end(before: EpisodeResult | None, now: EpisodeResult) -> None:
+    """An episode that is played again, for what is to be kept of it, is the same episode."""
+    if before is not None and _end(before) != _end(now):
+        raise ResultsError(
+            f"scene {now.scene_id} ended otherwise than in the earlier run ({_end(before)} there, {_end(now)} now), "
+            "though nothing that is known of it has changed: the receiver or the giver does not repeat itself. What "
+            "was there stays; start anew with fresh=True (--fresh)"
+        )
+
+
+def _end(result: EpisodeResult) -> str:
+    release = "no release" if result.release_step is None else f"release after {result.release_step}"
+    return f"{result.status.label} after {result.steps} steps, {release}"

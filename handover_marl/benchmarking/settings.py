@@ -45,6 +45,8 @@ class RunSettings:
         wait: How long the receiver waits before it comes (s); empty if unknown.
         robot: Which Panda.
         sight: What the receiver sees of the wrist camera, and how that is drawn; empty if it does not look.
+        kept: What is kept of the episodes beside their results; empty if nothing is.
+        shard: Which part of a run it is; empty if it is no part.
     """
 
     setup: str
@@ -61,10 +63,12 @@ class RunSettings:
     wait: str = ""
     robot: str = PANDA
     sight: str = ""
+    kept: str = ""
+    shard: str = ""
 
     @classmethod
-    def of(cls, run: Run) -> "RunSettings":
-        """Of a run that was resolved."""
+    def of(cls, run: Run, kept: str = "", shard: str = "") -> "RunSettings":
+        """Of a run that was resolved, what is kept of its episodes, and which part of it this is."""
         giver, receiver = reference_of(run.giver), reference_of(run.receiver)
         return cls(
             setup=run.setup,
@@ -81,6 +85,8 @@ class RunSettings:
             wait="" if receiver.wait is None else f"{receiver.wait:g}",
             robot=run.robot,
             sight=run.camera.described(receiver.sight, receiver.observes, run.physics),
+            kept=kept,
+            shard=shard,
         )
 
 
@@ -97,6 +103,17 @@ def config_text(settings: RunSettings, config: WorldConfig) -> str:
     benchmark = {"SETUP": own.pop("setup"), "SPLIT": own.pop("split"), **_rules(config)}
     content = {"SIM": {"TIME_STEP": TIME_STEP}, "BENCHMARK": benchmark, _OWN_SECTION: own}
     return yaml.safe_dump(content, sort_keys=False)
+
+
+def whole_config_text(path: Path) -> str:
+    """The `config.yaml` that the whole run has of which a folder holds a shard.
+
+    Raises:
+        ResultsError: The folder's own cannot be read.
+    """
+    read_settings(path)
+    content = _read_yaml(path / CONFIG_FILE, path)
+    return yaml.safe_dump({**content, _OWN_SECTION: {**content[_OWN_SECTION], "shard": ""}}, sort_keys=False)
 
 
 def read_settings(path: Path) -> RunSettings:

@@ -1,6 +1,8 @@
-"""95 % intervals for rates and means."""
+"""95 % intervals for rates and means, and how far two rankings agree."""
 
+import itertools
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import stats
@@ -48,3 +50,49 @@ def paired_difference(first: Sequence[bool], second: Sequence[bool]) -> tuple[fl
     half = stats.norm.ppf(0.975) * np.sqrt((gained + lost + 1.0) / n - middle**2) / np.sqrt(n)
     low, high = max(-1.0, middle - half), min(1.0, middle + half)
     return (gained - lost) / len(pairs), float(low), float(high)
+
+
+@dataclass(frozen=True)
+class RankCorrelation:
+    """How far two measurements of the same things rank them alike.
+
+    Attributes:
+        n: How many things.
+        spearman: Spearman's rho (-1..1).
+        kendall: Kendall's tau-b (-1..1).
+        p: Share of all orders of the second that agree with the first as well or better, by Spearman's rho (0..1).
+        least_p: That share if they agreed perfectly: no smaller one can be had from so few things.
+    """
+
+    n: int
+    spearman: float
+    kendall: float
+    p: float
+    least_p: float
+
+
+_MOST_RANKED = 9
+
+
+def rank_correlation(first: Sequence[float], second: Sequence[float]) -> RankCorrelation:
+    """Rank correlations of two measurements of the same things, with an exact one-sided permutation test.
+
+    Raises:
+        ValueError: They are not equally long, fewer than three or more than nine, or one of them is all ties.
+    """
+    n = len(first)
+    if n != len(second) or not 3 <= n <= _MOST_RANKED or len(set(first)) == 1 or len(set(second)) == 1:
+        raise ValueError(
+            f"ranks of {n} and {len(second)} things: three to {_MOST_RANKED} of both, not all tied, needed"
+        )
+    ranks = stats.rankdata(first), stats.rankdata(second)
+    orders = np.array(list(itertools.permutations(ranks[1])))
+    agreements = (orders - orders.mean()) @ (ranks[0] - ranks[0].mean())
+    here = float((ranks[1] - ranks[1].mean()) @ (ranks[0] - ranks[0].mean()))
+    return RankCorrelation(
+        n,
+        float(stats.spearmanr(first, second).statistic),
+        float(stats.kendalltau(first, second).statistic),
+        float(np.mean(agreements > here - 1e-9)),
+        float(np.mean(agreements > agreements.max() - 1e-9)),
+    )

@@ -1,8 +1,9 @@
 """A report in words and tables, readable in a terminal and as Markdown."""
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
-from tabulate import tabulate
+import tabulate
 
 from handover_marl.benchmarking.episodes import EpisodeResult
 from handover_marl.benchmarking.fluency_tables import (
@@ -19,17 +20,44 @@ from handover_marl.models.panda import PANDA
 from handover_marl.protocol.status import EpisodeStatus
 
 NO_VALUE = "-"
-# Columns of a terminal beside which there is room for little else.
-_WIDTH = 160
+# Columns of a terminal.
+_WIDTH = 100
 
-_METRICS = ["success %", "exec s", "plan s", "total s", "contact %", "drop %", "timeout %", "AS %", "wait s"]
-_RATES = (EpisodeStatus.SUCCESS, *FAILURES)
+# What tabulate adds to titles would push tables over the width.
+tabulate.MIN_PADDING = 0
+
+_METRICS = ["success %", "contact %", "drop %", "timeout %", "AS %", "wait s", "exec s", "plan s", "total s"]
+#: Outcomes of which there are rates.
+RATES = (EpisodeStatus.SUCCESS, *FAILURES)
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A table before it is written: titles and rows of cells. `str(grid)` is Markdown; empty without rows.
+
+    Markdown is cut before the column `cut`, so that what belongs together stays together; 0 cuts where it must be.
+    """
+
+    header: Sequence[str]
+    rows: Sequence[Sequence[object]]
+    cut: int = 0
+
+    def __str__(self) -> str:
+        if not self.rows:
+            return ""
+        ends = [slice(1, self.cut), slice(self.cut, None)] if self.cut else [slice(1, None)]
+        parts = [
+            table([*self.header[:1], *self.header[end]], [[*row[:1], *row[end]] for row in self.rows]) for end in ends
+        ]
+        return "\n\n".join(parts)
 
 
 def report_text(report: Report) -> str:
     """Heading, official table, per-object breakdown, metrics beyond the official ones."""
-    parts = [heading(report), official_table(report), object_table(report), _notes(report), fluency_table(report)]
-    return "\n\n".join(part for part in parts if part)
+    fluency = fluency_table(report)
+    parts = [heading(report), official_table(report), object_table(report), notes(report)]
+    parts += [f"{fluency}\n\n{FLUENCY_NOTE}"] if fluency.rows else []
+    return "\n\n".join(str(part) for part in parts if str(part))
 
 
 def report_markdown(report: Report) -> str:
@@ -62,57 +90,54 @@ def _code(settings: RunSettings) -> str:
 def report_extent(report: Report) -> str:
     """How much of the split was run."""
     n = len(report.episodes)
-    return f"{n} of {report.n_split} scenes (partial)" if report.partial else f"all {n} scenes"
+    shard = report.settings.shard.partition(" ")[0]
+    if report.partial or shard:
+        return f"{n} of {report.n_split} scenes (partial{f', shard {shard}' if shard else ''})"
+    return f"all {n} scenes"
 
 
-def official_table(report: Report) -> str:
+def official_table(report: Report) -> Grid:
     """The official metrics, their 95 % intervals, and the published rows where they are comparable."""
     n = len(report.episodes)
-    rates = [f"{100 * report.count(flag) / n:.2f} ({report.count(flag)}/{n})" for flag in _RATES]
+    rates = [f"{100 * report.count(flag) / n:.2f} ({report.count(flag)}/{n})" for flag in RATES]
     times = [_seconds(report.time_exec), _seconds(report.time_plan), _seconds(report.time_total)]
-    intervals = [percent_interval(report.count(flag), n) for flag in _RATES]
+    intervals = [percent_interval(report.count(flag), n) for flag in RATES]
     time_intervals = [_seconds_interval(report.exec_times()), _seconds_interval(report.plan_times()), NO_VALUE]
     rows = [
-        [
-            report.settings.receiver,
-            rates[0],
-            *times,
-            *rates[1:],
-            f"{100 * report.average_success:.2f}",
-            wait_cell(report),
-        ],
-        ["95 % interval", intervals[0], *time_intervals, *intervals[1:], _speed_interval(report), NO_VALUE],
+        [report.settings.receiver, *rates, f"{100 * report.average_success:.2f}", wait_cell(report), *times],
+        ["95 % interval", *intervals, _speed_interval(report), NO_VALUE, *time_intervals],
         *(_published_row(row) for row in _comparable(report)),
     ]
-    return table(["", *_METRICS], rows)
+    return Grid(["", *_METRICS], rows, cut=1 + _METRICS.index("AS %"))
 
 
-def object_table(report: Report) -> str:
+def object_table(report: Report) -> Grid:
     """Outcomes by object class."""
     names = sorted({episode.object_name for episode in report.episodes if episode.object_name})
     rows = []
     for name in names:
         episodes = [episode for episode in report.episodes if episode.object_name == name]
-        counts = [sum(bool(episode.status & flag) for episode in episodes) for flag in _RATES]
+        counts = [sum(bool(episode.status & flag) for episode in episodes) for flag in RATES]
         interval = percent_interval(counts[0], len(episodes))
         rows.append([name, len(episodes), *counts, f"{100 * counts[0] / len(episodes):.1f}", interval])
     header = ["object", "scenes", "success", "contact", "drop", "timeout", "success %", "95 % interval"]
-    return table(header, rows)
+    return Grid(header, rows)
 
 
-def fluency_table(report: Report) -> str:
-    """Metrics beyond the official ones, a row each; nothing where none were recorded."""
+def fluency_table(report: Report) -> Grid:
+    """Metrics beyond the official ones, a row each; no rows where none were recorded."""
+    header = ["beyond the official metrics", "mean", "95 % interval"]
     if not fluency_averages(report.episodes):
-        return ""
+        return Grid(header, [])
     cells = zip(fluency_header(), fluency_row(report.episodes), strict=True)
     rows = [[name, *(cell.removesuffix(")").split(" (") if "(" in cell else (cell, NO_VALUE))] for name, cell in cells]
-    return table(["beyond the official metrics", "mean", "95 % interval"], rows) + f"\n\n{FLUENCY_NOTE}"
+    return Grid(header, rows)
 
 
-def scene_table(episodes: Iterable[EpisodeResult]) -> str:
+def scene_table(episodes: Iterable[EpisodeResult]) -> Grid:
     """One row a scene."""
     header = ["scene", "object", "subject", "hand", "outcome", "steps", "release step", "plan s"]
-    return table(header, [_scene_cells(episode) for episode in episodes])
+    return Grid(header, [_scene_cells(episode) for episode in episodes])
 
 
 def _scene_cells(episode: EpisodeResult) -> list[str]:
@@ -138,10 +163,11 @@ def _comparable(report: Report) -> tuple[PublishedRow, ...]:
 def _published_row(row: PublishedRow) -> list[str]:
     rates = [f"{rate:.2f}" for rate in (row.success, row.contact, row.drop, row.timeout)]
     times = [_seconds(value) for value in (row.time_exec, row.time_plan, row.time_total)]
-    return [f"published: {row.method}", rates[0], *times, *rates[1:], f"{row.average_success:.2f}", f"{row.wait:g}"]
+    return [f"published: {row.method}", *rates, f"{row.average_success:.2f}", f"{row.wait:g}", *times]
 
 
-def _notes(report: Report) -> str:
+def notes(report: Report) -> str:
+    """What has to be known to read the tables, a line each."""
     lines = [
         "Rates over all scenes, times over successes. Intervals: Wilson for rates, bootstrap for means.",
         "AS: mean over all scenes of 1 - exec / 13 s for successes, 0 for failures.",
@@ -221,4 +247,4 @@ def table(header: Sequence[str], rows: Sequence[Sequence[object]], keys: int = 1
 
 def _part(cells: Sequence[Sequence[str]], columns: Sequence[int]) -> str:
     chosen = [[row[column] for column in columns] for row in cells]
-    return str(tabulate(chosen[1:], headers=chosen[0], tablefmt="github", disable_numparse=True))
+    return str(tabulate.tabulate(chosen[1:], headers=chosen[0], tablefmt="github", disable_numparse=True))

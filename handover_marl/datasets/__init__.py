@@ -19,7 +19,19 @@ DATA_VARIABLE = "HANDOVER_MARL_DATA"
 #: What can be asked for. "auto" takes DexYCB when a data folder is given or set, else the generated scenes.
 DATASETS = ("auto", "synthetic", "dexycb")
 
-__all__ = ["DATASETS", "DATA_VARIABLE", "Dataset", "Imported", "OfficialDataset", "import_dexycb", "open_dataset"]
+#: How they are called in words.
+DATASET_TITLES = {"dexycb": "DexYCB", "synthetic": "synthetic scenes"}
+
+__all__ = [
+    "DATASETS",
+    "DATASET_TITLES",
+    "DATA_VARIABLE",
+    "Dataset",
+    "Imported",
+    "OfficialDataset",
+    "import_dexycb",
+    "open_dataset",
+]
 
 
 def __getattr__(name: str) -> Any:

@@ -42,7 +42,7 @@ class EncodedEnv(ParallelWrapper):
 
     Raises:
         UnknownNameError: No such features or scheme.
-        OptionError: An agent is named that is not there.
+        OptionError: An agent is named that is not there, or sees vectors already.
     """
 
     metadata: dict[str, Any] = {**HandoverEnv.metadata, "name": "handover_encoded_v0"}
@@ -56,6 +56,9 @@ class EncodedEnv(ParallelWrapper):
         EzPickle.__init__(self, env, features, schemes)
         super().__init__(env)
         agents = self.possible_agents
+        vectors = [agent for agent in agents if not isinstance(env.observation_space(agent), spaces.Dict)]
+        if vectors:
+            raise OptionError(f"the {vectors[0]} sees vectors already; encode before flattening, and once")
         self.features_names = _names("features", FEATURES, features, agents)
         self.scheme_names = _names("schemes", SCHEMES, schemes, agents)
         context = context_of(self.world.dataset, self.world.config)

@@ -88,7 +88,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         data_dir: Folder in HandoverSim's layout; default: the environment variable HANDOVER_MARL_DATA.
         dataset: "dexycb", "synthetic", or "auto": DexYCB when there is a data folder, else synthetic.
         physics: "exact" is HandoverSim's simulation to the bit; "fast", for training, simulates hand and objects
-            only while the robot is near them.
+            only while the robot is near them; "mujoco" is another engine, faster again.
         control_period: How long an action holds (s); a whole number of milliseconds, 0.001 or more.
         render_mode: None, "rgb_array" (needs no screen) or "human" (PyBullet's window).
         camera: What "rgb_array" pictures show.

@@ -6,6 +6,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from handover_marl.models.chain_angles import continued
+
 Array = npt.NDArray[np.float64]
 
 
@@ -28,7 +30,7 @@ def turn_about(
         # At gimbal lock any split of the angles will do.
         warnings.simplefilter("ignore", UserWarning)
         angles = orientation.as_euler("XYZ")
-    moved[:, 3:] = _continued(angles, previous[3:].astype(np.float64))
+    moved[:, 3:] = continued(angles, previous[3:].astype(np.float64))
     return moved.astype(np.float32)
 
 
@@ -37,14 +39,3 @@ def wrist_points(hand_dof: npt.NDArray[np.float32], base_from_wrist: Array) -> A
     turned = Rotation.from_euler("XYZ", hand_dof[:, 3:6].astype(np.float64)).apply(base_from_wrist)
     points: Array = hand_dof[:, :3] + turned
     return points
-
-
-def _continued(angles: Array, previous: Array) -> Array:
-    """XYZ Euler angles (n, 3) of the same rotations, each row as near as can be to the one before."""
-    rows = np.empty(angles.shape)
-    for number, (a, b, c) in enumerate(angles):
-        twins = np.array([[a, b, c], [a + np.pi, np.pi - b, c + np.pi]])
-        twins += 2.0 * np.pi * np.round((previous - twins) / (2.0 * np.pi))
-        nearer = np.argmin(np.abs(twins - previous).sum(axis=1))
-        previous = rows[number] = twins[nearer]
-    return rows

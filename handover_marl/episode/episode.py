@@ -36,7 +36,8 @@ class Episode:
     """Plays scenes one after another. The PettingZoo environment and the benchmark both stand on it.
 
     Args:
-        physics: "exact" is HandoverSim's simulation to the bit, "fast" leaves out what cannot touch.
+        physics: "exact" is HandoverSim's simulation to the bit, "fast" leaves out what cannot touch, "mujoco" is
+            another engine.
         config: The world and the rules.
         window: Whether to show PyBullet's window.
         sight: How the wrist camera's pictures are made; drawn only when asked for.

@@ -50,12 +50,14 @@ def play(
     while not episode.status and episode.steps < end:
         now, seconds = episode.steps, 0.0
         observation = episode.observe()
-        if giver_clock is not None and now >= giver_clock.due:
+        giver_asked = giver_clock is not None and now >= giver_clock.due
+        robot_asked = now >= robot_clock.due
+        if giver_clock is not None and giver_asked:
             seen = episode.observe_as_giver(observation)
             # Copies, so that what a policy does to its arrays stays unseen by the other.
             seen = {key: value.copy() for key, value in seen.items()}
             deviation = check_giver_action(giver_clock.ask(seen, now), giver_space)
-        if now >= robot_clock.due:
+        if robot_asked:
             # Drawing what it sees is not planning.
             seen = episode.observe_for(receiver, observation)
             started = time.perf_counter()
@@ -65,7 +67,7 @@ def play(
         if callable(until) and until():
             break
         for watcher in watchers:
-            watcher.decided(episode, Decision(robot, deviation, seconds))
+            watcher.decided(episode, Decision(robot, deviation, seconds, robot_asked, giver_asked))
         due = min(clock.due for clock in (robot_clock, giver_clock) if clock is not None)
         episode.advance(robot, min(end, due) - now, deviation, [watcher.stepped for watcher in watchers])
     for watcher in watchers:

@@ -20,11 +20,15 @@ class Decision:
         robot: (9,) the receiver's action.
         giver: (8,) the giver's action.
         seconds: Wall-clock time that the receiver took (s); 0 where its last action stood.
+        robot_asked: Whether the receiver was asked just now, rather than its last action standing.
+        giver_asked: Likewise; a giver that only replays is never asked.
     """
 
     robot: npt.NDArray[np.float32]
     giver: npt.NDArray[np.float32]
     seconds: float
+    robot_asked: bool
+    giver_asked: bool
 
 
 class Watcher:

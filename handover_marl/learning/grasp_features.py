@@ -11,6 +11,9 @@ from handover_marl.receivers.grasp_choice import GraspChoice
 
 #: How many numbers are added to `receiver_features`.
 N_ADDED = 8
+#: How many numbers `CloseFeatures` are.
+N_CLOSE = 12
+_WAY = 5.0  # 1/m
 
 
 class GraspFeatures:
@@ -26,9 +29,10 @@ class GraspFeatures:
 
     def __call__(self, observation: Observation) -> npt.NDArray[np.float32]:
         """(64,) for an observation."""
-        return np.concatenate([receiver_features(observation, self._protocol), self._grasp(observation)])
+        return np.concatenate([receiver_features(observation, self._protocol), self.grasp(observation)])
 
-    def _grasp(self, observation: Observation) -> npt.NDArray[np.float32]:
+    def grasp(self, observation: Observation) -> npt.NDArray[np.float32]:
+        """(8,) the grasp alone; zeros where there is none."""
         chosen = self._choice.choose(observation)
         if chosen is None:
             return np.zeros(N_ADDED, dtype=np.float32)
@@ -36,4 +40,28 @@ class GraspFeatures:
         gripper = observation["gripper_pose"].astype(np.float64)
         own = Rotation.from_quat(gripper[3:]).inv()
         turn = (own * Rotation.from_quat(grasp[3:])).as_rotvec()
-        return np.array([*5.0 * own.apply(grasp[:3] - gripper[:3]), *turn, 10.0 * room, 1.0], dtype=np.float32)
+        return np.array([*_WAY * own.apply(grasp[:3] - gripper[:3]), *turn, 10.0 * room, 1.0], dtype=np.float32)
+
+
+class CloseFeatures:
+    """Only what it takes to close in time, to learn it from few episodes: how near and how aligned a grasp is.
+
+    Way to the grasp (3) and turn (3) from the gripper; two numbers that are 1 at the grasp and fall off within some
+    centimetres and a fraction of a radian; fingers (2), whether the object was let go, whether there is a grasp.
+
+    Args:
+        context: Knows the objects' grasps.
+    """
+
+    near, aligned = 0.03, 0.2  # m and rad at which the numbers have fallen to 0.37
+
+    def __init__(self, context: PolicyContext) -> None:
+        self._grasp = GraspFeatures(context)
+
+    def __call__(self, observation: Observation) -> npt.NDArray[np.float32]:
+        """(12,) for an observation."""
+        way, turn, (_, there) = np.split(self._grasp.grasp(observation), [3, 6])
+        metres = float(np.linalg.norm(way)) / _WAY
+        nearness = np.exp([-metres / self.near, -float(np.linalg.norm(turn)) / self.aligned]) * there
+        fingers = 50.0 * observation["robot_joint_position"][7:] - 1.0
+        return np.concatenate([way, turn, nearness, fingers, observation["released"], [there]]).astype(np.float32)

@@ -12,7 +12,7 @@ from handover_marl.config import ProtocolConfig
 from handover_marl.episode.observations import Observation, giver_observation_space, observation_space
 from handover_marl.errors import UnknownNameError
 from handover_marl.learning import features
-from handover_marl.learning.grasp_features import N_ADDED, GraspFeatures
+from handover_marl.learning.grasp_features import N_ADDED, N_CLOSE, CloseFeatures, GraspFeatures
 from handover_marl.models.ycb import CLASS_NAMES
 from handover_marl.policies.context import PolicyContext
 
@@ -40,6 +40,7 @@ _FEATURES: dict[str, dict[str, tuple[Callable[[PolicyContext], Features], int]]]
         "receiver": (_plain(features.receiver_features), _N_RECEIVER),
         "flat_receiver": (_plain(features.flat_receiver_features), spaces.flatdim(observation_space())),
         "grasp": (GraspFeatures, _N_RECEIVER + N_ADDED),
+        "close": (CloseFeatures, N_CLOSE),
     },
 }
 

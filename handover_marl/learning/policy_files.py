@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from handover_marl.errors import DataFormatError, DataNotFoundError, HandoverError, OptionError
-from handover_marl.files import write_atomically
+from handover_marl.files import write_arrays
 from handover_marl.learning.network import Network
 from handover_marl.learning.policy_spec import Function, PolicySpec
 
@@ -59,9 +59,7 @@ def write_policy(path: Path, spec: PolicySpec, network: Network) -> None:
         "activation": network.activation,
         "output": network.output,
     }
-    stream = io.BytesIO()
-    np.savez_compressed(stream, about=np.array(json.dumps(about)), **arrays)  # type: ignore[arg-type]
-    write_atomically(path, stream.getvalue())
+    write_arrays(path, {"about": np.array(json.dumps(about)), **arrays})
 
 
 def read_policy(path: Path, agent: str, trust: bool = False, control_period: float | None = None) -> PolicyFile:

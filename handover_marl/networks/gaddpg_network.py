@@ -3,8 +3,10 @@
 import numpy as np
 import numpy.typing as npt
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
+from handover_marl.networks.one_thread import one_thread
+from handover_marl.networks.own_weights import KeptNetwork
 from handover_marl.networks.point_encoders import PointNetPlusPlus
 from handover_marl.networks.policy_heads import Decision, PolicyHead
 
@@ -12,13 +14,15 @@ from handover_marl.networks.policy_heads import Decision, PolicyHead
 N_POINTS, N_FINGER_POINTS = 1024, 6
 
 
-class GaddpgNetwork(nn.Module):
+class GaddpgNetwork(KeptNetwork):
     """Encoder and head, as the receiver `gaddpg` asks them: `decide`.
 
     Attributes:
         features: The encoder, of xyz in the hand link's frame (m) and a flag that is 0.
         policy: The head.
     """
+
+    kind = "gaddpg"
 
     def __init__(self) -> None:
         super().__init__()
@@ -41,7 +45,7 @@ class GaddpgNetwork(nn.Module):
         """(6,) the most likely action for (4, 1030) points and the decisions left; nothing is learned from it."""
         self.eval()
         device = next(self.parameters()).device
-        with torch.no_grad():
+        with one_thread():
             cloud = torch.from_numpy(points.astype(np.float32))[None].to(device)
             decision = self(cloud, torch.tensor([float(remaining)], device=device))
         action: npt.NDArray[np.float32] = decision.action[0].cpu().numpy()

@@ -61,3 +61,18 @@ def gathered(values: Tensor, indices: Tensor) -> Tensor:
     """(B, C, ...) columns of (B, C, N) values by (B, ...) indices."""
     flat = indices.flatten(start_dim=1)[:, None].expand(-1, values.shape[1], -1)
     return values.gather(2, flat).reshape(*values.shape[:2], *indices.shape[1:])
+
+
+def greatest(features: Tensor, groups: Tensor) -> Tensor:
+    """(B, G, F) maxima of features (B, N, F) over groups (B, G, K) of indices.
+
+    Only the greatest have a gradient, so that the large tensor of all members need not be kept.
+    """
+    count, size, width = features.shape
+    first = size * torch.arange(count, device=groups.device)[:, None, None]
+    members = (groups + first).reshape(-1, groups.shape[-1])
+    rows = features.reshape(count * size, width)
+    with torch.no_grad():
+        around = rows.index_select(0, members.reshape(-1)).reshape(*members.shape, width)
+        greatest_rows = members.gather(1, around.max(dim=1).indices)
+    return rows.gather(0, greatest_rows).reshape(count, groups.shape[1], width)

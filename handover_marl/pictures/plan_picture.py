@@ -29,7 +29,7 @@ from handover_marl.planning.capsules import hand_capsules
 from handover_marl.planning.planner import Plan
 from handover_marl.policies.reference import PolicyLike, policy_reference
 from handover_marl.receivers.omg import OmgReceiver
-from handover_marl.run import REPLAY, Execution, Run, SceneOptions, describe
+from handover_marl.run import OF_SEVERAL, REPLAY, Execution, Run, SceneOptions, describe
 
 Array = npt.NDArray[np.float64]
 
@@ -43,7 +43,7 @@ _ROOM = 0.45  # m from the middle to the edges
 PLAN_CAMERA = CameraConfig(width=1200, height=600)
 
 
-@shows(Run, Execution, without=("setup", "split", "scenes", "config", "workers", "out", "fresh", "progress"))
+@shows(Run, Execution, without=("setup", "split", "scenes", "config", *OF_SEVERAL, "progress"))
 def render_plan(
     scene_id: int,
     out: str | os.PathLike[str],

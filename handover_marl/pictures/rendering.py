@@ -5,6 +5,7 @@ import io
 import os
 import tempfile
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,14 +22,17 @@ from handover_marl.episode.watchers import Watcher
 from handover_marl.errors import OptionError, ResultsError, UnknownNameError
 from handover_marl.files import write_atomically
 from handover_marl.options import shows
+from handover_marl.pictures.replay_page import replay_facts, replay_page
+from handover_marl.pictures.replay_recorder import ReplayRecorder
+from handover_marl.pictures.replay_stage import check_replay
 from handover_marl.pictures.wrist_picture import WristPicture
 from handover_marl.policies.reference import PolicyLike, policy_reference
-from handover_marl.run import REPLAY, Execution, Run, SceneOptions, describe
+from handover_marl.run import OF_SEVERAL, REPLAY, Execution, Run, SceneOptions, describe
 from handover_marl.sim.renderers import chosen_renderer
 
 Picture = npt.NDArray[np.uint8]
 
-_NEEDED: dict[str, tuple[str, ...]] = {".png": (), ".gif": (), ".mp4": ("imageio", "imageio_ffmpeg")}
+_NEEDED: dict[str, tuple[str, ...]] = {".png": (), ".gif": (), ".mp4": ("imageio", "imageio_ffmpeg"), ".html": ()}
 
 #: What a picture can show.
 VIEWS = ("outside", "wrist")
@@ -84,7 +88,7 @@ class Film(Watcher):
         self._progress.stop()
 
 
-@shows(Run, Execution, without=("setup", "split", "scenes", "config", "workers", "out", "fresh"))
+@shows(Run, Execution, without=("setup", "split", "scenes", "config", *OF_SEVERAL))
 def render_scene(
     scene_id: int,
     out: str | os.PathLike[str],
@@ -100,7 +104,8 @@ def render_scene(
 
     Args:
         scene_id: The scene, 0 to 999.
-        out: Where to write: `.png` is a sheet of key frames, `.gif` and `.mp4` are films.
+        out: Where to write: `.png` is a sheet of key frames, `.gif` and `.mp4` are films, `.html` is a page that plays
+            the episode in three dimensions.
         receiver: As in `benchmark`; None shows the person with the robot at rest.
         giver: As in `evaluate_pair`.
         key_frames: Pictures on a sheet, evenly over the episode, its start and its end among them.
@@ -121,15 +126,18 @@ def render_scene(
     path = checked_path(out, SUFFIXES)
     if view not in VIEWS:
         raise UnknownNameError("view", view, VIEWS)
+    replay = path.suffix.lower() == ".html"
+    if replay:
+        check_replay()
+        if view != "outside":
+            raise OptionError(f"a replay (.html) is looked at from outside, not through view={view!r}")
     draw = _drawing(view, camera or CameraConfig())
     if isinstance(key_frames, bool) or not isinstance(key_frames, int) or key_frames < 1:
         raise OptionError(f"key_frames={key_frames!r}: a sheet needs a whole number of pictures, one or more")
     run, how = describe("s0", options, receiver="hold" if receiver is None else receiver, giver=giver)
     data = run.open_dataset()
-    robot, person = (
-        policy_reference(agent, getattr(run, agent), how.trust).make(data, run.config)
-        for agent in ("receiver", "giver")
-    )
+    named = [policy_reference(agent, getattr(run, agent), how.trust) for agent in ("receiver", "giver")]
+    robot, person = (reference.make(data, run.config) for reference in named)
     scene = data.scene(scene_id)
     chosen_renderer(run.renderer, run.physics, installed=view == "wrist")
     episode = Episode(run.physics, run.config, sight=run.camera)
@@ -141,7 +149,14 @@ def render_scene(
         return film
 
     until = scene.n_frames + _BLANK_AFTER_MS if receiver is None else None
-    if path.suffix.lower() == ".png":
+    if replay:
+        recorder = ReplayRecorder(robot)
+        episode.reset(scene)
+        play(episode, robot, person, seed=run.seed, until=until, watchers=[recorder])
+        labelled = [reference.resolved(data, run.config) for reference in named]
+        played = replace(run, dataset=data.name, receiver=labelled[0], giver=labelled[1])
+        picture = replay_page(recorder.log, replay_facts(played, data.models_in_words(scene_id)), camera).encode()
+    elif path.suffix.lower() == ".png":
         # Played twice: only then is it known how long it takes, and so when the key frames are.
         end = until
         if end is None:

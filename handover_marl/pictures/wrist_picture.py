@@ -10,19 +10,12 @@ from handover_marl.episode.episode import Episode
 from handover_marl.episode.sight import View
 from handover_marl.errors import OptionError
 from handover_marl.models.panda import GRIPPER_OUTLINE
+from handover_marl.pictures.seen_colors import SEEN_COLORS
 from handover_marl.sim.camera.optics import FAR, NOTHING
 from handover_marl.sim.camera.photo import Seen
 
 Picture = npt.NDArray[np.uint8]
 
-_COLORS = {
-    Seen.BACKGROUND: "#e8e8e8",
-    Seen.ROBOT: "#555555",
-    Seen.TABLE: "#b08d57",
-    Seen.TARGET: "#e4572e",
-    Seen.OTHER_OBJECT: "#76b041",
-    Seen.HAND: "#2e86ab",
-}
 _DPI = 100
 # How far the cloud's panel reaches ahead of the hand and to its sides (m).
 _AHEAD, _ASIDE = 0.8, 0.35
@@ -97,7 +90,7 @@ class WristPicture:
 
         axes = self._seen
         axes.clear()
-        colors = ListedColormap([_COLORS[seen] for seen in Seen])
+        colors = ListedColormap([SEEN_COLORS[seen] for seen in Seen])
         axes.imshow(view.segmentation, cmap=colors, vmin=-0.5, vmax=len(Seen) - 0.5, interpolation="nearest")
         axes.set_title("segmentation", fontsize=9)
         axes.set_axis_off()
@@ -107,9 +100,9 @@ class WristPicture:
         axes.clear()
         for seen, points in ((Seen.TARGET, view.object_points), (Seen.HAND, view.hand_points)):
             name = "object" if seen is Seen.TARGET else "hand"
-            axes.scatter(points[:, 1], points[:, 2], s=1.0, color=_COLORS[seen], label=f"{name}: {len(points)}")
+            axes.scatter(points[:, 1], points[:, 2], s=1.0, color=SEEN_COLORS[seen], label=f"{name}: {len(points)}")
         outline = np.array(GRIPPER_OUTLINE)
-        axes.plot(outline[:, 1], outline[:, 2], color=_COLORS[Seen.ROBOT])
+        axes.plot(outline[:, 1], outline[:, 2], color=SEEN_COLORS[Seen.ROBOT])
         axes.set_xlim(-_ASIDE, _ASIDE)
         axes.set_ylim(-0.02, _AHEAD)
         axes.set_aspect("equal")

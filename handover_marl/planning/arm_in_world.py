@@ -1,12 +1,16 @@
 """An arm where it stands: its hand, its inverse kinematics and its velocities in the world's frame."""
 
 import itertools
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from handover_marl.config import ARM_JOINTS, PandaConfig
 from handover_marl.models.arm import Arm
+from handover_marl.models.kinematic_tree import read_tree
+from handover_marl.models.panda import LOWER_LIMITS, UPPER_LIMITS
 from handover_marl.models.poses import compose, inverse, poses_from_rotations
 from handover_marl.planning.inverse_kinematics import solve
 
@@ -27,33 +31,44 @@ class ArmInWorld:
     Attributes:
         arm: The arm.
         limits: Lowest and highest joints.
+        base: (7,) pose of its base.
     """
 
     def __init__(self, arm: Arm, base: Array, limits: tuple[Array, Array]) -> None:
         self.arm, self.limits = arm, limits
-        self._base, self._base_from_world = base, inverse(base)
+        self.base, self._base_from_world = base, inverse(base)
         self._turn = Rotation.from_quat(base[3:]).as_matrix()
+
+    @classmethod
+    def of_panda(cls, urdf: Path, panda: PandaConfig, padding: float = 0.0) -> "ArmInWorld":
+        """A Panda where it stands.
+
+        Args:
+            urdf: Its model.
+            panda: Where it stands.
+            padding: Its joint limits are narrowed by so much on each side (rad).
+
+        Raises:
+            SimulationError: The model cannot be read.
+        """
+        limits = np.array(LOWER_LIMITS[:ARM_JOINTS]) + padding, np.array(UPPER_LIMITS[:ARM_JOINTS]) - padding
+        base = np.array([*panda.base_position, *panda.base_orientation])
+        return cls(Arm(read_tree(urdf)), base, limits)
 
     def hands(self, joints: Array) -> Array:
         """(n, 7) poses of the hand link for configurations (n, 7)."""
         chain = self.arm.chain(joints)
-        return compose(self._base, poses_from_rotations(chain.origins[-1].T, np.moveaxis(chain.rotations[-1], -1, 0)))
+        return compose(self.base, poses_from_rotations(chain.origins[-1].T, np.moveaxis(chain.rotations[-1], -1, 0)))
 
     def hand(self, joints: Array) -> Array:
         """(7,) pose of the hand link for one configuration (7,)."""
         found: Array = self.hands(joints[None])[0]
         return found
 
-    def origins(self, joints: Array) -> Array:
-        """(n, 8, 3) origins of the turning links and the hand for configurations (n, 7) (m)."""
-        local = self.arm.chain(joints).origins.transpose(2, 0, 1)
-        found: Array = local @ self._turn.T + self._base[:3]
-        return found
-
     def frames(self, joints: Array) -> tuple[Array, Array]:
         """(n, 7, 3) origins (m) and (n, 7, 3, 3) rotations of the turning links for configurations (n, 7)."""
         chain = self.arm.chain(joints)
-        origins = chain.origins[:-1].transpose(2, 0, 1) @ self._turn.T + self._base[:3]
+        origins = chain.origins[:-1].transpose(2, 0, 1) @ self._turn.T + self.base[:3]
         return origins, self._turn @ chain.rotations[:-1].transpose(3, 0, 1, 2)
 
     def jacobian(self, joints: Array) -> Array:
@@ -66,7 +81,7 @@ class ArmInWorld:
         """(3, 7): how a point (3,) of the world that is fixed to a turning link, from 0, moves with each joint."""
         chain = self.arm.chain(joints[None])
         axes = chain.rotations[:-1, :, 2, 0] @ self._turn.T
-        origins = chain.origins[:-1, :, 0] @ self._turn.T + self._base[:3]
+        origins = chain.origins[:-1, :, 0] @ self._turn.T + self.base[:3]
         columns = np.cross(axes, point - origins)
         columns[link + 1 :] = 0.0
         found: Array = columns.T

@@ -5,7 +5,6 @@ is made anew.
 """
 
 import hashlib
-import io
 import logging
 import zipfile
 import zlib
@@ -17,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.errors import HandoverError
-from handover_marl.files import write_atomically
+from handover_marl.files import write_arrays
 from handover_marl.models.meshes import mesh_files
 
 Arrays = dict[str, npt.NDArray[Any]]
@@ -60,10 +59,8 @@ def read_kept(path: Path, names: Sequence[str], what: str) -> Arrays | None:
 
 def keep(path: Path, arrays: Arrays, what: str) -> None:
     """Write arrays, or warn that it cannot be done; only the next start is slower for it."""
-    stream = io.BytesIO()
-    np.savez_compressed(stream, **arrays)  # type: ignore[arg-type]
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_atomically(path, stream.getvalue())
+        write_arrays(path, arrays)
     except (OSError, HandoverError):
         _log.warning("%s %s not kept: cannot write to that folder; it is made anew each time", what, path)

@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from handover_marl.models.poses import inverse_transform_points
 from handover_marl.planning.capsules import Capsules
 
 Array = npt.NDArray[np.float64]
@@ -34,6 +35,10 @@ class Balls:
 
     centers: Array
     radii: Array
+
+    def seen_from(self, pose: Array) -> "Balls":
+        """The same in the frame of a pose (7,)."""
+        return Balls(inverse_transform_points(pose, self.centers), self.radii)
 
 
 @dataclass(frozen=True, eq=False)

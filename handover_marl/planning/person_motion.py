@@ -66,6 +66,11 @@ class HandMotion:
         return np.concatenate([place, (turn * Rotation.from_quat(pose[3:])).as_quat()])
 
     @property
+    def anchor(self) -> Array:
+        """(k, 3) what tells where the hand is, for `moved` (m)."""
+        return self.points
+
+    @property
     def speed(self) -> float:
         """Of the hand (m/s)."""
         return float(np.linalg.norm(self.velocity))

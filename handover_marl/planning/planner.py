@@ -68,8 +68,15 @@ class Planner:
             np.array(UPPER_LIMITS[:joints]) - padding,
         )
         self._body = body_samples(panda_urdf, tuple(self.arm.link_names), config.points_per_link)
-        gripper = body_samples(panda_urdf, (HAND_LINK, *FINGER_LINKS), config.gripper_points)
-        self._finder = GoalFinder(self.arm, self._body, gripper, start, self._limits, config)
+        self._gripper = body_samples(panda_urdf, (HAND_LINK, *FINGER_LINKS), config.gripper_points)
+        self._finder = self._finder_from(start)
+
+    def start_from(self, start: Array) -> None:
+        """Let motions start at (7,) other joints (rad) from now on."""
+        self._start, self._finder = start, self._finder_from(start)
+
+    def _finder_from(self, start: Array) -> GoalFinder:
+        return GoalFinder(self.arm, self._body, self._gripper, start, self._limits, self.config)
 
     def plan(self, grasps: Array, objects: Sequence[Obstacle], hand: Capsules | None = None) -> Plan | None:
         """A trajectory to one of some grasps.

@@ -26,11 +26,13 @@ class Policy(ABC):
             are drawn only when it is asked, and drawing is not planning time. See
             `handover_marl.episode.sight.sight_space`.
         observes: "all", or "sight": proprioception and sight alone, so that the true pose cannot be used by accident.
+        file_options: Options of the constructor that name a file or a folder, which is sent along to other machines.
     """
 
     agent: ClassVar[str | None] = None
     name: ClassVar[str]
     control_period: ClassVar[float] = 0.1
+    file_options: ClassVar[tuple[str, ...]] = ()
     sight: str | None = None
     observes: str = ALL
 
@@ -65,6 +67,15 @@ class Policy(ABC):
     def wait(self) -> float | None:
         """How long (s) it stays away from the start of every episode, so that results can say it; None if unknown."""
         return 0.0
+
+    @property
+    def intention(self) -> npt.NDArray[np.float64] | None:
+        """(k, 7) poses through which the robot means to bring its hand link, for replays; None if it has none in mind.
+
+        World frame, xyz (m) and quaternion xyzw, the next one first; the last one is where it means to grasp. To ask
+        for it changes nothing.
+        """
+        return None
 
     @property
     def hold_time(self) -> float:

@@ -67,6 +67,17 @@ class PolicyReference:
     sight: str | None = None
     observes: str = ALL
 
+    @property
+    def kind(self) -> type[Policy]:
+        """The policy's class.
+
+        Raises:
+            UnknownNameError: It cannot be imported.
+        """
+        found = self._found()
+        kind: type[Policy] = found if isinstance(found, type) else type(found)
+        return kind
+
     def make(self, dataset: Dataset | None = None, config: WorldConfig = OFFICIAL) -> Policy:
         """The policy itself, for the robot and the objects of a dataset; default: what `open_dataset()` gives.
 

@@ -10,10 +10,14 @@ import sysconfig
 from pathlib import Path
 from types import FunctionType
 
+# Where installed packages lie, those of the user and of another environment that this one borrows from included.
 _STANDARD = tuple(
-    str(Path(sysconfig.get_path(name)).resolve()) for name in ("stdlib", "platstdlib", "purelib", "platlib")
+    str(Path(folder).resolve())
+    for folder in (
+        *(sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")),
+        *(folder for folder in sys.path if Path(folder).name in ("site-packages", "dist-packages")),
+    )
 )
-
 
 _PLAIN = (int, float, str, bytes, tuple, type(None))
 _IMPORT = re.compile(
@@ -33,12 +37,25 @@ def source_hash(kind: type, content: bytes = b"") -> str:
     files: set[str] = set()
     for base in kind.__mro__[:-1]:
         start = _start(base)
-        files |= _files(base.__module__, start) if start else set()
+        files |= set(_files(base.__module__, start).values()) if start else set()
         if start is None or "<locals>" in base.__qualname__:
             digest.update(_typed_source(base).encode())
     for path in sorted(files):
         digest.update(Path(path).read_bytes())
     return digest.hexdigest()[:8]
+
+
+def code_hash(kind: type) -> str:
+    """(8 hex digits) of the sources that are the class's own, wherever they are installed: its package, its folder."""
+    files: dict[str, str] = {}
+    for base in kind.__mro__[:-1]:
+        start = _start(base)
+        for name, path in _files(base.__module__, start).items() if start else ():
+            own = name.partition(".")[0] == base.__module__.partition(".")[0]
+            if own or Path(path).parent == Path(start or "").parent:
+                files[name] = path
+    parts = [name.encode() + b"\0" + Path(path).read_bytes() for name, path in sorted(files.items())]
+    return hashlib.sha256(b"\0".join(parts)).hexdigest()[:8]
 
 
 def _start(kind: type) -> str | None:
@@ -47,8 +64,8 @@ def _start(kind: type) -> str | None:
     return path if isinstance(path, str) and path.endswith(".py") and Path(path).is_file() else None
 
 
-def _files(name: str, path: str) -> set[str]:
-    """Source files of a module and of those it imports that belong to its own package, or are nobody's package.
+def _files(name: str, path: str) -> dict[str, str]:
+    """Source files, by name, of a module and of those it imports that belong to its package, or are nobody's package.
 
     Told from the sources alone: what else happens to be loaded must not count.
     """
@@ -61,7 +78,7 @@ def _files(name: str, path: str) -> set[str]:
             if where is not None and _belongs(other, where, package):
                 found[other] = where
                 waiting.append((other, where))
-    return set(found.values())
+    return found
 
 
 def _imported_names(name: str, path: str) -> set[str]:
@@ -109,7 +126,7 @@ def _source_file(name: str, package: str) -> str | None:
 def _origin(name: str, search_path: tuple[str, ...]) -> str | None:
     try:
         spec = importlib.util.find_spec(name)
-    except (ImportError, ValueError, AttributeError):
+    except Exception:  # packages that enclose it are run, and may refuse, e.g. on this system; stubs put anything there
         return None
     if spec is None or not spec.origin or not spec.origin.endswith(".py"):
         return None

@@ -14,6 +14,7 @@ class Referee:
         steps: Physics steps seen.
         release: Why the human let go, or None.
         release_step: The step (from 1) whose contacts made the human let go, or after which it chose to, or None.
+        released: Whether the human has let go. Bodies feel it in the next step, the status rule at once.
     """
 
     def __init__(self, config: ProtocolConfig) -> None:
@@ -21,18 +22,14 @@ class Referee:
         self.steps = 0
         self.release: Release | None = None
         self.release_step: int | None = None
+        self.released = False
         self._release_rule = ReleaseRule(config)
         self._status_rule = StatusRule(config)
-
-    @property
-    def released(self) -> bool:
-        """Whether the human has let go. Bodies feel it in the next step, the status rule at once."""
-        return self.release is not None
 
     def give(self) -> None:
         """Take note that the giver lets go of its own accord before the next step."""
         if not self.released:
-            self.release, self.release_step = Release.GIVEN, self.steps
+            self.release, self.release_step, self.released = Release.GIVEN, self.steps, True
 
     def update(self, contacts: Contacts) -> EpisodeStatus:
         """Judge one more physics step."""
@@ -40,6 +37,6 @@ class Referee:
         if not self.released:
             self.release = self._release_rule.update(contacts)
             if self.release is not None:
-                self.release_step = self.steps
+                self.release_step, self.released = self.steps, True
         self.status = self._status_rule.update(contacts, self.released, self.steps)
         return self.status

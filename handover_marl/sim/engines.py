@@ -1,21 +1,35 @@
 """The kinds of physics by name."""
 
+import importlib.util
+
 from handover_marl.config import PhysicsConfig
-from handover_marl.errors import UnknownNameError
+from handover_marl.errors import OptionError, UnknownNameError
 from handover_marl.sim.world import World
 
-#: "exact" is HandoverSim's simulation to the bit; "fast" leaves out what cannot touch.
-PHYSICS = ("exact", "fast")
+EXACT, FAST, MUJOCO = "exact", "fast", "mujoco"
+#: "exact" is HandoverSim's simulation to the bit; "fast" leaves out what cannot touch; "mujoco" is another engine.
+PHYSICS = (EXACT, FAST, MUJOCO)
 
 
 def check_physics(physics: str) -> None:
-    """Check the name of a kind of physics.
+    """Check the name of a kind of physics, and that its engine is there.
 
     Raises:
         UnknownNameError: There is none of that name.
+        OptionError: Its engine is not installed.
     """
     if physics not in PHYSICS:
         raise UnknownNameError("physics", physics, PHYSICS)
+    if physics not in available_physics():
+        raise OptionError(
+            "physics='mujoco' needs MuJoCo 4 and Python 3.11 or later: pip install 'handover-marl[mujoco]', or take "
+            "physics='fast'"
+        )
+
+
+def available_physics() -> tuple[str, ...]:
+    """The kinds of physics whose engines are installed."""
+    return tuple(name for name in PHYSICS if name != MUJOCO or importlib.util.find_spec("mujoco") is not None)
 
 
 def make_world(physics: str, config: PhysicsConfig, window: bool = False) -> World:
@@ -28,11 +42,16 @@ def make_world(physics: str, config: PhysicsConfig, window: bool = False) -> Wor
 
     Raises:
         UnknownNameError: There is no such physics.
+        OptionError: Its engine is not installed, or opens no window.
         SimulationError: A window was asked for where there is no screen.
     """
     check_physics(physics)
     # Only now, so that who plays nothing needs no engine.
-    if physics == "exact":
+    if physics == MUJOCO:
+        from handover_marl.sim.mujoco.mujoco_world import MujocoWorld
+
+        return MujocoWorld(config, window)
+    if physics == EXACT:
         from handover_marl.sim.bullet.exact_world import ExactWorld
 
         return ExactWorld(config, window)

@@ -41,6 +41,14 @@ class CurvePoint:
     physics: str
     partner: str
 
+    def told(self) -> str:
+        """In a line, with all that a number needs beside it."""
+        return (
+            f"{self.steps} decisions, {self.seconds / 60.0:.1f} min: success {self.success:.1%} ({self.low:.1%} to "
+            f"{self.high:.1%}), contact {self.contact:.1%}, drop {self.drop:.1%}, timeout {self.timeout:.1%} "
+            f"[{self.episodes} scenes of {self.dataset}, {self.physics} physics, with {self.partner}]"
+        )
+
     @classmethod
     def of(cls, report: Report, steps: int, seconds: float, partner: str) -> "CurvePoint":
         """From a report."""

@@ -61,7 +61,7 @@ class RunFolder:
     Args:
         path: The folder.
         arguments: What is run; a run goes on only under the same.
-        resume: Whether to go on with the run that is there, if there is one.
+        resume: Whether to go on with the run that is there, if there is one; None where that cannot be done.
         dataset: Name of the dataset that it turned out to be on.
 
     Raises:
@@ -71,7 +71,7 @@ class RunFolder:
     #: Arguments that may differ when a run goes on: how long, where the data are, on how many cores.
     FREE = ("resume", "out", "data_dir", "steps", "minutes")
 
-    def __init__(self, path: Path, arguments: object, resume: bool, dataset: str) -> None:
+    def __init__(self, path: Path, arguments: object, resume: bool | None, dataset: str) -> None:
         self.path = path
         kept = {key: value for key, value in vars(arguments).items() if key not in self.FREE}
         # "auto" may be one thing today and another tomorrow.
@@ -86,7 +86,9 @@ class RunFolder:
         write_atomically(known, json.dumps(kept, indent=1))
         self.points = self._read_curve() if resume else []
 
-    def _check(self, found: dict[str, Any], wanted: dict[str, Any], resume: bool) -> None:
+    def _check(self, found: dict[str, Any], wanted: dict[str, Any], resume: bool | None) -> None:
+        if resume is None:
+            raise ResultsError(f"{self.path} holds a run, which cannot be gone on with; choose another --out")
         if not resume:
             raise ResultsError(f"{self.path} holds a run; pass --resume to go on with it, or another --out")
         different = [key for key in found.keys() | wanted.keys() if found.get(key) != wanted.get(key)]

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class TrainingArgs:
+class LoopArgs:
     """What to train on, and how long.
 
     Attributes:
@@ -25,7 +25,6 @@ class TrainingArgs:
         trace: GAE's lambda.
         spread: Standard deviation of the outputs at first.
         val_scenes: Scenes of the validation split to evaluate on, evenly chosen.
-        resume: Go on with the run in the folder.
     """
 
     out: str = "runs/training"
@@ -45,4 +44,14 @@ class TrainingArgs:
     trace: float = 0.95
     spread: float = 0.5
     val_scenes: int = 36
+
+
+@dataclass(frozen=True)
+class TrainingArgs(LoopArgs):
+    """What to train on, and how long.
+
+    Attributes:
+        resume: Go on with the run in the folder.
+    """
+
     resume: bool = False

@@ -7,7 +7,7 @@ from handover_marl.benchmarking.episodes import EpisodeResult
 from handover_marl.benchmarking.report import Report
 from handover_marl.benchmarking.settings import RunSettings
 from handover_marl.cli import main
-from handover_marl.errors import SceneError
+from handover_marl.errors import SceneError, UnknownNameError
 from handover_marl.protocol.status import EpisodeStatus
 
 SUCCESS, CONTACT, DROP = EpisodeStatus.SUCCESS, EpisodeStatus.HUMAN_CONTACT, EpisodeStatus.OBJECT_DROP
@@ -70,3 +70,15 @@ def test_command(fake_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[
 def test_scenes_of_other_splits_are_refused(fake_data: Path) -> None:
     with pytest.raises(SceneError, match="105"):
         agreement(scenes=[105], data_dir=fake_data)
+
+
+def test_any_physics_but_exact_can_be_compared(fake_data: Path) -> None:
+    with pytest.raises(UnknownNameError, match="valid: fast, mujoco"):
+        agreement(scenes=[9], data_dir=fake_data, against="exact")
+
+
+def test_tables_name_the_other_physics() -> None:
+    text = str(Agreement(report("exact", [(SUCCESS, 4000)]), report("mujoco", [(DROP, 4100)])))
+    assert "Exact and mujoco physics agree on the outcome of 0 of 1 scenes" in text
+    assert "mujoco: drop" in text
+    assert "fast" not in text

@@ -96,7 +96,7 @@ def test_changed_code_starts_anew_or_elsewhere(fake_data: Path, tmp_path: Path, 
     anew = play(changed, fresh=True, scenes=[9])
     assert anew.n_earlier == 0
     assert sorted(path.name for path in out.iterdir()) == [
-        *("000.npz", "config.yaml", "notes.txt", "report.json", "report.md")
+        *("000.npz", "config.yaml", "notes.txt", "report.html", "report.json", "report.md")
     ]
     assert (out / "notes.txt").read_text() == "precious"
     again = play(changed)

@@ -3,7 +3,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handover_marl.benchmarking.statistics import mean_interval, paired_difference, wilson_interval
+from handover_marl.benchmarking.statistics import (
+    mean_interval,
+    paired_difference,
+    rank_correlation,
+    wilson_interval,
+)
 
 
 def test_wilson_against_known_values() -> None:
@@ -69,3 +74,26 @@ def test_paired_differences_need_pairs() -> None:
         paired_difference([True], [True, False])
     with pytest.raises(ValueError, match="no pairs"):
         paired_difference([], [])
+
+
+def test_rank_correlation_of_four_things() -> None:
+    # Of the 24 orders of four things one has a rho of 1, and three more one of 0.8.
+    alike = rank_correlation([1.0, 2.0, 3.0, 4.0], [10.0, 20.0, 30.0, 40.0])
+    assert (alike.spearman, alike.kendall, alike.p) == pytest.approx((1.0, 1.0, 1 / 24))
+    swapped = rank_correlation([1.0, 2.0, 3.0, 4.0], [10.0, 30.0, 20.0, 40.0])
+    assert (swapped.spearman, swapped.kendall, swapped.p) == pytest.approx((0.8, 4 / 6, 4 / 24))
+    assert swapped.least_p == alike.p
+    assert rank_correlation([1.0, 2.0, 3.0], [3.0, 2.0, 1.0]).p == 1.0
+
+
+@given(st.lists(st.integers(0, 5), min_size=3, max_size=6).filter(lambda values: len(set(values)) > 1))
+def test_rank_correlation_with_ties_is_between_its_bounds(values: list[int]) -> None:
+    found = rank_correlation(values, values)
+    assert found.spearman == pytest.approx(1.0)
+    assert found.p == found.least_p > 0.0
+
+
+@pytest.mark.parametrize(("first", "second"), [([1, 2], [1, 2]), ([1, 2, 3], [1, 2]), ([1, 1, 1], [1, 2, 3])])
+def test_rank_correlation_of_too_little(first: list[float], second: list[float]) -> None:
+    with pytest.raises(ValueError, match="needed"):
+        rank_correlation(first, second)

@@ -1,4 +1,5 @@
 import pickle
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -251,3 +252,21 @@ def test_copies_keep_their_partner() -> None:
     copy = pickle.loads(pickle.dumps(env))
     assert copy.env is not env.env
     assert_equal(episodes(env, START, 2, 1), episodes(copy, START, 2, 1))
+
+
+class Prepared(Slow):
+    name = "prepared"
+
+    def prepare(self, object_names: Sequence[str]) -> None:
+        self.known = tuple(object_names)
+
+
+def test_partners_get_ready_for_the_objects_of_their_episode() -> None:
+    env = freeze(parallel_env(**SYNTHETIC), "receiver", (Prepared, {"hold": 0.1}))
+    with pytest.raises(ResetNeededError):
+        _ = env.world.object_names
+    for scene in (9, 14):
+        env.reset(options={"scene_id": scene})
+        partner = env._partner._policy
+        assert isinstance(partner, Prepared)
+        assert partner.known == env.world.dataset.scene(scene).info.object_names == env.world.object_names

@@ -1,8 +1,5 @@
 """TorchRL takes the environment as it is, and wrapped."""
 
-import sys
-from pathlib import Path
-
 import pytest
 
 import handover_marl
@@ -35,17 +32,3 @@ def test_wrapped_environments(frozen: bool) -> None:
     check_env_specs(env)
     assert sorted(env.group_map) == (["receiver"] if frozen else ["giver", "receiver"])
     env.close()
-
-
-@pytest.mark.slow
-def test_the_training_script_learns_from_something(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "experiments"))
-    import train_both_torchrl as script
-
-    args = script.Args(frames=128, batch=64, minibatch=32, epochs=1, dataset="synthetic", max_cycles=10)
-    script.main(args)
-    lines = [line for line in capsys.readouterr().out.splitlines() if "decisions" in line]
-    assert [line.split(",")[0] for line in lines] == ["64 decisions", "128 decisions"]
-    sys.modules.pop("train_both_torchrl")

@@ -4,7 +4,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from handover_marl.networks.point_sampling import ball_neighbours, farthest_points, gathered
+from handover_marl.networks.point_sampling import ball_neighbours, farthest_points, gathered, greatest
 
 RADIUS = 0.02
 DEVICES = ["cpu", pytest.param("cuda", marks=pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU"))]
@@ -98,3 +98,18 @@ def test_columns_are_gathered() -> None:
     assert taken.shape == (2, 3, 2, 2)
     for batch, row, column in np.ndindex(2, 2, 2):
         assert taken[batch, :, row, column].equal(values[batch, :, indices[batch, row, column]])
+
+
+@given(seed=st.integers(0, 2**16), members=st.integers(1, 5))
+@settings(max_examples=20, deadline=None)
+def test_greatest_of_groups_and_its_gradient(seed: int, members: int) -> None:
+    draw = torch.Generator().manual_seed(seed)
+    features = torch.randn(3, 7, 4, generator=draw, requires_grad=True)
+    groups = torch.randint(7, (3, 6, members), generator=draw)
+    wanted = gathered(features.transpose(1, 2), groups).amax(dim=-1).transpose(1, 2)
+    weights = torch.randn(3, 6, 4, generator=draw)
+    # Where a group has a point twice, `amax` shares the gradient among the two: of one point, all the same.
+    (gradient,) = torch.autograd.grad((wanted * weights).sum(), features)
+    found = greatest(features, groups)
+    assert found.equal(wanted)
+    assert torch.autograd.grad((found * weights).sum(), features)[0].allclose(gradient, atol=1e-6)

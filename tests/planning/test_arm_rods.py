@@ -57,7 +57,7 @@ def test_one_and_many_configurations_agree(seed: int) -> None:
 def test_frames_are_where_the_links_are(seed: int) -> None:
     joints = random_joints(seed, 2)
     origins, turns = IN_WORLD.frames(joints)
-    np.testing.assert_allclose(origins, IN_WORLD.origins(joints)[:, :7], atol=1e-12)
+    np.testing.assert_allclose(origins[:, 6] + 0.107 * turns[:, 6, :, 2], IN_WORLD.hands(joints)[:, :3], atol=1e-6)
     np.testing.assert_allclose(turns @ turns.swapaxes(-1, -2), np.broadcast_to(np.eye(3), turns.shape), atol=1e-12)
     # The elbow is 8.25 cm aside of the shoulder's line, seen from the upper arm (the Panda's data sheet).
     elbow = np.einsum("nij,ni->nj", turns[:, 2], origins[:, 3] - origins[:, 2])

@@ -5,6 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from handover_marl import parallel_env, receivers
 from handover_marl.benchmarking.runner import benchmark
@@ -14,10 +17,12 @@ from handover_marl.episode.clock import PolicyClock
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.observations import Observation
 from handover_marl.errors import OptionError, ResetNeededError
+from handover_marl.models.motion_frames import motion_frames
+from handover_marl.models.panda import HAND_LINK
 from handover_marl.models.poses import compose_point
 from handover_marl.pictures.plan_picture import render_plan
 from handover_marl.receivers import WAITING_JOINTS
-from handover_marl.receivers.omg import OmgReceiver
+from handover_marl.receivers.omg import OmgReceiver, _steady
 
 SCENE = 5
 DATA = SyntheticDataset()
@@ -78,6 +83,22 @@ def test_the_plan_leads_from_the_start_to_the_chosen_goal(offered: Observation) 
     np.testing.assert_allclose(plan.trajectory[-5:], plan.goals.tails[plan.chosen], atol=0.02)
     steps = np.abs(np.diff(plan.trajectory, axis=0, prepend=plan.start[None]))
     assert steps.max() < 0.5
+
+
+def test_it_means_to_go_where_the_plan_leads(offered: Observation) -> None:
+    receiver = omg()
+    assert receiver.intention is None
+    receiver.act(at(offered, 3000))
+    plan, meant = receiver.plan, receiver.intention
+    assert plan is not None
+    assert meant is not None
+    joints = np.concatenate([plan.trajectory, np.full((30, 2), 0.04)], axis=1)
+    frames = motion_frames(DATA.scene(SCENE).assets.panda, joints, receiver.world_from_base)
+    np.testing.assert_allclose(meant[:, :3], frames.path(HAND_LINK), atol=1e-6)
+    ahead = compose_point(meant[-1], np.array([0.0, 0.0, 0.1]))
+    assert np.linalg.norm(ahead - offered["object_poses"][0, :3]) < 0.15
+    receiver.act(at(offered, 7400))
+    assert receiver.intention is None
 
 
 def test_the_way_to_the_goal_is_straight(offered: Observation) -> None:
@@ -211,3 +232,16 @@ def test_picture_of_a_plan(tmp_path: Path) -> None:
         render_plan(SCENE, tmp_path / "plan.gif")
     with pytest.raises(OptionError, match="plans nothing"):
         render_plan(SCENE, tmp_path / "plan.png", receiver="hold", dataset="synthetic")
+
+
+@given(st.integers(0, 10_000))
+def test_plans_do_not_hang_on_the_last_bit_of_a_pose(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    poses = np.concatenate([rng.normal(size=(3, 3)), Rotation.random(3, rng).as_quat()], axis=1)
+    steady = _steady(poses)
+    np.testing.assert_allclose(steady[:, :3], poses[:, :3], atol=1e-5)
+    np.testing.assert_allclose(np.abs(np.einsum("ij,ij->i", steady[:, 3:], poses[:, 3:])), 1.0, atol=1e-8)
+    # In the middle of a step, so that a last bit cannot lead over its edge.
+    middle = 1e-5 * np.round(poses / 1e-5)
+    np.testing.assert_array_equal(_steady(middle + 1e-9), _steady(middle))
+    np.testing.assert_array_equal(_steady(np.concatenate([middle[:, :3], -middle[:, 3:]], axis=1)), _steady(middle))

@@ -20,7 +20,7 @@ def test_names() -> None:
 
 
 def test_unknown_names(fake_data: Path) -> None:
-    known = "gaddpg, hold, learned, omg, omg_hand_aware, omg_unchecked_last, random, reactive, yang2021"
+    known = "gaddpg, hold, learned, omg, omg_hand_aware, omg_unchecked_last, random, reactive, vision, yang2021"
     with pytest.raises(UnknownNameError, match=f"receiver 'yang'; valid: {known}"):
         receivers.make("yang", OfficialDataset(fake_data))
     with pytest.raises(OptionError, match="a giver is a name, a class or an instance of a policy, not 3"):
@@ -73,6 +73,8 @@ def test_yang_waits_then_goes_to_the_standoff_of_a_grasp(fake_data: Path) -> Non
     np.testing.assert_allclose(episode.observe()["gripper_pose"][:3], target - [0.0, 0.3, 0.0], atol=2e-3)
     np.testing.assert_allclose(actions[-1][7:], 0.04, rtol=1e-6)
     assert policy.hold_time == 0.1
+    assert policy.intention is not None
+    np.testing.assert_allclose(policy.intention[:, :3], target - [[0.0, 0.3, 0.0], [0.0, 0.1, 0.0]], atol=2e-3)
 
 
 def test_yang_holds_still_without_grasps(own_data: Path) -> None:

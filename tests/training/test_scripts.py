@@ -1,10 +1,8 @@
 """The training scripts do what they say, on a few steps of synthetic scenes."""
 
-import importlib.util
+import functools
 import pickle
-import sys
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import pytest
@@ -13,32 +11,16 @@ from handover_marl import givers, receivers
 from handover_marl.datasets import DATA_VARIABLE
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.errors import ResultsError
+from handover_marl.imitation.vision.grasp_labels import LabelConfig
+from handover_marl.imitation.vision.grasp_view_files import ViewSource
+from handover_marl.receivers.reactive.grasps import GraspTrials
+from handover_marl.receivers.reactive.reactive_config import ReactiveConfig
 from handover_marl.training.run_folder import RunFolder
 from tests.training.evil import Evil
+from tests.training.scripts import files, script, steps_of
 
 pytest.importorskip("stable_baselines3", reason="needs the extra `train`")
-EXPERIMENTS = Path(__file__).parents[2] / "experiments"
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning", "ignore::DeprecationWarning")
-
-
-def script(name: str, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    monkeypatch.syspath_prepend(str(EXPERIMENTS))
-    spec = importlib.util.spec_from_file_location(name, EXPERIMENTS / f"{name}.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    monkeypatch.setitem(sys.modules, name, module)
-    spec.loader.exec_module(module)
-    return module
-
-
-def files(folder: Path) -> set[str]:
-    return {path.name for path in folder.iterdir()}
-
-
-def steps_of(folder: Path) -> list[str]:
-    """The learning curve's first column."""
-    return [row.split(",")[0] for row in (folder / "learning_curve.csv").read_text().splitlines()]
 
 
 GIVER: dict[str, Any] = {
@@ -100,10 +82,11 @@ def test_both(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         "out": str(tmp_path / "run"),
         "dataset": "synthetic",
         "envs": 2,
-        "rollout": 10,
+        "batch": 20,
+        "minibatch": 10,
+        "every": 20,
         "val_scenes": 2,
         "time_limit": 1.5,
-        "minibatches": 2,
         "epochs": 1,
     }
     train.main(train.Args(**args, steps=20))
@@ -174,9 +157,28 @@ def test_runs_do_not_go_on_with_other_data(
 
 def test_strangers_checkpoints_do_not_run_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     train = script("train_both_ippo", monkeypatch)
-    args = train.Args(out=str(tmp_path / "run"), dataset="synthetic", envs=1, rollout=4, val_scenes=1, resume=True)
+    args = train.Args(out=str(tmp_path / "run"), dataset="synthetic", envs=1, batch=4, val_scenes=1, resume=True)
     folder = RunFolder(tmp_path / "run", args, False, "synthetic")
     folder.checkpoint.write_bytes(pickle.dumps(Evil(tmp_path / "ran")))
     with pytest.raises(ResultsError, match="no checkpoint of this run"):
         train.main(args)
     assert not (tmp_path / "ran").exists()
+
+
+def test_train_vision(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("embreex")
+    train = script("train_vision", monkeypatch)
+    trials = GraspTrials(tilts=(), aside=(), around=(), deeper=())
+    labels = LabelConfig(receiver=ReactiveConfig(trials=trials))
+    monkeypatch.setattr(train, "ViewSource", functools.partial(ViewSource, labels=labels))
+    few = {"dataset": "synthetic", "steps": 4, "rounds": 1, "views": 4, "round_views": 2, "stride": 400, "workers": 1}
+    out = tmp_path / "run"
+    weights = train.main(train.Args(out=str(out), val_scenes=1, **few))
+    assert files(out) >= {"vision.npz", "checkpoint.pt", "learning_curve.csv", "learning_curve.png", "round_1.npz"}
+    assert weights == out / "vision.npz"
+    assert steps_of(out) == ["steps", "2", "4"]
+    assert receivers.make(f"vision:weights={weights}", SyntheticDataset()).label.startswith("vision@")
+    with pytest.raises(ResultsError, match="--resume"):
+        train.main(train.Args(out=str(out), val_scenes=1, **few))
+    train.main(train.Args(out=str(out), val_scenes=1, resume=True, **few))
+    assert steps_of(out) == ["steps", "2", "4"]

@@ -1,13 +1,15 @@
 """Many recordings to scenes, in processes of their own."""
 
-from collections.abc import Iterator, Sequence
+import functools
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from handover_marl.datasets.importing.mano_model import SIDES, ManoModel, read_mano_model
-from handover_marl.datasets.importing.process_pool import worked_on
 from handover_marl.datasets.importing.raw_layout import SequenceFolder
 from handover_marl.datasets.importing.scene_import import Betas, import_scene
 from handover_marl.errors import HandoverError, ResultsError
+from handover_marl.pools.pool_config import PoolConfig
+from handover_marl.pools.working import worked_on
 
 
 def read_models(folder: Path) -> dict[str, ManoModel]:
@@ -25,23 +27,17 @@ def converted(
     """Every recording with what kept it from being imported, empty if nothing did, as they are finished.
 
     Raises:
-        ResultsError: The data folder cannot be written, or a process died.
+        ResultsError: The data folder cannot be written.
+        WorkerError: A process died twice over the same recording.
     """
-    # The models are not sent: they are more than a pipe holds.
-    return worked_on(_import_one, sequences, "scenes", workers, progress, _start, (mano, betas, out))
+
+    def prepare() -> Callable[[SequenceFolder], str]:
+        return functools.partial(_import_one, read_models(mano), betas, out)
+
+    return worked_on(prepare, sequences, "scenes", PoolConfig(workers), progress)
 
 
-_given: tuple[dict[str, ManoModel], Betas, Path]
-
-
-def _start(mano: Path, betas: Betas, out: Path) -> None:
-    """What a process is told once."""
-    global _given
-    _given = read_models(mano), betas, out
-
-
-def _import_one(sequence: SequenceFolder) -> str:
-    models, betas, out = _given
+def _import_one(models: dict[str, ManoModel], betas: Betas, out: Path, sequence: SequenceFolder) -> str:
     try:
         import_scene(sequence, models, betas, out)
     except ResultsError:

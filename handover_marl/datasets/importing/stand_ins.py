@@ -4,6 +4,7 @@ Convex parts are cut from the models by CoACD (Wei et al., SIGGRAPH 2022), grasp
 of the same outer dimensions, and the Panda is PyBullet's. Every such file says so, and so does every result on it.
 """
 
+import functools
 import io
 from importlib.util import find_spec
 from pathlib import Path
@@ -15,13 +16,14 @@ from scipy.spatial import QhullError
 from handover_marl.assets.robot_model import PANDA_URDF, panda_text
 from handover_marl.assets.shipped_grasps import load_object_grasps
 from handover_marl.datasets.importing.asset_files import put_files
-from handover_marl.datasets.importing.process_pool import worked_on
 from handover_marl.datasets.official_files import PANDA_FILES, STAND_IN
 from handover_marl.errors import DataFormatError
 from handover_marl.models.hulls import extreme_points, hull
 from handover_marl.models.obj_files import read_obj
 from handover_marl.models.panda import PANDA_CAMERA
 from handover_marl.models.ycb import CLASS_NAMES
+from handover_marl.pools.pool_config import PoolConfig
+from handover_marl.pools.working import worked_on
 
 Array = npt.NDArray[np.float64]
 
@@ -69,12 +71,11 @@ def _cut(assets: Path, names: list[str], workers: int, progress: bool) -> list[s
             "(--third-party), which has the original ones, or install what cuts them (pip install "
             "'handover-marl[import]')"
         ]
-    cut = worked_on(_cut_one, [(assets, name) for name in names], "convex parts", workers, progress)
+    cut = worked_on(lambda: functools.partial(_cut_one, assets), names, "convex parts", PoolConfig(workers), progress)
     return [fault for _, fault in cut if fault]
 
 
-def _cut_one(thing: tuple[Path, str]) -> str:
-    assets, name = thing
+def _cut_one(assets: Path, name: str) -> str:
     try:
         put_files(assets, {f"{name}/{_COLLISION}": convex_parts(assets / name / _SHOWN[0]).encode()})
     except DataFormatError as error:

@@ -5,10 +5,10 @@ import numpy.typing as npt
 
 from handover_marl.config import CameraConfig, PhysicsConfig
 from handover_marl.datasets.scene import Scene
-from handover_marl.errors import ResetNeededError, SimulationError
+from handover_marl.errors import SimulationError
 from handover_marl.sim.bullet.client import BulletClient, connect, pybullet_error
 from handover_marl.sim.bullet.drawing import render
-from handover_marl.sim.bullet.picture_world import PictureWorld
+from handover_marl.sim.bullet.picture_world import Pictures, PictureWorld
 from handover_marl.sim.world import World
 
 
@@ -24,7 +24,7 @@ class BulletWorld(World):
         self._config = config
         self._client: BulletClient = connect(window)
         self._scene: Scene | None = None
-        self._pictures: PictureWorld | None = None
+        self._pictures = Pictures(config)
 
     def render(self, camera: CameraConfig) -> npt.NDArray[np.uint8]:
         """An RGB picture (height, width, 3) of the present state."""
@@ -32,22 +32,12 @@ class BulletWorld(World):
 
     def close(self) -> None:
         """Disconnect from PyBullet."""
-        self._forget_pictures()
+        self._pictures.close()
         self._client.close()
 
     def _picture_world(self) -> PictureWorld:
         """The present scene in a server that is not simulated."""
-        if self._scene is None:
-            raise ResetNeededError("the world is empty; call reset() first")
-        if self._pictures is None or self._pictures.scene is not self._scene:
-            self._forget_pictures()
-            self._pictures = PictureWorld(self._scene, self._config)
-        return self._pictures
-
-    def _forget_pictures(self) -> None:
-        if self._pictures is not None:
-            self._pictures.close()
-        self._pictures = None
+        return self._pictures.of(self._scene)
 
     def _simulate(self) -> None:
         try:

@@ -14,9 +14,10 @@ import numpy.typing as npt
 from handover_marl.config import CameraConfig, PhysicsConfig
 from handover_marl.datasets.scene import Scene, SceneAssets
 from handover_marl.errors import ResetNeededError
+from handover_marl.models.kinematic_tree import read_tree
 from handover_marl.protocol.contacts import Contacts
+from handover_marl.sim.bullet.bounds import link_spheres
 from handover_marl.sim.bullet.bullet_world import BulletWorld, lost
-from handover_marl.sim.bullet.clearance import Clearance
 from handover_marl.sim.bullet.client import pybullet_error
 from handover_marl.sim.bullet.contact_reader import ContactReader
 from handover_marl.sim.bullet.dormant_object import DormantObject
@@ -26,6 +27,7 @@ from handover_marl.sim.bullet.kinematic_hand import HandModel, KinematicHand, re
 from handover_marl.sim.bullet.panda_body import Panda
 from handover_marl.sim.bullet.stage import Stage, set_stage
 from handover_marl.sim.camera.photo import Photo
+from handover_marl.sim.clearance import Clearance
 from handover_marl.sim.motion import Motion
 from handover_marl.sim.world import Postures, Snapshot, WorldState
 
@@ -107,7 +109,7 @@ class FastWorld(BulletWorld):
             self._client.stepSimulation()
             self._stage_files = files
             self._reader = ContactReader(self._client, self._stage.panda)
-            self._clearance = Clearance(self._stage.panda, assets.panda, self._config.panda)
+            self._clearance = Clearance(read_tree(assets.panda), link_spheres(assets.panda), self._config.panda)
         return self._stage
 
     def _forget(self, panda: Panda) -> None:
@@ -172,7 +174,10 @@ class FastWorld(BulletWorld):
             return
         centers = np.stack([item.centers(row) for item in asleep], axis=1)
         reaches = np.array([item.reach for item in asleep])
-        clear = self._clearance.clear_steps(robot_target, centers, reaches).tolist()
+        panda, links = self._stage_now.panda, self._clearance.links
+        clear = self._clearance.clear_steps(
+            panda.joint_states(), panda.link_poses(links), robot_target, centers, reaches
+        ).tolist()
         worth = min(_WORTH, self._length - row)
         for item, steps in zip(asleep, clear, strict=True):
             if steps < worth:

@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.config import HAND_DOF, HandConfig
+from handover_marl.config import HandConfig
 from handover_marl.models.kinematic_tree import KinematicTree, read_tree
 from handover_marl.sim.bullet.bounds import link_spheres
 from handover_marl.sim.bullet.client import BulletClient
-from handover_marl.sim.bullet.hand_body import BASE_JOINTS, HAND_MASK, hand_motors, keypoint_links
+from handover_marl.sim.bullet.hand_body import HAND_MASK
 from handover_marl.sim.bullet.link_shapes import LinkShape, collision_shape, read_shapes
-from handover_marl.sim.follower import Follower
+from handover_marl.sim.hand_path import BASE_JOINTS, HandPath
 from handover_marl.sim.motion import Motion
 
 # Bullet lets two bodies collide when either one's mask admits the other. The Panda's admits the hand; were the
@@ -54,7 +54,7 @@ def read_hand(client: BulletClient, urdf: Path) -> HandModel:
     return HandModel(urdf, tree, shapes, ids, tree.reach(BASE_JOINTS - 1, spheres))
 
 
-class KinematicHand:
+class KinematicHand(HandPath):
     """The hand of one scene.
 
     Args:
@@ -73,15 +73,8 @@ class KinematicHand:
         self.bodies: list[int] = []
         self.awake = False
         self._client = client
-        self._motors = hand_motors(config)
-        self._follower: Follower | None = None
         self._placed: npt.NDArray[np.float64] | None = None
-        # A hand at rest is looked at often: its joints and keypoints when last seen.
-        self._seen: tuple[npt.NDArray[np.float64], npt.NDArray[np.float32]] | None = None
-        # One row more than the motion has: the first is where it was before.
-        self._path, self._present = np.zeros((1, HAND_DOF)), np.zeros(1, dtype=bool)
-        self.lead(start)
-        self._path, self._present = self._path[-1:], self._present[-1:]
+        super().__init__(model.tree, config, start)
 
     @property
     def reach(self) -> float:
@@ -90,24 +83,8 @@ class KinematicHand:
 
     def lead(self, motion: Motion) -> None:
         """Work out where it will be in the coming steps."""
-        present, path = motion.hand_present, np.zeros(motion.hand.shape)
-        cuts = (np.flatnonzero(np.diff(present)) + 1).tolist()
-        for first, last in zip([0, *cuts], [*cuts, len(motion)], strict=True):
-            if not present[first]:
-                self._follower = None
-                continue
-            if self._follower is None:
-                # A hand that appears does so at its target.
-                self._follower = Follower(self._motors, motion.hand[first])
-            self._follower.follow(motion.hand[first:last])
-            path[first:last] = self._follower.path
-        self._path = np.concatenate([self._path[-1:], path])
-        self._present = np.concatenate([self._present[-1:], present])
+        super().lead(motion)
         self._poses: npt.NDArray[np.float64] | None = None
-
-    def centers(self, row: int) -> npt.NDArray[np.float64]:
-        """(n - row, 3) where its base will be after the steps from `row` on (m); inf where there is no hand."""
-        return np.where(self._present[row + 1 :, None], self._path[row + 1 :, :3], np.inf)
 
     def wake(self, row: int) -> None:
         """Be in Bullet from step `row` on whenever there is a hand."""
@@ -137,25 +114,6 @@ class KinematicHand:
             self._client.removeBody(body)
         self.bodies = []
         self._placed = None
-
-    def present_after(self, row: int) -> bool:
-        """Whether there is a hand after step `row`, -1 being before the first."""
-        return bool(self._present[row + 1])
-
-    def dof(self, row: int) -> npt.NDArray[np.float32]:
-        """(51,) its joints after step `row`, -1 being before the first (m, rad)."""
-        joints: npt.NDArray[np.float32] = self._path[row + 1].astype(np.float32)
-        return joints
-
-    def keypoints(self, row: int) -> npt.NDArray[np.float32]:
-        """(16, 3) world positions (m) of the wrist and of the 15 finger-joint origins, as `Hand.keypoints`."""
-        joints = self._path[row + 1]
-        if self._seen is None or not np.array_equal(joints, self._seen[0]):
-            moving = [link for link, joint in enumerate(self.model.tree.joints) if joint.kind != "fixed"]
-            origins, _ = self.model.tree.frames(joints[None])
-            self._seen = joints, origins[0, keypoint_links(moving)].astype(np.float32)
-        keypoints: npt.NDArray[np.float32] = self._seen[1].copy()
-        return keypoints
 
     def _shape_poses(self) -> npt.NDArray[np.float64]:
         if self._poses is None:

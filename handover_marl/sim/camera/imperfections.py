@@ -25,6 +25,7 @@ class CameraImperfections:
         edge_drop: Share of the pixels beside edges that show nothing. Stereo cameras see nothing where only one of
             their two eyes does; how often that is depends on the scene, and 0.5 is a choice, not a measurement.
         latency: Age of a picture when it arrives (s); 0.05 is a frame and a half at 30 Hz, a choice too.
+        every: Of rows and columns each shows only every so many: 2 stands for a camera of 112 x 112 pixels.
 
     Raises:
         OptionError: A number is impossible.
@@ -34,6 +35,7 @@ class CameraImperfections:
     edge_step: float = 0.02
     edge_drop: float = 0.5
     latency: float = 0.05
+    every: int = 1
 
     def __post_init__(self) -> None:
         for part in fields(self):
@@ -42,6 +44,8 @@ class CameraImperfections:
                 raise OptionError(f"{part.name}={value!r} of a camera must be a number, 0 or more")
         if self.edge_drop > 1.0:
             raise OptionError(f"edge_drop={self.edge_drop} is a share, 0 to 1")
+        if not isinstance(self.every, int) or self.every < 1:
+            raise OptionError(f"every={self.every!r} of a camera must be a whole number, 1 or more")
         if self.latency > 1.0:
             raise OptionError(f"latency={self.latency} s: a camera that late is of no use; 0 to 1")
 
@@ -79,6 +83,9 @@ def worsened(photo: Photo, camera: CameraImperfections, rng: np.random.Generator
     chance = rng.random(photo.depth.shape, dtype=np.float32)
     depth = photo.depth + np.float32(camera.depth_noise) * photo.depth**2 * noise
     lost = _beside_edges(photo.depth, camera.edge_step) & (chance < camera.edge_drop)
+    shown = np.zeros_like(lost)
+    shown[:: camera.every, :: camera.every] = True
+    lost |= ~shown
     empty = lost | (photo.depth >= NOTHING)
     return Photo(
         # What is seen stays before what is not, however much noise there is.

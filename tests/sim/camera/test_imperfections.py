@@ -61,6 +61,23 @@ def test_a_camera_without_faults_takes_perfect_pictures(seed: int) -> None:
     assert (same.depth.dtype, same.segmentation.dtype) == (np.float32, np.uint8)
 
 
+def test_fewer_pixels_show_what_they_showed() -> None:
+    photo = patches(0)
+    half = taken(photo, replace(NONE, every=2))
+    np.testing.assert_array_equal(half.depth[::2, ::2], photo.depth[::2, ::2])
+    np.testing.assert_array_equal(half.segmentation[::2, ::2], photo.segmentation[::2, ::2])
+    others = np.ones(photo.depth.shape, dtype=bool)
+    others[::2, ::2] = False
+    assert (half.depth[others] == NOTHING).all()
+    assert (half.segmentation[others] == Seen.BACKGROUND).all()
+
+
+@pytest.mark.parametrize("every", [0, -1, 1.5, True])
+def test_every_so_many_pixels_is_a_count(every: Any) -> None:
+    with pytest.raises(OptionError, match="every"):
+        CameraImperfections(every=every)
+
+
 @pytest.mark.parametrize("distance", [0.1, 0.5, 1.0, 1.9])
 def test_noise_grows_with_the_square_of_the_depth(distance: float) -> None:
     photo = flat(distance)

@@ -1,0 +1,212 @@
+"""Why the receivers `reactive` and `vision` fail where they do.
+
+    python experiments/failures.py --data-dir DIR --split train --stride 10
+    python experiments/failures.py --data-dir DIR --receiver vision:wait=3.0 --robot panda_camera
+
+Plays scenes and prints every failure with its cause, a table of causes, and how long decisions took. Of a contact it
+tells which part of the robot was nearest to the hand and what the receiver was doing; of a drop whether the object
+was pushed out of the hand, slipped as the person let go, or was lost on the way; of a timeout whether there was no
+grasp with room, none within reach, one that was never reached, or no way to the goal.
+"""
+
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import tyro
+
+from handover_marl import givers, receivers
+from handover_marl.benchmarking.tables import table
+from handover_marl.config import ARM_JOINTS
+from handover_marl.datasets import open_dataset
+from handover_marl.episode.episode import Episode
+from handover_marl.episode.play import play
+from handover_marl.episode.watchers import Decision, Watcher
+from handover_marl.errors import OptionError
+from handover_marl.models.arm import Arm, body_points
+from handover_marl.models.kinematic_tree import read_tree
+from handover_marl.models.poses import compose_point, inverse
+from handover_marl.planning.body_samples import body_samples
+from handover_marl.planning.capsules import hand_capsules
+from handover_marl.pools.pool_config import PoolConfig
+from handover_marl.pools.working import worked_on
+from handover_marl.protocol.release import Release
+from handover_marl.protocol.status import EpisodeStatus
+from handover_marl.receivers.reactive.reactive_receiver import Phase, ReactiveReceiver
+
+#: A grip lost this soon after the person let go has slipped then (steps).
+SOON = 60
+POINTS = 40
+
+
+@dataclass(frozen=True)
+class Args:
+    """What to play.
+
+    Attributes:
+        setup: Official setup, s0 to s3.
+        split: train or val.
+        data_dir: Folder in HandoverSim's layout; default: HANDOVER_MARL_DATA.
+        dataset: dexycb, synthetic, or auto.
+        robot: panda or panda_camera.
+        physics: fast or exact.
+        stride: Take every n-th scene,
+        offset: from this one on.
+        scenes: Instead of a split: these scenes.
+        giver: Who hands over.
+        workers: Processes.
+        all: Print all episodes, not failures only.
+        receiver: `reactive` or `vision`, with options.
+    """
+
+    setup: str = "s0"
+    split: str = "val"
+    data_dir: str | None = None
+    dataset: str = "auto"
+    robot: str = "panda"
+    physics: str = "fast"
+    stride: int = 1
+    offset: int = 0
+    scenes: tuple[int, ...] = ()
+    giver: str = "replay"
+    workers: int = 1
+    all: bool = False
+    receiver: str = "reactive"
+
+
+class Notes(Watcher):
+    """What the causes are told from.
+
+    Attributes:
+        seconds: Wall-clock time of every decision of every episode (s).
+        gripped: The last step with both fingers on the object, or None.
+    """
+
+    def __init__(self) -> None:
+        self.seconds: list[float] = []
+        self.gripped: int | None = None
+
+    def started(self, episode: Episode) -> None:
+        self.gripped = None
+
+    def decided(self, episode: Episode, decision: Decision) -> None:
+        self.seconds.append(decision.seconds)
+
+    def stepped(self, episode: Episode) -> None:
+        if episode.grasped:
+            self.gripped = episode.steps
+
+
+class Causes:
+    """Tells causes.
+
+    Args:
+        receiver: Who played.
+    """
+
+    def __init__(self, receiver: ReactiveReceiver) -> None:
+        self._receiver = receiver
+        self._arm = Arm(read_tree(receiver.context.panda_urdf))
+        self._links = tuple(self._arm.link_names)
+        self._body = body_samples(receiver.context.panda_urdf, self._links, POINTS)
+        panda = receiver.context.panda
+        self._base_from_world = inverse(np.array([*panda.base_position, *panda.base_orientation]))
+
+    def of(self, episode: Episode, gripped: int | None) -> str:
+        """The cause of an episode's end, in words."""
+        status, phase = episode.status, self._receiver.phase
+        if status & EpisodeStatus.HUMAN_CONTACT:
+            return f"contact of {self._nearest_link(episode)} while in {phase.value}"
+        if status & EpisodeStatus.OBJECT_DROP:
+            return self._drop(episode, gripped)
+        if status & EpisodeStatus.TIMEOUT:
+            return self._timeout(phase)
+        return status.label
+
+    def _drop(self, episode: Episode, gripped: int | None) -> str:
+        if episode.release is Release.PASSIVE:
+            return "drop: pushed out of the hand"
+        if gripped is None or episode.release_step is None or gripped - episode.release_step < SOON:
+            return "drop: slipped as the person let go"
+        return "drop: lost on the way"
+
+    def _timeout(self, phase: Phase) -> str:
+        if phase is Phase.RETREAT:
+            return "timeout: no way to the goal"
+        if phase is Phase.WAIT:
+            return "timeout: nothing was offered"
+        return f"timeout: {self._receiver.choice.trouble or 'the grasp was never reached'}"
+
+    def _nearest_link(self, episode: Episode) -> str:
+        observation = episode.observe()
+        hand = hand_capsules(observation)
+        if hand is None:
+            return "?"
+        joints = observation["robot_joint_position"][None, :ARM_JOINTS].astype(np.float64)
+        points = body_points(self._arm.frames(joints), self._body)[..., 0].T
+        world: npt.NDArray[np.float64] = compose_point(inverse(self._base_from_world), points)
+        return self._links[int(np.argmin(hand.distances(world))) // POINTS]
+
+
+@dataclass(frozen=True)
+class Played:
+    """An episode: its scene, the object's name, its end, its length in steps, the cause, and its decisions' times."""
+
+    scene: int
+    target: str
+    status: EpisodeStatus
+    steps: int
+    cause: str
+    seconds: tuple[float, ...]
+
+
+class Player:
+    """Plays scenes in one process."""
+
+    def __init__(self, args: Args) -> None:
+        self._data = open_dataset(args.dataset, args.data_dir, args.robot)
+        made = receivers.make(args.receiver, self._data)
+        if not isinstance(made, ReactiveReceiver):
+            raise OptionError(f"receiver={args.receiver!r}: causes are told of reactive and vision alone")
+        self._receiver = made
+        self._giver = givers.make(args.giver, self._data)
+        self._episode, self._causes = Episode(args.physics), Causes(self._receiver)
+
+    def play(self, number: int) -> Played:
+        """One scene."""
+        scene, episode, notes = self._data.scene(number), self._episode, Notes()
+        episode.reset(scene)
+        play(episode, self._receiver, self._giver, seed=0, watchers=[notes])
+        cause = self._causes.of(episode, notes.gripped)
+        return Played(number, scene.info.target_name, episode.status, episode.steps, cause, tuple(notes.seconds))
+
+
+def main(args: Args) -> None:
+    data = open_dataset(args.dataset, args.data_dir)
+    scenes = args.scenes or data.split(args.setup, args.split)[args.offset :: args.stride]
+    horizon = Episode(args.physics).config.protocol.horizon_steps
+    found: Counter[str] = Counter()
+    seconds: list[float] = []
+    share = 0.0
+    for _, played in worked_on(lambda: Player(args).play, scenes, "playing", PoolConfig(args.workers), True):
+        found[played.cause] += 1
+        seconds += played.seconds
+        if played.status is EpisodeStatus.SUCCESS:
+            share += 1.0 - played.steps / horizon
+        if args.all or played.status is not EpisodeStatus.SUCCESS:
+            print(f"{played.scene:4d} {played.target:24s} {played.steps:6d} {played.cause}", flush=True)
+    count = len(scenes)
+    print(
+        f"{data.name}, {args.setup} {args.split}, {count} episodes, giver {args.giver}, receiver {args.receiver}, "
+        f"{args.robot}, {args.physics} physics"
+    )
+    print(
+        table(["cause", "episodes", "%"], [[name, str(n), f"{100 * n / count:.1f}"] for name, n in found.most_common()])
+    )
+    low, middle, high = 1000.0 * np.quantile(seconds, [0.5, 0.95, 1.0])
+    print(f"AS {100 * share / count:.1f} %; decisions: median {low:.1f}, 95 % {middle:.1f}, most {high:.0f} ms")
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Args))

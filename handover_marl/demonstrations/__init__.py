@@ -1,0 +1,1 @@
+"""Episodes as data sets: recorded while they are played, kept in Minari's layout, and read again."""

@@ -1,0 +1,1 @@
+"""Networks that see points, trained by imitation: one room for each receiver. Needs the extra `train`."""

@@ -1,0 +1,78 @@
+"""For how many steps the Panda surely stays away from what the giver moves."""
+
+from collections.abc import Mapping
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.config import TIME_STEP, PandaConfig
+from handover_marl.models.kinematic_tree import KinematicTree, Sphere
+from handover_marl.models.poses import compose_point
+
+Array = npt.NDArray[np.float64]
+
+#: Distance (m) between balls below which two things count as near; Bullet begins to look for contacts at 2 cm.
+MARGIN = 0.03
+
+
+class Clearance:
+    """Bounds on where a Panda's links can get.
+
+    A joint goes straight for its target, a fixed share of the way in every step; where its motor is too weak to
+    turn it round at once, it first coasts on. So no point of the arm moves further than the sum over the joints of
+    both ways, times how far the joint's load reaches.
+
+    Args:
+        tree: The robot's links.
+        spheres: A ball around the shapes of every link that has some; -1 is the base.
+        config: How its joints are driven.
+
+    Attributes:
+        links: The links that have shapes, the base left out.
+    """
+
+    def __init__(self, tree: KinematicTree, spheres: Mapping[int, Sphere], config: PandaConfig) -> None:
+        self._gain = config.motor.position_gain
+        base = [spheres[-1]] if -1 in spheres else []
+        self.links = [link for link in spheres if link >= 0]
+        self._centers = np.stack([spheres[link].center for link in self.links])
+        radii = [spheres[link].radius for link in self.links] + [sphere.radius for sphere in base]
+        self._radii = np.array(radii)
+        self._base_centers = compose_point(
+            np.array([*config.base_position, *config.base_orientation]),
+            np.array([sphere.center for sphere in base]).reshape(-1, 3),
+        )
+        moving = [link for link, joint in enumerate(tree.joints) if joint.kind != "fixed"]
+        # A finger slides, and nothing swings on it.
+        self._levers = np.array(
+            [1.0 if tree.joints[link].kind == "prismatic" else tree.reach(link, spheres) for link in moving]
+        )
+
+    def clear_steps(
+        self,
+        joints: tuple[npt.NDArray[np.floating], npt.NDArray[np.floating]],
+        link_poses: npt.NDArray[np.floating],
+        robot_target: list[float],
+        centers: Array,
+        radii: Array,
+    ) -> npt.NDArray[np.int_]:
+        """How many of the coming n steps are surely without contact, for each of m things.
+
+        Args:
+            joints: Positions (9,) and velocities (9,) of the robot's joints now (rad, m).
+            link_poses: (L, 7) world poses of `links` now.
+            robot_target: (9,) joint targets for all these steps.
+            centers: (n, m, 3) where the middles of balls around the things are after each step (m).
+            radii: (m,) the balls' radii (m).
+        """
+        steps = len(centers)
+        position, velocity = joints
+        ways = np.abs(np.array(robot_target) - position) @ self._levers
+        speed = np.abs(velocity) @ self._levers
+        count = np.arange(1, steps + 1)
+        moved = ways * (1.0 - (1.0 - self._gain) ** count) + speed * TIME_STEP * count
+        links = compose_point(link_poses, self._centers)
+        robot = np.concatenate([links, self._base_centers])
+        gaps = np.linalg.norm(centers[:, :, None] - robot, axis=-1) - self._radii
+        near = gaps.min(axis=-1) - radii - moved[:, None] < MARGIN
+        return np.where(near.any(axis=0), near.argmax(axis=0), steps)

@@ -1,0 +1,143 @@
+"""Compiled models of scenes: built once for each set of bodies and kept, whatever plays them."""
+
+import functools
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.config import OBJECT_DOF, PANDA_DOF, PhysicsConfig
+from handover_marl.datasets.scene import SceneAssets
+from handover_marl.errors import SimulationError
+from handover_marl.models.kinematic_tree import read_tree
+from handover_marl.models.panda import FINGER_LINKS, HAND_LINK
+from handover_marl.models.urdf_shapes import named_meshes
+from handover_marl.sim.clearance import Clearance
+from handover_marl.sim.hand_path import BASE_JOINTS
+from handover_marl.sim.mujoco.hull_parts import link_balls
+from handover_marl.sim.mujoco.scene_spec import SceneSpec, guide_name, hand_name, object_name
+from handover_marl.sim.mujoco.touch import TouchSensors
+from handover_marl.sim.mujoco.tuning import TUNING, Tuning
+
+Index = npt.NDArray[np.int32]
+
+# A model takes 1 to 2 MB; DexYCB has four hundred pairs of object and hand.
+_KEPT = 128
+
+
+@dataclass(frozen=True, eq=False)
+class SceneModel:
+    """A scene's bodies as a compiled model, and where in its arrays they are. Worlds copy the model, which stays.
+
+    Attributes:
+        model: The model, everything at the origin.
+        touch: Its touch sensors.
+        robot_qpos: Places of the robot's nine joints in `qpos`.
+        robot_qvel: Likewise in `qvel`.
+        robot_ctrl: Its servos.
+        gripper: Body number of the robot's hand link.
+        fingers: (2,) of the left and the right finger.
+        objects: (m,) body numbers of the objects.
+        object_qpos: Where in `qpos` their m positions and quaternions wxyz are, one after the other.
+        object_ctrl: Their servos, six each: world xyz, then a rotation that is led by the guide.
+        guides: The m mocap bodies that say how objects are to be turned.
+        hand: The k mocap bodies of the hand.
+        hand_links: (k,) the links that these are.
+        robot_clearance: Bounds on where the robot can get.
+        robot_links: (L,) body numbers of the links that these are about.
+        hand_reach: How far the hand reaches from the origin of its base joints (m).
+    """
+
+    model: "mujoco.MjModel"
+    touch: TouchSensors
+    robot_qpos: slice
+    robot_qvel: slice
+    robot_ctrl: slice
+    gripper: int
+    fingers: Index
+    objects: Index
+    object_qpos: slice
+    object_ctrl: slice
+    guides: slice
+    hand: slice
+    hand_links: Index
+    robot_clearance: Clearance
+    robot_links: Index
+    hand_reach: float
+
+
+def scene_model(assets: SceneAssets, config: PhysicsConfig, tuning: Tuning = TUNING) -> SceneModel:
+    """The model of a scene's bodies; built once for the same files.
+
+    Raises:
+        SimulationError, DataFormatError: A model or a mesh cannot be read, or MuJoCo refuses it.
+    """
+    files = (assets.table, assets.panda, *assets.objects, assets.hand)
+    try:
+        changed = tuple(_changed(urdf) for urdf in files)
+    except OSError as error:
+        raise SimulationError(f"{error.filename}: cannot read this model ({error.strerror or error})") from error
+    return _built(assets, changed, config, tuning)
+
+
+def _changed(urdf: Path) -> tuple[int, ...]:
+    own = urdf.stat().st_mtime_ns
+    return (own, *(mesh.stat().st_mtime_ns if mesh.exists() else 0 for mesh in _meshes(urdf, own)))
+
+
+@functools.lru_cache(maxsize=256)
+def _meshes(urdf: Path, changed: int) -> tuple[Path, ...]:
+    return tuple(mesh for _, mesh in named_meshes(urdf))
+
+
+@functools.lru_cache(maxsize=_KEPT)
+def _built(
+    assets: SceneAssets, changed: tuple[tuple[int, ...], ...], config: PhysicsConfig, tuning: Tuning
+) -> SceneModel:
+    built = SceneSpec(assets, config, tuning)
+    try:
+        model = built.spec.compile()
+    except (ValueError, RuntimeError) as error:
+        raise SimulationError(f"MuJoCo refuses the model of {assets.objects[0].parent.name} ({error})") from error
+    tree, hand = read_tree(assets.panda), read_tree(assets.hand)
+    joints = [joint.link for joint in tree.joints if joint.kind != "fixed"]
+    if len(joints) != PANDA_DOF:
+        raise SimulationError(f"{assets.panda} has {len(joints)} moving joints, expected {PANDA_DOF}; check its URDF")
+    objects = [object_name(number) for number in range(len(assets.objects))]
+    clearance = Clearance(tree, link_balls(assets.panda, tree), config.panda)
+    return SceneModel(
+        model=model,
+        touch=TouchSensors(model, tuning.margin),
+        robot_qpos=_run(model.joint(name).qposadr[0] for name in joints),
+        robot_qvel=_run(model.joint(name).dofadr[0] for name in joints),
+        robot_ctrl=_run(model.actuator(name).id for name in joints),
+        gripper=_body(model, HAND_LINK, assets.panda),
+        fingers=np.array([_body(model, name, assets.panda) for name in FINGER_LINKS], dtype=np.int32),
+        objects=np.array([model.body(name).id for name in objects], dtype=np.int32),
+        object_qpos=_run(model.joint(name).qposadr[0] + place for name in objects for place in range(7)),
+        object_ctrl=_run(model.actuator(f"{name}/{axis}").id for name in objects for axis in range(OBJECT_DOF)),
+        guides=_run(model.body(guide_name(number)).mocapid[0] for number in range(len(objects))),
+        hand=_run(model.body(hand_name(number)).mocapid[0] for number in range(len(built.hand_links))),
+        hand_links=np.array(built.hand_links, dtype=np.int32),
+        robot_clearance=clearance,
+        robot_links=np.array([model.body(tree.joints[link].link).id for link in clearance.links], dtype=np.int32),
+        hand_reach=hand.reach(BASE_JOINTS - 1, link_balls(assets.hand, hand)),
+    )
+
+
+def _run(places: Iterable[int]) -> slice:
+    """Places that follow each other, as views want them."""
+    found = list(places)
+    if found != list(range(found[0], found[0] + len(found))):
+        raise SimulationError(f"MuJoCo numbers a model otherwise than it was built: {found}; report this")
+    return slice(int(found[0]), int(found[-1]) + 1)
+
+
+def _body(model: "mujoco.MjModel", name: str, urdf: Path) -> int:
+    try:
+        return int(model.body(name).id)
+    except KeyError as error:
+        raise SimulationError(f"{urdf} has no link {name!r}; check its URDF") from error

@@ -1,0 +1,1 @@
+"""The receiver `reactive`, which knows true poses and moves with the person. It is in `reactive_receiver`."""

@@ -1,0 +1,137 @@
+"""Shell commands as the documentation shows them, taken apart and checked without running what takes long."""
+
+import configparser
+import importlib
+import importlib.util
+import re
+import shlex
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import tyro
+
+from handover_marl.cli import main
+from handover_marl.datasets.splits import check_setup_and_split
+from handover_marl.policies.reference import policy_reference
+from handover_marl.run import Run
+from tests.docs.pages import REPOSITORY
+
+#: What the commands of the library lead to.
+TARGETS = (
+    "handover_marl.benchmarking.agreement.agreement",
+    "handover_marl.benchmarking.comparison.compare",
+    "handover_marl.benchmarking.crossplay.crossplay",
+    "handover_marl.benchmarking.evaluation.evaluate",
+    "handover_marl.benchmarking.runner.benchmark",
+    "handover_marl.benchmarking.runner.evaluate_run",
+    "handover_marl.datasets.importing.import_dexycb.import_dexycb",
+    "handover_marl.demonstrations.demonstrate.demonstrate",
+    "handover_marl.doctor.data_folder.examine",
+    "handover_marl.merging.merge.merge",
+    "handover_marl.pictures.plan_picture.render_plan",
+    "handover_marl.pictures.rendering.render_scene",
+)
+_PYTHONS = ("python", ".venv/bin/python")
+_SHELL = ("tar", "done", "pytest")
+
+
+def commands(text: str) -> Iterator[list[str]]:
+    """The words of every command in a block; of loops those of the first turn."""
+    variables: dict[str, str] = {}
+    for line in text.replace("\\\n", " ").splitlines():
+        for part in re.split(r";\s+", line.strip()):
+            words = shlex.split(part, comments=True)
+            if words[:1] == ["do"]:
+                words = words[1:]
+            if words[:1] == ["for"]:
+                variables[words[1]] = words[3]
+            elif words:
+                yield [re.sub(r"\$(\w+)", lambda match: variables[match[1]], word) for word in words]
+
+
+def check(words: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fail unless a command would be taken as it is."""
+    first, rest = words[0], words[1:]
+    if first == "handover-marl":
+        _check_own(rest, monkeypatch)
+    elif first == "make":
+        _check_make(rest)
+    elif first in _PYTHONS and rest[0] == "-m":
+        assert rest[1] == "pytest" or importlib.util.find_spec(rest[1]), f"there is no module {rest[1]}"
+    elif first in _PYTHONS:
+        _check_script(REPOSITORY / rest[0], rest[1:], monkeypatch)
+    elif first == "pip":
+        _check_extras(rest)
+    else:
+        assert first in _SHELL, f"{first} is no command that is known here"
+
+
+def _check_own(arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """The library's own command line takes it, and every name in it means something."""
+    if len(arguments) == 1:  # only named
+        with pytest.raises(SystemExit, match="0"):
+            main([*arguments, "--help"])
+        return
+    called: list[tuple[tuple[Any, ...], dict[str, Any]]] = []
+
+    def note(*args: Any, **kwargs: Any) -> list[Any]:
+        called.append((args, kwargs))
+        return []
+
+    with monkeypatch.context() as patch:
+        for target in TARGETS:
+            patch.setattr(target, note)
+        try:
+            status = main(arguments)
+        except SystemExit as refusal:
+            raise AssertionError(f"handover-marl {shlex.join(arguments)} is refused") from refusal
+    assert status == 0
+    assert len(called) == 1
+    args, kwargs = called[0]
+    for value in (*args, *kwargs.values()):
+        if isinstance(value, Run):
+            check_setup_and_split(value.setup, value.split)
+            for agent in ("giver", "receiver"):
+                policy_reference(agent, getattr(value, agent))
+    if arguments[0] == "crossplay":
+        for agent, policies in zip(("giver", "receiver"), args[:2], strict=True):
+            for policy in policies:
+                policy_reference(agent, policy)
+    if kwargs.get("receiver") is not None:
+        policy_reference("receiver", kwargs["receiver"])
+
+
+def _check_script(path: Path, arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """The script is there, and its own arguments take these."""
+    source = path.read_text()
+    described = re.search(r"tyro\.cli\((\w+)\)", source)
+    assert described, f"{path.name} takes no arguments"
+    monkeypatch.syspath_prepend(str(path.parent))
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    monkeypatch.setitem(sys.modules, path.stem, module)
+    spec.loader.exec_module(module)
+    try:
+        tyro.cli(getattr(module, described[1]), args=arguments)
+    except SystemExit as refusal:
+        raise AssertionError(f"{path.name} {shlex.join(arguments)} is refused") from refusal
+
+
+def _check_make(words: list[str]) -> None:
+    makefile = (REPOSITORY / "Makefile").read_text()
+    for word in words:
+        known = f"^{word.partition('=')[0]} \\?=|^DATASET.*\\$\\(DATA\\)" if "=" in word else f"^{word}:"
+        assert re.search(known, makefile, re.MULTILINE), f"make knows no {word}"
+
+
+def _check_extras(words: list[str]) -> None:
+    assert words[0] == "install"
+    setup = configparser.ConfigParser()
+    setup.read(REPOSITORY / "setup.cfg")
+    for extras in re.findall(r"\[([\w,]+)\]", " ".join(words)):
+        assert set(extras.split(",")) <= set(setup["options.extras_require"])

@@ -1,0 +1,86 @@
+"""The pages of the documentation, and the blocks and tables that stand in them."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from markdown_it import MarkdownIt
+from markdown_it.token import Token
+
+REPOSITORY = Path(__file__).parents[2]
+PAGES = (REPOSITORY / "README.md", REPOSITORY / "CONTRIBUTING.md", *sorted((REPOSITORY / "docs").glob("*.md")))
+#: Inline code that starts so is a command to be tried; alone it is only a name.
+_COMMANDS = ("handover-marl ", "python ", "make ")
+_MARK = "<!-- checked: "
+
+
+@dataclass(frozen=True)
+class Block:
+    """Code in a page.
+
+    Attributes:
+        page: The file.
+        line: Where it starts, from 1.
+        language: What the fence says; "" for none.
+        text: The code.
+    """
+
+    page: Path
+    line: int
+    language: str
+    text: str
+
+
+def name(page: Path) -> str:
+    """What a page is called in tests."""
+    return page.relative_to(REPOSITORY).as_posix()
+
+
+def blocks(page: Path, language: str | None = None) -> list[Block]:
+    """Fenced and indented code, of one language or all, as it stands from top to bottom."""
+    found = [
+        Block(page, _line(token) + 1, token.info.strip(), token.content)
+        for token in _tokens(page)
+        if token.type in ("fence", "code_block")
+    ]
+    return [block for block in found if language is None or block.language == language]
+
+
+def inline_commands(page: Path) -> list[Block]:
+    """Commands with arguments that stand within sentences."""
+    found = []
+    for token in _tokens(page):
+        for child in token.children or ():
+            if child.type == "code_inline" and child.content.startswith(_COMMANDS):
+                found.append(Block(page, _line(token), "bash", " ".join(child.content.split())))
+    return found
+
+
+def checked_table(page: Path, mark: str) -> list[list[str]]:
+    """The rows below the header of the table that follows `<!-- checked: MARK -->`."""
+    tokens = _tokens(page)
+    marks = [number for number, token in enumerate(tokens) if token.content.strip() == f"{_MARK}{mark} -->"]
+    assert len(marks) == 1, f"{name(page)} has {len(marks)} tables that are marked {mark!r}"
+    rows: list[list[str]] = []
+    for token in tokens[marks[0] :]:
+        if token.type == "table_close":
+            return rows[1:]
+        if token.type == "tr_open":
+            rows.append([])
+        elif token.type == "inline" and rows:
+            rows[-1].append(token.content)
+    raise AssertionError(f"{name(page)}: no table follows the mark {mark!r}")
+
+
+def marks(page: Path) -> set[str]:
+    """The marks of a page's checked tables."""
+    found = (token.content.strip() for token in _tokens(page) if token.type == "html_block")
+    return {text.removeprefix(_MARK).removesuffix(" -->") for text in found if text.startswith(_MARK)}
+
+
+def _tokens(page: Path) -> list[Token]:
+    return MarkdownIt("commonmark").enable("table").parse(page.read_text())
+
+
+def _line(token: Token) -> int:
+    """The first line of a token, from 1; a fence's own is that of its backticks."""
+    return 1 + (token.map[0] if token.map else 0)

@@ -1,0 +1,129 @@
+"""Every block of code in the documentation does what it says, on synthetic scenes or made-up data, few and short."""
+
+import functools
+import importlib.util
+import linecache
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import pytest
+
+import handover_marl
+from handover_marl.datasets.splits import choose_scenes, designed_side, split_scenes
+from handover_marl.errors import HandoverError
+from tests.docs.commands import check, commands
+from tests.docs.pages import PAGES, Block, blocks, inline_commands, name
+from tests.fake_layout import FakeScene, write_layout
+
+LANGUAGES = {"python", "bash", "ini", "text", "bibtex", "{include}", "{toctree}", "{eval-rst}"}
+SHELL = [
+    pytest.param(block, id=f"{name(page)}:{block.line}")
+    for page in PAGES
+    for block in (*blocks(page, "bash"), *inline_commands(page))
+]
+PROGRAMS = [page for page in PAGES if blocks(page, "python")]
+#: Which pages need more than the library itself.
+NEEDS = {"docs/environment.md": ("stable_baselines3",), "docs/sight.md": ("embreex",)} | {
+    "docs/demonstrations.md": ("h5py", "minari", "embreex"),
+    "docs/clusters.md": ("ray",),
+}
+#: Which scripts need more than the library itself, by the beginning of their names.
+SCRIPTS_NEED = {
+    "train": "torch",
+    "train_receiver": "stable_baselines3",
+    "train_giver": "stable_baselines3",
+    "train_both_torchrl": "torchrl",
+    "train_both_rllib": "tree",  # of RLlib; Ray alone is there for the backend
+    "train_both_benchmarl": "benchmarl",
+    "train_both_tianshou": "tianshou",
+    "best_response": "stable_baselines3",
+}
+ENVIRONMENTS, DECISIONS = 2, 16
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name)
+def test_every_block_says_what_it_is(page: Path) -> None:
+    assert {block.language.partition(" ")[0] for block in blocks(page)} <= LANGUAGES
+
+
+@pytest.mark.parametrize("block", SHELL)
+def test_commands_are_taken(block: Block, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = list(commands(block.text))
+    assert found
+    for words in found:
+        for script, module in SCRIPTS_NEED.items():
+            if f"experiments/{script}" in " ".join(words):
+                pytest.importorskip(module)
+        check(words, monkeypatch)
+
+
+def test_a_wrong_command_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    for text in (
+        "handover-marl benchmark --recever hold",
+        "handover-marl benchmark --receiver nobody",
+        "handover-marl crossplay --givers nobody --receivers hold",
+        "python experiments/verdict.py --scenes 37",
+        "make everything",
+        "pip install -e .[nothing]",
+    ):
+        with pytest.raises((AssertionError, HandoverError)):
+            check(next(commands(text)), monkeypatch)
+
+
+@pytest.fixture
+def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A folder to work in with a made-up data folder; splits of one scene, few environments, little to learn."""
+    monkeypatch.chdir(tmp_path)
+    first, *_ = split_scenes("s3", "test", designed_side)
+    write_layout(tmp_path / "handover" / "data", (FakeScene(first),))
+
+    def one_scene(split: tuple[int, ...], scenes: Iterable[int] | None, where: str) -> tuple[int, ...]:
+        return choose_scenes(split, scenes, where)[: None if scenes else 1]
+
+    monkeypatch.setattr("handover_marl.run.choose_scenes", one_scene)
+    make_vec = gymnasium.make_vec
+    monkeypatch.setattr(gymnasium, "make_vec", lambda name, _, **kwargs: make_vec(name, ENVIRONMENTS, **kwargs))
+    if importlib.util.find_spec("stable_baselines3"):
+        import stable_baselines3
+
+        class ShortPPO(stable_baselines3.PPO):
+            def learn(self, total_timesteps: int, *args: Any, **kwargs: Any) -> Any:
+                return super().learn(DECISIONS, *args, **kwargs)
+
+        short: Callable[..., Any] = functools.partial(ShortPPO, n_steps=DECISIONS, batch_size=DECISIONS)
+        monkeypatch.setattr(stable_baselines3, "PPO", short)
+
+
+def run(block: Block, names: dict[str, Any]) -> None:
+    """Run a block so that a traceback shows its place in the page."""
+    source = "\n" * (block.line - 1) + block.text
+    place = f"{name(block.page)}:{block.line}"
+    # Policies that are sent to other processes are known by their source.
+    linecache.cache[place] = (len(source), None, source.splitlines(keepends=True), place)
+    before = set(names)
+    exec(compile(source, place, "exec"), names)
+    for added in sorted(set(names) - before):
+        if added.startswith("test_"):
+            names[added]()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", PROGRAMS, ids=name)
+@pytest.mark.filterwarnings("ignore")
+def test_programs_run(page: Path, small: None) -> None:
+    for module in NEEDS.get(name(page), ()):
+        pytest.importorskip(module)
+    names: dict[str, Any] = {"__name__": f"{page.stem}_blocks"}
+    if page.stem == "demonstrations":
+        handover_marl.demonstrate(
+            setup="s0", receiver="yang2021", physics="fast", sight="points", out="DIR", progress=False
+        )
+    try:
+        for block in blocks(page, "python"):
+            run(block, names)
+    finally:
+        for value in names.values():
+            if hasattr(value, "close") and not isinstance(value, type):
+                value.close()

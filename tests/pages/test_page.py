@@ -1,0 +1,38 @@
+import pytest
+from jinja2 import UndefinedError
+
+from handover_marl.benchmarking.tables import Grid
+from handover_marl.pages.page import page
+from tests.pages.outside import dangling, outside
+
+COMPARISON = {"version": "1", "sides": [("A", "this")], "rates": Grid(["%"], []), "note": "", "replays": ({}, {})}
+
+
+def test_what_comes_from_outside_is_escaped() -> None:
+    made = page("comparison.html", title="<script>alert(1)</script> & more", changes=[], **COMPARISON)
+    assert "<script" not in made
+    assert made.count("&lt;script&gt;alert(1)&lt;/script&gt; &amp; more") == 2
+    assert made.startswith("<!doctype html>")
+
+
+def test_nothing_may_be_left_out() -> None:
+    with pytest.raises(UndefinedError):
+        page("comparison.html", title="some", **COMPARISON)
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ('<img src="https://example.org/x.png">', ["https://example.org/x.png"]),
+        ('<script src="//example.org/x.js"></script>', ["//example.org/x.js"]),
+        ("<style>@import 'http://example.org/a.css'; p { background: url(/b.png) }</style>", None),
+        ('<iframe srcdoc="&lt;link href=&quot;http://example.org&quot;&gt;"></iframe>', ["http://example.org"]),
+        ('<a href="#here">a</a> <a href="episodes/009.html">b</a> <link href="data:,">', []),
+    ],
+)
+def test_the_check_for_outside_references_finds_them(text: str, found: list[str] | None) -> None:
+    assert outside(text) == (["http://example.org/a.css", "/b.png"] if found is None else found)
+
+
+def test_the_check_for_places_finds_what_is_missing() -> None:
+    assert dangling('<a href="#here">a</a> <a href="#there">b</a> <p id="here">') == ["#there"]

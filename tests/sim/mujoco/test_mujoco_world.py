@@ -1,0 +1,191 @@
+"""MuJoCo's physics beside fast physics, on generated scenes."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+pytest.importorskip("mujoco")
+
+from handover_marl import receivers
+from handover_marl.config import CameraConfig, PandaConfig, PhysicsConfig
+from handover_marl.datasets.synthetic import SyntheticDataset
+from handover_marl.episode.episode import Episode
+from handover_marl.errors import OptionError, ResetNeededError, SimulationError
+from handover_marl.models.panda import WAITING_JOINTS
+from handover_marl.protocol.contacts import Contacts
+from handover_marl.protocol.status import EpisodeStatus
+from handover_marl.sim.bullet.fast_world import FastWorld
+from handover_marl.sim.engines import make_world
+from handover_marl.sim.motion import Motion
+from handover_marl.sim.mujoco.mujoco_world import MujocoWorld
+from handover_marl.sim.world import World
+from tests.playing import play
+
+START = np.array(PandaConfig().start_joints, dtype=np.float32)
+WAITING = np.array(WAITING_JOINTS, dtype=np.float32)
+DATA = SyntheticDataset()
+SCENE = DATA.scene(209)
+CONFIG = PhysicsConfig()
+
+
+def world_of(episode: Episode) -> MujocoWorld:
+    assert isinstance(episode.world, MujocoWorld)
+    return episode.world
+
+
+def lying(steps: int) -> Motion:
+    """Objects stay where they are at first, without a hand."""
+    return Motion(
+        np.repeat(SCENE.object_dof[:1], steps, axis=0), np.zeros((steps, 51), np.float32), np.zeros(steps, dtype=bool)
+    )
+
+
+@pytest.fixture
+def worlds() -> Iterator[tuple[World, World]]:
+    both = FastWorld(CONFIG), MujocoWorld(CONFIG)
+    for world in both:
+        world.reset(SCENE, lying(1))
+    yield both
+    for world in both:
+        world.close()
+
+
+def joints_over(world: World, target: npt.NDArray[np.float32], steps: int) -> npt.NDArray[np.float64]:
+    world.lead(lying(steps))
+    path = []
+    for _ in range(steps):
+        world.step(target.tolist())
+        path.append(world.exact_joints())
+    return np.array(path)
+
+
+@pytest.mark.parametrize(("change", "most"), [(0.05, 1.5e-3), (0.3, 8e-3)])
+def test_motors_follow_as_bullets_do(worlds: tuple[World, World], change: float, most: float) -> None:
+    target = START + np.array([change] * 7 + [-0.01, -0.02], dtype=np.float32)
+    fast, own = (joints_over(world, target, 400) for world in worlds)
+    away = np.abs(own - fast)
+    assert away[:, :7].max() < most, "rad, at any time"
+    assert away[:, 7:].max() < 2e-3, "m, at any time"
+    assert away[-1].max() < 2e-3
+    assert np.abs(fast[0] - fast[-1]).max() > 0.9 * change, "it did move"
+
+
+def test_objects_are_led_as_bullets_are() -> None:
+    episodes = Episode("fast"), Episode("mujoco")
+    for episode in episodes:
+        episode.reset(SCENE)
+    for steps in (0, 1, 700, 900):
+        for episode in episodes:
+            episode.advance(START, steps)
+        fast, own = (episode.world for episode in episodes)
+        np.testing.assert_allclose(own.object_dof(), fast.object_dof(), atol=2e-4)
+        np.testing.assert_allclose(own.state().object_poses, fast.state().object_poses, atol=2e-4)
+        np.testing.assert_array_equal(own.postures().hand, fast.postures().hand)
+        ours, theirs = own.state().hand_keypoints, fast.state().hand_keypoints
+        assert (ours is None) == (theirs is None)
+        if ours is not None and theirs is not None:
+            np.testing.assert_allclose(ours, theirs, atol=1e-6)
+
+
+def test_what_is_let_go_falls_onto_the_table_and_lies_there() -> None:
+    world = MujocoWorld(CONFIG)
+    place = SCENE.object_dof[:1].copy()
+    place[0, 0, 2] += 0.1
+    motion = Motion(np.repeat(place, 1500, axis=0), np.zeros((1500, 51), np.float32), np.zeros(1500, dtype=bool))
+    world.reset(SCENE, Motion(place, motion.hand[:1], motion.hand_present[:1]))
+    world.lead(motion)
+    for _ in range(50):
+        world.step(START.tolist())
+        assert world.contacts(released=False) == Contacts()
+    held = world.state().object_poses[0, 2]
+    assert held == pytest.approx(place[0, 0, 2], abs=1e-4)
+    world.release_target()
+    heights, supported = [], []
+    for _ in range(1400):
+        world.step(START.tolist())
+        contacts = world.contacts(released=True)
+        heights.append(contacts.object_height)
+        supported.append(contacts.object_supported)
+    fallen = held - np.array(heights[:100])
+    np.testing.assert_allclose(fallen, 4.9 * (0.001 * np.arange(1, 101)) ** 2, atol=1e-3)
+    assert not supported[50]
+    assert supported[-1]
+    assert 0.92 < heights[-1] < held
+    np.testing.assert_allclose(world.state().object_poses[1:, :3], place[0, 1:, :3], atol=1e-3)
+
+
+def episode_states(episode: Episode, scene_id: int, looks: int) -> list[npt.NDArray[np.float64]]:
+    """All joints of an episode in which the robot drives into the person, seen after so many steps at a time."""
+    episode.reset(DATA.scene(scene_id))
+    world, states = world_of(episode), []
+    targets = [WAITING, START + np.float32(0.2), START]
+    for number in range(2400 // looks):
+        episode.advance(targets[number * looks // 800], looks)
+        episode.observe()
+        if (number + 1) * looks % 400 == 0:
+            states.append(np.concatenate([world.exact_joints(), world._running.data.qpos, world._running.data.qvel]))
+    return states
+
+
+def test_whole_rollouts_are_equal_to_the_bit() -> None:
+    fresh = episode_states(Episode("mujoco"), 209, 100)
+    used = Episode("mujoco")
+    played = episode_states(used, 209, 100)
+    np.testing.assert_array_equal(played, fresh)
+    # In between another scene with a contact and a release, and then the same model again.
+    play(used, DATA.scene(14), receivers.make("yang2021", DATA))
+    used.reset(SCENE)
+    world_of(used).release_target()
+    used.advance(WAITING, 300)
+    np.testing.assert_array_equal(episode_states(used, 209, 100), fresh)
+    np.testing.assert_array_equal(episode_states(used, 209, 50), fresh, "looking more often changes nothing")
+
+
+def test_pictures_change_nothing() -> None:
+    plain, looked = Episode("mujoco"), Episode("mujoco")
+    for episode in (plain, looked):
+        episode.reset(SCENE)
+        episode.advance(START, 800)
+    assert looked.render(CameraConfig(width=80, height=60)).std() > 10.0
+    photo = looked.world.photograph(True)
+    assert photo.depth.shape == (224, 224)
+    for episode in (plain, looked):
+        episode.advance(WAITING, 200)
+    np.testing.assert_array_equal(plain.world.exact_joints(), looked.world.exact_joints())
+
+
+@pytest.mark.parametrize("scene_id", [14, 34])
+def test_episodes_of_yang_end_as_in_fast_physics(scene_id: int) -> None:
+    receiver, own, fast = receivers.make("yang2021", DATA), Episode("mujoco"), Episode("fast")
+    for episode in (own, fast):
+        play(episode, DATA.scene(scene_id), receiver)
+    assert own.status == fast.status != EpisodeStatus.RUNNING
+    assert abs(own.steps - fast.steps) < 200
+
+
+@pytest.mark.parametrize("what", ["qpos", "qvel", "ctrl"])
+def test_a_state_that_is_not_finite_is_told(
+    what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    episode = Episode("mujoco")
+    episode.reset(SCENE)
+    episode.advance(START, 10)
+    getattr(world_of(episode)._running.data, what)[2] = np.nan
+    with pytest.raises(SimulationError, match=r"broke down after 0\.01.* is not finite"):
+        episode.advance(START, 10)
+    assert list(tmp_path.iterdir()) == [], "no log in the working folder"
+    assert "WARNING" not in capfd.readouterr().err
+    episode.reset(SCENE)
+    episode.advance(START, 10)
+    assert np.isfinite(episode.world.exact_joints()).all(), "after a reset all is well"
+
+
+def test_no_window_and_no_world_without_a_scene() -> None:
+    with pytest.raises(OptionError, match="opens no window"):
+        make_world("mujoco", CONFIG, window=True)
+    with pytest.raises(ResetNeededError):
+        MujocoWorld(CONFIG).step(START.tolist())

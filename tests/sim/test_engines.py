@@ -1,0 +1,29 @@
+import importlib.util
+from types import SimpleNamespace
+
+import pytest
+
+from handover_marl.episode.episode import Episode
+from handover_marl.errors import OptionError, UnknownNameError
+from handover_marl.sim import engines
+from handover_marl.sim.engines import PHYSICS, available_physics, check_physics
+
+
+def test_names() -> None:
+    assert PHYSICS == ("exact", "fast", "mujoco")
+    with pytest.raises(UnknownNameError, match="valid: exact, fast, mujoco"):
+        check_physics("nuclear")
+
+
+def test_without_mujoco(monkeypatch: pytest.MonkeyPatch) -> None:
+    missing = SimpleNamespace(util=SimpleNamespace(find_spec=lambda name: None))
+    monkeypatch.setattr(engines, "importlib", missing)
+    assert available_physics() == ("exact", "fast")
+    with pytest.raises(OptionError, match=r"pip install 'handover-marl\[mujoco\]'"):
+        Episode("mujoco")
+    check_physics("fast")
+
+
+def test_with_mujoco() -> None:
+    there = importlib.util.find_spec("mujoco") is not None
+    assert ("mujoco" in available_physics()) == there
