@@ -28,6 +28,7 @@ PROGRAMS = [page for page in PAGES if blocks(page, "python")]
 NEEDS = {"docs/environment.md": ("stable_baselines3",), "docs/sight.md": ("embreex",)} | {
     "docs/demonstrations.md": ("h5py", "minari", "embreex"),
     "docs/clusters.md": ("ray",),
+    "docs/engines.md": ("mujoco",),
 }
 #: Which scripts need more than the library itself, by the beginning of their names.
 SCRIPTS_NEED = {
@@ -76,6 +77,8 @@ def test_a_wrong_command_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
 def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A folder to work in with a made-up data folder; splits of one scene, few environments, little to learn."""
     monkeypatch.chdir(tmp_path)
+    # Else Ray joins whatever cluster another test has on this machine, and falls with it.
+    monkeypatch.setenv("RAY_ADDRESS", "local")
     first, *_ = split_scenes("s3", "test", designed_side)
     write_layout(tmp_path / "handover" / "data", (FakeScene(first),))
 
@@ -127,3 +130,7 @@ def test_programs_run(page: Path, small: None) -> None:
         for value in names.values():
             if hasattr(value, "close") and not isinstance(value, type):
                 value.close()
+        if name(page) == "docs/clusters.md":
+            import ray
+
+            ray.shutdown()
