@@ -6,6 +6,7 @@ env = handover_marl.freeze(env, "receiver", "replay")            one agent, the 
 env = handover_marl.encode(env)                                  features and outputs as networks want them
 env = handover_marl.flatten(env)                                 vectors instead of dictionaries
 env = handover_marl.homogeneous(env)                             equal spaces for all agents
+env = handover_marl.vector_env(64, "receiver", "replay")         many environments in one process
 env = gymnasium.make("HandoverMARL/Receiver-v0", setup="s0")     Gymnasium, the robot alone
 report = handover_marl.benchmark(setup="s3")                     HandoverSim's official protocol
 data = handover_marl.demonstrate(setup="s0", out="data/s0")      episodes as a data set
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
     from handover_marl.envs.freeze import freeze
     from handover_marl.envs.handover_env import HandoverEnv
     from handover_marl.envs.homogeneous import homogeneous
+    from handover_marl.envs.vector_env import vector_env
     from handover_marl.episode.sight import View
     from handover_marl.merging.merge import merge
     from handover_marl.pictures.plan_picture import render_plan
@@ -74,6 +76,7 @@ __all__ = [
     "parallel_env",
     "render_plan",
     "render_scene",
+    "vector_env",
 ]
 
 # Loaded at first use, so that the import itself stays quick.
@@ -105,6 +108,7 @@ _HOMES = {
     "parallel_env": "envs.constructors",
     "render_plan": "pictures.plan_picture",
     "render_scene": "pictures.rendering",
+    "vector_env": "envs.vector_env",
 }
 
 

@@ -23,7 +23,7 @@ import os
 import time
 from collections.abc import Iterable
 from dataclasses import fields
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -67,6 +67,9 @@ from handover_marl.protocol.status import EpisodeStatus
 from handover_marl.sim.camera.imperfections import CameraImperfections
 from handover_marl.sim.camera.optics import REFERENCE
 from handover_marl.sim.renderers import chosen_renderer
+
+if TYPE_CHECKING:
+    from handover_marl.episode.stage import Stage
 
 RENDER_MODES = ("human", "rgb_array")
 #: What `release` in infos is an index into.
@@ -305,6 +308,17 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         now = self._present()
         seen = self._episode.observe_as_giver(now) if agent == GIVER else self._episode.observe_for(policy, now)
         return {key: value.copy() for key, value in seen.items()}
+
+    def join(self, stage: "Stage", number: int) -> None:
+        """Play from now on beside other environments of the same physics and configuration.
+
+        Args:
+            stage: Where.
+            number: As which of them.
+        """
+        self.agents = []
+        self._observation = None
+        self._episode.join(stage, number)
 
     def look(self) -> View:
         """What the wrist camera shows at this moment, whatever `sight` is: depth, segmentation, colours and all points.

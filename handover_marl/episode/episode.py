@@ -1,12 +1,15 @@
 """One handover as it is played: giver's clock, world and referee, advanced together."""
 
+import functools
 from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from handover_marl.config import OFFICIAL, TIME_STEP, CameraConfig, WorldConfig
 from handover_marl.datasets.scene import Scene
+from handover_marl.episode.lockstep import Stretch, play_together
 from handover_marl.episode.observations import (
     ALL,
     Observation,
@@ -26,7 +29,10 @@ from handover_marl.protocol.release import Release
 from handover_marl.protocol.status import EpisodeStatus
 from handover_marl.sim.engines import check_physics, make_world
 from handover_marl.sim.motion import Motion
-from handover_marl.sim.world import World
+from handover_marl.sim.world import RollingWorld, World
+
+if TYPE_CHECKING:
+    from handover_marl.episode.stage import Stage
 
 # The giver's motion is worked out for so many steps (1 ms) ahead.
 _STRETCH = 100
@@ -55,6 +61,7 @@ class Episode:
     ) -> None:
         check_physics(physics)
         self.config = config
+        self._roll: Callable[[Stretch], None] = lambda stretch: play_together([stretch], config.protocol)
         self._physics, self._window = physics, window
         self._sight = Sight(sight, physics, config.physics)
         self._world: World | None = None
@@ -62,6 +69,17 @@ class Episode:
         self._preview: Preview | None = None
         self._contacts = Contacts()
         self._referee = Referee(config.protocol)
+
+    def join(self, stage: "Stage", number: int) -> None:
+        """Be played beside others from now on.
+
+        Args:
+            stage: Where, with the same physics and configuration.
+            number: As which of them.
+        """
+        self.close()
+        self._world = stage.world(number)
+        self._roll = functools.partial(stage.play, number)
 
     def reset(self, scene: Scene) -> None:
         """Go to the start of a scene."""
@@ -106,6 +124,11 @@ class Episode:
         """Simulate the steps of a motion, or until the episode ends; how many that were."""
         world, _, referee = self._running()
         world.lead(motion)
+        if isinstance(world, RollingWorld) and not on_step and not self._sight.remembers:
+            stretch = Stretch(world, referee, robot_target, len(motion))
+            self._roll(stretch)
+            self._contacts = world.contacts(referee.released)
+            return stretch.done
         for done in range(1, len(motion) + 1):
             world.step(robot_target)
             if self._sight.remembers:

@@ -24,11 +24,15 @@ class EpisodeStatus(IntFlag):
 
 
 class StatusRule:
-    """Judges one step after another."""
+    """Judges one step after another.
+
+    Attributes:
+        goal_steps: Steps in a row for which the object has been held at the goal.
+    """
 
     def __init__(self, config: ProtocolConfig) -> None:
         self._config = config
-        self._goal_steps = 0
+        self.goal_steps = 0
 
     def update(self, contacts: Contacts, released: bool, steps: int) -> EpisodeStatus:
         """The status after a step.
@@ -54,5 +58,5 @@ class StatusRule:
 
     def _held_at_goal(self, contacts: Contacts) -> bool:
         near = math.dist(contacts.gripper_position, self._config.goal_center) < self._config.goal_radius
-        self._goal_steps = self._goal_steps + 1 if near and contacts.both_fingers else 0
-        return self._goal_steps >= self._config.success_steps
+        self.goal_steps = self.goal_steps + 1 if near and contacts.both_fingers else 0
+        return self.goal_steps >= self._config.success_steps

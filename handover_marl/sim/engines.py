@@ -58,3 +58,25 @@ def make_world(physics: str, config: PhysicsConfig, window: bool = False) -> Wor
     from handover_marl.sim.bullet.fast_world import FastWorld
 
     return FastWorld(config, window)
+
+
+def make_worlds(physics: str, config: PhysicsConfig, count: int, threads: int) -> list[World]:
+    """Empty worlds to be simulated by one process.
+
+    Args:
+        physics: One of `PHYSICS`.
+        config: Constants of the worlds.
+        count: How many.
+        threads: How many threads will simulate them, world k always by thread k modulo `threads`.
+
+    Raises:
+        As `make_world`.
+    """
+    if physics != MUJOCO:
+        return [make_world(physics, config) for _ in range(count)]
+    check_physics(physics)
+    from handover_marl.sim.mujoco.lanes import Lanes
+    from handover_marl.sim.mujoco.mujoco_world import MujocoWorld
+
+    lanes = [Lanes(-(-count // threads), config.gravity) for _ in range(threads)]
+    return [MujocoWorld(config, lanes=lanes[number % threads]) for number in range(count)]

@@ -1,14 +1,17 @@
 """What every simulated world can do: be led and stepped, tell its contacts and its state. Mechanics, no rules."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from typing_extensions import Self
 
-from handover_marl.config import CameraConfig
+from handover_marl.config import CameraConfig, ProtocolConfig
 from handover_marl.datasets.scene import Scene
+from handover_marl.protocol.array_rules import ContactArrays
 from handover_marl.protocol.contacts import Contacts
 from handover_marl.sim.camera.photo import Photo
 from handover_marl.sim.motion import Motion
@@ -119,3 +122,38 @@ class World(ABC):
     @abstractmethod
     def close(self) -> None:
         """Free the simulation."""
+
+
+class Rolled(NamedTuple):
+    """Some steps of worlds that were simulated at once.
+
+    Attributes:
+        contacts: What touched, k steps of n worlds.
+        cut: Called with a world's number and how many of the steps it is to have taken, fewer than k, at least 1.
+    """
+
+    contacts: ContactArrays
+    cut: Callable[[int, int], None]
+
+
+class RollingWorld(World):
+    """A world that can take many steps at once, alone or beside others, and go back if they were too many."""
+
+    @property
+    @abstractmethod
+    def companion(self) -> tuple[object, int]:
+        """What those worlds have in common that can be rolled at once, and this one's place among them."""
+
+    @classmethod
+    @abstractmethod
+    def roll(
+        cls, worlds: Sequence[Self], robot_targets: Sequence[list[float]], steps: int, rules: ProtocolConfig
+    ) -> Rolled:
+        """Simulate as many steps of each of some worlds; none may have fewer left in its motion.
+
+        Args:
+            worlds: They have the same companion, and are ordered by their places.
+            robot_targets: Nine joint targets for each (rad, m), float32 values.
+            steps: How many.
+            rules: Where fingers grasp.
+        """

@@ -1,142 +1,171 @@
 """The world simulated by MuJoCo: the same bodies, motors and masks in another engine, several times as fast."""
 
-import mujoco
+from collections.abc import Sequence
+
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.config import OBJECT_DOF, CameraConfig, PhysicsConfig
+from handover_marl.config import OBJECT_DOF, CameraConfig, PhysicsConfig, ProtocolConfig
 from handover_marl.datasets.scene import Scene
-from handover_marl.errors import OptionError, ResetNeededError
+from handover_marl.errors import OptionError
 from handover_marl.models.kinematic_tree import read_tree
-from handover_marl.protocol.contacts import NO_POINTS, Contacts, Points
+from handover_marl.protocol.contacts import Contacts
 from handover_marl.sim.bullet.picture_world import Pictures
 from handover_marl.sim.camera.photo import Photo
 from handover_marl.sim.hand_path import HandPath, keypoint_links
 from handover_marl.sim.motion import Motion
 from handover_marl.sim.mujoco.chain import XYZW, bullet_quaternion, chain_joints, quaternions_wxyz
+from handover_marl.sim.mujoco.felt_contacts import contact_arrays, contacts_of
 from handover_marl.sim.mujoco.hand_frames import HandFrames
+from handover_marl.sim.mujoco.lanes import Lane, Lanes, roll
 from handover_marl.sim.mujoco.scene_model import scene_model
-from handover_marl.sim.mujoco.simulation import Simulation
-from handover_marl.sim.world import Postures, Snapshot, World, WorldState
+from handover_marl.sim.world import Postures, Rolled, RollingWorld, Snapshot, WorldState
 
-_NOTHING = Contacts()
-# Once only so few steps are surely clear, looking ahead again and again costs more than having the hand there.
-_WORTH = 5
+Array = npt.NDArray[np.float64]
+
 # Where a hand is that is not there (m).
 _NOWHERE = (0.0, 0.0, -10.0)
 
 
-class MujocoWorld(World):
+class MujocoWorld(RollingWorld):
     """Robot and objects are simulated. The hand follows its targets by kinematics, as in fast physics.
 
     Args:
         config: Constants of the world.
         window: Must be False: the window is PyBullet's.
+        lanes: Beside which others it is simulated; default: alone.
 
     Raises:
         OptionError: A window was asked for.
     """
 
-    def __init__(self, config: PhysicsConfig, window: bool = False) -> None:
+    def __init__(self, config: PhysicsConfig, window: bool = False, lanes: Lanes | None = None) -> None:
         if window:
             raise OptionError('physics="mujoco" opens no window; use render_mode="rgb_array", or physics="fast"')
         self._config = config
+        self._lanes = lanes or Lanes(1, config.gravity)
+        self._lane = Lane()
         self._scene: Scene | None = None
-        self._sim: Simulation | None = None
+        self._release_pending = False
         self._pictures = Pictures(config)
 
     def reset(self, scene: Scene, start: Motion) -> None:
         """Put everything at a scene's start."""
-        built = scene_model(scene.assets, self._config)
-        if self._sim is None or self._sim.scene is not built:
-            self._sim = Simulation(built, self._config.gravity)
-        self._sim.reset()
+        self._lanes.enter(self._lane, scene_model(scene.assets, self._config))
         self._scene = scene
-        data = self._sim.data
-        data.qpos[built.robot_qpos] = data.ctrl[built.robot_ctrl] = self._config.panda.start_joints
+        lane, built = self._lane, self._lane.scene
+        servos, places, _ = lane.controls()
+        lane.qpos[built.robot_qpos] = servos[built.robot_ctrl] = self._config.panda.start_joints
         free = np.concatenate([start.objects[0, :, :3], quaternions_wxyz(start.objects[0, :, 3:])], axis=1)
-        data.qpos[built.object_qpos] = free.ravel()
-        data.mocap_pos[built.hand] = _NOWHERE
-        mujoco.mj_kinematics(self._sim.model, data)
+        lane.qpos[built.object_qpos] = free.ravel()
+        places[built.hand] = _NOWHERE
         tree = read_tree(scene.assets.hand)
         self._hand = HandPath(tree, self._config.hand, start)
         self._hand_frames = HandFrames(scene.assets.hand, built.hand_links)
         moving = [link for link, joint in enumerate(tree.joints) if joint.kind != "fixed"]
         self._keypoint_frames = HandFrames(scene.assets.hand, np.array(keypoint_links(moving)))
-        self._hand_stands: int | None = None
         self._chains = start.objects[0].astype(np.float64)
-        self._robot_target: list[float] | None = None
         self._release_pending = False
         self._row = -1
+        self._robot_target: list[float] | None = None
 
     def lead(self, motion: Motion) -> None:
         """Say where objects and hand are led in the coming steps, one row a step."""
-        self._row = -1
-        self._clear_until = 0
-        self._length = len(motion)
+        self._row, self._motion, self._robot_target = -1, motion, None
         self._hand.lead(motion)
-        self._hand_changes = self._hand.changes().tolist()
-        if self._hand_stands is not None:
-            self._hand_stands = -1
-        count = motion.objects.shape[1]
-        # A servo's target for each step: places in the world; how objects are turned is the guides' to say.
-        places = np.zeros((self._length, count, OBJECT_DOF))
-        places[..., : OBJECT_DOF // 2] = motion.objects[..., : OBJECT_DOF // 2]
-        self._places = places.reshape(self._length, -1)
-        self._turns = quaternions_wxyz(motion.objects[..., OBJECT_DOF // 2 :])
-        self._still = bool((motion.objects == motion.objects[0]).all())
 
     def step(self, robot_target: list[float]) -> None:
         """Simulate one step."""
-        sim = self._sim or self._running
-        self._row = row = self._row + 1
+        parts = self._lane.controls()
+        for part, given in zip(parts, self._split(self._begin(robot_target)[0]), strict=True):
+            part[:] = given
+        self._lane.step()
+        self._row += 1
+
+    @classmethod
+    def roll(
+        cls, worlds: Sequence["MujocoWorld"], robot_targets: Sequence[list[float]], steps: int, rules: ProtocolConfig
+    ) -> Rolled:
+        """As `RollingWorld.roll`."""
+        controls = [world._begin(target)[:steps] for world, target in zip(worlds, robot_targets, strict=True)]
+        rolled = roll([world._lane for world in worlds], controls)
+        for world in worlds:
+            world._row += steps
+
+        def cut(number: int, taken: int) -> None:
+            rolled.cut(number, taken)
+            worlds[number]._row += taken - steps
+
+        return Rolled(contact_arrays(rolled.felt, rules), cut)
+
+    @property
+    def companion(self) -> tuple[object, int]:
+        """As `RollingWorld.companion`."""
+        return self._lane.running, self._lane.row
+
+    def _begin(self, robot_target: list[float]) -> Array:
+        """(n, c) what leads the model in the motion's remaining steps."""
         if self._release_pending:
-            sim.free_target()
+            self._lanes.free_target(self._lane)
             self._release_pending = False
-        if row >= self._clear_until or robot_target != self._robot_target:
-            self._look_ahead(robot_target)
         if robot_target != self._robot_target:
-            sim.data.ctrl[sim.scene.robot_ctrl] = robot_target
-            self._robot_target = robot_target
-        if row == 0 or not self._still:
-            sim.data.ctrl[sim.scene.object_ctrl] = self._places[row]
-            sim.data.mocap_quat[sim.scene.guides] = self._turns[row]
-        if row >= self._clear_until:
-            self._place_hand()
-        sim.step()
+            self._robot_target, self._led_from = robot_target, self._row + 1
+            self._controls = self._led(robot_target)
+        return self._controls[self._row + 1 - self._led_from :]
 
-    def _look_ahead(self, robot_target: list[float]) -> None:
-        """Note for how many steps the hand is surely out of reach, so that it need not be there."""
-        sim, row = self._running, self._row
-        data, scene = sim.data, sim.scene
-        joints = data.qpos[scene.robot_qpos], data.qvel[scene.robot_qvel]
-        links = np.concatenate([data.xpos[scene.robot_links], data.xquat[scene.robot_links][:, XYZW]], axis=1)
-        centers = self._hand.centers(row)[:, None]
+    def _led(self, robot_target: list[float]) -> Array:
+        scene, motion, first = self._lane.scene, self._motion, self._row + 1
+        steps, objects = len(motion) - first, motion.objects[first:]
+        controls = np.empty((steps, sum(part.size for part in self._lane.controls())))
+        servos, places, turns = self._split(controls)
+        present = self._lane.controls()
+        places[:], turns[:] = present[1], present[2]
+        servos[:, scene.robot_ctrl] = robot_target
+        # A servo's target for each step: places in the world; how objects are turned is the guides' to say.
+        led = np.zeros((steps, objects.shape[1], OBJECT_DOF))
+        led[..., : OBJECT_DOF // 2] = objects[..., : OBJECT_DOF // 2]
+        servos[:, scene.object_ctrl] = led.reshape(steps, -1)
+        if (objects == objects[0]).all():
+            turns[:, scene.guides] = quaternions_wxyz(objects[0, :, OBJECT_DOF // 2 :])
+        else:
+            turns[:, scene.guides] = quaternions_wxyz(objects[..., OBJECT_DOF // 2 :])
+        self._place_hand(robot_target, places[:, scene.hand], turns[:, scene.hand])
+        return controls
+
+    def _split(self, controls: Array) -> tuple[Array, Array, Array]:
+        """Views of servos' targets (..., u), bodies' places (..., m, 3) and quaternions (..., m, 4) wxyz."""
+        servos, places, _ = self._lane.controls()
+        u, m = len(servos), len(places)
+        shape = controls.shape[:-1]
+        return (
+            controls[..., :u],
+            controls[..., u : u + 3 * m].reshape(*shape, m, 3),
+            controls[..., u + 3 * m :].reshape(*shape, m, 4),
+        )
+
+    def _place_hand(self, robot_target: list[float], places: Array, turns: Array) -> None:
+        """Put the hand's bodies where they are after each remaining step; nowhere while it is surely out of reach."""
+        hand, first = self._hand, self._row + 1
+        clear = self._clear_steps(robot_target)
+        places[:clear] = _NOWHERE
+        changes = hand.changes()[first:]
+        for number in range(clear, len(places)):
+            if not hand.present_after(first + number):
+                places[number] = _NOWHERE
+            elif number > clear and not changes[number]:
+                places[number], turns[number] = places[number - 1], turns[number - 1]
+            else:
+                places[number], turns[number] = self._hand_frames.poses(hand.joints(first + number))
+
+    def _clear_steps(self, robot_target: list[float]) -> int:
+        """For how many of the remaining steps the hand is surely out of reach, so that it need not be there."""
+        lane, scene = self._lane, self._lane.scene
+        joints = lane.qpos[scene.robot_qpos], lane.qvel[scene.robot_qvel]
+        places, turns = lane.frames()
+        links = np.concatenate([places[scene.robot_links], turns[scene.robot_links][:, XYZW]], axis=1)
+        centers = self._hand.centers(self._row + 1)[:, None]
         reach = np.array([scene.hand_reach])
-        clear = int(scene.robot_clearance.clear_steps(joints, links, robot_target, centers, reach)[0])
-        worth = min(_WORTH, self._length - row)
-        # For few steps, looking again and again would cost more than being there.
-        self._clear_until = row + clear if clear >= worth else row
-        if self._clear_until > row:
-            self._send_hand_away()
-
-    def _place_hand(self) -> None:
-        """Put the hand's bodies where it is after the coming step."""
-        sim, hand, row = self._running, self._hand, self._row
-        if not hand.present_after(row):
-            self._send_hand_away()
-            return
-        if self._hand_stands == row - 1 and not self._hand_changes[row]:
-            self._hand_stands = row
-            return
-        self._hand_stands = row
-        data, scene = sim.data, sim.scene
-        data.mocap_pos[scene.hand], data.mocap_quat[scene.hand] = self._hand_frames.poses(hand.joints(row))
-
-    def _send_hand_away(self) -> None:
-        if self._hand_stands is not None:
-            self._running.data.mocap_pos[self._running.scene.hand] = _NOWHERE
-            self._hand_stands = None
+        return int(scene.robot_clearance.clear_steps(joints, links, robot_target, centers, reach)[0])
 
     def release_target(self) -> None:
         """Let go of the target object; takes effect in the next step."""
@@ -144,46 +173,21 @@ class MujocoWorld(World):
 
     def contacts(self, released: bool) -> Contacts:
         """The last step's contacts, as far as the rules ask about them."""
-        sim = self._sim or self._running
-        data, scene = sim.data, sim.scene
-        if not released and data.ncon == 0:
-            return _NOTHING
-        sensed = data.sensordata
-        touches = scene.touch.read(sensed)
-        force = float(touches.robot_object_force)
-        x, y, z = data.xpos[scene.gripper].tolist()
-        return Contacts(
-            robot_hand=bool(touches.robot_hand),
-            robot_object=force > 0.0,
-            finger_points=self._finger_points(touches.finger_forces) if force > 0.0 else (NO_POINTS, NO_POINTS),
-            object_supported=released and bool(touches.supported),
-            object_height=float(data.qpos[scene.object_qpos.start + 2]),
-            gripper_position=(x, y, z),
-            robot_object_force=force,
-        )
-
-    def _finger_points(self, forces: npt.NDArray[np.float64]) -> tuple[Points, Points]:
-        sim = self._running
-        data, fingers = sim.data, sim.scene.fingers
-        turns = data.xmat[fingers].reshape(2, 3, 3)
-        points = sim.scene.touch.finger_points(data.sensordata, data.xpos[fingers], turns).astype(np.float32)
-        left, right = (own[force > 0.0] for own, force in zip(points, forces, strict=True))
-        return left, right
+        return contacts_of(self._lane.felt(), released)
 
     def state(self) -> WorldState:
         """The present state of everything."""
-        sim, hand, row = self._running, self._hand, self._row
-        data, scene = sim.data, sim.scene
-        # A step leaves the frames where they were before it.
-        mujoco.mj_kinematics(sim.model, data)
-        gripper = np.concatenate([data.xpos[scene.gripper], data.xquat[scene.gripper]])
+        lane, scene, hand, row = self._lane, self._lane.scene, self._hand, self._row
+        places, turns = lane.frames()
         # The gripper's pose and behind it the objects'.
-        poses = np.concatenate([gripper, data.qpos[scene.object_qpos]]).reshape(-1, 7)
+        poses = np.concatenate([places[scene.gripper], turns[scene.gripper], lane.qpos[scene.object_qpos]]).reshape(
+            -1, 7
+        )
         poses[:, 3:] = bullet_quaternion(poses[:, 3:])
         present = hand.present_after(row)
         return WorldState(
-            robot_joint_position=data.qpos[scene.robot_qpos].astype(np.float32),
-            robot_joint_velocity=data.qvel[scene.robot_qvel].astype(np.float32),
+            robot_joint_position=lane.qpos[scene.robot_qpos].astype(np.float32),
+            robot_joint_velocity=lane.qvel[scene.robot_qvel].astype(np.float32),
             gripper_pose=poses[0].astype(np.float32),
             object_poses=poses[1:].astype(np.float32),
             hand_dof_position=hand.dof(row) if present else None,
@@ -198,14 +202,13 @@ class MujocoWorld(World):
 
     def exact_joints(self) -> npt.NDArray[np.float64]:
         """The robot's joints (9,) in double precision (m, rad)."""
-        sim = self._running
-        joints: npt.NDArray[np.float64] = sim.data.qpos[sim.scene.robot_qpos].copy()
+        joints: Array = self._lane.qpos[self._lane.scene.robot_qpos].copy()
         return joints
 
     def object_dof(self) -> npt.NDArray[np.float32]:
         """(n, 6) joint positions that the objects' chains would have (m, rad), float32."""
-        sim = self._running
-        self._chains = chain_joints(sim.data.qpos[sim.scene.object_qpos].reshape(-1, 7), self._chains)
+        free = self._lane.qpos[self._lane.scene.object_qpos].reshape(-1, 7)
+        self._chains = chain_joints(free, self._chains)
         chains: npt.NDArray[np.float32] = self._chains.astype(np.float32)
         return chains
 
@@ -220,10 +223,5 @@ class MujocoWorld(World):
     def close(self) -> None:
         """Free the simulation."""
         self._pictures.close()
-        self._sim = self._scene = None
-
-    @property
-    def _running(self) -> Simulation:
-        if self._sim is None:
-            raise ResetNeededError("the world is empty; call reset() first")
-        return self._sim
+        self._lanes.leave(self._lane)
+        self._scene = None

@@ -127,4 +127,10 @@ class TouchSensors:
         # A contact is told in the middle between the two surfaces.
         outwards = self._margin - 0.5 * data[..., self._distances]
         points = data[..., self._places] + data[..., self._normals] * outwards[..., None]
-        return np.asarray((points - origins[..., None, :]) @ turns)
+        away, axes = points - origins[..., None, :], turns[..., None, :, :]
+        # Written out, so that rounding does not depend on how many are worked out at once.
+        return np.asarray(
+            away[..., 0, None] * axes[..., 0, :]
+            + away[..., 1, None] * axes[..., 1, :]
+            + away[..., 2, None] * axes[..., 2, :]
+        )

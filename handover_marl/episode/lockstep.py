@@ -1,0 +1,70 @@
+"""Playing worlds that take many steps at once: rolled together, judged as arrays, cut where something happens."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from handover_marl.config import ProtocolConfig
+from handover_marl.protocol.array_rules import Verdicts, judge
+from handover_marl.protocol.referee import Referee
+from handover_marl.sim.world import RollingWorld
+
+# Steps taken at once: what is behind the step in which something happens is taken in vain.
+_CHUNK = 50
+
+
+@dataclass(eq=False)
+class Stretch:
+    """Steps of one world that are to be played, and how many of them were.
+
+    Attributes:
+        world: The world, led by a motion.
+        referee: Judges it.
+        robot_target: Nine joint targets (rad, m), float32 values.
+        left: Steps still to be played, at most as many as the motion has rows left.
+        done: Steps that were played.
+    """
+
+    world: RollingWorld
+    referee: Referee
+    robot_target: list[float]
+    left: int
+    done: int = 0
+
+    @property
+    def over(self) -> bool:
+        """Whether there is nothing more to play."""
+        return self.left == 0 or bool(self.referee.status)
+
+
+def play_together(stretches: Iterable[Stretch], rules: ProtocolConfig) -> None:
+    """Play all stretches to their ends, or to those of their episodes.
+
+    Raises:
+        SimulationError: The engine broke down; the worlds' states mean nothing any more.
+    """
+    running = [stretch for stretch in stretches if not stretch.over]
+    while running:
+        groups: dict[object, list[tuple[int, Stretch]]] = {}
+        for stretch in running:
+            kind, place = stretch.world.companion
+            groups.setdefault(kind, []).append((place, stretch))
+        for group in groups.values():
+            _roll([stretch for _, stretch in sorted(group, key=lambda entry: entry[0])], rules)
+        running = [stretch for stretch in running if not stretch.over]
+
+
+def _roll(stretches: list[Stretch], rules: ProtocolConfig) -> None:
+    steps = min(_CHUNK, *(stretch.left for stretch in stretches))
+    worlds = [stretch.world for stretch in stretches]
+    rolled = worlds[0].roll(worlds, [stretch.robot_target for stretch in stretches], steps, rules)
+    before = Verdicts.of([stretch.referee.standing() for stretch in stretches])
+    last, verdicts = judge(before, rolled.contacts, rules)
+    for number, stretch in enumerate(stretches):
+        taken = int(last[number]) + 1
+        if taken < steps:
+            rolled.cut(number, taken)
+        stretch.left, stretch.done = stretch.left - taken, stretch.done + taken
+        held = not stretch.referee.released
+        stretch.referee.resume(verdicts.standing(number))
+        if held and stretch.referee.released:
+            stretch.world.release_target()

@@ -1,0 +1,262 @@
+"""Scenes simulated side by side: MuJoCo's batches, one for each layout of models, and who has which row in them."""
+
+import heapq
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+from mujoco.batch import Batch
+
+from handover_marl.errors import ResetNeededError, SimulationError
+from handover_marl.sim.mujoco.scene_model import SceneModel
+
+Array = npt.NDArray[np.float64]
+
+_WARNINGS = {
+    mujoco.mjtWarning.mjWARN_INERTIA: "the inertia of the bodies became singular",
+    mujoco.mjtWarning.mjWARN_CONTACTFULL: "there were more contacts than its memory holds",
+    mujoco.mjtWarning.mjWARN_CNSTRFULL: "there were more constraints than its memory holds",
+    mujoco.mjtWarning.mjWARN_BADQPOS: "a position is not finite",
+    mujoco.mjtWarning.mjWARN_BADQVEL: "a velocity is not finite",
+    mujoco.mjtWarning.mjWARN_BADQACC: "an acceleration is not finite",
+    mujoco.mjtWarning.mjWARN_BADCTRL: "a servo's target is not finite",
+}
+# What worlds are led by, in the order in which MuJoCo has it: servos' targets, then where bodies are put.
+_CONTROLS = (mujoco.mjtState.mjSTATE_CTRL, mujoco.mjtState.mjSTATE_MOCAP_POS, mujoco.mjtState.mjSTATE_MOCAP_QUAT)
+_CONTROL_SPEC = sum(int(part) for part in _CONTROLS)
+_RECORDED = ("sensordata", "xpos", "xmat", "qpos")
+
+# Else warnings go to the console and into a file in the working folder; here they become errors.
+if mujoco.get_mju_user_warning() is None:
+    mujoco.set_mju_user_warning(lambda message: None)
+
+
+@dataclass(frozen=True, eq=False)
+class Felt:
+    """What rules are told from, of one world or of n worlds (n,) with one layout and of k steps (k,) of each.
+
+    Attributes:
+        scene: A model with the worlds' layout.
+        sensors: (..., s) sensor data.
+        places: (..., b, 3) of all bodies as the contacts were found (m).
+        turns: (..., b, 9) their axes, row by row.
+        joints: (..., q) positions after the step.
+    """
+
+    scene: SceneModel
+    sensors: Array
+    places: Array
+    turns: Array
+    joints: Array
+
+
+class _Group:
+    """Worlds of one layout.
+
+    Args:
+        scene: A model with it.
+        capacity: How many worlds there may be.
+    """
+
+    def __init__(self, scene: SceneModel, capacity: int) -> None:
+        self.scene = scene
+        # One thread: who has more than one core to spare has as many lanes on each.
+        self.batch = Batch(scene.model, capacity, nthread=1)
+        self.models = [scene.model] * capacity
+        self.batch.set_models(self.models)
+        self.free = list(range(capacity))
+        #: For what is worked out of a state without stepping.
+        self.scratch = mujoco.MjData(scene.model)
+        bind = self.batch.bind
+        self.qpos, self.qvel, self.forces = bind("qpos"), bind("qvel"), bind("xfrc_applied")
+        self.ctrl, self.mocap_pos, self.mocap_quat = bind("ctrl"), bind("mocap_pos"), bind("mocap_quat")
+        self.felt = [bind(name) for name in _RECORDED]
+
+    def takes(self, model: "mujoco.MjModel", row: int) -> bool:
+        """Simulate a model in a row from now on, if it has the layout."""
+        before = self.models[row]
+        self.models[row] = model
+        try:
+            self.batch.set_models(self.models)
+        except (ValueError, mujoco.FatalError):
+            self.models[row] = before
+            return False
+        return True
+
+    def check(self, rows: npt.NDArray[np.int32]) -> None:
+        """Raise if the engine warned in one of some rows."""
+        numbers = self.batch.warning[rows, :, 1]
+        if not numbers.any():
+            return
+        row = int(numbers.any(axis=1).argmax())
+        found = [text for kind, text in _WARNINGS.items() if numbers[row, int(kind)]]
+        seconds = float(self.batch.bind("time")[rows[row]])
+        raise SimulationError(
+            f"MuJoCo's simulation broke down after {seconds:.3f} s: {'; '.join(found) or 'it warned'}. "
+            "Play this scene with physics='fast', and report it"
+        )
+
+
+class Lanes:
+    """Room for some worlds that are simulated side by side. What happens in one does not depend on the others.
+
+    Args:
+        count: How many.
+        gravity: Along world z (m/s^2).
+    """
+
+    def __init__(self, count: int, gravity: float) -> None:
+        self._count, self._gravity = count, gravity
+        self._groups: dict[tuple[int, ...], list[_Group]] = {}
+
+    def enter(self, lane: "Lane", scene: SceneModel) -> None:
+        """Give a world a row for a scene's model, at the model's own state."""
+        if lane.group is None or not lane.group.takes(scene.model, lane.row):
+            self.leave(lane)
+            lane.group = self._group(scene)
+            lane.row = heapq.heappop(lane.group.free)
+            lane.group.takes(scene.model, lane.row)
+        lane.built = scene
+        lane.group.batch.reset(ids=np.array([lane.row], dtype=np.int32), stage=int(mujoco.mjtStage.mjSTAGE_NONE))
+        lane.group.batch.warning[lane.row] = 0
+
+    def leave(self, lane: "Lane") -> None:
+        """Take its row from a world."""
+        if lane.group is not None:
+            heapq.heappush(lane.group.free, lane.row)
+            lane.group = None
+
+    def free_target(self, lane: "Lane") -> None:
+        """Let the target object move freely under gravity, and touch table, ground and other objects."""
+        group, scene = lane.running, lane.scene
+        if not group.takes(scene.released, lane.row):
+            raise SimulationError("MuJoCo refuses the model in which the object is let go; report this")
+        body = scene.objects[0]
+        group.forces[lane.row, body, 2] = self._gravity * float(scene.model.body_mass[body])
+
+    def _group(self, scene: SceneModel) -> _Group:
+        model = scene.model
+        sizes = (model.nq, model.nv, model.nu, model.nbody, model.ngeom, model.nbvh, model.nmocap, model.nsensordata)
+        groups = self._groups.setdefault(sizes, [])
+        for group in groups:
+            if group.free and group.takes(model, group.free[0]):
+                return group
+        groups.append(_Group(scene, self._count))
+        return groups[-1]
+
+
+class Lane:
+    """A world's place among others.
+
+    Attributes:
+        group: The worlds of its layout, None while it has no scene.
+        row: Its row among them.
+        built: Its scene's model.
+    """
+
+    def __init__(self) -> None:
+        self.group: _Group | None = None
+        self.row = 0
+        self.built: SceneModel | None = None
+
+    @property
+    def running(self) -> _Group:
+        """The group.
+
+        Raises:
+            ResetNeededError: There is no scene.
+        """
+        if self.group is None:
+            raise ResetNeededError("the world is empty; call reset() first")
+        return self.group
+
+    @property
+    def scene(self) -> SceneModel:
+        """The scene's model."""
+        if self.built is None:
+            raise ResetNeededError("the world is empty; call reset() first")
+        return self.built
+
+    @property
+    def qpos(self) -> Array:
+        """(q,) positions, which may be written to."""
+        found: Array = self.running.qpos[self.row]
+        return found
+
+    @property
+    def qvel(self) -> Array:
+        """(v,) velocities."""
+        found: Array = self.running.qvel[self.row]
+        return found
+
+    def controls(self) -> tuple[Array, Array, Array]:
+        """What leads it, which may be written to: servos' targets (u,), bodies' places (m, 3) and quaternions wxyz."""
+        group, row = self.running, self.row
+        return group.ctrl[row], group.mocap_pos[row], group.mocap_quat[row]
+
+    def step(self) -> Felt:
+        """One step with the controls as they are.
+
+        Raises:
+            SimulationError: The engine warned; its state means nothing any more.
+        """
+        group, rows = self.running, np.array([self.row], dtype=np.int32)
+        group.batch.step(ids=rows)
+        group.check(rows)
+        return self.felt()
+
+    def felt(self) -> Felt:
+        """What was felt in the last step."""
+        return Felt(self.scene, *(array[self.row] for array in self.running.felt))
+
+    def frames(self) -> tuple[Array, Array]:
+        """Places (b, 3) and quaternions (b, 4) wxyz of all bodies as they are now."""
+        scratch = self.running.scratch
+        scratch.qpos[:] = self.qpos
+        mujoco.mj_kinematics(self.scene.model, scratch)
+        return scratch.xpos, scratch.xquat
+
+
+@dataclass(frozen=True, eq=False)
+class Roll:
+    """Some steps of worlds of one layout, and the way back.
+
+    Attributes:
+        lanes: The worlds (n).
+        felt: What was felt, (k, n, ...).
+        controls: (n, k, c) what led them.
+        before: (n, s) their states before.
+    """
+
+    lanes: list[Lane]
+    felt: Felt
+    controls: Array
+    before: Array
+
+    def cut(self, number: int, steps: int) -> None:
+        """Let one of the worlds have taken only so many of the steps."""
+        lane = self.lanes[number]
+        batch, rows = lane.running.batch, np.array([lane.row], dtype=np.int32)
+        batch.state[lane.row] = self.before[number]
+        batch.rollout(steps, self.controls[number, None, :steps], _CONTROL_SPEC, (), rows)
+
+
+def roll(lanes: Sequence[Lane], controls: Sequence[Array]) -> Roll:
+    """Simulate k steps of worlds of one layout.
+
+    Args:
+        lanes: The worlds, ordered by their rows.
+        controls: (k, c) for each: servos' targets, places of the bodies that are put somewhere, their quaternions wxyz.
+
+    Raises:
+        SimulationError: The engine warned; the worlds' states mean nothing any more.
+    """
+    group, rows = lanes[0].running, np.array([lane.row for lane in lanes], dtype=np.int32)
+    given = np.stack(controls)
+    before = group.batch.state[rows]
+    found = group.batch.rollout(given.shape[1], given, _CONTROL_SPEC, _RECORDED, rows)
+    group.check(rows)
+    arrays = (found[name].swapaxes(0, 1) for name in _RECORDED)
+    return Roll(list(lanes), Felt(group.scene, *arrays), given, before)
