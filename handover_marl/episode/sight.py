@@ -77,7 +77,7 @@ def sight_space(sight: str | None) -> dict[str, spaces.Space[Any]]:
     if sight == IMAGES:
         return {
             "wrist_depth": spaces.Box(0.0, np.inf, (SIDE, SIDE, 1), np.float32),
-            "wrist_segmentation": spaces.Box(0, max(Seen), (SIDE, SIDE, 1), np.uint8),
+            "wrist_segmentation": spaces.Box(0, int(max(Seen)), (SIDE, SIDE, 1), np.uint8),
             "wrist_rgb": spaces.Box(0, 255, (SIDE, SIDE, 3), np.uint8),
         }
     return {}
