@@ -35,7 +35,7 @@ def turn_about(
 
 
 def wrist_points(hand_dof: npt.NDArray[np.float32], base_from_wrist: Array) -> Array:
-    """(n, 3) world positions of the wrist, given (n, 51) joints and its fixed place (3,) on the base joints."""
+    """(n, 3) world positions of the wrist, given (n, 6 or more) joints and its fixed place (3,) on the base joints."""
     turned = Rotation.from_euler("XYZ", hand_dof[:, 3:6].astype(np.float64)).apply(base_from_wrist)
     points: Array = hand_dof[:, :3] + turned
     return points

@@ -163,16 +163,17 @@ class Playback:
     def _deviate(self, motion: Motion, plan: "_Plan", shift: SetPoint, turn: SetPoint) -> Motion:
         steps, last = len(motion), self._now.last
         shifts, turns = shift.approach(plan.shift, steps), turn.approach(plan.turn, steps)
+        bases, objects = motion.hand[:, :_BASE_DOF], motion.objects[:, 0]
+        # What stands still, as after the recording's end, is worked out once for all steps.
+        if all((rows == rows[0]).all() for rows in (shifts, turns, bases, objects)):
+            shifts, turns, bases, objects = shifts[:1], turns[:1], bases[:1], objects[:1]
         rotations = Rotation.from_rotvec(turns)
-        wrist = wrist_points(motion.hand, self._wrist_place)
-        hand = motion.hand.copy()
-        hand[:, :_BASE_DOF] = turn_about(
-            motion.hand[:, :_BASE_DOF], wrist, shifts, rotations, last.hand[-1, :_BASE_DOF]
-        )
-        objects = motion.objects.copy()
+        wrist = wrist_points(bases, self._wrist_place)
+        hand, led = motion.hand.copy(), motion.objects.copy()
+        hand[:, :_BASE_DOF] = turn_about(bases, wrist, shifts, rotations, last.hand[-1, :_BASE_DOF])
         if not plan.released:
-            objects[:, 0] = turn_about(motion.objects[:, 0], wrist, shifts, rotations, last.objects[-1, 0])
-        return Motion(objects, hand, motion.hand_present)
+            led[:, 0] = turn_about(objects, wrist, shifts, rotations, last.objects[-1, 0])
+        return Motion(led, hand, motion.hand_present)
 
     def _open(self, motion: Motion) -> tuple[Motion, float]:
         """Stretch the fingers; MANO's zero is a flat hand."""

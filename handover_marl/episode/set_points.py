@@ -32,6 +32,10 @@ class SetPoint:
         wanted = [float(component) for component in np.asarray(goal)]
         way = np.empty((steps, len(wanted)))
         for row in range(steps):
+            if self.value == wanted and not any(self._velocity):
+                # There, it stays.
+                way[row:] = wanted
+                break
             self._step(wanted)
             way[row] = self.value
         return way

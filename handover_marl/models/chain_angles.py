@@ -14,9 +14,30 @@ def continued(angles: Array, previous: Array) -> Array:
         previous: (3,) the row before the first.
     """
     rows = np.empty(angles.shape)
-    for number, (a, b, c) in enumerate(angles):
-        twins = np.array([[a, b, c], [a + np.pi, np.pi - b, c + np.pi]])
-        twins += 2.0 * np.pi * np.round((previous - twins) / (2.0 * np.pi))
-        nearer = np.argmin(np.abs(twins - previous).sum(axis=1))
-        previous = rows[number] = twins[nearer]
+    begun = 0
+    # Mostly all rows go on in the same way as the first; where one does not, it is gone on from there.
+    while begun < len(angles):
+        rest = angles[begun:]
+        twin, turns = _nearest(rest[:1], previous[None])
+        guess = _twins(rest)[:, twin[0]] + 2.0 * np.pi * turns[0]
+        before = np.concatenate([previous[None], guess[:-1]])
+        found, whole = _nearest(rest, before)
+        as_guessed = (found == twin[0]) & (whole == turns[0]).all(axis=1)
+        count = len(rest) if as_guessed.all() else int(as_guessed.argmin())
+        rows[begun : begun + count] = guess[:count]
+        begun, previous = begun + count, guess[count - 1]
     return rows
+
+
+def _twins(angles: Array) -> Array:
+    """(n, 2, 3) both ways to tell each rotation, but for whole turns."""
+    return np.stack([angles, [np.pi, np.pi, np.pi] + angles * [1.0, -1.0, 1.0]], axis=1)
+
+
+def _nearest(angles: Array, previous: Array) -> tuple[npt.NDArray[np.int_], Array]:
+    """(n,) which way is nearest to previous angles (n, 3), and (n, 3) the whole turns that go with it."""
+    twins = _twins(angles)
+    turns = np.round((previous[:, None] - twins) / (2.0 * np.pi))
+    away = np.abs(twins + 2.0 * np.pi * turns - previous[:, None]).sum(axis=2)
+    nearer = away.argmin(axis=1)
+    return nearer, turns[np.arange(len(angles)), nearer]
