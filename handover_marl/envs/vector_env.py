@@ -16,7 +16,7 @@ from handover_marl.envs.crew import Crew
 from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.envs.parallel_vector_env import ParallelVectorEnv
 from handover_marl.envs.wrapper import SingleAgentEnv
-from handover_marl.errors import OptionError, UnknownNameError
+from handover_marl.errors import OptionError, ResetNeededError, UnknownNameError
 from handover_marl.options import shows
 from handover_marl.policies.reference import PolicyLike
 from handover_marl.sim.engines import MUJOCO
@@ -83,6 +83,7 @@ class HandoverVectorEnv(SyncVectorEnv):
 
     def __init__(self, crew: Crew, autoreset: AutoresetMode) -> None:
         self._crew = crew
+        self._begun = False
         self._ahead = [_Ahead(SingleAgentEnv(env), autoreset) for env in crew.envs]  # type: ignore[arg-type]
         super().__init__([functools.partial(_itself, env) for env in self._ahead], autoreset_mode=autoreset)
 
@@ -103,7 +104,10 @@ class HandoverVectorEnv(SyncVectorEnv):
         if len(given) != self.num_envs or chosen.shape != (self.num_envs,):
             raise OptionError(f"there are {self.num_envs} environments: as many seeds, and entries of reset_mask")
         tasks = zip(self._ahead, given, chosen, strict=True)
+        # Should anything fail, episodes are left where they are: then all have to begin anew.
+        begun, self._begun = self._begun or bool(chosen.all()), False
         self._crew.together([functools.partial(env.reset_ahead, one, own) for env, one, now in tasks if now])
+        self._begun = begun
         return super().reset(seed=seeds, options=options)
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
@@ -111,9 +115,16 @@ class HandoverVectorEnv(SyncVectorEnv):
 
         Args:
             actions: (n, ...) one for each environment.
+
+        Raises:
+            ResetNeededError: There was no reset, or something failed since.
         """
-        each = zip(self._ahead, iterate(self.action_space, actions), strict=True)
+        if not self._begun:
+            raise ResetNeededError("no episodes are running; call reset() before step()")
+        each = list(zip(self._ahead, iterate(self.action_space, actions), strict=True))
+        self._begun = False
         self._crew.together([functools.partial(env.step_ahead, action) for env, action in each])
+        self._begun = True
         return super().step(actions)
 
     def close_extras(self, **kwargs: Any) -> None:

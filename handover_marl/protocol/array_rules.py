@@ -114,8 +114,8 @@ def judge(before: Verdicts, seen: ContactArrays, config: ProtocolConfig) -> tupl
         steps=steps,
         release=np.where(lets_go[now], chosen, before.release),
         release_step=np.where(lets_go[now], steps, before.release_step),
-        active_steps=active[now],
-        passive_steps=passive[now],
+        active_steps=np.where(held, active[now], before.active_steps),
+        passive_steps=np.where(held, passive[now], before.passive_steps),
         goal_steps=goal[now],
     )
 

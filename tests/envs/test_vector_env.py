@@ -1,0 +1,223 @@
+"""Many environments in one process: each plays what a single one plays, however many there are."""
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco", reason="needs the extra `mujoco`")
+
+import handover_marl
+from handover_marl.envs.handover_env import HandoverEnv
+from handover_marl.envs.vector_env import HandoverVectorEnv
+from handover_marl.errors import ActionError, OptionError, ResetNeededError, UnknownNameError
+from handover_marl.receivers import Receiver
+
+#: Boxes, cylinders and balls, so that models of several layouts are mixed.
+OPTIONS: dict[str, Any] = {"setup": "s0", "split": "train", "dataset": "synthetic", "physics": "mujoco"}
+COUNT = 5
+#: Short, so that some episodes end and begin anew.
+SHORT: dict[str, Any] = {**OPTIONS, "max_cycles": 13, "control_period": 0.13}
+
+
+def single(agent: str, partner: str, **options: Any) -> gymnasium.Env[Any, Any]:
+    world = handover_marl.parallel_env(**options)
+    return handover_marl.freeze(world, agent, partner, api="gymnasium")
+
+
+def encoded(**options: Any) -> gymnasium.Env[Any, Any]:
+    live = handover_marl.freeze(handover_marl.parallel_env(**options), "receiver", "cooperative")
+    return handover_marl.encode(live, "close", "grasp_servo", api="gymnasium")
+
+
+def rollout(envs: gymnasium.vector.VectorEnv[Any, Any, Any], steps: int, seed: int = 3) -> list[Any]:
+    """All that an environment says while the robot goes here and there."""
+    rng, said = np.random.default_rng(0), list(envs.reset(seed=seed))
+    space = envs.single_action_space
+    for _ in range(steps):
+        draw = rng.normal(size=(envs.num_envs, *space.shape))
+        seen = said[0] if len(said) == 2 else said[-5]
+        near = 0.0 if not isinstance(seen, dict) or space.shape != (9,) else seen["robot_joint_position"]
+        said += envs.step((near + 0.15 * draw).astype(np.float32))
+    envs.close()
+    return said
+
+
+def assert_equal(one: Any, other: Any) -> None:
+    if isinstance(one, dict):
+        assert one.keys() == other.keys()
+        for key in one:
+            assert_equal(one[key], other[key])
+    elif isinstance(one, list):
+        assert len(one) == len(other)
+        for first, second in zip(one, other, strict=True):
+            assert_equal(first, second)
+    elif isinstance(one, np.ndarray) and one.dtype == object:
+        assert_equal(list(one), list(other))
+    else:
+        np.testing.assert_array_equal(one, other, strict=True)
+
+
+@pytest.mark.parametrize("autoreset", ["next_step", "same_step"])
+@pytest.mark.parametrize(("agent", "partner"), [("receiver", "noisy"), ("giver", "yang2021")])
+def test_equal_to_single_environments_to_the_bit(agent: str, partner: str, autoreset: str) -> None:
+    mode = gymnasium.vector.AutoresetMode[autoreset.upper()]
+    alone = gymnasium.vector.SyncVectorEnv([lambda: single(agent, partner, **SHORT)] * COUNT, autoreset_mode=mode)
+    expected = rollout(alone, 30)
+    for threads in (1, 2, 3):
+        together = handover_marl.vector_env(COUNT, agent, partner, autoreset=autoreset, threads=threads, **SHORT)
+        assert_equal(rollout(together, 30), expected)
+    assert any(step.any() for step in expected[5::5]), "episodes were cut off"
+
+
+def test_features_and_schemes_that_wait_are_equal_too() -> None:
+    options = {**OPTIONS, "control_period": 0.2, "max_cycles": 25}
+    expected = rollout(gymnasium.vector.SyncVectorEnv([lambda: encoded(**options)] * COUNT), 20)
+    together = handover_marl.vector_env(
+        COUNT, "receiver", "cooperative", features="close", schemes="grasp_servo", threads=2, **options
+    )
+    assert_equal(rollout(together, 20), expected)
+
+
+def test_an_environment_does_not_depend_on_how_many_there_are() -> None:
+    few, many = (
+        rollout(handover_marl.vector_env(count, "giver", "hold", threads=2, **SHORT), 20) for count in (2, COUNT)
+    )
+    for one, other in zip(few, many, strict=True):
+        if isinstance(one, np.ndarray):
+            np.testing.assert_array_equal(one, other[:2])
+    np.testing.assert_array_equal(few[-5]["object_poses"], many[-5]["object_poses"][:2])
+
+
+@pytest.fixture
+def both() -> Iterator[Callable[..., Any]]:
+    made = []
+
+    def make(**options: Any) -> Any:
+        made.append(handover_marl.vector_env(COUNT, None, threads=2, **{**SHORT, **options}))
+        return made[-1]
+
+    yield make
+    for envs in made:
+        envs.close()
+
+
+@pytest.mark.parametrize("autoreset", ["next_step", "same_step"])
+def test_both_agents_in_a_batch(both: Callable[..., Any], autoreset: str) -> None:
+    batch = both(autoreset=autoreset)
+    alone = [handover_marl.parallel_env(**SHORT) for _ in range(COUNT)]
+    rng = np.random.default_rng(1)
+    seen, _ = batch.reset(seed=11)
+    first = [env.reset(11 + number)[0] for number, env in enumerate(alone)]
+    ended = np.zeros(COUNT, dtype=bool)
+    ends = 0
+    for _ in range(30):
+        for agent in batch.possible_agents:
+            assert batch.observation_space(agent).contains(seen[agent])
+            for number, one in enumerate(first):
+                assert_equal({key: value[number] for key, value in seen[agent].items()}, one[agent])
+        still = seen["receiver"]["robot_joint_position"]
+        actions = {
+            "receiver": (still + 0.1 * rng.normal(size=still.shape)).astype(np.float32),
+            "giver": (0.1 * rng.normal(size=(COUNT, 8))).astype(np.float32),
+        }
+        seen, rewards, terminations, truncations, infos = batch.step(actions)
+        for number, env in enumerate(alone):
+            if ended[number] and autoreset == "next_step":
+                first[number], ended[number] = env.reset()[0], False
+                assert rewards["giver"][number] == 0.0
+                continue
+            first[number], reward, over, cut, info = env.step(
+                {agent: given[number] for agent, given in actions.items()}
+            )
+            ended[number] = over["giver"] or cut["giver"]
+            ends += int(ended[number])
+            for agent in env.possible_agents:
+                assert rewards[agent][number] == reward[agent]
+                assert (terminations[agent][number], truncations[agent][number]) == (over[agent], cut[agent])
+            if ended[number] and autoreset == "same_step":
+                assert infos["giver"]["_final_obs"][number]
+                assert_equal(infos["giver"]["final_obs"][number], first[number]["giver"])
+                first[number] = env.reset()[0]
+            else:
+                assert infos["giver"]["steps"][number] == info["giver"]["steps"]
+    assert ends > COUNT
+
+
+def test_some_may_be_reset_alone() -> None:
+    envs = handover_marl.vector_env(3, "receiver", "replay", autoreset="disabled", threads=1, **OPTIONS)
+    envs.reset(seed=1)
+    still = np.tile(np.array([0.0, -1.285, 0, -2.356, 0, 1.571, 0.785, 0.04, 0.04], np.float32), (3, 1))
+    envs.step(still)
+    scene = envs.envs[0].unwrapped.scene_ids[2]
+    seen, infos = envs.reset(seed=[7, 8, 9], options={"reset_mask": np.array([True, False, True]), "scene_id": scene})
+    np.testing.assert_allclose(seen["time"][:, 0], [0.0, 0.1, 0.0], atol=1e-6)
+    assert infos["scene_id"][[0, 2]].tolist() == [scene, scene]
+    with pytest.raises(OptionError, match="3 environments"):
+        envs.reset(seed=[1, 2])
+    envs.close()
+
+
+class Failing(Receiver):
+    """Fails in the third decision of the second environment."""
+
+    name, control_period = "failing", 0.13
+
+    def reset(self, seed: int | None = None) -> None:
+        self.decisions = 0
+
+    def act(self, observation: dict[str, np.ndarray]) -> np.ndarray:
+        self.decisions += 1
+        if self.decisions == 3:
+            raise KeyError("nonsense")
+        return observation["robot_joint_position"]
+
+
+def test_a_failing_partner_is_told_and_resets_go_on() -> None:
+    envs = handover_marl.vector_env(COUNT, "giver", Failing, threads=2, **SHORT)
+    envs.reset(seed=0)
+    still = np.zeros((COUNT, 8), np.float32)
+    envs.step(still)
+    envs.step(still)
+    with pytest.raises(handover_marl.errors.PolicyError, match="nonsense"):
+        envs.step(still)
+    with pytest.raises(ResetNeededError):
+        envs.step(still)
+    envs.reset(seed=0)
+    envs.step(still)
+    envs.close()
+
+
+def test_what_cannot_be_is_refused(both: Callable[..., Any]) -> None:
+    for options, error, told in (
+        ({"num_envs": 0}, OptionError, "num_envs"),
+        ({"num_envs": 2, "threads": True}, OptionError, "threads"),
+        ({"num_envs": 2, "agent": None, "partner": "replay"}, OptionError, "partner"),
+        ({"num_envs": 2, "agent": "robot"}, UnknownNameError, "agent"),
+        ({"num_envs": 2, "autoreset": "always"}, UnknownNameError, "autoreset"),
+        ({"num_envs": 2, "physics": "newton"}, UnknownNameError, "physics"),
+    ):
+        with pytest.raises(error, match=told):
+            handover_marl.vector_env(**{**OPTIONS, **options})
+    batch = both()
+    with pytest.raises(ResetNeededError):
+        batch.step({})
+    batch.reset(seed=0)
+    with pytest.raises(ActionError, match="dict of arrays"):
+        batch.step({"giver": np.zeros((COUNT, 8))})
+    with pytest.raises(ActionError, match=r"\(5, 9\)"):
+        batch.step({"giver": np.zeros((COUNT, 8)), "receiver": np.zeros((COUNT, 8))})
+    with pytest.raises(OptionError, match="seeds"):
+        batch.reset(seed=[1])
+
+
+@pytest.mark.parametrize("physics", ["fast", "exact"])
+def test_other_physics_play_in_turns(physics: str) -> None:
+    options = {**SHORT, "physics": physics}
+    alone = gymnasium.vector.SyncVectorEnv([lambda: single("receiver", "replay", **options)] * 2)
+    together = handover_marl.vector_env(2, "receiver", "replay", **options)
+    assert isinstance(together, HandoverVectorEnv)
+    assert isinstance(together.envs[0].unwrapped.env.world, HandoverEnv)
+    assert_equal(rollout(together, 3), rollout(alone, 3))
