@@ -2,7 +2,8 @@
 
 All contestants run in turns of a few hundred steps in one process, so that the machine's drift cancels; ratios are
 taken within one run. `stepSimulation` is timed inside an exact and a fast environment, that is with the simulated
-hand and without. MuJoCo's physics are measured where it is installed.
+hand and without. MuJoCo's physics are measured where it is installed, a batch of environments too. Times of steps are
+the processor's; the batch has one thread, so that all is per core.
 
     python experiments/bench_speed.py --data-dir DIR --out speed.md
 """
@@ -22,6 +23,7 @@ from rich.console import Console
 from rich.progress import Progress
 from tabulate import tabulate
 
+import handover_marl
 from handover_marl import receivers
 from handover_marl.benchmarking.machine import describe_machine
 from handover_marl.benchmarking.playing import Task
@@ -29,6 +31,7 @@ from handover_marl.benchmarking.task_pool import play_tasks
 from handover_marl.config import PandaConfig
 from handover_marl.datasets import open_dataset
 from handover_marl.envs.handover_env import HandoverEnv
+from handover_marl.envs.parallel_vector_env import ParallelVectorEnv
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.play import play
 from handover_marl.episode.playback import NO_DEVIATION
@@ -56,7 +59,8 @@ class Args:
         repeats: Runs; the table gives median ratios and their range.
         episodes: Scenes of s0 val that Yang's receiver plays from reset to end; 0 leaves this out.
         workers: Numbers of worker processes to compare; empty leaves this out.
-        vector_envs: Fast environments to step side by side; 0 leaves this out.
+        vector_envs: Environments in a batch of MuJoCo's physics; 0 leaves this out.
+        processes: Fast environments to step side by side in processes; 0 leaves this out.
         out: Markdown file to write.
     """
 
@@ -69,17 +73,20 @@ class Args:
     repeats: int = 5
     episodes: int = 36
     workers: tuple[int, ...] = (1, 2)
-    vector_envs: int = 16
+    vector_envs: int = 256
+    processes: int = 16
     out: Path | None = None
 
 
 @dataclass
 class Contestant:
-    """One way to play the scene, and the seconds that it took in each run."""
+    """One way to play the scene, and the seconds that it took in each run, for one environment."""
 
     label: str
     physics: str
     engine_only: bool = False
+    envs: int = 1
+    mixed: bool = False
     seconds: list[float] = field(default_factory=list)
 
 
@@ -93,7 +100,7 @@ def main(args: Args) -> None:
         sections.append(episode_table(args))
     if args.workers:
         sections.append(worker_table(args))
-    if args.vector_envs:
+    if args.processes:
         sections.append(vector_table(args))
     text = "\n\n".join(sections)
     print(text)
@@ -110,7 +117,11 @@ def step_table(args: Args) -> str:
         Contestant("stepSimulation alone, without hand", "fast", engine_only=True),
     ]
     if MUJOCO in PHYSICS:
-        contestants.insert(2, Contestant("mujoco, env.step", MUJOCO))
+        many = [
+            Contestant(f"mujoco, batch of {args.vector_envs}", MUJOCO, envs=args.vector_envs),
+            Contestant(f"mujoco, batch of {args.vector_envs}, mixed scenes", MUJOCO, envs=args.vector_envs, mixed=True),
+        ]
+        contestants[2:2] = [Contestant("mujoco, env.step", MUJOCO), *(many if args.vector_envs else [])]
     for _ in progress(range(args.repeats), "steps"):
         race(args, contestants)
     exact, fast = (np.array(contestant.seconds) for contestant in contestants[:2])
@@ -118,7 +129,9 @@ def step_table(args: Args) -> str:
     for contestant in contestants:
         seconds = np.array(contestant.seconds)
         rate, ratios = args.steps / np.median(seconds), exact / seconds
-        memory = "-" if contestant.engine_only else f"{single_memory_mb(args, contestant.physics)} MB"
+        memory = (
+            "-" if contestant.engine_only or contestant.envs > 1 else f"{single_memory_mb(args, contestant.physics)} MB"
+        )
         rows.append(
             [
                 contestant.label,
@@ -133,37 +146,55 @@ def step_table(args: Args) -> str:
     head = ["", "steps/s", "ratio to exact", "range", "ratio to fast", "real-time factor", "peak memory"]
     return (
         f"Scene {args.scene}, {args.steps} steps, {args.control_period:g} s control period, constant action, "
-        f"{args.repeats} runs in turns:\n\n{table(head, rows)}"
+        f"{args.repeats} runs in turns, time of one core:\n\n{table(head, rows)}"
     )
 
 
 def race(args: Args, contestants: list[Contestant]) -> None:
     """Let all play the scene once, in turns."""
-    envs = [make_env(args, contestant.physics) for contestant in contestants]
+    envs = [entrant(args, contestant) for contestant in contestants]
     clocks = [
         watch_engine(env) if contestant.engine_only else None for env, contestant in zip(envs, contestants, strict=True)
     ]
     seconds = np.zeros(len(contestants))
-    control_steps = args.steps // envs[0].control_steps
+    control_steps = args.steps // round(args.control_period * REAL_TIME)
     for first in range(0, control_steps, args.turn):
         for number, env in enumerate(envs):
-            started = time.perf_counter()
+            started = time.process_time()
             act(env, min(args.turn, control_steps - first))
-            seconds[number] += time.perf_counter() - started
+            seconds[number] += (time.process_time() - started) / contestants[number].envs
     for contestant, env, clock, taken in zip(contestants, envs, clocks, seconds, strict=True):
         contestant.seconds.append(float(taken) if clock is None else clock[0])
         env.close()
 
 
-def watch_engine(env: HandoverEnv) -> list[float]:
+def entrant(args: Args, contestant: Contestant) -> HandoverEnv | ParallelVectorEnv:
+    """What a contestant steps."""
+    if contestant.envs == 1:
+        return make_env(args, contestant.physics)
+    envs = handover_marl.vector_env(
+        contestant.envs,
+        None,
+        threads=1,
+        data_dir=args.data_dir,
+        dataset=args.dataset,
+        control_period=args.control_period,
+        physics=contestant.physics,
+    )
+    envs.reset(seed=0, options=None if contestant.mixed else {"scene_id": args.scene})
+    return envs
+
+
+def watch_engine(env: HandoverEnv | ParallelVectorEnv) -> list[float]:
     """Add up the seconds that an environment which has been reset spends in `stepSimulation`."""
+    assert isinstance(env, HandoverEnv)
     client: Any = env._episode.world._client
     step, seconds = client.stepSimulation, [0.0]
 
     def timed_step() -> None:
-        started = time.perf_counter()
+        started = time.process_time()
         step()
-        seconds[0] += time.perf_counter() - started
+        seconds[0] += time.process_time() - started
 
     client.stepSimulation = timed_step
     return seconds
@@ -248,23 +279,23 @@ def vector_table(args: Args) -> str:
     """Fast environments side by side in Gymnasium's AsyncVectorEnv."""
     envs = gymnasium.make_vec(
         "handover_marl:HandoverMARL/Receiver-v0",
-        num_envs=args.vector_envs,
+        num_envs=args.processes,
         vectorization_mode="async",
         physics="fast",
         dataset=args.dataset,
         data_dir=args.data_dir,
     )
     envs.reset(seed=0)
-    actions = np.tile(np.array(PandaConfig().start_joints, dtype=np.float32), (args.vector_envs, 1))
+    actions = np.tile(np.array(PandaConfig().start_joints, dtype=np.float32), (args.processes, 1))
     control_steps = 40
     started = time.perf_counter()
     for _ in range(control_steps):
         envs.step(actions)
     seconds = time.perf_counter() - started
     envs.close()
-    rate = args.vector_envs * control_steps / seconds
+    rate = args.processes * control_steps / seconds
     return (
-        f"{args.vector_envs} fast environments in gymnasium's AsyncVectorEnv, 0.1 s control period, constant "
+        f"{args.processes} fast environments in gymnasium's AsyncVectorEnv, 0.1 s control period, constant "
         f"action: {rate:.0f} control steps/s, {rate * 0.1 * REAL_TIME:.0f} physics steps/s, all together."
     )
 
@@ -275,10 +306,11 @@ def make_env(args: Args, physics: str) -> HandoverEnv:
     return env
 
 
-def act(env: HandoverEnv, control_steps: int) -> None:
+def act(env: HandoverEnv | ParallelVectorEnv, control_steps: int) -> None:
+    shape = (env.num_envs, 1) if isinstance(env, ParallelVectorEnv) else 1
     actions = {
-        "giver": NO_DEVIATION,
-        "receiver": np.array(PandaConfig().start_joints, dtype=np.float32),
+        "giver": np.tile(NO_DEVIATION, shape),
+        "receiver": np.tile(np.array(PandaConfig().start_joints, dtype=np.float32), shape),
     }
     for _ in range(control_steps):
         env.step(actions)

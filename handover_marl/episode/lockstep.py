@@ -10,6 +10,8 @@ from handover_marl.sim.world import RollingWorld
 
 # Steps taken at once: what is behind the step in which something happens is taken in vain.
 _CHUNK = 50
+# Worlds rolled at once: what is felt in more of them does not fit into the processor's own memory.
+_ABREAST = 64
 
 
 @dataclass(eq=False)
@@ -49,7 +51,9 @@ def play_together(stretches: Iterable[Stretch], rules: ProtocolConfig) -> None:
             kind, place = stretch.world.companion
             groups.setdefault(kind, []).append((place, stretch))
         for group in groups.values():
-            _roll([stretch for _, stretch in sorted(group, key=lambda entry: entry[0])], rules)
+            ordered = [stretch for _, stretch in sorted(group, key=lambda entry: entry[0])]
+            for first in range(0, len(ordered), _ABREAST):
+                _roll(ordered[first : first + _ABREAST], rules)
         running = [stretch for stretch in running if not stretch.over]
 
 

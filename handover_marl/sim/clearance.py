@@ -52,27 +52,28 @@ class Clearance:
         self,
         joints: tuple[npt.NDArray[np.floating], npt.NDArray[np.floating]],
         link_poses: npt.NDArray[np.floating],
-        robot_target: list[float],
+        robot_target: npt.ArrayLike,
         centers: Array,
         radii: Array,
     ) -> npt.NDArray[np.int_]:
-        """How many of the coming n steps are surely without contact, for each of m things.
+        """(..., m) how many of the coming n steps are surely without contact, for each of m things in (...) worlds.
 
         Args:
-            joints: Positions (9,) and velocities (9,) of the robot's joints now (rad, m).
-            link_poses: (L, 7) world poses of `links` now.
-            robot_target: (9,) joint targets for all these steps.
-            centers: (n, m, 3) where the middles of balls around the things are after each step (m).
-            radii: (m,) the balls' radii (m).
+            joints: Positions (..., 9) and velocities (..., 9) of the robot's joints now (rad, m).
+            link_poses: (..., L, 7) world poses of `links` now.
+            robot_target: (..., 9) joint targets for all these steps.
+            centers: (..., n, m, 3) where the middles of balls around the things are after each step (m).
+            radii: (..., m) the balls' radii (m).
         """
-        steps = len(centers)
+        steps = centers.shape[-3]
         position, velocity = joints
-        ways = np.abs(np.array(robot_target) - position) @ self._levers
+        ways = np.abs(np.asarray(robot_target) - position) @ self._levers
         speed = np.abs(velocity) @ self._levers
         count = np.arange(1, steps + 1)
-        moved = ways * (1.0 - (1.0 - self._gain) ** count) + speed * TIME_STEP * count
+        moved = ways[..., None] * (1.0 - (1.0 - self._gain) ** count) + speed[..., None] * TIME_STEP * count
         links = compose_point(link_poses, self._centers)
-        robot = np.concatenate([links, self._base_centers])
-        gaps = np.linalg.norm(centers[:, :, None] - robot, axis=-1) - self._radii
-        near = gaps.min(axis=-1) - radii - moved[:, None] < MARGIN
-        return np.where(near.any(axis=0), near.argmax(axis=0), steps)
+        base = np.broadcast_to(self._base_centers, (*links.shape[:-2], *self._base_centers.shape))
+        robot = np.concatenate([links, base], axis=-2)[..., None, None, :, :]
+        gaps = np.linalg.norm(centers[..., None, :] - robot, axis=-1) - self._radii
+        near = gaps.min(axis=-1) - radii[..., None, :] - moved[..., None] < MARGIN
+        return np.where(near.any(axis=-2), near.argmax(axis=-2), steps)

@@ -18,24 +18,39 @@ class Follower:
         start: (d,) where the joints are (m, rad).
 
     Attributes:
+        gains: (d,) the share of each joint's error that a step makes up.
         position: (d,) where the joints are at the end of the last path, float64.
         path: (n, d) where they are after each step of the present motion.
     """
 
     def __init__(self, motors: Sequence[MotorConfig], start: npt.ArrayLike) -> None:
-        self._gains = np.array([motor.position_gain for motor in motors])
+        self.gains = np.array([motor.position_gain for motor in motors])
         self.position = np.array(start, dtype=np.float64)
         self.path = self.position[None]
 
     def follow(self, targets: npt.NDArray[np.float32]) -> None:
         """Work out the path for (n, d) targets; step by step, so that it does not depend on how they are cut."""
-        position, wanted = self.position, targets.astype(np.float64)
-        if (wanted == position).all():
+        follow_together([self], [targets])
+
+
+def follow_together(followers: Sequence[Follower], targets: Sequence[npt.NDArray[np.float32]]) -> None:
+    """As `Follower.follow` for some with equally many joints, all at once where they have equally many targets."""
+    moving: dict[int, list[tuple[Follower, npt.NDArray[np.float64]]]] = {}
+    for follower, own in zip(followers, targets, strict=True):
+        wanted = own.astype(np.float64)
+        if (wanted == follower.position).all():
             # What lies still takes no work; the recurrence would say the same.
-            self.path = wanted
-            return
-        path = np.empty(wanted.shape)
-        for row, target in enumerate(wanted):
-            position = position + self._gains * (target - position)
-            path[row] = position
-        self.position, self.path = position, path
+            follower.path = wanted
+        else:
+            moving.setdefault(len(wanted), []).append((follower, wanted))
+    for steps, group in moving.items():
+        gains = np.array([follower.gains for follower, _ in group])
+        position = np.array([follower.position for follower, _ in group])
+        wanted = np.stack([own for _, own in group], axis=1)
+        paths = np.empty(wanted.shape)
+        for row in range(steps):
+            position = position + gains * (wanted[row] - position)
+            paths[row] = position
+        for number, (follower, _) in enumerate(group):
+            follower.path = paths[:, number]
+            follower.position = follower.path[-1]

@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from handover_marl.config import HAND_DOF, HandConfig, MotorConfig
 from handover_marl.models.kinematic_tree import KinematicTree
-from handover_marl.sim.follower import Follower
+from handover_marl.sim.follower import Follower, follow_together
 from handover_marl.sim.motion import Motion
 
 #: Joints that carry the whole hand: three that slide, three that turn.
@@ -55,7 +55,11 @@ class HandPath:
 
     def lead(self, motion: Motion) -> None:
         """Work out where it will be in the coming steps."""
-        present, path = motion.hand_present, np.zeros(motion.hand.shape)
+        lead_together([self], [motion])
+
+    def begin(self, motion: Motion) -> list[tuple[Follower, slice]]:
+        """What is to be followed of a motion: by whom, in which rows."""
+        present, stretches = motion.hand_present, []
         cuts = (np.flatnonzero(np.diff(present)) + 1).tolist()
         for first, last in zip([0, *cuts], [*cuts, len(motion)], strict=True):
             if not present[first]:
@@ -64,10 +68,16 @@ class HandPath:
             if self._follower is None:
                 # A hand that appears does so at its target.
                 self._follower = Follower(self._motors, motion.hand[first])
-            self._follower.follow(motion.hand[first:last])
-            path[first:last] = self._follower.path
+            stretches.append((self._follower, slice(first, last)))
+        return stretches
+
+    def end(self, motion: Motion, stretches: Sequence[tuple[Follower, slice]]) -> None:
+        """Take over what was followed."""
+        path = np.zeros(motion.hand.shape)
+        for follower, rows in stretches:
+            path[rows] = follower.path
         self._path = np.concatenate([self._path[-1:], path])
-        self._present = np.concatenate([self._present[-1:], present])
+        self._present = np.concatenate([self._present[-1:], motion.hand_present])
 
     def centers(self, row: int) -> npt.NDArray[np.float64]:
         """(n - row, 3) where its base will be after the steps from `row` on (m); inf where there is no hand."""
@@ -100,3 +110,13 @@ class HandPath:
             self._seen = joints, origins[0, keypoint_links(moving)].astype(np.float32)
         keypoints: npt.NDArray[np.float32] = self._seen[1].copy()
         return keypoints
+
+
+def lead_together(hands: Sequence[HandPath], motions: Sequence[Motion]) -> None:
+    """As `HandPath.lead` for some hands, each by its own motion."""
+    stretches = [hand.begin(motion) for hand, motion in zip(hands, motions, strict=True)]
+    followers = [follower for own in stretches for follower, _ in own]
+    rows = [motion.hand[part] for own, motion in zip(stretches, motions, strict=True) for _, part in own]
+    follow_together(followers, rows)
+    for hand, motion, own in zip(hands, motions, stretches, strict=True):
+        hand.end(motion, own)

@@ -73,6 +73,18 @@ class _Group:
         self.qpos, self.qvel, self.forces = bind("qpos"), bind("qvel"), bind("xfrc_applied")
         self.ctrl, self.mocap_pos, self.mocap_quat = bind("ctrl"), bind("mocap_pos"), bind("mocap_quat")
         self.felt = [bind(name) for name in _RECORDED]
+        self._room: dict[str, Array] = {}
+
+    def room(self, worlds: int, steps: int) -> dict[str, Array]:
+        """Arrays for what is recorded of so many steps of worlds: the same each time, for new memory takes its time."""
+        found = {}
+        for name, one in zip(_RECORDED, self.felt, strict=True):
+            shape = (worlds, steps, *one.shape[1:])
+            size = int(np.prod(shape))
+            if name not in self._room or self._room[name].size < size:
+                self._room[name] = np.empty(size)
+            found[name] = self._room[name][:size].reshape(shape)
+        return found
 
     def takes(self, model: "mujoco.MjModel", row: int) -> bool:
         """Simulate a model in a row from now on, if it has the layout."""
@@ -225,7 +237,7 @@ class Roll:
 
     Attributes:
         lanes: The worlds (n).
-        felt: What was felt, (k, n, ...).
+        felt: What was felt, (k, n, ...), until worlds of this layout are rolled again.
         controls: (n, k, c) what led them.
         before: (n, s) their states before.
     """
@@ -256,7 +268,8 @@ def roll(lanes: Sequence[Lane], controls: Sequence[Array]) -> Roll:
     group, rows = lanes[0].running, np.array([lane.row for lane in lanes], dtype=np.int32)
     given = np.stack(controls)
     before = group.batch.state[rows]
-    found = group.batch.rollout(given.shape[1], given, _CONTROL_SPEC, _RECORDED, rows)
+    room = group.room(*given.shape[:2])
+    found = group.batch.rollout(given.shape[1], given, _CONTROL_SPEC, _RECORDED, rows, room)
     group.check(rows)
     arrays = (found[name].swapaxes(0, 1) for name in _RECORDED)
     return Roll(list(lanes), Felt(group.scene, *arrays), given, before)

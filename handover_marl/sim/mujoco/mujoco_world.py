@@ -12,9 +12,9 @@ from handover_marl.models.kinematic_tree import read_tree
 from handover_marl.protocol.contacts import Contacts
 from handover_marl.sim.bullet.picture_world import Pictures
 from handover_marl.sim.camera.photo import Photo
-from handover_marl.sim.hand_path import HandPath, keypoint_links
+from handover_marl.sim.hand_path import HandPath, keypoint_links, lead_together
 from handover_marl.sim.motion import Motion
-from handover_marl.sim.mujoco.chain import XYZW, bullet_quaternion, chain_joints, quaternions_wxyz
+from handover_marl.sim.mujoco.chain import bullet_quaternion, chain_joints, quaternions_wxyz
 from handover_marl.sim.mujoco.felt_contacts import contact_arrays, contacts_of
 from handover_marl.sim.mujoco.hand_frames import HandFrames
 from handover_marl.sim.mujoco.lanes import Lane, Lanes, roll
@@ -60,24 +60,28 @@ class MujocoWorld(RollingWorld):
         lane.qpos[built.object_qpos] = free.ravel()
         places[built.hand] = _NOWHERE
         tree = read_tree(scene.assets.hand)
-        self._hand = HandPath(tree, self._config.hand, start)
+        self._path = HandPath(tree, self._config.hand, start)
         self._hand_frames = HandFrames(scene.assets.hand, built.hand_links)
         moving = [link for link, joint in enumerate(tree.joints) if joint.kind != "fixed"]
         self._keypoint_frames = HandFrames(scene.assets.hand, np.array(keypoint_links(moving)))
         self._chains = start.objects[0].astype(np.float64)
         self._release_pending = False
+        self._hand_is_led = True
         self._row = -1
         self._robot_target: list[float] | None = None
 
     def lead(self, motion: Motion) -> None:
         """Say where objects and hand are led in the coming steps, one row a step."""
+        # It has to have followed the last motion before the next one.
+        self._lead_hand()
         self._row, self._motion, self._robot_target = -1, motion, None
-        self._hand.lead(motion)
+        self._hand_is_led = False
 
     def step(self, robot_target: list[float]) -> None:
         """Simulate one step."""
         parts = self._lane.controls()
-        for part, given in zip(parts, self._split(self._begin(robot_target)[0]), strict=True):
+        (controls,) = _begin([self], [robot_target])
+        for part, given in zip(parts, self._split(controls[0]), strict=True):
             part[:] = given
         self._lane.step()
         self._row += 1
@@ -87,7 +91,7 @@ class MujocoWorld(RollingWorld):
         cls, worlds: Sequence["MujocoWorld"], robot_targets: Sequence[list[float]], steps: int, rules: ProtocolConfig
     ) -> Rolled:
         """As `RollingWorld.roll`."""
-        controls = [world._begin(target)[:steps] for world, target in zip(worlds, robot_targets, strict=True)]
+        controls = [coming[:steps] for coming in _begin(worlds, robot_targets)]
         rolled = roll([world._lane for world in worlds], controls)
         for world in worlds:
             world._row += steps
@@ -103,34 +107,16 @@ class MujocoWorld(RollingWorld):
         """As `RollingWorld.companion`."""
         return self._lane.running, self._lane.row
 
-    def _begin(self, robot_target: list[float]) -> Array:
-        """(n, c) what leads the model in the motion's remaining steps."""
-        if self._release_pending:
-            self._lanes.free_target(self._lane)
-            self._release_pending = False
-        if robot_target != self._robot_target:
-            self._robot_target, self._led_from = robot_target, self._row + 1
-            self._controls = self._led(robot_target)
-        return self._controls[self._row + 1 - self._led_from :]
+    @property
+    def _hand(self) -> HandPath:
+        """The hand, led by the present motion."""
+        self._lead_hand()
+        return self._path
 
-    def _led(self, robot_target: list[float]) -> Array:
-        scene, motion, first = self._lane.scene, self._motion, self._row + 1
-        steps, objects = len(motion) - first, motion.objects[first:]
-        controls = np.empty((steps, sum(part.size for part in self._lane.controls())))
-        servos, places, turns = self._split(controls)
-        present = self._lane.controls()
-        places[:], turns[:] = present[1], present[2]
-        servos[:, scene.robot_ctrl] = robot_target
-        # A servo's target for each step: places in the world; how objects are turned is the guides' to say.
-        led = np.zeros((steps, objects.shape[1], OBJECT_DOF))
-        led[..., : OBJECT_DOF // 2] = objects[..., : OBJECT_DOF // 2]
-        servos[:, scene.object_ctrl] = led.reshape(steps, -1)
-        if (objects == objects[0]).all():
-            turns[:, scene.guides] = quaternions_wxyz(objects[0, :, OBJECT_DOF // 2 :])
-        else:
-            turns[:, scene.guides] = quaternions_wxyz(objects[..., OBJECT_DOF // 2 :])
-        self._place_hand(robot_target, places[:, scene.hand], turns[:, scene.hand])
-        return controls
+    def _lead_hand(self) -> None:
+        if not self._hand_is_led:
+            self._path.lead(self._motion)
+            self._hand_is_led = True
 
     def _split(self, controls: Array) -> tuple[Array, Array, Array]:
         """Views of servos' targets (..., u), bodies' places (..., m, 3) and quaternions (..., m, 4) wxyz."""
@@ -143,11 +129,12 @@ class MujocoWorld(RollingWorld):
             controls[..., u + 3 * m :].reshape(*shape, m, 4),
         )
 
-    def _place_hand(self, robot_target: list[float], places: Array, turns: Array) -> None:
+    def _place_hand(self, clear: int, places: Array, turns: Array) -> None:
         """Put the hand's bodies where they are after each remaining step; nowhere while it is surely out of reach."""
-        hand, first = self._hand, self._row + 1
-        clear = self._clear_steps(robot_target)
         places[:clear] = _NOWHERE
+        if clear >= len(places):
+            return
+        hand, first = self._path, self._row + 1
         changes = hand.changes()[first:]
         for number in range(clear, len(places)):
             if not hand.present_after(first + number):
@@ -156,16 +143,6 @@ class MujocoWorld(RollingWorld):
                 places[number], turns[number] = places[number - 1], turns[number - 1]
             else:
                 places[number], turns[number] = self._hand_frames.poses(hand.joints(first + number))
-
-    def _clear_steps(self, robot_target: list[float]) -> int:
-        """For how many of the remaining steps the hand is surely out of reach, so that it need not be there."""
-        lane, scene = self._lane, self._lane.scene
-        joints = lane.qpos[scene.robot_qpos], lane.qvel[scene.robot_qvel]
-        places, turns = lane.frames()
-        links = np.concatenate([places[scene.robot_links], turns[scene.robot_links][:, XYZW]], axis=1)
-        centers = self._hand.centers(self._row + 1)[:, None]
-        reach = np.array([scene.hand_reach])
-        return int(scene.robot_clearance.clear_steps(joints, links, robot_target, centers, reach)[0])
 
     def release_target(self) -> None:
         """Let go of the target object; takes effect in the next step."""
@@ -225,3 +202,60 @@ class MujocoWorld(RollingWorld):
         self._pictures.close()
         self._lanes.leave(self._lane)
         self._scene = None
+
+
+def _begin(worlds: Sequence[MujocoWorld], robot_targets: Sequence[list[float]]) -> list[Array]:
+    """(n, c) what leads the model in the remaining steps of each world's motion."""
+    for world in worlds:
+        if world._release_pending:
+            world._lanes.free_target(world._lane)
+            world._release_pending = False
+    unled = [world for world in worlds if not world._hand_is_led]
+    lead_together([world._path for world in unled], [world._motion for world in unled])
+    for world in unled:
+        world._hand_is_led = True
+    fresh: dict[int, list[tuple[MujocoWorld, list[float]]]] = {}
+    for world, target in zip(worlds, robot_targets, strict=True):
+        if world._robot_target != target:
+            world._robot_target, world._led_from = target, world._row + 1
+            fresh.setdefault(len(world._motion) - world._led_from, []).append((world, target))
+    for group in fresh.values():
+        _lead_models([world for world, _ in group], np.array([target for _, target in group]))
+    return [world._controls[world._row + 1 - world._led_from :] for world in worlds]
+
+
+def _lead_models(worlds: Sequence[MujocoWorld], targets: Array) -> None:
+    """Work out what leads models of one layout in as many remaining steps of each world's motion.
+
+    Args:
+        worlds: The worlds (w).
+        targets: (w, 9) joint targets of their robots (rad, m).
+    """
+    scene = worlds[0]._lane.scene
+    objects = np.stack([world._motion.objects[world._led_from :] for world in worlds])
+    parts = [np.stack(part) for part in zip(*(world._lane.controls() for world in worlds), strict=True)]
+    controls = np.empty((*objects.shape[:2], sum(part[0].size for part in parts)))
+    servos, places, turns = worlds[0]._split(controls)
+    places[:], turns[:] = parts[1][:, None], parts[2][:, None]
+    servos[..., scene.robot_ctrl] = targets[:, None]
+    # A servo's target for each step: places in the world; how objects are turned is the guides' to say.
+    led = np.zeros(objects.shape)
+    led[..., : OBJECT_DOF // 2] = objects[..., : OBJECT_DOF // 2]
+    servos[..., scene.object_ctrl] = led.reshape(*objects.shape[:2], -1)
+    turns[..., scene.guides, :] = quaternions_wxyz(objects[..., OBJECT_DOF // 2 :])
+    for number, (world, clear) in enumerate(zip(worlds, _clear_steps(worlds, targets).tolist(), strict=True)):
+        world._controls = controls[number]
+        world._place_hand(clear, places[number][:, scene.hand], turns[number][:, scene.hand])
+
+
+def _clear_steps(worlds: Sequence[MujocoWorld], targets: Array) -> npt.NDArray[np.int_]:
+    """(w,) for how many of its remaining steps each hand is surely out of reach, so that it need not be there."""
+    lanes = [world._lane for world in worlds]
+    scene = lanes[0].scene
+    frames = [np.concatenate(lane.frames(), axis=1)[scene.robot_links] for lane in lanes]
+    links = np.array(frames)[..., [0, 1, 2, 4, 5, 6, 3]]
+    joints = np.array([lane.qpos[scene.robot_qpos] for lane in lanes])
+    speeds = np.array([lane.qvel[scene.robot_qvel] for lane in lanes])
+    centers = np.array([world._path.centers(world._row + 1) for world in worlds])[:, :, None]
+    reach = np.array([[lane.scene.hand_reach] for lane in lanes])
+    return scene.robot_clearance.clear_steps((joints, speeds), links, targets, centers, reach)[:, 0]
