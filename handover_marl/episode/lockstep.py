@@ -9,9 +9,9 @@ from handover_marl.protocol.referee import Referee
 from handover_marl.sim.world import RollingWorld
 
 # Steps taken at once: what is behind the step in which something happens is taken in vain.
-_CHUNK = 50
+_CHUNK = 100
 # Worlds rolled at once: what is felt in more of them does not fit into the processor's own memory.
-_ABREAST = 64
+_ABREAST = 32
 
 
 @dataclass(eq=False)

@@ -30,6 +30,7 @@ class _State:
 
     Attributes:
         clock: Frames shown so far, pauses counted out.
+        frame: The frame shown.
         rate: Playback rate less the recorded one.
         shift: The wrist's displacement on its way to its set-point.
         turn: Its rotation vector, likewise.
@@ -39,6 +40,7 @@ class _State:
     """
 
     clock: float
+    frame: int
     rate: float
     shift: SetPoint
     turn: SetPoint
@@ -69,6 +71,7 @@ class Playback:
         self._wrist_place = wrist_place(scene)
         self._now = _State(
             clock=0.0,
+            frame=0,
             rate=0.0,
             shift=SetPoint(3, config.speed, config.acceleration),
             turn=SetPoint(3, config.turn_speed, config.turn_acceleration),
@@ -81,7 +84,7 @@ class Playback:
     @property
     def frame(self) -> int:
         """The frame shown, 0 at first."""
-        return min(int(_frames(self._now.clock)), self.scene.n_frames - 1)
+        return self._now.frame
 
     @property
     def holding(self) -> bool:
@@ -138,7 +141,8 @@ class Playback:
         now = self._now
         rates = self._rates(plan.wanted.rate, steps)
         clock = now.clock + np.cumsum(1.0 + rates)
-        motion = self._read(np.minimum(_frames(clock), self.scene.n_frames - 1).astype(int))
+        frames = np.minimum(_frames(clock), self.scene.n_frames - 1).astype(int)
+        motion = self._read(frames)
         deviated = now.deviated or plan.deviates
         shift, turn = copy.copy(now.shift), copy.copy(now.turn)
         # Once there has been a deviation the angles may have gone round another way than the recorded ones.
@@ -147,7 +151,7 @@ class Playback:
         opened = now.opened
         if plan.opening:
             motion, opened = self._open(motion)
-        state = _State(float(clock[-1]), float(rates[-1]), shift, turn, deviated, opened, motion)
+        state = _State(float(clock[-1]), int(frames[-1]), float(rates[-1]), shift, turn, deviated, opened, motion)
         return motion, state
 
     def _rates(self, wanted: float, steps: int) -> npt.NDArray[np.float64]:
