@@ -163,7 +163,7 @@ class ParallelVectorEnv:
         joined = {}
         for agent in self.possible_agents:
             space = self.single_observation_space(agent)
-            room = create_empty_array(space, n=self.num_envs)
+            room: Any = create_empty_array(space, n=self.num_envs)
             joined[agent] = concatenate(space, [one[agent] for one in seen], room)
         return joined
 

@@ -62,7 +62,7 @@ class _Ahead(gymnasium.Wrapper[Any, Any, Any, Any]):
         found: tuple[Any, dict[str, Any]] = self._results.popleft()
         return found
 
-    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:  # type: ignore[override]
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """The step that was worked out."""
         found: tuple[Any, float, bool, bool, dict[str, Any]] = self._results.popleft()
         return found
@@ -84,7 +84,7 @@ class HandoverVectorEnv(SyncVectorEnv):
     def __init__(self, crew: Crew, autoreset: AutoresetMode) -> None:
         self._crew = crew
         self._begun = False
-        self._ahead = [_Ahead(SingleAgentEnv(env), autoreset) for env in crew.envs]  # type: ignore[arg-type]
+        self._ahead = [_Ahead(SingleAgentEnv(env), autoreset) for env in crew.envs]
         super().__init__([functools.partial(_itself, env) for env in self._ahead], autoreset_mode=autoreset)
 
     def reset(
@@ -108,7 +108,7 @@ class HandoverVectorEnv(SyncVectorEnv):
         begun, self._begun = self._begun or bool(chosen.all()), False
         self._crew.together([functools.partial(env.reset_ahead, one, own) for env, one, now in tasks if now])
         self._begun = begun
-        return super().reset(seed=seeds, options=options)
+        return super().reset(seed=list(given), options=options)
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Act in every environment for one control period, or until its action scheme asks again.

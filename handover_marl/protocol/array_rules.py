@@ -40,10 +40,6 @@ class ContactArrays(NamedTuple):
     object_height: npt.NDArray[np.floating]
     gripper_position: npt.NDArray[np.floating]
 
-    def at(self, lane: int) -> "ContactArrays":
-        """Of one of the episodes, with n = 1."""
-        return ContactArrays(*(array[:, lane : lane + 1] for array in self))
-
 
 class Verdicts(NamedTuple):
     """How n episodes stand, as arrays (n,) of what `protocol.referee.Standing` has of one."""

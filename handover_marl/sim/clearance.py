@@ -76,4 +76,4 @@ class Clearance:
         robot = np.concatenate([links, base], axis=-2)[..., None, None, :, :]
         gaps = np.linalg.norm(centers[..., None, :] - robot, axis=-1) - self._radii
         near = gaps.min(axis=-1) - radii[..., None, :] - moved[..., None] < MARGIN
-        return np.where(near.any(axis=-2), near.argmax(axis=-2), steps)
+        return np.asarray(np.where(near.any(axis=-2), near.argmax(axis=-2), steps))

@@ -25,7 +25,7 @@ SHELL = [
 ]
 PROGRAMS = [page for page in PAGES if blocks(page, "python")]
 #: Which pages need more than the library itself.
-NEEDS = {"docs/environment.md": ("stable_baselines3",), "docs/sight.md": ("embreex",)} | {
+NEEDS = {"docs/environment.md": ("stable_baselines3", "mujoco"), "docs/sight.md": ("embreex",)} | {
     "docs/demonstrations.md": ("h5py", "minari", "embreex"),
     "docs/clusters.md": ("ray",),
     "docs/engines.md": ("mujoco",),

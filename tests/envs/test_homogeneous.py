@@ -71,6 +71,7 @@ def test_whole_rollouts_repeat_from_their_seed(make: Callable[[], ParallelWrappe
 
 
 def test_vectors_hold_all_that_dictionaries_show() -> None:
+    pytest.importorskip("embreex", reason="needs the extra `vision`")
     world, env = handover_marl.parallel_env(**SYNTHETIC, sight="images"), flattened(sight="images")
     shown, seen = world.reset(seed=1)[0], env.reset(seed=1)[0]
     assert shown["receiver"]["wrist_rgb"].any()

@@ -47,6 +47,8 @@ class MujocoWorld(RollingWorld):
         self._lane = Lane()
         self._scene: Scene | None = None
         self._release_pending = False
+        # What leads the model from a row of the motion on.
+        self._controls, self._led_from = np.zeros((0, 0)), 0
         self._pictures = Pictures(config)
 
     def reset(self, scene: Scene, start: Motion) -> None:
