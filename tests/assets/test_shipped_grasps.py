@@ -10,7 +10,8 @@ from handover_marl.assets.object_models import object_urdf
 from handover_marl.assets.shipped_grasps import GRASPS_PATH, UNGRASPABLE, load_object_grasps
 from handover_marl.errors import DataFormatError, DataNotFoundError, UnknownNameError
 from handover_marl.models.ycb import CLASS_NAMES
-from handover_marl.sim.bullet.grasp_trial import GraspTrial, TrialConfig
+from handover_marl.sim.bullet.bullet_trial import BulletTrial
+from handover_marl.sim.grasp_trial import TrialConfig
 
 GRASPABLE = tuple(name for name in CLASS_NAMES.values() if name not in UNGRASPABLE)
 PROVEN_AGAIN = ("003_cracker_box", "024_bowl", "025_mug", "037_scissors", "040_large_marker")
@@ -62,14 +63,14 @@ def test_grasps_differ(name: str) -> None:
 
 @pytest.mark.parametrize("name", PROVEN_AGAIN)
 def test_shipped_grasps_hold_again(name: str) -> None:
-    trial = GraspTrial(object_urdf(name))
+    trial = BulletTrial(object_urdf(name))
     for grasp in _grasps(name)[::20]:
         assert trial.is_free(grasp)
         assert trial.holds(grasp)
 
 
 def test_trial_refuses_bad_grasps() -> None:
-    trial = GraspTrial(object_urdf("003_cracker_box"))
+    trial = BulletTrial(object_urdf("003_cracker_box"))
     grasp = _grasps("003_cracker_box")[0]
     missed, deep, turned = grasp.copy(), grasp.copy(), grasp.copy()
     missed[:3, 3] -= 0.1 * grasp[:3, 2]
@@ -85,8 +86,8 @@ def test_trial_refuses_bad_grasps() -> None:
 def test_trial_notices_what_slips() -> None:
     grasp = _grasps("040_large_marker")[0]
     rough = replace(TrialConfig(), acceleration=2_000.0)
-    assert GraspTrial(object_urdf("040_large_marker")).holds(grasp)
-    assert not GraspTrial(object_urdf("040_large_marker"), rough).holds(grasp)
+    assert BulletTrial(object_urdf("040_large_marker")).holds(grasp)
+    assert not BulletTrial(object_urdf("040_large_marker"), rough).holds(grasp)
 
 
 def test_classes_without_grasps() -> None:

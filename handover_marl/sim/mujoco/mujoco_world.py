@@ -9,7 +9,6 @@ from handover_marl.datasets.scene import Scene
 from handover_marl.errors import OptionError, ResetNeededError
 from handover_marl.models.kinematic_tree import read_tree
 from handover_marl.protocol.contacts import NO_POINTS, Contacts, Points
-from handover_marl.sim.bullet.picture_world import Pictures
 from handover_marl.sim.camera.photo import Photo
 from handover_marl.sim.hand_path import HandPath, keypoint_links
 from handover_marl.sim.motion import Motion
@@ -17,6 +16,7 @@ from handover_marl.sim.mujoco.chain import XYZW, bullet_quaternion, chain_joints
 from handover_marl.sim.mujoco.hand_frames import HandFrames
 from handover_marl.sim.mujoco.scene_model import scene_model
 from handover_marl.sim.mujoco.simulation import Simulation
+from handover_marl.sim.scene_pictures import Pictures
 from handover_marl.sim.world import Postures, Snapshot, World, WorldState
 
 _NOTHING = Contacts()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.sim.bullet.grasp_trial import GraspTrial
+from handover_marl.sim.bullet.bullet_trial import BulletTrial
 
 DATA = SyntheticDataset()
 BRICK = "061_foam_brick"
@@ -16,7 +16,7 @@ BRICK = "061_foam_brick"
 def test_a_good_grasp_keeps_the_object(panda_urdf: object) -> None:
     grasps = DATA.grasps(BRICK)
     assert grasps is not None
-    trial = GraspTrial(DATA.object_urdf(BRICK), panda_urdf=panda_urdf)  # type: ignore[arg-type]
+    trial = BulletTrial(DATA.object_urdf(BRICK), panda_urdf=panda_urdf)  # type: ignore[arg-type]
     slips = [trial.slip_on_release(grasp, 0.22, 0.06) for grasp in grasps[:8]]
     # Nothing is remembered from one grasp to the next.
     assert trial.slip_on_release(grasps[0], 0.22, 0.06) == slips[0]
@@ -29,6 +29,6 @@ def test_fingers_that_close_on_nothing_hold_nothing() -> None:
     assert grasps is not None
     away = grasps[0].copy()
     away[:3, 3] -= 0.2 * away[:3, 2]
-    trial = GraspTrial(DATA.object_urdf(BRICK))
+    trial = BulletTrial(DATA.object_urdf(BRICK))
     assert trial.slip_on_release(away, 0.22, 0.06) == math.inf
     trial.close()
