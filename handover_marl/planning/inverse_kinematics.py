@@ -22,6 +22,7 @@ def solve(
     *,
     damping: float = _DAMPING,
     stall: float = 0.0,
+    stride: float = np.inf,
 ) -> tuple[Array, npt.NDArray[np.bool_]]:
     """Arm configurations whose hand is at given poses of the base's frame.
 
@@ -38,6 +39,7 @@ def solve(
         damping: Of the steps (m^2): 0 goes straight to where the linearised problem is solved, more takes shorter steps
             that stay nearer to the seed where that is far.
         stall: A search ends that moves no joint by as much in a step (rad).
+        stride: Steps that move a joint farther are shortened (rad).
 
     Returns:
         (n, 7) joints, and (n,) whether they solve the pose.
@@ -63,6 +65,8 @@ def solve(
             active, change = active[moving], change[moving]
             if not len(active):
                 break
+        if np.isfinite(stride):
+            change *= stride / np.maximum(np.abs(change).max(axis=1, keepdims=True), stride)
         joints[active] = np.clip(joints[active] + change, *limits)
     return joints, solved
 

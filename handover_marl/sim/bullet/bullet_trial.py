@@ -2,7 +2,9 @@
 
 import tempfile
 import xml.etree.ElementTree as ET
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -94,7 +96,7 @@ class BulletTrial(GraspTrial):
         left, right = (self._points_on(finger, points) for finger in self._fingers)
         return left, right
 
-    def _points_on(self, finger: int, points: list[tuple[object, ...]]) -> Array:
+    def _points_on(self, finger: int, points: Sequence[Any]) -> Array:
         pressed = [point[_POSITION_ON_A] for point in points if point[_LINK_A] == finger and point[_NORMAL_FORCE] > 0.0]
         if not pressed:
             return np.zeros((0, 3))

@@ -90,13 +90,13 @@ def _smallest(there: _Pair, farthest: float) -> float:
 
 def _pair(panda_urdf: Path, hand_urdf: Path) -> _Pair:
     spec = mujoco.MjSpec()
-    links = [_add_links(spec, urdf) for urdf in (panda_urdf, hand_urdf)]
+    robot_links, hand_links = (_add_links(spec, urdf) for urdf in (panda_urdf, hand_urdf))
     model = spec.compile()
     # Geoms lie in the order of their bodies, of which the first is the world.
-    robot = model.geom_bodyid <= len(links[0])
+    robot = model.geom_bodyid <= len(robot_links)
     pairs = np.array([(a, b) for a in np.flatnonzero(robot) for b in np.flatnonzero(~robot)])
     around = np.where(model.geom_type == int(mujoco.mjtGeom.mjGEOM_MESH), TUNING.margin, 0.0)
-    return _Pair(model, mujoco.MjData(model), *links, pairs, around[pairs].sum(axis=1))
+    return _Pair(model, mujoco.MjData(model), robot_links, hand_links, pairs, around[pairs].sum(axis=1))
 
 
 def _add_links(spec: "mujoco.MjSpec", urdf: Path) -> list[int]:
