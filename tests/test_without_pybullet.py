@@ -122,6 +122,17 @@ def test_yang_plays_with_every_giver(elsewhere: dict[str, str]) -> None:
     assert len(told) == 8
 
 
+def test_policies_can_be_checked(elsewhere: dict[str, str]) -> None:
+    python(
+        elsewhere,
+        """
+from handover_marl.testing import check_giver, check_receiver
+check_receiver("random", scenes=(9,), steps=2000)
+check_giver("noisy", scenes=(9,), steps=2000)
+""",
+    )
+
+
 def test_hold_and_random_play(elsewhere: dict[str, str]) -> None:
     told = python(elsewhere, PLAYING.format(receivers=["hold", "random"], givers=["replay"]))
     assert told.startswith("hold timeout\nrandom ")

@@ -52,6 +52,18 @@ def test_answers_are_near_to_pybullets(own: HandSolver) -> None:
     assert np.percentile(apart, 90) < 0.1
 
 
+def test_so_are_answers_from_far_away(own: HandSolver) -> None:
+    """The joints that a long way ends in depend on the steps that are taken: Newton's own end elsewhere."""
+    bullet, rng = PandaKinematics(URDF, PANDA), np.random.default_rng(1)
+    apart = []
+    for pose in ARM.hands(START[:7] + rng.uniform(-1.0, 1.0, (30, 7))):
+        answers = [solver.solve(START, pose[:3], pose[3:]) for solver in (own, bullet)]
+        assert answers[0] is not None
+        assert answers[1] is not None
+        apart.append(np.abs(answers[0] - answers[1]).max())
+    assert np.percentile(apart, 75) < 0.1
+
+
 def test_no_solution_out_of_reach(own: HandSolver) -> None:
     assert own.solve(START, (3.0, 0.0, 1.0)) is None
     # In reach of the arm, but not of the wrist that is turned so.
