@@ -3,6 +3,7 @@
 # make test        a venv with everything, then all tests; the quick ones alone: .venv/bin/python -m pytest -m "not slow"
 # make check       style and types
 # make loops       a venv with other libraries' training loops, then the tests of what trains with them
+# make newer       a venv with what plays without PyBullet, then its tests: for Python 3.12 and later
 # make docs        the site, into build/site, with the tutorial run; a warning is an error
 # make smoke       wheel and sdist in clean environments, an episode from each
 # make release     the same with every supported Python; what is not fit to be published is refused
@@ -11,6 +12,7 @@
 PYTHON ?= python3
 VENV ?= .venv
 LOOPS ?= .venv-loops
+NEWER ?= .venv-newer
 EXTRAS ?= assets,demonstrations,dev,docs,import,mujoco,planning,plot,ray,render,replay,torchrl,train,vision
 SETUP ?= s3
 DATA ?= $(HANDOVER_MARL_DATA)
@@ -20,7 +22,7 @@ OUT ?= results/$(DATASET)-$(SETUP)-yang2021
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 
-.PHONY: test benchmark check loops docs smoke release lowest clean
+.PHONY: test benchmark check loops newer docs smoke release lowest clean
 
 test: $(VENV)/.tested-with
 	$(BIN)/python -m pytest -n auto --dist worksteal
@@ -45,6 +47,16 @@ $(LOOPS)/.installed: setup.cfg constraints-loops.txt
 	$(PYTHON) -m venv $(LOOPS)
 	$(LOOPS)/bin/python -m pip --disable-pip-version-check install --progress-bar on -c constraints-loops.txt \
 		-e ".[benchmarl,plot,rllib,supersuit,tianshou]" hypothesis pytest pytest-timeout
+	touch $@
+
+# Not on the pins, which are for Pythons that PyBullet has wheels for.
+newer: $(NEWER)/.installed
+	$(NEWER)/bin/python -m pytest tests/test_without_pybullet.py
+
+$(NEWER)/.installed: setup.cfg
+	$(PYTHON) -m venv $(NEWER)
+	$(NEWER)/bin/python -m pip --disable-pip-version-check install --progress-bar on \
+		-e ".[mujoco,planning,vision]" hypothesis pytest pytest-timeout
 	touch $@
 
 # Learning in the tutorial is bound to one thread, as elsewhere.
@@ -78,4 +90,4 @@ lowest: $(VENV)/.tested-with
 	cd build/lowest && bin/handover-marl benchmark --dataset synthetic --split val --scenes 9
 
 clean:
-	rm -rf $(VENV) $(LOOPS) build dist *.egg-info
+	rm -rf $(VENV) $(LOOPS) $(NEWER) build dist *.egg-info

@@ -1,4 +1,8 @@
-"""The robot: PyBullet's own Panda, from the data that PyBullet installs, as it is or with a camera on its hand."""
+"""The robot: the Panda of PyBullet's data, as it is or with a camera on its hand.
+
+`data/panda` is that folder unchanged, under its Apache licence (`data/panda/LICENSE.txt`), so that it is there, and the
+same, where PyBullet is not.
+"""
 
 import functools
 import os
@@ -9,11 +13,10 @@ from multiprocessing import util
 from pathlib import Path
 from typing import Final
 
-from handover_marl.assets.bullet_files import bullet_files
 from handover_marl.models.panda import CAMERA_LINK, HAND_FROM_CAMERA_LINK_URDF, HAND_LINK
 
 #: Seven arm joints, two fingers; its links are numbered otherwise than HandoverSim's but named alike.
-PANDA_URDF: Final = bullet_files() / "franka_panda" / "panda.urdf"
+PANDA_URDF: Final = Path(__file__).resolve().parent / "data" / "panda" / "panda.urdf"
 
 # A housing of the size of a RealSense D435 (m) in the camera's link, where x is left in the picture, y back, z up. It
 # lies behind the lens, so that the camera does not see it.
@@ -24,7 +27,7 @@ _MASS = 0.01  # kg, as HandoverSim's
 def camera_panda_urdf() -> Path:
     """PyBullet's Panda with a camera at HandoverSim's place on the hand.
 
-    Written anew by every process into a folder of its own, since the meshes are named by where PyBullet is installed.
+    Written anew by every process into a folder of its own, since the meshes are named by where the library is.
     """
     path = _written(os.getpid())
     if not path.exists():

@@ -1,5 +1,6 @@
 """Options that several public functions take: shown where they are passed on, and checked in one place."""
 
+import importlib.util
 import inspect
 import os
 from collections.abc import Callable
@@ -50,3 +51,25 @@ def check_workers(workers: int | None) -> int:
     if isinstance(workers, bool) or not isinstance(workers, int) or workers < 1:
         raise OptionError(f"workers={workers!r} must be a whole number, 1 or more")
     return workers
+
+
+def pybullet_installed() -> bool:
+    """Whether PyBullet is there, which has no wheels after Python 3.11."""
+    return importlib.util.find_spec("pybullet") is not None
+
+
+def check_pybullet(what: str, instead: str) -> None:
+    """Check that PyBullet is there.
+
+    Args:
+        what: What needs it.
+        instead: What to do without it.
+
+    Raises:
+        OptionError: It is not installed.
+    """
+    if not pybullet_installed():
+        raise OptionError(
+            f"{what} needs PyBullet, which is not installed (it has wheels up to Python 3.11; pip install pybullet "
+            f"compiles it on later ones); {instead}"
+        )

@@ -21,6 +21,7 @@ from handover_marl.episode.play import play
 from handover_marl.episode.sight import SightConfig
 from handover_marl.episode.watchers import Decision, Watcher
 from handover_marl.errors import ConformanceError
+from handover_marl.options import pybullet_installed
 from handover_marl.policies.policy import Action, Policy
 from handover_marl.policies.reference import PolicyLike, policy_reference
 
@@ -107,8 +108,9 @@ class _Supervised:
 
 def _check(agent: str, policy: PolicyLike, dataset: Dataset, scenes: Sequence[int], steps: int) -> None:
     reference = policy_reference(agent, policy).resolved(dataset)
-    # Slower than casting rays, but it needs no extra.
-    episode = Episode("fast", sight=SightConfig(renderer="bullet"))
+    # Bullet draws more slowly than rays are cast, but needs no extra.
+    physics, renderer = ("fast", "bullet") if pybullet_installed() else ("mujoco", "rays")
+    episode = Episode(physics, sight=SightConfig(renderer=renderer))
     partner = None if agent == "receiver" else policy_reference("receiver", "yang2021").make(dataset)
 
     def played(player: Policy, scene: int, seed: int) -> list[tuple[int, Action]]:

@@ -38,7 +38,7 @@ from handover_marl.policies.policy import Action
 from handover_marl.policies.receiver import Receiver
 from handover_marl.policies.waiting import wait_ms
 from handover_marl.receivers.gaddpg_memory import MemoryConfig, PointMemory
-from handover_marl.sim.bullet.engine_kinematics import EngineKinematics
+from handover_marl.receivers.solvers import StepSolver, step_solver
 
 Array = npt.NDArray[np.float64]
 
@@ -116,7 +116,7 @@ class GaddpgReceiver(Receiver):
             config = replace(config, max_steps=max_steps)
         self.memory = PointMemory(config)
         self._start = np.array(context.panda.start_joints)
-        self._kinematics: EngineKinematics | None = None
+        self._kinematics: StepSolver | None = None
         self._forget()
 
     @property
@@ -138,7 +138,7 @@ class GaddpgReceiver(Receiver):
         """Forget what was seen. What is drawn depends on the method's own seed alone."""
         if self._kinematics is None:
             # Read here rather than at the first decision, where it would count as planning time.
-            self._kinematics = EngineKinematics(self.context.panda_urdf, self.context.panda)
+            self._kinematics = step_solver(self.context.panda_urdf, self.context.panda)
         self._forget()
 
     def _forget(self) -> None:
@@ -225,7 +225,7 @@ class GaddpgReceiver(Receiver):
         matrix[:3, :3], matrix[:3, 3] = _rotation(pose[3:]), pose[:3]
         return matrix
 
-    def _solver(self) -> EngineKinematics:
+    def _solver(self) -> StepSolver:
         if self._kinematics is None:
             raise ResetNeededError(f"receiver {self.name!r} was asked to act before reset()")
         return self._kinematics

@@ -32,7 +32,7 @@ from handover_marl.policies.policy import Action
 from handover_marl.policies.receiver import Receiver
 from handover_marl.policies.waiting import wait_ms
 from handover_marl.receivers.object_grasps import ObjectGrasps
-from handover_marl.sim.bullet.kinematics import PandaKinematics
+from handover_marl.receivers.solvers import PoseSolver, pose_solver
 
 Array = npt.NDArray[np.float64]
 
@@ -115,7 +115,7 @@ class OmgReceiver(Receiver):
         #: (7,) where plans' base frame is.
         self.world_from_base = np.array([*context.panda.base_position, *context.panda.base_orientation])
         self._planner: Planner | None = None
-        self._kinematics: PandaKinematics | None = None
+        self._kinematics: PoseSolver | None = None
         self._planned = False
         self._plan: Plan | None = None
         self._retreat: list[Array] = []
@@ -163,7 +163,7 @@ class OmgReceiver(Receiver):
             # Read here rather than when planning, where it would count as planning time.
             start = np.array(WAITING_JOINTS[:ARM_JOINTS])
             self._planner = Planner(self.context.panda_urdf, start, self.config)
-            self._kinematics = PandaKinematics(self.context.panda_urdf, self.context.panda)
+            self._kinematics = pose_solver(self.context.panda_urdf, self.context.panda)
         self._planned, self._plan, self._retreat = False, None, []
 
     def act(self, observation: Observation) -> Action:

@@ -29,7 +29,7 @@ from handover_marl.policies.policy import Action
 from handover_marl.policies.receiver import Receiver
 from handover_marl.policies.waiting import wait_ms
 from handover_marl.receivers.object_grasps import ObjectGrasps
-from handover_marl.sim.bullet.kinematics import PandaKinematics
+from handover_marl.receivers.solvers import PoseSolver, pose_solver
 
 Pose = npt.NDArray[np.float64]
 
@@ -125,7 +125,7 @@ class Yang2021Receiver(Receiver):
         self.config = config or YangConfig()
         if wait is not None:
             self.config = replace(self.config, wait_time=wait_ms(wait) / 1000.0)
-        self._kinematics: PandaKinematics | None = None
+        self._kinematics: PoseSolver | None = None
         self._grasps = ObjectGrasps(context.grasps)
         self._memory = Memory()
 
@@ -133,7 +133,7 @@ class Yang2021Receiver(Receiver):
         """Forget the chosen grasp; nothing here is random."""
         if self._kinematics is None:
             # Loaded here rather than at the first decision, where it would count as planning time.
-            self._kinematics = PandaKinematics(self.context.panda_urdf, self.context.panda)
+            self._kinematics = pose_solver(self.context.panda_urdf, self.context.panda)
         self._memory = Memory()
 
     @property
@@ -244,7 +244,7 @@ class Yang2021Receiver(Receiver):
     def _solve(self, observation: Observation, pose: Pose) -> npt.NDArray[np.float64] | None:
         return self._solver().solve(observation["robot_joint_position"], pose[:3], pose[3:])
 
-    def _solver(self) -> PandaKinematics:
+    def _solver(self) -> PoseSolver:
         if self._kinematics is None:
             raise ResetNeededError("receiver 'yang2021' was asked to act before reset()")
         return self._kinematics

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import pybullet_data
 
+from handover_marl.assets.robot_model import PANDA_URDF
 from handover_marl.models.ycb import CLASS_NAMES, SCENE_CLASSES, SUBJECTS
 
 N_FRAMES = 400
@@ -39,7 +39,7 @@ def write_layout(folder: Path, scenes: tuple[FakeScene, ...] = SCENES) -> Path:
     (folder / "dex-ycb-cache").mkdir(parents=True)
     assets = folder / "assets"
     _write(assets / "table" / "table.urdf", _table_urdf())
-    panda = Path(pybullet_data.getDataPath()) / "franka_panda"
+    panda = PANDA_URDF.parent
     (assets / "franka_panda").mkdir()
     (assets / "franka_panda" / "meshes").symlink_to(panda / "meshes")
     text = (panda / "panda.urdf").read_text()

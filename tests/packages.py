@@ -25,8 +25,9 @@ from handover_marl.benchmarking.tables import table
 ROOT = Path(__file__).parents[1]
 #: A wheel is at most so large (bytes).
 LARGEST = 12_000_000
-#: What is played with an installed package.
-EPISODE = ("benchmark", "--dataset", "synthetic", "--split", "val", "--scenes", "9", "--physics", "fast")
+#: What is played with an installed package, and in which physics; PyBullet has no wheels for later Pythons.
+EPISODE = ("benchmark", "--dataset", "synthetic", "--split", "val", "--scenes", "9", "--physics")
+_LAST_WITH_PYBULLET = (3, 11)
 _PLAYED = "1 of 36 scenes (partial)"
 
 
@@ -107,16 +108,29 @@ def build(out: Path) -> list[Path]:
     return packages
 
 
-def play_with(package: Path, python: str, place: Path) -> None:
+def needed_for(version: str) -> tuple[str, str]:
+    """The extra, in pip's brackets, and the physics that are played with a Python such as "3.11"."""
+    with_pybullet = tuple(map(int, version.split("."))) <= _LAST_WITH_PYBULLET
+    return ("", "fast") if with_pybullet else ("[mujoco]", "mujoco")
+
+
+def play_with(package: Path, version: str, python: str, place: Path) -> None:
     """Install a package in a clean environment, and play an episode.
+
+    Args:
+        package: Wheel or sdist.
+        version: Of Python, such as "3.11".
+        python: Its program.
+        place: Where the environment goes.
 
     Raises:
         PackageError: It cannot be installed, or does not play.
     """
     _run(python, "-m", "venv", "--clear", str(place))
     pip = (str(place / "bin" / "python"), "-m", "pip", "--disable-pip-version-check", "install", "--quiet")
-    _run(*pip, "-c", str(ROOT / "constraints.txt"), str(package))
-    told = _run(str(place / "bin" / "handover-marl"), *EPISODE, folder=place)
+    extra, physics = needed_for(version)
+    _run(*pip, "-c", str(ROOT / "constraints.txt"), f"{package}{extra}")
+    told = _run(str(place / "bin" / "handover-marl"), *EPISODE, physics, folder=place)
     if _PLAYED not in told:
         raise PackageError(f"{package.name} did not play with {python}:\n{told}")
 
@@ -137,7 +151,7 @@ def main(args: Args) -> str:
     rows = []
     for package in packages:
         for version, program in chosen.items():
-            play_with(package, program, ROOT / "build" / "smoke")
+            play_with(package, version, program, ROOT / "build" / "smoke")
             rows.append([package.name, f"{package.stat().st_size / 1e6:.1f}", version, "an episode played"])
     missing = sorted(set(supported()) - set(chosen)) if args.every else []
     note = f"\n\nnot tried, for there is no such Python here: {', '.join(missing)}" if missing else ""

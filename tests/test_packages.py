@@ -58,8 +58,17 @@ def test_a_package_that_cannot_be_installed_or_does_not_play_is_told(
     commands: list[str] = []
     monkeypatch.setattr(packages, "_run", lambda *command, **_: commands.append(command[-1]) or "no table")
     with pytest.raises(packages.PackageError, match="did not play"):
-        packages.play_with(tmp_path / "x.whl", sys.executable, tmp_path)
-    assert commands[1] == str(tmp_path / "x.whl")
+        packages.play_with(tmp_path / "x.whl", "3.11", sys.executable, tmp_path)
+    assert commands[1:] == [str(tmp_path / "x.whl"), "fast"]
+
+
+def test_later_pythons_play_in_mujoco(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    commands: list[str] = []
+    monkeypatch.setattr(packages, "_run", lambda *command, **_: commands.append(command[-1]) or packages._PLAYED)
+    for version in ("3.12", "3.14"):
+        packages.play_with(tmp_path / "x.whl", version, sys.executable, tmp_path)
+    assert commands[1:3] == [f"{tmp_path / 'x.whl'}[mujoco]", "mujoco"]
+    assert commands[4:] == commands[1:3]
 
 
 def test_what_a_failing_command_says_is_told() -> None:

@@ -25,7 +25,7 @@ from handover_marl.assets.shipped_grasps import GRASPS_PATH, UNGRASPABLE
 from handover_marl.errors import HandoverError
 from handover_marl.files import write_atomically
 from handover_marl.models.ycb import CLASS_NAMES
-from handover_marl.sim.bullet.grasp_trial import GraspTrial
+from handover_marl.sim.bullet.bullet_trial import BulletTrial
 
 Array = npt.NDArray[np.float64]
 
@@ -67,7 +67,7 @@ def build_object_grasps(name: str, args: Args, on_proven: Callable[[], None] = l
     Raises:
         HandoverError: Too few grasps held.
     """
-    trial = GraspTrial(object_urdf(name))
+    trial = BulletTrial(object_urdf(name))
     try:
         free = _free_candidates(name, trial, args)
         proven: list[Array] = []
@@ -82,7 +82,7 @@ def build_object_grasps(name: str, args: Args, on_proven: Callable[[], None] = l
     raise HandoverError(f"{name}: {len(free)} places to grasp, and only {len(proven)} of {args.n_grasps} held")
 
 
-def _free_candidates(name: str, trial: GraspTrial, args: Args) -> Array:
+def _free_candidates(name: str, trial: BulletTrial, args: Args) -> Array:
     """Up to `args.n_free` grasps (k, 4, 4), rounded to float32 as they are stored, that the hand can reach."""
     solid = ConvexSolid(load_collision_parts(name))
     free: list[Array] = []

@@ -15,6 +15,7 @@ from handover_marl.datasets.splits import SETUPS, SPLITS
 from handover_marl.errors import ResultsError
 from handover_marl.files import brief, read_yaml
 from handover_marl.models.panda import PANDA, PANDA_CAMERA
+from handover_marl.options import pybullet_installed
 from handover_marl.run import Run, reference_of
 
 CONFIG_FILE = "config.yaml"
@@ -47,6 +48,8 @@ class RunSettings:
         sight: What the receiver sees of the wrist camera, and how that is drawn; empty if it does not look.
         kept: What is kept of the episodes beside their results; empty if nothing is.
         shard: Which part of a run it is; empty if it is no part.
+        without: "PyBullet" where that is not installed, so that inverse kinematics, trials of grasps and distances are
+            the library's own and MuJoCo's; else empty.
     """
 
     setup: str
@@ -65,6 +68,7 @@ class RunSettings:
     sight: str = ""
     kept: str = ""
     shard: str = ""
+    without: str = ""
 
     @classmethod
     def of(cls, run: Run, kept: str = "", shard: str = "") -> "RunSettings":
@@ -87,6 +91,7 @@ class RunSettings:
             sight=run.camera.described(receiver.sight, receiver.observes, run.physics),
             kept=kept,
             shard=shard,
+            without="" if pybullet_installed() else "PyBullet",
         )
 
 

@@ -68,9 +68,10 @@ def report_markdown(report: Report) -> str:
 def heading(report: Report) -> str:
     """What was run on what."""
     settings = report.settings
+    without = f" without {settings.without}" if settings.without else ""
     return (
         f"{settings.setup} {settings.split}, {report_extent(report)}. Receiver {players(settings)}, {settings.physics} "
-        f"physics, data: {report.data_label()}. handover_marl {settings.version}{_code(settings)}."
+        f"physics{without}, data: {report.data_label()}. handover_marl {settings.version}{_code(settings)}."
     )
 
 

@@ -66,7 +66,9 @@ from handover_marl.protocol.release import Release
 from handover_marl.protocol.status import EpisodeStatus
 from handover_marl.sim.camera.imperfections import CameraImperfections
 from handover_marl.sim.camera.optics import REFERENCE
+from handover_marl.sim.engines import check_physics
 from handover_marl.sim.renderers import chosen_renderer
+from handover_marl.sim.scene_pictures import check_drawing
 
 if TYPE_CHECKING:
     from handover_marl.episode.stage import Stage
@@ -152,6 +154,9 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         )
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise UnknownNameError("render_mode", render_mode, RENDER_MODES)
+        check_physics(physics)
+        if render_mode is not None:
+            check_drawing(f"render_mode={render_mode!r}")
         self.config = config
         drawn = SightConfig(renderer, geometry, imperfections)
         seen = receiver_observation_space(sight, observe)

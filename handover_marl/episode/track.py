@@ -14,7 +14,7 @@ from handover_marl.models.panda import HAND_LINK
 
 if TYPE_CHECKING:
     from handover_marl.episode.episode import Episode
-    from handover_marl.sim.bullet.gap import GapMeter
+    from handover_marl.sim.gap import GapMeter
 
 Array = npt.NDArray[np.float64]
 
@@ -139,7 +139,7 @@ class Recorder(Watcher):
     def _meter(self, episode: "Episode") -> "GapMeter":
         urdf = episode.scene.assets.panda
         if urdf not in self._meters:
-            from handover_marl.sim.bullet.gap import GapMeter
+            from handover_marl.sim.gap import GapMeter
 
             self._meters[urdf] = GapMeter(urdf, episode.config.physics.panda)
         return self._meters[urdf]

@@ -29,6 +29,7 @@ from handover_marl.pictures.wrist_picture import WristPicture
 from handover_marl.policies.reference import PolicyLike, policy_reference
 from handover_marl.run import OF_SEVERAL, REPLAY, Execution, Run, SceneOptions, describe
 from handover_marl.sim.renderers import chosen_renderer
+from handover_marl.sim.scene_pictures import check_drawing
 
 Picture = npt.NDArray[np.uint8]
 
@@ -131,6 +132,8 @@ def render_scene(
         check_replay()
         if view != "outside":
             raise OptionError(f"a replay (.html) is looked at from outside, not through view={view!r}")
+    else:
+        check_drawing(f"drawing {path.name}")
     draw = _drawing(view, camera or CameraConfig())
     if isinstance(key_frames, bool) or not isinstance(key_frames, int) or key_frames < 1:
         raise OptionError(f"key_frames={key_frames!r}: a sheet needs a whole number of pictures, one or more")

@@ -1,4 +1,4 @@
-"""Inverse kinematics of many poses at once: Newton's method within joint limits."""
+"""Inverse kinematics of many poses at once: Newton's method, damped if asked for, within joint limits."""
 
 import numpy as np
 import numpy.typing as npt
@@ -14,11 +14,15 @@ _SMALL = 1e-9
 def solve(
     arm: Arm,
     positions: Array,
-    rotations: Array,
+    rotations: Array | None,
     seeds: Array,
     limits: tuple[Array, Array],
-    tolerance: float,
+    tolerance: float | tuple[float, float],
     iterations: int,
+    *,
+    damping: float = _DAMPING,
+    stall: float = 0.0,
+    stride: float = np.inf,
 ) -> tuple[Array, npt.NDArray[np.bool_]]:
     """Arm configurations whose hand is at given poses of the base's frame.
 
@@ -27,11 +31,15 @@ def solve(
     Args:
         arm: The arm.
         positions: (n, 3) of the hand's origin (m).
-        rotations: (n, 3, 3) of the hand.
+        rotations: (n, 3, 3) of the hand; None if any will do.
         seeds: (n, 7) where each search starts (rad).
         limits: Lowest and highest joints, (7,) each (rad).
-        tolerance: On every component of the remaining way (m) and rotation vector (rad).
+        tolerance: On every component of the remaining way (m) and rotation vector (rad); or two, on their lengths.
         iterations: Steps at most.
+        damping: Of the steps (m^2): 0 goes straight to where the linearised problem is solved, more takes shorter steps
+            that stay nearer to the seed where that is far.
+        stall: A search ends that moves no joint by as much in a step (rad).
+        stride: Steps that move a joint farther are shortened (rad).
 
     Returns:
         (n, 7) joints, and (n,) whether they solve the pose.
@@ -39,18 +47,36 @@ def solve(
     joints = np.clip(seeds, *limits)
     solved = np.zeros(len(joints), dtype=bool)
     active = np.arange(len(joints))
+    rows = slice(3 if rotations is None else 6)
     for step in range(iterations + 1):
         chain = arm.chain(joints[active])
-        error = pose_error(chain.origins[-1], chain.rotations[-1], positions[active].T, rotations[active])
-        there = (np.abs(error) < tolerance).all(axis=0)
+        # Where any rotation will do, what is asked for is not looked at.
+        turns = np.repeat(np.eye(3)[None], len(active), axis=0) if rotations is None else rotations[active]
+        error = pose_error(chain.origins[-1], chain.rotations[-1], positions[active].T, turns)[rows]
+        there = _near(error, tolerance)
         solved[active[there]] = True
         if there.all() or step == iterations:
             break
         left = ~there
-        change = _least_motion(arm.jacobian(chain)[..., left], error[:, left])
+        change = _least_motion(arm.jacobian(chain)[rows][..., left], error[:, left], damping)
         active = active[left]
+        if stall:
+            moving = np.abs(change).max(axis=1) >= stall
+            active, change = active[moving], change[moving]
+            if not len(active):
+                break
+        if np.isfinite(stride):
+            change *= stride / np.maximum(np.abs(change).max(axis=1, keepdims=True), stride)
         joints[active] = np.clip(joints[active] + change, *limits)
     return joints, solved
+
+
+def _near(error: Array, tolerance: float | tuple[float, float]) -> npt.NDArray[np.bool_]:
+    """(n,) whether what remains, (3, n) or (6, n), is within the tolerance of `solve`."""
+    if not isinstance(tolerance, tuple):
+        return np.asarray((np.abs(error) < tolerance).all(axis=0))
+    lengths = np.linalg.norm(error.reshape(-1, 3, error.shape[1]), axis=1)
+    return np.asarray((lengths < np.array(tolerance)[: len(lengths), None]).all(axis=0))
 
 
 def pose_error(origins: Array, turned: Array, positions: Array, rotations: Array) -> Array:
@@ -70,10 +96,10 @@ def pose_error(origins: Array, turned: Array, positions: Array, rotations: Array
     return np.concatenate([positions - origins, twice_sine * scale])
 
 
-def _least_motion(jacobian: Array, error: Array) -> Array:
-    """(n, 7) smallest joint changes for (6, 7, n) Jacobians and (6, n) errors."""
+def _least_motion(jacobian: Array, error: Array, damping: float) -> Array:
+    """(n, 7) smallest joint changes for (k, 7, n) Jacobians and (k, n) errors."""
     rows = np.ascontiguousarray(jacobian.transpose(2, 0, 1))
-    gram = rows @ rows.transpose(0, 2, 1) + _DAMPING * np.eye(6)
+    gram = rows @ rows.transpose(0, 2, 1) + damping * np.eye(len(error))
     weights = np.linalg.solve(gram, error.T[..., None])
     change: Array = (rows.transpose(0, 2, 1) @ weights)[..., 0]
     return change

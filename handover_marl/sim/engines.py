@@ -4,6 +4,7 @@ import importlib.util
 
 from handover_marl.config import PhysicsConfig
 from handover_marl.errors import OptionError, UnknownNameError
+from handover_marl.options import check_pybullet, pybullet_installed
 from handover_marl.sim.world import World
 
 EXACT, FAST, MUJOCO = "exact", "fast", "mujoco"
@@ -20,16 +21,22 @@ def check_physics(physics: str) -> None:
     """
     if physics not in PHYSICS:
         raise UnknownNameError("physics", physics, PHYSICS)
-    if physics not in available_physics():
-        raise OptionError(
-            "physics='mujoco' needs MuJoCo 4 and Python 3.11 or later: pip install 'handover-marl[mujoco]', or take "
-            "physics='fast'"
-        )
+    if physics == MUJOCO:
+        if not _mujoco_installed():
+            instead = ", or take physics='fast'" if pybullet_installed() else ""
+            raise OptionError(
+                "physics='mujoco' needs MuJoCo 4 and Python 3.11 or later: pip install 'handover-marl[mujoco]'"
+                f"{instead}"
+            )
+        return
+    installing = "" if _mujoco_installed() else ": pip install 'handover-marl[mujoco]'"
+    check_pybullet(f"physics={physics!r}", f"take physics='mujoco' (--physics mujoco){installing}")
 
 
 def available_physics() -> tuple[str, ...]:
     """The kinds of physics whose engines are installed."""
-    return tuple(name for name in PHYSICS if name != MUJOCO or importlib.util.find_spec("mujoco") is not None)
+    there = {EXACT: pybullet_installed(), FAST: pybullet_installed(), MUJOCO: _mujoco_installed()}
+    return tuple(name for name in PHYSICS if there[name])
 
 
 def make_world(physics: str, config: PhysicsConfig, window: bool = False) -> World:
@@ -80,3 +87,7 @@ def make_worlds(physics: str, config: PhysicsConfig, count: int, threads: int) -
 
     lanes = [Lanes(-(-count // threads), config.gravity) for _ in range(threads)]
     return [MujocoWorld(config, lanes=lanes[number % threads]) for number in range(count)]
+
+
+def _mujoco_installed() -> bool:
+    return importlib.util.find_spec("mujoco") is not None

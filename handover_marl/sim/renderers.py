@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from handover_marl.config import PhysicsConfig
 from handover_marl.datasets.scene import Scene
 from handover_marl.errors import OptionError, UnknownNameError
+from handover_marl.options import check_pybullet, pybullet_installed
 from handover_marl.sim.camera.photo import Photo
 from handover_marl.sim.world import Snapshot, World
 
@@ -25,17 +26,19 @@ def chosen_renderer(name: str, physics: str, installed: bool = True) -> str:
 
     Raises:
         UnknownNameError: There is no such renderer.
-        OptionError: It needs an extra that is not installed.
+        OptionError: It needs an extra, or PyBullet, that is not installed.
     """
     if name not in RENDERERS:
         raise UnknownNameError("renderer", name, RENDERERS)
     chosen = ("bullet" if physics == "exact" else "rays") if name == "auto" else name
     missing = [module for module in _NEEDED if importlib.util.find_spec(module) is None] if chosen == "rays" else []
     if missing and installed:
+        instead = ", or take renderer='bullet', which is slower" if pybullet_installed() else ""
         raise OptionError(
-            f"renderer 'rays' needs {' and '.join(missing)}: pip install 'handover-marl[vision]', or take "
-            "renderer='bullet', which is slower"
+            f"renderer 'rays' needs {' and '.join(missing)}: pip install 'handover-marl[vision]'{instead}"
         )
+    if chosen == "bullet" and installed:
+        check_pybullet("renderer 'bullet'", "take renderer='rays', for which there is the extra vision")
     return chosen
 
 

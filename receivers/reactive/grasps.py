@@ -1,7 +1,7 @@
 """Grasps that hold: the known ones and tilted copies of them, tried out in a simulation of the gripper alone.
 
-What was found is kept in the user's cache folder, by the contents of the object's files, its known grasps and
-the robot's model.
+What was found is kept in the user's cache folder, by the contents of the object's files, its known grasps, the robot's
+model, and the engine that tried them if that was not PyBullet.
 """
 
 import logging
@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from handover_marl.models.panda import GRIPPER_FROM_HAND
 from handover_marl.models.poses import IDENTITY, compose, inverse
 from handover_marl.planning.array_cache import cache_file, keep, read_kept
-from handover_marl.sim.bullet.grasp_trial import GraspTrial, TrialConfig
+from handover_marl.sim.grasp_trial import GraspTrial, TrialConfig, grasp_trial, trial_engine
 
 Array = npt.NDArray[np.float64]
 
@@ -80,9 +80,10 @@ def tried_grasps(object_urdf: Path, panda_urdf: Path, known: Array, config: Gras
     """
     shared = (config.tilts, config.pads, config.apart, config.arm, config.most, config.aside, config.trial)
     given = np.round(known, 6).astype(np.float32).tobytes()
-    first = cache_file(_KIND, object_urdf, f"{_VERSION} {' '.join(map(str, shared))}".encode(), given)
+    made = f"{_VERSION}{'' if trial_engine() == 'bullet' else f' {trial_engine()}'}"
+    first = cache_file(_KIND, object_urdf, f"{made} {' '.join(map(str, shared))}".encode(), given)
     # The fingers of another robot weigh and rub otherwise.
-    last = cache_file(_KIND, object_urdf, f"{_VERSION} {config}".encode(), given, panda_urdf.read_bytes())
+    last = cache_file(_KIND, object_urdf, f"{made} {config}".encode(), given, panda_urdf.read_bytes())
     if not last.exists():
         _log.warning("trying out the grasps of %s, once and for a minute or two", object_urdf.parent.name)
     tried = _kept(first, lambda: _try(object_urdf, known, config))
@@ -99,7 +100,7 @@ def _kept(path: Path, make: Callable[[], TriedGrasps]) -> TriedGrasps:
 
 def _finish(object_urdf: Path, panda_urdf: Path, tried: TriedGrasps, config: GraspTrials) -> TriedGrasps:
     """The same moved on, and worth what holds when a person lets go."""
-    trial = GraspTrial(object_urdf, config.trial, panda_urdf)
+    trial = grasp_trial(object_urdf, config.trial, panda_urdf)
     poses, holds = tried.poses.copy(), tried.holds.copy()
     try:
         for number, pose in enumerate(tried.poses):
@@ -151,7 +152,7 @@ def distances(pose: Array, poses: Array, arm: float) -> Array:
 
 
 def _try(object_urdf: Path, known: Array, config: GraspTrials) -> TriedGrasps:
-    trial = GraspTrial(object_urdf, config.trial)
+    trial = grasp_trial(object_urdf, config.trial)
     try:
         holds = [_share(trial, pose, config) for pose in known]
         poses, kept = known, 0

@@ -1,6 +1,7 @@
 """Metrics of made-up tracks, whose values are known."""
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,9 +17,11 @@ from handover_marl.episode.fluency import Fluency, activities, fluency, spectral
 from handover_marl.episode.track import SAMPLE_STEPS, Recorder, Track
 from handover_marl.episode.watchers import Watcher
 from handover_marl.models.motion_frames import MotionFrames, motion_frames
+from handover_marl.models.panda import ROBOTS
 from handover_marl.receivers import make
 from handover_marl.run import Run, resolve
-from handover_marl.sim.bullet.gap import GapMeter
+from handover_marl.sim.bullet.bullet_ruler import BulletRuler
+from handover_marl.sim.gap import GapMeter, Ruler
 from tests.playing import play
 
 PERIOD = SAMPLE_STEPS * TIME_STEP
@@ -187,10 +190,12 @@ def robot_frames(dof: np.ndarray) -> MotionFrames:
     return motion_frames(SyntheticDataset().panda_urdf, dof, base)
 
 
-def test_no_time_is_missed_by_the_bounds() -> None:
+@pytest.mark.parametrize("engine", ["bullet", "mujoco"])
+def test_no_time_is_missed_by_the_bounds(engine: str) -> None:
     """The smallest gap of a motion is the smallest of the gaps that are measured at every time of it."""
     scene, rng = SyntheticDataset().scene(209), np.random.default_rng(0)
-    meter = GapMeter(scene.assets.panda, OFFICIAL.physics.panda)
+    ruler = make_rulers(scene.assets.panda)[engine]
+    meter = GapMeter(scene.assets.panda, OFFICIAL.physics.panda, ruler)
     lower = np.array([-2.9, -1.8, -2.9, -3.1, -2.9, 0.0, -2.9])
     upper = np.array([2.9, 1.8, 2.9, 0.0, 2.9, 3.7, 2.9])
     for middle in ([0.61, -0.5, 0.95], [0.4, 0.1, 1.2], [0.61, -0.2, 1.25], [0.61, -0.75, 0.95]):
@@ -201,7 +206,7 @@ def test_no_time_is_missed_by_the_bounds() -> None:
         hand[:, :3] = rng.normal(middle, 0.2, (33, 3))
         hand[:, 3:6] = rng.uniform(-np.pi, np.pi, (33, 3))
         measured = [
-            meter._measure(scene.assets.hand, row.tolist(), dof.tolist(), 3.0)
+            max(0.0, ruler.distance(scene.assets.hand, row.tolist(), dof.tolist(), 3.0))
             for row, dof in zip(robot, hand, strict=True)
         ]
         for chosen in (slice(None), slice(0, 5), slice(5, 20), np.argsort(measured)[3:]):
@@ -209,6 +214,37 @@ def test_no_time_is_missed_by_the_bounds() -> None:
             found = meter.smallest(scene.assets.hand, robot[chosen], hand[chosen], *frames)
             assert found == pytest.approx(np.min(np.array(measured)[chosen]), abs=1e-4)
     meter.close()
+
+
+def make_rulers(panda: Path) -> dict[str, Ruler]:
+    pytest.importorskip("mujoco")
+    from handover_marl.sim.mujoco.mujoco_ruler import MujocoRuler
+
+    config = OFFICIAL.physics.panda
+    return {"bullet": BulletRuler(panda, config), "mujoco": MujocoRuler(panda, config)}
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_engines_measure_alike(robot: str) -> None:
+    """Also where robot and hand overlap, and for boxes, which have no margin around them."""
+    scene, rng = SyntheticDataset(robot).scene(209), np.random.default_rng(1)
+    rulers = make_rulers(scene.assets.panda)
+    found = []
+    for _ in range(40):
+        arm = rng.uniform([-2.9, -1.8, -2.9, -3.1, -2.9, 0.0, -2.9], [2.9, 1.8, 2.9, 0.0, 2.9, 3.7, 2.9])
+        hand = scene.hand_dof[-1].astype(np.float64)
+        hand[:3], hand[3:6] = rng.normal([0.5, -0.2, 1.2], 0.25), rng.uniform(-np.pi, np.pi, 3)
+        given = scene.assets.hand, [*arm.tolist(), 0.03, 0.01], hand.tolist()
+        found.append([ruler.distance(*given, 3.0) for ruler in rulers.values()])
+        assert all(
+            ruler.distance(*given, 0.01) == pytest.approx(min(0.01, found[-1][0]), abs=1e-3)
+            for ruler in rulers.values()
+            if found[-1][0] > 0.0
+        )
+    bullet, mujoco = np.maximum(np.array(found).T, 0.0)
+    assert (bullet == 0.0).any()
+    assert (bullet > 0.05).any()
+    np.testing.assert_allclose(mujoco, bullet, atol=5e-4)
 
 
 @pytest.fixture(scope="module")

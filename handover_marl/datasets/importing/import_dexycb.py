@@ -15,7 +15,7 @@ from handover_marl.datasets.importing.object_assets import write_object_assets
 from handover_marl.datasets.importing.raw_layout import SequenceFolder, find_sequences
 from handover_marl.datasets.importing.scene_import import find_first_betas, read_hand_betas
 from handover_marl.datasets.importing.stand_ins import write_stand_ins
-from handover_marl.datasets.importing.table_assets import write_table_assets
+from handover_marl.datasets.importing.table_assets import table_folder, write_table_assets
 from handover_marl.datasets.importing.third_party import Placed, place_third_party
 from handover_marl.datasets.official_files import needed_files, stands_in
 from handover_marl.errors import DataNotFoundError, HandoverError, ResultsError, SceneError
@@ -54,10 +54,11 @@ def import_dexycb(
         UnsafeFileError, DataFormatError: One of MANO's files or the archive is not what it should be; no code in it
             is run, and nothing is written outside of the data folder.
         SceneError: There is no such scene.
-        OptionError: `workers` is less than one.
+        OptionError: `workers` is less than one, or PyBullet, of whose table HandoverSim's is made, is not installed.
         ResultsError: The data folder cannot be written, or holds models made of other data.
     """
     n_workers = check_workers(workers)
+    table_folder()
     layout = find_sequences(Path(dexycb).expanduser())
     folder = _mano_folder(Path(mano).expanduser())
     models = read_models(folder)

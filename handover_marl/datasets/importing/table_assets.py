@@ -18,6 +18,7 @@ _REPLACEMENTS = (
     ('"0.65 0.4 0.29"', '"0.785 0.265 0.44"', 1),
 )
 _COPIED = ("table.obj", "table.mtl", "table.png")
+_INSTEAD = "import with Python 3.10 or 3.11: the folder then serves every Python"
 
 
 def table_urdf(original: str) -> str:
@@ -37,6 +38,15 @@ def table_urdf(original: str) -> str:
     return text
 
 
+def table_folder() -> Path:
+    """Where PyBullet has its table.
+
+    Raises:
+        OptionError: PyBullet is not installed.
+    """
+    return bullet_files("HandoverSim's table, which is made of PyBullet's,", _INSTEAD) / "table"
+
+
 def write_table_assets(assets: Path) -> None:
     """Write `table/`, with copies of PyBullet's mesh and picture, where HandoverSim has links into its installation.
 
@@ -44,10 +54,11 @@ def write_table_assets(assets: Path) -> None:
         assets: HandoverSim's folder `assets`.
 
     Raises:
+        OptionError: PyBullet is not installed.
         DataFormatError: PyBullet's table cannot be read, or is another one.
         ResultsError: A file is there with other content, or cannot be written.
     """
-    source = bullet_files() / "table"
+    source = table_folder()
     try:
         original = (source / "table.urdf").read_bytes().decode()
         copies = {name: (source / name).read_bytes() for name in _COPIED}

@@ -11,7 +11,7 @@ from handover_marl.models.panda import OPEN
 from handover_marl.models.poses import compose
 from handover_marl.planning.arm_in_world import ArmInWorld
 from handover_marl.policies.context import PolicyContext
-from handover_marl.sim.bullet.engine_kinematics import EngineKinematics
+from handover_marl.receivers.solvers import step_solver
 
 Array = npt.NDArray[np.float64]
 
@@ -41,7 +41,7 @@ class KinematicArm:
     def __init__(self, context: PolicyContext, config: LagConfig | None = None) -> None:
         #: Where the hand is, and its inverse kinematics within the limits.
         self.arm = ArmInWorld.of_panda(context.panda_urdf, context.panda)
-        self._engine = EngineKinematics(context.panda_urdf, context.panda)
+        self._engine = step_solver(context.panda_urdf, context.panda)
         self._config = config or LagConfig()
 
     def moved(self, joints: Array, step: Array) -> Array:

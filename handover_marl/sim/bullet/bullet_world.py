@@ -8,7 +8,8 @@ from handover_marl.datasets.scene import Scene
 from handover_marl.errors import SimulationError
 from handover_marl.sim.bullet.client import BulletClient, connect, pybullet_error
 from handover_marl.sim.bullet.drawing import render
-from handover_marl.sim.bullet.picture_world import Pictures, PictureWorld
+from handover_marl.sim.bullet.picture_world import PictureWorld
+from handover_marl.sim.scene_pictures import Pictures
 from handover_marl.sim.world import World
 
 

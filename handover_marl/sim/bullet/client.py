@@ -16,6 +16,7 @@ from handover_marl.config import CameraConfig
 from handover_marl.errors import DataFormatError, SimulationError
 from handover_marl.models.obj_files import check_obj
 from handover_marl.models.urdf_shapes import named_meshes
+from handover_marl.options import check_pybullet
 from handover_marl.sim.bullet.drawing import aim_window
 
 
@@ -40,6 +41,8 @@ def _silenced() -> Iterator[None]:
         os.close(kept)
 
 
+# A last line: who can do without asks before this room is entered.
+check_pybullet("this", "take physics='mujoco'")
 with _silenced():
     import pybullet
 

@@ -8,7 +8,6 @@ import numpy.typing as npt
 
 from handover_marl.config import CameraConfig, PhysicsConfig
 from handover_marl.datasets.scene import Scene
-from handover_marl.errors import ResetNeededError
 from handover_marl.sim.bullet.body import Start
 from handover_marl.sim.bullet.client import connect
 from handover_marl.sim.bullet.drawing import render
@@ -78,34 +77,3 @@ class PictureWorld:
     def close(self) -> None:
         """Disconnect from PyBullet."""
         self._client.close()
-
-
-class Pictures:
-    """A picture world of the scene that is asked about, made when first needed.
-
-    Args:
-        config: Where robot and table stand.
-    """
-
-    def __init__(self, config: PhysicsConfig) -> None:
-        self._config = config
-        self._world: PictureWorld | None = None
-
-    def of(self, scene: Scene | None) -> PictureWorld:
-        """The scene's.
-
-        Raises:
-            ResetNeededError: There is no scene.
-        """
-        if scene is None:
-            raise ResetNeededError("the world is empty; call reset() first")
-        if self._world is None or self._world.scene is not scene:
-            self.close()
-            self._world = PictureWorld(scene, self._config)
-        return self._world
-
-    def close(self) -> None:
-        """Disconnect from PyBullet."""
-        if self._world is not None:
-            self._world.close()
-        self._world = None

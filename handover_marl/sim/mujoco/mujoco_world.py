@@ -10,7 +10,6 @@ from handover_marl.datasets.scene import Scene
 from handover_marl.errors import OptionError
 from handover_marl.models.kinematic_tree import read_tree
 from handover_marl.protocol.contacts import Contacts
-from handover_marl.sim.bullet.picture_world import Pictures
 from handover_marl.sim.camera.photo import Photo
 from handover_marl.sim.hand_path import HandPath, keypoint_links, lead_together
 from handover_marl.sim.motion import Motion
@@ -19,6 +18,7 @@ from handover_marl.sim.mujoco.felt_contacts import contact_arrays, contacts_of
 from handover_marl.sim.mujoco.hand_frames import HandFrames
 from handover_marl.sim.mujoco.lanes import Lane, Lanes, roll
 from handover_marl.sim.mujoco.scene_model import scene_model
+from handover_marl.sim.scene_pictures import Pictures
 from handover_marl.sim.world import Postures, Rolled, RollingWorld, Snapshot, WorldState
 
 Array = npt.NDArray[np.float64]

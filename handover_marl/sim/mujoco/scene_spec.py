@@ -88,13 +88,7 @@ class SceneSpec:
     """
 
     def __init__(self, assets: SceneAssets, config: PhysicsConfig, tuning: Tuning) -> None:
-        self.spec = mujoco.MjSpec()
-        self.spec.compiler.degree = False
-        self._config, self._tuning = config, tuning
-        self._meshes = 0
-        # MuJoCo takes one friction of the two that touch, Bullet their product: what touches objects has it in advance.
-        self._object_friction = read_urdf_links(assets.objects[0], read_tree(assets.objects[0]))[-2].friction
-        self._set_options()
+        self._begin(assets.objects[0], config, tuning)
         self._add_ground()
         self._add_table(assets.table)
         self._add_robot(assets.panda)
@@ -105,7 +99,13 @@ class SceneSpec:
         supports = [TABLE, *(object_name(number) for number in range(1, len(assets.objects)))]
         add_touch_sensors(self.spec, ROBOT_BASE, FINGER_LINKS, object_name(0), hands, supports)
 
-    def _set_options(self) -> None:
+    def _begin(self, target: Path, config: PhysicsConfig, tuning: Tuning) -> None:
+        """An empty model for the object that is handed over."""
+        self.spec = mujoco.MjSpec()
+        self.spec.compiler.degree = False
+        self._config, self._tuning = config, tuning
+        # MuJoCo takes one friction of the two that touch, Bullet their product: what touches objects has it in advance.
+        self._object_friction = read_urdf_links(target, read_tree(target))[-2].friction
         option = self.spec.option
         option.timestep = TIME_STEP
         option.gravity = np.zeros(3)
@@ -134,11 +134,11 @@ class SceneSpec:
         tree, panda = read_tree(urdf), self._config.panda
         links, shapes = read_urdf_links(urdf, tree), read_urdf_shapes(urdf, tree, "collision")
         orientation = np.array(panda.base_orientation)
-        base = self.spec.worldbody.add_body(name=ROBOT_BASE, pos=panda.base_position, quat=_wxyz(orientation))
+        base = self.spec.worldbody.add_body(name=ROBOT_BASE, pos=panda.base_position, quat=wxyz(orientation))
         bodies = {-1: base}
         for number, joint in enumerate(tree.joints):
             turn = quaternion_from_matrix(joint.turn)
-            bodies[number] = bodies[joint.parent].add_body(name=joint.link, pos=joint.offset, quat=_wxyz(turn))
+            bodies[number] = bodies[joint.parent].add_body(name=joint.link, pos=joint.offset, quat=wxyz(turn))
             if joint.parent < 0:
                 # Links never touch those that carry them; MuJoCo keeps to that but where the carrier stands still.
                 self.spec.add_exclude(bodyname1=ROBOT_BASE, bodyname2=joint.link)
@@ -146,17 +146,20 @@ class SceneSpec:
                 self._add_robot_joint(bodies[number], tree, number, links[number])
         for number, body in bodies.items():
             parts = convex_parts([shape for shape in shapes if shape.link == number])
-            link, finger = links[number], number >= 0 and tree.joints[number].link in FINGER_LINKS
-            surface = _Surface(
-                Group.ROBOT,
-                Group.ROBOT | Group.OBJECT | Group.SUPPORT | Group.HAND | Group.GROUND,
-                link.friction * self._object_friction,
-                link.spinning_friction * self._object_friction,
-                _PRIORITY["finger" if finger else "robot"],
-            )
-            self._add_parts(body, parts, surface)
+            finger = number >= 0 and tree.joints[number].link in FINGER_LINKS
+            self._add_robot_link(body, links[number], parts, finger)
             if number >= 0:
-                _weigh(body, link, parts)
+                weigh(body, links[number], parts)
+
+    def _add_robot_link(self, body: "mujoco.MjsBody", link: UrdfLink, parts: list[Part], finger: bool) -> None:
+        surface = _Surface(
+            Group.ROBOT,
+            Group.ROBOT | Group.OBJECT | Group.SUPPORT | Group.HAND | Group.GROUND,
+            link.friction * self._object_friction,
+            link.spinning_friction * self._object_friction,
+            _PRIORITY["finger" if finger else "robot"],
+        )
+        self._add_parts(body, parts, surface)
 
     def _add_robot_joint(self, body: "mujoco.MjsBody", tree: KinematicTree, number: int, link: UrdfLink) -> None:
         joint, tuning = tree.joints[number], self._tuning
@@ -181,7 +184,7 @@ class SceneSpec:
         body = self.spec.worldbody.add_body(name=name)
         body.add_freejoint(name=name)
         self._add_parts(body, parts, _Surface(Group.OBJECT, Group(0), link.friction * self._object_friction))
-        _weigh(body, link, parts)
+        weigh(body, link, parts)
         body.add_site(name=name)
         # Its place is told in the world's axes, how it is turned by a body that turns as it should.
         self.spec.worldbody.add_site(name=f"{name}/origin")
@@ -217,13 +220,7 @@ class SceneSpec:
 
     def _add_parts(self, body: "mujoco.MjsBody", parts: list[Part], surface: _Surface) -> None:
         for part in parts:
-            geom = body.add_geom(pos=part.link_from_part[:3], quat=_wxyz(part.link_from_part[3:]))
-            if part.kind == "hull":
-                geom.type, geom.meshname = mujoco.mjtGeom.mjGEOM_MESH, self._add_mesh(part.vertices)
-            elif part.kind == "box":
-                geom.type, geom.size = mujoco.mjtGeom.mjGEOM_BOX, np.array(part.size) / 2.0
-            else:
-                geom.type, geom.size = mujoco.mjtGeom.mjGEOM_SPHERE, [part.size[0], 0.0, 0.0]
+            geom = add_shape(self.spec, body, part)
             self._cover(geom, surface)
             # Boxes and balls have Bullet's margin inside.
             geom.margin = self._tuning.margin if part.kind == "hull" else 0.0
@@ -234,19 +231,26 @@ class SceneSpec:
         geom.priority = surface.priority
         geom.solref = [self._tuning.contact_time, 1.0]
         geom.solimp[:3] = self._tuning.contact_impedance
-        # Weights come from the links, not from volumes.
-        geom.mass = 0.0
 
-    def _add_mesh(self, vertices: Array) -> str:
-        name = f"hull{self._meshes}"
-        self._meshes += 1
-        mesh = self.spec.add_mesh(name=name, uservert=vertices.ravel())
+
+def add_shape(spec: "mujoco.MjSpec", body: "mujoco.MjsBody", part: Part) -> "mujoco.MjsGeom":
+    """Give a body a part's shape, which weighs nothing."""
+    geom = body.add_geom(pos=part.link_from_part[:3], quat=wxyz(part.link_from_part[3:]))
+    # Weights come from the links, not from volumes.
+    geom.mass = 0.0
+    if part.kind == "hull":
+        mesh = spec.add_mesh(name=f"hull{len(spec.meshes)}", uservert=part.vertices.ravel())
         # Flat hulls have no volume to weigh.
         mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
-        return name
+        geom.type, geom.meshname = mujoco.mjtGeom.mjGEOM_MESH, mesh.name
+    elif part.kind == "box":
+        geom.type, geom.size = mujoco.mjtGeom.mjGEOM_BOX, np.array(part.size) / 2.0
+    else:
+        geom.type, geom.size = mujoco.mjtGeom.mjGEOM_SPHERE, [part.size[0], 0.0, 0.0]
+    return geom
 
 
-def _weigh(body: "mujoco.MjsBody", link: UrdfLink, parts: list[Part]) -> None:
+def weigh(body: "mujoco.MjsBody", link: UrdfLink, parts: list[Part]) -> None:
     """Give a body the mass and inertia that the link has in Bullet."""
     body.explicitinertial = True
     body.mass, body.ipos = link.mass, link.center
@@ -254,6 +258,6 @@ def _weigh(body: "mujoco.MjsBody", link: UrdfLink, parts: list[Part]) -> None:
         body.inertia = box_inertia(link, parts)
 
 
-def _wxyz(xyzw: npt.ArrayLike) -> Array:
+def wxyz(xyzw: npt.ArrayLike) -> Array:
     """A quaternion in MuJoCo's order."""
     return np.roll(np.asarray(xyzw, dtype=np.float64), 1)

@@ -169,7 +169,7 @@ def test_another_table_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     original = (Path(pybullet_data.getDataPath()) / "table" / "table.urdf").read_text()
     with pytest.raises(DataFormatError, match=r"1\.5 1 0\.05 1 times instead of 2"):
         table_urdf(original.replace("1.5 1 0.05", "1.5 1 0.06", 1))
-    monkeypatch.setattr(table_assets, "bullet_files", lambda: tmp_path / "none")
+    monkeypatch.setattr(table_assets, "table_folder", lambda: tmp_path / "none")
     with pytest.raises(DataFormatError, match="install PyBullet again"):
         write_table_assets(tmp_path)
 

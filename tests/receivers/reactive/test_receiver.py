@@ -20,7 +20,7 @@ from handover_marl.receivers.object_grasps import ObjectGrasps
 from handover_marl.receivers.reactive.grasps import GraspTrials, TriedGrasps, tilted, tried_grasps
 from handover_marl.receivers.reactive.reactive_config import ReactiveConfig, with_risk
 from handover_marl.receivers.reactive.reactive_receiver import Phase, ReactiveReceiver
-from handover_marl.sim.bullet.grasp_trial import TrialConfig
+from handover_marl.sim.grasp_trial import TrialConfig
 from handover_marl.testing import check_receiver
 
 SCENE = 5

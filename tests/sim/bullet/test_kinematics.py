@@ -1,9 +1,9 @@
 from pathlib import Path
 
 import numpy as np
-import pybullet_data
 import pytest
 
+from handover_marl.assets.robot_model import PANDA_URDF as PANDA
 from handover_marl.config import PandaConfig
 from handover_marl.datasets import OfficialDataset
 from handover_marl.episode.episode import Episode
@@ -11,7 +11,6 @@ from handover_marl.models.poses import rotation_angle
 from handover_marl.sim.bullet.kinematics import PandaKinematics
 from tests.fake_layout import SCENES
 
-PANDA = Path(pybullet_data.getDataPath()) / "franka_panda" / "panda.urdf"
 START = PandaConfig().start_joints
 FORWARD = np.array([-0.5, 0.5, 0.5, 0.5])
 

@@ -1,42 +1,81 @@
-"""How near the robot comes to the person: distance of their surfaces, measured in a physics server of its own."""
+"""How near the robot comes to the person: distance of their surfaces, measured in a simulation of its own."""
 
+from abc import ABC, abstractmethod
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.config import HandConfig, PandaConfig
+from handover_marl.config import PandaConfig
+from handover_marl.models.kinematic_tree import Sphere
 from handover_marl.models.motion_frames import MotionFrames
 from handover_marl.models.poses import IDENTITY, compose_point
-from handover_marl.sim.bullet.bounds import link_spheres
-from handover_marl.sim.bullet.client import connect
-from handover_marl.sim.bullet.hand_body import Hand
-from handover_marl.sim.bullet.panda_body import Panda
+from handover_marl.options import pybullet_installed
 
 Array = npt.NDArray[np.float64]
 
 _FARTHEST = 3.0  # m
-_DISTANCE = 8  # field of a PyBullet closest point
+
+
+class Ruler(ABC):
+    """Measures between the collision shapes of a Panda and of hands; what an engine has to do for a gap meter."""
+
+    @abstractmethod
+    def balls(self, urdf: Path) -> dict[int, Sphere]:
+        """A ball around the collision shapes of every link that has some; -1 is the base."""
+
+    @abstractmethod
+    def distance(self, hand_urdf: Path, robot: list[float], hand: list[float], farthest: float) -> float:
+        """Distance (m) of their surfaces, not above 0 where they overlap, or `farthest` if it is larger.
+
+        Args:
+            hand_urdf: The hand's model.
+            robot: Nine joints of the Panda (rad, m).
+            hand: 51 joints of the hand (m, rad).
+            farthest: What is beyond need not be measured (m).
+        """
+
+    @abstractmethod
+    def close(self) -> None:
+        """Free what it measures in."""
+
+
+def make_ruler(panda_urdf: Path, config: PandaConfig) -> Ruler:
+    """PyBullet's where that is installed, else MuJoCo's; they agree to half a millimetre.
+
+    Args:
+        panda_urdf: The robot's model.
+        config: Where it stands.
+
+    Raises:
+        SimulationError, DataFormatError: The model cannot be read.
+    """
+    if pybullet_installed():
+        from handover_marl.sim.bullet.bullet_ruler import BulletRuler
+
+        return BulletRuler(panda_urdf, config)
+    from handover_marl.sim.mujoco.mujoco_ruler import MujocoRuler
+
+    return MujocoRuler(panda_urdf, config)
 
 
 class GapMeter:
     """Finds the smallest distance between the collision shapes of a Panda and of a hand that move.
 
     Few times are measured: balls around the links tell which cannot be the nearest, and how far links move between
-    two times bounds how much nearer they can be at the other. It has a server of its own, so that measuring shows
+    two times bounds how much nearer they can be at the other. It has a simulation of its own, so that measuring shows
     neither in the world's bits nor in which physics was used; models stay loaded in it.
 
     Args:
         panda_urdf: The robot's model.
         config: Where it stands.
+        ruler: What measures; default: that of the engine that is installed.
     """
 
-    def __init__(self, panda_urdf: Path, config: PandaConfig) -> None:
-        self._client = connect()
-        self._panda = Panda(self._client, panda_urdf, config)
+    def __init__(self, panda_urdf: Path, config: PandaConfig, ruler: Ruler | None = None) -> None:
+        self._ruler = ruler or make_ruler(panda_urdf, config)
         self._panda_urdf = panda_urdf
         self._panda_base = np.array([*config.base_position, *config.base_orientation])
-        self._hands: dict[Path, Hand] = {}
 
     def smallest(
         self, hand_urdf: Path, robot: Array, hand: Array, robot_frames: MotionFrames, hand_frames: MotionFrames
@@ -51,15 +90,15 @@ class GapMeter:
             hand_frames: Likewise.
         """
         balls = [
-            _Balls(self._panda_urdf, robot_frames, self._panda_base),
-            _Balls(hand_urdf, hand_frames, IDENTITY),
+            _Balls(self._ruler.balls(self._panda_urdf), robot_frames, self._panda_base),
+            _Balls(self._ruler.balls(hand_urdf), hand_frames, IDENTITY),
         ]
         bounds = _gaps(*balls)
         nearest, left = _FARTHEST, np.arange(len(bounds))
         while len(left):
             time = int(left[bounds[left].argmin()])
             # No less than this at that time, if nothing nearer was found.
-            found = self._measure(hand_urdf, robot[time].tolist(), hand[time].tolist(), nearest)
+            found = max(0.0, self._ruler.distance(hand_urdf, robot[time].tolist(), hand[time].tolist(), nearest))
             nearest = min(nearest, found)
             left = left[(bounds[left] < nearest) & (left != time)]
             bounds[left] = np.maximum(bounds[left], found - balls[0].moved(time, left) - balls[1].moved(time, left))
@@ -67,24 +106,14 @@ class GapMeter:
         return nearest
 
     def close(self) -> None:
-        """Disconnect from PyBullet."""
-        self._client.close()
-
-    def _measure(self, hand_urdf: Path, robot: list[float], dof: list[float], farthest: float) -> float:
-        self._panda.put(robot)
-        if hand_urdf not in self._hands:
-            self._hands[hand_urdf] = Hand(self._client, hand_urdf, dof, HandConfig())
-        body = self._hands[hand_urdf]
-        body.put(dof)
-        points = self._client.getClosestPoints(self._panda.id, body.id, farthest)
-        return max(0.0, min((point[_DISTANCE] for point in points), default=farthest))
+        """Free what it measures in."""
+        self._ruler.close()
 
 
 class _Balls:
     """Balls around the shapes of a model's links over time."""
 
-    def __init__(self, urdf: Path, frames: MotionFrames, world_from_base: Array) -> None:
-        spheres = link_spheres(urdf)
+    def __init__(self, spheres: dict[int, Sphere], frames: MotionFrames, world_from_base: Array) -> None:
         links = [link for link in spheres if link >= 0]
         rotations = frames.rotations[:, links]
         places = np.array([spheres[link].center for link in links])

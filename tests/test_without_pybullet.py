@@ -1,0 +1,238 @@
+"""The library where PyBullet is not installed, as with Python 3.12 and later: in processes that cannot import it."""
+
+import hashlib
+import importlib.util
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from handover_marl.assets.robot_model import PANDA_URDF
+from handover_marl.datasets.synthetic import SyntheticDataset
+from handover_marl.episode.episode import Episode
+from handover_marl.episode.play import play
+from handover_marl.episode.watchers import Watcher
+from handover_marl.givers import available
+from handover_marl.options import pybullet_installed
+from handover_marl.planning.hand_solver import HandSolver
+from handover_marl.receivers import make
+
+pytest.importorskip("mujoco", reason="without PyBullet, MuJoCo is what plays")
+
+SCENE = 209
+NEEDS = "needs PyBullet, which is not installed (it has wheels up to Python 3.11"
+# Read by Python as it starts, in worker processes too.
+BLOCKADE = 'import sys\nsys.modules["pybullet"] = sys.modules["pybullet_data"] = None\n'
+
+
+@pytest.fixture(scope="module")
+def elsewhere(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """The environment of processes without PyBullet, with a cache folder of their own."""
+    folder = tmp_path_factory.mktemp("blockade")
+    (folder / "sitecustomize.py").write_text(BLOCKADE)
+    path = os.pathsep.join([str(folder), str(Path(__file__).parents[1])])
+    return {**os.environ, "PYTHONPATH": path, "XDG_CACHE_HOME": str(folder / "cache"), "COLUMNS": "200"}
+
+
+def python(elsewhere: dict[str, str], code: str) -> str:
+    """What a program prints there."""
+    done = subprocess.run([sys.executable, "-c", code], env=elsewhere, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def command(elsewhere: dict[str, str], *arguments: object) -> subprocess.CompletedProcess[str]:
+    """How a command ends there."""
+    words = [sys.executable, "-m", "handover_marl", *map(str, arguments)]
+    return subprocess.run(words, env=elsewhere, capture_output=True, text=True, check=False)
+
+
+class Noting(Watcher):
+    """Keeps a hash of all that is seen every 20 steps."""
+
+    def __init__(self) -> None:
+        self.digest = hashlib.sha256()
+
+    def stepped(self, episode: Episode) -> None:
+        if episode.steps % 20 == 0:
+            for value in episode.observe().values():
+                self.digest.update(np.asarray(value).tobytes())
+
+
+def rollout() -> str:
+    """How a handover ends in MuJoCo's physics, and a hash of it; inverse kinematics are the library's own."""
+    data = SyntheticDataset()
+    receiver, episode, noting = make("yang2021", data), Episode("mujoco"), Noting()
+    receiver._kinematics = HandSolver(data.panda_urdf, episode.config.physics.panda)  # type: ignore[attr-defined]
+    episode.reset(data.scene(SCENE))
+    play(episode, receiver, watchers=[noting])
+    episode.close()
+    return f"{episode.status.label} {episode.steps} {noting.digest.hexdigest()}"
+
+
+@pytest.mark.skipif(not pybullet_installed(), reason="there is nothing to compare with")
+def test_an_episode_is_the_same_to_the_bit(elsewhere: dict[str, str]) -> None:
+    told = python(elsewhere, "from tests.test_without_pybullet import *; print(rollout())").strip()
+    assert told == rollout()
+    assert told.startswith("success")
+
+
+@pytest.mark.skipif(not pybullet_installed(), reason="there is nothing to compare with")
+def test_the_panda_that_ships_is_pybullets() -> None:
+    import pybullet_data
+
+    theirs = Path(pybullet_data.getDataPath()) / "franka_panda"
+    files = sorted(path.relative_to(theirs) for path in theirs.rglob("*") if path.is_file())
+    assert len(files) > 25
+    assert files == sorted(
+        path.relative_to(PANDA_URDF.parent) for path in PANDA_URDF.parent.rglob("*") if path.is_file()
+    )
+    for file in files:
+        assert (PANDA_URDF.parent / file).read_bytes() == (theirs / file).read_bytes()
+
+
+PLAYING = f"""
+import itertools
+import sys
+import handover_marl
+from handover_marl.options import pybullet_installed
+from handover_marl.sim.engines import available_physics
+
+assert not pybullet_installed()
+assert available_physics() == ("mujoco",)
+scene = dict(dataset="synthetic", physics="mujoco", scenes=[{SCENE}], workers=1)
+for giver, receiver in itertools.product({{givers}}, {{receivers}}):
+    report = handover_marl.evaluate_pair(giver, receiver, **scene)
+    assert "mujoco physics without PyBullet" in str(report)
+    fluency = report.episodes[0].fluency
+    assert 0.0 <= fluency.min_distance < 1.0
+    print(receiver, report.episodes[0].status.label)
+assert "handover_marl.sim.bullet.client" not in sys.modules
+"""
+
+
+def test_yang_plays_with_every_giver(elsewhere: dict[str, str]) -> None:
+    names = [name for name in available() if name != "learned"]
+    assert len(names) == 7
+    told = python(elsewhere, PLAYING.format(receivers=["yang2021"], givers=["replay", *names])).splitlines()
+    assert told[0] == "yang2021 success"
+    assert len(told) == 8
+
+
+def test_policies_can_be_checked(elsewhere: dict[str, str]) -> None:
+    python(
+        elsewhere,
+        """
+from handover_marl.testing import check_giver, check_receiver
+check_receiver("random", scenes=(9,), steps=2000)
+check_giver("noisy", scenes=(9,), steps=2000)
+""",
+    )
+
+
+def test_hold_and_random_play(elsewhere: dict[str, str]) -> None:
+    told = python(elsewhere, PLAYING.format(receivers=["hold", "random"], givers=["replay"]))
+    assert told.startswith("hold timeout\nrandom ")
+
+
+@pytest.mark.skipif(importlib.util.find_spec("igl") is None, reason="the extra planning is not installed")
+def test_planners_play(elsewhere: dict[str, str]) -> None:
+    told = python(elsewhere, PLAYING.format(receivers=["omg", "omg_hand_aware", "reactive"], givers=["replay"]))
+    assert told.splitlines()[1:] == ["omg_hand_aware success", "reactive success"]
+
+
+@pytest.mark.skipif(importlib.util.find_spec("torch") is None, reason="the extra train is not installed")
+@pytest.mark.skipif(importlib.util.find_spec("embreex") is None, reason="the extra vision is not installed")
+def test_who_sees_plays(elsewhere: dict[str, str]) -> None:
+    assert python(elsewhere, PLAYING.format(receivers=["vision"], givers=["replay"])).startswith("vision ")
+
+
+@pytest.mark.skipif(importlib.util.find_spec("embreex") is None, reason="the extra vision is not installed")
+def test_gaddpg_moves_towards_points(elsewhere: dict[str, str]) -> None:
+    """With a network that goes on ahead, its inverse kinematics is the library's own."""
+    python(
+        elsewhere,
+        f"""
+import numpy as np
+from handover_marl.datasets import open_dataset
+from handover_marl.episode.episode import Episode
+from handover_marl.episode.play import play
+from handover_marl.receivers import make
+from handover_marl.receivers.gaddpg import GaddpgReceiver
+data = open_dataset("synthetic", robot="panda_camera")
+asked = []
+def ahead(points, remaining):
+    asked.append(remaining)
+    return np.array([0.0, 0.0, 0.03, 0.0, 0.0, 0.05])
+receiver, episode = GaddpgReceiver(make("hold", data).context, ahead), Episode("mujoco")
+episode.reset(data.scene({SCENE}))
+start = episode.observe()["gripper_pose"]
+play(episode, receiver, until=lambda: len(asked) == 4 or episode.steps > 9000)
+way = episode.observe()["gripper_pose"][:3] - start[:3]
+assert len(asked) == 4
+assert 0.04 < np.linalg.norm(way) < 0.1, way
+""",
+    )
+
+
+ENVIRONMENT = f"""
+import numpy as np
+import pytest
+import handover_marl
+from handover_marl.errors import OptionError
+scene = dict(dataset="synthetic", split="test", scenes=[{SCENE}])
+env = handover_marl.parallel_env(physics="mujoco", sight={{sight!r}}, **scene)
+observations, _ = env.reset(seed=0)
+for _ in range(40):
+    actions = {{{{agent: env.action_space(agent).sample() for agent in env.agents}}}}
+    observations, *_ = env.step(actions)
+    if not env.agents:
+        break
+env.close()
+refused = dict(physics="exact"), dict(physics="fast"), dict(), dict(physics="mujoco", render_mode="rgb_array")
+for options in (*refused, dict(physics="mujoco", sight="points", renderer="bullet")):
+    with pytest.raises(OptionError, match="needs PyBullet.*up to Python 3.11.*(physics='mujoco'|renderer='rays')"):
+        handover_marl.parallel_env(dataset="synthetic", **options)
+"""
+
+
+def test_environments_run_and_say_what_they_cannot(elsewhere: dict[str, str]) -> None:
+    python(elsewhere, ENVIRONMENT.format(sight=None))
+    if importlib.util.find_spec("embreex") is not None:
+        python(elsewhere, ENVIRONMENT.format(sight="points"))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "instead"),
+    [
+        (["benchmark", "--setup", "s3", "--receiver", "yang2021"], "take physics='mujoco' (--physics mujoco)"),
+        (["benchmark", "--physics", "fast"], "take physics='mujoco' (--physics mujoco)"),
+        (["agreement", "--receiver", "hold"], "take physics='mujoco'"),
+        (["render", "--scene", SCENE, "--physics", "mujoco", "--out", "film.gif"], "--out FILE.html"),
+        (["import", "--dexycb", "here", "--mano", "here", "--out", "there"], "import with Python 3.10 or 3.11"),
+    ],
+)
+def test_commands_say_what_they_cannot(elsewhere: dict[str, str], arguments: list[object], instead: str) -> None:
+    done = command(elsewhere, *arguments)
+    assert done.returncode != 0
+    assert NEEDS in done.stderr
+    assert instead in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_the_doctor_says_what_can_be_played(elsewhere: dict[str, str]) -> None:
+    told = command(elsewhere, "doctor").stdout
+    assert "physics                 mujoco" in told
+    assert "--physics mujoco" in told
+
+
+@pytest.mark.skipif(not pybullet_installed(), reason="there is no result with PyBullet")
+def test_results_with_and_without_do_not_share_a_folder(elsewhere: dict[str, str], tmp_path: Path) -> None:
+    options = ["--dataset", "synthetic", "--physics", "mujoco", "--split", "val", "--scenes", "9", "--workers", "1"]
+    for environment, refused in ((elsewhere, False), (elsewhere, False), (dict(os.environ), True)):
+        done = command(environment, "benchmark", "--receiver", "hold", *options, "--out", tmp_path / "out")
+        assert (done.returncode != 0) == refused, done.stderr
+    assert "without 'PyBullet' there, '' now" in done.stderr
