@@ -71,7 +71,7 @@ from handover_marl.sim.renderers import chosen_renderer
 from handover_marl.sim.scene_pictures import check_drawing
 
 if TYPE_CHECKING:
-    from handover_marl.episode.stage import Stage
+    from handover_marl.episode.ensemble import Ensemble
 
 RENDER_MODES = ("human", "rgb_array")
 #: What `release` in infos is an index into.
@@ -314,16 +314,16 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         seen = self._episode.observe_as_giver(now) if agent == GIVER else self._episode.observe_for(policy, now)
         return {key: value.copy() for key, value in seen.items()}
 
-    def join(self, stage: "Stage", number: int) -> None:
+    def join(self, ensemble: "Ensemble", number: int) -> None:
         """Play from now on beside other environments of the same physics and configuration.
 
         Args:
-            stage: Where.
+            ensemble: Where.
             number: As which of them.
         """
         self.agents = []
         self._observation = None
-        self._episode.join(stage, number)
+        self._episode.join(ensemble, number)
 
     def look(self) -> View:
         """What the wrist camera shows at this moment, whatever `sight` is: depth, segmentation, colours and all points.

@@ -10,7 +10,7 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space, concatenate, create_empty_array, iterate
 
-from handover_marl.envs.crew import Crew
+from handover_marl.envs.fleet import Fleet
 from handover_marl.envs.wrapper import ParallelStep
 from handover_marl.errors import ActionError, OptionError, ResetNeededError
 
@@ -27,7 +27,7 @@ class ParallelVectorEnv:
     `infos[agent]["final_obs"]` (n) with `infos[agent]["_final_obs"]` (n) saying where.
 
     Args:
-        crew: The environments.
+        fleet: The environments.
         autoreset: When an environment begins anew after an episode's end.
 
     Attributes:
@@ -36,10 +36,10 @@ class ParallelVectorEnv:
         metadata: As of a single environment, and `autoreset_mode`.
     """
 
-    def __init__(self, crew: Crew, autoreset: AutoresetMode) -> None:
-        self._crew, self._autoreset = crew, autoreset
-        self.num_envs = len(crew.envs)
-        first = crew.envs[0]
+    def __init__(self, fleet: Fleet, autoreset: AutoresetMode) -> None:
+        self._fleet, self._autoreset = fleet, autoreset
+        self.num_envs = len(fleet.envs)
+        first = fleet.envs[0]
         self.possible_agents: list[str] = list(first.possible_agents)
         self.metadata: dict[str, Any] = {**first.metadata, "autoreset_mode": autoreset}
         self._ended = np.ones(self.num_envs, dtype=bool)
@@ -52,11 +52,11 @@ class ParallelVectorEnv:
 
     def single_observation_space(self, agent: str) -> spaces.Space[Any]:
         """An agent's observation space in one environment."""
-        return self._crew.envs[0].observation_space(agent)
+        return self._fleet.envs[0].observation_space(agent)
 
     def single_action_space(self, agent: str) -> spaces.Box:
         """An agent's action space in one environment."""
-        return self._crew.envs[0].action_space(agent)
+        return self._fleet.envs[0].action_space(agent)
 
     def observation_space(self, agent: str) -> spaces.Space[Any]:
         """An agent's observation space in all environments, (n, ...)."""
@@ -83,8 +83,8 @@ class ParallelVectorEnv:
         if len(given) != self.num_envs:
             raise OptionError(f"there are {self.num_envs} environments and {len(given)} seeds")
         self._begun = False
-        found = self._crew.together(
-            [functools.partial(env.reset, one, options) for env, one in zip(self._crew.envs, given, strict=True)]
+        found = self._fleet.together(
+            [functools.partial(env.reset, one, options) for env, one in zip(self._fleet.envs, given, strict=True)]
         )
         self._begun, self._ended = True, np.zeros(self.num_envs, dtype=bool)
         return self._joined([seen for seen, _ in found]), self._infos([infos for _, infos in found])
@@ -106,7 +106,7 @@ class ParallelVectorEnv:
         tasks = [
             self._task(number, {agent: row[number] for agent, row in each.items()}) for number in range(self.num_envs)
         ]
-        found = self._crew.together(tasks)
+        found = self._fleet.together(tasks)
         self._begun = True
         results = [result for result, _ in found]
         seen = [result[0] if begun is None else begun[0] for result, begun in found]
@@ -128,10 +128,10 @@ class ParallelVectorEnv:
     def close(self) -> None:
         """Free all simulations."""
         self._begun = False
-        self._crew.close()
+        self._fleet.close()
 
     def _task(self, number: int, actions: ByAgent) -> Callable[[], tuple[ParallelStep, tuple[ByAgent, ByAgent] | None]]:
-        env, agents = self._crew.envs[number], self.possible_agents
+        env, agents = self._fleet.envs[number], self.possible_agents
         if self._ended[number] and self._autoreset is AutoresetMode.NEXT_STEP:
 
             def begin() -> tuple[ParallelStep, None]:

@@ -12,7 +12,7 @@ from gymnasium.vector.utils import iterate
 from typing_extensions import Unpack
 
 from handover_marl.envs.constructors import EnvOptions
-from handover_marl.envs.crew import Crew
+from handover_marl.envs.fleet import Fleet
 from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.envs.parallel_vector_env import ParallelVectorEnv
 from handover_marl.envs.wrapper import SingleAgentEnv
@@ -75,16 +75,16 @@ class HandoverVectorEnv(SyncVectorEnv):
     seeded with `seed + k`, and plays what a single one seeded so plays.
 
     Args:
-        crew: The environments.
+        fleet: The environments.
         autoreset: When an environment begins anew after an episode's end.
     """
 
     metadata: dict[str, Any] = {**HandoverEnv.metadata, "name": "handover_vector_v0"}
 
-    def __init__(self, crew: Crew, autoreset: AutoresetMode) -> None:
-        self._crew = crew
+    def __init__(self, fleet: Fleet, autoreset: AutoresetMode) -> None:
+        self._fleet = fleet
         self._begun = False
-        self._ahead = [_Ahead(SingleAgentEnv(env), autoreset) for env in crew.envs]
+        self._ahead = [_Ahead(SingleAgentEnv(env), autoreset) for env in fleet.envs]
         super().__init__([functools.partial(_itself, env) for env in self._ahead], autoreset_mode=autoreset)
 
     def reset(
@@ -106,7 +106,7 @@ class HandoverVectorEnv(SyncVectorEnv):
         tasks = zip(self._ahead, given, chosen, strict=True)
         # Should anything fail, episodes are left where they are: then all have to begin anew.
         begun, self._begun = self._begun or bool(chosen.all()), False
-        self._crew.together([functools.partial(env.reset_ahead, one, own) for env, one, now in tasks if now])
+        self._fleet.together([functools.partial(env.reset_ahead, one, own) for env, one, now in tasks if now])
         self._begun = begun
         return super().reset(seed=list(given), options=options)
 
@@ -123,13 +123,13 @@ class HandoverVectorEnv(SyncVectorEnv):
             raise ResetNeededError("no episodes are running; call reset() before step()")
         each = list(zip(self._ahead, iterate(self.action_space, actions), strict=True))
         self._begun = False
-        self._crew.together([functools.partial(env.step_ahead, action) for env, action in each])
+        self._fleet.together([functools.partial(env.step_ahead, action) for env, action in each])
         self._begun = True
         return super().step(actions)
 
     def close_extras(self, **kwargs: Any) -> None:
         """Free all simulations."""
-        self._crew.close()
+        self._fleet.close()
 
 
 @overload
@@ -199,8 +199,8 @@ def vector_env(
         raise UnknownNameError("autoreset", autoreset, AUTORESETS)
     mode = AutoresetMode[autoreset.upper()]
     options.setdefault("physics", MUJOCO)
-    crew = Crew(num_envs, agent, partner, features, schemes, threads, trust, **options)
-    return ParallelVectorEnv(crew, mode) if agent is None else HandoverVectorEnv(crew, mode)
+    fleet = Fleet(num_envs, agent, partner, features, schemes, threads, trust, **options)
+    return ParallelVectorEnv(fleet, mode) if agent is None else HandoverVectorEnv(fleet, mode)
 
 
 def _itself(env: _Ahead) -> _Ahead:

@@ -32,7 +32,7 @@ from handover_marl.sim.motion import Motion
 from handover_marl.sim.world import RollingWorld, World
 
 if TYPE_CHECKING:
-    from handover_marl.episode.stage import Stage
+    from handover_marl.episode.ensemble import Ensemble
 
 # The giver's motion is worked out for so many steps (1 ms) ahead.
 _STRETCH = 100
@@ -70,16 +70,16 @@ class Episode:
         self._contacts = Contacts()
         self._referee = Referee(config.protocol)
 
-    def join(self, stage: "Stage", number: int) -> None:
+    def join(self, ensemble: "Ensemble", number: int) -> None:
         """Be played beside others from now on.
 
         Args:
-            stage: Where, with the same physics and configuration.
+            ensemble: Where, with the same physics and configuration.
             number: As which of them.
         """
         self.close()
-        self._world = stage.world(number)
-        self._roll = functools.partial(stage.play, number)
+        self._world = ensemble.world(number)
+        self._roll = functools.partial(ensemble.play, number)
 
     def reset(self, scene: Scene) -> None:
         """Go to the start of a scene."""

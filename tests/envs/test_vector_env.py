@@ -190,6 +190,12 @@ def test_a_failing_partner_is_told_and_resets_go_on() -> None:
     envs.close()
 
 
+def test_without_greenlet_it_is_said_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("handover_marl.envs.fleet.find_spec", lambda name: None)
+    with pytest.raises(OptionError, match=r"pip install 'handover-marl\[mujoco\]'"):
+        handover_marl.vector_env(2, **OPTIONS)
+
+
 def test_what_cannot_be_is_refused(both: Callable[..., Any]) -> None:
     for options, error, told in (
         ({"num_envs": 0}, OptionError, "num_envs"),

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Callable, Mapping, Sequence
+from importlib.util import find_spec
 from typing import TypeVar
 
 import numpy as np
@@ -12,15 +13,14 @@ from handover_marl.envs.encode import encode
 from handover_marl.envs.freeze import freeze
 from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.envs.wrapper import ParallelWrapper
-from handover_marl.episode.stage import Stage
 from handover_marl.errors import OptionError
 from handover_marl.policies.reference import PolicyLike
 
 _Result = TypeVar("_Result")
 
 
-class Crew:
-    """Equal environments on one stage.
+class Fleet:
+    """Equal environments whose episodes are played together.
 
     Args:
         num_envs: How many.
@@ -62,22 +62,27 @@ class Crew:
             return env if features is None and schemes is None else encode(env, features, schemes)
 
         self.envs = [make() for _ in range(count)]
+        if find_spec("greenlet") is None:
+            raise OptionError("many environments in one process need greenlet: pip install 'handover-marl[mujoco]'")
+        # Only now, for the sake of this message.
+        from handover_marl.episode.ensemble import Ensemble
+
         first = world_of(self.envs[0])
         if first.render_mode == "human":
             raise OptionError('render_mode="human" shows one environment; use "rgb_array", or a single environment')
-        self._stage = Stage(options.get("physics", "exact"), first.config, count, threads)
+        self._ensemble = Ensemble(options.get("physics", "exact"), first.config, count, threads)
         for number, env in enumerate(self.envs):
-            world_of(env).join(self._stage, number)
+            world_of(env).join(self._ensemble, number)
 
     def together(self, tasks: Sequence[Callable[[], _Result]]) -> list[_Result]:
         """Run tasks, each of which resets or steps one of the environments; what they return."""
-        return self._stage.together(tasks)
+        return self._ensemble.together(tasks)
 
     def close(self) -> None:
         """Free all simulations."""
         for env in self.envs:
             env.close()
-        self._stage.close()
+        self._ensemble.close()
 
 
 def world_of(env: HandoverEnv | ParallelWrapper) -> HandoverEnv:

@@ -1,4 +1,4 @@
-"""Where many episodes are played at once by one process: what they do between physics stays their own."""
+"""Many episodes played at once by one process: what they do between physics stays their own."""
 
 import functools
 from collections.abc import Callable, Sequence
@@ -15,7 +15,7 @@ from handover_marl.sim.world import World
 _Result = TypeVar("_Result")
 
 
-class Stage:
+class Ensemble:
     """Worlds for some episodes, and turns for those who play them.
 
     Tasks given to `together` run one at a time, each until it wants physics; then all their worlds are simulated at
@@ -51,7 +51,7 @@ class Stage:
         task.parent.switch()
 
     def together(self, tasks: Sequence[Callable[[], _Result]]) -> list[_Result]:
-        """Run tasks that play episodes of this stage, each another one, and return what they return.
+        """Run tasks that play episodes of this ensemble, each another one, and return what they return.
 
         Raises:
             Exception: What the first task raises that fails; those that have not ended by then are left off.
