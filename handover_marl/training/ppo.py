@@ -10,15 +10,18 @@ import torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecEnv
 
+import handover_marl
 from handover_marl.benchmarking.report import Report
 from handover_marl.datasets import open_dataset
 from handover_marl.envs.constructors import EnvOptions, parallel_env
 from handover_marl.envs.encode import EncodedEnv, encode
 from handover_marl.envs.freeze import freeze
 from handover_marl.envs.rewards import reward_config
+from handover_marl.envs.vector_env import HandoverVectorEnv
 from handover_marl.envs.wrapper import SingleAgentEnv
 from handover_marl.learning.policy_spec import PolicySpec
 from handover_marl.run import Run
+from handover_marl.sim.engines import MUJOCO
 from handover_marl.training.run_folder import (
     RunFolder,
     evaluate_policy,
@@ -26,7 +29,7 @@ from handover_marl.training.run_folder import (
     spread_scenes,
     training_scenes,
 )
-from handover_marl.training.stable_baselines import Supervision, load_checkpoint, vector_env
+from handover_marl.training.stable_baselines import Supervision, batched_env, load_checkpoint, vector_env
 from handover_marl.training.training_args import TrainingArgs
 
 
@@ -77,10 +80,12 @@ def train_ppo(
     data = open_dataset(args.dataset, args.data_dir)
     folder = RunFolder(Path(args.out), args, args.resume, data.name)
     val = spread_scenes(data.split(args.setup, "val"), args.val_scenes)
-    make = functools.partial(
-        encoded_env, args, agent, partner, env_options(args, training_scenes(data.split(args.setup, "train")))
-    )
-    envs = vector_env(args.envs, args.seed, functools.partial(_gymnasium, make))
+    options = env_options(args, training_scenes(data.split(args.setup, "train")))
+    make = functools.partial(encoded_env, args, agent, partner, options)
+    if args.physics == MUJOCO:
+        envs = batched_env(args.envs, args.seed, functools.partial(_batch, args, agent, partner, options))
+    else:
+        envs = vector_env(args.envs, args.seed, functools.partial(_gymnasium, make))
     model = make_model(args, envs)
     if args.resume and folder.checkpoint.exists():
         load_checkpoint(model, folder.checkpoint)
@@ -133,6 +138,11 @@ def make_model(args: PpoArgs, envs: VecEnv) -> PPO:
         seed=args.seed,
         device="cpu",
     )
+
+
+def _batch(args: PpoArgs, agent: str, partner: str, options: EnvOptions, count: int) -> HandoverVectorEnv:
+    names = {"features": args.observe, "schemes": args.actions}
+    return handover_marl.vector_env(count, agent, partner, autoreset="same_step", threads=1, **names, **options)
 
 
 def _gymnasium(make: Callable[[], EncodedEnv]) -> SingleAgentEnv:

@@ -1,5 +1,6 @@
 """Training with Stable-Baselines3: environments, export, checkpoints, evaluation. Needs the extra `train`."""
 
+import os
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -17,6 +18,7 @@ from handover_marl.benchmarking.report import Report
 from handover_marl.learning.foreign_policies import dense_network
 from handover_marl.learning.policy_files import write_policy
 from handover_marl.learning.policy_spec import PolicySpec
+from handover_marl.training.batch_vec_env import BatchVecEnv, MakeBatch
 from handover_marl.training.checkpoint import read_checkpoint, write_checkpoint
 from handover_marl.training.learning_curve import CurvePoint
 from handover_marl.training.run_folder import RunFolder
@@ -31,6 +33,19 @@ def vector_env(n: int, seed: int, make: Callable[[], gymnasium.Env[Any, Any]]) -
         make: Makes one; picklable.
     """
     envs = VecMonitor(SubprocVecEnv([make for _ in range(n)]))
+    envs.seed(seed)
+    return envs
+
+
+def batched_env(n: int, seed: int, make: MakeBatch) -> VecEnv:
+    """Environments in batches, one for each core, seeded; what they play is as in `vector_env`.
+
+    Args:
+        n: How many environments.
+        seed: Of the first; every other has its own.
+        make: Makes a batch of so many.
+    """
+    envs = VecMonitor(BatchVecEnv(n, len(os.sched_getaffinity(0)), make))
     envs.seed(seed)
     return envs
 

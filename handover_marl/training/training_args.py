@@ -12,7 +12,7 @@ class LoopArgs:
         setup: Official setup, s0 to s3.
         data_dir: Folder in HandoverSim's layout; default: HANDOVER_MARL_DATA.
         dataset: dexycb, synthetic, or auto.
-        physics: fast or exact.
+        physics: fast, exact, or mujoco, where environments are simulated in batches.
         control_period: How long an action stands (s).
         time_limit: Episodes in training are cut off after so long (s).
         seed: Of everything.

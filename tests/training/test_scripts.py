@@ -67,9 +67,12 @@ def test_giver(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert steps_of(tmp_path / "run") == ["steps", "0", "4", "8"]
 
 
-def test_receiver(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("physics", ["fast", "mujoco"])
+def test_receiver(physics: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    if physics == "mujoco":
+        pytest.importorskip("mujoco", reason="needs the extra `mujoco`")
     train = script("train_receiver_sb3", monkeypatch)
-    args = {**RECEIVER, "out": str(tmp_path / "run")}
+    args = {**RECEIVER, "out": str(tmp_path / "run"), "physics": physics}
     train.main(train.Args(**args, steps=16))
     assert files(tmp_path / "run") >= MADE
     train.main(train.Args(**args, steps=24, resume=True))
