@@ -27,6 +27,8 @@ nitpick_ignore_regex = [("py:.*", r"(?!handover_marl).*")]
 nitpick_ignore = [
     ("py:class", "handover_marl.benchmarking.agreement.Agreement"),
     ("py:class", "handover_marl.benchmarking.crossplay.CrossPlay"),
+    ("py:class", "handover_marl.envs.constructors.EnvOptions"),
+    ("py:class", "handover_marl.envs.fleet.Fleet"),
     ("py:class", "handover_marl.envs.wrapper.ParallelWrapper"),
     ("py:class", "handover_marl.episode.sight.SightConfig"),
     ("py:class", "handover_marl.policies.reference.PolicyReference"),

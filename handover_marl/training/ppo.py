@@ -141,8 +141,16 @@ def make_model(args: PpoArgs, envs: VecEnv) -> PPO:
 
 
 def _batch(args: PpoArgs, agent: str, partner: str, options: EnvOptions, count: int) -> HandoverVectorEnv:
-    names = {"features": args.observe, "schemes": args.actions}
-    return handover_marl.vector_env(count, agent, partner, autoreset="same_step", threads=1, **names, **options)
+    return handover_marl.vector_env(
+        count,
+        agent,
+        partner,
+        features=args.observe,
+        schemes=args.actions,
+        autoreset="same_step",
+        threads=1,
+        **options,
+    )
 
 
 def _gymnasium(make: Callable[[], EncodedEnv]) -> SingleAgentEnv:

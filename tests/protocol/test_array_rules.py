@@ -78,7 +78,7 @@ def telling(last: int, standing: Standing) -> tuple[int, Standing]:
     return last, standing._replace(goal_steps=0) if standing.status else standing
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(streams(), st.integers(1, 60), st.booleans())
 def test_arrays_judge_as_the_referee_does(episodes: list[list[Contacts]], chunk: int, given_away: bool) -> None:
     referees = [Referee(RULES) for _ in episodes]
