@@ -13,7 +13,7 @@ import handover_marl
 from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.envs.vector_env import HandoverVectorEnv
 from handover_marl.errors import ActionError, OptionError, ResetNeededError, UnknownNameError
-from handover_marl.receivers import Receiver
+from tests.failing import Failing
 
 #: Boxes, cylinders and balls, so that models of several layouts are mixed.
 OPTIONS: dict[str, Any] = {"setup": "s0", "split": "train", "dataset": "synthetic", "physics": "mujoco"}
@@ -158,21 +158,6 @@ def test_some_may_be_reset_alone() -> None:
     with pytest.raises(OptionError, match="3 environments"):
         envs.reset(seed=[1, 2])
     envs.close()
-
-
-class Failing(Receiver):
-    """Fails in the third decision of the second environment."""
-
-    name, control_period = "failing", 0.13
-
-    def reset(self, seed: int | None = None) -> None:
-        self.decisions = 0
-
-    def act(self, observation: dict[str, np.ndarray]) -> np.ndarray:
-        self.decisions += 1
-        if self.decisions == 3:
-            raise KeyError("nonsense")
-        return observation["robot_joint_position"]
 
 
 def test_a_failing_partner_is_told_and_resets_go_on() -> None:

@@ -13,29 +13,14 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 import handover_marl
 from handover_marl.envs.vector_env import HandoverVectorEnv
 from handover_marl.errors import PolicyError, WorkerError
-from handover_marl.receivers import Receiver
 from handover_marl.training.batch_vec_env import BatchVecEnv
+from tests.failing import Failing
 
 COUNT = 3
 OPTIONS: dict[str, Any] = {
     **{"setup": "s0", "split": "train", "dataset": "synthetic", "physics": "mujoco"},
     **{"control_period": 0.13, "max_cycles": 7},
 }
-
-
-class Failing(Receiver):
-    """Fails in its third decision."""
-
-    name, control_period = "failing", 0.13
-
-    def reset(self, seed: int | None = None) -> None:
-        self.decisions = 0
-
-    def act(self, observation: dict[str, np.ndarray]) -> np.ndarray:
-        self.decisions += 1
-        if self.decisions == 3:
-            raise KeyError("nonsense")
-        return observation["robot_joint_position"]
 
 
 def batch(count: int) -> HandoverVectorEnv:
