@@ -3,7 +3,8 @@
 import importlib.util
 import inspect
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import Any, TypeVar
 
 from handover_marl.errors import OptionError
@@ -11,12 +12,15 @@ from handover_marl.errors import OptionError
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
-def shows(*sources: Callable[..., Any], without: tuple[str, ...] = ()) -> Callable[[_Function], _Function]:
+def shows(
+    *sources: Callable[..., Any], without: tuple[str, ...] = (), defaults: Mapping[str, Any] = MappingProxyType({})
+) -> Callable[[_Function], _Function]:
     """Let a function's signature show, in the place of its `**keywords`, the parameters that these are passed to.
 
     Args:
         sources: Functions or dataclasses that the keywords go to.
         without: Parameters that are not passed on.
+        defaults: Values that parameters have here unless they are given, where these are others.
     """
 
     def decorate(function: _Function) -> _Function:
@@ -24,7 +28,7 @@ def shows(*sources: Callable[..., Any], without: tuple[str, ...] = ()) -> Callab
         fixed = [part for part in own.parameters.values() if part.kind is not part.VAR_KEYWORD]
         taken = {part.name for part in fixed} | set(without)
         passed = [
-            part.replace(kind=inspect.Parameter.KEYWORD_ONLY)
+            part.replace(kind=inspect.Parameter.KEYWORD_ONLY, default=defaults.get(part.name, part.default))
             for source in sources
             for part in inspect.signature(source).parameters.values()
             if part.name not in taken

@@ -1,6 +1,5 @@
 """Environments that are stepped together."""
 
-import os
 from collections.abc import Callable, Mapping, Sequence
 from importlib.util import find_spec
 from typing import TypeVar
@@ -14,6 +13,7 @@ from handover_marl.envs.freeze import freeze
 from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.envs.wrapper import ParallelWrapper
 from handover_marl.errors import OptionError
+from handover_marl.options import available_cores
 from handover_marl.policies.reference import PolicyLike
 
 _Result = TypeVar("_Result")
@@ -51,7 +51,7 @@ class Fleet:
         **options: Unpack[EnvOptions],
     ) -> None:
         count = _whole("num_envs", num_envs)
-        threads = _whole("threads", len(os.sched_getaffinity(0)) if threads is None else threads)
+        threads = _whole("threads", available_cores() if threads is None else threads)
         if agent is None and partner is not None:
             raise OptionError("with both agents live there is no partner; leave out partner, or name the live agent")
 
@@ -73,6 +73,27 @@ class Fleet:
         self._ensemble = Ensemble(options.get("physics", "exact"), first.config, count, threads)
         for number, env in enumerate(self.envs):
             world_of(env).join(self._ensemble, number)
+
+    def seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
+        """One for each environment.
+
+        Args:
+            seed: Environment k gets `seed + k`; or a list; None leaves all as they are.
+
+        Raises:
+            OptionError: There are more or fewer than environments.
+        """
+        count = len(self.envs)
+        if seed is None:
+            return [None] * count
+        given: list[int | None] = []
+        if isinstance(seed, (int, np.integer)):
+            given += [int(seed) + k for k in range(count)]
+        else:
+            given += seed
+        if len(given) != count:
+            raise OptionError(f"there are {count} environments and {len(given)} seeds")
+        return given
 
     def together(self, tasks: Sequence[Callable[[], _Result]]) -> list[_Result]:
         """Run tasks, each of which resets or steps one of the environments; what they return."""

@@ -12,7 +12,7 @@ from gymnasium.vector.utils import batch_space, concatenate, create_empty_array,
 
 from handover_marl.envs.fleet import Fleet
 from handover_marl.envs.wrapper import ParallelStep
-from handover_marl.errors import ActionError, OptionError, ResetNeededError
+from handover_marl.errors import ActionError, ResetNeededError
 
 ByAgent = dict[str, Any]
 BatchStep = tuple[ByAgent, ByAgent, ByAgent, ByAgent, ByAgent]
@@ -23,8 +23,8 @@ class ParallelVectorEnv:
 
     As PettingZoo's parallel API, with arrays (n, ...) of n environments in the dicts by agent. Environments begin
     anew as Gymnasium specifies: "next_step" ignores the actions that follow an end, returns the first observations
-    of the next episode and rewards of 0; "same_step" returns them with the end's rewards, and what was seen last in
-    `infos[agent]["final_obs"]` (n) with `infos[agent]["_final_obs"]` (n) saying where.
+    of the next episode and rewards of 0; "same_step" returns them with the end's rewards, and what was seen and told
+    last in `infos[agent]["final_obs"]` (n) and `["final_info"]` (n), with `["_final_obs"]` (n) saying where.
 
     Args:
         fleet: The environments.
@@ -78,10 +78,7 @@ class ParallelVectorEnv:
         Raises:
             OptionError: There are more or fewer seeds than environments.
         """
-        seeds = [seed + k for k in range(self.num_envs)] if isinstance(seed, (int, np.integer)) else seed
-        given = seeds or [None] * self.num_envs
-        if len(given) != self.num_envs:
-            raise OptionError(f"there are {self.num_envs} environments and {len(given)} seeds")
+        given = self._fleet.seeds(seed)
         self._begun = False
         found = self._fleet.together(
             [functools.partial(env.reset, one, options) for env, one in zip(self._fleet.envs, given, strict=True)]
@@ -114,10 +111,10 @@ class ParallelVectorEnv:
         infos = self._infos([result[4] if begun is None else begun[1] for result, begun in found])
         if self._autoreset is AutoresetMode.SAME_STEP and self._ended.any():
             for agent in self.possible_agents:
-                final = np.full(self.num_envs, None, dtype=object)
+                seen_last, told_last = (np.full(self.num_envs, None, dtype=object) for _ in range(2))
                 for number in np.flatnonzero(self._ended):
-                    final[number] = results[number][0][agent]
-                infos[agent] |= {"final_obs": final, "_final_obs": self._ended.copy()}
+                    seen_last[number], told_last[number] = results[number][0][agent], results[number][4][agent]
+                infos[agent] |= {"final_obs": seen_last, "final_info": told_last, "_final_obs": self._ended.copy()}
             self._ended = np.zeros(self.num_envs, dtype=bool)
         rewards, ended, timed_out = (
             {agent: np.array([result[part][agent] for result in results]) for agent in self.possible_agents}

@@ -96,19 +96,18 @@ class HandoverVectorEnv(SyncVectorEnv):
             seed: Environment k gets `seed + k`; or a list of seeds.
             options: As of a single environment: `{"scene_id": n}`.
         """
-        seeds = [seed + k for k in range(self.num_envs)] if isinstance(seed, (int, np.integer)) else seed
-        given = seeds or [None] * self.num_envs
+        given = self._fleet.seeds(seed)
         mask = (options or {}).get("reset_mask")
         own = {key: value for key, value in (options or {}).items() if key != "reset_mask"} or None
         chosen = np.ones(self.num_envs, dtype=bool) if mask is None else np.asarray(mask, dtype=bool)
-        if len(given) != self.num_envs or chosen.shape != (self.num_envs,):
-            raise OptionError(f"there are {self.num_envs} environments: as many seeds, and entries of reset_mask")
+        if chosen.shape != (self.num_envs,):
+            raise OptionError(f"there are {self.num_envs} environments, but reset_mask has shape {chosen.shape}")
         tasks = zip(self._ahead, given, chosen, strict=True)
         # Should anything fail, episodes are left where they are: then all have to begin anew.
         begun, self._begun = self._begun or bool(chosen.all()), False
         self._fleet.together([functools.partial(env.reset_ahead, one, own) for env, one, now in tasks if now])
         self._begun = begun
-        return super().reset(seed=list(given), options=options)
+        return super().reset(seed=given, options=options)
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Act in every environment for one control period, or until its action scheme asks again.
@@ -162,7 +161,7 @@ def vector_env(
 ) -> ParallelVectorEnv: ...
 
 
-@shows(HandoverEnv)
+@shows(HandoverEnv, defaults={"physics": MUJOCO})
 def vector_env(
     num_envs: int,
     agent: str | None = "receiver",

@@ -1,6 +1,5 @@
 """Training with Stable-Baselines3: environments, export, checkpoints, evaluation. Needs the extra `train`."""
 
-import os
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -18,6 +17,7 @@ from handover_marl.benchmarking.report import Report
 from handover_marl.learning.foreign_policies import dense_network
 from handover_marl.learning.policy_files import write_policy
 from handover_marl.learning.policy_spec import PolicySpec
+from handover_marl.options import available_cores
 from handover_marl.training.batch_vec_env import BatchVecEnv, MakeBatch
 from handover_marl.training.checkpoint import read_checkpoint, write_checkpoint
 from handover_marl.training.learning_curve import CurvePoint
@@ -45,7 +45,7 @@ def batched_env(n: int, seed: int, make: MakeBatch) -> VecEnv:
         seed: Of the first; every other has its own.
         make: Makes a batch of so many.
     """
-    envs = VecMonitor(BatchVecEnv(n, len(os.sched_getaffinity(0)), make))
+    envs = VecMonitor(BatchVecEnv(n, available_cores(), make))
     envs.seed(seed)
     return envs
 

@@ -1,5 +1,6 @@
 """Many environments in one process: each plays what a single one plays, however many there are."""
 
+import inspect
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -140,6 +141,7 @@ def test_both_agents_in_a_batch(both: Callable[..., Any], autoreset: str) -> Non
             if ended[number] and autoreset == "same_step":
                 assert infos["giver"]["_final_obs"][number]
                 assert_equal(infos["giver"]["final_obs"][number], first[number]["giver"])
+                assert infos["giver"]["final_info"][number] == info["giver"]
                 first[number] = env.reset()[0]
             else:
                 assert infos["giver"]["steps"][number] == info["giver"]["steps"]
@@ -179,6 +181,11 @@ def test_without_greenlet_it_is_said_what_to_install(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr("handover_marl.envs.fleet.find_spec", lambda name: None)
     with pytest.raises(OptionError, match=r"pip install 'handover-marl\[mujoco\]'"):
         handover_marl.vector_env(2, **OPTIONS)
+
+
+def test_its_signature_says_what_its_physics_are() -> None:
+    assert inspect.signature(handover_marl.vector_env).parameters["physics"].default == "mujoco"
+    assert inspect.signature(handover_marl.parallel_env).parameters["physics"].default == "exact"
 
 
 def test_what_cannot_be_is_refused(both: Callable[..., Any]) -> None:

@@ -129,7 +129,6 @@ class Lanes:
             self.leave(lane)
             lane.group = self._group(scene)
             lane.row = heapq.heappop(lane.group.free)
-            lane.group.takes(scene.model, lane.row)
         lane.built = scene
         lane.group.batch.reset(ids=np.array([lane.row], dtype=np.int32), stage=int(mujoco.mjtStage.mjSTAGE_NONE))
         lane.group.batch.warning[lane.row] = 0
@@ -149,6 +148,7 @@ class Lanes:
         group.forces[lane.row, body, 2] = self._gravity * float(scene.model.body_mass[body])
 
     def _group(self, scene: SceneModel) -> _Group:
+        """One whose first free row has a scene's model."""
         model = scene.model
         sizes = (model.nq, model.nv, model.nu, model.nbody, model.ngeom, model.nbvh, model.nmocap, model.nsensordata)
         groups = self._groups.setdefault(sizes, [])
