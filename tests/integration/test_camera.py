@@ -1,16 +1,21 @@
 """The wrist camera against recordings of the reference, bit for bit, and its two renderers on real motion."""
 
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 import pytest
 
-from handover_marl.config import OFFICIAL
+from handover_marl.config import OFFICIAL, CameraConfig
 from handover_marl.datasets import OfficialDataset
 from handover_marl.episode.episode import Episode
+from handover_marl.models.panda import LOWER_LIMITS, UPPER_LIMITS
+from handover_marl.sim.bullet.panda_body import Panda
+from handover_marl.sim.bullet.picture_world import PictureWorld
 from handover_marl.sim.camera.photo import Seen
 from handover_marl.sim.rays.ray_camera import RayCamera
+from handover_marl.sim.world import Snapshot
 from tests.conftest import RECORDINGS
 from tests.integration.test_reference import STRIDE, read_recording
 
@@ -83,3 +88,24 @@ def test_rays_meet_what_the_engine_draws(scene_id: int, camera_dataset: Official
     assert alike >= 0.999 * either
     assert np.mean(np.concatenate(apart) < 1e-4) >= 0.99
     episode.close()
+
+
+def test_leaving_the_cameras_body_out_changes_no_picture(
+    camera_dataset: OfficialDataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    world = PictureWorld(camera_dataset.scene(4), OFFICIAL.physics)
+    random = np.random.default_rng(0)
+    for _ in range(10):
+        robot = random.uniform(LOWER_LIMITS, UPPER_LIMITS).astype(np.float32)
+        now = Snapshot(robot, None, np.zeros((1, 6), dtype=np.float32))
+        outside = world.draw(now, CameraConfig())
+        without = world.photograph(now, color=True)
+        np.testing.assert_array_equal(world.draw(now, CameraConfig()), outside)
+        with monkeypatch.context() as patch:
+            patch.setattr(Panda, "without_camera", lambda panda: nullcontext())
+            drawn = world.photograph(now, color=True)
+        assert drawn.rgb is not None
+        assert without.rgb is not None
+        for name in ("depth", "segmentation", "rgb"):
+            np.testing.assert_array_equal(getattr(drawn, name), getattr(without, name))
+    world.close()

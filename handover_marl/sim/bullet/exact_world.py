@@ -117,7 +117,7 @@ class ExactWorld(BulletWorld):
             return self._picture_world().photograph(at, color)
         objects = [body.id for body in self._objects]
         bodies = seen_bodies(self._table_id, self._panda.id, objects, None if self._hand is None else self._hand.id)
-        return photograph(self._client, self._panda.camera_pose(), bodies, color)
+        return photograph(self._client, self._panda, bodies, color)
 
     def _place_hand(self, target: list[float] | None) -> None:
         if target is None and self._hand is not None:

@@ -1,5 +1,7 @@
 """The Franka Panda in the world."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -36,6 +38,7 @@ class Panda(Body):
         left, right = (self.link(name) for name in FINGER_LINKS)
         self.finger_links = (left, right)
         self._camera_link = self.link(CAMERA_LINK) if CAMERA_LINK in self._link_names else None
+        self._camera_rgba: tuple[float, ...] | None = None
 
     def camera_pose(self) -> npt.NDArray[np.float32]:
         """World pose (7,) of the wrist camera's link, float32; where it would be on a Panda without one."""
@@ -43,6 +46,27 @@ class Panda(Body):
             pose: npt.NDArray[np.float32] = self.link_poses([self._camera_link])[0]
             return pose
         return compose(self.link_poses([self.hand_link])[0], HAND_FROM_CAMERA_LINK).astype(np.float32)
+
+    @contextmanager
+    def without_camera(self) -> Iterator[None]:
+        """Leave the wrist camera's own body out of what is drawn."""
+        if self._camera_link is None:
+            yield
+            return
+        rgba = self._camera_rgba or self._read_camera_rgba()
+        self._tint_camera((*rgba[:3], 0.0))
+        try:
+            yield
+        finally:
+            self._tint_camera(rgba)
+
+    def _read_camera_rgba(self) -> tuple[float, ...]:
+        shapes = self.client.getVisualShapeData(self.id)
+        self._camera_rgba = next(tuple(shape[7]) for shape in shapes if shape[1] == self._camera_link)
+        return self._camera_rgba
+
+    def _tint_camera(self, rgba: tuple[float, ...]) -> None:
+        self.client.changeVisualShape(self.id, self._camera_link, rgbaColor=rgba)
 
     def withdraw(self) -> None:
         """Stand at the start pose and touch nothing, until the restart."""

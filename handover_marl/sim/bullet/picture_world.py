@@ -59,7 +59,7 @@ class PictureWorld:
         objects = [body.id for body in self._objects]
         hand = None if self._hand is None else self._hand.id
         bodies = seen_bodies(self._stage.table_id, self._stage.panda.id, objects, hand)
-        return photograph(self._client, self._stage.panda.camera_pose(), bodies, color)
+        return photograph(self._client, self._stage.panda, bodies, color)
 
     def _arrange(self, now: Snapshot) -> None:
         self._stage.panda.place(now.robot.tolist())

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from handover_marl.models.poses import quaternion_multiply
 from handover_marl.sim.bullet.client import BulletClient
+from handover_marl.sim.bullet.panda_body import Panda
 from handover_marl.sim.camera.optics import FAR, FIELD_OF_VIEW, NEAR, SIDE, metric_depth
 from handover_marl.sim.camera.photo import Photo, Seen
 
@@ -18,24 +19,24 @@ from handover_marl.sim.camera.photo import Photo, Seen
 _LINK_FROM_VIEW = np.array([-4.3297803e-17, -0.70710677, -0.70710677, 4.3297803e-17], dtype=np.float32)
 
 
-def photograph(
-    client: BulletClient, world_from_link: npt.NDArray[np.float32], bodies: Mapping[int, Seen], color: bool
-) -> Photo:
+def photograph(client: BulletClient, panda: Panda, bodies: Mapping[int, Seen], color: bool) -> Photo:
     """What the camera shows now.
 
     Args:
         client: The physics server.
-        world_from_link: (7,) float32 pose of the camera's link.
+        panda: The robot that carries the camera.
         bodies: What each body is seen as; others are background.
         color: Whether colours are wanted.
     """
-    width, height, pixels, buffer, numbers = client.getCameraImage(
-        SIDE,
-        SIDE,
-        viewMatrix=_view_matrix(client, world_from_link),
-        projectionMatrix=client.computeProjectionMatrixFOV(FIELD_OF_VIEW, 1.0, NEAR, FAR),
-        renderer=client.ER_TINY_RENDERER,
-    )
+    # The camera's body ends before the near plane, so that it never shows; drawing it would be most of the work.
+    with panda.without_camera():
+        width, height, pixels, buffer, numbers = client.getCameraImage(
+            SIDE,
+            SIDE,
+            viewMatrix=_view_matrix(client, panda.camera_pose()),
+            projectionMatrix=client.computeProjectionMatrixFOV(FIELD_OF_VIEW, 1.0, NEAR, FAR),
+            renderer=client.ER_TINY_RENDERER,
+        )
     shape = (height, width)
     rgba = np.asarray(pixels, dtype=np.uint8).reshape(*shape, 4) if color else None
     return Photo(
