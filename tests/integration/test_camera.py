@@ -95,17 +95,15 @@ def test_leaving_the_cameras_body_out_changes_no_picture(
 ) -> None:
     world = PictureWorld(camera_dataset.scene(4), OFFICIAL.physics)
     random = np.random.default_rng(0)
-    for _ in range(10):
-        robot = random.uniform(LOWER_LIMITS, UPPER_LIMITS).astype(np.float32)
-        now = Snapshot(robot, None, np.zeros((1, 6), dtype=np.float32))
-        outside = world.draw(now, CameraConfig())
-        without = world.photograph(now, color=True)
-        np.testing.assert_array_equal(world.draw(now, CameraConfig()), outside)
-        with monkeypatch.context() as patch:
-            patch.setattr(Panda, "without_camera", lambda panda: nullcontext())
-            drawn = world.photograph(now, color=True)
-        assert drawn.rgb is not None
-        assert without.rgb is not None
+    robots = [random.uniform(LOWER_LIMITS, UPPER_LIMITS).astype(np.float32) for _ in range(8)]
+    moments = [Snapshot(robot, None, np.zeros((1, 6), dtype=np.float32)) for robot in robots]
+    outside = [world.draw(now, CameraConfig()) for now in moments]
+    without = [world.photograph(now, color=True) for now in moments]
+    for now, picture in zip(moments, outside, strict=True):
+        np.testing.assert_array_equal(world.draw(now, CameraConfig()), picture)
+    monkeypatch.setattr(Panda, "without_camera", lambda panda: nullcontext())
+    for now, photo in zip(moments, without, strict=True):
+        drawn = world.photograph(now, color=True)
         for name in ("depth", "segmentation", "rgb"):
-            np.testing.assert_array_equal(getattr(drawn, name), getattr(without, name))
+            np.testing.assert_array_equal(getattr(drawn, name), getattr(photo, name))
     world.close()
