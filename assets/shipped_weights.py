@@ -1,10 +1,17 @@
 """Weights of networks that ship with the library."""
 
+from pathlib import Path
+
 from handover_marl.assets.object_models import DATA_ROOT
 
 #: Those of the receiver `gaddpg`, written by `experiments/train_gaddpg.py` as `policy.npz`; until they ship there is no
 #: such file.
 GADDPG_WEIGHTS = DATA_ROOT / "gaddpg.npz"
 
-#: Those of the receiver `vision`, written by `experiments/train_vision.py` as `vision.npz`.
-VISION_WEIGHTS = DATA_ROOT / "vision.npz"
+
+def vision_weights(setup: str) -> Path:
+    """Those of the receiver `vision` for an official setup, learned from its training split alone.
+
+    Written by `experiments/train_vision.py` as `vision.npz`; until they ship there is no such file.
+    """
+    return DATA_ROOT / f"vision_{setup}.npz"

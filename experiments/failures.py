@@ -166,11 +166,11 @@ class Player:
 
     def __init__(self, args: Args) -> None:
         self._data = open_dataset(args.dataset, args.data_dir, args.robot)
-        made = receivers.make(args.receiver, self._data)
+        made = receivers.make(args.receiver, self._data, setup=args.setup)
         if not isinstance(made, ReactiveReceiver):
             raise OptionError(f"receiver={args.receiver!r}: causes are told of reactive and vision alone")
         self._receiver = made
-        self._giver = givers.make(args.giver, self._data)
+        self._giver = givers.make(args.giver, self._data, setup=args.setup)
         self._episode, self._causes = Episode(args.physics), Causes(self._receiver)
 
     def play(self, number: int) -> Played:

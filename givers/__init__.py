@@ -21,16 +21,17 @@ def available() -> tuple[str, ...]:
     return registry.available("giver")
 
 
-def make(giver: PolicyLike, dataset: Dataset | None = None, trust: bool = False) -> Giver:
+def make(giver: PolicyLike, dataset: Dataset | None = None, trust: bool = False, setup: str = "s0") -> Giver:
     """A giver for the scenes of a dataset.
 
     Args:
         giver: A registered name, with options or a file, a class; see `handover_marl.policies.reference`.
         dataset: Whose robot and objects; default: what `open_dataset()` gives.
         trust: Whether code in a policy file may run.
+        setup: The official setup that it is to play, for which it may have been trained.
 
     Raises:
         UnknownNameError: No giver of this name is registered.
         HandoverError: It cannot be made, or its file is no policy that may be loaded.
     """
-    return cast(Giver, policy_reference("giver", giver, trust).make(dataset))
+    return cast(Giver, policy_reference("giver", giver, trust).make(dataset, setup=setup))

@@ -206,7 +206,7 @@ def resolve(run: Run, trust: bool = False) -> tuple[Run, Dataset]:
     references = {agent: policy_reference(agent, getattr(run, agent), trust) for agent in ("giver", "receiver")}
     data = run.open_dataset()
     scenes = choose_scenes(data.split(run.setup, run.split), run.scenes, f"{run.setup} {run.split}")
-    giver, receiver = (references[agent].resolved(data, run.config) for agent in ("giver", "receiver"))
+    giver, receiver = (references[agent].resolved(data, run.config, run.setup) for agent in ("giver", "receiver"))
     chosen_renderer(run.camera.renderer, run.physics, installed=receiver.sight is not None)
     data.check_scenes(scenes)
     return replace(run, dataset=data.name, scenes=scenes, giver=giver, receiver=receiver), data

@@ -23,16 +23,17 @@ def available() -> tuple[str, ...]:
     return registry.available("receiver")
 
 
-def make(receiver: PolicyLike, dataset: Dataset | None = None, trust: bool = False) -> Receiver:
+def make(receiver: PolicyLike, dataset: Dataset | None = None, trust: bool = False, setup: str = "s0") -> Receiver:
     """A receiver for the robot and objects of a dataset.
 
     Args:
         receiver: A registered name, with options or a file, a class; see `handover_marl.policies.reference`.
         dataset: Whose robot and objects; default: what `open_dataset()` gives.
         trust: Whether code in a policy file may run.
+        setup: The official setup that it is to play, for which it may have been trained.
 
     Raises:
         UnknownNameError: No receiver of this name is registered.
         HandoverError: It cannot be made, or its file is no policy that may be loaded.
     """
-    return cast(Receiver, policy_reference("receiver", receiver, trust).make(dataset))
+    return cast(Receiver, policy_reference("receiver", receiver, trust).make(dataset, setup=setup))

@@ -257,7 +257,7 @@ def _resolved(
         raise OptionError("cross-play needs at least one giver and one receiver")
     references: dict[str, PolicyReference] = {}
     for policy in several:
-        reference = policy_reference(agent, policy, trust).resolved(data, run.config)
+        reference = policy_reference(agent, policy, trust).resolved(data, run.config, run.setup)
         other = references.setdefault(reference.label, reference)
         if other.source != reference.source:
             raise OptionError(

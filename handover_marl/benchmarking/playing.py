@@ -66,9 +66,9 @@ class Player:
         self._run, self._machine = run, f"{describe_machine()}, {company}"
         self._dataset = run.open_dataset()
         giver, receiver = reference_of(run.giver), reference_of(run.receiver)
-        self._receiver = receiver.make(self._dataset, run.config)
+        self._receiver = receiver.make(self._dataset, run.config, run.setup)
         # The official giver is no policy: it cannot fail and takes no time.
-        self._giver = None if giver.text == REPLAY else giver.make(self._dataset, run.config)
+        self._giver = None if giver.text == REPLAY else giver.make(self._dataset, run.config, run.setup)
         self._episode = Episode(run.physics, run.config, sight=run.camera)
         self._recorder, self._log = Recorder(), ActionLog()
         self._scribes: list[Scribe] = [scribe(run, self._receiver) for scribe in scribes]

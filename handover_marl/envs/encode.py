@@ -61,7 +61,7 @@ class EncodedEnv(ParallelWrapper):
             raise OptionError(f"the {vectors[0]} sees vectors already; encode before flattening, and once")
         self.features_names = _names("features", FEATURES, features, agents)
         self.scheme_names = _names("schemes", SCHEMES, schemes, agents)
-        context = context_of(self.world.dataset, self.world.config)
+        context = context_of(self.world.dataset, self.world.config, self.world.setup)
         self._features = {agent: make_features(agent, self.features_names[agent], context) for agent in agents}
         self._schemes = {agent: make_scheme(agent, self.scheme_names[agent], context) for agent in agents}
         self._spaces = {

@@ -54,7 +54,7 @@ class FrozenPartnerEnv(ParallelWrapper):
             )
         chosen = DEFAULT_PARTNERS[agent] if partner is None else partner
         reference = policy_reference(self.partner_agent, chosen, trust)
-        self._policy = reference.make(self.world.dataset, self.world.config)
+        self._policy = reference.make(self.world.dataset, self.world.config, self.world.setup)
         self._partner = PolicyClock(self._policy)
         self._steps = 0
 

@@ -77,7 +77,7 @@ def render_plan(
     run, how = describe("s0", options, receiver=receiver, giver=giver)
     data = run.open_dataset()
     policy, person = (
-        policy_reference(agent, getattr(run, agent), how.trust).make(data, run.config)
+        policy_reference(agent, getattr(run, agent), how.trust).make(data, run.config, run.setup)
         for agent in ("receiver", "giver")
     )
     if not isinstance(policy, OmgReceiver):

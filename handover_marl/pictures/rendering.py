@@ -140,7 +140,7 @@ def render_scene(
     run, how = describe("s0", options, receiver="hold" if receiver is None else receiver, giver=giver)
     data = run.open_dataset()
     named = [policy_reference(agent, getattr(run, agent), how.trust) for agent in ("receiver", "giver")]
-    robot, person = (reference.make(data, run.config) for reference in named)
+    robot, person = (reference.make(data, run.config, run.setup) for reference in named)
     scene = data.scene(scene_id)
     chosen_renderer(run.renderer, run.physics, installed=view == "wrist")
     episode = Episode(run.physics, run.config, sight=run.camera)
@@ -156,7 +156,7 @@ def render_scene(
         recorder = ReplayRecorder(robot)
         episode.reset(scene)
         play(episode, robot, person, seed=run.seed, until=until, watchers=[recorder])
-        labelled = [reference.resolved(data, run.config) for reference in named]
+        labelled = [reference.resolved(data, run.config, run.setup) for reference in named]
         played = replace(run, dataset=data.name, receiver=labelled[0], giver=labelled[1])
         picture = replay_page(recorder.log, replay_facts(played, data.models_in_words(scene_id)), camera).encode()
     elif path.suffix.lower() == ".png":

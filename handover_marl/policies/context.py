@@ -20,12 +20,14 @@ class PolicyContext:
         grasps: Gives the (n, 4, 4) gripper poses in the object's frame (m) for a class name, or None.
         object_urdf: Gives the model file for a class name.
         config: The world and the rules.
+        setup: The official setup that is played, for policies that were trained for each.
     """
 
     panda_urdf: Path
     grasps: Callable[[str], npt.NDArray[np.float64] | None]
     object_urdf: Callable[[str], Path]
     config: WorldConfig = OFFICIAL
+    setup: str = "s0"
 
     @property
     def panda(self) -> PandaConfig:
@@ -38,6 +40,6 @@ class PolicyContext:
         return self.config.protocol
 
 
-def context_of(dataset: Dataset, config: WorldConfig = OFFICIAL) -> PolicyContext:
+def context_of(dataset: Dataset, config: WorldConfig = OFFICIAL, setup: str = "s0") -> PolicyContext:
     """What policies may know of a dataset."""
-    return PolicyContext(dataset.panda_urdf, dataset.grasps, dataset.object_urdf, config)
+    return PolicyContext(dataset.panda_urdf, dataset.grasps, dataset.object_urdf, config, setup)

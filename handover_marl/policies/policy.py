@@ -64,6 +64,11 @@ class Policy(ABC):
         return self.name
 
     @property
+    def weights_hash(self) -> str:
+        """A hash of the weights that it was made with, if any: with others its results are not the same any more."""
+        return ""
+
+    @property
     def wait(self) -> float | None:
         """How long (s) it stays away from the start of every episode, so that results can say it; None if unknown."""
         return 0.0

@@ -78,8 +78,8 @@ class PolicyReference:
         kind: type[Policy] = found if isinstance(found, type) else type(found)
         return kind
 
-    def make(self, dataset: Dataset | None = None, config: WorldConfig = OFFICIAL) -> Policy:
-        """The policy itself, for the robot and the objects of a dataset; default: what `open_dataset()` gives.
+    def make(self, dataset: Dataset | None = None, config: WorldConfig = OFFICIAL, setup: str = "s0") -> Policy:
+        """The policy itself, for the robot, the objects of a dataset and a setup; default: what `open_dataset()` gives.
 
         Raises:
             PolicyError: Its constructor fails.
@@ -91,7 +91,7 @@ class PolicyReference:
         taken = _parameters(found)
         given: dict[str, Any] = {"agent": self.agent, "path": self.file, "trust": self.trust}
         if "context" in taken:
-            given["context"] = context_of(dataset or open_dataset(), config)
+            given["context"] = context_of(dataset or open_dataset(), config, setup)
         options = dict(self.options) | {name: value for name, value in given.items() if name in taken}
         try:
             made = found(**options)
@@ -103,13 +103,13 @@ class PolicyReference:
             raise OptionError(f"{self.agent} {self.text!r} made {made!r}, which is no policy")
         return made
 
-    def resolved(self, dataset: Dataset, config: WorldConfig = OFFICIAL) -> "PolicyReference":
+    def resolved(self, dataset: Dataset, config: WorldConfig = OFFICIAL, setup: str = "s0") -> "PolicyReference":
         """The same with its label and the hash of its code; making it once shows whether it can be made.
 
         Raises:
             HandoverError: As `make`.
         """
-        made = self.make(dataset, config)
+        made = self.make(dataset, config, setup)
         label = made.label
         if self.options:
             label += ":" + ",".join(f"{key}={_shown(value)}" for key, value in self.options)
@@ -120,6 +120,7 @@ class PolicyReference:
             content += cloudpickle.dumps(vars(found))
         if self.file is not None:
             content += Path(self.file).expanduser().read_bytes()
+        content += made.weights_hash.encode()
         check_observes(made.observes, made.sight)
         return replace(
             self,

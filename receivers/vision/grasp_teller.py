@@ -1,13 +1,13 @@
 """Grasps out of points by a grasp network. Needs PyTorch."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 import torch
 from scipy.spatial.transform import Rotation
 
-from handover_marl.assets.shipped_weights import VISION_WEIGHTS
 from handover_marl.networks.grasp_network import PADS, GraspNetwork, Views
 from handover_marl.networks.one_thread import one_thread
 from handover_marl.networks.own_weights import read_own_weights
@@ -55,11 +55,11 @@ class GraspTeller:
         )
 
 
-def grasp_teller(weights: str | None) -> tuple[GraspTeller, str]:
-    """What a file of weights tells, or the one that ships, and a short hash of it.
+def grasp_teller(weights: str | Path) -> tuple[GraspTeller, str]:
+    """What a file of weights tells, and a short hash of it.
 
     Raises:
         DataNotFoundError, DataFormatError: It cannot be read.
     """
-    network, fingerprint = read_own_weights(VISION_WEIGHTS if weights is None else weights, GraspNetwork)
+    network, fingerprint = read_own_weights(weights, GraspNetwork)
     return GraspTeller(network), fingerprint

@@ -9,10 +9,12 @@ whether the person has let go: it carries the object off once its fingers have s
 import importlib.util
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
+from handover_marl.assets.shipped_weights import vision_weights
 from handover_marl.episode.observations import SIGHT, Observation
 from handover_marl.episode.sight import POINTS
 from handover_marl.errors import OptionError
@@ -68,7 +70,7 @@ class VisionReceiver(ReactiveReceiver):
         context: The robot and the task; models and grasps of objects are not used.
         wait: How long to stay at the waiting pose (s).
         risk: Trades success (0) against speed (1).
-        weights: File of a grasp network; default: the one that ships.
+        weights: File of a grasp network; default: the one that ships for the setup.
         tells: Instead of a file: what tells grasps.
         vision: How it looks.
 
@@ -93,12 +95,18 @@ class VisionReceiver(ReactiveReceiver):
     ) -> None:
         super().__init__(context, wait, risk, vision_reactive_config())
         self.vision = vision or VisionConfig()
-        self._tells, self._label = _chosen(weights, tells)
+        self._tells, self._weights_hash = _chosen(weights, tells, context.setup)
+        self._label = self.name if weights is None else f"{self.name}@{self._weights_hash}"
 
     @property
     def label(self) -> str:
         """The name, and which weights."""
         return self._label
+
+    @property
+    def weights_hash(self) -> str:
+        """Of the grasp network's."""
+        return self._weights_hash
 
     def prepare(self, object_names: Sequence[str]) -> None:
         """Nothing: it does not know objects."""
@@ -157,16 +165,25 @@ class VisionReceiver(ReactiveReceiver):
         return super()._close(released)
 
 
-def _chosen(weights: str | None, tells: GraspFunction | None) -> tuple[GraspFunction, str]:
-    """What tells grasps, and what results are filed under."""
+def _chosen(weights: str | None, tells: GraspFunction | None, setup: str) -> tuple[GraspFunction, str]:
+    """What tells grasps, and the hash of its weights, if any."""
     if tells is not None:
         if weights is not None:
             raise OptionError("receiver 'vision' takes weights or a function, not both")
-        return tells, VisionReceiver.name
+        return tells, ""
     if importlib.util.find_spec("torch") is None:
         raise OptionError("receiver 'vision' needs PyTorch: pip install 'handover-marl[train]'")
     # Only who has no function of his own needs it.
     from handover_marl.receivers.vision.grasp_teller import grasp_teller
 
-    teller, fingerprint = grasp_teller(weights)
-    return teller, VisionReceiver.name if weights is None else f"{VisionReceiver.name}@{fingerprint}"
+    return grasp_teller(weights or _shipped(setup))
+
+
+def _shipped(setup: str) -> Path:
+    path = vision_weights(setup)
+    if not path.is_file():
+        raise OptionError(
+            f"no weights of receiver 'vision' ship for setup {setup!r}: train them (experiments/train_vision.py "
+            f"--setup {setup}) and give weights=FILE; those of another setup may know scenes of this one's test split"
+        )
+    return path

@@ -2,10 +2,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from numpy.typing import NDArray
 
 from handover_marl import receivers
-from handover_marl.assets.shipped_weights import VISION_WEIGHTS
+from handover_marl.assets.shipped_weights import vision_weights
 from handover_marl.datasets import open_dataset
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.observations import Observation
@@ -19,6 +20,7 @@ from handover_marl.networks.own_weights import read_own_weights, write_own_weigh
 from handover_marl.planning.arm_in_world import ArmInWorld
 from handover_marl.planning.person_motion import HandMotion
 from handover_marl.policies.context import context_of
+from handover_marl.policies.reference import policy_reference
 from handover_marl.protocol.status import EpisodeStatus
 from handover_marl.receivers.reactive.grasps import GraspTrials
 from handover_marl.receivers.reactive.reactive_config import ReactiveConfig
@@ -129,7 +131,7 @@ def test_weights_that_are_not_there_are_named(tmp_path: Path) -> None:
 
 
 def test_the_network_that_ships_is_small_and_takes_objects() -> None:
-    assert VISION_WEIGHTS.stat().st_size < 2_000_000
+    assert vision_weights("s0").stat().st_size < 2_000_000
     receiver = receivers.make("vision", DATA)
     assert receiver.label == "vision"
     episode = Episode("fast")
@@ -140,6 +142,20 @@ def test_the_network_that_ships_is_small_and_takes_objects() -> None:
         ends.append(episode.status)
     # Sums of floats differ between machines, and with them single episodes.
     assert ends.count(EpisodeStatus.SUCCESS) >= 2
+
+
+def test_weights_are_those_of_the_setup(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr("handover_marl.assets.shipped_weights.DATA_ROOT", tmp_path)
+    hashes = set()
+    for setup in ("s0", "s2"):
+        torch.manual_seed(len(hashes))
+        write_own_weights(tmp_path / f"vision_{setup}.npz", GraspNetwork(SMALL), {})
+        reference = policy_reference("receiver", "vision").resolved(DATA, setup=setup)
+        assert reference.label == "vision"
+        hashes.add(reference.source)
+    assert len(hashes) == 2
+    with pytest.raises(OptionError, match=r"s1.*--setup s1"):
+        receivers.make("vision", DATA, setup="s1")
 
 
 def test_weights_or_a_function() -> None:
