@@ -359,9 +359,13 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
 
     def _reward(self, seen: Observation, status: EpisodeStatus) -> dict[str, dict[str, float]]:
         """The terms of both agents' rewards."""
-        now, rewards = self._situation(seen), self._rewards
+        rewards = self._rewards
         if rewards is None:
             raise ResetNeededError("no episode is running; call reset() before step()")
+        if rewards.only_outcomes:
+            receiver, giver = rewards.outcome(status)
+            return {GIVER: giver, RECEIVER: receiver}
+        now = self._situation(seen)
         terms = {GIVER: rewards.giver(now, status), RECEIVER: rewards.receiver(now, status)}
         rewards.go_on(now)
         return terms

@@ -6,11 +6,16 @@ after a step less that before, and no potential once the episode has ended. Over
 whatever was done, so that it cannot change which policy is best.
 """
 
+import functools
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 
 from handover_marl.errors import OptionError, UnknownNameError
 from handover_marl.protocol.status import EpisodeStatus
+
+# What is known from how an episode ended.
+_OUTCOMES = ("task", "contact", "drop")
 
 
 @dataclass(frozen=True)
@@ -131,6 +136,20 @@ class Rewards:
     def __init__(self, config: RewardConfig, goal: tuple[float, ...], start: Situation) -> None:
         self._config, self._goal = config, goal
         self._last = start
+        own = (config.receiver, config.giver)
+        self._only_outcomes = not any(
+            getattr(weights, name) for weights in own for name in _names(type(weights)) if name not in _OUTCOMES
+        )
+
+    def outcome(self, status: EpisodeStatus) -> tuple[dict[str, float], dict[str, float]]:
+        """The receiver's and the giver's terms where `only_outcomes` have weights."""
+        config, found = self._config, _outcome(status)
+        return _weighted(config.receiver, found), _weighted(config.giver, found)
+
+    @property
+    def only_outcomes(self) -> bool:
+        """Whether nothing but how an episode ends has a weight."""
+        return self._only_outcomes
 
     def receiver(self, now: Situation, status: EpisodeStatus) -> dict[str, float]:
         """The receiver's weighted terms for a step that ended in `now`."""
@@ -139,7 +158,7 @@ class Rewards:
         if status & ~EpisodeStatus.TIMEOUT:
             after = dict.fromkeys(after, 0.0)
         guidance = {name: self._config.gamma * after[name] - before[name] for name in before}
-        return _weighted(self._config.receiver, guidance | _outcome(status))
+        return _weighted(self._config.receiver, {**guidance, **_outcome(status)})
 
     def giver(self, now: Situation, status: EpisodeStatus) -> dict[str, float]:
         """The giver's weighted terms for a step that ended in `now`."""
@@ -151,7 +170,7 @@ class Rewards:
             "discomfort": away * period,
             "waiting": period if self._last.held_out else 0.0,
         }
-        return _weighted(self._config.giver, costs | _outcome(status))
+        return _weighted(self._config.giver, {**costs, **_outcome(status)})
 
     def go_on(self, now: Situation) -> None:
         """The next step starts from here."""
@@ -167,7 +186,8 @@ def potentials(situation: Situation, goal: tuple[float, ...]) -> dict[str, float
     }
 
 
-def _outcome(status: EpisodeStatus) -> dict[str, float]:
+@functools.cache
+def _outcome(status: EpisodeStatus) -> Mapping[str, float]:
     return {
         "task": float(bool(status & EpisodeStatus.SUCCESS)),
         "contact": float(bool(status & EpisodeStatus.HUMAN_CONTACT)),
@@ -175,5 +195,11 @@ def _outcome(status: EpisodeStatus) -> dict[str, float]:
     }
 
 
-def _weighted(weights: ReceiverWeights | GiverWeights, values: dict[str, float]) -> dict[str, float]:
-    return {part.name: getattr(weights, part.name) * values[part.name] for part in fields(weights)}
+def _weighted(weights: ReceiverWeights | GiverWeights, values: Mapping[str, float]) -> dict[str, float]:
+    """All terms; those that are not told are 0."""
+    return {name: getattr(weights, name) * values.get(name, 0.0) for name in _names(type(weights))}
+
+
+@functools.cache
+def _names(weights: type[ReceiverWeights] | type[GiverWeights]) -> tuple[str, ...]:
+    return tuple(part.name for part in fields(weights))

@@ -67,7 +67,8 @@ class Episode:
         self._world: World | None = None
         self._playback: Playback | None = None
         self._preview: Preview | None = None
-        self._contacts = Contacts()
+        # What touched last; None until somebody asks.
+        self._contacts: Contacts | None = Contacts()
         self._referee = Referee(config.protocol)
 
     def join(self, ensemble: "Ensemble", number: int) -> None:
@@ -127,15 +128,15 @@ class Episode:
         if isinstance(world, RollingWorld) and not on_step and not self._sight.remembers:
             stretch = Stretch(world, referee, robot_target, len(motion))
             self._roll(stretch)
-            self._contacts = world.contacts(referee.released)
+            self._contacts = None
             return stretch.done
         for done in range(1, len(motion) + 1):
             world.step(robot_target)
             if self._sight.remembers:
                 self._sight.note(world)
             released_before = referee.released
-            self._contacts = world.contacts(released_before)
-            ended = referee.update(self._contacts)
+            self._contacts = contacts = world.contacts(released_before)
+            ended = referee.update(contacts)
             for look in on_step:
                 look(self)
             if ended:
@@ -208,12 +209,15 @@ class Episode:
     @property
     def contacts(self) -> Contacts:
         """What touched in the last step."""
+        if self._contacts is None:
+            world, _, referee = self._running()
+            self._contacts = world.contacts(referee.released)
         return self._contacts
 
     @property
     def grasped(self) -> bool:
         """Whether both fingers were on the object in the last step."""
-        return self._contacts.both_fingers
+        return self.contacts.both_fingers
 
     @property
     def held_out(self) -> bool:

@@ -73,8 +73,8 @@ class Playback:
             clock=0.0,
             frame=0,
             rate=0.0,
-            shift=SetPoint(3, config.speed, config.acceleration),
-            turn=SetPoint(3, config.turn_speed, config.turn_acceleration),
+            shift=SetPoint(config.speed, config.acceleration),
+            turn=SetPoint(config.turn_speed, config.turn_acceleration),
             deviated=False,
             opened=0.0,
             last=self._read(np.array([0])),
@@ -142,7 +142,7 @@ class Playback:
         rates = self._rates(plan.wanted.rate, steps)
         clock = now.clock + np.cumsum(1.0 + rates)
         frames = np.minimum(_frames(clock), self.scene.n_frames - 1).astype(int)
-        motion = self._read(frames)
+        motion = self._read(frames, in_turn=not rates.any())
         deviated = now.deviated or plan.deviates
         shift, turn = copy.copy(now.shift), copy.copy(now.turn)
         # Once there has been a deviation the angles may have gone round another way than the recorded ones.
@@ -187,9 +187,11 @@ class Playback:
         hand[:, _BASE_DOF:] *= (1.0 - self._config.opening * shares[:, None]).astype(np.float32)
         return Motion(motion.objects, hand, motion.hand_present), float(shares[-1])
 
-    def _read(self, frames: npt.NDArray[np.int_]) -> Motion:
-        scene = self.scene
-        return Motion(scene.object_dof[frames], scene.hand_dof[frames], scene.hand_present(frames))
+    def _read(self, frames: npt.NDArray[np.int_], in_turn: bool = False) -> Motion:
+        scene, first, last = self.scene, int(frames[0]), int(frames[-1])
+        # Frames that follow each other need not be copied; the last one is shown again and again.
+        rows = slice(first, last + 1) if in_turn and last - first == len(frames) - 1 else frames
+        return Motion(scene.object_dof[rows], scene.hand_dof[rows], scene.hand_present(frames))
 
 
 @dataclass(frozen=True, eq=False)

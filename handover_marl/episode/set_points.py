@@ -11,49 +11,51 @@ _ARRIVED = 1e-6
 
 
 class SetPoint:
-    """A vector on its way to where it is wanted. Its lists are replaced, never changed, so that copies may be shallow.
+    """A vector of three on its way to where it is wanted; its lists are replaced, never changed: copies may be shallow.
 
     Args:
-        size: Number of components.
         speed: Largest speed (units/s).
         acceleration: Largest acceleration (units/s^2).
 
     Attributes:
-        value: (size,) where it is.
+        value: (3,) where it is.
     """
 
-    def __init__(self, size: int, speed: float, acceleration: float) -> None:
-        self.value = [0.0] * size
-        self._velocity = [0.0] * size
+    def __init__(self, speed: float, acceleration: float) -> None:
+        self.value = [0.0] * 3
+        self._velocity = [0.0] * 3
         self._speed, self._acceleration = speed, acceleration
 
     def approach(self, goal: npt.ArrayLike, steps: int) -> npt.NDArray[np.float64]:
-        """Go towards a goal for some steps and return the (steps, size) way."""
+        """Go towards a goal for some steps and return the (steps, 3) way."""
         wanted = [float(component) for component in np.asarray(goal)]
-        way = np.empty((steps, len(wanted)))
-        for row in range(steps):
+        way = []
+        for _ in range(steps):
             if self.value == wanted and not any(self._velocity):
                 # There, it stays.
-                way[row:] = wanted
                 break
-            self._step(wanted)
-            way[row] = self.value
-        return way
+            self._step(*wanted)
+            way.append(self.value)
+        way += [wanted] * (steps - len(way))
+        return np.array(way).reshape(steps, 3)
 
-    def _step(self, goal: list[float]) -> None:
-        period = TIME_STEP
-        left = [wanted - present for wanted, present in zip(goal, self.value, strict=True)]
-        distance = math.hypot(*left)
-        change = self._acceleration * period
-        if distance < _ARRIVED and math.hypot(*self._velocity) <= change:
-            self.value, self._velocity = list(goal), [0.0] * len(goal)
+    def _step(self, goal_x: float, goal_y: float, goal_z: float) -> None:
+        # Component by component: these are single steps of physics, and there are many of them.
+        x, y, z = self.value
+        u, v, w = self._velocity
+        left_x, left_y, left_z = goal_x - x, goal_y - y, goal_z - z
+        distance = math.hypot(left_x, left_y, left_z)
+        change = self._acceleration * TIME_STEP
+        if distance < _ARRIVED and math.hypot(u, v, w) <= change:
+            self.value, self._velocity = [goal_x, goal_y, goal_z], [0.0] * 3
             return
         # As fast as still allows stopping in time, in steps of finite length.
         braking = math.sqrt(2.0 * self._acceleration * distance + change**2 / 4.0) - change / 2.0
-        speed = min(self._speed, braking, distance / period)
-        wanted = [speed * part / distance if distance > 0.0 else 0.0 for part in left]
-        needed = [new - old for new, old in zip(wanted, self._velocity, strict=True)]
-        size = math.hypot(*needed)
+        speed = min(self._speed, braking, distance / TIME_STEP)
+        if distance > 0.0:
+            left_x, left_y, left_z = speed * left_x / distance, speed * left_y / distance, speed * left_z / distance
+        needed_x, needed_y, needed_z = left_x - u, left_y - v, left_z - w
+        size = math.hypot(needed_x, needed_y, needed_z)
         share = 1.0 if size <= change else change / size
-        self._velocity = [old + share * part for old, part in zip(self._velocity, needed, strict=True)]
-        self.value = [present + velocity * period for present, velocity in zip(self.value, self._velocity, strict=True)]
+        u, v, w = u + share * needed_x, v + share * needed_y, w + share * needed_z
+        self.value, self._velocity = [x + u * TIME_STEP, y + v * TIME_STEP, z + w * TIME_STEP], [u, v, w]

@@ -73,7 +73,26 @@ class Clearance:
         moved = ways[..., None] * (1.0 - (1.0 - self._gain) ** count) + speed[..., None] * TIME_STEP * count
         links = compose_point(link_poses, self._centers)
         base = np.broadcast_to(self._base_centers, (*links.shape[:-2], *self._base_centers.shape))
-        robot = np.concatenate([links, base], axis=-2)[..., None, None, :, :]
-        gaps = np.linalg.norm(centers[..., None, :] - robot, axis=-1) - self._radii
-        near = gaps.min(axis=-1) - radii[..., None, :] - moved[..., None] < MARGIN
+        robot = np.concatenate([links, base], axis=-2)
+        # Mostly everything is so far apart that it need not be looked at step by step.
+        start = centers[..., :1, :, :]
+        with np.errstate(invalid="ignore"):
+            # Things that come or go are at infinity on the way; what is not a number is not far.
+            moves = _lengths(centers - start).max(axis=-2, keepdims=True)
+            far = self._gaps(start, robot) - radii[..., None, :] - moves - moved[..., -1:, None] >= MARGIN
+        if far.all():
+            return np.full(np.broadcast_shapes(moved.shape[:-1], centers.shape[:-3]) + centers.shape[-2:-1], steps)
+        near = self._gaps(centers, robot) - radii[..., None, :] - moved[..., None] < MARGIN
         return np.asarray(np.where(near.any(axis=-2), near.argmax(axis=-2), steps))
+
+    def _gaps(self, centers: Array, robot: Array) -> Array:
+        """(..., n, m) distances (m) of points (..., n, m, 3) to the nearest of the robot's balls (..., L, 3)."""
+        found: Array = (_lengths(centers[..., None, :] - robot[..., None, None, :, :]) - self._radii).min(axis=-1)
+        return found
+
+
+def _lengths(ways: Array) -> Array:
+    """(...) of vectors (..., 3); NumPy reduces short axes slowly."""
+    x, y, z = ways[..., 0], ways[..., 1], ways[..., 2]
+    found: Array = np.sqrt(x * x + y * y + z * z)
+    return found

@@ -47,10 +47,11 @@ def follow_together(followers: Sequence[Follower], targets: Sequence[npt.NDArray
         gains = np.array([follower.gains for follower, _ in group])
         position = np.array([follower.position for follower, _ in group])
         wanted = np.stack([own for _, own in group], axis=1)
-        paths = np.empty(wanted.shape)
+        paths, way = np.empty(wanted.shape), np.empty(position.shape)
         for row in range(steps):
-            position = position + gains * (wanted[row] - position)
-            paths[row] = position
+            np.subtract(wanted[row], position, out=way)
+            np.multiply(gains, way, out=way)
+            position = np.add(position, way, out=paths[row])
         for number, (follower, _) in enumerate(group):
             follower.path = paths[:, number]
             follower.position = follower.path[-1]

@@ -7,7 +7,17 @@ from hypothesis import strategies as st
 
 import handover_marl
 from handover_marl.config import OFFICIAL, PandaConfig, ProtocolConfig, WorldConfig
-from handover_marl.envs.rewards import SHAPED, SPARSE, Rewards, Situation, potentials, reward_config
+from handover_marl.envs.rewards import (
+    SHAPED,
+    SPARSE,
+    GiverWeights,
+    ReceiverWeights,
+    RewardConfig,
+    Rewards,
+    Situation,
+    potentials,
+    reward_config,
+)
 from handover_marl.errors import OptionError, UnknownNameError
 from handover_marl.protocol.status import EpisodeStatus
 
@@ -117,3 +127,13 @@ def test_the_environment_adds_up_the_terms_it_tells() -> None:
         assert {key for key in infos["receiver"] if key.startswith("reward/")} == {f"reward/{name}" for name in names}
     assert total["giver"] < 0
     assert total["receiver"] != 0
+
+
+@given(situations, st.sampled_from(list(EpisodeStatus)))
+def test_outcomes_alone_need_no_situation(now: Situation, status: EpisodeStatus) -> None:
+    outcomes = RewardConfig(ReceiverWeights(task=2.0, drop=-1.0), GiverWeights(contact=-3.0))
+    rewards = Rewards(outcomes, GOAL, situation())
+    assert rewards.only_outcomes
+    assert rewards.outcome(status) == (rewards.receiver(now, status), rewards.giver(now, status))
+    for shaped in (RewardConfig(ReceiverWeights(grasp=0.1)), RewardConfig(giver=GiverWeights(waiting=-0.1))):
+        assert not Rewards(shaped, GOAL, situation()).only_outcomes

@@ -10,7 +10,7 @@ SPEED, ACCELERATION = 0.8, 5.0
 
 
 def new() -> SetPoint:
-    return SetPoint(3, SPEED, ACCELERATION)
+    return SetPoint(SPEED, ACCELERATION)
 
 
 @given(st.lists(st.tuples(st.tuples(components, components, components), st.integers(1, 300)), max_size=4))

@@ -129,7 +129,7 @@ class Lanes:
             self.leave(lane)
             lane.group = self._group(scene)
             lane.row = heapq.heappop(lane.group.free)
-        lane.built = scene
+        lane.built, lane.released = scene, False
         lane.group.batch.reset(ids=np.array([lane.row], dtype=np.int32), stage=int(mujoco.mjtStage.mjSTAGE_NONE))
         lane.group.batch.warning[lane.row] = 0
 
@@ -142,8 +142,7 @@ class Lanes:
     def free_target(self, lane: "Lane") -> None:
         """Let the target object move freely under gravity, and touch table, ground and other objects."""
         group, scene = lane.running, lane.scene
-        if not group.takes(scene.released, lane.row):
-            raise SimulationError("MuJoCo refuses the model in which the object is let go; report this")
+        lane.released = True
         body = scene.objects[0]
         group.forces[lane.row, body, 2] = self._gravity * float(scene.model.body_mass[body])
 
@@ -166,12 +165,14 @@ class Lane:
         group: The worlds of its layout, None while it has no scene.
         row: Its row among them.
         built: Its scene's model.
+        released: Whether the target object moves freely.
     """
 
     def __init__(self) -> None:
         self.group: _Group | None = None
         self.row = 0
         self.built: SceneModel | None = None
+        self.released = False
 
     @property
     def running(self) -> _Group:
@@ -229,6 +230,17 @@ class Lane:
         scratch.qpos[:] = self.qpos
         mujoco.mj_kinematics(self.scene.model, scratch)
         return scratch.xpos, scratch.xquat
+
+
+def feel(lanes: Sequence[Lane], hands: Sequence[bool]) -> None:
+    """Say for worlds of one layout whether their hands are felt from now on, or surely touch nothing."""
+    group, changed = lanes[0].running, False
+    for lane, hand in zip(lanes, hands, strict=True):
+        model = lane.scene.variants.of(lane.released, hand)
+        if group.models[lane.row] is not model:
+            group.models[lane.row], changed = model, True
+    if changed:
+        group.batch.set_models(group.models)
 
 
 @dataclass(frozen=True, eq=False)

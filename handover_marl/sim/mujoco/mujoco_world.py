@@ -16,7 +16,7 @@ from handover_marl.sim.motion import Motion
 from handover_marl.sim.mujoco.chain import bullet_quaternion, chain_joints, quaternions_wxyz
 from handover_marl.sim.mujoco.felt_contacts import contact_arrays, contacts_of
 from handover_marl.sim.mujoco.hand_frames import HandFrames
-from handover_marl.sim.mujoco.lanes import Lane, Lanes, roll
+from handover_marl.sim.mujoco.lanes import Lane, Lanes, feel, roll
 from handover_marl.sim.mujoco.scene_model import scene_model
 from handover_marl.sim.scene_pictures import Pictures
 from handover_marl.sim.world import Postures, Rolled, RollingWorld, Snapshot, WorldState
@@ -47,8 +47,8 @@ class MujocoWorld(RollingWorld):
         self._lane = Lane()
         self._scene: Scene | None = None
         self._release_pending = False
-        # What leads the model from a row of the motion on.
-        self._controls, self._led_from = np.zeros((0, 0)), 0
+        # What leads the model from a row of the motion on, and for how many of these steps no hand is there at first.
+        self._controls, self._led_from, self._clear = np.zeros((0, 0)), 0, 0
         self._pictures = Pictures(config)
 
     def reset(self, scene: Scene, start: Motion) -> None:
@@ -83,6 +83,7 @@ class MujocoWorld(RollingWorld):
         """Simulate one step."""
         parts = self._lane.controls()
         (controls,) = _begin([self], [robot_target])
+        feel([self._lane], [self._hand_within(1)])
         for part, given in zip(parts, self._split(controls[0]), strict=True):
             part[:] = given
         self._lane.step()
@@ -94,7 +95,9 @@ class MujocoWorld(RollingWorld):
     ) -> Rolled:
         """As `RollingWorld.roll`."""
         controls = [coming[:steps] for coming in _begin(worlds, robot_targets)]
-        rolled = roll([world._lane for world in worlds], controls)
+        lanes = [world._lane for world in worlds]
+        feel(lanes, [world._hand_within(steps) for world in worlds])
+        rolled = roll(lanes, controls)
         for world in worlds:
             world._row += steps
 
@@ -131,20 +134,30 @@ class MujocoWorld(RollingWorld):
             controls[..., u + 3 * m :].reshape(*shape, m, 4),
         )
 
-    def _place_hand(self, clear: int, places: Array, turns: Array) -> None:
-        """Put the hand's bodies where they are after each remaining step; nowhere while it is surely out of reach."""
+    def _place_hand(self, clear: int, places: Array, turns: Array) -> int:
+        """Put the hand's bodies where they are after each remaining step; nowhere while it is surely out of reach.
+
+        Returns:
+            For how many of the first steps they are nowhere.
+        """
         places[:clear] = _NOWHERE
         if clear >= len(places):
-            return
+            return len(places)
         hand, first = self._path, self._row + 1
         changes = hand.changes()[first:]
         for number in range(clear, len(places)):
             if not hand.present_after(first + number):
                 places[number] = _NOWHERE
+                clear += clear == number
             elif number > clear and not changes[number]:
                 places[number], turns[number] = places[number - 1], turns[number - 1]
             else:
                 places[number], turns[number] = self._hand_frames.poses(hand.joints(first + number))
+        return clear
+
+    def _hand_within(self, steps: int) -> bool:
+        """Whether the hand is somewhere in some coming steps."""
+        return self._row + 1 - self._led_from + steps > self._clear
 
     def release_target(self) -> None:
         """Let go of the target object; takes effect in the next step."""
@@ -247,7 +260,7 @@ def _lead_models(worlds: Sequence[MujocoWorld], targets: Array) -> None:
     turns[..., scene.guides, :] = quaternions_wxyz(objects[..., OBJECT_DOF // 2 :])
     for number, (world, clear) in enumerate(zip(worlds, _clear_steps(worlds, targets).tolist(), strict=True)):
         world._controls = controls[number]
-        world._place_hand(clear, places[number][:, scene.hand], turns[number][:, scene.hand])
+        world._clear = world._place_hand(clear, places[number][:, scene.hand], turns[number][:, scene.hand])
 
 
 def _clear_steps(worlds: Sequence[MujocoWorld], targets: Array) -> npt.NDArray[np.int_]:

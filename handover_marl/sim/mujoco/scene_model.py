@@ -1,6 +1,5 @@
 """Compiled models of scenes: built once for each set of bodies and kept, whatever plays them."""
 
-import copy
 import functools
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -19,7 +18,8 @@ from handover_marl.models.urdf_shapes import named_meshes
 from handover_marl.sim.clearance import Clearance
 from handover_marl.sim.hand_path import BASE_JOINTS
 from handover_marl.sim.mujoco.hull_parts import link_balls
-from handover_marl.sim.mujoco.scene_spec import RELEASED, SceneSpec, guide_name, hand_name, object_name
+from handover_marl.sim.mujoco.model_variants import ModelVariants
+from handover_marl.sim.mujoco.scene_spec import SceneSpec, guide_name, hand_name, object_name
 from handover_marl.sim.mujoco.touch import TouchSensors
 from handover_marl.sim.mujoco.tuning import TUNING, Tuning
 
@@ -35,7 +35,7 @@ class SceneModel:
 
     Attributes:
         model: The model, everything at the origin.
-        released: The same with a target object that nobody holds: nothing leads it, and it touches what it meets.
+        variants: The same for moments in which the target object is let go, or the hand out of reach.
         touch: Its touch sensors.
         robot_qpos: Places of the robot's nine joints in `qpos`.
         robot_qvel: Likewise in `qvel`.
@@ -54,7 +54,7 @@ class SceneModel:
     """
 
     model: "mujoco.MjModel"
-    released: "mujoco.MjModel"
+    variants: ModelVariants
     touch: TouchSensors
     robot_qpos: slice
     robot_qvel: slice
@@ -110,11 +110,12 @@ def _built(
     if len(joints) != PANDA_DOF:
         raise SimulationError(f"{assets.panda} has {len(joints)} moving joints, expected {PANDA_DOF}; check its URDF")
     objects = [object_name(number) for number in range(len(assets.objects))]
+    hands = [model.body(hand_name(number)).id for number in range(len(built.hand_links))]
     clearance = Clearance(tree, link_balls(assets.panda, tree), config.panda)
     object_ctrl = _run(model.actuator(f"{name}/{axis}").id for name in objects for axis in range(OBJECT_DOF))
     return SceneModel(
         model=model,
-        released=_released(model, model.body(objects[0]).id, object_ctrl.start),
+        variants=ModelVariants(model, model.body(objects[0]).id, object_ctrl.start, hands),
         touch=TouchSensors(model, tuning.margin),
         robot_qpos=_run(model.joint(name).qposadr[0] for name in joints),
         robot_qvel=_run(model.joint(name).dofadr[0] for name in joints),
@@ -125,21 +126,12 @@ def _built(
         object_qpos=_run(model.joint(name).qposadr[0] + place for name in objects for place in range(7)),
         object_ctrl=object_ctrl,
         guides=_run(model.body(guide_name(number)).mocapid[0] for number in range(len(objects))),
-        hand=_run(model.body(hand_name(number)).mocapid[0] for number in range(len(built.hand_links))),
+        hand=_run(model.body(number).mocapid[0] for number in hands),
         hand_links=np.array(built.hand_links, dtype=np.int32),
         robot_clearance=clearance,
         robot_links=np.array([model.body(tree.joints[link].link).id for link in clearance.links], dtype=np.int32),
         hand_reach=hand.reach(BASE_JOINTS - 1, link_balls(assets.hand, hand)),
     )
-
-
-def _released(model: "mujoco.MjModel", body: int, servos: int) -> "mujoco.MjModel":
-    """A copy in which a body is let go whose six servos begin at `servos`."""
-    own = copy.copy(model)
-    geoms = slice(own.body_geomadr[body], own.body_geomadr[body] + own.body_geomnum[body])
-    own.geom_conaffinity[geoms] = own.body_conaffinity[body] = int(RELEASED)
-    own.actuator_forcerange[servos : servos + OBJECT_DOF] = 0.0
-    return own
 
 
 def _run(places: Iterable[int]) -> slice:

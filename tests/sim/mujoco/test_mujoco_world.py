@@ -20,6 +20,7 @@ from handover_marl.protocol.status import EpisodeStatus
 from handover_marl.sim.bullet.fast_world import FastWorld
 from handover_marl.sim.engines import make_world
 from handover_marl.sim.motion import Motion
+from handover_marl.sim.mujoco.model_variants import ModelVariants
 from handover_marl.sim.mujoco.mujoco_world import MujocoWorld
 from handover_marl.sim.world import World
 from tests.playing import play
@@ -29,6 +30,8 @@ WAITING = np.array(WAITING_JOINTS, dtype=np.float32)
 DATA = SyntheticDataset()
 SCENE = DATA.scene(209)
 CONFIG = PhysicsConfig()
+#: Joints with which the robot is in the hand's way in this scene.
+INTO_THE_HAND = np.array([0.285, -0.182, -0.074, -2.037, -0.538, 2.359, 0.688, 0.04, 0.04], dtype=np.float32)
 NOTHING = Contacts(object_height=0.0, gripper_position=(0.0,) * 3)
 
 
@@ -195,3 +198,30 @@ def test_no_window_and_no_world_without_a_scene() -> None:
         make_world("mujoco", CONFIG, window=True)
     with pytest.raises(ResetNeededError):
         MujocoWorld(CONFIG).step(START.tolist())
+
+
+def test_hands_out_of_reach_are_passed_over_and_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is played is the same with every hand felt all the time, contact with the hand included."""
+    felt: set[bool] = set()
+    of = ModelVariants.of
+
+    def noted(self: ModelVariants, released: bool, hand: bool) -> object:
+        felt.add(hand)
+        return of(self, released, hand)
+
+    def played() -> list[npt.NDArray[np.float32]]:
+        episode, states = Episode("mujoco"), []
+        episode.reset(SCENE)
+        while not episode.status and episode.steps < 6000:
+            episode.advance(INTO_THE_HAND, 50)
+            states += [episode.observe()["robot_joint_position"], episode.observe()["object_poses"]]
+        states.append(np.array([episode.status, episode.steps], dtype=np.float32))
+        return states
+
+    monkeypatch.setattr(ModelVariants, "of", noted)
+    first = played()
+    assert felt == {True, False}
+    monkeypatch.setattr(ModelVariants, "of", lambda self, released, hand: of(self, released, True))
+    for one, other in zip(first, played(), strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert first[-1][0] == EpisodeStatus.HUMAN_CONTACT
