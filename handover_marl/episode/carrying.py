@@ -1,6 +1,7 @@
 """Moving a recorded hand, and what it holds, rigidly about its wrist."""
 
 import warnings
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -11,27 +12,39 @@ from handover_marl.models.chain_angles import continued
 Array = npt.NDArray[np.float64]
 
 
-def turn_about(
-    dof: npt.NDArray[np.float32], pivot: Array, shift: Array, turn: Rotation, previous: npt.NDArray[np.float32]
-) -> npt.NDArray[np.float32]:
-    """The chain positions of a body that is turned about a point and shifted with it.
+def carried(
+    bodies: Sequence[npt.NDArray[np.float32]],
+    base_from_wrist: Array,
+    shifts: Array,
+    turns: Array,
+    previous: Sequence[npt.NDArray[np.float32]],
+) -> list[npt.NDArray[np.float32]]:
+    """The chain positions of bodies that are moved rigidly about a hand's wrist.
 
     Args:
-        dof: (n, 6) xyz (m) and intrinsic XYZ Euler angles (rad) as recorded.
-        pivot: (n, 3) world points that the body turns about (m).
-        shift: (n, 3) how the points move (m).
-        turn: n rotations in the world frame.
-        previous: (6,) the row before the first; Euler angles go on from there without a jump.
+        bodies: The hand's base and what moves with it, (n, 6) each: xyz (m) and intrinsic XYZ Euler angles (rad) as
+            recorded.
+        base_from_wrist: (3,) fixed place of the wrist on the hand's base (m).
+        shifts: (n, 3) how the wrist moves (m).
+        turns: (n, 3) rotation vectors in the world frame (rad).
+        previous: (6,) each body's row before the first; Euler angles go on from there without a jump.
     """
+    count = len(bodies)
+    dof = np.concatenate(bodies).astype(np.float64)
+    turned = Rotation.from_euler("XYZ", dof[:, 3:])
+    wrist = dof[: len(shifts), :3] + turned[: len(shifts)].apply(base_from_wrist)
+    pivots, ways = np.tile(wrist, (count, 1)), np.tile(shifts, (count, 1))
+    turn = Rotation.from_rotvec(np.tile(turns, (count, 1)))
     moved = np.empty(dof.shape)
-    moved[:, :3] = pivot + shift + turn.apply(dof[:, :3] - pivot)
-    orientation = turn * Rotation.from_euler("XYZ", dof[:, 3:].astype(np.float64))
+    moved[:, :3] = pivots + ways + turn.apply(dof[:, :3] - pivots)
     with warnings.catch_warnings():
         # At gimbal lock any split of the angles will do.
         warnings.simplefilter("ignore", UserWarning)
-        angles = orientation.as_euler("XYZ")
-    moved[:, 3:] = continued(angles, previous[3:].astype(np.float64))
-    return moved.astype(np.float32)
+        angles = (turn * turned).as_euler("XYZ")
+    for number, before in enumerate(previous):
+        rows = slice(number * len(shifts), (number + 1) * len(shifts))
+        moved[rows, 3:] = continued(angles[rows], before[3:].astype(np.float64))
+    return np.split(moved.astype(np.float32), count)
 
 
 def wrist_points(hand_dof: npt.NDArray[np.float32], base_from_wrist: Array) -> Array:

@@ -50,6 +50,10 @@ def play_together(stretches: Iterable[Stretch], rules: ProtocolConfig) -> None:
         for stretch in running:
             kind, place = stretch.world.companion
             groups.setdefault(kind, []).append((place, stretch))
+        few = [stretch for group in groups.values() if len(group) < _ABREAST for _, stretch in group]
+        for first in range(0, len(few), _ABREAST):
+            part = few[first : first + _ABREAST]
+            part[0].world.prepare([stretch.world for stretch in part], [stretch.robot_target for stretch in part])
         for group in groups.values():
             ordered = [stretch for _, stretch in sorted(group, key=lambda entry: entry[0])]
             for first in range(0, len(ordered), _ABREAST):

@@ -8,11 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
 
 from handover_marl.config import TIME_STEP, GiverConfig
 from handover_marl.datasets.scene import Scene
-from handover_marl.episode.carrying import turn_about, wrist_points
+from handover_marl.episode.carrying import carried
 from handover_marl.episode.set_points import SetPoint
 from handover_marl.episode.spaces import GIVER_ACTION_SIZE, GiverAction
 from handover_marl.models.kinematic_tree import read_tree
@@ -171,12 +170,14 @@ class Playback:
         # What stands still, as after the recording's end, is worked out once for all steps.
         if all((rows == rows[0]).all() for rows in (shifts, turns, bases, objects)):
             shifts, turns, bases, objects = shifts[:1], turns[:1], bases[:1], objects[:1]
-        rotations = Rotation.from_rotvec(turns)
-        wrist = wrist_points(bases, self._wrist_place)
+        with_hand = not plan.released
+        bodies = [bases, objects] if with_hand else [bases]
+        before = [last.hand[-1, :_BASE_DOF], last.objects[-1, 0]][: len(bodies)]
+        moved = carried(bodies, self._wrist_place, shifts, turns, before)
         hand, led = motion.hand.copy(), motion.objects.copy()
-        hand[:, :_BASE_DOF] = turn_about(bases, wrist, shifts, rotations, last.hand[-1, :_BASE_DOF])
-        if not plan.released:
-            led[:, 0] = turn_about(objects, wrist, shifts, rotations, last.objects[-1, 0])
+        hand[:, :_BASE_DOF] = moved[0]
+        if with_hand:
+            led[:, 0] = moved[1]
         return Motion(led, hand, motion.hand_present)
 
     def _open(self, motion: Motion) -> tuple[Motion, float]:

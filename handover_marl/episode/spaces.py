@@ -109,5 +109,7 @@ def _real_numbers(action: object) -> npt.NDArray[np.float32] | None:
         return None
     if values.dtype.kind not in "biuf":
         return None
+    if values.dtype == np.float32:
+        return values.copy()
     with np.errstate(over="ignore"):
         return values.astype(np.float32)

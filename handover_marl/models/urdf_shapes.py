@@ -1,5 +1,6 @@
 """The shapes that a URDF gives its links, as the file says it."""
 
+import functools
 import math
 import re
 import xml.etree.ElementTree as ET
@@ -62,6 +63,12 @@ def read_urdf_shapes(urdf: Path, tree: KinematicTree, purpose: str) -> list[Urdf
     Raises:
         SimulationError: A shape is none of the kinds above, or lacks something.
     """
+    # A scene's models are wanted again and again.
+    return list(_read(urdf, urdf.stat().st_mtime_ns if urdf.exists() else 0, tree, purpose))
+
+
+@functools.lru_cache(maxsize=256)
+def _read(urdf: Path, changed: int, tree: KinematicTree, purpose: str) -> tuple[UrdfShape, ...]:
     robot = ET.parse(urdf).getroot()
     numbers = {joint.link: number for number, joint in enumerate(tree.joints)}
     colors = _named_colors(urdf, robot)
@@ -75,7 +82,7 @@ def read_urdf_shapes(urdf: Path, tree: KinematicTree, purpose: str) -> list[Urdf
                 raise SimulationError(
                     f"{urdf}: cannot read a {purpose} shape of link {link.get('name')!r} ({error!r}); check the file"
                 ) from error
-    return shapes
+    return tuple(shapes)
 
 
 def _named_colors(urdf: Path, robot: ET.Element) -> dict[str | None, Color | None]:

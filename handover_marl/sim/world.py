@@ -145,6 +145,15 @@ class RollingWorld(World):
         """What those worlds have in common that can be rolled at once, and this one's place among them."""
 
     @classmethod
+    def prepare(cls, worlds: Sequence[Self], robot_targets: Sequence[list[float]]) -> None:
+        """Work out what `roll` needs for worlds that need not have the same companion: many at once take less time.
+
+        Args:
+            worlds: Some.
+            robot_targets: As for `roll`.
+        """
+
+    @classmethod
     @abstractmethod
     def roll(
         cls, worlds: Sequence[Self], robot_targets: Sequence[list[float]], steps: int, rules: ProtocolConfig

@@ -1,6 +1,7 @@
 """The giver's action: what it does to the recording."""
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -9,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from handover_marl.config import GiverConfig
 from handover_marl.datasets.scene import Scene
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.episode.carrying import turn_about, wrist_points
+from handover_marl.episode.carrying import carried, wrist_points
 from handover_marl.episode.playback import NO_DEVIATION, Playback, pick_up_frame, wrist_place
 from handover_marl.episode.preview import Preview
 from handover_marl.sim.motion import Motion
@@ -138,11 +139,25 @@ def test_after_letting_go_the_hand_opens_and_leaves_the_object() -> None:
     assert played.opened == 1.0
 
 
-def test_turning_about_a_point_by_nothing_is_nothing() -> None:
-    rows = SCENE.object_dof[::100, 0]
-    nothing = Rotation.from_rotvec(np.zeros((len(rows), 3)))
-    moved = turn_about(rows, np.ones((len(rows), 3)), np.zeros((len(rows), 3)), nothing, rows[0])
-    np.testing.assert_allclose(moved, rows, atol=1e-6)
+def test_moving_by_nothing_is_nothing() -> None:
+    rows, still = SCENE.object_dof[::100, 0], np.zeros((len(SCENE.object_dof[::100]), 3))
+    for moved in carried([rows, rows], np.ones(3), still, still, [rows[0], rows[0]]):
+        np.testing.assert_allclose(moved, rows, atol=1e-6)
+
+
+def test_what_is_carried_keeps_its_place_beside_the_hand() -> None:
+    rng = np.random.default_rng(0)
+    hand, item = (rng.uniform(-1.0, 1.0, (5, 6)).astype(np.float32) for _ in range(2))
+    shifts, turns = rng.uniform(-0.3, 0.3, (2, 5, 3))
+    place = np.array([0.05, 0.0, 0.1])
+    moved = carried([hand, item], place, shifts, turns, [hand[0], item[0]])
+
+    def beside(first: npt.NDArray[np.float32], second: npt.NDArray[np.float32]) -> npt.NDArray[np.float64]:
+        return Rotation.from_euler("XYZ", first[:, 3:]).inv().apply(second[:, :3] - first[:, :3])
+
+    np.testing.assert_allclose(beside(*moved), beside(hand, item), atol=1e-5)
+    wrists = [wrist_points(one, place) for one in (hand, moved[0])]
+    np.testing.assert_allclose(wrists[1] - wrists[0], shifts, atol=1e-5)
 
 
 def test_the_preview_shows_what_comes() -> None:

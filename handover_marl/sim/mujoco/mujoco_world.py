@@ -82,7 +82,8 @@ class MujocoWorld(RollingWorld):
     def step(self, robot_target: list[float]) -> None:
         """Simulate one step."""
         parts = self._lane.controls()
-        (controls,) = _begin([self], [robot_target])
+        self.prepare([self], [robot_target])
+        controls = self._coming_controls
         feel([self._lane], [self._hand_within(1)])
         for part, given in zip(parts, self._split(controls[0]), strict=True):
             part[:] = given
@@ -90,11 +91,17 @@ class MujocoWorld(RollingWorld):
         self._row += 1
 
     @classmethod
+    def prepare(cls, worlds: Sequence["MujocoWorld"], robot_targets: Sequence[list[float]]) -> None:
+        """As `RollingWorld.prepare`."""
+        _begin(worlds, robot_targets)
+
+    @classmethod
     def roll(
         cls, worlds: Sequence["MujocoWorld"], robot_targets: Sequence[list[float]], steps: int, rules: ProtocolConfig
     ) -> Rolled:
         """As `RollingWorld.roll`."""
-        controls = [coming[:steps] for coming in _begin(worlds, robot_targets)]
+        cls.prepare(worlds, robot_targets)
+        controls = [world._coming_controls[:steps] for world in worlds]
         lanes = [world._lane for world in worlds]
         feel(lanes, [world._hand_within(steps) for world in worlds])
         rolled = roll(lanes, controls)
@@ -154,6 +161,11 @@ class MujocoWorld(RollingWorld):
             else:
                 places[number], turns[number] = self._hand_frames.poses(hand.joints(first + number))
         return clear
+
+    @property
+    def _coming_controls(self) -> Array:
+        """(n, c) what leads the model in the remaining steps of the motion."""
+        return self._controls[self._row + 1 - self._led_from :]
 
     def _hand_within(self, steps: int) -> bool:
         """Whether the hand is somewhere in some coming steps."""
@@ -219,8 +231,8 @@ class MujocoWorld(RollingWorld):
         self._scene = None
 
 
-def _begin(worlds: Sequence[MujocoWorld], robot_targets: Sequence[list[float]]) -> list[Array]:
-    """(n, c) what leads the model in the remaining steps of each world's motion."""
+def _begin(worlds: Sequence[MujocoWorld], robot_targets: Sequence[list[float]]) -> None:
+    """Work out what leads the models in the remaining steps of each world's motion, as far as it was not."""
     for world in worlds:
         if world._release_pending:
             world._lanes.free_target(world._lane)
@@ -229,18 +241,20 @@ def _begin(worlds: Sequence[MujocoWorld], robot_targets: Sequence[list[float]]) 
     lead_together([world._path for world in unled], [world._motion for world in unled])
     for world in unled:
         world._hand_is_led = True
-    fresh: dict[int, list[tuple[MujocoWorld, list[float]]]] = {}
+    fresh: dict[tuple[int, ...], list[tuple[MujocoWorld, list[float]]]] = {}
     for world, target in zip(worlds, robot_targets, strict=True):
         if world._robot_target != target:
             world._robot_target, world._led_from = target, world._row + 1
-            fresh.setdefault(len(world._motion) - world._led_from, []).append((world, target))
+            model = world._lane.scene.model
+            # Models with as many servos and led bodies have these in the same places.
+            kind = (len(world._motion) - world._led_from, model.nu, model.nmocap)
+            fresh.setdefault(kind, []).append((world, target))
     for group in fresh.values():
         _lead_models([world for world, _ in group], np.array([target for _, target in group]))
-    return [world._controls[world._row + 1 - world._led_from :] for world in worlds]
 
 
 def _lead_models(worlds: Sequence[MujocoWorld], targets: Array) -> None:
-    """Work out what leads models of one layout in as many remaining steps of each world's motion.
+    """Work out what leads models with the same servos and led bodies in as many remaining steps of each motion.
 
     Args:
         worlds: The worlds (w).

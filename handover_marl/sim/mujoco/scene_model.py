@@ -12,7 +12,7 @@ import numpy.typing as npt
 from handover_marl.config import OBJECT_DOF, PANDA_DOF, PhysicsConfig
 from handover_marl.datasets.scene import SceneAssets
 from handover_marl.errors import SimulationError
-from handover_marl.models.kinematic_tree import read_tree
+from handover_marl.models.kinematic_tree import Sphere, read_tree
 from handover_marl.models.panda import FINGER_LINKS, HAND_LINK
 from handover_marl.models.urdf_shapes import named_meshes
 from handover_marl.sim.clearance import Clearance
@@ -111,7 +111,7 @@ def _built(
         raise SimulationError(f"{assets.panda} has {len(joints)} moving joints, expected {PANDA_DOF}; check its URDF")
     objects = [object_name(number) for number in range(len(assets.objects))]
     hands = [model.body(hand_name(number)).id for number in range(len(built.hand_links))]
-    clearance = Clearance(tree, link_balls(assets.panda, tree), config.panda)
+    clearance = Clearance(tree, _balls(assets.panda, changed[1]), config.panda)
     object_ctrl = _run(model.actuator(f"{name}/{axis}").id for name in objects for axis in range(OBJECT_DOF))
     return SceneModel(
         model=model,
@@ -130,8 +130,13 @@ def _built(
         hand_links=np.array(built.hand_links, dtype=np.int32),
         robot_clearance=clearance,
         robot_links=np.array([model.body(tree.joints[link].link).id for link in clearance.links], dtype=np.int32),
-        hand_reach=hand.reach(BASE_JOINTS - 1, link_balls(assets.hand, hand)),
+        hand_reach=hand.reach(BASE_JOINTS - 1, _balls(assets.hand, changed[-1])),
     )
+
+
+@functools.lru_cache(maxsize=256)
+def _balls(urdf: Path, changed: tuple[int, ...]) -> dict[int, Sphere]:
+    return link_balls(urdf, read_tree(urdf))
 
 
 def _run(places: Iterable[int]) -> slice:
