@@ -3,12 +3,14 @@
 What counts steps in a row is worked out from where rows begin, so that no loop goes over the steps.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from handover_marl.config import ProtocolConfig
+from handover_marl.protocol.contacts import Contacts
 from handover_marl.protocol.referee import Standing
 from handover_marl.protocol.release import Release
 from handover_marl.protocol.status import EpisodeStatus
@@ -39,6 +41,28 @@ class ContactArrays(NamedTuple):
     object_supported: Flags
     object_height: npt.NDArray[np.floating]
     gripper_position: npt.NDArray[np.floating]
+
+    @classmethod
+    def of(cls, steps: Sequence[Contacts], config: ProtocolConfig) -> "ContactArrays":
+        """Contacts of k steps of one episode, n = 1.
+
+        Args:
+            steps: The contacts.
+            config: Where fingers grasp.
+        """
+        rows = [
+            (
+                step.robot_hand,
+                step.robot_object,
+                [len(points) > 0 for points in step.finger_points],
+                [bool(in_region(points, config).any()) for points in step.finger_points],
+                step.object_supported,
+                step.object_height,
+                step.gripper_position,
+            )
+            for step in steps
+        ]
+        return cls(*(np.array(column)[:, None] for column in zip(*rows, strict=True)))
 
 
 class Verdicts(NamedTuple):

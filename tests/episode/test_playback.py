@@ -10,7 +10,8 @@ from scipy.spatial.transform import Rotation
 from handover_marl.config import GiverConfig
 from handover_marl.datasets.scene import Scene
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.episode.carrying import carried, wrist_points
+from handover_marl.episode import carrying
+from handover_marl.episode.carrying import wrist_points
 from handover_marl.episode.playback import NO_DEVIATION, Playback, pick_up_frame, wrist_place
 from handover_marl.episode.preview import Preview
 from handover_marl.sim.motion import Motion
@@ -141,7 +142,7 @@ def test_after_letting_go_the_hand_opens_and_leaves_the_object() -> None:
 
 def test_moving_by_nothing_is_nothing() -> None:
     rows, still = SCENE.object_dof[::100, 0], np.zeros((len(SCENE.object_dof[::100]), 3))
-    for moved in carried([rows, rows], np.ones(3), still, still, [rows[0], rows[0]]):
+    for moved in carrying.carried([rows, rows], np.ones(3), still, still, [rows[0], rows[0]]):
         np.testing.assert_allclose(moved, rows, atol=1e-6)
 
 
@@ -150,7 +151,7 @@ def test_what_is_carried_keeps_its_place_beside_the_hand() -> None:
     hand, item = (rng.uniform(-1.0, 1.0, (5, 6)).astype(np.float32) for _ in range(2))
     shifts, turns = rng.uniform(-0.3, 0.3, (2, 5, 3))
     place = np.array([0.05, 0.0, 0.1])
-    moved = carried([hand, item], place, shifts, turns, [hand[0], item[0]])
+    moved = carrying.carried([hand, item], place, shifts, turns, [hand[0], item[0]])
 
     def beside(first: npt.NDArray[np.float32], second: npt.NDArray[np.float32]) -> npt.NDArray[np.float64]:
         return Rotation.from_euler("XYZ", first[:, 3:]).inv().apply(second[:, :3] - first[:, :3])

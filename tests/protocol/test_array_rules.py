@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from handover_marl.config import ProtocolConfig
-from handover_marl.protocol.array_rules import ContactArrays, Verdicts, in_region, judge
+from handover_marl.protocol.array_rules import ContactArrays, Verdicts, judge
 from handover_marl.protocol.contacts import NO_POINTS, Contacts
 from handover_marl.protocol.referee import Referee, Standing
 from handover_marl.protocol.release import Release
@@ -49,19 +49,8 @@ def consistent(step: Contacts) -> Contacts:
 
 def arrays(episodes: list[list[Contacts]]) -> ContactArrays:
     """The same contacts, (k, n)."""
-
-    def each(value: object) -> np.ndarray:
-        return np.array([[value(step) for step in steps] for steps in zip(*episodes, strict=True)])  # type: ignore[operator]
-
-    return ContactArrays(
-        robot_hand=each(lambda step: step.robot_hand),
-        robot_object=each(lambda step: step.robot_object),
-        fingers=each(lambda step: [len(points) > 0 for points in step.finger_points]),
-        in_region=each(lambda step: [bool(in_region(points, RULES).any()) for points in step.finger_points]),
-        object_supported=each(lambda step: step.object_supported),
-        object_height=each(lambda step: step.object_height),
-        gripper_position=each(lambda step: step.gripper_position),
-    )
+    columns = zip(*(ContactArrays.of(steps, RULES) for steps in episodes), strict=True)
+    return ContactArrays(*(np.concatenate(column, axis=1) for column in columns))
 
 
 def step_by_step(referee: Referee, steps: list[Contacts]) -> tuple[int, Standing]:
