@@ -137,7 +137,7 @@ def picture(args: Args, rows: dict[str, dict[str, Report]]) -> bytes:
     axes.set_xlim(0.0, 100.0)
     count = len(next(iter(next(iter(rows.values())).values())).episodes)
     axes.set_xlabel(f"success %, {args.setup} {args.split}, {count} episodes each, giver {args.giver}, 95 % intervals")
-    axes.legend(loc="lower left", fontsize=8)
+    figure.legend(loc="outside upper right", ncols=len(args.physics), fontsize=8)
     drawn = io.BytesIO()
     figure.savefig(drawn, format="png", dpi=150)
     return drawn.getvalue()

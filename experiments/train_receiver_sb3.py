@@ -1,9 +1,11 @@
-"""Train a receiver from scratch with Stable-Baselines3's PPO, the giver frozen. Needs extras `train` and `plot`.
+"""Train a receiver from scratch with Stable-Baselines3's PPO, the giver frozen.
+
+Needs the extras `train`, `plot` and, for its default, `mujoco`; `--physics fast` is there for who has none, and slower.
 
     python experiments/train_receiver_sb3.py --data-dir DIR --out runs/receiver
 
 Learns when to close the gripper, and how to come to a grasp better than straight along its axis
-(`handover_marl.learning.receiver_schemes.GraspServo`), from the task's sparse reward in fast physics, on nine
+(`handover_marl.learning.receiver_schemes.GraspServo`), from the task's sparse reward, on nine
 tenths of a training split, and looks at the validation split now and then, where it acts without noise. The folder
 gets `policy.npz` (`--receivers learned:runs/receiver/policy.npz`), `learning_curve.csv` and `.png`, TensorBoard
 logs, and a checkpoint: `--resume` goes on where a run was stopped.
@@ -32,7 +34,8 @@ class Args(PpoArgs):
     """
 
     out: str = "runs/receiver"
-    observe: str = "grasp"
+    physics: str = "mujoco"
+    observe: str = "close"
     actions: str = "grasp_servo"
     rewards: str = "sparse"
     control_period: float = 0.2
@@ -41,6 +44,7 @@ class Args(PpoArgs):
     spread: float = 0.15
     learning_rate: float = 7e-4
     discount: float = 0.97
+    every: int = 24_576
     width: int = 128
     giver: str = "cooperative"
     gripper_spread: float = 0.45

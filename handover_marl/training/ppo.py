@@ -44,6 +44,7 @@ class PpoArgs(TrainingArgs):
         batch: Decisions between updates.
         width: Units in each of two hidden layers.
         every: Decisions between evaluations.
+        envs: Environments; 0 is 64 where they are simulated in batches, else 8.
     """
 
     observe: str = "receiver"
@@ -52,6 +53,12 @@ class PpoArgs(TrainingArgs):
     batch: int = 2048
     width: int = 64
     every: int = 8_192
+    envs: int = 0
+
+    @property
+    def n_envs(self) -> int:
+        """Environments."""
+        return self.envs or (64 if self.physics == MUJOCO else 8)
 
 
 def encoded_env(args: PpoArgs, agent: str, partner: str, options: EnvOptions) -> EncodedEnv:
@@ -83,9 +90,9 @@ def train_ppo(
     options = env_options(args, training_scenes(data.split(args.setup, "train")))
     make = functools.partial(encoded_env, args, agent, partner, options)
     if args.physics == MUJOCO:
-        envs = batched_env(args.envs, args.seed, functools.partial(_batch, args, agent, partner, options))
+        envs = batched_env(args.n_envs, args.seed, functools.partial(_batch, args, agent, partner, options))
     else:
-        envs = vector_env(args.envs, args.seed, functools.partial(_gymnasium, make))
+        envs = vector_env(args.n_envs, args.seed, functools.partial(_gymnasium, make))
     model = make_model(args, envs)
     if args.resume and folder.checkpoint.exists():
         load_checkpoint(model, folder.checkpoint)
@@ -128,7 +135,7 @@ def make_model(args: PpoArgs, envs: VecEnv) -> PPO:
         "MlpPolicy",
         envs,
         learning_rate=args.learning_rate,
-        n_steps=args.batch // args.envs,
+        n_steps=args.batch // args.n_envs,
         batch_size=128,
         n_epochs=args.epochs,
         gamma=args.discount,

@@ -36,6 +36,7 @@ GIVER: dict[str, Any] = {
 }
 RECEIVER: dict[str, Any] = {
     "dataset": "synthetic",
+    "physics": "fast",
     "envs": 1,
     "every": 16,
     "val_scenes": 2,
