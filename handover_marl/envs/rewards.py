@@ -138,7 +138,7 @@ class Rewards:
         self._last = start
         own = (config.receiver, config.giver)
         self._only_outcomes = not any(
-            getattr(weights, name) for weights in own for name in _names(type(weights)) if name not in _OUTCOMES
+            getattr(weights, name) for weights in own for name in weights.__dataclass_fields__ if name not in _OUTCOMES
         )
 
     def outcome(self, status: EpisodeStatus) -> tuple[dict[str, float], dict[str, float]]:
@@ -197,9 +197,4 @@ def _outcome(status: EpisodeStatus) -> Mapping[str, float]:
 
 def _weighted(weights: ReceiverWeights | GiverWeights, values: Mapping[str, float]) -> dict[str, float]:
     """All terms; those that are not told are 0."""
-    return {name: getattr(weights, name) * values.get(name, 0.0) for name in _names(type(weights))}
-
-
-@functools.cache
-def _names(weights: type[ReceiverWeights] | type[GiverWeights]) -> tuple[str, ...]:
-    return tuple(part.name for part in fields(weights))
+    return {name: getattr(weights, name) * values.get(name, 0.0) for name in weights.__dataclass_fields__}

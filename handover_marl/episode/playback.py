@@ -143,9 +143,10 @@ class Playback:
         frames = np.minimum(_frames(clock), self.scene.n_frames - 1).astype(int)
         motion = self._read(frames, in_turn=not rates.any())
         deviated = now.deviated or plan.deviates
-        shift, turn = copy.copy(now.shift), copy.copy(now.turn)
+        shift, turn = now.shift, now.turn
         # Once there has been a deviation the angles may have gone round another way than the recorded ones.
         if deviated:
+            shift, turn = copy.copy(shift), copy.copy(turn)
             motion = self._deviate(motion, plan, shift, turn)
         opened = now.opened
         if plan.opening:

@@ -110,6 +110,8 @@ def _real_numbers(action: object) -> npt.NDArray[np.float32] | None:
     if values.dtype.kind not in "biuf":
         return None
     if values.dtype == np.float32:
-        return values.copy()
+        # Nothing overflows, and to say that it may takes its time.
+        rounded: npt.NDArray[np.float32] = values.copy()
+        return rounded
     with np.errstate(over="ignore"):
         return values.astype(np.float32)

@@ -23,7 +23,7 @@ def contacts_of(felt: Felt, released: bool) -> Contacts:
     if force > 0.0:
         points = _finger_points(felt)
         left, right = (own[there > 0.0] for own, there in zip(points, touches.finger_forces, strict=True))
-    x, y, z = felt.places[scene.gripper].tolist()
+    x, y, z = scene.touch.gripper_place(felt.sensors).tolist()
     return Contacts(
         robot_hand=bool(touches.robot_hand),
         robot_object=force > 0.0,
@@ -48,7 +48,7 @@ def contact_arrays(felt: Felt, config: ProtocolConfig) -> ContactArrays:
     fingers, inside = (np.zeros((*touching.shape, 2), dtype=bool) for _ in range(2))
     if touching.any():
         # Few steps have contacts; only there are places worked out.
-        near = Felt(scene, felt.sensors[touching], felt.places[touching], felt.turns[touching], felt.joints[touching])
+        near = Felt(scene, felt.sensors[touching], felt.joints[touching])
         there = touches.finger_forces[touching] > 0.0
         fingers[touching] = there.any(axis=-1)
         inside[touching] = (there & in_region(_finger_points(near), config)).any(axis=-1)
@@ -59,13 +59,11 @@ def contact_arrays(felt: Felt, config: ProtocolConfig) -> ContactArrays:
         in_region=inside,
         object_supported=touches.supported,
         object_height=felt.joints[..., scene.object_qpos.start + 2],
-        gripper_position=felt.places[..., scene.gripper, :],
+        gripper_position=scene.touch.gripper_place(felt.sensors),
     )
 
 
 def _finger_points(felt: Felt) -> npt.NDArray[np.float32]:
     """(..., 2, 8, 3) where the left and the right finger are touched, in their frames (m)."""
-    fingers = felt.scene.fingers
-    turns = felt.turns[..., fingers, :]
-    axes = turns.reshape(*turns.shape[:-1], 3, 3)
-    return felt.scene.touch.finger_points(felt.sensors, felt.places[..., fingers, :], axes).astype(np.float32)
+    touch = felt.scene.touch
+    return touch.finger_points(felt.sensors, *touch.finger_frames(felt.sensors)).astype(np.float32)

@@ -26,7 +26,7 @@ _WARNINGS = {
 # What worlds are led by, in the order in which MuJoCo has it: servos' targets, then where bodies are put.
 _CONTROLS = (mujoco.mjtState.mjSTATE_CTRL, mujoco.mjtState.mjSTATE_MOCAP_POS, mujoco.mjtState.mjSTATE_MOCAP_QUAT)
 _CONTROL_SPEC = sum(int(part) for part in _CONTROLS)
-_RECORDED = ("sensordata", "xpos", "xmat", "qpos")
+_RECORDED = ("sensordata", "qpos")
 
 # Else warnings go to the console and into a file in the working folder; here they become errors.
 if mujoco.get_mju_user_warning() is None:
@@ -40,15 +40,11 @@ class Felt:
     Attributes:
         scene: A model with the worlds' layout.
         sensors: (..., s) sensor data.
-        places: (..., b, 3) of all bodies as the contacts were found (m).
-        turns: (..., b, 9) their axes, row by row.
         joints: (..., q) positions after the step.
     """
 
     scene: SceneModel
     sensors: Array
-    places: Array
-    turns: Array
     joints: Array
 
 

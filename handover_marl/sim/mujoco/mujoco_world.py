@@ -265,7 +265,8 @@ def _lead_models(worlds: Sequence[MujocoWorld], targets: Array) -> None:
     parts = [np.stack(part) for part in zip(*(world._lane.controls() for world in worlds), strict=True)]
     controls = np.empty((*objects.shape[:2], sum(part[0].size for part in parts)))
     servos, places, turns = worlds[0]._split(controls)
-    places[:], turns[:] = parts[1][:, None], parts[2][:, None]
+    # Where the hand is follows for each world.
+    places[..., scene.guides, :], turns[:] = parts[1][:, None, scene.guides], parts[2][:, None]
     servos[..., scene.robot_ctrl] = targets[:, None]
     # A servo's target for each step: places in the world; how objects are turned is the guides' to say.
     led = np.zeros(objects.shape)

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from handover_marl.config import OBJECT_DOF, TIME_STEP, MotorConfig, PhysicsConfig
 from handover_marl.datasets.scene import SceneAssets
 from handover_marl.models.kinematic_tree import KinematicTree, read_tree
-from handover_marl.models.panda import FINGER_LINKS
+from handover_marl.models.panda import FINGER_LINKS, HAND_LINK
 from handover_marl.models.poses import quaternion_from_matrix
 from handover_marl.models.urdf_links import UrdfLink, read_urdf_links
 from handover_marl.models.urdf_shapes import read_urdf_shapes
@@ -97,7 +97,7 @@ class SceneSpec:
         self.hand_links = self._add_hand(assets.hand)
         hands = [hand_name(number) for number in range(len(self.hand_links))]
         supports = [TABLE, *(object_name(number) for number in range(1, len(assets.objects)))]
-        add_touch_sensors(self.spec, ROBOT_BASE, FINGER_LINKS, object_name(0), hands, supports)
+        add_touch_sensors(self.spec, ROBOT_BASE, HAND_LINK, FINGER_LINKS, object_name(0), hands, supports)
 
     def _begin(self, target: Path, config: PhysicsConfig, tuning: Tuning) -> None:
         """An empty model for the object that is handed over."""

@@ -1,4 +1,4 @@
-"""What touches what, as arrays over any number of worlds: touch sensors in the model, and reading them.
+"""What touches what, and where the gripper is then, as arrays over any number of worlds: sensors, and reading them.
 
 The engine's list of contacts has another length in every step and world. Sensors bring what the rules ask about into
 a fixed shape inside the engine, so that one world and a thousand are read alike.
@@ -25,16 +25,24 @@ _POINT = _FORCE | sum(
     )
 )
 _STRONGEST = 2
+_AXES = (mujoco.mjtSensor.mjSENS_FRAMEXAXIS, mujoco.mjtSensor.mjSENS_FRAMEYAXIS, mujoco.mjtSensor.mjSENS_FRAMEZAXIS)
 
 
 def add_touch_sensors(
-    spec: "mujoco.MjSpec", robot: str, fingers: Sequence[str], target: str, hand: Sequence[str], supports: Sequence[str]
+    spec: "mujoco.MjSpec",
+    robot: str,
+    gripper: str,
+    fingers: Sequence[str],
+    target: str,
+    hand: Sequence[str],
+    supports: Sequence[str],
 ) -> None:
     """Let a model feel what the rules ask about.
 
     Args:
         spec: The model.
         robot: Body that carries the whole robot.
+        gripper: Body of the robot's hand link.
         fingers: Bodies of the left and the right finger.
         target: Body of the object that is handed over.
         hand: Bodies of the hand, which touch the robot only.
@@ -56,6 +64,15 @@ def add_touch_sensors(
         add(f"touch/hand{number}", (body, name), None, _FORCE, 1)
     for number, name in enumerate(supports):
         add(f"touch/support{number}", (body, name), target, _FORCE, 1)
+
+    def add_frame(name: str, of: str, axes: Sequence["mujoco.mjtSensor"]) -> None:
+        for kind in (mujoco.mjtSensor.mjSENS_FRAMEPOS, *axes):
+            sensor = spec.add_sensor(name=f"frame/{name}/{int(kind)}", type=kind)
+            sensor.objtype, sensor.objname = subtree, of
+
+    add_frame("gripper", gripper, ())
+    for side, finger in zip(("left", "right"), fingers, strict=True):
+        add_frame(side, finger, _AXES)
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,17 +105,21 @@ class TouchSensors:
         names = [model.sensor(number).name for number in range(model.nsensor)]
 
         def columns(start: str) -> npt.NDArray[np.int_]:
-            found = [number for number, name in enumerate(names) if name.startswith(f"touch/{start}")]
+            found = [number for number, name in enumerate(names) if name.startswith(start)]
             return np.concatenate(
                 [model.sensor_adr[number] + np.arange(model.sensor_dim[number]) for number in found]
             ).astype(np.int_)
 
         # A point is force (3, the normal first), distance, position (3) and normal (3) from finger to object.
-        points = np.stack([columns("left"), columns("right")]).reshape(2, _FINGER_SLOTS, -1)
+        points = np.stack([columns("touch/left"), columns("touch/right")]).reshape(2, _FINGER_SLOTS, -1)
         self._forces, self._distances = points[..., 0], points[..., 3]
         self._places, self._normals = points[..., 4:7], points[..., 7:10]
         # Forces come in threes.
-        self._robot, self._hand, self._supports = (columns(name)[::3] for name in ("robot", "hand", "support"))
+        self._robot, self._hand, self._supports = (
+            columns(f"touch/{name}")[::3] for name in ("robot", "hand", "support")
+        )
+        self._gripper = columns("frame/gripper")
+        self._frames = np.stack([columns("frame/left"), columns("frame/right")])
         self._margin = margin
 
     def read(self, data: Array) -> Touches:
@@ -113,6 +134,16 @@ class TouchSensors:
             robot_object_force=data[..., self._robot].sum(axis=-1),
             supported=data[..., self._supports].max(axis=-1) > 0.0,
         )
+
+    def gripper_place(self, data: Array) -> Array:
+        """(..., 3) where the robot's hand link was when the contacts were found (m)."""
+        return data[..., self._gripper]
+
+    def finger_frames(self, data: Array) -> tuple[Array, Array]:
+        """(..., 2, 3) where the fingers' frames were then (m), and (..., 2, 3, 3) their axes, as columns."""
+        frames = data[..., self._frames]
+        axes = frames[..., 3:].reshape(*frames.shape[:-1], 3, 3)
+        return frames[..., :3], np.swapaxes(axes, -1, -2)
 
     def finger_points(self, data: Array, origins: Array, turns: Array) -> Array:
         """(..., 2, 8, 3) where the left and the right finger are touched, in their frames (m).
