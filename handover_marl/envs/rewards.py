@@ -9,7 +9,7 @@ whatever was done, so that it cannot change which policy is best.
 import functools
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 
 from handover_marl.errors import OptionError, UnknownNameError
 from handover_marl.protocol.status import EpisodeStatus
