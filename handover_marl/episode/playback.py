@@ -171,13 +171,13 @@ class Playback:
         # What stands still, as after the recording's end, is worked out once for all steps.
         if all((rows == rows[0]).all() for rows in (shifts, turns, bases, objects)):
             shifts, turns, bases, objects = shifts[:1], turns[:1], bases[:1], objects[:1]
-        with_hand = not plan.released
-        bodies = [bases, objects] if with_hand else [bases]
+        carries = not plan.released
+        bodies = [bases, objects] if carries else [bases]
         before = [last.hand[-1, :_BASE_DOF], last.objects[-1, 0]][: len(bodies)]
         moved = carried(bodies, self._wrist_place, shifts, turns, before)
         hand, led = motion.hand.copy(), motion.objects.copy()
         hand[:, :_BASE_DOF] = moved[0]
-        if with_hand:
+        if carries:
             led[:, 0] = moved[1]
         return Motion(led, hand, motion.hand_present)
 

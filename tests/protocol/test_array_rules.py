@@ -1,5 +1,7 @@
 """Rules as arrays say of many steps of many episodes what the referee says step by step."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,6 +13,7 @@ from handover_marl.protocol.contacts import NO_POINTS, Contacts
 from handover_marl.protocol.referee import Referee, Standing
 from handover_marl.protocol.release import Release
 from handover_marl.protocol.status import EpisodeStatus
+from tests.training.scripts import script
 
 #: Short, so that few steps make things happen.
 RULES = ProtocolConfig(release_steps=4, success_steps=3, horizon_steps=40)
@@ -109,3 +112,22 @@ def test_whole_episodes_come_to_their_ends(status: EpisodeStatus) -> None:
         # The step of letting go counts for the goal as well.
         assert verdicts.steps[0] == 4 + RULES.success_steps - 1
     assert EpisodeStatus(int(verdicts.status[0])) == status
+
+
+def test_the_script_compares_whole_episodes(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    check = script("check_array_rules", monkeypatch)
+    args = check.Args(dataset="synthetic", episodes=3, together=2, receiver="yang2021", workers=1)
+    check.main(args)
+    assert "synthetic, s0 train, 3 episodes (3 replay)" in (told := capsys.readouterr().out)
+    assert " times, 0 differences" in told
+
+    def late(before: Verdicts, seen: ContactArrays, rules: ProtocolConfig) -> object:
+        """Rules that let go a step too late."""
+        return judge(before, seen, dataclasses.replace(rules, release_steps=rules.release_steps + 1))
+
+    monkeypatch.setattr(check, "judge", late)
+    with pytest.raises(SystemExit):
+        check.main(dataclasses.replace(args, episodes=1, stretches=(50,)))
+    assert "not Standing(" in capsys.readouterr().out
