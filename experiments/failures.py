@@ -3,12 +3,13 @@
     python experiments/failures.py --data-dir DIR --split train --stride 10
     python experiments/failures.py --data-dir DIR --receiver vision:wait=3.0 --robot panda_camera
 
-Plays scenes and prints every failure with its cause, a table of causes, and how long decisions took. Of a contact it
-tells which part of the robot was nearest to the hand and what the receiver was doing; of a drop whether the object
-was pushed out of the hand, slipped as the person let go, or was lost on the way; of a timeout whether there was no
-grasp with room, none within reach, one that was never reached, or no way to the goal.
+Plays scenes and prints every failure with its cause, a table of causes, how long decisions took, and memory. Of a
+contact it tells which part of the robot was nearest to the hand and what the receiver was doing; of a drop whether the
+object was pushed out of the hand, slipped as the person let go, or was lost on the way; of a timeout whether there was
+no grasp with room, none within reach, one that was never reached, or no way to the goal.
 """
 
+import resource
 from collections import Counter
 from dataclasses import dataclass
 
@@ -79,19 +80,23 @@ class Notes(Watcher):
     """What the causes are told from.
 
     Attributes:
-        seconds: Wall-clock time of every decision of every episode (s).
+        seconds: Wall-clock time of every decision of every episode (s); beside it
+        drawing: that of drawing what it is shown.
         gripped: The last step with both fingers on the object, or None.
     """
 
     def __init__(self) -> None:
         self.seconds: list[float] = []
+        self.drawing: list[float] = []
         self.gripped: int | None = None
 
     def started(self, episode: Episode) -> None:
         self.gripped = None
 
     def decided(self, episode: Episode, decision: Decision) -> None:
-        self.seconds.append(decision.seconds)
+        if decision.robot_asked:
+            self.seconds.append(decision.seconds)
+            self.drawing.append(decision.drawing)
 
     def stepped(self, episode: Episode) -> None:
         if episode.grasped:
@@ -151,7 +156,10 @@ class Causes:
 
 @dataclass(frozen=True)
 class Played:
-    """An episode: its scene, the object's name, its end, its length in steps, the cause, and its decisions' times."""
+    """An episode: its scene, the object's name, its end, its length in steps, the cause, its decisions' times.
+
+    And how much memory the process had taken by then at most (MB).
+    """
 
     scene: int
     target: str
@@ -159,6 +167,8 @@ class Played:
     steps: int
     cause: str
     seconds: tuple[float, ...]
+    drawing: tuple[float, ...]
+    memory: float
 
 
 class Player:
@@ -179,7 +189,9 @@ class Player:
         episode.reset(scene)
         play(episode, self._receiver, self._giver, seed=0, watchers=[notes])
         cause = self._causes.of(episode, notes.gripped)
-        return Played(number, scene.info.target_name, episode.status, episode.steps, cause, tuple(notes.seconds))
+        memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+        times = tuple(notes.seconds), tuple(notes.drawing)
+        return Played(number, scene.info.target_name, episode.status, episode.steps, cause, *times, memory)
 
 
 def main(args: Args) -> None:
@@ -188,10 +200,13 @@ def main(args: Args) -> None:
     horizon = Episode(args.physics).config.protocol.horizon_steps
     found: Counter[str] = Counter()
     seconds: list[float] = []
-    share = 0.0
+    drawing: list[float] = []
+    share = memory = 0.0
     for _, played in worked_on(lambda: Player(args).play, scenes, "playing", PoolConfig(args.workers), True):
         found[played.cause] += 1
         seconds += played.seconds
+        drawing += played.drawing
+        memory = max(memory, played.memory)
         if played.status is EpisodeStatus.SUCCESS:
             share += 1.0 - played.steps / horizon
         if args.all or played.status is not EpisodeStatus.SUCCESS:
@@ -204,8 +219,17 @@ def main(args: Args) -> None:
     print(
         table(["cause", "episodes", "%"], [[name, str(n), f"{100 * n / count:.1f}"] for name, n in found.most_common()])
     )
+    print(f"AS {100 * share / count:.1f} %; decisions: {spread(seconds)}")
+    if any(drawing):
+        print(
+            f"with what is drawn for them: {spread(np.add(seconds, drawing))}; a process takes {memory:.0f} MB at most"
+        )
+
+
+def spread(seconds: npt.ArrayLike) -> str:
+    """Times in words."""
     low, middle, high = 1000.0 * np.quantile(seconds, [0.5, 0.95, 1.0])
-    print(f"AS {100 * share / count:.1f} %; decisions: median {low:.1f}, 95 % {middle:.1f}, most {high:.0f} ms")
+    return f"median {low:.1f}, 95 % {middle:.1f}, most {high:.0f} ms"
 
 
 if __name__ == "__main__":

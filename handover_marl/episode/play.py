@@ -48,7 +48,7 @@ def play(
     for watcher in watchers:
         watcher.started(episode)
     while not episode.status and episode.steps < end:
-        now, seconds = episode.steps, 0.0
+        now, seconds, drawing = episode.steps, 0.0, 0.0
         observation = episode.observe()
         giver_asked = giver_clock is not None and now >= giver_clock.due
         robot_asked = now >= robot_clock.due
@@ -59,15 +59,17 @@ def play(
             deviation = check_giver_action(giver_clock.ask(seen, now), giver_space)
         if robot_asked:
             # Drawing what it sees is not planning.
+            looked = time.perf_counter()
             seen = episode.observe_for(receiver, observation)
             started = time.perf_counter()
+            drawing = started - looked
             action = robot_clock.ask(seen, now)
             seconds = time.perf_counter() - started
             robot = check_receiver_action(action)
         if callable(until) and until():
             break
         for watcher in watchers:
-            watcher.decided(episode, Decision(robot, deviation, seconds, robot_asked, giver_asked))
+            watcher.decided(episode, Decision(robot, deviation, seconds, robot_asked, giver_asked, drawing))
         due = min(clock.due for clock in (robot_clock, giver_clock) if clock is not None)
         episode.advance(robot, min(end, due) - now, deviation, [watcher.stepped for watcher in watchers])
     for watcher in watchers:

@@ -22,6 +22,7 @@ class Decision:
         seconds: Wall-clock time that the receiver took (s); 0 where its last action stood.
         robot_asked: Whether the receiver was asked just now, rather than its last action standing.
         giver_asked: Likewise; a giver that only replays is never asked.
+        drawing: Wall-clock time that it took to draw what the receiver was shown (s), which `seconds` leaves out.
     """
 
     robot: npt.NDArray[np.float32]
@@ -29,6 +30,7 @@ class Decision:
     seconds: float
     robot_asked: bool
     giver_asked: bool
+    drawing: float = 0.0
 
 
 class Watcher:
