@@ -138,10 +138,8 @@ class Playback:
 
     def _follow(self, plan: "_Plan", steps: int) -> tuple[Motion, _State]:
         now = self._now
-        rates = self._rates(plan.wanted.rate, steps)
-        clock = now.clock + np.cumsum(1.0 + rates)
-        frames = np.minimum(_frames(clock), self.scene.n_frames - 1).astype(int)
-        motion = self._read(frames, in_turn=not rates.any())
+        frames, clock, rate = self._coming(plan.wanted.rate, steps)
+        motion = self._read(frames, in_turn=now.rate == 0.0 == rate)
         deviated = now.deviated or plan.deviates
         shift, turn = now.shift, now.turn
         # Once there has been a deviation the angles may have gone round another way than the recorded ones.
@@ -151,8 +149,18 @@ class Playback:
         opened = now.opened
         if plan.opening:
             motion, opened = self._open(motion)
-        state = _State(float(clock[-1]), int(frames[-1]), float(rates[-1]), shift, turn, deviated, opened, motion)
-        return motion, state
+        return motion, _State(clock, int(frames[-1]), rate, shift, turn, deviated, opened, motion)
+
+    def _coming(self, wanted: float, steps: int) -> tuple[npt.NDArray[np.int_], float, float]:
+        """The frames of coming steps, and clock and rate after them, towards a wanted rate less one."""
+        now, last = self._now, self.scene.n_frames - 1
+        if wanted == 0.0 == now.rate and now.clock.is_integer():
+            # As recorded, which is most of what is ever played.
+            first = int(now.clock) + 1
+            return np.minimum(np.arange(first, first + steps), last), now.clock + steps, 0.0
+        rates = self._rates(wanted, steps)
+        clock = now.clock + np.cumsum(1.0 + rates)
+        return np.minimum(_frames(clock), last).astype(int), float(clock[-1]), float(rates[-1])
 
     def _rates(self, wanted: float, steps: int) -> npt.NDArray[np.float64]:
         """Playback rates less one, approached at a limited pace."""

@@ -1,6 +1,7 @@
 """Scenes simulated side by side: MuJoCo's batches, one for each layout of models, and who has which row in them."""
 
 import heapq
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -71,16 +72,17 @@ class _Group:
         self.felt = [bind(name) for name in _RECORDED]
         self._room: dict[str, Array] = {}
 
-    def room(self, worlds: int, steps: int) -> dict[str, Array]:
-        """Arrays for what is recorded of so many steps of worlds: the same each time, for new memory takes its time."""
-        found = {}
-        for name, one in zip(_RECORDED, self.felt, strict=True):
-            shape = (worlds, steps, *one.shape[1:])
-            size = int(np.prod(shape))
-            if name not in self._room or self._room[name].size < size:
-                self._room[name] = np.empty(size)
-            found[name] = self._room[name][:size].reshape(shape)
-        return found
+    def records(self, worlds: int, steps: int) -> dict[str, Array]:
+        """Arrays for what is recorded of so many steps of worlds."""
+        names = zip(_RECORDED, self.felt, strict=True)
+        return {name: self.room(name, (worlds, steps, *one.shape[1:])) for name, one in names}
+
+    def room(self, name: str, shape: tuple[int, ...]) -> Array:
+        """An array for something: the same each time, for new memory takes its time."""
+        size = math.prod(shape)
+        if name not in self._room or self._room[name].size < size:
+            self._room[name] = np.empty(size)
+        return self._room[name][:size].reshape(shape)
 
     def takes(self, model: "mujoco.MjModel", row: int) -> bool:
         """Simulate a model in a row from now on, if it has the layout."""
@@ -246,7 +248,7 @@ class Roll:
     Attributes:
         lanes: The worlds (n).
         felt: What was felt, (k, n, ...), until worlds of this layout are rolled again.
-        controls: (n, k, c) what led them.
+        controls: (n, k, c) what led them, until then, too.
         before: (n, s) their states before.
     """
 
@@ -274,9 +276,9 @@ def roll(lanes: Sequence[Lane], controls: Sequence[Array]) -> Roll:
         SimulationError: The engine warned; the worlds' states mean nothing any more.
     """
     group, rows = lanes[0].running, np.array([lane.row for lane in lanes], dtype=np.int32)
-    given = np.stack(controls)
+    given = np.stack(controls, out=group.room("controls", (len(controls), *controls[0].shape)))
     before = group.batch.state[rows]
-    room = group.room(*given.shape[:2])
+    room = group.records(*given.shape[:2])
     found = group.batch.rollout(given.shape[1], given, _CONTROL_SPEC, _RECORDED, rows, room)
     group.check(rows)
     arrays = (found[name].swapaxes(0, 1) for name in _RECORDED)
