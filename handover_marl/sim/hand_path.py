@@ -73,10 +73,11 @@ class HandPath:
 
     def end(self, motion: Motion, stretches: Sequence[tuple[Follower, slice]]) -> None:
         """Take over what was followed."""
-        path = np.zeros(motion.hand.shape)
+        path = np.zeros((len(motion) + 1, HAND_DOF))
+        path[0] = self._path[-1]
         for follower, rows in stretches:
-            path[rows] = follower.path
-        self._path = np.concatenate([self._path[-1:], path])
+            path[rows.start + 1 : rows.stop + 1] = follower.path
+        self._path = path
         self._present = np.concatenate([self._present[-1:], motion.hand_present])
 
     def centers(self, row: int) -> npt.NDArray[np.float64]:

@@ -21,8 +21,8 @@ def contacts_of(felt: Felt, released: bool) -> Contacts:
     force = float(touches.robot_object_force)
     left, right = NO_POINTS, NO_POINTS
     if force > 0.0:
-        points = _finger_points(felt)
-        left, right = (own[there > 0.0] for own, there in zip(points, touches.finger_forces, strict=True))
+        forces = scene.touch.finger_forces(felt.sensors)
+        left, right = (own[there > 0.0] for own, there in zip(_finger_points(felt), forces, strict=True))
     x, y, z = scene.touch.gripper_place(felt.sensors).tolist()
     return Contacts(
         robot_hand=bool(touches.robot_hand),
@@ -49,7 +49,7 @@ def contact_arrays(felt: Felt, config: ProtocolConfig) -> ContactArrays:
     if touching.any():
         # Few steps have contacts; only there are places worked out.
         near = Felt(scene, felt.sensors[touching], felt.joints[touching])
-        there = touches.finger_forces[touching] > 0.0
+        there = scene.touch.finger_forces(near.sensors) > 0.0
         fingers[touching] = there.any(axis=-1)
         inside[touching] = (there & in_region(_finger_points(near), config)).any(axis=-1)
     return ContactArrays(

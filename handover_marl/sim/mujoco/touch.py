@@ -81,14 +81,11 @@ class Touches:
 
     Attributes:
         robot_hand: (...) whether the robot touches the hand.
-        finger_forces: (..., 2, 8) normal forces of the left and the right finger on the object (N); 0 where there is no
-            such contact.
         robot_object_force: (...) sum of the normal forces between robot and object (N).
         supported: (...) whether the object touches table or another object.
     """
 
     robot_hand: npt.NDArray[np.bool_]
-    finger_forces: Array
     robot_object_force: Array
     supported: npt.NDArray[np.bool_]
 
@@ -130,10 +127,13 @@ class TouchSensors:
         """
         return Touches(
             robot_hand=data[..., self._hand].max(axis=-1) > 0.0,
-            finger_forces=data[..., self._forces],
             robot_object_force=data[..., self._robot].sum(axis=-1),
             supported=data[..., self._supports].max(axis=-1) > 0.0,
         )
+
+    def finger_forces(self, data: Array) -> Array:
+        """(..., 2, 8) normal forces of the left and the right finger on the object (N); 0 where there is no contact."""
+        return data[..., self._forces]
 
     def gripper_place(self, data: Array) -> Array:
         """(..., 3) where the robot's hand link was when the contacts were found (m)."""

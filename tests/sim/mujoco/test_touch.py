@@ -56,7 +56,7 @@ def test_sensors_say_what_the_engines_contacts_say(scene: SceneModel) -> None:
             forces.setdefault(own, []).append(force[0])
     assert total > 10.0
     assert float(touches.robot_object_force) == pytest.approx(total)
-    for finger, told in zip(scene.fingers, touches.finger_forces, strict=True):
+    for finger, told in zip(scene.fingers, scene.touch.finger_forces(data.sensordata), strict=True):
         assert sorted(told[told > 0.0]) == pytest.approx(sorted(forces[int(finger)]))
     assert not touches.robot_hand
     assert not touches.supported
@@ -66,7 +66,7 @@ def test_points_lie_on_the_pads(scene: SceneModel) -> None:
     data = closed_on_target(scene)
     turns = data.xmat[scene.fingers].reshape(2, 3, 3)
     points = scene.touch.finger_points(data.sensordata, data.xpos[scene.fingers], turns)
-    forces = scene.touch.read(data.sensordata).finger_forces
+    forces = scene.touch.finger_forces(data.sensordata)
     for side in range(2):
         felt = points[side][forces[side] > 0.0]
         assert len(felt)
@@ -79,10 +79,10 @@ def test_many_worlds_are_read_as_one_is(scene: SceneModel) -> None:
     data = closed_on_target(scene)
     rows = np.stack([data.sensordata, np.zeros_like(data.sensordata), 2.0 * data.sensordata])
     many = scene.touch.read(rows)
-    assert many.finger_forces.shape == (3, 2, 8)
+    assert scene.touch.finger_forces(rows).shape == (3, 2, 8)
     for row, own in enumerate(rows):
         one = scene.touch.read(own)
-        np.testing.assert_array_equal(many.finger_forces[row], one.finger_forces)
+        np.testing.assert_array_equal(scene.touch.finger_forces(rows)[row], scene.touch.finger_forces(rows[row]))
         assert many.robot_object_force[row] == one.robot_object_force
     assert many.robot_object_force[1] == 0.0
     origins = np.repeat(data.xpos[scene.fingers][None], 3, axis=0)
