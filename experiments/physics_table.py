@@ -15,9 +15,10 @@ from pathlib import Path
 
 import tyro
 
-from handover_marl import Execution, Run, benchmark
+from handover_marl import Execution, Run
 from handover_marl.benchmarking.agreement import Agreement
 from handover_marl.benchmarking.report import Report
+from handover_marl.benchmarking.runner import evaluate_run
 from handover_marl.benchmarking.statistics import wilson_interval
 from handover_marl.benchmarking.tables import percent_interval, table
 from handover_marl.datasets.official_files import PANDA_CAMERA
@@ -86,7 +87,7 @@ def play(args: Args, receiver: str, physics: str) -> Report:
     scenes = resolve(run)[0].scenes or ()
     run = replace(run, scenes=scenes[:: args.stride])
     folder = re.sub(r"[^\w.@=,+-]", "_", f"{receiver}-{physics}")
-    return benchmark(run, execution=Execution(workers=args.workers, out=str(args.out / folder)))
+    return evaluate_run(run, Execution(workers=args.workers, out=str(args.out / folder)))
 
 
 def text(args: Args, rows: dict[str, dict[str, Report]]) -> str:

@@ -11,10 +11,16 @@ def test_the_table_says_what_was_played(tmp_path: Path, monkeypatch: pytest.Monk
     pytest.importorskip("matplotlib", reason="needs the extra `plot`")
     make = script("physics_table", monkeypatch)
     args = make.Args(
-        receivers=("hold",), physics=("exact", "fast"), stride=18, dataset="synthetic", workers=1, out=tmp_path / "out"
+        receivers=("hold",),
+        giver="hurried",
+        physics=("exact", "fast"),
+        stride=18,
+        dataset="synthetic",
+        workers=1,
+        out=tmp_path / "out",
     )
     told = make.main(args).read_text()
-    assert "s0 val, 2 episodes each, giver replay, synthetic scenes" in told
+    assert "s0 val, 2 episodes each, giver hurried, synthetic scenes" in told
     assert "| hold      | 0.0 (0.0 to 65.8) | 0.0 (0.0 to 65.8) | 100.0 (34.2 to 100.0) |" in told
     assert (tmp_path / "out" / "physics.png").stat().st_size > 5_000
     assert {path.name for path in (tmp_path / "out").iterdir()} >= {"hold-exact", "hold-fast"}
