@@ -98,8 +98,8 @@ def text(args: Args, rows: dict[str, dict[str, Report]]) -> str:
         alike = [agreed(reports[EXACT], reports[kind]) for kind in args.physics if kind != EXACT and EXACT in reports]
         cells.append([receiver, *rates, *alike])
     others = [kind for kind in args.physics if kind != EXACT] if EXACT in args.physics else []
-    header = ["success %", *(f"{kind}" for kind in args.physics), *(f"{kind} as exact %" for kind in others)]
-    some = next(iter(next(iter(rows.values())).values()))
+    header = ["receiver", *(f"{kind}, success %" for kind in args.physics), *(f"{kind} as exact %" for kind in others)]
+    some = next(report for reports in rows.values() for report in reports.values())
     count = len(some.episodes)
     return (
         f"{args.setup} {args.split}, {count} episodes each, giver {args.giver}, {some.data_label()}, version "
@@ -136,7 +136,7 @@ def picture(args: Args, rows: dict[str, dict[str, Report]]) -> bytes:
     axes.set_yticks(range(len(rows)), list(rows))
     axes.invert_yaxis()
     axes.set_xlim(0.0, 100.0)
-    count = len(next(iter(next(iter(rows.values())).values())).episodes)
+    count = next(len(report.episodes) for reports in rows.values() for report in reports.values())
     axes.set_xlabel(f"success %, {args.setup} {args.split}, {count} episodes each, giver {args.giver}, 95 % intervals")
     figure.legend(loc="outside upper right", ncols=len(args.physics), fontsize=8)
     drawn = io.BytesIO()

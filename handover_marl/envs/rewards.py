@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from handover_marl.errors import OptionError, UnknownNameError
 from handover_marl.protocol.status import EpisodeStatus
 
-# What is known from how an episode ended.
+# Terms that are known from how an episode ended.
 _OUTCOMES = ("task", "contact", "drop")
 
 
@@ -131,25 +131,24 @@ class Rewards:
         config: Weights.
         goal: (3,) where the gripper must bring the object (m).
         start: The first situation.
+
+    Attributes:
+        only_outcomes: Whether nothing but how an episode ends has a weight, so that `outcome` says it all.
     """
 
     def __init__(self, config: RewardConfig, goal: tuple[float, ...], start: Situation) -> None:
         self._config, self._goal = config, goal
         self._last = start
-        own = (config.receiver, config.giver)
-        self._only_outcomes = not any(
-            getattr(weights, name) for weights in own for name in weights.__dataclass_fields__ if name not in _OUTCOMES
-        )
+        weights = [*vars(config.receiver).items(), *vars(config.giver).items()]
+        self.only_outcomes = not any(weight for name, weight in weights if name not in _OUTCOMES)
 
     def outcome(self, status: EpisodeStatus) -> tuple[dict[str, float], dict[str, float]]:
         """The receiver's and the giver's terms where `only_outcomes` have weights."""
-        config, found = self._config, _outcome(status)
-        return _weighted(config.receiver, found), _weighted(config.giver, found)
-
-    @property
-    def only_outcomes(self) -> bool:
-        """Whether nothing but how an episode ends has a weight."""
-        return self._only_outcomes
+        receiver, giver = (
+            _weighted(weights, {**dict.fromkeys(vars(weights), 0.0), **_outcome(status)})
+            for weights in (self._config.receiver, self._config.giver)
+        )
+        return receiver, giver
 
     def receiver(self, now: Situation, status: EpisodeStatus) -> dict[str, float]:
         """The receiver's weighted terms for a step that ended in `now`."""
@@ -196,5 +195,4 @@ def _outcome(status: EpisodeStatus) -> Mapping[str, float]:
 
 
 def _weighted(weights: ReceiverWeights | GiverWeights, values: Mapping[str, float]) -> dict[str, float]:
-    """All terms; those that are not told are 0."""
-    return {name: getattr(weights, name) * values.get(name, 0.0) for name in weights.__dataclass_fields__}
+    return {name: weight * values[name] for name, weight in vars(weights).items()}

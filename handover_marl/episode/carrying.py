@@ -32,7 +32,7 @@ def carried(
     count = len(bodies)
     dof = np.concatenate(bodies).astype(np.float64)
     turned = Rotation.from_euler("XYZ", dof[:, 3:])
-    wrist = dof[: len(shifts), :3] + turned[: len(shifts)].apply(base_from_wrist)
+    wrist = _wrists(dof[: len(shifts), :3], turned[: len(shifts)], base_from_wrist)
     pivots, ways = np.tile(wrist, (count, 1)), np.tile(shifts, (count, 1))
     turn = Rotation.from_rotvec(np.tile(turns, (count, 1)))
     moved = np.empty(dof.shape)
@@ -49,6 +49,9 @@ def carried(
 
 def wrist_points(hand_dof: npt.NDArray[np.float32], base_from_wrist: Array) -> Array:
     """(n, 3) world positions of the wrist, given (n, 6 or more) joints and its fixed place (3,) on the base joints."""
-    turned = Rotation.from_euler("XYZ", hand_dof[:, 3:6].astype(np.float64)).apply(base_from_wrist)
-    points: Array = hand_dof[:, :3] + turned
+    return _wrists(hand_dof[:, :3], Rotation.from_euler("XYZ", hand_dof[:, 3:6].astype(np.float64)), base_from_wrist)
+
+
+def _wrists(bases: npt.NDArray[np.floating], turned: Rotation, base_from_wrist: Array) -> Array:
+    points: Array = bases + turned.apply(base_from_wrist)
     return points

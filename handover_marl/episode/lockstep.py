@@ -50,6 +50,7 @@ def play_together(stretches: Iterable[Stretch], rules: ProtocolConfig) -> None:
         for stretch in running:
             kind, place = stretch.world.companion
             groups.setdefault(kind, []).append((place, stretch))
+        # Worlds of small groups are prepared beside those of others; a large group is, as it is rolled, by itself.
         few = [stretch for group in groups.values() if len(group) < _ABREAST for _, stretch in group]
         for first in range(0, len(few), _ABREAST):
             part = few[first : first + _ABREAST]

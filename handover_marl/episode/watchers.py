@@ -30,7 +30,7 @@ class Decision:
     seconds: float
     robot_asked: bool
     giver_asked: bool
-    drawing: float = 0.0
+    drawing: float
 
 
 class Watcher:

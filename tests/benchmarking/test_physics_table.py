@@ -21,6 +21,6 @@ def test_the_table_says_what_was_played(tmp_path: Path, monkeypatch: pytest.Monk
     )
     told = make.main(args).read_text()
     assert "s0 val, 2 episodes each, giver hurried, synthetic scenes" in told
-    assert "| hold      | 0.0 (0.0 to 65.8) | 0.0 (0.0 to 65.8) | 100.0 (34.2 to 100.0) |" in told
+    assert "| hold     | 0.0 (0.0 to 65.8) | 0.0 (0.0 to 65.8) | 100.0 (34.2 to 100.0) |" in told
     assert (tmp_path / "out" / "physics.png").stat().st_size > 5_000
     assert {path.name for path in (tmp_path / "out").iterdir()} >= {"hold-exact", "hold-fast"}
