@@ -46,7 +46,7 @@ loops: $(LOOPS)/.installed
 $(LOOPS)/.installed: setup.cfg constraints-loops.txt
 	$(PYTHON) -m venv $(LOOPS)
 	$(LOOPS)/bin/python -m pip --disable-pip-version-check install --progress-bar on -c constraints-loops.txt \
-		-e ".[benchmarl,plot,rllib,supersuit,tianshou]" hypothesis pytest pytest-timeout
+		-e ".[benchmarl,mujoco,plot,rllib,supersuit,tianshou]" hypothesis pytest pytest-timeout
 	touch $@
 
 # Not on the pins, which are for Pythons that PyBullet has wheels for.

@@ -12,6 +12,6 @@ GADDPG_WEIGHTS = DATA_ROOT / "gaddpg.npz"
 def vision_weights(setup: str) -> Path:
     """Those of the receiver `vision` for an official setup, learned from its training split alone.
 
-    Written by `experiments/train_vision.py` as `vision.npz`; until they ship there is no such file.
+    Written by `experiments/train_vision.py` as `vision.npz`; for another setup there is no such file.
     """
     return DATA_ROOT / f"vision_{setup}.npz"

@@ -1,4 +1,6 @@
-"""Train giver and receiver at once with BenchMARL, by MAPPO or another of its algorithms. Needs `benchmarl`, `plot`.
+"""Train giver and receiver at once with BenchMARL, by MAPPO or another of its algorithms.
+
+Needs the extras `benchmarl`, `plot` and, for its default, `mujoco`; or `--physics fast`, slower.
 
     python experiments/train_both_benchmarl.py --dataset synthetic --out runs/benchmarl
 

@@ -1,4 +1,6 @@
-"""Train giver and receiver at once by independent PPO: plain PyTorch and a PettingZoo loop. Needs `train`, `plot`.
+"""Train giver and receiver at once by independent PPO: plain PyTorch on batches of both agents.
+
+Needs the extras `train`, `plot` and, for its default, `mujoco`; or `--physics fast`, slower.
 
     python experiments/train_both_ippo.py --data-dir DIR --out runs/both
 
@@ -18,10 +20,10 @@ from rich.progress import track
 from torch import nn
 from torch.utils.tensorboard import SummaryWriter
 
-from handover_marl.envs.encode import EncodedEnv
+from handover_marl.envs.parallel_vector_env import ParallelVectorEnv
 from handover_marl.training.checkpoint import read_checkpoint, write_checkpoint
 from handover_marl.training.dense_layers import dense_layers, mlp
-from handover_marl.training.pair_run import PairArgs, PairRun, pair_env
+from handover_marl.training.pair_run import PairArgs, PairRun, pair_envs
 from handover_marl.training.training_args import TrainingArgs
 
 AGENTS = ("giver", "receiver")
@@ -29,27 +31,17 @@ AGENTS = ("giver", "receiver")
 
 @dataclass(frozen=True)
 class Args(PairArgs, TrainingArgs):
-    """What to train, and how. Environments are stepped one after the other in this process.
+    """What to train, and how. Environments are stepped together in this process.
 
     Attributes:
         entropy: Weight of the entropy bonus.
     """
 
     out: str = "runs/both"
-    time_limit: float = 8.0
-    steps: int = 300_000
-    minutes: float = 60.0
-    envs: int = 8
-    learning_rate: float = 3e-4
-    discount: float = 0.96
-    spread: float = 0.5
+    steps: int = 98_304
+    envs: int = 32
     val_scenes: int = 36
-    giver_actions: str = "deviation"
-    receiver_observe: str = "grasp"
-    receiver_actions: str = "cartesian_delta"
-    rewards: str = "shaped"
-    batch: int = 1024
-    every: int = 20_480
+    every: int = 12_288
     entropy: float = 0.0
 
 
@@ -70,59 +62,48 @@ class ActorCritic(nn.Module):
 
 
 class Collector:
-    """Steps some PettingZoo environments and keeps what both agents saw, did and got."""
+    """Steps environments together and keeps what both agents saw, did and got."""
 
-    def __init__(self, envs: list[EncodedEnv], seed: int) -> None:
+    def __init__(self, envs: ParallelVectorEnv, seed: int) -> None:
         self.envs = envs
-        self.seen = [env.reset(seed + number)[0] for number, env in enumerate(envs)]
+        self.seen, _ = envs.reset(seed)
         self.finished: list[float] = []
-        self._returns = np.zeros(len(envs))
+        self._returns = np.zeros(envs.num_envs)
 
     def collect(self, models: dict[str, ActorCritic], args: Args) -> dict[str, dict[str, torch.Tensor]]:
-        steps: list[dict[str, dict[str, np.ndarray]]] = []
-        for _ in range(args.batch // args.envs):
-            now = self._act(models)
-            self._step(now, models, args.discount)
-            steps.append(now)
+        steps = [self._step(models, args.discount) for _ in range(args.batch // args.envs)]
         return {
             agent: {key: torch.as_tensor(np.stack([step[agent][key] for step in steps])) for key in steps[0][agent]}
             for agent in AGENTS
         }
 
     def stacked(self, agent: str) -> torch.Tensor:
-        return torch.as_tensor(np.stack([seen[agent] for seen in self.seen]))
+        return torch.as_tensor(self.seen[agent])
 
-    def _act(self, models: dict[str, ActorCritic]) -> dict[str, dict[str, np.ndarray]]:
-        now = {}
+    def _step(self, models: dict[str, ActorCritic], discount: float) -> dict[str, dict[str, np.ndarray]]:
+        now = {agent: self._act(agent, model) for agent, model in models.items()}
+        self.seen, rewards, over, cut_off, infos = self.envs.step({agent: now[agent]["action"] for agent in AGENTS})
+        self._returns += rewards["receiver"]
         for agent, model in models.items():
-            seen = self.stacked(agent)
-            with torch.no_grad():
-                distribution = model.distribution(seen)
-                action = distribution.sample()
-                log = distribution.log_prob(action).sum(-1)
-                parts = {"seen": seen, "action": action, "log": log, "value": model.value(seen)}
-            now[agent] = {key: value.numpy() for key, value in parts.items()}
-            now[agent] |= {key: np.zeros(len(self.envs), np.float32) for key in ("reward", "end")}
+            reward, ended = rewards[agent].astype(np.float32), over[agent] | cut_off[agent]
+            for number in np.flatnonzero(cut_off[agent] & ~over[agent]):
+                # Cut off, not over: what would have come counts.
+                with torch.no_grad():
+                    last = torch.as_tensor(infos[agent]["final_obs"][number])
+                    reward[number] += discount * float(model.value(last))
+            now[agent] |= {"reward": reward, "end": ended.astype(np.float32)}
+        self.finished += self._returns[ended].tolist()
+        self._returns[ended] = 0.0
         return now
 
-    def _step(self, now: dict[str, dict[str, np.ndarray]], models: dict[str, ActorCritic], discount: float) -> None:
-        for number, env in enumerate(self.envs):
-            actions = {agent: now[agent]["action"][number] for agent in AGENTS}
-            seen, rewards, ended, _, _ = env.step(actions)
-            self._returns[number] += rewards["receiver"]
-            for agent in AGENTS:
-                reward = rewards[agent]
-                if not env.agents and not ended[agent]:
-                    # Cut off, not over: what would have come counts.
-                    with torch.no_grad():
-                        reward += discount * float(models[agent].value(torch.as_tensor(seen[agent])))
-                now[agent]["reward"][number] = reward
-                now[agent]["end"][number] = not env.agents
-            if not env.agents:
-                self.finished.append(float(self._returns[number]))
-                self._returns[number] = 0.0
-                seen, _ = env.reset()
-            self.seen[number] = seen
+    def _act(self, agent: str, model: ActorCritic) -> dict[str, np.ndarray]:
+        seen = self.stacked(agent)
+        with torch.no_grad():
+            distribution = model.distribution(seen)
+            action = distribution.sample()
+            log = distribution.log_prob(action).sum(-1)
+            parts = {"seen": seen, "action": action, "log": log, "value": model.value(seen)}
+        return {key: value.numpy() for key, value in parts.items()}
 
 
 def advantages(batch: dict[str, torch.Tensor], last: torch.Tensor, args: Args) -> torch.Tensor:
@@ -160,7 +141,7 @@ def update(
             loss.backward()
             nn.utils.clip_grad_norm_(model.parameters(), 0.5)
             optimizer.step()
-    return {"value_loss": float(missed), "std": float(model.log_std.exp().mean())}
+    return {"value_loss": missed.item(), "std": model.log_std.exp().mean().item()}
 
 
 def main(args: Args) -> None:
@@ -169,9 +150,11 @@ def main(args: Args) -> None:
     torch.set_num_threads(1)
     run = PairRun(args, "train_both_ippo")
     folder = run.folder
-    envs = [pair_env(args) for _ in range(args.envs)]
+    envs = pair_envs(args)
     models = {
-        agent: ActorCritic(envs[0].observation_space(agent).shape[0], envs[0].action_space(agent).shape[0], args)
+        agent: ActorCritic(
+            envs.single_observation_space(agent).shape[0], envs.single_action_space(agent).shape[0], args
+        )
         for agent in AGENTS
     }
     optimizers = {agent: torch.optim.Adam(models[agent].parameters(), lr=args.learning_rate) for agent in AGENTS}
@@ -218,8 +201,7 @@ def main(args: Args) -> None:
         if run.over(steps):
             break
     writer.close()
-    for env in envs:
-        env.close()
+    envs.close()
     print(folder.path)
 
 

@@ -1,4 +1,6 @@
-"""Train giver and receiver at once with RLlib's PPO on its new API stack. Needs extras `rllib` and `plot`.
+"""Train giver and receiver at once with RLlib's PPO on its new API stack.
+
+Needs the extras `rllib`, `plot` and, for its default, `mujoco`; or `--physics fast`, slower.
 
     python experiments/train_both_rllib.py --dataset synthetic --out runs/rllib
 

@@ -1,4 +1,6 @@
-"""Train giver and receiver at once with Tianshou's PPO, one network for both. Needs extras `tianshou` and `plot`.
+"""Train giver and receiver at once with Tianshou's PPO, one network for both.
+
+Needs the extras `tianshou`, `plot` and, for its default, `mujoco`; or `--physics fast`, slower.
 
     python experiments/train_both_tianshou.py --dataset synthetic --out runs/tianshou
 

@@ -1,4 +1,6 @@
-"""Train giver and receiver at once with TorchRL, by MAPPO or IPPO. Needs extras `torchrl` and `plot`.
+"""Train giver and receiver at once with TorchRL, by MAPPO or IPPO.
+
+Needs the extras `torchrl`, `plot` and, for its default, `mujoco`; or `--physics fast`, slower.
 
     python experiments/train_both_torchrl.py --dataset synthetic --out runs/torchrl
 

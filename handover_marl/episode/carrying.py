@@ -7,7 +7,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from handover_marl.models.chain_angles import continued
+from handover_marl.models.chain_angles import continued, quaternions
+from handover_marl.models.poses import quaternion_multiply
 
 Array = npt.NDArray[np.float64]
 
@@ -31,7 +32,7 @@ def carried(
     """
     count = len(bodies)
     dof = np.concatenate(bodies).astype(np.float64)
-    turned = Rotation.from_euler("XYZ", dof[:, 3:])
+    turned = Rotation.from_quat(quaternions(dof[:, 3:]))
     wrist = _wrists(dof[: len(shifts), :3], turned[: len(shifts)], base_from_wrist)
     pivots, ways = np.tile(wrist, (count, 1)), np.tile(shifts, (count, 1))
     turn = Rotation.from_rotvec(np.tile(turns, (count, 1)))
@@ -40,7 +41,7 @@ def carried(
     with warnings.catch_warnings():
         # At gimbal lock any split of the angles will do.
         warnings.simplefilter("ignore", UserWarning)
-        angles = (turn * turned).as_euler("XYZ")
+        angles = Rotation.from_quat(quaternion_multiply(turn.as_quat(), turned.as_quat())).as_euler("XYZ")
     for number, before in enumerate(previous):
         rows = slice(number * len(shifts), (number + 1) * len(shifts))
         moved[rows, 3:] = continued(angles[rows], before[3:].astype(np.float64))
@@ -49,7 +50,7 @@ def carried(
 
 def wrist_points(hand_dof: npt.NDArray[np.float32], base_from_wrist: Array) -> Array:
     """(n, 3) world positions of the wrist, given (n, 6 or more) joints and its fixed place (3,) on the base joints."""
-    return _wrists(hand_dof[:, :3], Rotation.from_euler("XYZ", hand_dof[:, 3:6].astype(np.float64)), base_from_wrist)
+    return _wrists(hand_dof[:, :3], Rotation.from_quat(quaternions(hand_dof[:, 3:6])), base_from_wrist)
 
 
 def _wrists(bases: npt.NDArray[np.floating], turned: Rotation, base_from_wrist: Array) -> Array:

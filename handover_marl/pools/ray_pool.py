@@ -24,7 +24,9 @@ from handover_marl.pools.pool_config import PoolConfig
 from handover_marl.pools.service import Service
 
 # What results to the bit depend on, besides this library.
-_PACKAGES = ("numpy", "scipy", "pybullet")
+_PACKAGES = ("numpy", "scipy", "pybullet", "mujoco")
+# Where it is missing, physics that need it say so; all others are the same without.
+_OPTIONAL, _MISSING = ("mujoco",), "none"
 _PATIENCE = 30.0  # s without any worker before it is told
 
 
@@ -59,7 +61,7 @@ class RayService:
         """Where this is."""
         import ray
 
-        return Hello(ray.get_runtime_context().get_node_id(), node(), _versions())
+        return Hello(ray.get_runtime_context().get_node_id(), node(), versions())
 
     def answer(self, task: bytes) -> bytes:
         """As `Service.answer`."""
@@ -167,7 +169,7 @@ class RayWorker(Worker):
             raise WorkerGoneError(f"{self._hello.host}: {type(error).__name__}", by_itself=False) from error
         if isinstance(said, Hello):
             self._hello = said
-            _check_versions(said)
+            check_versions(said)
             return Ready()
         return cloudpickle.loads(said)
 
@@ -184,20 +186,25 @@ class RayWorker(Worker):
         return not self._hello.node or self._hello.node in alive
 
 
-def _versions() -> dict[str, str]:
+def versions() -> dict[str, str]:
+    """Of this library and what its results depend on, here."""
     found = {"handover_marl": __version__}
     for name in _PACKAGES:
         try:
             found[name] = version(name)
         except PackageNotFoundError:
-            found[name] = "none"
+            found[name] = _MISSING
     return found
 
 
-def _check_versions(said: Hello) -> None:
+def check_versions(said: Hello) -> None:
     """Raise `WorkerError` if a node would give other results."""
-    pairs = {name: (said.versions.get(name), here) for name, here in _versions().items()}
-    different = [f"{name} {there} there, {here} here" for name, (there, here) in pairs.items() if there != here]
+    pairs = {name: (said.versions.get(name), here) for name, here in versions().items()}
+    different = [
+        f"{name} {there} there, {here} here"
+        for name, (there, here) in pairs.items()
+        if there != here and not (name in _OPTIONAL and _MISSING in (there, here))
+    ]
     if different:
         raise WorkerError(
             f"node {said.host} has other versions ({'; '.join(different)}), so that its results might be others; "

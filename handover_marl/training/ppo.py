@@ -3,7 +3,7 @@
 import functools
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import torch
@@ -16,7 +16,6 @@ from handover_marl.datasets import open_dataset
 from handover_marl.envs.constructors import EnvOptions, parallel_env
 from handover_marl.envs.encode import EncodedEnv, encode
 from handover_marl.envs.freeze import freeze
-from handover_marl.envs.rewards import reward_config
 from handover_marl.envs.vector_env import HandoverVectorEnv
 from handover_marl.envs.wrapper import SingleAgentEnv
 from handover_marl.learning.policy_spec import PolicySpec
@@ -27,7 +26,6 @@ from handover_marl.training.run_folder import (
     evaluate_policy,
     origin,
     spread_scenes,
-    training_scenes,
 )
 from handover_marl.training.stable_baselines import Supervision, batched_env, load_checkpoint, vector_env
 from handover_marl.training.training_args import TrainingArgs
@@ -40,7 +38,6 @@ class PpoArgs(TrainingArgs):
     Attributes:
         observe: Name of the features.
         actions: Name of the action scheme.
-        rewards: sparse or shaped.
         batch: Decisions between updates.
         width: Units in each of two hidden layers.
         every: Decisions between evaluations.
@@ -49,7 +46,6 @@ class PpoArgs(TrainingArgs):
 
     observe: str = "receiver"
     actions: str = "cartesian_delta"
-    rewards: str = "sparse"
     batch: int = 2048
     width: int = 64
     every: int = 8_192
@@ -87,7 +83,7 @@ def train_ppo(
     data = open_dataset(args.dataset, args.data_dir)
     folder = RunFolder(Path(args.out), args, args.resume, data.name)
     val = spread_scenes(data.split(args.setup, "val"), args.val_scenes)
-    options = env_options(args, training_scenes(data.split(args.setup, "train")))
+    options = args.env_options()
     make = functools.partial(encoded_env, args, agent, partner, options)
     if args.physics == MUJOCO:
         envs = batched_env(args.n_envs, args.seed, functools.partial(_batch, args, agent, partner, options))
@@ -112,21 +108,6 @@ def train_ppo(
     supervision.assess()
     envs.close()
     return folder.policy
-
-
-def env_options(args: PpoArgs, scenes: tuple[int, ...]) -> EnvOptions:
-    """Options of the two-agent environment that is trained in."""
-    return {
-        "setup": args.setup,
-        "split": "train",
-        "data_dir": args.data_dir,
-        "dataset": args.dataset,
-        "physics": args.physics,
-        "control_period": args.control_period,
-        "rewards": replace(reward_config(args.rewards), gamma=args.discount),
-        "scenes": scenes,
-        "max_cycles": math.ceil(args.time_limit / args.control_period),
-    }
 
 
 def make_model(args: PpoArgs, envs: VecEnv) -> PPO:

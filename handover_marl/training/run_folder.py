@@ -49,9 +49,12 @@ def spread_scenes(scene_ids: Sequence[int], n: int) -> tuple[int, ...]:
     return tuple(scene_ids[number] for number in chosen.tolist())
 
 
+_UNTOLD = ("out", "data_dir", "shared_views", "resume", "workers")
+
+
 def origin(script: str, arguments: object) -> str:
-    """How a policy is made, for its file: the script and all arguments but places."""
-    parts = [f"{key}={value!r}" for key, value in vars(arguments).items() if key not in ("out", "data_dir", "resume")]
+    """How a policy is made, for its file: the script and all arguments but places and what changes nothing."""
+    parts = [f"{key}={value!r}" for key, value in vars(arguments).items() if key not in _UNTOLD]
     return f"experiments/{script}.py {', '.join(parts)}"
 
 

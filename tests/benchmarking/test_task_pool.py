@@ -121,7 +121,7 @@ def test_errors_in_workers_come_up_here(own_data: Path) -> None:
 
 def test_ctrl_c_stops_soon_and_leaves_no_process(tmp_path: Path) -> None:
     # 36 scenes of 13 s each: it cannot end by itself in time.
-    command = [sys.executable, "-m", "handover_marl.cli", "benchmark", "--split", "val", "--receiver", "hold"]
+    command = [sys.executable, "-m", "handover_marl", "benchmark", "--split", "val", "--receiver", "hold"]
     command += ["--dataset", "synthetic", "--out", str(tmp_path / "out"), "--workers", "2"]
     # Tests that run in the background may have been told to ignore Ctrl-C, which children inherit.
     listen = functools.partial(signal.signal, signal.SIGINT, signal.SIG_DFL)

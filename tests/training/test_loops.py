@@ -15,6 +15,7 @@ from handover_marl.learning.policy_files import read_policy
 from tests.training.scripts import files, script, steps_of
 
 pytest.importorskip("torch", reason="needs an extra with PyTorch")
+pytest.importorskip("mujoco", reason="needs the extra `mujoco`")
 pytestmark = pytest.mark.filterwarnings("ignore")
 SCRIPTS = {
     "train_both_torchrl": "torchrl",
@@ -47,7 +48,7 @@ def test_a_loop_runs_and_its_policies_play(name: str, tmp_path: Path, monkeypatc
     assert files(tmp_path / "run") >= MADE
     assert steps_of(tmp_path / "run") == ["steps", "0", "32"]
     last = run.folder.points[-1]
-    assert (last.dataset, last.physics, last.episodes) == ("synthetic", "fast", 1)
+    assert (last.dataset, last.physics, last.episodes) == ("synthetic", "mujoco", 1)
     for agent, room in (("giver", givers), ("receiver", receivers)):
         path = tmp_path / "run" / f"{agent}.npz"
         room.make(f"learned:{path}", SyntheticDataset())  # type: ignore[attr-defined]

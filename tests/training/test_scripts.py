@@ -81,6 +81,7 @@ def test_receiver(physics: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
 
 
 def test_both(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("mujoco", reason="needs the extra `mujoco`")
     train = script("train_both_ippo", monkeypatch)
     args = {
         "out": str(tmp_path / "run"),
@@ -160,6 +161,7 @@ def test_runs_do_not_go_on_with_other_data(
 
 
 def test_strangers_checkpoints_do_not_run_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("mujoco", reason="needs the extra `mujoco`")
     train = script("train_both_ippo", monkeypatch)
     args = train.Args(out=str(tmp_path / "run"), dataset="synthetic", envs=1, batch=4, val_scenes=1, resume=True)
     folder = RunFolder(tmp_path / "run", args, False, "synthetic")

@@ -77,6 +77,8 @@ def import_dexycb(
             faults.append(fault)
         else:
             done.append(sequence.scene_id)
+    # What workers were writing that were killed on the way.
+    remove_abandoned(target / CACHE_FOLDER)
     if third_party is None:
         faults += write_stand_ins(Path(dexycb).expanduser() / "models", assets, n_workers, progress)
     return Imported(

@@ -17,7 +17,7 @@ from handover_marl.models.urdf_shapes import read_urdf_shapes
 from handover_marl.sim.grasp_trial import GraspTrial, TrialConfig
 from handover_marl.sim.mujoco.chain import XYZW
 from handover_marl.sim.mujoco.hull_parts import convex_parts
-from handover_marl.sim.mujoco.scene_spec import SceneSpec, guide_name, object_name, weigh, wxyz
+from handover_marl.sim.mujoco.scene_spec import SceneSpec, guide_name, object_friction, object_name, weigh, wxyz
 from handover_marl.sim.mujoco.tuning import TUNING, Tuning
 
 Array = npt.NDArray[np.float64]
@@ -39,7 +39,7 @@ class TrialSpec(SceneSpec):
     """
 
     def __init__(self, object_urdf: Path, panda_urdf: Path, config: PhysicsConfig, tuning: Tuning) -> None:
-        self._begin(object_urdf, config, tuning)
+        super().__init__(config, tuning, object_friction(object_urdf))
         self._add_gripper(panda_urdf)
         self._add_object(0, object_urdf)
 

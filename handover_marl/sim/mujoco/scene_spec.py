@@ -1,5 +1,6 @@
 """A scene's bodies as a MuJoCo model that can still be changed: names, shapes, servos, masks and touch sensors."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import IntFlag
 from pathlib import Path
@@ -75,37 +76,22 @@ class SceneSpec:
     exactly, but for an object that was let go, to which it is applied as a force.
 
     Args:
-        assets: The bodies' model files.
         config: Where they stand and how they are driven.
         tuning: Numbers of the engine.
+        object_friction: Of the object that is handed over.
 
     Attributes:
-        spec: The model.
+        spec: The model, empty at first.
         hand_links: Numbers of the links that the hand's bodies are.
-
-    Raises:
-        SimulationError, DataFormatError: A model or a mesh cannot be read.
     """
 
-    def __init__(self, assets: SceneAssets, config: PhysicsConfig, tuning: Tuning) -> None:
-        self._begin(assets.objects[0], config, tuning)
-        self._add_ground()
-        self._add_table(assets.table)
-        self._add_robot(assets.panda)
-        for number, urdf in enumerate(assets.objects):
-            self._add_object(number, urdf)
-        self.hand_links = self._add_hand(assets.hand)
-        hands = [hand_name(number) for number in range(len(self.hand_links))]
-        supports = [TABLE, *(object_name(number) for number in range(1, len(assets.objects)))]
-        add_touch_sensors(self.spec, ROBOT_BASE, HAND_LINK, FINGER_LINKS, object_name(0), hands, supports)
-
-    def _begin(self, target: Path, config: PhysicsConfig, tuning: Tuning) -> None:
-        """An empty model for the object that is handed over."""
+    def __init__(self, config: PhysicsConfig, tuning: Tuning, object_friction: float) -> None:
         self.spec = mujoco.MjSpec()
         self.spec.compiler.degree = False
+        self.hand_links: list[int] = []
         self._config, self._tuning = config, tuning
         # MuJoCo takes one friction of the two that touch, Bullet their product: what touches objects has it in advance.
-        self._object_friction = read_urdf_links(target, read_tree(target))[-2].friction
+        self._object_friction = object_friction
         option = self.spec.option
         option.timestep = TIME_STEP
         option.gravity = np.zeros(3)
@@ -116,6 +102,42 @@ class SceneSpec:
         option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         # All that moves hangs together by the robot: looking for islands finds one.
         option.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
+
+    @classmethod
+    def of_scene(
+        cls, assets: SceneAssets, config: PhysicsConfig, tuning: Tuning, apart: Iterable[tuple[str, str]]
+    ) -> "SceneSpec":
+        """All of a scene's bodies.
+
+        Args:
+            assets: The bodies' model files.
+            config: Where they stand and how they are driven.
+            tuning: Numbers of the engine.
+            apart: The robot's links between which no contacts are looked for.
+
+        Raises:
+            SimulationError, DataFormatError: A model or a mesh cannot be read.
+        """
+        made = cls(config, tuning, object_friction(assets.objects[0]))
+        made._add_ground()
+        made._add_table(assets.table)
+        made._add_robot(assets.panda)
+        for one, other in apart:
+            made.spec.add_exclude(bodyname1=one, bodyname2=other)
+        for number, urdf in enumerate(assets.objects):
+            made._add_object(number, urdf)
+        made.hand_links = made._add_hand(assets.hand)
+        hands = [hand_name(number) for number in range(len(made.hand_links))]
+        supports = [TABLE, *(object_name(number) for number in range(1, len(assets.objects)))]
+        add_touch_sensors(made.spec, ROBOT_BASE, HAND_LINK, FINGER_LINKS, object_name(0), hands, supports)
+        return made
+
+    @classmethod
+    def of_robot(cls, panda: Path, config: PhysicsConfig, tuning: Tuning) -> "SceneSpec":
+        """The robot alone; raises as `of_scene`."""
+        made = cls(config, tuning, 1.0)
+        made._add_robot(panda)
+        return made
 
     def _add_ground(self) -> None:
         ground = self.spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 1.0])
@@ -231,6 +253,11 @@ class SceneSpec:
         geom.priority = surface.priority
         geom.solref = [self._tuning.contact_time, 1.0]
         geom.solimp[:3] = self._tuning.contact_impedance
+
+
+def object_friction(urdf: Path) -> float:
+    """Friction of an object's one link that has a shape."""
+    return read_urdf_links(urdf, read_tree(urdf))[-2].friction
 
 
 def add_shape(spec: "mujoco.MjSpec", body: "mujoco.MjsBody", part: Part) -> "mujoco.MjsGeom":

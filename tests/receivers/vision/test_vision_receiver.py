@@ -1,3 +1,4 @@
+import json
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ from numpy.typing import NDArray
 from handover_marl import receivers
 from handover_marl.assets.shipped_weights import vision_weights
 from handover_marl.datasets import open_dataset
+from handover_marl.datasets.splits import SETUPS
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.play import play
@@ -130,8 +132,17 @@ def test_weights_that_are_not_there_are_named(tmp_path: Path) -> None:
         read_own_weights(tmp_path / "none.npz", GraspNetwork)
 
 
-def test_the_network_that_ships_is_small_and_takes_objects() -> None:
-    assert vision_weights("s0").stat().st_size < 2_000_000
+def test_networks_for_all_setups_ship_and_are_small() -> None:
+    files = [vision_weights(setup) for setup in SETUPS]
+    assert sum(file.stat().st_size for file in files) < 8_000_000
+    for setup, file in zip(SETUPS, files, strict=True):
+        made_by = json.loads(str(np.load(file)["about"]))["made_by"]
+        assert f"setup='{setup}'" in made_by["made by"], "learned from this setup's training split"
+        assert made_by["dataset"] == "dexycb"
+        assert "/" not in made_by["made by"].removeprefix("experiments/train_vision.py"), "no places"
+
+
+def test_the_network_that_ships_takes_objects() -> None:
     receiver = receivers.make("vision", DATA)
     assert receiver.label == "vision"
     episode = Episode("fast")

@@ -5,7 +5,8 @@ from pathlib import Path
 import pytest
 
 from handover_marl.benchmarking import playing
-from handover_marl.cli import main, parse_scenes
+from handover_marl.cli import main
+from handover_marl.cli.run_options import parse_scenes
 from handover_marl.errors import OptionError
 
 
