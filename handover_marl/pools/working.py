@@ -1,6 +1,6 @@
 """What callers of a pool need: tasks in, answers out."""
 
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from contextlib import closing, nullcontext
 from typing import TypeVar
 
@@ -58,7 +58,7 @@ def worked_on(
     what: str,
     config: PoolConfig,
     progress: bool,
-) -> Iterator[tuple[_Task, _Answer]]:
+) -> Generator[tuple[_Task, _Answer], None, None]:
     """Every thing with what came of it, as they are finished, beside a progress bar.
 
     Args:

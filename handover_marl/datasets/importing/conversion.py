@@ -1,7 +1,7 @@
 """Many recordings to scenes, in processes of their own."""
 
 import functools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from pathlib import Path
 
 from handover_marl.datasets.importing.mano_model import SIDES, ManoModel, read_mano_model
@@ -23,7 +23,7 @@ def read_models(folder: Path) -> dict[str, ManoModel]:
 
 def converted(
     sequences: Sequence[SequenceFolder], mano: Path, betas: Betas, out: Path, workers: int, progress: bool
-) -> Iterator[tuple[SequenceFolder, str]]:
+) -> Generator[tuple[SequenceFolder, str], None, None]:
     """Every recording with what kept it from being imported, empty if nothing did, as they are finished.
 
     Raises:

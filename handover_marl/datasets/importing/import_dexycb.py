@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Iterable, Sequence
+from contextlib import closing
 from itertools import groupby
 from pathlib import Path
 
@@ -72,13 +73,16 @@ def import_dexycb(
     remove_abandoned(target / CACHE_FOLDER)
     done: list[int] = []
     betas = find_first_betas(layout.sequences)
-    for sequence, fault in converted(chosen, folder, betas, target, n_workers, progress):
-        if fault:
-            faults.append(fault)
-        else:
-            done.append(sequence.scene_id)
-    # What workers were writing that were killed on the way.
-    remove_abandoned(target / CACHE_FOLDER)
+    try:
+        with closing(converted(chosen, folder, betas, target, n_workers, progress)) as conversions:
+            for sequence, fault in conversions:
+                if fault:
+                    faults.append(fault)
+                else:
+                    done.append(sequence.scene_id)
+    finally:
+        # What workers were writing that were killed on the way, by whomever, or because the import was interrupted.
+        remove_abandoned(target / CACHE_FOLDER)
     if third_party is None:
         faults += write_stand_ins(Path(dexycb).expanduser() / "models", assets, n_workers, progress)
     return Imported(

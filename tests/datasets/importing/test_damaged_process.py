@@ -66,6 +66,11 @@ def cached(out: Path) -> list[Path]:
     return list((out / CACHE_FOLDER).glob("meta_*"))
 
 
+def leave_half(out: Path) -> None:
+    """What a worker leaves that is killed in the middle of a file."""
+    (out / CACHE_FOLDER / ".pose_205.npz.5rpomakf.part").write_bytes(b"half")
+
+
 def workers(parent: int) -> list[int]:
     """Process ids of the workers of an import."""
     children = Path(f"/proc/{parent}/task/{parent}/children").read_text().split()
@@ -122,8 +127,7 @@ def test_a_killed_worker(given: Path, tmp_path: Path, started: subprocess.Popen[
     until(lambda: len(cached(out)) >= 5)
     crew = workers(started.pid)
     os.kill(crew[0], signal.SIGKILL)
-    # As one leaves that was killed in the middle of a file.
-    (cached(out)[0].parent / ".pose_205.npz.5rpomakf.part").write_bytes(b"half")
+    leave_half(out)
     _, told = started.communicate(timeout=60)
     assert started.returncode == 0
     assert "a worker died while scenes: " in told
@@ -159,6 +163,7 @@ def test_an_import_that_is_interrupted(given: Path, tmp_path: Path, started: sub
     out = tmp_path / "out"
     until(lambda: len(cached(out)) >= 5)
     crew = workers(started.pid)
+    leave_half(out)
     started.send_signal(signal.SIGINT)
     started.communicate(timeout=60)
     assert started.returncode == 130
