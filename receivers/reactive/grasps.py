@@ -1,31 +1,19 @@
-"""Grasps that hold: the known ones and tilted copies of them, tried out in a simulation of the gripper alone.
+"""Grasps that hold: the known ones, tilted copies of them, and what came of trying them out, in a few numbers each."""
 
-What was found is kept in the user's cache folder, by the contents of the object's files, its known grasps, the robot's
-model, and the engine that tried them if that was not PyBullet.
-"""
-
-import logging
-from collections.abc import Callable
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from handover_marl.models.panda import GRIPPER_FROM_HAND
-from handover_marl.models.poses import IDENTITY, compose, inverse
-from handover_marl.planning.array_cache import cache_file, keep, read_kept
-from handover_marl.sim.grasp_trial import GraspTrial, TrialConfig, grasp_trial, trial_engine
+from handover_marl.models.poses import compose, inverse
+from handover_marl.sim.grasp_trial import TrialConfig
 
 Array = npt.NDArray[np.float64]
-
-# Changes when the same files give other grasps.
-_VERSION = 2
-_KIND, _WHAT = "grasps", "list of tried grasps"
-_HAND_FROM_GRIPPER = inverse(np.array(GRIPPER_FROM_HAND))
-
-_log = logging.getLogger(__name__)
+#: What came of trials, (n, 4): which tilted copy a grasp is (-1: a known one, in their order), how many trials of its
+#: place and those beside it it stood, by which of the ways it was moved on (0: not at all), and from how many places
+#: the fingers kept the object when it was let go.
+Record = npt.NDArray[np.int16]
 
 
 @dataclass(frozen=True)
@@ -72,63 +60,28 @@ class TriedGrasps:
     holds: Array
 
 
-def tried_grasps(object_urdf: Path, panda_urdf: Path, known: Array, config: GraspTrials) -> TriedGrasps:
-    """The known grasps (n, 7) of an object and their copies, tried and moved on; from the cache if it has them.
+def of_record(record: Record, known: Array, config: GraspTrials) -> TriedGrasps:
+    """The grasps that a record (n, 4) tells of.
 
     Raises:
-        SimulationError: The model cannot be loaded.
+        ValueError: It is not about these known grasps (k, 7), tried this way.
     """
-    shared = (config.tilts, config.pads, config.apart, config.arm, config.most, config.aside, config.trial)
-    given = np.round(known, 6).astype(np.float32).tobytes()
-    made = f"{_VERSION}{'' if trial_engine() == 'bullet' else f' {trial_engine()}'}"
-    first = cache_file(_KIND, object_urdf, f"{made} {' '.join(map(str, shared))}".encode(), given)
-    # The fingers of another robot weigh and rub otherwise.
-    last = cache_file(_KIND, object_urdf, f"{made} {config}".encode(), given, panda_urdf.read_bytes())
-    if not last.exists():
-        _log.warning("trying out the grasps of %s, once and for a minute or two", object_urdf.parent.name)
-    tried = _kept(first, lambda: _try(object_urdf, known, config))
-    return _kept(last, lambda: _finish(object_urdf, panda_urdf, tried, config))
+    n, copies = len(known), tilted(known, config)
+    copy, stood, way, kept = np.asarray(record, dtype=np.int64).reshape(-1, 4).T
+    if len(copy) < n or (copy[:n] != -1).any() or (copy[n:] < 0).any() or (copy >= len(copies)).any():
+        raise ValueError("a record of other grasps")
+    most = np.array([1 + len(config.aside), len(config.deeper), 1 + len(config.around)])
+    if ((record[:, 1:] < 0) | (record[:, 1:] > most)).any():
+        raise ValueError("a record of other trials")
+    poses = np.concatenate([known, copies[copy[n:]]])
+    ways = np.array([0.0, *config.deeper])
+    moved = [onward(pose, ways[number]) if number else pose for pose, number in zip(poses, way, strict=True)]
+    holds = (stood / (1 + len(config.aside))) * (kept / (1 + len(config.around)))
+    return TriedGrasps(np.array(moved).reshape(-1, 7), holds)
 
 
-def _kept(path: Path, make: Callable[[], TriedGrasps]) -> TriedGrasps:
-    found = _read(path)
-    if found is None:
-        found = make()
-        keep(path, {"poses": found.poses, "holds": found.holds}, _WHAT)
-    return found
-
-
-def _finish(object_urdf: Path, panda_urdf: Path, tried: TriedGrasps, config: GraspTrials) -> TriedGrasps:
-    """The same moved on, and worth what holds when a person lets go."""
-    trial = grasp_trial(object_urdf, config.trial, panda_urdf)
-    poses, holds = tried.poses.copy(), tried.holds.copy()
-    try:
-        for number, pose in enumerate(tried.poses):
-            for way in config.deeper:
-                if trial.is_free(_matrix(_onward(pose, way + config.spare))):
-                    poses[number] = _onward(pose, way)
-                    break
-            if holds[number] > 0.0:
-                holds[number] *= _share_kept(trial, poses[number], config)
-    finally:
-        trial.close()
-    return TriedGrasps(poses, holds)
-
-
-def _share_kept(trial: GraspTrial, pose: Array, config: GraspTrials) -> float:
-    """Of releases in which the object stays in the fingers; none where it does not from the grasp's very place."""
-    ways = np.array([(0.0, 0.0, 0.0), *config.around])
-    moved = compose(pose, np.concatenate([ways, np.tile([0.0, 0.0, 0.0, 1.0], (len(ways), 1))], axis=1))
-    kept = 0
-    for number, place in enumerate(moved):
-        slip = trial.slip_on_release(_matrix(place), config.held_time, config.free_time)
-        if number == 0 and slip > config.slip:
-            return 0.0
-        kept += slip <= config.slip
-    return kept / len(moved)
-
-
-def _onward(pose: Array, way: float) -> Array:
+def onward(pose: Array, way: float) -> Array:
+    """(7,) a grasp (7,) that reaches farther by a way (m)."""
     moved: Array = compose(pose, np.array([0.0, 0.0, way, 0.0, 0.0, 0.0, 1.0]))
     return moved
 
@@ -149,50 +102,3 @@ def distances(pose: Array, poses: Array, arm: float) -> Array:
     cosines = np.clip(np.abs(poses[:, 3:] @ pose[3:]), 0.0, 1.0)
     found: Array = ways + 2.0 * arm * np.arccos(cosines)
     return found
-
-
-def _try(object_urdf: Path, known: Array, config: GraspTrials) -> TriedGrasps:
-    trial = grasp_trial(object_urdf, config.trial)
-    try:
-        holds = [_share(trial, pose, config) for pose in known]
-        poses, kept = known, 0
-        for pose in tilted(known, config):
-            if kept == config.most:
-                break
-            if (distances(pose, poses, config.arm) < config.apart).any() or not trial.is_free(_matrix(pose)):
-                continue
-            share = _share(trial, pose, config)
-            if share > 0.0:
-                poses = np.concatenate([poses, pose[None]])
-                holds.append(share)
-                kept += 1
-    finally:
-        trial.close()
-    return TriedGrasps(poses, np.array(holds, dtype=np.float64))
-
-
-def _share(trial: GraspTrial, pose: Array, config: GraspTrials) -> float:
-    """Of trials that a grasp stands; none where it does not hold from its very place."""
-    if not trial.holds(_matrix(pose)):
-        return 0.0
-    moved = [compose(pose, np.array([*way, 0.0, 0.0, 0.0, 1.0])) for way in config.aside]
-    return (1 + sum(trial.holds(_matrix(other)) for other in moved)) / (1 + len(moved))
-
-
-def _matrix(hand: Array) -> Array:
-    """(4, 4) of the gripper that grasp files tell, for a pose (7,) of the hand link."""
-    gripper = compose(hand, _HAND_FROM_GRIPPER)
-    matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = Rotation.from_quat(gripper[3:]).as_matrix(), gripper[:3]
-    return matrix
-
-
-def _read(path: Path) -> TriedGrasps | None:
-    kept = read_kept(path, ("poses", "holds"), _WHAT)
-    if kept is None:
-        return None
-    poses, holds = kept["poses"], kept["holds"]
-    if poses.ndim != 2 or poses.shape[1] != len(IDENTITY) or holds.shape != poses.shape[:1]:
-        _log.warning("%s: no %s; making it anew", path, _WHAT)
-        return None
-    return TriedGrasps(poses, holds)

@@ -27,13 +27,14 @@ from handover_marl.policies.receiver import Receiver
 from handover_marl.policies.waiting import wait_ms
 from handover_marl.receivers.object_grasps import ObjectGrasps
 from handover_marl.receivers.reactive.choice import Choice, ReactiveChoice
-from handover_marl.receivers.reactive.grasps import TriedGrasps, tried_grasps
+from handover_marl.receivers.reactive.grasps import TriedGrasps
 from handover_marl.receivers.reactive.grips import Graspable, grips, spread_points
 from handover_marl.receivers.reactive.reach import TURN_WEIGHT, Reach
 from handover_marl.receivers.reactive.reactive_config import ReactiveConfig, with_risk
 from handover_marl.receivers.reactive.reactive_motion import Motion
 from handover_marl.receivers.reactive.reactive_view import View
 from handover_marl.receivers.reactive.retreat import Retreat, held_points
+from handover_marl.receivers.reactive.trials import tried_grasps
 
 Array = npt.NDArray[np.float64]
 

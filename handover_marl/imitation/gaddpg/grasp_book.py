@@ -14,9 +14,10 @@ from handover_marl.planning.grasp_rules import usable
 from handover_marl.planning.gripper_room import Balls, corners, flange_rooms, rooms, surface_balls
 from handover_marl.policies.context import PolicyContext
 from handover_marl.receivers.object_grasps import ObjectGrasps
-from handover_marl.receivers.reactive.grasps import GraspTrials, TriedGrasps, tried_grasps
+from handover_marl.receivers.reactive.grasps import GraspTrials, TriedGrasps
 from handover_marl.receivers.reactive.grips import grips, looseness, spread_points
 from handover_marl.receivers.reactive.reactive_config import GraspCosts
+from handover_marl.receivers.reactive.trials import tried_grasps
 
 Array = npt.NDArray[np.float64]
 

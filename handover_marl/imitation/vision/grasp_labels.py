@@ -15,9 +15,10 @@ from handover_marl.planning.gripper_room import Balls, flange_rooms, rooms, surf
 from handover_marl.policies.context import PolicyContext
 from handover_marl.receivers.object_grasps import ObjectGrasps
 from handover_marl.receivers.reactive.displaced import displaced
-from handover_marl.receivers.reactive.grasps import TriedGrasps, tried_grasps
+from handover_marl.receivers.reactive.grasps import TriedGrasps
 from handover_marl.receivers.reactive.grips import grips, looseness, spread_points
 from handover_marl.receivers.reactive.reactive_config import ReactiveConfig
+from handover_marl.receivers.reactive.trials import tried_grasps
 
 Array = npt.NDArray[np.float64]
 

@@ -1,8 +1,5 @@
 """The reactive receiver."""
 
-from dataclasses import replace
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -16,8 +13,7 @@ from handover_marl.episode.observations import Observation
 from handover_marl.errors import OptionError, ResetNeededError
 from handover_marl.policies.context import context_of
 from handover_marl.receivers import WAITING_JOINTS
-from handover_marl.receivers.object_grasps import ObjectGrasps
-from handover_marl.receivers.reactive.grasps import GraspTrials, TriedGrasps, tilted, tried_grasps
+from handover_marl.receivers.reactive.grasps import GraspTrials
 from handover_marl.receivers.reactive.reactive_config import ReactiveConfig, with_risk
 from handover_marl.receivers.reactive.reactive_receiver import Phase, ReactiveReceiver
 from handover_marl.sim.grasp_trial import TrialConfig
@@ -239,41 +235,6 @@ def test_name_with_options() -> None:
     assert isinstance(receiver, ReactiveReceiver)
     assert receiver.wait == 1.5
     assert receiver.config == with_risk(ReactiveConfig(), 0.2)
-
-
-def test_copies_keep_the_pads_in_place() -> None:
-    rng = np.random.default_rng(0)
-    known = np.concatenate([rng.normal(size=(5, 3)), rng.normal(size=(5, 4))], axis=1)
-    known[:, 3:] /= np.linalg.norm(known[:, 3:], axis=1, keepdims=True)
-    config = GraspTrials(tilts=(0.4, -0.8))
-    copies = tilted(known, config)
-    assert copies.shape == (10, 7)
-
-    def pads(poses: np.ndarray) -> np.ndarray:
-        from handover_marl.models.poses import compose
-
-        return np.asarray(compose(poses, np.array([0.0, 0.0, config.pads, 0.0, 0.0, 0.0, 1.0]))[:, :3])
-
-    np.testing.assert_allclose(pads(copies), np.tile(pads(known), (2, 1)), atol=1e-9)
-
-
-def test_trials_are_kept_and_made_anew_when_spoilt(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    name = "061_foam_brick"
-    known = ObjectGrasps(DATA.grasps).in_object(name)
-    assert known is not None
-    known, config = known[:6], replace(QUICK.trials, tilts=(0.4,))
-    first = tried_grasps(DATA.object_urdf(name), DATA.panda_urdf, known, config)
-    assert len(first.poses) >= len(known)
-    assert set(first.holds) <= {0.0, 1.0}
-    _, kept = sorted(tmp_path.rglob("*.npz"), key=lambda path: path.stat().st_mtime_ns)
-    np.savez(kept, poses=first.poses, holds=np.full(len(first.holds), 0.25))
-    assert (tried_grasps(DATA.object_urdf(name), DATA.panda_urdf, known, config).holds == 0.25).all()
-    kept.write_bytes(b"no archive")
-    again = tried_grasps(DATA.object_urdf(name), DATA.panda_urdf, known, config)
-    assert isinstance(again, TriedGrasps)
-    np.testing.assert_array_equal(again.poses, first.poses)
-    np.testing.assert_array_equal(again.holds, first.holds)
 
 
 def test_plays_in_exact_physics() -> None:
