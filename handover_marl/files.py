@@ -65,6 +65,29 @@ def remove_abandoned(folder: Path) -> None:
             path.unlink()
 
 
+@contextlib.contextmanager
+def alone_in(folder: Path) -> Iterator[None]:
+    """Keep other processes that ask for it out of a folder; on a file system without locks nobody is kept out.
+
+    Raises:
+        ResultsError: Another one is in.
+        OSError: The folder cannot be opened.
+    """
+    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise ResultsError(
+                f"another process is writing to {folder}; wait for it, or choose another folder"
+            ) from error
+        except OSError:  # a file system without locks
+            pass
+        yield
+    finally:
+        os.close(handle)
+
+
 def holds(path: Path, content: bytes) -> bool:
     """Whether there is a plain file of just this content.
 

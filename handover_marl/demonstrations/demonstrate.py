@@ -1,5 +1,7 @@
 """Recording demonstrations: a run on a train split whose episodes are kept as a data set."""
 
+from contextlib import closing
+
 from typing_extensions import Unpack
 
 from handover_marl.benchmarking.runner import evaluate_run
@@ -61,9 +63,9 @@ def demonstrate(
     _check_run(run, how)
     check_hdf5()
     chosen_renderer(run.camera.renderer, run.physics, installed=sight is not None)
-    shelf = DemonstrationShelf(Shown(sight, observe, keep == SUCCESS))
-    evaluate_run(run, how, shelf)
-    shelf.assemble()
+    with closing(DemonstrationShelf(Shown(sight, observe, keep == SUCCESS))) as shelf:
+        evaluate_run(run, how, shelf)
+        shelf.assemble()
     return Demonstrations(how.folder or "")
 
 

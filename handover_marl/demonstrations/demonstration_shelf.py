@@ -31,7 +31,7 @@ from handover_marl.demonstrations.minari_layout import (
 from handover_marl.episode.observations import receiver_observation_space
 from handover_marl.episode.spaces import receiver_action_space
 from handover_marl.errors import ResultsError
-from handover_marl.files import brief, remove_abandoned, write_atomically
+from handover_marl.files import alone_in, brief, remove_abandoned, write_atomically
 from handover_marl.run import Run
 
 _EPISODES = "episodes"
@@ -47,6 +47,7 @@ class DemonstrationShelf(Shelf):
 
     def __init__(self, shown: Shown) -> None:
         self._shown = shown
+        self._alone = contextlib.ExitStack()
 
     @property
     def scribe(self) -> ScribeMaker:
@@ -62,19 +63,27 @@ class DemonstrationShelf(Shelf):
         """As `Shelf.open`.
 
         Raises:
-            ResultsError: The data set that is there is damaged, or the folder cannot be written.
+            ResultsError: The data set that is there is damaged, another process records in this folder, or it cannot
+                be written.
         """
         self._run, self._folder = run, folder
         self._data, self._episodes = folder / DATA_FOLDER, folder / _EPISODES
         try:
             for made in (self._data, self._episodes):
                 made.mkdir(exist_ok=True)
+            # Who puts a data set together removes single episodes, and must not meet who writes them.
+            self._alone.enter_context(alone_in(self._data))
+            for made in (self._data, self._episodes):
                 remove_abandoned(made)
             if fresh:
                 self._clear()
         except OSError as error:
             raise ResultsError(f"cannot use {folder} for demonstrations: {error.strerror or error}") from error
         self._finished = self._read_main()
+
+    def close(self) -> None:
+        """Let others record in this folder."""
+        self._alone.close()
 
     def has(self, result: EpisodeResult) -> bool:
         """Whether the episode is there, or is none to keep."""

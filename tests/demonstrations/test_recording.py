@@ -131,6 +131,24 @@ def test_recording_changes_nothing_about_the_run(tmp_path: Path) -> None:
                 np.testing.assert_array_equal(plain[key], recorded[key], err_msg=key)
 
 
+def test_one_recording_at_a_time(fake_data: Path, tmp_path: Path, played: list[int]) -> None:
+    out = tmp_path / "out"
+    record(fake_data, out, scenes=SCENES[:1])
+    code = (
+        "import pathlib, sys; from handover_marl.files import alone_in\n"
+        "with alone_in(pathlib.Path(sys.argv[1])): print('in', flush=True); sys.stdin.read()"
+    )
+    command = [sys.executable, "-c", code, str(out / "data")]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as other:
+        assert other.stdout is not None
+        assert other.stdout.readline() == "in\n"
+        with pytest.raises(ResultsError, match=r"another process is writing to .*; wait for it, or choose another"):
+            record(fake_data, out)
+        assert played == list(SCENES[:1])
+        other.communicate()
+    assert len(record(fake_data, out)) == len(SCENES)
+
+
 def test_only_successes_and_then_all(tmp_path: Path, played: list[int]) -> None:
     """`hold` never succeeds; one scene with a success is enough for the others."""
     options: dict[str, Any] = {"receiver": "yang2021:wait=0", "config": OFFICIAL, "scenes": [5, 10]}

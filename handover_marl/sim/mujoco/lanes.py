@@ -11,6 +11,7 @@ import numpy.typing as npt
 from mujoco.batch import Batch
 
 from handover_marl.errors import ResetNeededError, SimulationError
+from handover_marl.options import pybullet_installed
 from handover_marl.sim.mujoco.scene_model import SceneModel
 
 Array = npt.NDArray[np.float64]
@@ -103,9 +104,10 @@ class _Group:
         row = int(numbers.any(axis=1).argmax())
         found = [text for kind, text in _WARNINGS.items() if numbers[row, int(kind)]]
         seconds = float(self.batch.bind("time")[rows[row]])
+        instead = "Play this scene with physics='fast', and" if pybullet_installed() else "Leave this scene out, and"
         raise SimulationError(
             f"MuJoCo's simulation broke down after {seconds:.3f} s: {'; '.join(found) or 'it warned'}. "
-            "Play this scene with physics='fast', and report it"
+            f"{instead} report it"
         )
 
 
