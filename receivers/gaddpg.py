@@ -14,6 +14,8 @@ What decides results and is not what one would expect, each as the original scri
 - One call of inverse kinematics a decision, from where the arm is, whether it gets there or not.
 - Whether it is done is looked at on the last millisecond of each decision. More than 50 of 1,024 points between the
   fingers do, repeats counted, at whatever angle, and whatever the hand does.
+- A picture is drawn then, too, and thrown away: what Bullet draws enters its broad phase, and without it the last bits
+  of the arm's motion are others.
 - The points on the way to the goal are 0.03 m apart, the last may lie behind it, and all are solved from the joints at
   the beginning; the hand may turn.
 """
