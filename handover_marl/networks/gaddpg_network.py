@@ -1,4 +1,12 @@
-"""GA-DDPG's actor: from points and the decisions left to the next hand pose."""
+"""GA-DDPG's actor: from points and the decisions left to the next hand pose.
+
+It tells an action, and as an auxiliary the grasp that it goes for. The original acts by its action. The library's own
+weights act by the grasp, from which the step follows by the rule that the expert moved by
+(`handover_marl.planning.approach`): that rule jumps where the hand is to go in, which no network learns well.
+"""
+
+from dataclasses import asdict
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -9,23 +17,30 @@ from handover_marl.networks.one_thread import one_thread
 from handover_marl.networks.own_weights import KeptNetwork
 from handover_marl.networks.point_encoders import PointNetPlusPlus
 from handover_marl.networks.policy_heads import Decision, PolicyHead
+from handover_marl.planning.approach import ApproachConfig, steps_to_goals
 
 #: A cloud of this many points is the network's; every other has the gripper's six in front, which it leaves out.
 N_POINTS, N_FINGER_POINTS = 1024, 6
+_HERE = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 
 
 class GaddpgNetwork(KeptNetwork):
     """Encoder and head, as the receiver `gaddpg` asks them: `decide`.
 
+    Args:
+        approach: The rule by which it goes to the grasp that it tells; None acts as it tells to act.
+
     Attributes:
+        approach: The same.
         features: The encoder, of xyz in the hand link's frame (m) and a flag that is 0.
         policy: The head.
     """
 
     kind = "gaddpg"
 
-    def __init__(self) -> None:
+    def __init__(self, approach: ApproachConfig | None = None) -> None:
         super().__init__()
+        self.approach = approach
         self.features = PointNetPlusPlus(4)
         self.policy = PolicyHead()
 
@@ -42,11 +57,34 @@ class GaddpgNetwork(KeptNetwork):
         return decision
 
     def decide(self, points: npt.NDArray[np.float64], remaining: int) -> npt.NDArray[np.float32]:
-        """(6,) the most likely action for (4, 1030) points and the decisions left; nothing is learned from it."""
+        """(6,) the step for (4, 1030) points and the decisions left; nothing is learned from it."""
+        step: npt.NDArray[np.float32] = self.steps(points[None], np.array([float(remaining)]))[0]
+        return step
+
+    def steps(self, clouds: npt.NDArray[np.float64], remaining: npt.NDArray[np.float64]) -> npt.NDArray[np.float32]:
+        """(B, 6) for clouds (B, 4, 1030 or 1024) and decisions left (B,), whatever the number of threads."""
         self.eval()
         device = next(self.parameters()).device
         with one_thread():
-            cloud = torch.from_numpy(points.astype(np.float32))[None].to(device)
-            decision = self(cloud, torch.tensor([float(remaining)], device=device))
-        action: npt.NDArray[np.float32] = decision.action[0].cpu().numpy()
-        return action
+            cloud = torch.from_numpy(clouds.astype(np.float32)).to(device)
+            decision = self(cloud, torch.from_numpy(remaining.astype(np.float32)).to(device))
+        if self.approach is None:
+            told: npt.NDArray[np.float32] = decision.action.cpu().numpy()
+            return told
+        goals = _poses(decision.goal.cpu().numpy().astype(np.float64))
+        return steps_to_goals(np.tile(_HERE, (len(goals), 1)), goals, remaining, self.approach).astype(np.float32)
+
+    def settings(self) -> dict[str, Any]:
+        """By which rule it goes to a grasp."""
+        return {} if self.approach is None else {"approach": asdict(self.approach)}
+
+    @classmethod
+    def of(cls, settings: dict[str, Any]) -> "GaddpgNetwork":
+        """An untrained one."""
+        return cls(ApproachConfig(**settings["approach"]) if settings else None)
+
+
+def _poses(goals: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """(B, 7) xyz and quaternion xyzw of goals as the head tells them, quaternion wxyz, then xyz."""
+    turns = goals[:, [1, 2, 3, 0]]
+    return np.concatenate([goals[:, 4:], turns / np.linalg.norm(turns, axis=1, keepdims=True)], axis=1)

@@ -8,9 +8,9 @@ import torch
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from handover_marl.imitation.gaddpg.approach import ApproachConfig, steps_to_goals
 from handover_marl.imitation.gaddpg.states import States
 from handover_marl.models.poses import compose, inverse
+from handover_marl.planning.approach import ApproachConfig, steps_to_goals
 
 _HERE = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 

@@ -12,11 +12,11 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from handover_marl.config import ARM_JOINTS
-from handover_marl.imitation.gaddpg.approach import ApproachConfig, steps_to_goals
 from handover_marl.imitation.gaddpg.grasp_book import GraspBook, way_prices
 from handover_marl.imitation.gaddpg.kinematic_arm import KinematicArm
 from handover_marl.imitation.gaddpg.situations import Situation
 from handover_marl.models.poses import compose, inverse
+from handover_marl.planning.approach import ApproachConfig, steps_to_goals
 from handover_marl.planning.field_cache import object_field
 from handover_marl.planning.obstacles import Obstacle
 from handover_marl.planning.planner import Planner

@@ -24,7 +24,7 @@ from handover_marl.imitation.gaddpg.batches import BatchConfig, Batches
 from handover_marl.imitation.gaddpg.expert import ExpertConfig
 from handover_marl.imitation.gaddpg.grasp_book import PriceConfig
 from handover_marl.imitation.gaddpg.imitation_episodes import EpisodeConfig
-from handover_marl.imitation.gaddpg.learner import Learner, LearnerConfig, NetworkPolicy
+from handover_marl.imitation.gaddpg.learner import Learner, LearnerConfig
 from handover_marl.imitation.gaddpg.plan_book import CHUNK, Plans, make_plans
 from handover_marl.imitation.gaddpg.situations import SituationConfig
 from handover_marl.imitation.gaddpg.states import States, joined, read_states, write_states
@@ -131,7 +131,7 @@ class GaddpgTraining:
         self._how = Execution(args.workers, args.backend, args.ray_address, progress=False)
         self._val = spread_scenes(data.split(args.val_setup, "val"), args.val_scenes)
         name = ("cuda" if torch.cuda.is_available() else "cpu") if args.device == "auto" else args.device
-        self._learner = Learner(args.updates, args.seed, torch.device(name), args.learn)
+        self._learner = Learner(args.updates, args.seed, torch.device(name), args.learn, args.expert.approach)
         self._round, self._best, self._started = 0, -1.0, time.monotonic()
         if args.resume and self.folder.checkpoint.exists():
             read_checkpoint(self.folder.checkpoint, self._restore)
@@ -283,7 +283,7 @@ def _play(weights: bytes | None, workshop: Workshop, task: tuple[list[int], list
     policy: Callable[..., Any] | None = None
     if weights is not None:
         torch.set_num_threads(1)
-        policy = NetworkPolicy(_network(weights))
+        policy = _network(weights).steps
     return workshop.states(numbers, plans, policy, turn)
 
 

@@ -4,15 +4,13 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
 import torch
 
 from handover_marl.imitation.gaddpg.batches import Batch
 from handover_marl.imitation.gaddpg.losses import action_losses, goal_losses
 from handover_marl.imitation.gaddpg.ragged_network import decide
 from handover_marl.networks.gaddpg_network import GaddpgNetwork
-from handover_marl.networks.one_thread import one_thread
+from handover_marl.planning.approach import ApproachConfig
 
 
 @dataclass(frozen=True)
@@ -25,7 +23,8 @@ class LearnerConfig:
         last: this share.
         warm: Updates in which they rise.
         decay: Weight decay.
-        goal: Weight of the loss of goals against that of actions.
+        action: Weight of the loss of actions, which by goals are an auxiliary, against that of goals.
+        near: Goals farther away than this (m) count less for it; those so far away count half.
         clip: Largest norm of a gradient.
         average: Share of the averaged weights that an update leaves; these are what is used.
         half: Whether products are taken in bfloat16.
@@ -36,7 +35,8 @@ class LearnerConfig:
     last: float = 0.01
     warm: int = 100
     decay: float = 1e-4
-    goal: float = 0.5
+    action: float = 0.2
+    near: float = 0.1
     clip: float = 1.0
     average: float = 0.998
     half: bool = True
@@ -50,17 +50,20 @@ class Learner:
         seed: Of the network's first weights.
         device: Where it learns.
         config: How.
+        approach: How it goes to the grasps that it tells.
 
     Attributes:
         done: Updates so far.
         averaged: The network with the averaged weights.
     """
 
-    def __init__(self, updates: int, seed: int, device: torch.device, config: LearnerConfig) -> None:
+    def __init__(
+        self, updates: int, seed: int, device: torch.device, config: LearnerConfig, approach: ApproachConfig
+    ) -> None:
         torch.manual_seed(seed)
         self._config, self._updates, self._device = config, updates, device
-        self._network = GaddpgNetwork().to(device)
-        self.averaged = GaddpgNetwork().to(device).eval()
+        self._network = GaddpgNetwork(approach).to(device)
+        self.averaged = GaddpgNetwork(approach).to(device).eval()
         self.averaged.load_state_dict(self._network.state_dict())
         groups = [
             {"params": list(self._network.features.parameters()), "rate": config.encoder_rate},
@@ -74,8 +77,8 @@ class Learner:
         self._network.train()
         for group in self._optimizer.param_groups:
             group["lr"] = group["rate"] * self._share()
-        action, goal = self._losses(self._network, batch)
-        loss = action + self._config.goal * goal
+        action, goal, counted = self._losses(self._network, batch)
+        loss = self._config.action * action + counted
         self._optimizer.zero_grad(set_to_none=True)
         loss.backward()  # type: ignore[no-untyped-call]
         torch.nn.utils.clip_grad_norm_(self._network.parameters(), self._config.clip)
@@ -87,7 +90,7 @@ class Learner:
     def assess(self, batch: Batch) -> dict[str, float]:
         """Losses of the averaged network on a batch (m)."""
         with torch.no_grad():
-            action, goal = self._losses(self.averaged, batch)
+            action, goal, _ = self._losses(self.averaged, batch)
         return {"action": float(action.detach()), "goal": float(goal.detach())}
 
     def state(self) -> dict[str, Any]:
@@ -106,12 +109,16 @@ class Learner:
         self._optimizer.load_state_dict(state["optimizer"])
         self.done = int(state["done"])
 
-    def _losses(self, network: GaddpgNetwork, batch: Batch) -> tuple[torch.Tensor, torch.Tensor]:
+    def _losses(self, network: GaddpgNetwork, batch: Batch) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Of actions, of goals, and of goals as they count."""
         moved = batch.to(self._device)
         with torch.autocast(self._device.type, torch.bfloat16, enabled=self._config.half):
             decision = decide(network, moved)
         action = action_losses(decision.action.float(), moved.steps).mean()
-        return action, goal_losses(decision.goal.float(), moved.goals).mean()
+        goals = goal_losses(decision.goal.float(), moved.goals)
+        # What is far away is told again, from nearer.
+        shares = self._config.near / (self._config.near + moved.goals[:, :3].norm(dim=1))
+        return action, goals.mean(), (shares * goals).mean()
 
     def _share(self) -> float:
         """Of the first learning rates."""
@@ -130,24 +137,3 @@ class Learner:
                     value.lerp_(own[name], 1.0 - kept)
                 else:
                     value.copy_(own[name])
-
-
-class NetworkPolicy:
-    """Steps of a network for many clouds at once.
-
-    Args:
-        network: It.
-    """
-
-    def __init__(self, network: GaddpgNetwork) -> None:
-        self._network = network.eval()
-
-    def __call__(self, clouds: npt.NDArray[np.float64], remaining: npt.NDArray[np.float64]) -> npt.NDArray[np.floating]:
-        """(n, 6) for clouds (n, 4, 1024) and decisions left (n,)."""
-        device = next(self._network.parameters()).device
-        # Decisions are part of what is learned from: they must not depend on the number of threads.
-        with one_thread():
-            cloud = torch.from_numpy(clouds.astype(np.float32)).to(device)
-            decision = self._network(cloud, torch.from_numpy(remaining.astype(np.float32)).to(device))
-        steps: npt.NDArray[np.floating] = decision.action.cpu().numpy()
-        return steps

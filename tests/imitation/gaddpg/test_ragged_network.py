@@ -8,13 +8,13 @@ from scipy.spatial.transform import Rotation
 
 torch = pytest.importorskip("torch", reason="needs the extra `train`")
 
-from handover_marl.imitation.gaddpg.approach import ApproachConfig  # noqa: E402
 from handover_marl.imitation.gaddpg.batches import BatchConfig, Batches  # noqa: E402
 from handover_marl.imitation.gaddpg.learner import Learner, LearnerConfig  # noqa: E402
 from handover_marl.imitation.gaddpg.losses import action_losses, goal_losses  # noqa: E402
 from handover_marl.imitation.gaddpg.ragged_network import decide  # noqa: E402
 from handover_marl.imitation.gaddpg.states import States, joined, read_states, state, write_states  # noqa: E402
 from handover_marl.networks.gaddpg_network import GaddpgNetwork  # noqa: E402
+from handover_marl.planning.approach import ApproachConfig  # noqa: E402
 
 SAME = BatchConfig(shift=0.0, turn=0.0, early=0, neighbours=64)
 
@@ -107,12 +107,12 @@ def test_it_learns_and_goes_on_as_it_would_have() -> None:
         return told
 
     config = LearnerConfig(half=False, warm=1)
-    whole = Learner(12, 0, torch.device("cpu"), config)
+    whole = Learner(12, 0, torch.device("cpu"), config, ApproachConfig())
     before = learned(whole, 0, 1)
     after = learned(whole, 1, 12)
     assert after["action"] < before["action"]
-    half = Learner(12, 0, torch.device("cpu"), config)
+    half = Learner(12, 0, torch.device("cpu"), config, ApproachConfig())
     learned(half, 0, 6)
-    rest = Learner(12, 5, torch.device("cpu"), config)
+    rest = Learner(12, 5, torch.device("cpu"), config, ApproachConfig())
     rest.restore(half.state())
     assert learned(rest, 6, 12) == after

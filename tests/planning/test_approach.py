@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from handover_marl.imitation.gaddpg.approach import ApproachConfig, steps_to_goals
 from handover_marl.models.poses import compose, inverse
+from handover_marl.planning.approach import ApproachConfig, steps_to_goals
 
 CONFIG = ApproachConfig()
 GOAL = np.array([0.4, 0.1, 0.3, *Rotation.from_euler("xyz", [2.6, 0.3, -0.4]).as_quat()])

@@ -1,0 +1,60 @@
+"""What GA-DDPG's network acts by: the action that it tells, or the grasp that it tells and a rule."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch", reason="needs the extra `train`")
+
+from handover_marl.networks.gaddpg_network import GaddpgNetwork  # noqa: E402
+from handover_marl.networks.own_weights import read_own_weights, write_own_weights  # noqa: E402
+from handover_marl.networks.policy_heads import Decision  # noqa: E402
+from handover_marl.planning.approach import ApproachConfig, steps_to_goals  # noqa: E402
+
+RULE = replace(ApproachConfig(), standoff=0.07)
+HERE = np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]])
+
+
+@pytest.fixture
+def cloud() -> np.ndarray:
+    points = np.zeros((4, 1030))
+    points[:3] = np.random.default_rng(0).uniform(0.1, 0.3, (3, 1030))
+    points[3, :6] = 1.0
+    return points
+
+
+def network(approach: ApproachConfig | None) -> GaddpgNetwork:
+    torch.manual_seed(0)
+    return GaddpgNetwork(approach).eval()
+
+
+def test_it_goes_to_the_grasp_that_it_tells(cloud: np.ndarray) -> None:
+    by_goal, by_action = network(RULE), network(None)
+    with torch.no_grad():
+        told: Decision = by_goal(torch.from_numpy(cloud.astype(np.float32))[None], torch.tensor([7.0]))
+    w, x, y, z, *place = told.goal[0].double().tolist()
+    wanted = steps_to_goals(HERE, np.array([[*place, x, y, z, w]]), np.array([7.0]), RULE)[0]
+    np.testing.assert_allclose(by_goal.decide(cloud, 7), wanted, atol=1e-5)
+    np.testing.assert_allclose(by_action.decide(cloud, 7), told.action[0].numpy(), atol=1e-5)
+    assert np.abs(by_goal.decide(cloud, 7) - by_action.decide(cloud, 7)).max() > 1e-3
+
+
+def test_many_clouds_are_decided_on_as_one_by_one(cloud: np.ndarray) -> None:
+    clouds, left = np.stack([cloud, cloud[:, ::-1].copy(), 0.7 * cloud]), np.array([3.0, 9.0, 20.0])
+    for approach in (RULE, None):
+        decides = network(approach)
+        single = [decides.decide(one, int(count)) for one, count in zip(clouds, left, strict=True)]
+        np.testing.assert_allclose(decides.steps(clouds, left), single, atol=1e-5)
+
+
+@pytest.mark.parametrize("approach", [RULE, None])
+def test_files_know_the_rule(approach: ApproachConfig | None, cloud: np.ndarray, tmp_path: Path) -> None:
+    write_own_weights(tmp_path / "policy.npz", network(approach), {})
+    found, _ = read_own_weights(tmp_path / "policy.npz", GaddpgNetwork)
+    assert found.approach == approach
+    np.testing.assert_allclose(found.decide(cloud, 7), network(approach).decide(cloud, 7), atol=2e-3)
+    about = json.loads(str(np.load(tmp_path / "policy.npz")["about"]))
+    assert ("approach" in about["settings"]) == (approach is not None)
