@@ -4,8 +4,8 @@ from pathlib import Path
 
 from handover_marl.assets.object_models import DATA_ROOT
 
-#: Those of the receiver `gaddpg`, written by `experiments/train_gaddpg.py` as `policy.npz`; until they ship there is no
-#: such file.
+#: Those of the receiver `gaddpg`, learned from scenes that are in the training splits of all official setups; written
+#: by `experiments/train_gaddpg.py` as `policy.npz`.
 GADDPG_WEIGHTS = DATA_ROOT / "gaddpg.npz"
 
 

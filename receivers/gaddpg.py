@@ -79,14 +79,15 @@ class GaddpgReceiver(Receiver):
         context: The robot and the task.
         network: What decides. Either this or `weights`, or the library's own weights where neither is given.
         weights: File or folder of the original authors' checkpoint, or an .npz file that
-            `experiments/train_gaddpg.py` wrote; needs PyTorch.
+            `experiments/train_gaddpg.py` wrote, which ends in .npz; needs PyTorch. The library's own go to the grasp
+            that they tell, and results say that they are "own weights".
         wait: How long to stay at the start pose (s): 3 is "hold", 0 "w/o hold".
         max_steps: Decisions that an approach may take, as the model was trained: its configuration's RL_MAX_STEP.
         memory: Constants of what is remembered.
         timing: When what happens.
 
     Raises:
-        OptionError: There are no weights yet, or network and weights, or a number is impossible.
+        OptionError: PyTorch is not installed, or network and weights are given, or a number is impossible.
         DataNotFoundError, DataFormatError, UnsafeFileError: The weights cannot be read.
     """
 
@@ -239,13 +240,8 @@ def _chosen(network: GaddpgFunction | None, weights: str | None) -> tuple[Gaddpg
         raise OptionError("receiver 'gaddpg' takes a network or weights, not both")
     if network is not None:
         return network, GaddpgReceiver.name
-    own = weights is None or weights.endswith(_OWN)
-    if weights is None:
-        if not GADDPG_WEIGHTS.is_file():
-            raise OptionError(
-                "receiver 'gaddpg': no weights ship yet; give weights=FILE (the original authors' checkpoint) or train"
-            )
-        weights = str(GADDPG_WEIGHTS)
+    weights = str(GADDPG_WEIGHTS) if weights is None else weights
+    own = weights.endswith(_OWN)
     if importlib.util.find_spec("torch") is None:
         raise OptionError("receiver 'gaddpg' with weights needs PyTorch: pip install 'handover-marl[train]'")
     # Only who has weights needs it.

@@ -8,7 +8,7 @@ import pytest
 torch = pytest.importorskip("torch", reason="needs the extra `train`")
 
 from handover_marl.datasets.synthetic import SyntheticDataset  # noqa: E402
-from handover_marl.errors import DataFormatError, DataNotFoundError, OptionError  # noqa: E402
+from handover_marl.errors import DataFormatError, DataNotFoundError  # noqa: E402
 from handover_marl.networks.gaddpg_network import GaddpgNetwork  # noqa: E402
 from handover_marl.networks.own_weights import read_own_weights, write_own_weights  # noqa: E402
 from handover_marl.receivers import gaddpg, make  # noqa: E402
@@ -44,7 +44,7 @@ def test_without_options_the_shipped_ones_are_taken(file: Path, monkeypatch: pyt
     monkeypatch.setattr(gaddpg, "GADDPG_WEIGHTS", file)
     assert make("gaddpg", DATA).label.startswith("gaddpg@own weights ")
     monkeypatch.setattr(gaddpg, "GADDPG_WEIGHTS", file.with_name("none.npz"))
-    with pytest.raises(OptionError, match="no weights ship yet"):
+    with pytest.raises(DataNotFoundError, match=r"none\.npz: cannot read these weights"):
         make("gaddpg", DATA)
 
 

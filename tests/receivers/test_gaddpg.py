@@ -358,11 +358,7 @@ def test_a_reset_forgets_the_episode(
     np.testing.assert_array_equal(asked[0][0], asked_again[0][0])
 
 
-def test_without_weights_it_says_so() -> None:
-    with pytest.raises(
-        OptionError, match=r"no weights ship yet; give weights=FILE \(the original authors' checkpoint\)"
-    ):
-        make("gaddpg", DATA)
+def test_impossible_options() -> None:
     with pytest.raises(OptionError, match="a network or weights, not both"):
         GaddpgReceiver(CONTEXT, network=constant, weights="here")
     for wrong in (0, 2.5, True):
