@@ -82,7 +82,8 @@ class GaddpgReceiver(Receiver):
             `experiments/train_gaddpg.py` wrote, which ends in .npz; needs PyTorch. The library's own go to the grasp
             that they tell, and results say that they are "own weights".
         wait: How long to stay at the start pose (s): 3 is "hold", 0 "w/o hold".
-        max_steps: Decisions that an approach may take, as the model was trained: its configuration's RL_MAX_STEP.
+        max_steps: Decisions that an approach may take, as the model was trained: its configuration's RL_MAX_STEP. By
+            default what the library's own weights say (30), or else 20.
         memory: Constants of what is remembered.
         timing: When what happens.
 
@@ -108,11 +109,12 @@ class GaddpgReceiver(Receiver):
         timing: GaddpgTiming | None = None,
     ) -> None:
         super().__init__(context)
-        self._network, self._label = _chosen(network, weights)
+        self._network, self._label, own_steps = _chosen(network, weights)
         self.timing = timing or GaddpgTiming()
         if wait is not None:
             self.timing = replace(self.timing, wait_ms=wait_ms(wait))
         config = memory or MemoryConfig()
+        max_steps = own_steps if max_steps is None else max_steps
         if max_steps is not None:
             if isinstance(max_steps, bool) or not isinstance(max_steps, int) or max_steps < 1:
                 raise OptionError(f"max_steps={max_steps!r} must be a whole number, 1 or more")
@@ -234,12 +236,12 @@ class GaddpgReceiver(Receiver):
         return self._kinematics
 
 
-def _chosen(network: GaddpgFunction | None, weights: str | None) -> tuple[GaddpgFunction, str]:
-    """What decides, and what results are filed under."""
+def _chosen(network: GaddpgFunction | None, weights: str | None) -> tuple[GaddpgFunction, str, int | None]:
+    """What decides, what results are filed under, and how many decisions it wants."""
     if network is not None and weights is not None:
         raise OptionError("receiver 'gaddpg' takes a network or weights, not both")
     if network is not None:
-        return network, GaddpgReceiver.name
+        return network, GaddpgReceiver.name, None
     weights = str(GADDPG_WEIGHTS) if weights is None else weights
     own = weights.endswith(_OWN)
     if importlib.util.find_spec("torch") is None:
@@ -250,7 +252,8 @@ def _chosen(network: GaddpgFunction | None, weights: str | None) -> tuple[Gaddpg
     from handover_marl.networks.own_weights import read_own_weights
 
     found, fingerprint = read_own_weights(weights, GaddpgNetwork) if own else read_weights(weights)
-    return found.decide, f"{GaddpgReceiver.name}@{'own weights ' if own else ''}{fingerprint}"
+    label = f"{GaddpgReceiver.name}@{'own weights ' if own else ''}{fingerprint}"
+    return found.decide, label, found.max_steps
 
 
 def _pose_step(step: Array) -> Array:

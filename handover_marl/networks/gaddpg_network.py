@@ -29,18 +29,20 @@ class GaddpgNetwork(KeptNetwork):
 
     Args:
         approach: The rule by which it goes to the grasp that it tells; None acts as it tells to act.
+        max_steps: Decisions that an approach of its may take, or None where that is not its to say.
 
     Attributes:
         approach: The same.
+        max_steps: The same.
         features: The encoder, of xyz in the hand link's frame (m) and a flag that is 0.
         policy: The head.
     """
 
-    kind = "gaddpg"
+    kind, eight_bits = "gaddpg", True
 
-    def __init__(self, approach: ApproachConfig | None = None) -> None:
+    def __init__(self, approach: ApproachConfig | None = None, max_steps: int | None = None) -> None:
         super().__init__()
-        self.approach = approach
+        self.approach, self.max_steps = approach, max_steps
         self.features = PointNetPlusPlus(4)
         self.policy = PolicyHead()
 
@@ -75,13 +77,15 @@ class GaddpgNetwork(KeptNetwork):
         return steps_to_goals(np.tile(_HERE, (len(goals), 1)), goals, remaining, self.approach).astype(np.float32)
 
     def settings(self) -> dict[str, Any]:
-        """By which rule it goes to a grasp."""
-        return {} if self.approach is None else {"approach": asdict(self.approach)}
+        """By which rule it goes to a grasp, and for how long."""
+        approach = None if self.approach is None else asdict(self.approach)
+        return {"approach": approach, "max_steps": self.max_steps}
 
     @classmethod
     def of(cls, settings: dict[str, Any]) -> "GaddpgNetwork":
         """An untrained one."""
-        return cls(ApproachConfig(**settings["approach"]) if settings else None)
+        approach = settings.get("approach")
+        return cls(None if approach is None else ApproachConfig(**approach), settings.get("max_steps"))
 
 
 def _poses(goals: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

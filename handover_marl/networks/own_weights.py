@@ -1,7 +1,8 @@
 """Weights that this library trained, as one small file: numbers in half precision and how they were made, no code.
 
 A NumPy archive: every array of the network by its name, those of one axis (biases, statistics) in single precision,
-the others in half, and `about`, JSON: `format`, `kind`, `settings` (what the network is made from) and `made_by`.
+the others in half, or the large ones of some networks in eight bits with a scale for each row (`name:scale`), and
+`about`, JSON: `format`, `kind`, `settings` (what the network is made from) and `made_by`.
 """
 
 import hashlib
@@ -12,6 +13,7 @@ from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
+import numpy.typing as npt
 import torch
 from torch import nn
 
@@ -23,6 +25,8 @@ SUFFIX = ".npz"
 _FORMAT, _ABOUT = "handover_marl weights 1", "about"
 _LARGEST = 100_000_000  # bytes
 _COUNTERS = "num_batches_tracked"
+_SCALE, _STEPS = ":scale", 127
+_LARGE = 100_000  # numbers of an array that may be kept in eight bits
 
 _Network = TypeVar("_Network", bound="KeptNetwork")
 
@@ -32,9 +36,11 @@ class KeptNetwork(nn.Module):
 
     Attributes:
         kind: Name of the receiver that it is for.
+        eight_bits: Whether its large arrays are kept in eight bits.
     """
 
     kind: ClassVar[str]
+    eight_bits: ClassVar[bool] = False
 
     def settings(self) -> dict[str, Any]:
         """What it is made from: numbers and words."""
@@ -57,11 +63,10 @@ def write_own_weights(path: Path, network: KeptNetwork, made_by: Mapping[str, An
     Raises:
         ResultsError: It cannot be written.
     """
-    arrays = {
-        name: value.detach().cpu().numpy().astype(np.float16 if value.ndim > 1 else np.float32)
-        for name, value in network.state_dict().items()
-        if not name.endswith(_COUNTERS)
-    }
+    arrays: dict[str, npt.NDArray[Any]] = {}
+    for name, value in network.state_dict().items():
+        if not name.endswith(_COUNTERS):
+            arrays |= _kept(name, value.detach().cpu().numpy(), network.eight_bits)
     about = {"format": _FORMAT, "kind": network.kind, "settings": network.settings(), "made_by": dict(made_by)}
     write_arrays(path, {_ABOUT: np.array(json.dumps(about)), **arrays})
 
@@ -103,4 +108,18 @@ def _parts(content: bytes) -> tuple[dict[str, Any], dict[str, Any]]:
     """What a file says of itself, and its arrays."""
     with np.load(io.BytesIO(content), allow_pickle=False) as archive:
         about = json.loads(str(archive[_ABOUT]))
-        return about, {name: archive[name].astype(np.float32) for name in archive.files if name != _ABOUT}
+        arrays = {name: archive[name].astype(np.float32) for name in archive.files if name != _ABOUT}
+    for name in [name for name in arrays if name.endswith(_SCALE)]:
+        arrays[name.removesuffix(_SCALE)] *= arrays.pop(name)
+    return about, arrays
+
+
+def _kept(name: str, value: npt.NDArray[Any], eight_bits: bool) -> dict[str, npt.NDArray[Any]]:
+    """An array as it is kept, with its scale if it has one."""
+    if value.ndim == 1:
+        return {name: value.astype(np.float32)}
+    if not eight_bits or value.size < _LARGE:
+        return {name: value.astype(np.float16)}
+    largest = np.abs(value).max(axis=tuple(range(1, value.ndim)), keepdims=True)
+    scale = (np.maximum(largest, np.finfo(np.float32).tiny) / _STEPS).astype(np.float32)
+    return {name: np.rint(value / scale).astype(np.int8), name + _SCALE: scale}

@@ -56,5 +56,12 @@ def test_files_know_the_rule(approach: ApproachConfig | None, cloud: np.ndarray,
     found, _ = read_own_weights(tmp_path / "policy.npz", GaddpgNetwork)
     assert found.approach == approach
     np.testing.assert_allclose(found.decide(cloud, 7), network(approach).decide(cloud, 7), atol=2e-3)
+    for name, value in network(approach).state_dict().items():
+        # An eight-bit step of the row's largest, or half precision.
+        step = 0.5 * value.abs().amax(dim=tuple(range(1, value.ndim)), keepdim=True) / 127 if value.ndim > 1 else 0.0
+        assert ((found.state_dict()[name] - value).abs() <= step + 5e-4 * value.abs() + 1e-7).all(), name
     about = json.loads(str(np.load(tmp_path / "policy.npz")["about"]))
-    assert ("approach" in about["settings"]) == (approach is not None)
+    assert (about["settings"]["approach"] is None) == (approach is None)
+    kept = np.load(tmp_path / "policy.npz")
+    assert kept["features.dense.0.weight"].dtype == np.int8
+    assert (tmp_path / "policy.npz").stat().st_size < 2_000_000

@@ -32,6 +32,7 @@ from handover_marl.imitation.gaddpg.workshop import Workshop, WorkshopConfig, gr
 from handover_marl.models.panda import PANDA_CAMERA
 from handover_marl.networks.gaddpg_network import GaddpgNetwork
 from handover_marl.networks.own_weights import read_own_weights, write_own_weights
+from handover_marl.planning.approach import ApproachConfig
 from handover_marl.pools.pool_config import LOCAL
 from handover_marl.run import Execution, Run
 from handover_marl.training.checkpoint import read_checkpoint, write_checkpoint
@@ -75,6 +76,9 @@ class GaddpgArgs:
         play: How episodes are played.
         vary: How states are varied.
         learn: How it learns.
+        acts: The rule by which the network goes to the grasp that it tells; slower than the expert, since persons
+            still move.
+        max_steps: Decisions that it may take for it.
     """
 
     out: str = "runs/gaddpg"
@@ -104,6 +108,8 @@ class GaddpgArgs:
     play: EpisodeConfig = field(default_factory=EpisodeConfig)
     vary: BatchConfig = field(default_factory=BatchConfig)
     learn: LearnerConfig = field(default_factory=LearnerConfig)
+    acts: ApproachConfig = field(default_factory=lambda: ApproachConfig(spare=5))
+    max_steps: int = 30
 
 
 class GaddpgTraining:
@@ -131,7 +137,7 @@ class GaddpgTraining:
         self._how = Execution(args.workers, args.backend, args.ray_address, progress=False)
         self._val = spread_scenes(data.split(args.val_setup, "val"), args.val_scenes)
         name = ("cuda" if torch.cuda.is_available() else "cpu") if args.device == "auto" else args.device
-        self._learner = Learner(args.updates, args.seed, torch.device(name), args.learn, args.expert.approach)
+        self._learner = Learner(args.updates, args.seed, torch.device(name), args.learn, args.acts, args.max_steps)
         self._round, self._best, self._started = 0, -1.0, time.monotonic()
         if args.resume and self.folder.checkpoint.exists():
             read_checkpoint(self.folder.checkpoint, self._restore)

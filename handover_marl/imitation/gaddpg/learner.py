@@ -51,6 +51,7 @@ class Learner:
         device: Where it learns.
         config: How.
         approach: How it goes to the grasps that it tells.
+        max_steps: Decisions that it may take for it.
 
     Attributes:
         done: Updates so far.
@@ -58,12 +59,18 @@ class Learner:
     """
 
     def __init__(
-        self, updates: int, seed: int, device: torch.device, config: LearnerConfig, approach: ApproachConfig
+        self,
+        updates: int,
+        seed: int,
+        device: torch.device,
+        config: LearnerConfig,
+        approach: ApproachConfig,
+        max_steps: int | None = None,
     ) -> None:
         torch.manual_seed(seed)
         self._config, self._updates, self._device = config, updates, device
-        self._network = GaddpgNetwork(approach).to(device)
-        self.averaged = GaddpgNetwork(approach).to(device).eval()
+        self._network = GaddpgNetwork(approach, max_steps).to(device)
+        self.averaged = GaddpgNetwork(approach, max_steps).to(device).eval()
         self.averaged.load_state_dict(self._network.state_dict())
         groups = [
             {"params": list(self._network.features.parameters()), "rate": config.encoder_rate},
