@@ -1,5 +1,6 @@
 """GA-DDPG's protocol step by step, on made-up observations."""
 
+import json
 import sys
 
 import numpy as np
@@ -7,6 +8,7 @@ import numpy.typing as npt
 import pytest
 from scipy.spatial.transform import Rotation
 
+from handover_marl.assets.shipped_weights import GADDPG_WEIGHTS
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.clock import PolicyClock
 from handover_marl.episode.episode import Episode
@@ -356,6 +358,24 @@ def test_a_reset_forgets_the_episode(
     np.testing.assert_array_equal(actions, again)
     assert len(asked) == len(asked_again) == 1
     np.testing.assert_array_equal(asked[0][0], asked_again[0][0])
+
+
+def test_the_weights_that_ship_say_how_they_were_made() -> None:
+    about = json.loads(str(np.load(GADDPG_WEIGHTS)["about"]))
+    made_by = about["made_by"]["made by"]
+    assert "setups=('s0', 's1', 's2', 's3')" in made_by, "no test scene of any setup was learned from"
+    assert "dataset='dexycb'" in made_by
+    assert "/" not in made_by.removeprefix("experiments/train_gaddpg.py"), "no places"
+    assert about["settings"]["max_steps"] == 30
+
+
+def test_it_takes_as_many_decisions_as_its_weights_say() -> None:
+    pytest.importorskip("torch", reason="needs the extra `train`")
+    own, fewer = make("gaddpg", DATA), make("gaddpg:max_steps=12", DATA)
+    assert isinstance(own, GaddpgReceiver)
+    assert isinstance(fewer, GaddpgReceiver)
+    assert (own.memory.remaining, fewer.memory.remaining) == (30, 12)
+    assert GaddpgReceiver(CONTEXT, network=constant).memory.remaining == 20
 
 
 def test_impossible_options() -> None:
