@@ -114,7 +114,8 @@ class GaddpgReceiver(Receiver):
         if wait is not None:
             self.timing = replace(self.timing, wait_ms=wait_ms(wait))
         config = memory or MemoryConfig()
-        max_steps = own_steps if max_steps is None else max_steps
+        if max_steps is None and memory is None:
+            max_steps = own_steps
         if max_steps is not None:
             if isinstance(max_steps, bool) or not isinstance(max_steps, int) or max_steps < 1:
                 raise OptionError(f"max_steps={max_steps!r} must be a whole number, 1 or more")

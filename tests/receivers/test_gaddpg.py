@@ -18,6 +18,7 @@ from handover_marl.models.poses import compose, compose_point, inverse
 from handover_marl.policies.context import context_of
 from handover_marl.receivers import make
 from handover_marl.receivers.gaddpg import GaddpgReceiver
+from handover_marl.receivers.gaddpg_memory import MemoryConfig
 from handover_marl.testing import check_receiver
 
 Array = npt.NDArray[np.float64]
@@ -375,6 +376,7 @@ def test_it_takes_as_many_decisions_as_its_weights_say() -> None:
     assert isinstance(own, GaddpgReceiver)
     assert isinstance(fewer, GaddpgReceiver)
     assert (own.memory.remaining, fewer.memory.remaining) == (30, 12)
+    assert GaddpgReceiver(CONTEXT, memory=MemoryConfig(max_steps=9)).memory.remaining == 9
     assert GaddpgReceiver(CONTEXT, network=constant).memory.remaining == 20
 
 

@@ -307,7 +307,7 @@ def _note(writer: SummaryWriter, where: str, told: dict[str, float], number: int
 
 
 def _check(args: GaddpgArgs) -> None:
-    for name in ("situations", "rounds", "episodes", "updates", "batch", "workers", "threads"):
+    for name in ("situations", "rounds", "episodes", "updates", "batch", "workers", "threads", "max_steps"):
         if getattr(args, name) < 1:
             raise OptionError(f"{name}={getattr(args, name)} must be 1 or more")
     if not args.waits:
