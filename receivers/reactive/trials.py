@@ -130,7 +130,8 @@ def _stood(trial: GraspTrial, pose: Array, config: GraspTrials) -> int:
 
 def _finish(object_urdf: Path, panda_urdf: Path, stood: Record, known: Array, config: GraspTrials) -> Record:
     """The same moved on, and with what holds when a person lets go."""
-    record, poses = stood.copy(), of_record(stood, known, config).poses
+    record: Record = stood.copy()
+    poses = of_record(stood, known, config).poses
     trial = grasp_trial(object_urdf, config.trial, panda_urdf)
     try:
         for row, pose in zip(record, poses, strict=True):
