@@ -6,6 +6,7 @@ that was not PyBullet.
 """
 
 import logging
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -60,8 +61,9 @@ def trial_record(object_urdf: Path, panda_urdf: Path, known: Array, config: Gras
 
 def record_file(object_urdf: Path, panda_urdf: Path, known: Array, config: GraspTrials) -> Path:
     """Where it is kept; the name without `.npz` is the name of what is shipped, too."""
-    # The fingers of another robot weigh and rub otherwise.
-    return _file(object_urdf, str(config), known, panda_urdf.read_bytes())
+    # The fingers of another robot weigh and rub otherwise. Where its meshes lie does not matter.
+    robot = re.sub(rb'filename="[^"]*/', b'filename="', panda_urdf.read_bytes())
+    return _file(object_urdf, str(config), known, robot)
 
 
 def _file(object_urdf: Path, settings: str, known: Array, *more: bytes) -> Path:
