@@ -17,6 +17,9 @@ from handover_marl.errors import DataFormatError
 
 TRIALS_PATH = DATA_ROOT / "trials.npz"
 
+#: What came of trials, (n, 4): which tilted copy a grasp is (-1: a known one, in their order), how many trials of its
+#: place and those beside it it stood, by which of the ways it was moved on (0: not at all), and from how many places
+#: the fingers kept the object when it was let go.
 Record = npt.NDArray[np.int16]
 
 

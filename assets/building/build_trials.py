@@ -8,10 +8,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 import tyro
 
-from handover_marl.assets.shipped_trials import TRIALS_PATH, all_trials
+from handover_marl.assets.shipped_trials import TRIALS_PATH, Record, all_trials
 from handover_marl.datasets import open_dataset
 from handover_marl.files import write_arrays
 from handover_marl.models.panda import PANDA, PANDA_CAMERA
@@ -19,7 +18,7 @@ from handover_marl.models.ycb import CLASS_NAMES
 from handover_marl.pools.pool_config import PoolConfig
 from handover_marl.pools.working import worked_on
 from handover_marl.receivers.object_grasps import ObjectGrasps
-from handover_marl.receivers.reactive.grasps import GraspTrials, Record
+from handover_marl.receivers.reactive.grasps import GraspTrials
 from handover_marl.receivers.reactive.trials import record_file, trial_record
 
 
@@ -75,7 +74,7 @@ def main(args: Args) -> None:
     for _, found in worked_on(lambda: name_and_record, everything, "objects", PoolConfig(args.workers), progress=True):
         if found is not None:
             records[found[0]] = found[1]
-    write_arrays(args.out, {name: record.astype(np.int16) for name, record in sorted(records.items())})
+    write_arrays(args.out, dict(sorted(records.items())))
 
 
 if __name__ == "__main__":

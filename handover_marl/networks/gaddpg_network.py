@@ -13,6 +13,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from handover_marl.models.poses import IDENTITY
 from handover_marl.networks.one_thread import one_thread
 from handover_marl.networks.own_weights import KeptNetwork
 from handover_marl.networks.point_encoders import PointNetPlusPlus
@@ -21,7 +22,6 @@ from handover_marl.planning.approach import ApproachConfig, steps_to_goals
 
 #: A cloud of this many points is the network's; every other has the gripper's six in front, which it leaves out.
 N_POINTS, N_FINGER_POINTS = 1024, 6
-_HERE = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 
 
 class GaddpgNetwork(KeptNetwork):
@@ -74,7 +74,7 @@ class GaddpgNetwork(KeptNetwork):
             told: npt.NDArray[np.float32] = decision.action.cpu().numpy()
             return told
         goals = _poses(decision.goal.cpu().numpy().astype(np.float64))
-        return steps_to_goals(np.tile(_HERE, (len(goals), 1)), goals, remaining, self.approach).astype(np.float32)
+        return steps_to_goals(np.tile(IDENTITY, (len(goals), 1)), goals, remaining, self.approach).astype(np.float32)
 
     def settings(self) -> dict[str, Any]:
         """By which rule it goes to a grasp, and for how long."""

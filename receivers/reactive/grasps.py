@@ -6,14 +6,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from handover_marl.assets.shipped_trials import Record
 from handover_marl.models.poses import compose, inverse
 from handover_marl.sim.grasp_trial import TrialConfig
 
 Array = npt.NDArray[np.float64]
-#: What came of trials, (n, 4): which tilted copy a grasp is (-1: a known one, in their order), how many trials of its
-#: place and those beside it it stood, by which of the ways it was moved on (0: not at all), and from how many places
-#: the fingers kept the object when it was let go.
-Record = npt.NDArray[np.int16]
 
 
 @dataclass(frozen=True)

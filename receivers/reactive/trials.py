@@ -14,13 +14,12 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from handover_marl.assets.shipped_trials import shipped_trials
+from handover_marl.assets.shipped_trials import Record, shipped_trials
 from handover_marl.models.panda import GRIPPER_FROM_HAND
 from handover_marl.models.poses import compose, inverse
 from handover_marl.planning.array_cache import cache_file, keep, read_kept
 from handover_marl.receivers.reactive.grasps import (
     GraspTrials,
-    Record,
     TriedGrasps,
     distances,
     of_record,

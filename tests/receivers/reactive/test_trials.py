@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from handover_marl.assets.object_models import object_urdf
-from handover_marl.assets.shipped_trials import TRIALS_PATH, all_trials, shipped_trials
+from handover_marl.assets.shipped_trials import TRIALS_PATH, Record, all_trials, shipped_trials
 from handover_marl.datasets import open_dataset
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.errors import DataFormatError
@@ -18,7 +18,7 @@ from handover_marl.models.poses import IDENTITY, compose
 from handover_marl.models.ycb import CLASS_NAMES
 from handover_marl.receivers.object_grasps import ObjectGrasps
 from handover_marl.receivers.reactive import trials
-from handover_marl.receivers.reactive.grasps import GraspTrials, Record, of_record, tilted
+from handover_marl.receivers.reactive.grasps import GraspTrials, of_record, tilted
 from handover_marl.receivers.reactive.trials import record_file, trial_record, tried_grasps
 from handover_marl.sim.grasp_trial import TrialConfig, trial_engine
 
