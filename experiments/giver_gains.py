@@ -17,7 +17,7 @@ from handover_marl.benchmarking.episodes import EpisodeResult
 from handover_marl.benchmarking.fluency_tables import FLUENCY_NOTE, fluency_header, fluency_row
 from handover_marl.benchmarking.runner import evaluate_pair
 from handover_marl.benchmarking.statistics import paired_difference
-from handover_marl.benchmarking.tables import percent_interval, table
+from handover_marl.benchmarking.tables import percent_gain, percent_rate, table
 from handover_marl.datasets import open_dataset
 from handover_marl.files import write_atomically
 from handover_marl.policies.reference import policy_reference
@@ -82,7 +82,7 @@ def outcomes(played: dict[str, list[EpisodeResult]]) -> str:
     for giver, episodes in played.items():
         counts = [sum(bool(episode.status & flag) for episode in episodes) for flag in FLAGS]
         n = len(episodes)
-        rows.append([giver, n, *(f"{100 * count / n:.1f} ({percent_interval(count, n)})" for count in counts)])
+        rows.append([giver, n, *(percent_rate(count, n) for count in counts)])
     return table(["giver", "episodes", *(f"{flag.label} %" for flag in FLAGS)], rows)
 
 
@@ -94,8 +94,7 @@ def gains(played: dict[str, list[EpisodeResult]]) -> str:
             paired_difference(*([bool(e.status & flag) for e in played[name]] for name in (giver, first)))
             for flag in FLAGS
         ]
-        texts = [f"{100 * mean:+.1f} ({100 * low:+.1f} to {100 * high:+.1f})" for mean, low, high in cells]
-        rows.append([f"{giver} less {first}", *texts])
+        rows.append([f"{giver} less {first}", *map(percent_gain, cells)])
     return table(["points, paired by scene", *(flag.label for flag in FLAGS)], rows)
 
 

@@ -20,7 +20,7 @@ from handover_marl.benchmarking.agreement import Agreement
 from handover_marl.benchmarking.report import Report
 from handover_marl.benchmarking.runner import evaluate_run
 from handover_marl.benchmarking.statistics import wilson_interval
-from handover_marl.benchmarking.tables import percent_interval, table
+from handover_marl.benchmarking.tables import percent_rate, table
 from handover_marl.datasets.official_files import PANDA_CAMERA
 from handover_marl.files import write_atomically
 from handover_marl.policies.reference import policy_reference
@@ -110,14 +110,13 @@ def text(args: Args, rows: dict[str, dict[str, Report]]) -> str:
 
 def percent(report: Report) -> str:
     """Success with its interval."""
-    wins, count = report.count(EpisodeStatus.SUCCESS), len(report.episodes)
-    return f"{100 * wins / count:.1f} ({percent_interval(wins, count)})"
+    return percent_rate(report.count(EpisodeStatus.SUCCESS), len(report.episodes))
 
 
 def agreed(exact: Report, other: Report) -> str:
     """Episodes that end alike, with their interval."""
     both = Agreement(exact, other)
-    return f"{100 * both.rate:.1f} ({percent_interval(both.n_agreed, len(exact.episodes))})"
+    return percent_rate(both.n_agreed, len(exact.episodes))
 
 
 def picture(args: Args, rows: dict[str, dict[str, Report]]) -> bytes:

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from handover_marl import benchmark
 from handover_marl.benchmarking.episodes import EpisodeResult
 from handover_marl.benchmarking.statistics import mean_interval, wilson_interval
-from handover_marl.benchmarking.tables import percent_interval, table
+from handover_marl.benchmarking.tables import percent_rate, table
 from handover_marl.datasets import open_dataset
 from handover_marl.protocol.status import EpisodeStatus
 
@@ -78,7 +78,7 @@ def row(risk: float, episodes: list[EpisodeResult]) -> list[str]:
     others = [f"{100 * sum(bool(episode.status & flag) for episode in episodes) / n:.1f}" for flag in FLAGS]
     return [
         f"{risk:g}",
-        f"{100 * succeeded / n:.1f} ({percent_interval(succeeded, n)})",
+        percent_rate(succeeded, n),
         *others,
         f"{100 * mean:.1f} ({100 * low:.1f} to {100 * high:.1f})",
     ]

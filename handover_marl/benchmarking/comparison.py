@@ -7,7 +7,16 @@ from handover_marl.benchmarking.episodes import EpisodeResult
 from handover_marl.benchmarking.evaluation import evaluate
 from handover_marl.benchmarking.report import Report
 from handover_marl.benchmarking.statistics import paired_difference
-from handover_marl.benchmarking.tables import NO_VALUE, RATES, Grid, heading, percent_interval, percent_mean, table
+from handover_marl.benchmarking.tables import (
+    NO_VALUE,
+    RATES,
+    Grid,
+    heading,
+    percent_gain,
+    percent_mean,
+    percent_rate,
+    table,
+)
 from handover_marl.errors import ResultsError
 from handover_marl.protocol.status import EpisodeStatus
 
@@ -57,9 +66,8 @@ class Comparison:
         n, rows = len(self.pairs), []
         for flag in RATES:
             counts = [sum(bool(pair[side].status & flag) for pair in self.pairs) for side in (0, 1)]
-            cells = [f"{100 * count / n:.2f} ({percent_interval(count, n)})" for count in counts]
-            mean, low, high = (100 * value for value in self.difference(flag))
-            rows.append([flag.label, *cells, f"{mean:+.2f} ({low:+.2f} to {high:+.2f})"])
+            cells = [percent_rate(count, n, digits=2) for count in counts]
+            rows.append([flag.label, *cells, percent_gain(self.difference(flag), digits=2)])
         scores = [[result.speed_score for result in side] for side in zip(*self.pairs, strict=True)]
         gains = [first - second for first, second in zip(*scores, strict=True)]
         rows.append(["AS", *map(percent_mean, scores), percent_mean(gains, signed=True)])

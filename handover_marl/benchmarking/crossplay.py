@@ -23,8 +23,9 @@ from handover_marl.benchmarking.statistics import mean_interval, paired_differen
 from handover_marl.benchmarking.tables import (
     NO_VALUE,
     RATES,
-    percent_interval,
+    percent_gain,
     percent_mean,
+    percent_rate,
     report_extent,
     table,
     wait_cell,
@@ -123,7 +124,7 @@ class CrossPlay:
             for receiver in self.receivers:
                 report = self.reports[giver, receiver]
                 n, count = len(report.episodes), report.count(EpisodeStatus.SUCCESS)
-                cells.append(f"{100 * count / n:.1f} ({percent_interval(count, n)})")
+                cells.append(percent_rate(count, n))
             rows.append([giver, *cells])
         return table(["giver \\ receiver", *self.receivers], rows)
 
@@ -159,7 +160,7 @@ class CrossPlay:
 
     def _gain_cells(self, pair: Pair, over: Pair) -> list[str]:
         gains = (self.gain(pair, over, flag) for flag in (EpisodeStatus.SUCCESS, EpisodeStatus.HUMAN_CONTACT))
-        return [f"{100 * mean:+.1f} ({100 * low:+.1f} to {100 * high:+.1f})" for mean, low, high in gains]
+        return [percent_gain(gain) for gain in gains]
 
     def _fluency(self) -> str:
         rows = [[*pair, *fluency_row(report.episodes)] for pair, report in self.reports.items()]

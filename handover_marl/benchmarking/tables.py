@@ -225,6 +225,17 @@ def percent_interval(count: int, n: int) -> str:
     return f"{100 * low:.1f} to {100 * high:.1f}"
 
 
+def percent_rate(count: int, n: int, digits: int = 1) -> str:
+    """A rate in percent with Wilson's 95 % interval."""
+    return f"{100 * count / n:.{digits}f} ({percent_interval(count, n)})"
+
+
+def percent_gain(difference: tuple[float, float, float], digits: int = 1) -> str:
+    """A difference of rates in points with its interval, as of `statistics.paired_difference`."""
+    mean, *ends = (f"{100 * value:+.{digits}f}" for value in difference)
+    return f"{mean} ({' to '.join(ends)})"
+
+
 def table(header: Sequence[str], rows: Sequence[Sequence[object]], keys: int = 1, width: int = _WIDTH) -> str:
     """A Markdown table; one too wide to be read is cut into several, which all begin with the same columns.
 

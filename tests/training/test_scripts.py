@@ -7,15 +7,17 @@ from typing import Any
 
 import pytest
 
-from handover_marl import givers, receivers
+from handover_marl import benchmark, givers, receivers
 from handover_marl.datasets import DATA_VARIABLE
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.errors import ResultsError
 from handover_marl.imitation.vision.grasp_labels import LabelConfig
-from handover_marl.imitation.vision.grasp_view_files import ViewSource
+from handover_marl.imitation.vision.grasp_view_files import ViewSource, take_views
+from handover_marl.networks.grasp_network import GraspNetwork, GraspNetworkConfig
+from handover_marl.networks.own_weights import write_own_weights
 from handover_marl.receivers.reactive.grasps import GraspTrials
 from handover_marl.receivers.reactive.reactive_config import ReactiveConfig
-from handover_marl.training.run_folder import RunFolder
+from handover_marl.training.run_folder import RunFolder, held_out_scenes
 from tests.training.evil import Evil
 from tests.training.scripts import files, script, steps_of
 
@@ -188,3 +190,40 @@ def test_train_vision(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         train.main(train.Args(out=str(out), val_scenes=1, **few))
     train.main(train.Args(out=str(out), val_scenes=1, resume=True, **few))
     assert steps_of(out) == ["steps", "2", "4"]
+
+
+def test_vision_ablations(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("embreex")
+    ablate = script("vision_ablations", monkeypatch)
+    names = (ablate.FULL, "no points of the hand", "112 x 112 pixels")
+    monkeypatch.setattr(ablate, "VARIANTS", {name: ablate.VARIANTS[name] for name in names})
+    trained, cameras = [], []
+
+    def train(args: Any) -> Path:
+        trained.append(args)
+        source = ViewSource(args.dataset, args.data_dir, args.robot, args.views, args.seed)
+        held_out = held_out_scenes(SyntheticDataset().split(args.setup, "train")[:: args.stride])
+        take_views(source, held_out, Path(args.shared_views), workers=1, progress=False)
+        weights = Path(args.out) / "vision.npz"
+        weights.parent.mkdir(parents=True, exist_ok=True)
+        write_own_weights(weights, GraspNetwork(GraspNetworkConfig(hand=args.hand)), {})
+        return weights
+
+    def hold(setup: str, split: str, receiver: str, imperfections: Any, **how: Any) -> Any:
+        cameras.append(imperfections)
+        return benchmark(setup, split, "hold", **how)
+
+    monkeypatch.setattr(ablate.train_vision, "main", train)
+    monkeypatch.setattr(ablate, "benchmark", hold)
+    few = {"views": 4, "stride": 400, "val_scenes": 1, "unseen_scenes": 1, "workers": 1}
+    told = ablate.main(ablate.Args(out=tmp_path, dataset="synthetic", **few)).read_text()
+    assert "1 scenes of val and 1 of train that none learned from (unseen)" in told
+    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in told.splitlines() if line.startswith("| ")]
+    assert [row[0] for row in rows[1:]] == list(names)
+    assert rows[3][3:] == ["+0.0 (-49.0 to +49.0)", "-"], "nobody takes any, and a camera changes no network"
+    assert [(args.hand, Path(args.out).parent.name) for args in trained] == [
+        (True, "everything"),
+        (False, "no_points_of_the_hand"),
+        (True, "everything"),
+    ]
+    assert [camera and camera.every for camera in cameras] == [None] * 4 + [2] * 2
