@@ -1,12 +1,13 @@
-"""Why the receivers `reactive` and `vision` fail where they do.
+"""Why receivers fail where they do.
 
     python experiments/failures.py --data-dir DIR --split train --stride 10
     python experiments/failures.py --data-dir DIR --receiver vision:wait=3.0 --robot panda_camera
 
 Plays scenes and prints every failure with its cause, a table of causes, how long decisions took, and memory. Of a
 contact it tells which part of the robot was nearest to the hand and what the receiver was doing; of a drop whether the
-object was pushed out of the hand, slipped as the person let go, or was lost on the way; of a timeout whether there was
-no grasp with room, none within reach, one that was never reached, or no way to the goal.
+object was pushed out of the hand, slipped as the person let go, or was lost on the way; of a timeout, for `reactive`
+and `vision`, whether there was no grasp with room, none within reach, one that was never reached, or no way to the
+goal. What other receivers were doing is told by their fingers.
 """
 
 import resource
@@ -24,9 +25,9 @@ from handover_marl.datasets import open_dataset
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.play import play
 from handover_marl.episode.watchers import Decision, Watcher
-from handover_marl.errors import OptionError
 from handover_marl.models.arm import Arm, body_points
 from handover_marl.models.kinematic_tree import read_tree
+from handover_marl.models.panda import CLOSED, OPEN
 from handover_marl.models.poses import compose_point, inverse
 from handover_marl.planning.body_samples import body_samples
 from handover_marl.planning.capsules import hand_capsules
@@ -34,11 +35,13 @@ from handover_marl.pools.pool_config import PoolConfig
 from handover_marl.pools.working import worked_on
 from handover_marl.protocol.release import Release
 from handover_marl.protocol.status import EpisodeStatus
+from handover_marl.receivers import Receiver
 from handover_marl.receivers.reactive.reactive_receiver import Phase, ReactiveReceiver
 
 #: A grip lost this soon after the person let go has slipped then (steps).
 SOON = 60
 POINTS = 40
+FINGER, HALF_OPEN = ARM_JOINTS, (OPEN + CLOSED) / 2.0  # m
 
 
 @dataclass(frozen=True)
@@ -58,7 +61,7 @@ class Args:
         giver: Who hands over.
         workers: Processes.
         all: Print all episodes, not failures only.
-        receiver: `reactive` or `vision`, with options.
+        receiver: Name of the receiver, with options.
     """
 
     setup: str = "s0"
@@ -83,17 +86,17 @@ class Notes(Watcher):
         seconds: Wall-clock time of every decision of every episode (s); beside it
         drawing: that of drawing what it is shown.
         gripped: The last step with both fingers on the object, or None.
+        closing: Whether the fingers were told to close.
     """
 
     def __init__(self) -> None:
         self.seconds: list[float] = []
         self.drawing: list[float] = []
         self.gripped: int | None = None
-
-    def started(self, episode: Episode) -> None:
-        self.gripped = None
+        self.closing = False
 
     def decided(self, episode: Episode, decision: Decision) -> None:
+        self.closing = bool(decision.robot[FINGER] < HALF_OPEN)
         if decision.robot_asked:
             self.seconds.append(decision.seconds)
             self.drawing.append(decision.drawing)
@@ -110,7 +113,7 @@ class Causes:
         receiver: Who played.
     """
 
-    def __init__(self, receiver: ReactiveReceiver) -> None:
+    def __init__(self, receiver: Receiver) -> None:
         self._receiver = receiver
         self._arm = Arm(read_tree(receiver.context.panda_urdf))
         self._links = tuple(self._arm.link_names)
@@ -118,16 +121,21 @@ class Causes:
         panda = receiver.context.panda
         self._base_from_world = inverse(np.array([*panda.base_position, *panda.base_orientation]))
 
-    def of(self, episode: Episode, gripped: int | None) -> str:
+    def of(self, episode: Episode, notes: Notes) -> str:
         """The cause of an episode's end, in words."""
-        status, phase = episode.status, self._receiver.phase
+        status = episode.status
         if status & EpisodeStatus.HUMAN_CONTACT:
-            return f"contact of {self._nearest_link(episode)} while in {phase.value}"
+            return f"contact of {self._nearest_link(episode)} {self._doing(notes)}"
         if status & EpisodeStatus.OBJECT_DROP:
-            return self._drop(episode, gripped)
+            return self._drop(episode, notes.gripped)
         if status & EpisodeStatus.TIMEOUT:
-            return self._timeout(phase)
+            return f"timeout{self._timeout(notes)}"
         return status.label
+
+    def _doing(self, notes: Notes) -> str:
+        if isinstance(self._receiver, ReactiveReceiver):
+            return f"while in {self._receiver.phase.value}"
+        return "once it was closing" if notes.closing else "with open fingers"
 
     def _drop(self, episode: Episode, gripped: int | None) -> str:
         if episode.release is Release.PASSIVE:
@@ -136,12 +144,14 @@ class Causes:
             return "drop: slipped as the person let go"
         return "drop: lost on the way"
 
-    def _timeout(self, phase: Phase) -> str:
-        if phase is Phase.RETREAT:
-            return "timeout: no way to the goal"
-        if phase is Phase.WAIT:
-            return "timeout: nothing was offered"
-        return f"timeout: {self._receiver.choice.trouble or 'the grasp was never reached'}"
+    def _timeout(self, notes: Notes) -> str:
+        if not isinstance(self._receiver, ReactiveReceiver):
+            return f" {self._doing(notes)}"
+        if self._receiver.phase is Phase.RETREAT:
+            return ": no way to the goal"
+        if self._receiver.phase is Phase.WAIT:
+            return ": nothing was offered"
+        return f": {self._receiver.choice.trouble or 'the grasp was never reached'}"
 
     def _nearest_link(self, episode: Episode) -> str:
         observation = episode.observe()
@@ -176,10 +186,7 @@ class Player:
 
     def __init__(self, args: Args) -> None:
         self._data = open_dataset(args.dataset, args.data_dir, args.robot)
-        made = receivers.make(args.receiver, self._data, setup=args.setup)
-        if not isinstance(made, ReactiveReceiver):
-            raise OptionError(f"receiver={args.receiver!r}: causes are told of reactive and vision alone")
-        self._receiver = made
+        self._receiver = receivers.make(args.receiver, self._data, setup=args.setup)
         self._giver = givers.make(args.giver, self._data, setup=args.setup)
         self._episode, self._causes = Episode(args.physics), Causes(self._receiver)
 
@@ -188,7 +195,7 @@ class Player:
         scene, episode, notes = self._data.scene(number), self._episode, Notes()
         episode.reset(scene)
         play(episode, self._receiver, self._giver, seed=0, watchers=[notes])
-        cause = self._causes.of(episode, notes.gripped)
+        cause = self._causes.of(episode, notes)
         memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
         times = tuple(notes.seconds), tuple(notes.drawing)
         return Played(number, scene.info.target_name, episode.status, episode.steps, cause, *times, memory)
