@@ -133,7 +133,7 @@ def rows_of(text: str, first: str) -> list[list[str]]:
 
 def test_published_rows() -> None:
     told = rows_of(RESULTS.read_text(), "published")
-    assert len(told) == 8
+    assert len(told) == 16
     for _, setup, episodes, success, seconds, contact, drop, timeout, average, wait in told:
         known = [
             row for row in PUBLISHED[setup] if (f"{row.success:.2f}", f"{row.time_exec:.3f}") == (success, seconds)
@@ -146,11 +146,12 @@ def test_published_rows() -> None:
         assert int(episodes) in (144, 180, 360, 100)
 
 
-@pytest.mark.parametrize("receiver", ["DexYCB", "`omg_hand_aware`", "`reactive`", "published"])
+@pytest.mark.parametrize("receiver", ["DexYCB", "`omg_hand_aware`", "`reactive`", "`gaddpg`", "published"])
 def test_readme_shows_results(receiver: str) -> None:
     """README's table is a part of the whole one, where `yang2021` stands by its data."""
     whole = {tuple(_without_intervals(row[3:9])) for row in rows_of(RESULTS.read_text(), receiver) if row[1] == "s0"}
-    short = rows_of(README.read_text(), "`yang2021`" if receiver == "DexYCB" else receiver)
+    names = {"DexYCB": "`yang2021`", "`gaddpg`": "`gaddpg`, own weights"}
+    short = rows_of(README.read_text(), names.get(receiver, receiver))
     assert short
     assert {tuple(_without_intervals(row[2:8])) for row in short} <= whole
 
