@@ -24,6 +24,7 @@ from handover_marl.config import ARM_JOINTS
 from handover_marl.datasets import open_dataset
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.play import play
+from handover_marl.episode.sight import SightConfig
 from handover_marl.episode.watchers import Decision, Watcher
 from handover_marl.models.arm import Arm, body_points
 from handover_marl.models.kinematic_tree import read_tree
@@ -54,7 +55,8 @@ class Args:
         data_dir: Folder in HandoverSim's layout; default: HANDOVER_MARL_DATA.
         dataset: dexycb, synthetic, or auto.
         robot: panda or panda_camera.
-        physics: fast or exact.
+        physics: fast, exact or mujoco.
+        imperfections: What is wrong with the camera: nothing, or as with a realsense.
         stride: Take every n-th scene,
         offset: from this one on.
         scenes: Instead of a split: these scenes.
@@ -70,6 +72,7 @@ class Args:
     dataset: str = "auto"
     robot: str = "panda"
     physics: str = "fast"
+    imperfections: str | None = None
     stride: int = 1
     offset: int = 0
     scenes: tuple[int, ...] = ()
@@ -188,7 +191,8 @@ class Player:
         self._data = open_dataset(args.dataset, args.data_dir, args.robot)
         self._receiver = receivers.make(args.receiver, self._data, setup=args.setup)
         self._giver = givers.make(args.giver, self._data, setup=args.setup)
-        self._episode, self._causes = Episode(args.physics), Causes(self._receiver)
+        self._episode = Episode(args.physics, sight=SightConfig(imperfections=args.imperfections))
+        self._causes = Causes(self._receiver)
 
     def play(self, number: int) -> Played:
         """One scene."""
@@ -221,7 +225,7 @@ def main(args: Args) -> None:
     count = len(scenes)
     print(
         f"{data.name}, {args.setup} {args.split}, {count} episodes, giver {args.giver}, receiver {args.receiver}, "
-        f"{args.robot}, {args.physics} physics"
+        f"{args.robot}, {args.physics} physics, camera {args.imperfections or 'perfect'}"
     )
     print(
         table(["cause", "episodes", "%"], [[name, str(n), f"{100 * n / count:.1f}"] for name, n in found.most_common()])

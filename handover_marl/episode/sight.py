@@ -8,9 +8,11 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from handover_marl.config import PANDA_DOF, TIME_STEP, PhysicsConfig
+from handover_marl.config import ARM_JOINTS, PANDA_DOF, TIME_STEP, PhysicsConfig
 from handover_marl.datasets.scene import Scene
 from handover_marl.errors import ResetNeededError, UnknownNameError
+from handover_marl.models.arm import Arm
+from handover_marl.models.kinematic_tree import read_tree
 from handover_marl.sim.camera.imperfections import CameraImperfections, imperfections, worsened
 from handover_marl.sim.camera.optics import REFERENCE, SIDE, check_geometry, deproject
 from handover_marl.sim.camera.photo import Photo, Seen
@@ -54,6 +56,7 @@ def sight_space(sight: str | None) -> dict[str, spaces.Space[Any]]:
     | clouds | robot_joint_position_exact | (9,) float64 | the robot's joints before they are rounded to float32 |
 
     Of more than 1024 points as many are drawn without replacement; behind fewer come zeros, in whole clouds too.
+    Pictures that arrive late are as they were taken; their points are in the hand link's frame of now all the same.
     "clouds" is for methods that choose points themselves and go on from the engine's own numbers, as HandoverSim's
     scripts for GA-DDPG do.
 
@@ -130,6 +133,8 @@ BENCHMARK_SIGHT = SightConfig()
 class View:
     """What the wrist camera shows at one moment; points in the frame of the Panda's hand link, row by row.
 
+    A late camera shows an earlier moment, of which the points are in the frame of now.
+
     Attributes:
         depth: (224, 224) float32 along the viewing axis (m), just under 2 m where nothing is.
         segmentation: (224, 224) uint8, values of `Seen`.
@@ -202,8 +207,8 @@ class Sight:
             photo.segmentation.copy(),
             # Whole photos have colours.
             np.array(photo.rgb, dtype=np.uint8),
-            self._points(photo, Seen.TARGET),
-            self._points(photo, Seen.HAND),
+            self._points(photo, Seen.TARGET, world),
+            self._points(photo, Seen.HAND, world),
         )
 
     def observe(self, sight: str | None, world: World, steps: int) -> dict[str, npt.NDArray[Any]]:
@@ -218,7 +223,7 @@ class Sight:
                 "wrist_rgb": view.rgb,
             }
         photo = self._photo(world, steps, whole=False)
-        clouds = [self._points(photo, seen) for seen in (Seen.TARGET, Seen.HAND)]
+        clouds = [self._points(photo, seen, world) for seen in (Seen.TARGET, Seen.HAND)]
         counts = np.array([len(cloud) for cloud in clouds], dtype=np.float32)
         if sight == CLOUDS:
             return {
@@ -230,8 +235,18 @@ class Sight:
         item, hand = (self._thinned(cloud, steps, number) for number, cloud in enumerate(clouds))
         return {"wrist_object_points": item, "wrist_hand_points": hand, "wrist_point_counts": counts}
 
-    def _points(self, photo: Photo, seen: Seen) -> npt.NDArray[np.float32]:
-        return deproject(photo.depth, photo.shows(seen), self._config.geometry)
+    def _points(self, photo: Photo, seen: Seen, world: World) -> npt.NDArray[np.float32]:
+        """What is seen of something, in the hand link's frame of now: robots know where they were when."""
+        cloud = deproject(photo.depth, photo.shows(seen), self._config.geometry)
+        if not self.remembers or self._scene is None:
+            return cloud
+        then, now = self._past[0].robot[:ARM_JOINTS], world.postures().robot[:ARM_JOINTS]
+        if np.array_equal(then, now):
+            return cloud
+        chain = Arm(read_tree(self._scene.assets.panda)).chain(np.array([then, now], dtype=np.float64))
+        (before, after), (turned, turns) = chain.origins[-1].T, np.moveaxis(chain.rotations[-1], -1, 0)
+        moved: npt.NDArray[np.float32] = ((cloud @ turned.T + before - after) @ turns).astype(np.float32)
+        return moved
 
     def _photo(self, world: World, steps: int, whole: bool) -> Photo:
         """What arrives now, drawn if it was not yet; a whole picture serves for what is sought, too."""

@@ -17,7 +17,7 @@ def test_who_never_moves_ends_with_open_fingers(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     told = _told("hold", (9,), monkeypatch, capsys)
-    assert "synthetic, s0 val, 1 episodes, giver replay, receiver hold, panda, fast physics" in told
+    assert "synthetic, s0 val, 1 episodes, giver replay, receiver hold, panda, fast physics, camera perfect" in told
     assert "| timeout with open fingers | 1        | 100.0 |" in told
 
 
