@@ -48,12 +48,12 @@ class Variant:
 
 VARIANTS = {
     FULL: Variant(),
-    "no points of the hand": Variant({"hand": False}),
-    "PointNet, not PointNet++": Variant({"groups": False}),
+    "hand not seen": Variant({"hand": False}),
+    "PointNet": Variant({"groups": False}),
     "no auxiliary losses": Variant({"auxiliary": 0.0}),
-    "with a round of DAgger": Variant({"rounds": 1}),
+    "round of DAgger": Variant({"rounds": 1}),
     "112 x 112 pixels": Variant(camera=CameraImperfections(depth_noise=0.0, edge_drop=0.0, latency=0.0, every=2)),
-    "noise of a realsense": Variant(camera="realsense"),
+    "realsense": Variant(camera="realsense"),
 }
 
 
@@ -131,7 +131,7 @@ def row(args: Args, name: str, variant: Variant) -> Row:
 
 def folder(args: Args, name: str, part: str) -> Path:
     """Where a variant's part goes."""
-    return args.out / name.replace(" ", "_").replace(",", "") / part
+    return args.out / name.replace(" ", "_") / part
 
 
 def training(args: Args, name: str) -> train_vision.Args:

@@ -195,7 +195,7 @@ def test_train_vision(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_vision_ablations(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("embreex")
     ablate = script("vision_ablations", monkeypatch)
-    names = (ablate.FULL, "no points of the hand", "112 x 112 pixels")
+    names = (ablate.FULL, "hand not seen", "112 x 112 pixels")
     monkeypatch.setattr(ablate, "VARIANTS", {name: ablate.VARIANTS[name] for name in names})
     trained, cameras = [], []
 
@@ -223,7 +223,7 @@ def test_vision_ablations(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
     assert rows[3][3:] == ["+0.0 (-49.0 to +49.0)", "-"], "nobody takes any, and a camera changes no network"
     assert [(args.hand, Path(args.out).parent.name) for args in trained] == [
         (True, "everything"),
-        (False, "no_points_of_the_hand"),
+        (False, "hand_not_seen"),
         (True, "everything"),
     ]
     assert [camera and camera.every for camera in cameras] == [None] * 4 + [2] * 2
