@@ -83,7 +83,7 @@ class Args:
     dataset: str = "auto"
     robot: str = "panda_camera"
     seed: int = 0
-    steps: int = 2000
+    steps: int = 1500
     stride: int = 2
     views: int = 80
     round_stride: int = 6

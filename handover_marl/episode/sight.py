@@ -207,8 +207,7 @@ class Sight:
             photo.segmentation.copy(),
             # Whole photos have colours.
             np.array(photo.rgb, dtype=np.uint8),
-            self._points(photo, Seen.TARGET, world),
-            self._points(photo, Seen.HAND, world),
+            *self._clouds(photo, world),
         )
 
     def observe(self, sight: str | None, world: World, steps: int) -> dict[str, npt.NDArray[Any]]:
@@ -223,7 +222,7 @@ class Sight:
                 "wrist_rgb": view.rgb,
             }
         photo = self._photo(world, steps, whole=False)
-        clouds = [self._points(photo, seen, world) for seen in (Seen.TARGET, Seen.HAND)]
+        clouds = self._clouds(photo, world)
         counts = np.array([len(cloud) for cloud in clouds], dtype=np.float32)
         if sight == CLOUDS:
             return {
@@ -235,18 +234,17 @@ class Sight:
         item, hand = (self._thinned(cloud, steps, number) for number, cloud in enumerate(clouds))
         return {"wrist_object_points": item, "wrist_hand_points": hand, "wrist_point_counts": counts}
 
-    def _points(self, photo: Photo, seen: Seen, world: World) -> npt.NDArray[np.float32]:
-        """What is seen of something, in the hand link's frame of now: robots know where they were when."""
-        cloud = deproject(photo.depth, photo.shows(seen), self._config.geometry)
+    def _clouds(self, photo: Photo, world: World) -> list[npt.NDArray[np.float32]]:
+        """What is seen of object and hand, in the hand link's frame of now: robots know where their arm was when."""
+        clouds = [deproject(photo.depth, photo.shows(seen), self._config.geometry) for seen in (Seen.TARGET, Seen.HAND)]
         if not self.remembers or self._scene is None:
-            return cloud
+            return clouds
         then, now = self._past[0].robot[:ARM_JOINTS], world.postures().robot[:ARM_JOINTS]
         if np.array_equal(then, now):
-            return cloud
+            return clouds
         chain = Arm(read_tree(self._scene.assets.panda)).chain(np.array([then, now], dtype=np.float64))
         (before, after), (turned, turns) = chain.origins[-1].T, np.moveaxis(chain.rotations[-1], -1, 0)
-        moved: npt.NDArray[np.float32] = ((cloud @ turned.T + before - after) @ turns).astype(np.float32)
-        return moved
+        return [((cloud @ turned.T + before - after) @ turns).astype(np.float32) for cloud in clouds]
 
     def _photo(self, world: World, steps: int, whole: bool) -> Photo:
         """What arrives now, drawn if it was not yet; a whole picture serves for what is sought, too."""
