@@ -12,6 +12,7 @@ from mujoco.batch import Batch
 
 from handover_marl.errors import ResetNeededError, SimulationError
 from handover_marl.options import pybullet_installed
+from handover_marl.sim.mujoco.profiler import stop_profiler
 from handover_marl.sim.mujoco.scene_model import SceneModel
 
 Array = npt.NDArray[np.float64]
@@ -33,6 +34,7 @@ _RECORDED = ("sensordata", "qpos")
 # Else warnings go to the console and into a file in the working folder; here they become errors.
 if mujoco.get_mju_user_warning() is None:
     mujoco.set_mju_user_warning(lambda message: None)
+stop_profiler()
 
 
 @dataclass(frozen=True, eq=False)
