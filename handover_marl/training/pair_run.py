@@ -49,8 +49,8 @@ class PairArgs(LoopArgs):
     minutes: float = 30.0
     envs: int = 2
     learning_rate: float = 1e-3
-    # Closing sooner must be worth something: at 0.97 it is left to noise, and the mean does not learn to close.
-    discount: float = 0.92
+    # Closing sooner must be worth much: at 0.97 it is left to noise, and the mean does not learn to close.
+    discount: float = 0.85
     spread: float = 0.4
     val_scenes: int = 18
     giver_observe: str = "giver"

@@ -30,6 +30,8 @@ _WARNINGS = {
 _CONTROLS = (mujoco.mjtState.mjSTATE_CTRL, mujoco.mjtState.mjSTATE_MOCAP_POS, mujoco.mjtState.mjSTATE_MOCAP_QUAT)
 _CONTROL_SPEC = sum(int(part) for part in _CONTROLS)
 _RECORDED = ("sensordata", "qpos")
+# Groups without worlds that are kept: one takes some 5 MB, and 2 ms to make.
+_SPARE = 8
 
 # Else warnings go to the console and into a file in the working folder; here they become errors.
 if mujoco.get_mju_user_warning() is None:
@@ -66,7 +68,7 @@ class _Group:
         self.batch = Batch(scene.model, capacity, nthread=1)
         self.models = [scene.model] * capacity
         self.batch.set_models(self.models)
-        self.free = list(range(capacity))
+        self.capacity, self.free = capacity, list(range(capacity))
         #: For what is worked out of a state without stepping.
         self.scratch = mujoco.MjData(scene.model)
         bind = self.batch.bind
@@ -98,6 +100,17 @@ class _Group:
             return False
         return True
 
+    def release(self, row: int) -> None:
+        """Take a row back, and hold on to its model no longer."""
+        self.models[row] = self.scene.model
+        self.batch.set_models(self.models)
+        heapq.heappush(self.free, row)
+
+    @property
+    def empty(self) -> bool:
+        """Whether it has no world."""
+        return len(self.free) == self.capacity
+
     def check(self, rows: npt.NDArray[np.int32]) -> None:
         """Raise if the engine warned in one of some rows."""
         numbers = self.batch.warning[rows, :, 1]
@@ -124,6 +137,8 @@ class Lanes:
     def __init__(self, count: int, gravity: float) -> None:
         self._count, self._gravity = count, gravity
         self._groups: dict[tuple[int, ...], list[_Group]] = {}
+        # Groups that had no world when they were last looked at, the one that became so first in front.
+        self._spare: list[_Group] = []
 
     def enter(self, lane: "Lane", scene: SceneModel) -> None:
         """Give a world a row for a scene's model, at the model's own state."""
@@ -137,9 +152,15 @@ class Lanes:
 
     def leave(self, lane: "Lane") -> None:
         """Take its row from a world."""
-        if lane.group is not None:
-            heapq.heappush(lane.group.free, lane.row)
-            lane.group = None
+        group, lane.group = lane.group, None
+        if group is None:
+            return
+        group.release(lane.row)
+        if group.empty:
+            self._spare = [*(one for one in self._spare if one.empty and one is not group), group]
+            self._spare, dropped = self._spare[-_SPARE:], self._spare[:-_SPARE]
+            for one in dropped:
+                self._groups[_sizes(one.scene.model)].remove(one)
 
     def free_target(self, lane: "Lane") -> None:
         """Let the target object move freely under gravity, and touch table, ground and other objects."""
@@ -150,14 +171,17 @@ class Lanes:
 
     def _group(self, scene: SceneModel) -> _Group:
         """One whose first free row has a scene's model."""
-        model = scene.model
-        sizes = (model.nq, model.nv, model.nu, model.nbody, model.ngeom, model.nbvh, model.nmocap, model.nsensordata)
-        groups = self._groups.setdefault(sizes, [])
+        groups = self._groups.setdefault(_sizes(scene.model), [])
         for group in groups:
-            if group.free and group.takes(model, group.free[0]):
+            if group.free and group.takes(scene.model, group.free[0]):
                 return group
         groups.append(_Group(scene, self._count))
         return groups[-1]
+
+
+def _sizes(model: "mujoco.MjModel") -> tuple[int, ...]:
+    """What is equal in models of one layout."""
+    return model.nq, model.nv, model.nu, model.nbody, model.ngeom, model.nbvh, model.nmocap, model.nsensordata
 
 
 class Lane:

@@ -26,7 +26,7 @@ from handover_marl.sim.mujoco.tuning import TUNING, Tuning
 
 Index = npt.NDArray[np.int32]
 
-# A model takes 1 to 2 MB; DexYCB has four hundred pairs of object and hand.
+# A model takes 1 to 2 MB, and so does each of its variants; DexYCB has four hundred pairs of object and hand.
 _KEPT = 128
 
 
