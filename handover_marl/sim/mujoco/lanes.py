@@ -68,7 +68,7 @@ class _Group:
         self.batch = Batch(scene.model, capacity, nthread=1)
         self.models = [scene.model] * capacity
         self.batch.set_models(self.models)
-        self.capacity, self.free = capacity, list(range(capacity))
+        self.free = list(range(capacity))
         #: For what is worked out of a state without stepping.
         self.scratch = mujoco.MjData(scene.model)
         bind = self.batch.bind
@@ -109,7 +109,7 @@ class _Group:
     @property
     def empty(self) -> bool:
         """Whether it has no world."""
-        return len(self.free) == self.capacity
+        return len(self.free) == len(self.models)
 
     def check(self, rows: npt.NDArray[np.int32]) -> None:
         """Raise if the engine warned in one of some rows."""

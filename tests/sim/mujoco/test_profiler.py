@@ -1,5 +1,8 @@
+"""MuJoCo's own profiler, which is off where its physics are used."""
+
 import subprocess
 import sys
+from collections.abc import Iterator
 
 import pytest
 
@@ -20,13 +23,13 @@ def profiled() -> bool:
 
 
 @pytest.fixture(autouse=True)
-def as_it_was():
+def as_it_was() -> Iterator[None]:
     yield
     mujoco.set_mjcb_time(None)
     stop_profiler()
 
 
-def test_the_profiler_runs_until_it_is_stopped_and_can_be_started_again():
+def test_the_profiler_runs_until_it_is_stopped_and_can_be_started_again() -> None:
     mujoco.set_mjcb_time(None)
     assert profiled()
     assert stop_profiler()
@@ -35,14 +38,14 @@ def test_the_profiler_runs_until_it_is_stopped_and_can_be_started_again():
     assert profiled()
 
 
-def test_a_clock_of_ones_own_is_left_alone():
+def test_a_clock_of_ones_own_is_left_alone() -> None:
     ticks = iter(range(10**9))
     mujoco.set_mjcb_time(lambda: float(next(ticks)))
     assert not stop_profiler()
     assert profiled()
 
 
-def test_it_does_not_run_where_worlds_are_simulated():
+def test_it_does_not_run_where_worlds_are_simulated() -> None:
     code = "import handover_marl.sim.mujoco.lanes, tests.sim.mujoco.test_profiler as test; print(test.profiled())"
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert found.stdout.split() == ["False"]
