@@ -1,5 +1,8 @@
 """Which grasp to go for: soonest reached, and beside the hand."""
 
+import functools
+from collections import OrderedDict
+
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
@@ -17,12 +20,17 @@ MOST_ROOM = 0.2
 
 # The gripper's body from behind its palm to its fingertips, on the hand link's z axis (m).
 _BEHIND, _TIPS = -0.05, 0.11
+# What a choice depends on.
+_SEEN = ("gripper_pose", "object_poses", "object_classes", "hand_present", "hand_keypoints")
+# Choices that are remembered: environments that are played beside each other ask in turns.
+_REMEMBERED = 256
 
 
 class GraspChoice:
     """Chooses the grasp with the least distance plus turn from where the gripper is, with room for the hand.
 
-    A gripper may also take a grasp turned by half a turn. Nothing is remembered from one choice to the next.
+    A gripper may also take a grasp turned by half a turn. What is chosen depends on the observation alone; who asks
+    again about the same one, as features and action schemes do, gets the same answer without the work.
 
     Args:
         context: Knows the objects' grasps.
@@ -33,9 +41,18 @@ class GraspChoice:
 
     def __init__(self, context: PolicyContext) -> None:
         self._grasps = ObjectGrasps(context.grasps)
+        self._chosen: OrderedDict[bytes, tuple[Array, float] | None] = OrderedDict()
 
     def choose(self, observation: Observation) -> tuple[Array, float] | None:
-        """The world pose (7,) of the hand link and its room (m), or None for an object without grasps."""
+        """The world pose (7,) of the hand link, not to be written to, and its room (m); None if there is no grasp."""
+        seen = b"".join(np.asarray(observation[name]).tobytes() for name in _SEEN)
+        if seen not in self._chosen:
+            self._chosen[seen] = self._best(observation)
+            if len(self._chosen) > _REMEMBERED:
+                self._chosen.popitem(last=False)
+        return self._chosen[seen]
+
+    def _best(self, observation: Observation) -> tuple[Array, float] | None:
         grasps = self._grasps.in_world(observation)
         if grasps is None:
             return None
@@ -46,7 +63,9 @@ class GraspChoice:
         lacking = np.maximum(0.0, self.wanted_room - room)
         ways = np.linalg.norm(grasps[:, :3] - gripper[:3], axis=1)
         best = int(np.argmin(ways + self.turn_weight * turns + self.room_weight * lacking))
-        return grasps[best], float(room[best])
+        chosen = grasps[best].copy()
+        chosen.flags.writeable = False
+        return chosen, float(room[best])
 
     def _room(self, grasps: Array, observation: Observation) -> Array:
         """(n,) smallest distance of wrist and finger joints to the gripper's axis (m)."""
@@ -58,3 +77,9 @@ class GraspChoice:
         beside = away - along[..., None] * axis[:, None]
         room: Array = np.minimum(np.linalg.norm(beside, axis=-1).min(axis=1), MOST_ROOM)
         return room
+
+
+@functools.lru_cache(maxsize=16)
+def grasp_choice(context: PolicyContext) -> GraspChoice:
+    """The one for a context, whoever asks."""
+    return GraspChoice(context)

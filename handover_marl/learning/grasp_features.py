@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from handover_marl.episode.observations import Observation
 from handover_marl.learning.features import receiver_features
 from handover_marl.policies.context import PolicyContext
-from handover_marl.receivers.grasp_choice import GraspChoice
+from handover_marl.receivers.grasp_choice import grasp_choice
 
 #: How many numbers are added to `receiver_features`.
 N_ADDED = 8
@@ -24,7 +24,7 @@ class GraspFeatures:
     """
 
     def __init__(self, context: PolicyContext) -> None:
-        self._choice = GraspChoice(context)
+        self._choice = grasp_choice(context)
         self._protocol = context.protocol
 
     def __call__(self, observation: Observation) -> npt.NDArray[np.float32]:

@@ -11,7 +11,7 @@ from handover_marl.models.arm import Arm
 from handover_marl.models.kinematic_tree import read_tree
 from handover_marl.models.panda import CLOSED, LOWER_LIMITS, OPEN, UPPER_LIMITS, WAITING_JOINTS
 from handover_marl.policies.context import PolicyContext
-from handover_marl.receivers.grasp_choice import GraspChoice
+from handover_marl.receivers.grasp_choice import grasp_choice
 
 Array = npt.NDArray[np.float64]
 
@@ -95,7 +95,7 @@ class GraspServo(CartesianDelta):
 
     def __init__(self, context: PolicyContext) -> None:
         super().__init__(context)
-        self._choice = GraspChoice(context)
+        self._choice = grasp_choice(context)
         self._goal = np.array(context.protocol.goal_center)
 
     def reset(self) -> None:

@@ -16,7 +16,8 @@ from handover_marl.learning.observing import make_features
 from handover_marl.learning.receiver_schemes import GraspServo
 from handover_marl.learning.schemes import make_scheme, scheme_size, schemes
 from handover_marl.receivers import WAITING_JOINTS, context_of
-from handover_marl.receivers.grasp_choice import MOST_ROOM, GraspChoice
+from handover_marl.receivers import grasp_choice as grasp_choice_module
+from handover_marl.receivers.grasp_choice import MOST_ROOM, GraspChoice, grasp_choice
 from handover_marl.sim.bullet.kinematics import PandaKinematics
 from tests.givers.test_givers import START, seen
 
@@ -183,6 +184,34 @@ def test_the_chosen_grasp_leaves_room_for_the_hand() -> None:
     other = choice.choose(away | {"gripper_pose": flipped})
     assert other is not None
     np.testing.assert_allclose(other[0][:3], first[0][:3], atol=1e-6)
+
+
+def test_a_choice_is_remembered_as_long_as_nothing_changes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(grasp_choice_module, "_REMEMBERED", 2)
+    observation, shared = seen(), grasp_choice(CONTEXT)
+    assert grasp_choice(CONTEXT) is shared
+    pose = observation["object_poses"].copy()
+    pose[0, :3] += 0.1
+    others = [
+        {"gripper_pose": observation["gripper_pose"] + np.float32(0.01)},
+        {"object_poses": pose},
+        {"object_classes": observation["object_classes"] + 1},
+        {"hand_keypoints": np.full((16, 3), 5.0, np.float32)},
+        {"hand_present": np.zeros_like(observation["hand_present"])},
+    ]
+    first = shared.choose(observation)
+    assert first is not None
+    assert shared.choose({key: value.copy() for key, value in observation.items()}) is first
+    for other in others:
+        for now in (observation | other, observation):
+            found, fresh = shared.choose(now), GraspChoice(CONTEXT).choose(now)
+            assert (found is None) == (fresh is None)
+            if found is not None and fresh is not None:
+                np.testing.assert_array_equal(found[0], fresh[0])
+                assert found[1] == fresh[1]
+    assert len(shared._chosen) == 2
+    with pytest.raises(ValueError, match="read-only"):
+        first[0][0] = 0.0
 
 
 def test_the_gripper_closes_above_zero() -> None:

@@ -1,7 +1,7 @@
 """Models' collision shapes as MuJoCo takes them: convex parts, and the inertia that Bullet gives them."""
 
 import functools
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -53,15 +53,20 @@ def convex_parts(shapes: Sequence[UrdfShape]) -> list[Part]:
     Raises:
         DataFormatError: A mesh file cannot be read.
     """
-    return [part for shape in shapes for part in _parts(shape)]
+    return [part for shape in shapes for part in _parts(shape, _changed(shape.mesh))]
 
 
-def _parts(shape: UrdfShape) -> Iterator[Part]:
+def _changed(mesh: Path | None) -> int:
+    return mesh.stat().st_mtime_ns if mesh is not None and mesh.exists() else 0
+
+
+# Shapes of a file that was not changed are the same ones each time, and so are their parts: many scenes share them.
+@functools.lru_cache(maxsize=2048)
+def _parts(shape: UrdfShape, changed: int) -> tuple[Part, ...]:
     if shape.mesh is None:
-        yield Part(shape.kind, np.zeros((0, 3)), shape.size, shape.link_from_shape)
-        return
-    for vertices in _objects(shape.mesh, shape.mesh.stat().st_mtime_ns if shape.mesh.exists() else 0):
-        yield Part("hull", vertices * shape.size, (), shape.link_from_shape)
+        return (Part(shape.kind, np.zeros((0, 3)), shape.size, shape.link_from_shape),)
+    found = _objects(shape.mesh, changed)
+    return tuple(Part("hull", vertices * shape.size, (), shape.link_from_shape) for vertices in found)
 
 
 @functools.lru_cache(maxsize=512)
@@ -113,6 +118,7 @@ def link_balls(urdf: Path, tree: KinematicTree) -> dict[int, Sphere]:
     return balls
 
 
+@functools.lru_cache(maxsize=4096)
 def _bounds(part: Part, moved: bool) -> tuple[Array, Array]:
     """Corners of the box around a part in the link's frame, as Bullet works it out: a turned box grows."""
     corners = part.corners()

@@ -146,7 +146,7 @@ class Lanes:
             self.leave(lane)
             lane.group = self._group(scene)
             lane.row = heapq.heappop(lane.group.free)
-        lane.built, lane.released = scene, False
+        lane.begin(scene)
         lane.group.batch.reset(ids=np.array([lane.row], dtype=np.int32), stage=int(mujoco.mjtStage.mjSTAGE_NONE))
         lane.group.batch.warning[lane.row] = 0
 
@@ -199,6 +199,19 @@ class Lane:
         self.row = 0
         self.built: SceneModel | None = None
         self.released = False
+        # Variants of the model that it has been simulated with: it may come back to them.
+        self._variants: dict[tuple[bool, bool], mujoco.MjModel] = {}
+
+    def begin(self, scene: SceneModel) -> None:
+        """Take note of the scene that its row is for."""
+        self.built, self.released, self._variants = scene, False, {}
+
+    def variant(self, hand: bool) -> "mujoco.MjModel":
+        """The model to simulate with now, given whether the hand is felt."""
+        wanted = self.released, hand
+        if wanted not in self._variants:
+            self._variants[wanted] = self.scene.variants.of(*wanted)
+        return self._variants[wanted]
 
     @property
     def running(self) -> _Group:
@@ -262,7 +275,7 @@ def feel(lanes: Sequence[Lane], hands: Sequence[bool]) -> None:
     """Say for worlds of one layout whether their hands are felt from now on, or surely touch nothing."""
     group, changed = lanes[0].running, False
     for lane, hand in zip(lanes, hands, strict=True):
-        model = lane.scene.variants.of(lane.released, hand)
+        model = lane.variant(hand)
         if group.models[lane.row] is not model:
             group.models[lane.row], changed = model, True
     if changed:

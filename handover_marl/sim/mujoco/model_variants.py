@@ -2,6 +2,7 @@
 
 import copy
 from collections.abc import Sequence
+from weakref import WeakValueDictionary
 
 import mujoco
 import numpy as np
@@ -11,7 +12,7 @@ from handover_marl.sim.mujoco.scene_spec import RELEASED
 
 
 class ModelVariants:
-    """A model's variants, made when they are first wanted.
+    """A model's variants, made when they are wanted (in a millisecond) and shared by all who hold one at the time.
 
     Args:
         model: All there is, the object led by its servos.
@@ -22,7 +23,8 @@ class ModelVariants:
 
     def __init__(self, model: "mujoco.MjModel", target: int, servos: int, hand: Sequence[int]) -> None:
         self._target, self._servos, self._hand = target, servos, list(hand)
-        self._made = {(False, True): model}
+        self._model = model
+        self._made: WeakValueDictionary[tuple[bool, bool], mujoco.MjModel] = WeakValueDictionary()
 
     def of(self, released: bool, hand: bool) -> "mujoco.MjModel":
         """A variant.
@@ -31,14 +33,16 @@ class ModelVariants:
             released: Nobody holds the target object: nothing leads it, and it touches what it meets.
             hand: Whether the hand is felt. Who knows that it touches nothing saves a tenth of the engine's time.
         """
-        wanted = (released, hand)
-        if wanted not in self._made:
-            # Variants of one model are wanted by several threads; whose comes last is kept.
-            self._made[wanted] = self._make(*wanted)
-        return self._made[wanted]
+        if hand and not released:
+            return self._model
+        found = self._made.get((released, hand))
+        if found is None:
+            # Variants of one model are wanted by several threads; whose comes last is shared.
+            found = self._made[released, hand] = self._make(released, hand)
+        return found
 
     def _make(self, released: bool, hand: bool) -> "mujoco.MjModel":
-        own = copy.copy(self._made[False, True])
+        own = copy.copy(self._model)
         if released:
             own.geom_conaffinity[_geoms(own, self._target)] = own.body_conaffinity[self._target] = int(RELEASED)
             own.actuator_forcerange[self._servos : self._servos + OBJECT_DOF] = 0.0

@@ -1,5 +1,8 @@
 """Where worlds are simulated side by side, and what is kept of those that have gone."""
 
+import gc
+import weakref
+
 import pytest
 
 pytest.importorskip("mujoco")
@@ -70,3 +73,22 @@ def test_a_row_that_is_left_holds_no_model(few: int) -> None:
     assert group.models[row] is group.scene.model
     assert group.empty
     assert lane.group is None
+
+
+def test_variants_are_shared_and_last_as_long_as_worlds_hold_them() -> None:
+    (model,) = models(1)
+    kept, lanes_here = Lanes(2, CONFIG.gravity), [Lane(), Lane()]
+    for lane in lanes_here:
+        kept.enter(lane, model)
+    shared = lanes_here[0].variant(hand=False)
+    assert shared is lanes_here[1].variant(hand=False) is lanes_here[0].variant(hand=False)
+    assert lanes_here[0].variant(hand=True) is model.model
+    held = weakref.ref(shared)
+    del shared
+    lanes.feel(lanes_here, [False, False])
+    for lane in lanes_here:
+        assert held() is not None
+        kept.enter(lane, model)
+    lanes.feel(lanes_here, [True, True])
+    gc.collect()
+    assert held() is None
