@@ -188,8 +188,8 @@ def test_the_chosen_grasp_leaves_room_for_the_hand() -> None:
 
 def test_a_choice_is_remembered_as_long_as_nothing_changes(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(grasp_choice_module, "_REMEMBERED", 2)
-    observation, shared = seen(), grasp_choice(CONTEXT)
-    assert grasp_choice(CONTEXT) is shared
+    assert grasp_choice(CONTEXT) is grasp_choice(CONTEXT)
+    observation, shared = seen(), GraspChoice(CONTEXT)
     pose = observation["object_poses"].copy()
     pose[0, :3] += 0.1
     others = [
