@@ -46,15 +46,16 @@ def play_together(stretches: Iterable[Stretch], rules: ProtocolConfig) -> None:
     """
     running = [stretch for stretch in stretches if not stretch.over]
     while running:
+        # Whether a world stays dormant is said when it is prepared.
+        _prepare([stretch for stretch in running if stretch.world.dormant])
         groups: dict[object, list[tuple[int, Stretch]]] = {}
         for stretch in running:
             kind, place = stretch.world.companion
             groups.setdefault(kind, []).append((place, stretch))
         # Worlds of small groups are prepared beside those of others; a large group is, as it is rolled, by itself.
         few = [stretch for group in groups.values() if len(group) < _ABREAST for _, stretch in group]
-        for first in range(0, len(few), _ABREAST):
-            part = few[first : first + _ABREAST]
-            part[0].world.prepare([stretch.world for stretch in part], [stretch.robot_target for stretch in part])
+        few = [stretch for stretch in few if not stretch.world.dormant]
+        _prepare(few)
         for group in groups.values():
             ordered = [stretch for _, stretch in sorted(group, key=lambda entry: entry[0])]
             for first in range(0, len(ordered), _ABREAST):
@@ -62,8 +63,14 @@ def play_together(stretches: Iterable[Stretch], rules: ProtocolConfig) -> None:
         running = [stretch for stretch in running if not stretch.over]
 
 
+def _prepare(stretches: list[Stretch]) -> None:
+    for first in range(0, len(stretches), _ABREAST):
+        part = stretches[first : first + _ABREAST]
+        part[0].world.prepare([stretch.world for stretch in part], [stretch.robot_target for stretch in part])
+
+
 def _roll(stretches: list[Stretch], rules: ProtocolConfig) -> None:
-    steps = min(_CHUNK, *(stretch.left for stretch in stretches))
+    steps = min(_CHUNK, *(min(stretch.left, stretch.world.ahead) for stretch in stretches))
     worlds = [stretch.world for stretch in stretches]
     rolled = worlds[0].roll(worlds, [stretch.robot_target for stretch in stretches], steps, rules)
     before = Verdicts.of([stretch.referee.standing() for stretch in stretches])

@@ -64,6 +64,14 @@ class ContactArrays(NamedTuple):
         ]
         return cls(*(np.array(column)[:, None] for column in zip(*rows, strict=True)))
 
+    @classmethod
+    def none(cls, steps: int, episodes: int) -> "ContactArrays":
+        """No contacts in k steps of n episodes."""
+        shape, nothing = (steps, episodes), Contacts()
+        flags, fingers = np.zeros(shape, dtype=bool), np.zeros((*shape, 2), dtype=bool)
+        height, place = np.full(shape, nothing.object_height), np.full((*shape, 3), nothing.gripper_position)
+        return cls(flags, flags, fingers, fingers, flags, height, place)
+
 
 class Verdicts(NamedTuple):
     """How n episodes stand, as arrays (n,) of what `protocol.referee.Standing` has of one."""

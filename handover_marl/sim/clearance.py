@@ -71,9 +71,7 @@ class Clearance:
         speed = np.abs(velocity) @ self._levers
         count = np.arange(1, steps + 1)
         moved = ways[..., None] * (1.0 - (1.0 - self._gain) ** count) + speed[..., None] * TIME_STEP * count
-        links = compose_point(link_poses, self._centers)
-        base = np.broadcast_to(self._base_centers, (*links.shape[:-2], *self._base_centers.shape))
-        robot = np.concatenate([links, base], axis=-2)
+        robot = self.balls(link_poses)
         # Mostly everything is so far apart that it need not be looked at step by step.
         start = centers[..., :1, :, :]
         with np.errstate(invalid="ignore"):
@@ -84,6 +82,23 @@ class Clearance:
             return np.full(np.broadcast_shapes(moved.shape[:-1], centers.shape[:-3]) + centers.shape[-2:-1], steps)
         near = self._gaps(centers, robot) - radii[..., None, :] - moved[..., None] < MARGIN
         return np.asarray(np.where(near.any(axis=-2), near.argmax(axis=-2), steps))
+
+    def balls(self, link_poses: npt.NDArray[np.floating]) -> Array:
+        """(..., b, 3) the middles of all balls (m), given world poses (..., L, 7) of `links`."""
+        links = compose_point(link_poses, self._centers)
+        base = np.broadcast_to(self._base_centers, (*links.shape[:-2], *self._base_centers.shape))
+        return np.concatenate([links, base], axis=-2)
+
+    def near(self, balls: Array, centers: Array, radii: Array) -> npt.NDArray[np.bool_]:
+        """(...) whether any of m things is near the robot at some moments.
+
+        Args:
+            balls: (..., b, 3) what `balls` says of them (m).
+            centers: (..., m, 3) the middles of balls around the things; infinite where they are not there (m).
+            radii: (m,) the balls' radii (m).
+        """
+        gaps = _lengths(centers[..., None, :] - balls[..., None, :, :]) - self._radii
+        return np.asarray((gaps.min(axis=-1) - radii < MARGIN).any(axis=-1))
 
     def _gaps(self, centers: Array, robot: Array) -> Array:
         """(..., n, m) distances (m) of points (..., n, m, 3) to the nearest of the robot's balls (..., L, 3)."""

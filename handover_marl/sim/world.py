@@ -137,7 +137,20 @@ class Rolled(NamedTuple):
 
 
 class RollingWorld(World):
-    """A world that can take many steps at once, alone or beside others, and go back if they were too many."""
+    """A world that can take many steps at once, alone or beside others, and go back if they were too many.
+
+    In a dormant one nothing touches anything for some time; it is rolled beside other dormant ones.
+    """
+
+    @property
+    def dormant(self) -> bool:
+        """Whether it is dormant; may change when it is prepared."""
+        return False
+
+    @property
+    @abstractmethod
+    def ahead(self) -> int:
+        """How many steps it can be rolled, once it is prepared, before it has to be led or prepared anew."""
 
     @property
     @abstractmethod

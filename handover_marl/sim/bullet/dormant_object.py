@@ -5,13 +5,13 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.config import TIME_STEP, ObjectConfig
+from handover_marl.config import ObjectConfig
 from handover_marl.models.kinematic_tree import read_tree
 from handover_marl.sim.bullet.body import Start
 from handover_marl.sim.bullet.bounds import link_spheres
 from handover_marl.sim.bullet.client import BulletClient
-from handover_marl.sim.bullet.object_body import Object, object_motors
-from handover_marl.sim.follower import Follower
+from handover_marl.sim.bullet.object_body import Object
+from handover_marl.sim.object_path import ObjectPath
 
 
 class DormantObject:
@@ -43,16 +43,13 @@ class DormantObject:
         self.tree = read_tree(urdf)
         self.reach = self.tree.reach(len(self.tree.joints) - 1, link_spheres(urdf))
         self._client, self._class_id, self._config = client, class_id, config
-        self._follower = Follower(object_motors(config), start)
-        # Before the first step it has stood at its start.
-        self._trail = np.stack([self._follower.position] * 2)
+        self._path = ObjectPath(config, start)
 
     def lead(self, targets: npt.NDArray[np.float32]) -> None:
         """Work out where it will be in the coming steps, given (n, 6) targets."""
         self._targets: list[list[float]] = targets.tolist()
         if self.body is None:
-            self._follower.follow(targets)
-            self._trail = np.concatenate([self._trail[-2:], self._follower.path])
+            self._path.lead(targets)
 
     @property
     def awake(self) -> bool:
@@ -61,14 +58,13 @@ class DormantObject:
 
     def centers(self, row: int) -> npt.NDArray[np.float64]:
         """(n - row, 3) where its origin will be after the steps from `row` on (m), while it sleeps."""
-        return self._trail[row + 2 :, :3]
+        return self._path.centers(row)
 
     def wake(self, row: int) -> None:
         """Put it into Bullet before step `row` of the present motion is simulated."""
         if self.awake:
             return
-        before, now = self._trail[row], self._trail[row + 1]
-        start = Start(now.tolist(), ((now - before) / TIME_STEP).tolist())
+        start = Start(self._path.joints(row - 1).tolist(), self._path.speeds(row - 1).tolist())
         self.body = Object(self._client, self.urdf, self._class_id, start, self._config)
 
     def drive(self, row: int) -> None:
@@ -78,14 +74,14 @@ class DormantObject:
 
     def dof(self, row: int) -> npt.NDArray[np.float32]:
         """(6,) its joints after step `row`, -1 being before the first (m, rad)."""
-        return self._trail[row + 2].astype(np.float32) if self.body is None else self.body.joint_positions()
+        return self._path.joints(row).astype(np.float32) if self.body is None else self.body.joint_positions()
 
     def pose(self, row: int) -> npt.NDArray[np.float32]:
         """(7,) its world pose after step `row`, xyz (m) and quaternion xyzw."""
         if self.body is not None:
             return self.body.pose()
         last = len(self.tree.joints) - 1
-        pose: npt.NDArray[np.float32] = self.tree.poses(self._trail[row + 2][None], [last])[0, 0].astype(np.float32)
+        pose: npt.NDArray[np.float32] = self.tree.poses(self._path.joints(row)[None], [last])[0, 0].astype(np.float32)
         return pose
 
     def remove(self) -> None:

@@ -5,11 +5,12 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.config import MotorConfig, ObjectConfig
+from handover_marl.config import ObjectConfig
 from handover_marl.models.ycb import SCENE_CLASSES
 from handover_marl.sim.bullet.body import Body, Start
 from handover_marl.sim.bullet.client import BulletClient
 from handover_marl.sim.bullet.hand_body import HAND_MASK
+from handover_marl.sim.object_path import object_motors
 
 #: A released object collides with everything but the hand.
 RELEASED_MASK = -1 - HAND_MASK
@@ -35,11 +36,6 @@ class Object(Body):
         """Let it move freely and touch table and other objects from now on."""
         self.collide(RELEASED_MASK)
         self.go_limp()
-
-
-def object_motors(config: ObjectConfig) -> list[MotorConfig]:
-    """The motors of the chain's six joints."""
-    return [config.translation_motor] * 3 + [config.rotation_motor] * 3
 
 
 def object_mask(class_id: int) -> int:

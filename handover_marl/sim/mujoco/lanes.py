@@ -10,22 +10,14 @@ import numpy as np
 import numpy.typing as npt
 from mujoco.batch import Batch
 
-from handover_marl.errors import ResetNeededError, SimulationError
-from handover_marl.options import pybullet_installed
+from handover_marl.errors import ResetNeededError
+from handover_marl.sim.mujoco.breakdown import check
+from handover_marl.sim.mujoco.lone_robot import LoneRobot
 from handover_marl.sim.mujoco.profiler import stop_profiler
-from handover_marl.sim.mujoco.scene_model import SceneModel
+from handover_marl.sim.mujoco.scene_model import SceneModel, StageModel
 
 Array = npt.NDArray[np.float64]
 
-_WARNINGS = {
-    mujoco.mjtWarning.mjWARN_INERTIA: "the inertia of the bodies became singular",
-    mujoco.mjtWarning.mjWARN_CONTACTFULL: "there were more contacts than its memory holds",
-    mujoco.mjtWarning.mjWARN_CNSTRFULL: "there were more constraints than its memory holds",
-    mujoco.mjtWarning.mjWARN_BADQPOS: "a position is not finite",
-    mujoco.mjtWarning.mjWARN_BADQVEL: "a velocity is not finite",
-    mujoco.mjtWarning.mjWARN_BADQACC: "an acceleration is not finite",
-    mujoco.mjtWarning.mjWARN_BADCTRL: "a servo's target is not finite",
-}
 # What worlds are led by, in the order in which MuJoCo has it: servos' targets, then where bodies are put.
 _CONTROLS = (mujoco.mjtState.mjSTATE_CTRL, mujoco.mjtState.mjSTATE_MOCAP_POS, mujoco.mjtState.mjSTATE_MOCAP_QUAT)
 _CONTROL_SPEC = sum(int(part) for part in _CONTROLS)
@@ -33,9 +25,6 @@ _RECORDED = ("sensordata", "qpos")
 # Groups without worlds that are kept: one takes some 5 MB, and 2 ms to make.
 _SPARE = 8
 
-# Else warnings go to the console and into a file in the working folder; here they become errors.
-if mujoco.get_mju_user_warning() is None:
-    mujoco.set_mju_user_warning(lambda message: None)
 stop_profiler()
 
 
@@ -111,20 +100,6 @@ class _Group:
         """Whether it has no world."""
         return len(self.free) == len(self.models)
 
-    def check(self, rows: npt.NDArray[np.int32]) -> None:
-        """Raise if the engine warned in one of some rows."""
-        numbers = self.batch.warning[rows, :, 1]
-        if not numbers.any():
-            return
-        row = int(numbers.any(axis=1).argmax())
-        found = [text for kind, text in _WARNINGS.items() if numbers[row, int(kind)]]
-        seconds = float(self.batch.bind("time")[rows[row]])
-        instead = "Play this scene with physics='fast', and" if pybullet_installed() else "Leave this scene out, and"
-        raise SimulationError(
-            f"MuJoCo's simulation broke down after {seconds:.3f} s: {'; '.join(found) or 'it warned'}. "
-            f"{instead} report it"
-        )
-
 
 class Lanes:
     """Room for some worlds that are simulated side by side. What happens in one does not depend on the others.
@@ -137,6 +112,7 @@ class Lanes:
     def __init__(self, count: int, gravity: float) -> None:
         self._count, self._gravity = count, gravity
         self._groups: dict[tuple[int, ...], list[_Group]] = {}
+        self._robots: dict[StageModel, LoneRobot] = {}
         # Groups that had no world when they were last looked at, the one that became so first in front.
         self._spare: list[_Group] = []
 
@@ -161,6 +137,12 @@ class Lanes:
             self._spare, dropped = self._spare[-_SPARE:], self._spare[:-_SPARE]
             for one in dropped:
                 self._groups[_sizes(one.scene.model)].remove(one)
+
+    def lone_robot(self, stage: StageModel) -> LoneRobot:
+        """What a stage's robot does while it is alone, worked out for all these worlds."""
+        if stage not in self._robots:
+            self._robots[stage] = LoneRobot(stage)
+        return self._robots[stage]
 
     def free_target(self, lane: "Lane") -> None:
         """Let the target object move freely under gravity, and touch table, ground and other objects."""
@@ -248,6 +230,10 @@ class Lane:
         group, row = self.running, self.row
         return group.ctrl[row], group.mocap_pos[row], group.mocap_quat[row]
 
+    def tell_time(self, seconds: float) -> None:
+        """Say how much time has passed without it being simulated."""
+        self.running.batch.bind("time")[self.row] = seconds
+
     def step(self) -> Felt:
         """One step with the controls as they are.
 
@@ -256,7 +242,7 @@ class Lane:
         """
         group, rows = self.running, np.array([self.row], dtype=np.int32)
         group.batch.step(ids=rows)
-        group.check(rows)
+        check(group.batch, rows)
         return self.felt()
 
     def felt(self) -> Felt:
@@ -321,6 +307,6 @@ def roll(lanes: Sequence[Lane], controls: Sequence[Array]) -> Roll:
     before = group.batch.state[rows]
     room = group.records(*given.shape[:2])
     found = group.batch.rollout(given.shape[1], given, _CONTROL_SPEC, _RECORDED, rows, room)
-    group.check(rows)
+    check(group.batch, rows)
     arrays = (found[name].swapaxes(0, 1) for name in _RECORDED)
     return Roll(list(lanes), Felt(group.scene, *arrays), given, before)

@@ -9,15 +9,18 @@ from handover_marl.config import OBJECT_DOF, CameraConfig, PhysicsConfig, Protoc
 from handover_marl.datasets.scene import Scene
 from handover_marl.errors import OptionError
 from handover_marl.models.kinematic_tree import read_tree
+from handover_marl.protocol.array_rules import ContactArrays
 from handover_marl.protocol.contacts import Contacts
 from handover_marl.sim.camera.photo import Photo
 from handover_marl.sim.hand_path import HandPath, keypoint_links, lead_together
 from handover_marl.sim.motion import Motion
 from handover_marl.sim.mujoco.chain import bullet_quaternion, chain_joints, quaternions_wxyz
+from handover_marl.sim.mujoco.dormancy import Dormancy
 from handover_marl.sim.mujoco.felt_contacts import contact_arrays, contacts_of
 from handover_marl.sim.mujoco.hand_frames import HandFrames
 from handover_marl.sim.mujoco.lanes import Lane, Lanes, feel, roll
 from handover_marl.sim.mujoco.scene_model import scene_model
+from handover_marl.sim.object_path import lead_objects_together
 from handover_marl.sim.scene_pictures import Pictures
 from handover_marl.sim.world import Postures, Rolled, RollingWorld, Snapshot, WorldState
 
@@ -28,7 +31,9 @@ _NOWHERE = (0.0, 0.0, -10.0)
 
 
 class MujocoWorld(RollingWorld):
-    """Robot and objects are simulated. The hand follows its targets by kinematics, as in fast physics.
+    """Robot and objects are simulated, objects once the robot is near one or the hand, or nobody holds them any more.
+
+    The hand follows its targets by kinematics, as in fast physics.
 
     Args:
         config: Constants of the world.
@@ -49,6 +54,7 @@ class MujocoWorld(RollingWorld):
         self._release_pending = False
         # What leads the model from a row of the motion on, and for how many of these steps no hand is there at first.
         self._controls, self._led_from, self._clear = np.zeros((0, 0)), 0, 0
+        self._dormancy: Dormancy | None = None
         self._pictures = Pictures(config)
 
     def reset(self, scene: Scene, start: Motion) -> None:
@@ -67,28 +73,31 @@ class MujocoWorld(RollingWorld):
         moving = [link for link, joint in enumerate(tree.joints) if joint.kind != "fixed"]
         self._keypoint_frames = HandFrames(scene.assets.hand, np.array(keypoint_links(moving)))
         self._chains = start.objects[0].astype(np.float64)
+        self._dormancy = Dormancy(lane, self._lanes.lone_robot(built.stage), self._config, start)
         self._release_pending = False
-        self._hand_is_led = True
+        self._is_led = True
         self._row = -1
         self._robot_target: list[float] | None = None
 
     def lead(self, motion: Motion) -> None:
         """Say where objects and hand are led in the coming steps, one row a step."""
-        # It has to have followed the last motion before the next one.
-        self._lead_hand()
+        # All has to have followed the last motion before the next one.
+        _follow([self])
+        if self._dormancy is not None:
+            self._dormancy.turn_over(self._row + 1)
         self._row, self._motion, self._robot_target = -1, motion, None
-        self._hand_is_led = False
+        self._is_led = False
 
     def step(self, robot_target: list[float]) -> None:
         """Simulate one step."""
         parts = self._lane.controls()
         self.prepare([self], [robot_target])
-        controls = self._coming_controls
-        feel([self._lane], [self._hand_within(1)])
-        for part, given in zip(parts, self._split(controls[0]), strict=True):
-            part[:] = given
-        self._lane.step()
-        self._row += 1
+        if self._dormancy is None:
+            feel([self._lane], [self._hand_within(1)])
+            for part, given in zip(parts, self._split(self._coming_controls[0]), strict=True):
+                part[:] = given
+            self._lane.step()
+        self._go_to(self._row + 1)
 
     @classmethod
     def prepare(cls, worlds: Sequence["MujocoWorld"], robot_targets: Sequence[list[float]]) -> None:
@@ -101,6 +110,8 @@ class MujocoWorld(RollingWorld):
     ) -> Rolled:
         """As `RollingWorld.roll`."""
         cls.prepare(worlds, robot_targets)
+        if worlds[0].dormant:
+            return _roll_dormant(worlds, steps)
         controls = [world._coming_controls[:steps] for world in worlds]
         lanes = [world._lane for world in worlds]
         feel(lanes, [world._hand_within(steps) for world in worlds])
@@ -117,18 +128,36 @@ class MujocoWorld(RollingWorld):
     @property
     def companion(self) -> tuple[object, int]:
         """As `RollingWorld.companion`."""
-        return self._lane.running, self._lane.row
+        return (Dormancy, 0) if self.dormant else (self._lane.running, self._lane.row)
+
+    @property
+    def dormant(self) -> bool:
+        """As `RollingWorld.dormant`."""
+        return self._dormancy is not None
+
+    @property
+    def ahead(self) -> int:
+        """As `RollingWorld.ahead`."""
+        left = len(self._motion) - (self._row + 1)
+        return left if self._dormancy is None else min(left, self._dormancy.ahead(self._row + 1))
 
     @property
     def _hand(self) -> HandPath:
         """The hand, led by the present motion."""
-        self._lead_hand()
+        _follow([self])
         return self._path
 
-    def _lead_hand(self) -> None:
-        if not self._hand_is_led:
-            self._path.lead(self._motion)
-            self._hand_is_led = True
+    def _go_to(self, row: int) -> None:
+        """Take note that steps were taken up to a row."""
+        self._row = row
+        if self._dormancy is not None:
+            self._dormancy.write(row)
+
+    def _wake(self) -> None:
+        """Simulate everything from the coming step on."""
+        if self._dormancy is not None:
+            self._dormancy.wake(self._row)
+            self._dormancy, self._robot_target = None, None
 
     def _split(self, controls: Array) -> tuple[Array, Array, Array]:
         """Views of servos' targets (..., u), bodies' places (..., m, 3) and quaternions (..., m, 4) wxyz."""
@@ -177,6 +206,8 @@ class MujocoWorld(RollingWorld):
 
     def contacts(self, released: bool) -> Contacts:
         """The last step's contacts, as far as the rules ask about them."""
+        if self.dormant:
+            return Contacts()
         return contacts_of(self._lane.felt(), released)
 
     def state(self) -> WorldState:
@@ -233,17 +264,17 @@ class MujocoWorld(RollingWorld):
 
 def _begin(worlds: Sequence[MujocoWorld], robot_targets: Sequence[list[float]]) -> None:
     """Work out what leads the models in the remaining steps of each world's motion, as far as it was not."""
+    _follow(worlds)
     for world in worlds:
         if world._release_pending:
+            world._wake()
             world._lanes.free_target(world._lane)
             world._release_pending = False
-    unled = [world for world in worlds if not world._hand_is_led]
-    lead_together([world._path for world in unled], [world._motion for world in unled])
-    for world in unled:
-        world._hand_is_led = True
     fresh: dict[tuple[int, ...], list[tuple[MujocoWorld, list[float]]]] = {}
     for world, target in zip(worlds, robot_targets, strict=True):
-        if world._robot_target != target:
+        if world._dormancy is not None:
+            _look_ahead(world, world._dormancy, target)
+        if not world.dormant and world._robot_target != target:
             world._robot_target, world._led_from = target, world._row + 1
             model = world._lane.scene.model
             # Models with as many servos and led bodies have these in the same places.
@@ -251,6 +282,42 @@ def _begin(worlds: Sequence[MujocoWorld], robot_targets: Sequence[list[float]]) 
             fresh.setdefault(kind, []).append((world, target))
     for group in fresh.values():
         _lead_models([world for world, _ in group], np.array([target for _, target in group]))
+
+
+def _follow(worlds: Sequence[MujocoWorld]) -> None:
+    """Work out where hands, and objects of dormant worlds, are led by the present motions, where it was not."""
+    unled = [world for world in worlds if not world._is_led]
+    lead_together([world._path for world in unled], [world._motion for world in unled])
+    items = [
+        (item, world._motion.objects[:, number])
+        for world in unled
+        if world._dormancy is not None
+        for number, item in enumerate(world._dormancy.items)
+    ]
+    lead_objects_together([item for item, _ in items], [targets for _, targets in items])
+    for world in unled:
+        world._is_led = True
+
+
+def _look_ahead(world: MujocoWorld, dormancy: Dormancy, target: list[float]) -> None:
+    """Say for how long a world stays dormant, or wake it."""
+    row = world._row + 1
+    if world._robot_target != target:
+        world._robot_target = target
+        dormancy.go(row, target, world._path)
+    if not dormancy.ahead(row):
+        world._wake()
+
+
+def _roll_dormant(worlds: Sequence[MujocoWorld], steps: int) -> Rolled:
+    begun = [world._row for world in worlds]
+
+    def cut(number: int, taken: int) -> None:
+        worlds[number]._go_to(begun[number] + taken)
+
+    for number in range(len(worlds)):
+        cut(number, steps)
+    return Rolled(ContactArrays.none(steps, len(worlds)), cut)
 
 
 def _lead_models(worlds: Sequence[MujocoWorld], targets: Array) -> None:

@@ -9,10 +9,10 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.config import OBJECT_DOF, PANDA_DOF, PandaConfig, PhysicsConfig
+from handover_marl.config import OBJECT_DOF, PANDA_DOF, PhysicsConfig
 from handover_marl.datasets.scene import SceneAssets
 from handover_marl.errors import SimulationError
-from handover_marl.models.kinematic_tree import read_tree
+from handover_marl.models.kinematic_tree import KinematicTree, read_tree
 from handover_marl.models.panda import FINGER_LINKS, HAND_LINK
 from handover_marl.models.urdf_shapes import named_meshes
 from handover_marl.sim.clearance import Clearance
@@ -20,7 +20,7 @@ from handover_marl.sim.hand_path import BASE_JOINTS
 from handover_marl.sim.mujoco.hull_parts import link_balls
 from handover_marl.sim.mujoco.model_variants import ModelVariants
 from handover_marl.sim.mujoco.never_touching import never_touching
-from handover_marl.sim.mujoco.scene_spec import SceneSpec, guide_name, hand_name, object_name
+from handover_marl.sim.mujoco.scene_spec import SceneSpec, guide_name, hand_name, object_friction, object_name
 from handover_marl.sim.mujoco.touch import TouchSensors
 from handover_marl.sim.mujoco.tuning import TUNING, Tuning
 
@@ -28,6 +28,23 @@ Index = npt.NDArray[np.int32]
 
 # A model takes 1.2 MB and 26 ms to build; DexYCB has 400 pairs of object and hand, s0 train 360 of them.
 _KEPT = 400
+# The link of an object's chain that carries everything, behind its six joints.
+_OBJECT_LINK = OBJECT_DOF - 1
+
+
+@dataclass(frozen=True, eq=False)
+class StageModel:
+    """What is there before anything is handed over, as a compiled model.
+
+    Attributes:
+        model: Ground, table and robot; the robot's nine joints are all that moves.
+        clearance: Bounds on where the robot can get.
+        links: (L,) body numbers of the links that these are about.
+    """
+
+    model: "mujoco.MjModel"
+    clearance: Clearance
+    links: Index
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,13 +62,16 @@ class SceneModel:
         fingers: (2,) of the left and the right finger.
         objects: (m,) body numbers of the objects.
         object_qpos: Where in `qpos` their m positions and quaternions wxyz are, one after the other.
+        object_qvel: Likewise in `qvel` their velocities, linear in the world's frame and angular in their own.
         object_ctrl: Their servos, six each: world xyz, then a rotation that is led by the guide.
         guides: The m mocap bodies that say how objects are to be turned.
         hand: The k mocap bodies of the hand.
         hand_links: (k,) the links that these are.
+        stage: The same without hand and objects.
         robot_clearance: Bounds on where the robot can get.
         robot_links: (L,) body numbers of the links that these are about.
         hand_reach: How far the hand reaches from the origin of its base joints (m).
+        object_reaches: (m,) how far the objects reach from theirs (m).
     """
 
     model: "mujoco.MjModel"
@@ -64,13 +84,16 @@ class SceneModel:
     fingers: Index
     objects: Index
     object_qpos: slice
+    object_qvel: slice
     object_ctrl: slice
     guides: slice
     hand: slice
     hand_links: Index
+    stage: StageModel
     robot_clearance: Clearance
     robot_links: Index
     hand_reach: float
+    object_reaches: npt.NDArray[np.float64]
 
 
 def scene_model(assets: SceneAssets, config: PhysicsConfig, tuning: Tuning = TUNING) -> SceneModel:
@@ -108,9 +131,10 @@ def _built(
     joints = [joint.link for joint in tree.joints if joint.kind != "fixed"]
     if len(joints) != PANDA_DOF:
         raise SimulationError(f"{assets.panda} has {len(joints)} moving joints, expected {PANDA_DOF}; check its URDF")
+    stage = _stage(assets.table, assets.panda, changed[:2], object_friction(assets.objects[0]), config, tuning)
     objects = [object_name(number) for number in range(len(assets.objects))]
     hands = [model.body(hand_name(number)).id for number in range(len(built.hand_links))]
-    clearance = _clearance(assets.panda, changed[1], config.panda)
+    clearance = stage.clearance
     object_ctrl = _run(model.actuator(f"{name}/{axis}").id for name in objects for axis in range(OBJECT_DOF))
     return SceneModel(
         model=model,
@@ -123,13 +147,18 @@ def _built(
         fingers=np.array([_body(model, name, assets.panda) for name in FINGER_LINKS], dtype=np.int32),
         objects=np.array([model.body(name).id for name in objects], dtype=np.int32),
         object_qpos=_run(model.joint(name).qposadr[0] + place for name in objects for place in range(7)),
+        object_qvel=_run(model.joint(name).dofadr[0] + place for name in objects for place in range(6)),
         object_ctrl=object_ctrl,
         guides=_run(model.body(guide_name(number)).mocapid[0] for number in range(len(objects))),
         hand=_run(model.body(number).mocapid[0] for number in hands),
         hand_links=np.array(built.hand_links, dtype=np.int32),
+        stage=stage,
         robot_clearance=clearance,
-        robot_links=np.array([model.body(tree.joints[link].link).id for link in clearance.links], dtype=np.int32),
-        hand_reach=_hand_reach(assets.hand, changed[-1]),
+        robot_links=_clear_links(model, tree, clearance),
+        hand_reach=_reach(assets.hand, changed[-1], BASE_JOINTS - 1),
+        object_reaches=np.array(
+            [_reach(*item, _OBJECT_LINK) for item in zip(assets.objects, changed[2:-1], strict=True)]
+        ),
     )
 
 
@@ -149,16 +178,32 @@ def _compiled(built: SceneSpec, name: str) -> "mujoco.MjModel":
         raise SimulationError(f"MuJoCo refuses the model of {name} ({error})") from error
 
 
-@functools.lru_cache(maxsize=16)
-def _clearance(panda: Path, changed: tuple[int, ...], config: PandaConfig) -> Clearance:
+@functools.lru_cache(maxsize=32)
+def _stage(
+    table: Path,
+    panda: Path,
+    changed: tuple[tuple[int, ...], ...],
+    friction: float,
+    config: PhysicsConfig,
+    tuning: Tuning,
+) -> StageModel:
     tree = read_tree(panda)
-    return Clearance(tree, link_balls(panda, tree), config)
+    built = SceneSpec.of_stage(
+        table, panda, friction, config, tuning, _never_touching(panda, changed[1], config, tuning)
+    )
+    model, clearance = _compiled(built, panda.stem), Clearance(tree, link_balls(panda, tree), config.panda)
+    return StageModel(model, clearance, _clear_links(model, tree, clearance))
 
 
-@functools.lru_cache(maxsize=256)
-def _hand_reach(hand: Path, changed: tuple[int, ...]) -> float:
-    tree = read_tree(hand)
-    return tree.reach(BASE_JOINTS - 1, link_balls(hand, tree))
+def _clear_links(model: "mujoco.MjModel", tree: KinematicTree, clearance: Clearance) -> Index:
+    return np.array([model.body(tree.joints[link].link).id for link in clearance.links], dtype=np.int32)
+
+
+@functools.lru_cache(maxsize=512)
+def _reach(urdf: Path, changed: tuple[int, ...], link: int) -> float:
+    """How far a model reaches from the origin of a link (m)."""
+    tree = read_tree(urdf)
+    return tree.reach(link, link_balls(urdf, tree))
 
 
 def _run(places: Iterable[int]) -> slice:

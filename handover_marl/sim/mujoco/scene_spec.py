@@ -19,6 +19,7 @@ from handover_marl.models.urdf_shapes import read_urdf_shapes
 from handover_marl.sim.mujoco.hull_parts import Part, box_inertia, convex_parts
 from handover_marl.sim.mujoco.touch import add_touch_sensors
 from handover_marl.sim.mujoco.tuning import Tuning
+from handover_marl.sim.object_path import object_motors
 
 Array = npt.NDArray[np.float64]
 
@@ -118,18 +119,42 @@ class SceneSpec:
         Raises:
             SimulationError, DataFormatError: A model or a mesh cannot be read.
         """
-        made = cls(config, tuning, object_friction(assets.objects[0]))
-        made._add_ground()
-        made._add_table(assets.table)
-        made._add_robot(assets.panda)
-        for one, other in apart:
-            made.spec.add_exclude(bodyname1=one, bodyname2=other)
+        friction = object_friction(assets.objects[0])
+        made = cls.of_stage(assets.table, assets.panda, friction, config, tuning, apart)
         for number, urdf in enumerate(assets.objects):
             made._add_object(number, urdf)
         made.hand_links = made._add_hand(assets.hand)
         hands = [hand_name(number) for number in range(len(made.hand_links))]
         supports = [TABLE, *(object_name(number) for number in range(1, len(assets.objects)))]
         add_touch_sensors(made.spec, ROBOT_BASE, HAND_LINK, FINGER_LINKS, object_name(0), hands, supports)
+        return made
+
+    @classmethod
+    def of_stage(
+        cls,
+        table: Path,
+        panda: Path,
+        friction: float,
+        config: PhysicsConfig,
+        tuning: Tuning,
+        apart: Iterable[tuple[str, str]],
+    ) -> "SceneSpec":
+        """What is there before anything is handed over, numbered as in `of_scene`; raises as that does.
+
+        Args:
+            table: Model of the table.
+            panda: Model of the robot.
+            friction: Of the object that is handed over.
+            config: Where they stand and how they are driven.
+            tuning: Numbers of the engine.
+            apart: The robot's links between which no contacts are looked for.
+        """
+        made = cls(config, tuning, friction)
+        made._add_ground()
+        made._add_table(table)
+        made._add_robot(panda)
+        for one, other in apart:
+            made.spec.add_exclude(bodyname1=one, bodyname2=other)
         return made
 
     @classmethod
@@ -212,7 +237,7 @@ class SceneSpec:
         self.spec.worldbody.add_site(name=f"{name}/origin")
         self.spec.worldbody.add_body(name=guide_name(number), mocap=True).add_site(name=guide_name(number))
         inertias = [link.mass] * 3 + box_inertia(link, parts).tolist()
-        motors = [self._config.objects.translation_motor] * 3 + [self._config.objects.rotation_motor] * 3
+        motors = object_motors(self._config.objects)
         for axis in range(OBJECT_DOF):
             damping = self._tuning.object_damping * inertias[axis] / TIME_STEP
             servo = self._add_servo(f"{name}/{axis}", motors[axis], damping)

@@ -183,6 +183,7 @@ def test_a_state_that_is_not_finite_is_told(
     if what == "target":
         target[2] = np.nan
     else:
+        world_of(episode)._wake()
         getattr(world_of(episode)._lane, what)[2] = np.nan
     with pytest.raises(SimulationError, match=r"broke down after 0\.0[12].* is not finite"):
         episode.advance(target, 10)
@@ -212,6 +213,8 @@ def test_hands_out_of_reach_are_passed_over_and_change_nothing(monkeypatch: pyte
     def played() -> list[npt.NDArray[np.float32]]:
         episode, states = Episode("mujoco"), []
         episode.reset(SCENE)
+        # Long before the hand comes near.
+        world_of(episode)._wake()
         while not episode.status and episode.steps < 6000:
             episode.advance(INTO_THE_HAND, 50)
             states += [episode.observe()["robot_joint_position"], episode.observe()["object_poses"]]
