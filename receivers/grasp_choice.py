@@ -2,14 +2,15 @@
 
 import functools
 from collections import OrderedDict
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
 
 from handover_marl.episode.observations import Observation
 from handover_marl.models.panda import HALF_TURN
-from handover_marl.models.poses import compose, compose_point, rotate
+from handover_marl.models.poses import compose, inverse, inverse_transform_points, rotate
+from handover_marl.models.ycb import CLASS_NAMES
 from handover_marl.policies.context import PolicyContext
 from handover_marl.receivers.object_grasps import ObjectGrasps
 
@@ -24,6 +25,14 @@ _BEHIND, _TIPS = -0.05, 0.11
 _SEEN = ("gripper_pose", "object_poses", "object_classes", "hand_present", "hand_keypoints")
 # Choices that are remembered: environments that are played beside each other ask in turns.
 _REMEMBERED = 256
+
+
+@dataclass(frozen=True, eq=False)
+class _Grasps:
+    """An object's grasps in its frame: poses (n, 7) of the hand link (m), and its z axes (n, 3)."""
+
+    poses: Array
+    axes: Array
 
 
 class GraspChoice:
@@ -41,6 +50,7 @@ class GraspChoice:
 
     def __init__(self, context: PolicyContext) -> None:
         self._grasps = ObjectGrasps(context.grasps)
+        self._known: dict[int, _Grasps | None] = {}
         self._chosen: OrderedDict[bytes, tuple[Array, float] | None] = OrderedDict()
 
     def choose(self, observation: Observation) -> tuple[Array, float] | None:
@@ -53,29 +63,40 @@ class GraspChoice:
         return self._chosen[seen]
 
     def _best(self, observation: Observation) -> tuple[Array, float] | None:
-        grasps = self._grasps.in_world(observation)
+        classes = int(observation["object_classes"][0])
+        if classes not in self._known:
+            self._known[classes] = self._own_frame(CLASS_NAMES[classes])
+        grasps = self._known[classes]
         if grasps is None:
             return None
-        grasps = np.concatenate([grasps, compose(grasps, np.array(HALF_TURN))])
-        gripper = observation["gripper_pose"].astype(np.float64)
-        turns = (Rotation.from_quat(gripper[3:]).inv() * Rotation.from_quat(grasps[:, 3:])).magnitude()
-        room = self._room(grasps, observation)
+        # All is seen from the object, so that only what moves has to be carried over.
+        item, gripper = (observation[name].astype(np.float64) for name in ("object_poses", "gripper_pose"))
+        gripper = compose(inverse(item[0]), gripper)
+        turns = 2.0 * np.arccos(np.minimum(np.abs(grasps.poses[:, 3:] @ gripper[3:]), 1.0))
+        room = self._room(grasps, item[0], observation)
         lacking = np.maximum(0.0, self.wanted_room - room)
-        ways = np.linalg.norm(grasps[:, :3] - gripper[:3], axis=1)
+        ways = np.linalg.norm(grasps.poses[:, :3] - gripper[:3], axis=1)
         best = int(np.argmin(ways + self.turn_weight * turns + self.room_weight * lacking))
-        chosen = grasps[best].copy()
+        chosen = compose(item[0], grasps.poses[best])
         chosen.flags.writeable = False
         return chosen, float(room[best])
 
-    def _room(self, grasps: Array, observation: Observation) -> Array:
+    def _own_frame(self, object_name: str) -> "_Grasps | None":
+        poses = self._grasps.in_object(object_name)
+        if poses is None:
+            return None
+        poses = np.concatenate([poses, compose(poses, np.array(HALF_TURN))])
+        return _Grasps(poses, rotate(poses[:, 3:], np.array([0.0, 0.0, 1.0])))
+
+    def _room(self, grasps: "_Grasps", item: Array, observation: Observation) -> Array:
         """(n,) smallest distance of wrist and finger joints to the gripper's axis (m)."""
         if not observation["hand_present"][0]:
-            return np.full(len(grasps), MOST_ROOM)
-        axis = rotate(grasps[:, 3:], np.array([0.0, 0.0, 1.0]))
-        away = observation["hand_keypoints"].astype(np.float64) - compose_point(grasps, np.zeros(3))[:, None]
-        along = np.clip(np.einsum("gki,gi->gk", away, axis), _BEHIND, _TIPS)
-        beside = away - along[..., None] * axis[:, None]
-        room: Array = np.minimum(np.linalg.norm(beside, axis=-1).min(axis=1), MOST_ROOM)
+            return np.full(len(grasps.poses), MOST_ROOM)
+        joints = inverse_transform_points(item, observation["hand_keypoints"])
+        away = joints - grasps.poses[:, None, :3]
+        along = np.clip(np.einsum("gki,gi->gk", away, grasps.axes), _BEHIND, _TIPS)
+        beside = away - along[..., None] * grasps.axes[:, None]
+        room: Array = np.minimum(np.sqrt(np.einsum("gki,gki->gk", beside, beside).min(axis=1)), MOST_ROOM)
         return room
 
 
