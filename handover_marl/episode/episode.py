@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from handover_marl.episode.ensemble import Ensemble
 
 # The giver's motion is worked out for so many steps (1 ms) ahead.
-_STRETCH = 100
+_STRETCH = 200
 
 
 class Episode:
