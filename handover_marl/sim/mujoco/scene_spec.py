@@ -199,11 +199,12 @@ class SceneSpec:
                 weigh(body, links[number], parts)
 
     def _add_robot_link(self, body: "mujoco.MjsBody", link: UrdfLink, parts: list[Part], finger: bool) -> None:
+        share = self._object_friction * (self._tuning.finger_friction if finger else 1.0)
         surface = _Surface(
             Group.ROBOT,
             Group.ROBOT | Group.OBJECT | Group.SUPPORT | Group.HAND | Group.GROUND,
-            link.friction * self._object_friction,
-            link.spinning_friction * self._object_friction,
+            link.friction * share,
+            link.spinning_friction * share,
             _PRIORITY["finger" if finger else "robot"],
         )
         self._add_parts(body, parts, surface)

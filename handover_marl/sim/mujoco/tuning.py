@@ -18,6 +18,7 @@ class Tuning:
         arm_damping: (7) kv of the arm's servos (N m s).
         arm_armature: (7) inertia added to the arm's joints (kg m^2).
         finger_damping: kv of the fingers' servos (N s/m): their grip is this, ten times and the opening.
+        finger_friction: Share of Bullet's friction that fingers have.
         finger_armature: Mass added to each finger joint (kg); Bullet's contacts with fingers are soft.
         object_damping: kv of what leads objects, in masses a step.
         margin: Distance (m) at which each hull's surface begins: Bullet's have that much around them.
@@ -29,6 +30,7 @@ class Tuning:
     arm_damping: tuple[float, ...] = (1000.0, 1000.0, 1000.0, 500.0, 100.0, 100.0, 100.0)
     arm_armature: tuple[float, ...] = (0.1, 0.1, 0.1, 0.1, 0.05, 0.05, 0.05)
     finger_damping: float = 1500.0
+    finger_friction: float = 1.0
     finger_armature: float = 1.0
     object_damping: float = 0.5
     margin: float = 0.001
