@@ -199,12 +199,11 @@ class SceneSpec:
                 weigh(body, links[number], parts)
 
     def _add_robot_link(self, body: "mujoco.MjsBody", link: UrdfLink, parts: list[Part], finger: bool) -> None:
-        share = self._object_friction * (self._tuning.finger_friction if finger else 1.0)
         surface = _Surface(
             Group.ROBOT,
             Group.ROBOT | Group.OBJECT | Group.SUPPORT | Group.HAND | Group.GROUND,
-            link.friction * share,
-            link.spinning_friction * share,
+            link.friction * self._object_friction,
+            link.spinning_friction * self._object_friction,
             _PRIORITY["finger" if finger else "robot"],
         )
         self._add_parts(body, parts, surface)
@@ -223,6 +222,9 @@ class SceneSpec:
             joint.link, self._config.panda.motor, tuning.finger_damping if slides else tuning.arm_damping[order]
         )
         servo.trntype, servo.target = mujoco.mjtTrn.mjTRN_JOINT, joint.link
+        if link.limits is not None:
+            # Bullet's motors take no targets beyond them.
+            servo.ctrllimited, servo.ctrlrange = True, link.limits
 
     def _add_object(self, number: int, urdf: Path) -> None:
         tree, name = read_tree(urdf), object_name(number)

@@ -125,9 +125,13 @@ class TouchSensors:
         Args:
             data: (..., n) sensor data of any number of worlds.
         """
+        force = np.zeros(data.shape[:-1])
+        for slot in self._robot:
+            # One after the other, so that rounding does not depend on how many worlds are read at once.
+            force = force + data[..., slot]
         return Touches(
             robot_hand=data[..., self._hand].max(axis=-1) > 0.0,
-            robot_object_force=data[..., self._robot].sum(axis=-1),
+            robot_object_force=force,
             supported=data[..., self._supports].max(axis=-1) > 0.0,
         )
 

@@ -18,7 +18,6 @@ class Tuning:
         arm_damping: (7) kv of the arm's servos (N m s).
         arm_armature: (7) inertia added to the arm's joints (kg m^2).
         finger_damping: kv of the fingers' servos (N s/m): their grip is this, ten times and the opening.
-        finger_friction: Share of Bullet's friction that fingers have.
         finger_armature: Mass added to each finger joint (kg); Bullet's contacts with fingers are soft.
         object_damping: kv of what leads objects, in masses a step.
         margin: Distance (m) at which each hull's surface begins: Bullet's have that much around them.
@@ -30,11 +29,10 @@ class Tuning:
     arm_damping: tuple[float, ...] = (1000.0, 1000.0, 1000.0, 500.0, 100.0, 100.0, 100.0)
     arm_armature: tuple[float, ...] = (0.1, 0.1, 0.1, 0.1, 0.05, 0.05, 0.05)
     finger_damping: float = 1500.0
-    finger_friction: float = 1.0
-    finger_armature: float = 1.0
+    finger_armature: float = 4.0
     object_damping: float = 0.5
     margin: float = 0.001
-    contact_time: float = 0.004
+    contact_time: float = 0.003
     contact_impedance: tuple[float, float, float] = (0.95, 0.99, 0.001)
     impratio: float = 10.0
 

@@ -1,6 +1,6 @@
 """MuJoCo's physics beside fast physics, on generated scenes."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +14,9 @@ from handover_marl.config import CameraConfig, PandaConfig, PhysicsConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.episode import Episode
 from handover_marl.errors import OptionError, ResetNeededError, SimulationError
+from handover_marl.models.kinematic_tree import read_tree
 from handover_marl.models.panda import WAITING_JOINTS
+from handover_marl.models.urdf_links import read_urdf_links
 from handover_marl.protocol.contacts import Contacts
 from handover_marl.protocol.status import EpisodeStatus
 from handover_marl.sim.bullet.fast_world import FastWorld
@@ -75,6 +77,22 @@ def test_motors_follow_as_bullets_do(worlds: tuple[World, World], change: float,
     assert away[:, 7:].max() < 2e-3, "m, at any time"
     assert away[-1].max() < 2e-3
     assert np.abs(fast[0] - fast[-1]).max() > 0.9 * change, "it did move"
+
+
+@pytest.mark.parametrize("kind", [FastWorld, MujocoWorld])
+def test_targets_beyond_a_joints_limits_are_its_limits(kind: Callable[[PhysicsConfig], World]) -> None:
+    beyond, within = START.copy(), START.copy()
+    limits = read_urdf_links(SCENE.assets.panda, read_tree(SCENE.assets.panda))[0].limits
+    assert limits is not None
+    beyond[0], within[0] = 6.0, limits[1]
+    paths = []
+    for target in (beyond, within):
+        world = kind(CONFIG)
+        world.reset(SCENE, lying(1))
+        paths.append(joints_over(world, target, 100))
+        world.close()
+    np.testing.assert_allclose(*paths, atol=1e-4)
+    assert paths[0][-1, 0] > 1.0, "it did move"
 
 
 def test_objects_are_led_as_bullets_are() -> None:
