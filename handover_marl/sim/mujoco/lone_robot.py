@@ -90,6 +90,8 @@ class LoneRobot:
         controls = np.repeat(state[None, -1:], steps, axis=1)
         found = batch.rollout(steps, controls, int(mujoco.mjtState.mjSTATE_CTRL), (*_STATE, "xpos", "xquat"))
         check(batch, np.zeros(1, dtype=np.int32))
-        rows = [np.concatenate([first[None], found[name][0]]) for first, name in zip(state, _STATE, strict=False)]
+        joints, speeds, warm = (
+            np.concatenate([first[None], found[name][0]]) for first, name in zip(state[:-1], _STATE, strict=True)
+        )
         links = np.concatenate([found["xpos"][0], found["xquat"][0][..., XYZW]], axis=-1)[:, self._stage.links]
-        return RobotPath(*rows, self._stage.clearance.balls(links))
+        return RobotPath(joints, speeds, warm, self._stage.clearance.balls(links))
