@@ -313,9 +313,9 @@ def act(env: HandoverEnv | ParallelVectorEnv, control_steps: int, draw: np.rando
     shape = (env.num_envs,) if isinstance(env, ParallelVectorEnv) else ()
     start = np.array(PandaConfig().start_joints, dtype=np.float32)
     for _ in range(control_steps):
-        stirred = np.tile(start, (*shape, 1)) if shape else start.copy()
-        stirred[..., :ARM_JOINTS] += draw.uniform(-STIR, STIR, (*shape, ARM_JOINTS)).astype(np.float32)
-        env.step({"giver": np.tile(NO_DEVIATION, (*shape, 1) if shape else 1), "receiver": stirred})
+        targets = np.tile(start, (*shape, 1))
+        targets[..., :ARM_JOINTS] += draw.uniform(-STIR, STIR, (*shape, ARM_JOINTS))
+        env.step({"giver": np.tile(NO_DEVIATION, (*shape, 1)), "receiver": targets})
 
 
 def memory_of_one(args: Args, physics: str, results: Any) -> None:

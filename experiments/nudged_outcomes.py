@@ -17,9 +17,8 @@ import tyro
 from handover_marl import receivers
 from handover_marl._version import __version__
 from handover_marl.benchmarking.tables import percent_rate, table
-from handover_marl.config import ARM_JOINTS
+from handover_marl.config import ARM_JOINTS, PANDA_DOF
 from handover_marl.datasets import open_dataset
-from handover_marl.episode.clock import Player
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.play import play
@@ -27,6 +26,7 @@ from handover_marl.policies.policy import Action
 from handover_marl.pools.pool_config import PoolConfig
 from handover_marl.pools.working import worked_on
 from handover_marl.protocol.status import EpisodeStatus
+from handover_marl.receivers import Receiver
 
 
 @dataclass(frozen=True)
@@ -64,11 +64,12 @@ class Nudged:
         shifts: (7,) how far (rad).
     """
 
-    def __init__(self, receiver: Player, shifts: np.ndarray) -> None:
+    def __init__(self, receiver: Receiver, shifts: np.ndarray) -> None:
         self._receiver = receiver
-        self._shifts = np.zeros(9, dtype=np.float32)
+        self._shifts = np.zeros(PANDA_DOF, dtype=np.float32)
         self._shifts[:ARM_JOINTS] = shifts
         self.name = f"nudged {receiver.name}"
+        self.sight, self.observes = receiver.sight, receiver.observes
 
     def prepare(self, object_names: Sequence[str]) -> None:
         self._receiver.prepare(object_names)

@@ -1,7 +1,7 @@
 """A scene in which nothing that the giver moves is near the robot: each goes its way, and nothing can touch.
 
-The robot is simulated alone, and objects follow their targets as their motors make them do (in Bullet to 1e-4, which
-is nearer than the engine's servos come). A scene is dormant from its start until something comes near, or is let go.
+The robot is simulated alone, and objects follow their targets as Bullet's motors make them do. A scene is dormant
+from its start until something comes near, or is let go.
 In which step that is follows from where things are then, so it does not depend on how steps are divided.
 """
 

@@ -21,7 +21,7 @@ Array = npt.NDArray[np.float64]
 
 # What a robot's future depends on beside its target.
 _STATE = ("qpos", "qvel", "qacc_warmstart")
-# Ways that are remembered: one of 100 steps takes 50 kB, and a wait of two seconds has twenty.
+# Ways that are remembered: one of 200 steps takes 100 kB, and a wait of two seconds has ten.
 _REMEMBERED = 256
 
 

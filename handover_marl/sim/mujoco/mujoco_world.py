@@ -51,6 +51,7 @@ class MujocoWorld(RollingWorld):
         self._lanes = lanes or Lanes(1, config.gravity)
         self._lane = Lane()
         self._scene: Scene | None = None
+        self._row = -1
         self._release_pending = False
         # What leads the model from a row of the motion on, and for how many of these steps no hand is there at first.
         self._controls, self._led_from, self._clear = np.zeros((0, 0)), 0, 0
@@ -62,11 +63,7 @@ class MujocoWorld(RollingWorld):
         self._lanes.enter(self._lane, scene_model(scene.assets, self._config))
         self._scene = scene
         lane, built = self._lane, self._lane.scene
-        servos, places, _ = lane.controls()
-        lane.qpos[built.robot_qpos] = servos[built.robot_ctrl] = self._config.panda.start_joints
-        free = np.concatenate([start.objects[0, :, :3], quaternions_wxyz(start.objects[0, :, 3:])], axis=1)
-        lane.qpos[built.object_qpos] = free.ravel()
-        places[built.hand] = _NOWHERE
+        lane.controls()[1][built.hand] = _NOWHERE
         tree = read_tree(scene.assets.hand)
         self._path = HandPath(tree, self._config.hand, start)
         self._hand_frames = HandFrames(scene.assets.hand, built.hand_links)
@@ -76,7 +73,7 @@ class MujocoWorld(RollingWorld):
         self._dormancy = Dormancy(lane, self._lanes.lone_robot(built.stage), self._config, start)
         self._release_pending = False
         self._is_led = True
-        self._row = -1
+        self._go_to(-1)
         self._robot_target: list[float] | None = None
 
     def lead(self, motion: Motion) -> None:
@@ -349,10 +346,10 @@ def _clear_steps(worlds: Sequence[MujocoWorld], targets: Array) -> npt.NDArray[n
     """(w,) for how many of its remaining steps each hand is surely out of reach, so that it need not be there."""
     lanes = [world._lane for world in worlds]
     scene = lanes[0].scene
-    frames = [np.concatenate(lane.frames(), axis=1)[scene.robot_links] for lane in lanes]
+    frames = [np.concatenate(lane.frames(), axis=1)[scene.stage.links] for lane in lanes]
     links = np.array(frames)[..., [0, 1, 2, 4, 5, 6, 3]]
     joints = np.array([lane.qpos[scene.robot_qpos] for lane in lanes])
     speeds = np.array([lane.qvel[scene.robot_qvel] for lane in lanes])
     centers = np.array([world._path.centers(world._row + 1) for world in worlds])[:, :, None]
     reach = np.array([[lane.scene.hand_reach] for lane in lanes])
-    return scene.robot_clearance.clear_steps((joints, speeds), links, targets, centers, reach)[:, 0]
+    return scene.stage.clearance.clear_steps((joints, speeds), links, targets, centers, reach)[:, 0]

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from handover_marl.config import OBJECT_DOF, PANDA_DOF, PhysicsConfig
 from handover_marl.datasets.scene import SceneAssets
 from handover_marl.errors import SimulationError
-from handover_marl.models.kinematic_tree import KinematicTree, read_tree
+from handover_marl.models.kinematic_tree import read_tree
 from handover_marl.models.panda import FINGER_LINKS, HAND_LINK
 from handover_marl.models.urdf_shapes import named_meshes
 from handover_marl.sim.clearance import Clearance
@@ -26,7 +26,7 @@ from handover_marl.sim.mujoco.tuning import TUNING, Tuning
 
 Index = npt.NDArray[np.int32]
 
-# A model takes 1.2 MB and 26 ms to build; DexYCB has 400 pairs of object and hand, s0 train 360 of them.
+# A model takes 1.2 MB and some 20 ms to build; DexYCB has 400 pairs of object and hand, s0 train 360 of them.
 _KEPT = 400
 # The link of an object's chain that carries everything, behind its six joints.
 _OBJECT_LINK = OBJECT_DOF - 1
@@ -67,9 +67,7 @@ class SceneModel:
         guides: The m mocap bodies that say how objects are to be turned.
         hand: The k mocap bodies of the hand.
         hand_links: (k,) the links that these are.
-        stage: The same without hand and objects.
-        robot_clearance: Bounds on where the robot can get.
-        robot_links: (L,) body numbers of the links that these are about.
+        stage: The same without hand and objects; its bodies have the same numbers in both.
         hand_reach: How far the hand reaches from the origin of its base joints (m).
         object_reaches: (m,) how far the objects reach from theirs (m).
     """
@@ -90,8 +88,6 @@ class SceneModel:
     hand: slice
     hand_links: Index
     stage: StageModel
-    robot_clearance: Clearance
-    robot_links: Index
     hand_reach: float
     object_reaches: npt.NDArray[np.float64]
 
@@ -134,7 +130,6 @@ def _built(
     stage = _stage(assets.table, assets.panda, changed[:2], object_friction(assets.objects[0]), config, tuning)
     objects = [object_name(number) for number in range(len(assets.objects))]
     hands = [model.body(hand_name(number)).id for number in range(len(built.hand_links))]
-    clearance = stage.clearance
     object_ctrl = _run(model.actuator(f"{name}/{axis}").id for name in objects for axis in range(OBJECT_DOF))
     return SceneModel(
         model=model,
@@ -153,8 +148,6 @@ def _built(
         hand=_run(model.body(number).mocapid[0] for number in hands),
         hand_links=np.array(built.hand_links, dtype=np.int32),
         stage=stage,
-        robot_clearance=clearance,
-        robot_links=_clear_links(model, tree, clearance),
         hand_reach=_reach(assets.hand, changed[-1], BASE_JOINTS - 1),
         object_reaches=np.array(
             [_reach(*item, _OBJECT_LINK) for item in zip(assets.objects, changed[2:-1], strict=True)]
@@ -192,11 +185,8 @@ def _stage(
         table, panda, friction, config, tuning, _never_touching(panda, changed[1], config, tuning)
     )
     model, clearance = _compiled(built, panda.stem), Clearance(tree, link_balls(panda, tree), config.panda)
-    return StageModel(model, clearance, _clear_links(model, tree, clearance))
-
-
-def _clear_links(model: "mujoco.MjModel", tree: KinematicTree, clearance: Clearance) -> Index:
-    return np.array([model.body(tree.joints[link].link).id for link in clearance.links], dtype=np.int32)
+    links = np.array([model.body(tree.joints[link].link).id for link in clearance.links], dtype=np.int32)
+    return StageModel(model, clearance, links)
 
 
 @functools.lru_cache(maxsize=512)

@@ -134,3 +134,10 @@ def test_models_that_cannot_be_read(tmp_path: Path) -> None:
     broken.write_text("<robot/>")
     with pytest.raises(SimulationError, match=r"object\.urdf"):
         scene_model(assets, CONFIG)
+
+
+def test_a_stage_numbers_its_bodies_as_the_scene_does() -> None:
+    scene = scene_model(SyntheticDataset().scene(209).assets, PhysicsConfig())
+    links = scene.stage.links.tolist()
+    assert [scene.model.body(link).name for link in links] == [scene.stage.model.body(link).name for link in links]
+    assert len(links) >= 9
