@@ -1,12 +1,14 @@
 # make benchmark   a venv with the library, then the official s3 test: on DexYCB with DATA=folder in HandoverSim's
 #                  layout, else on the synthetic scenes
-# make test        a venv with everything, then all tests; the quick ones alone: .venv/bin/python -m pytest -m "not slow"
-# make check       style and types
-# make loops       a venv with other libraries' training loops, then the tests of what trains with them
-# make newer       a venv with what plays without PyBullet, then its tests: for Python 3.12 and later
-# make docs        the site, into build/site, with the tutorial run; a warning is an error
-# make smoke       wheel and sdist in clean environments, an episode from each
-# make release     the same with every supported Python; what is not fit to be published is refused
+# make test        a venv with everything, then all tests
+# make quick       lint, types and the fast tests, in two minutes on two cores
+# make check       lint and types
+# make slow-tests  measures which tests are slow and writes tests/slow.txt
+# make loops       a venv with other RL libraries, then the tests of their training loops
+# make newer       a venv without PyBullet, then its tests: for Python 3.12 and later
+# make docs        the site in build/site, with the notebook executed; a warning is an error
+# make smoke       wheel and sdist in clean environments, one episode with each
+# make release     the same with every supported Python; and checks before publishing
 # make lowest      the lowest versions that setup.cfg claims
 
 PYTHON ?= python3
@@ -22,7 +24,7 @@ OUT ?= results/$(DATASET)-$(SETUP)-yang2021
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 
-.PHONY: test benchmark check loops newer docs smoke release lowest clean
+.PHONY: test benchmark quick fast types lint slow-tests check loops newer docs smoke release lowest clean
 
 test: $(VENV)/.tested-with
 	$(BIN)/python -m pytest -n auto --dist worksteal
@@ -31,17 +33,33 @@ benchmark: $(VENV)/.installed
 	$(BIN)/handover-marl benchmark --setup $(SETUP) --receiver yang2021 --dataset $(DATASET) \
 		$(if $(DATA),--data-dir "$(DATA)") --out "$(OUT)"
 
-# Style and types. Types are checked on an installed copy, where givers/, receivers/ and assets/ have their names.
-check: $(VENV)/.tested-with
+# The inner loop: lint first, then types and fast tests at the same time.
+quick: $(VENV)/.tested-with lint
+	$(MAKE) --no-print-directory -j2 types fast
+
+fast: $(VENV)/.tested-with
+	$(BIN)/python -m pytest -n auto --dist worksteal -q -m "not slow"
+
+lint: $(VENV)/.tested-with
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	rm -rf build
+
+# Types are checked on an installed copy, where givers/, receivers/ and assets/ have their names.
+types: $(VENV)/.tested-with
+	rm -rf build/typed
 	$(PIP) install --quiet --no-deps --target build/typed .
 	MYPYPATH=build/typed $(BIN)/mypy --cache-dir build/mypy -p handover_marl
 
-# On pins of their own, see constraints-loops.txt. Learning is bound to one thread, as elsewhere.
+check: lint types
+
+slow-tests: $(VENV)/.tested-with
+	mkdir -p build
+	$(BIN)/python -m pytest -n auto --dist worksteal -q --junitxml=build/times.xml
+	$(BIN)/python -m tests.slow build/times.xml
+
+# These libraries have their own pins, see constraints-loops.txt. Learning uses one thread.
 loops: $(LOOPS)/.installed
-	OMP_NUM_THREADS=1 $(LOOPS)/bin/python -m pytest tests/training/test_loops.py tests/envs/test_homogeneous.py
+	OMP_NUM_THREADS=1 $(LOOPS)/bin/python -m pytest tests/learning/training/test_loops.py tests/envs/test_homogeneous.py
 
 $(LOOPS)/.installed: setup.cfg constraints-loops.txt
 	$(PYTHON) -m venv $(LOOPS)
@@ -49,7 +67,7 @@ $(LOOPS)/.installed: setup.cfg constraints-loops.txt
 		-e ".[benchmarl,mujoco,plot,rllib,supersuit,tianshou]" hypothesis pytest pytest-timeout
 	touch $@
 
-# Not on the pins, which are for Pythons that PyBullet has wheels for.
+# Without pins: they are for versions of Python with PyBullet wheels.
 newer: $(NEWER)/.installed
 	$(NEWER)/bin/python -m pytest tests/test_without_pybullet.py
 
@@ -59,7 +77,7 @@ $(NEWER)/.installed: setup.cfg
 		-e ".[mujoco,planning,vision]" hypothesis pytest pytest-timeout
 	touch $@
 
-# Learning in the tutorial is bound to one thread, as elsewhere.
+# Learning in the notebook uses one thread.
 docs: $(VENV)/.tested-with
 	OMP_NUM_THREADS=1 $(BIN)/python -m sphinx -W --keep-going -q docs build/site
 
@@ -72,15 +90,15 @@ $(VENV)/.tested-with: $(VENV)/.installed
 	$(PIP) install --progress-bar on -c constraints.txt -e ".[$(EXTRAS)]"
 	touch $@
 
-# What users install: wheel and sdist, each in a clean environment, and one episode played from each.
+# Wheel and sdist, each in a clean environment, and one episode with each.
 smoke: $(VENV)/.tested-with
 	$(BIN)/python -m tests.packages
 
-# The same with every supported Python at hand; refuses what is not fit to be published.
+# The same with every installed Python, and checks before publishing.
 release: $(VENV)/.tested-with
 	$(BIN)/python -m tests.packages --every --final
 
-# The lowest versions that setup.cfg claims, with the same episode.
+# The lowest versions that setup.cfg claims, and the same episode.
 lowest: $(VENV)/.tested-with
 	$(PYTHON) -m venv --clear build/lowest
 	$(BIN)/python -m tests.lowest_versions > build/lowest.txt

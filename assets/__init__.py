@@ -1,1 +1,1 @@
-"""Models the library makes itself."""
+"""Models, grasps and network weights that are part of the library."""

@@ -1,12 +1,12 @@
-"""Sizes of human hands, from published tables of bone lengths and body measurements.
+"""Dimensions of human hands from published tables.
 
 Sources:
-    Buryanov and Kotiuk, "Proportions of hand segments", Int. J. Morphol. 28(3):755-758, 2010: mean lengths of
-    the bones of 66 adults' hands in radiographs, and of the soft tissue beyond the last bone.
-    Gordon et al., "1988 Anthropometric Survey of U.S. Army Personnel: Methods and Summary Statistics", Natick
-    TR-89/044, 1989: hand length and breadth of women and men.
-    Greiner, "Hand Anthropometry of U.S. Army Personnel", Natick TR-92/011, 1991: the hands of the same survey in
-    detail; how thick fingers are.
+    Buryanov and Kotiuk, "Proportions of hand segments", Int. J. Morphol. 28(3):755-758, 2010: mean
+    lengths of the bones of 66 adults' hands in radiographs, and of the soft tissue at the fingertip.
+    Gordon et al., "1988 Anthropometric Survey of U.S. Army Personnel: Methods and Summary
+    Statistics", Natick TR-89/044, 1989: hand length and breadth of women and men.
+    Greiner, "Hand Anthropometry of U.S. Army Personnel", Natick TR-92/011, 1991: circumferences of
+    finger joints in the same survey.
 """
 
 from dataclasses import dataclass
@@ -16,12 +16,12 @@ from typing import Final
 
 @dataclass(frozen=True)
 class Digit:
-    """Mean bone lengths of one digit (m).
+    """Mean bone lengths (m) of one digit of the human hand.
 
     Attributes:
-        metacarpal: The bone within the palm (of the thumb: a moving one).
-        phalanges: From the knuckle outwards; the thumb has two.
-        tip: Soft tissue beyond the last bone.
+        metacarpal: Length of the metacarpal; the thumb's is movable.
+        phalanges: Lengths of the phalanges from the knuckle outwards; the thumb has two.
+        tip: Thickness of the soft tissue at the fingertip.
     """
 
     metacarpal: float
@@ -40,35 +40,41 @@ DIGITS: Final = MappingProxyType(
     }
 )
 
-#: Length of the carpus between the wrist's centre and the base of each metacarpal (m). Not measured: chosen so
-#: that the middle finger's chain makes a hand of about average length and the knuckles lie on an arc.
+#: Distance (m) from the wrist's center to the base of each metacarpal. Not measured: chosen for a
+#: hand of about average length with its knuckles on an arc.
 CARPUS: Final = MappingProxyType({"index": 0.021, "middle": 0.0285, "ring": 0.0255, "little": 0.0215})
 
 
 @dataclass(frozen=True)
 class HandSize:
-    """Outer size of a hand (m): wrist crease to middle fingertip, and breadth over the four knuckles."""
+    """Outer dimensions (m) of a hand.
+
+    Attributes:
+        length: Distance from the wrist crease to the middle fingertip.
+        breadth: Breadth over the four knuckles.
+    """
 
     length: float
     breadth: float
 
 
-#: Hand of the mean bone lengths, as broad as the mean of women and men; all others are scaled from it.
+#: Size of the reference hand: mean bone lengths, mean breadth of women and men. All other hands are
+#: scaled from it.
 REFERENCE_SIZE: Final = HandSize(
     length=CARPUS["middle"] + DIGITS["middle"].metacarpal + sum(DIGITS["middle"].phalanges) + DIGITS["middle"].tip,
     breadth=0.0850,
 )
 
-# Mean and standard deviation (m) of hand length and breadth, after Gordon et al. (1989).
+# Mean and standard deviation (m) of hand length and of hand breadth (Gordon et al., 1989).
 _WOMEN = ((0.1805, 0.0097), (0.0794, 0.0038))
 _MEN = ((0.1938, 0.0098), (0.0904, 0.0042))
 
-# Standard scores of length (5th, 25th, 50th, 75th and 95th percentile) and of breadth. Breadth's rise with
-# length's at a slope of about 0.6, spread by hand around it so that there are slender and broad hands.
+# Standard scores of length (5th, 25th, 50th, 75th and 95th percentile) and of breadth. Breadth rises
+# with length at a slope of about 0.6, with manual deviations for slender and broad hands.
 _SCORES = ((-1.645, -1.3), (-0.674, 0.2), (0.0, -0.5), (0.674, 0.8), (1.645, 0.9))
 
 
-def _sizes() -> tuple[HandSize, ...]:
+def _compute_subject_sizes() -> tuple[HandSize, ...]:
     return tuple(
         HandSize(
             length=round(length[0] + scores[0] * length[1], 4),
@@ -79,11 +85,12 @@ def _sizes() -> tuple[HandSize, ...]:
     )
 
 
-#: Ten people, a woman and a man at the 5th, 25th, 50th, 75th and 95th percentile of hand length in turn.
-SUBJECT_SIZES: Final = _sizes()
+#: Hand sizes of the ten subjects: in turn a woman and a man at the 5th, 25th, 50th, 75th and 95th
+#: percentile of hand length.
+SUBJECT_SIZES: Final = _compute_subject_sizes()
 
-#: Skin colours (red, green, blue, 0 to 1) of the ten, light to dark in no order of size.
-SKIN_COLOURS: Final = (
+#: Skin colors (red, green, blue, 0 to 1) of the ten subjects.
+SKIN_COLORS: Final = (
     (0.91, 0.75, 0.66),
     (0.55, 0.37, 0.27),
     (0.86, 0.67, 0.54),

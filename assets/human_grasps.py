@@ -1,41 +1,59 @@
-"""Human grasps of the 20 objects by the ten synthetic people's hands, as they ship with the library."""
+"""Human grasps of the 20 YCB objects by the hands of the ten synthetic subjects."""
 
+import json
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.assets.hand_model import SIDES, SUBJECTS, Side, euler_angles
+from handover_marl.assets.hand_model import SIDES, SUBJECTS, Side, euler_from_matrices
 from handover_marl.errors import DataNotFoundError, UnknownNameError
-from handover_marl.models.poses import rotate
-from handover_marl.models.ycb import CLASS_NAMES, SCENE_CLASSES
+from handover_marl.geometry.poses import rotate_points
+from handover_marl.geometry.ycb import CLASS_NAMES, SCENE_CLASSES
 
-#: The shipped grasps.
+#: Path of the grasps, made by `building/build_human_grasps.py`.
 GRASPS_FILE: Final = Path(__file__).parent / "data" / "human_grasps.npz"
 
-#: Names of the objects, in the order of the file.
+#: YCB class names in the order of the file.
 GRASPED_OBJECTS: Final = tuple(CLASS_NAMES[number] for number in SCENE_CLASSES)
 
-#: Step (rad) of the angles in the file, which are stored as 16-bit integers.
+#: Unit (rad) of the angles in the file, which are 16-bit integers.
 ANGLE_STEP: Final = 1e-4
+
+_STATISTICS = json.loads((Path(__file__).parent / "data" / "human_grasp_statistics.json").read_text())
+
+#: Levels of `WRIST_DISTANCE_QUANTILES`.
+LEVELS: Final[tuple[float, ...]] = tuple(_STATISTICS["levels"])
+
+#: Quantiles of the distance (m) from the wrist to the object's origin in DexYCB, by YCB class name.
+WRIST_DISTANCE_QUANTILES: Final[MappingProxyType[str, tuple[float, ...]]] = MappingProxyType(
+    {name: tuple(values["wrist_distance_m"]) for name, values in _STATISTICS["classes"].items()}
+)
+
+#: Median fraction of the object's surface that is more than 30 mm from the hand in DexYCB, by YCB
+#: class name. The hand's surface is approximated by capsules at the recorded joints.
+FREE_SHARE_MEDIAN: Final[MappingProxyType[str, float]] = MappingProxyType(
+    {name: values["median_free_share"] for name, values in _STATISTICS["classes"].items()}
+)
 
 
 @dataclass(frozen=True, eq=False)
 class HumanGrasps:
-    """n ways in which one person holds one object, by rising wrist distance.
+    """Grasps of one object by one subject's hand; all n are sorted by wrist distance.
 
     Attributes:
-        object_from_base: (n, 7) pose of the hand's base in the object's frame, xyz (m) and quaternion xyzw.
-        finger_angles: (n, 45) finger joints (rad) closed onto the object.
-        open_angles: (n, 45) finger joints (rad) before closing, clear of the object.
-        wrist_distance: (n) distance (m) from the palm link's origin to the object's.
-        free_share: (n) share of the object's surface that is more than 30 mm from the hand.
-        touching: (n, 5) which digits touch: index, middle, little, ring finger, thumb.
-        overlap: (n) deepest overlap (m) of hand and object.
-        side: Whose hand.
+        object_from_base: (n, 7) poses of the hand's base, xyz (m) and quaternion xyzw.
+        finger_angles: (n, 45) finger joint angles (rad) of the closed hand.
+        open_angles: (n, 45) finger joint angles (rad) before closing, clear of the object.
+        wrist_distance: (n,) distances (m) from the palm link's origin to the object's origin.
+        free_share: (n,) fractions of the object's surface that are more than 30 mm from the hand.
+        touching: (n, 5) masks of the digits in contact: index, middle, little, ring finger, thumb.
+        overlap: (n,) largest penetrations (m) of hand and object.
+        side: Side of the hand.
     """
 
     object_from_base: npt.NDArray[np.float64]
@@ -51,29 +69,33 @@ class HumanGrasps:
         return len(self.wrist_distance)
 
     @property
-    def pointing(self) -> npt.NDArray[np.float64]:
-        """(n, 3) unit vectors along the straight fingers, in the object's frame: where the hand comes from."""
+    def finger_direction(self) -> npt.NDArray[np.float64]:
+        """Unit vectors (n, 3) along straight fingers in the object's frame."""
         along = [1.0 if self.side == "left" else -1.0, 0.0, 0.0]
-        return rotate(self.object_from_base[:, 3:], np.tile(along, (len(self), 1)))
+        return rotate_points(self.object_from_base[:, 3:], np.tile(along, (len(self), 1)))
 
-    def hand_dof(self, row: int) -> npt.NDArray[np.float64]:
-        """(51) the hand's joints with the object at the origin: base xyz (m), base angles and fingers (rad)."""
+    def compute_hand_dof(self, row: int) -> npt.NDArray[np.float64]:
+        """Return the hand's joint positions (51,) in grasp `row` of an object at the origin.
+
+        The joints are the base's position (m), its intrinsic XYZ Euler angles and the finger joint
+        angles (rad).
+        """
         pose = self.object_from_base[row]
-        matrix = rotate(np.tile(pose[3:], (3, 1)), np.eye(3)).T
-        return np.concatenate([pose[:3], euler_angles(matrix), self.finger_angles[row]])
+        matrix = rotate_points(np.tile(pose[3:], (3, 1)), np.eye(3)).T
+        return np.concatenate([pose[:3], euler_from_matrices(matrix), self.finger_angles[row]])
 
 
-def human_grasps(object_name: str, subject: int, side: Side) -> HumanGrasps:
-    """How one of the ten synthetic people holds an object.
+def load_human_grasps(object_name: str, subject: int, side: Side) -> HumanGrasps:
+    """Load the grasps of an object by one of the ten subjects.
 
     Args:
-        object_name: A class name such as `"025_mug"`.
-        subject: 1 to 10.
-        side: Which hand.
+        object_name: YCB class name, e.g. "025_mug".
+        subject: Number of the subject, 1 to 10.
+        side: Side of the hand, "left" or "right".
 
     Raises:
-        UnknownNameError: There is no such object, subject or side.
-        DataNotFoundError: The file of grasps is missing.
+        UnknownNameError: The object, the subject or the side does not exist.
+        DataNotFoundError: The file is missing.
     """
     for kind, value, valid in (
         ("object", object_name, GRASPED_OBJECTS),
@@ -82,7 +104,7 @@ def human_grasps(object_name: str, subject: int, side: Side) -> HumanGrasps:
     ):
         if value not in valid:
             raise UnknownNameError(kind, value, map(str, valid))
-    data = _content()
+    data = _load_arrays()
     at = GRASPED_OBJECTS.index(object_name), SIDES.index(side), subject - 1
     return HumanGrasps(
         object_from_base=data["object_from_base"][at].astype(np.float64),
@@ -97,10 +119,18 @@ def human_grasps(object_name: str, subject: int, side: Side) -> HumanGrasps:
 
 
 @cache
-def _content() -> dict[str, npt.NDArray[Any]]:
+def _load_arrays() -> dict[str, npt.NDArray[Any]]:
     if not GRASPS_FILE.is_file():
         raise DataNotFoundError(
             f"{GRASPS_FILE} is missing; build it with: python -m handover_marl.assets.building.build_human_grasps"
         )
     with np.load(GRASPS_FILE, allow_pickle=False) as archive:
         return {key: archive[key] for key in archive.files}
+
+
+def interpolate_wrist_distance(object_name: str, level: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    """Return the wrist distances (m) of a YCB class at quantile levels from 0 to 1.
+
+    Values between `LEVELS` are interpolated; beyond them the outermost values are returned.
+    """
+    return np.asarray(np.interp(np.asarray(level), LEVELS, WRIST_DISTANCE_QUANTILES[object_name]))

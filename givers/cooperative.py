@@ -1,103 +1,137 @@
-"""People who help the robot to take what they offer."""
+"""Giver that helps the robot, and a timer that varies a handover pose without approach."""
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from handover_marl.episode.observations import Observation
-from handover_marl.givers.patience import Patience
-from handover_marl.policies.giver import Giver, deviation
-from handover_marl.policies.policy import Action
+from handover_marl.policies.policy import Action, Giver, make_giver_action
 
 Vector = npt.NDArray[np.float64]
 
 
-class CooperativeGiver(Giver):
-    """Meets the robot, turns the free side of the object to it, holds still, lets go and draws back.
+class OfferTimer:
+    """Timer that changes the handover pose whenever the gripper has not approached for 2 s.
 
-    While the recording carries the object to where it is offered, the hand swings round so that it is behind the
-    object as seen from the gripper, and comes towards the gripper. Once it has arrived there or the gripper is
-    near, nothing changes any more: robots take best what does not move; only when nobody comes for two seconds is
-    the object offered otherwise. When both fingers have stopped on the object, the hand lets go; when the object
-    has been let go, for whatever reason, the hand draws back.
+    Attributes:
+        share: Factor, from -0.5 to 1, on the giver's deviation from the recorded handover pose; 0
+            is the recorded pose.
+    """
+
+    timeout = 2.0  # s without an approach
+    min_approach = 0.02  # m that count as an approach
+    shares = (1.0, 0.0, 0.5, -0.5)  # in this order, repeatedly
+
+    def __init__(self) -> None:
+        self.share = self.shares[0]
+        self._timeouts = 0
+        self._min_distance = np.inf
+        self._since: float | None = None
+
+    def update(self, observation: Observation) -> None:
+        """Update the share; call this in every decision once the hand is at its handover pose."""
+        now = float(observation["time"][0])
+        distance = float(np.linalg.norm(observation["gripper_pose"][:3] - observation["object_poses"][0, :3]))
+        if self._since is None or distance < self._min_distance - self.min_approach:
+            self._min_distance, self._since = distance, now
+        elif now - self._since >= self.timeout:
+            self._timeouts += 1
+            self.share = self.shares[self._timeouts % len(self.shares)]
+            self._min_distance, self._since = np.inf, now
+
+
+class CooperativeGiver(Giver):
+    """Giver that offers the object towards the gripper, waits for a grasp, releases and withdraws.
+
+    While the recorded hand moves to its handover pose, the hand turns behind the object as seen
+    from the gripper and moves towards the gripper. The pose is fixed once the recorded hand has
+    stopped or the gripper is near, because robots take resting objects best. `OfferTimer` varies
+    the pose if the gripper does not approach. The hand releases the object when both fingers have
+    stopped on the object, and withdraws after any release.
     """
 
     name = "cooperative"
-    meet = 0.3  # share of the way to the gripper
-    keep_off = 0.45  # m, from gripper to object while coming nearer
-    most = 0.25  # m, way of the object
-    turn = 0.8  # rad
-    near = 0.25  # m, gripper to object; from here on hold still
-    at_rest = 0.01  # m, what the recording may still move
-    firm_after = 0.2  # s that both fingers must stand on something
-    withdraw = 0.15  # m
+    approach_share = 0.3  # share of the distance to the gripper
+    min_distance = 0.45  # m from gripper to object while approaching
+    max_displacement = 0.25  # m of the object
+    max_rotation = 0.8  # rad
+    near_distance = 0.25  # m from gripper to object at which the pose is fixed
+    arrival_tolerance = 0.01  # m of the recorded wrist's remaining motion
+    grasp_time = 0.2  # s for which the fingers must rest before the release
+    withdrawal = 0.15  # m
 
     def reset(self, seed: int | None = None) -> None:
-        """Forget the last handover."""
-        self._shift, self._turn = np.zeros(3), np.zeros(3)
-        self._settled = False
-        self._patience = Patience()
-        self._firm_since: float | None = None
-        self._drawn_back: Vector | None = None
+        """Start an episode without deviation from the recording."""
+        self._displacement, self._rotation = np.zeros(3), np.zeros(3)
+        self._is_fixed = False
+        self._timer = OfferTimer()
+        self._grasped_since: float | None = None
+        self._withdrawn: Vector | None = None
 
     def act(self, observation: Observation) -> Action:
-        """Help."""
+        """Return the hand's deviation from the recording; after a release, withdraw the hand."""
         if observation["released"][0]:
-            return self._draw_back(observation)
-        if not self._settled and observation["hand_present"][0]:
-            self._offer(observation)
-        self._settled = self._settled or self._near(observation) or self._at_rest(observation)
-        if self._settled:
-            self._patience.watch(observation)
-        share = self._patience.share
-        return deviation(displacement=share * self._shift, rotation=share * self._turn, release=self._firm(observation))
+            return self._withdraw(observation)
+        if not self._is_fixed and observation["hand_present"][0]:
+            self._choose_pose(observation)
+        self._is_fixed = self._is_fixed or self._is_near(observation) or self._has_arrived(observation)
+        if self._is_fixed:
+            self._timer.update(observation)
+        share = self._timer.share
+        return make_giver_action(
+            displacement=share * self._displacement,
+            rotation=share * self._rotation,
+            release=self._is_grasped(observation),
+        )
 
-    def _near(self, observation: Observation) -> bool:
+    def _is_near(self, observation: Observation) -> bool:
         gripper, item = observation["gripper_pose"][:3], observation["object_poses"][0, :3]
-        return float(np.linalg.norm(gripper - item)) < self.near
+        return float(np.linalg.norm(gripper - item)) < self.near_distance
 
-    def _at_rest(self, observation: Observation) -> bool:
-        """Whether the recording has arrived where it offers the object."""
+    def _has_arrived(self, observation: Observation) -> bool:
+        """Return whether the recorded hand has stopped at its handover pose."""
         wrist = observation["replay_wrist_poses"][:, :3]
-        return bool(observation["holding"][0]) and float(np.abs(wrist - wrist[0]).max()) < self.at_rest
+        return bool(observation["holding"][0]) and float(np.abs(wrist - wrist[0]).max()) < self.arrival_tolerance
 
-    def _offer(self, observation: Observation) -> None:
-        """Choose where to hold the object from what the recording is about to do."""
+    def _choose_pose(self, observation: Observation) -> None:
+        """Choose the deviation from the recorded poses half a second ahead."""
         gripper = observation["gripper_pose"][:3].astype(np.float64)
         wrist = observation["replay_wrist_poses"][-1, :3].astype(np.float64)
         item = observation["replay_object_poses"][-1, :3].astype(np.float64)
-        turn = self._turn_towards(item - wrist, gripper - item)
-        way = gripper - item
-        distance = float(np.linalg.norm(way))
-        length = float(np.clip(min(self.meet * distance, distance - self.keep_off), 0.0, self.most))
-        place = item + way / max(distance, 1e-6) * length
-        self._turn = turn
-        # The object swings about the wrist; the wrist makes up for it.
-        self._shift = place - Rotation.from_rotvec(turn).apply(item - wrist) - wrist
+        rotation = self._rotate_towards(item - wrist, gripper - item)
+        direction = gripper - item
+        distance = float(np.linalg.norm(direction))
+        length = float(
+            np.clip(min(self.approach_share * distance, distance - self.min_distance), 0.0, self.max_displacement)
+        )
+        target = item + direction / max(distance, 1e-6) * length
+        self._rotation = rotation
+        # The rotation moves the object about the wrist; the displacement compensates for it.
+        self._displacement = target - Rotation.from_rotvec(rotation).apply(item - wrist) - wrist
 
-    def _turn_towards(self, arm: Vector, way: Vector) -> Vector:
-        """The rotation vector, at most `turn` long, that brings the direction hand to object to the way."""
-        axis = np.cross(arm, way)
+    def _rotate_towards(self, arm: Vector, direction: Vector) -> Vector:
+        """Return the limited rotation vector that turns direction `arm` towards another one."""
+        axis = np.cross(arm, direction)
         size = float(np.linalg.norm(axis))
         if size < 1e-9:
             return np.zeros(3)
-        angle = float(np.arctan2(size, np.dot(arm, way)))
-        return axis / size * min(angle, self.turn)
+        angle = float(np.arctan2(size, np.dot(arm, direction)))
+        return axis / size * min(angle, self.max_rotation)
 
-    def _firm(self, observation: Observation) -> bool:
-        """Whether the fingers have stood still on something for long enough."""
+    def _is_grasped(self, observation: Observation) -> bool:
+        """Return whether the fingers have rested on something for long enough."""
         now = float(observation["time"][0])
         fingers, speeds = observation["robot_joint_position"][7:], observation["robot_joint_velocity"][7:]
-        still = bool((np.abs(speeds) < 2e-3).all() and (fingers > 1e-3).all() and (fingers < 0.0385).all())
-        if not (still and self._near(observation)):
-            self._firm_since = None
+        is_resting = bool((np.abs(speeds) < 2e-3).all() and (fingers > 1e-3).all() and (fingers < 0.0385).all())
+        if not (is_resting and self._is_near(observation)):
+            self._grasped_since = None
             return False
-        self._firm_since = now if self._firm_since is None else self._firm_since
-        return now - self._firm_since >= self.firm_after
+        self._grasped_since = now if self._grasped_since is None else self._grasped_since
+        return now - self._grasped_since >= self.grasp_time
 
-    def _draw_back(self, observation: Observation) -> Action:
-        if self._drawn_back is None:
+    def _withdraw(self, observation: Observation) -> Action:
+        if self._withdrawn is None:
             away = observation["hand_keypoints"][0] - observation["gripper_pose"][:3]
-            shift = self._patience.share * self._shift
-            self._drawn_back = shift + self.withdraw * away / max(float(np.linalg.norm(away)), 1e-6)
-        return deviation(displacement=self._drawn_back, rotation=self._patience.share * self._turn)
+            displacement = self._timer.share * self._displacement
+            self._withdrawn = displacement + self.withdrawal * away / max(float(np.linalg.norm(away)), 1e-6)
+        return make_giver_action(displacement=self._withdrawn, rotation=self._timer.share * self._rotation)

@@ -1,32 +1,29 @@
-"""People whose hand is not steady."""
+"""Giver with random deviations from the recording."""
 
 import numpy as np
 
 from handover_marl.episode.observations import Observation
-from handover_marl.policies.giver import Giver, deviation
-from handover_marl.policies.policy import Action
+from handover_marl.policies.policy import Action, Giver, make_giver_action
 
 
 class NoisyGiver(Giver):
-    """Sways about the recorded path, and hurries and dawdles a little.
-
-    An Ornstein-Uhlenbeck process: deviations wander and are drawn back, with the standard deviations below.
-    """
+    """Giver with Ornstein-Uhlenbeck noise on playback rate, wrist position and wrist rotation."""
 
     name = "noisy"
-    displacement = 0.02  # m, standard deviation along each axis
-    rotation = 0.1  # rad, of each component
-    rate = 0.15
-    memory = 0.5  # s
+    displacement = 0.02  # m, standard deviation of each component
+    rotation = 0.1  # rad, standard deviation of each component
+    rate = 0.15  # standard deviation
+    time_constant = 0.5  # s
 
     def reset(self, seed: int | None = None) -> None:
-        """Draw anew; starts as recorded."""
+        """Start an episode without deviation."""
         self._rng = np.random.default_rng(seed)
-        self._sway = np.zeros(7)
+        self._deviation = np.zeros(7)
 
     def act(self, observation: Observation) -> Action:
-        """Sway."""
-        spread = np.array([self.rate, *[self.displacement] * 3, *[self.rotation] * 3])
-        kept = np.exp(-self.control_period / self.memory)
-        self._sway = kept * self._sway + np.sqrt(1.0 - kept**2) * spread * self._rng.standard_normal(7)
-        return deviation(self._sway[0], self._sway[1:4], self._sway[4:])
+        """Return the next random deviation from the recording."""
+        deviations = np.array([self.rate, *[self.displacement] * 3, *[self.rotation] * 3])
+        decay = np.exp(-self.control_period / self.time_constant)
+        noise = self._rng.standard_normal(7)
+        self._deviation = decay * self._deviation + np.sqrt(1.0 - decay**2) * deviations * noise
+        return make_giver_action(self._deviation[0], self._deviation[1:4], self._deviation[4:])

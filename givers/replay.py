@@ -1,25 +1,24 @@
-"""The recorded person: no deviation at all."""
+"""Giver that replays the recording."""
 
 import math
 
 from handover_marl.episode.observations import Observation
-from handover_marl.policies.giver import Giver, deviation
-from handover_marl.policies.policy import Action
+from handover_marl.policies.policy import Action, Giver, make_giver_action
 
 
 class ReplayGiver(Giver):
-    """Replays the recording, as HandoverSim does."""
+    """Giver that replays the recording without deviation, as in HandoverSim."""
 
     name = "replay"
 
     @property
     def hold_time(self) -> float:
-        """For ever."""
+        """Time until the next decision (s): infinite, since the action never changes."""
         return math.inf
 
     def reset(self, seed: int | None = None) -> None:
-        """Nothing to forget."""
+        """Start an episode; there is no state."""
 
     def act(self, observation: Observation) -> Action:
-        """No deviation."""
-        return deviation()
+        """Return the action that follows the recording without deviation."""
+        return make_giver_action()

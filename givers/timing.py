@@ -1,59 +1,58 @@
-"""People who keep to the recorded path but not to its time."""
+"""Givers that replay the recorded motion at another speed."""
 
 import numpy as np
 
 from handover_marl.episode.observations import Observation
-from handover_marl.policies.giver import Giver, deviation
-from handover_marl.policies.policy import Action
+from handover_marl.policies.policy import Action, Giver, make_giver_action
 
-_PAUSE, _STEADY = -1.0, 0.0
+_PAUSE, _NORMAL = -1.0, 0.0  # playback rates minus 1
 
 
 class HesitantGiver(Giver):
-    """Stops now and then on the way, as somebody who is not sure whether the robot is ready."""
+    """Giver that pauses the recorded motion at random times."""
 
     name = "hesitant"
     pauses_per_second = 0.6
-    shortest, longest = 0.3, 1.0  # s
+    shortest_pause, longest_pause = 0.3, 1.0  # s
 
     def reset(self, seed: int | None = None) -> None:
-        """Draw anew when to stop."""
+        """Start an episode without a pause, and seed the times of pauses."""
         self._rng = np.random.default_rng(seed)
         self._until = 0.0
 
     def act(self, observation: Observation) -> Action:
-        """Pause or go on."""
+        """Return the action that pauses, or that replays at the recorded speed."""
         now = float(observation["time"][0])
         if now >= self._until and self._rng.random() < self.pauses_per_second * self.control_period:
-            self._until = now + self._rng.uniform(self.shortest, self.longest)
-        return deviation(rate=_PAUSE if now < self._until else _STEADY)
+            self._until = now + self._rng.uniform(self.shortest_pause, self.longest_pause)
+        return make_giver_action(rate=_PAUSE if now < self._until else _NORMAL)
 
 
 class HurriedGiver(Giver):
-    """Moves faster than recorded, as somebody who wants to get it over with."""
+    """Giver that replays the recorded motion faster, at a random speed per episode."""
 
     name = "hurried"
-    slowest, fastest = 0.4, 1.0  # playback rate beyond the recorded one
+    min_rate, max_rate = 0.4, 1.0  # playback rate minus 1
 
     def reset(self, seed: int | None = None) -> None:
-        """Draw how much of a hurry it is."""
-        self._rate = float(np.random.default_rng(seed).uniform(self.slowest, self.fastest))
+        """Start an episode with a random playback speed."""
+        self._rate = float(np.random.default_rng(seed).uniform(self.min_rate, self.max_rate))
 
     def act(self, observation: Observation) -> Action:
-        """Go on, fast."""
-        return deviation(rate=self._rate)
+        """Return the action that replays the recording at this episode's speed."""
+        return make_giver_action(rate=self._rate)
 
 
 class StopWhenNearGiver(Giver):
-    """Freezes while the gripper is near the object, as GenH2R's people do, so that it is taken at rest."""
+    """Giver that pauses while the gripper is near the object (GenH2R; Wang et al., CVPR 2024)."""
 
     name = "stop_when_near"
-    distance = 0.35  # m, from the gripper's hand link to the object's origin
+    distance = 0.35  # m, from the Panda's hand link to the object's origin
 
     def reset(self, seed: int | None = None) -> None:
-        """Nothing to forget."""
+        """Start an episode; there is no state."""
 
     def act(self, observation: Observation) -> Action:
-        """Freeze or go on."""
-        gap = np.linalg.norm(observation["gripper_pose"][:3] - observation["object_poses"][0, :3])
-        return deviation(rate=_PAUSE if gap < self.distance else _STEADY)
+        """Return the action that pauses, or that replays at the recorded speed."""
+        distance = np.linalg.norm(observation["gripper_pose"][:3] - observation["object_poses"][0, :3])
+        return make_giver_action(rate=_PAUSE if distance < self.distance else _NORMAL)

@@ -1,36 +1,36 @@
-"""People who do not trust the robot."""
+"""Giver that withdraws the hand from a robot that approaches fast."""
 
 import numpy as np
 
 from handover_marl.episode.observations import Observation
-from handover_marl.policies.giver import Giver, deviation
-from handover_marl.policies.policy import Action
+from handover_marl.policies.policy import Action, Giver, make_giver_action
 
 
 class WithdrawingGiver(Giver):
-    """Pulls back when the gripper comes fast and near, and returns when it has calmed down: a stress test."""
+    """Giver that withdraws the hand while the gripper approaches fast, as a stress test."""
 
     name = "withdrawing"
-    alarming_speed = 0.25  # m/s, of the gripper towards the hand
-    alarming_distance = 0.45  # m, from gripper to wrist
-    retreat = 0.15  # m
-    calm_after = 0.8  # s
+    max_speed = 0.25  # m/s, of the gripper towards the wrist
+    max_distance = 0.45  # m, from gripper to wrist
+    withdrawal = 0.15  # m
+    return_after = 0.8  # s
 
     def reset(self, seed: int | None = None) -> None:
-        """Forget the last fright."""
-        self._last_gap: float | None = None
+        """Start an episode without deviation from the recording."""
+        self._last_distance: float | None = None
         self._until = -1.0
-        self._away = np.zeros(3)
+        self._displacement = np.zeros(3)
 
     def act(self, observation: Observation) -> Action:
-        """Offer as recorded, or pull back."""
+        """Return the action that withdraws the hand, or that follows the recording."""
         now = float(observation["time"][0])
         away = observation["hand_keypoints"][0] - observation["gripper_pose"][:3]
-        gap = float(np.linalg.norm(away))
-        closing = 0.0 if self._last_gap is None else (self._last_gap - gap) / self.control_period
-        self._last_gap = gap
+        distance = float(np.linalg.norm(away))
+        last = self._last_distance
+        speed = 0.0 if last is None else (last - distance) / self.control_period
+        self._last_distance = distance
         present = bool(observation["hand_present"][0])
-        if present and gap < self.alarming_distance and closing > self.alarming_speed:
-            self._until = now + self.calm_after
-            self._away = self.retreat * away / max(gap, 1e-6)
-        return deviation(displacement=self._away if now < self._until else np.zeros(3))
+        if present and distance < self.max_distance and speed > self.max_speed:
+            self._until = now + self.return_after
+            self._displacement = self.withdrawal * away / max(distance, 1e-6)
+        return make_giver_action(displacement=self._displacement if now < self._until else np.zeros(3))

@@ -1,121 +1,102 @@
 """Human-to-robot object handovers as a two-agent PettingZoo environment.
 
-env = handover_marl.parallel_env(setup="s0", split="train")      PettingZoo, both agents at once
-env = handover_marl.env(setup="s0", split="train")               PettingZoo, one agent after the other
-env = handover_marl.freeze(env, "receiver", "replay")            one agent, the other frozen to a policy
-env = handover_marl.encode(env)                                  features and outputs as networks want them
+env = handover_marl.parallel_env(setup="s0", split="train")      PettingZoo parallel environment
+env = handover_marl.env(setup="s0", split="train")               PettingZoo AEC environment
+env = handover_marl.freeze(env, "receiver", "replay")            one live agent, the other frozen
+env = handover_marl.encode(env)                                  features and scaled outputs
 env = handover_marl.flatten(env)                                 vectors instead of dictionaries
 env = handover_marl.homogeneous(env)                             equal spaces for all agents
 env = handover_marl.vector_env(64, "receiver", "replay")         many environments in one process
-env = gymnasium.make("HandoverMARL/Receiver-v0", setup="s0")     Gymnasium, the robot alone
-report = handover_marl.benchmark(setup="s3")                     HandoverSim's official protocol
-data = handover_marl.demonstrate(setup="s0", out="data/s0")      episodes as a data set
+env = gymnasium.make("HandoverMARL/Receiver-v0", setup="s0")     Gymnasium environment of the robot
+report = handover_marl.benchmark(setup="s3")                     official protocol of HandoverSim
+data = handover_marl.demonstrate(setup="s0", out="data/s0")      data set of recorded episodes
 
-What stands in `__all__`, here and in `handover_marl.givers`, `handover_marl.receivers` and `handover_marl.testing`, is
-public, and so are the errors, the configurations and what the documentation names; the rest may change at any time.
+Public are the names in `__all__`, here and in `handover_marl.givers`, `handover_marl.receivers` and
+`handover_marl.testing`, the errors, the configurations, and what the documentation names; other names
+may change at any time.
 """
 
 from importlib import import_module
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
-from handover_marl._version import __version__
+from handover_marl.registration import register_environments
+
+#: Version of the library.
+__version__ = "0.8.0"
+
 
 if TYPE_CHECKING:
-    from handover_marl.benchmarking.agreement import agreement
-    from handover_marl.benchmarking.comparison import compare
-    from handover_marl.benchmarking.crossplay import crossplay
-    from handover_marl.benchmarking.evaluation import evaluate
-    from handover_marl.benchmarking.report import Report
-    from handover_marl.benchmarking.runner import benchmark, evaluate_pair
-    from handover_marl.config import WorldConfig
-    from handover_marl.demonstrations.demonstrate import demonstrate
-    from handover_marl.demonstrations.demonstrations import Demonstrations
-    from handover_marl.envs.constructors import benchmark_env, env, parallel_env
-    from handover_marl.envs.encode import encode
-    from handover_marl.envs.flatten import flatten
-    from handover_marl.envs.freeze import freeze
-    from handover_marl.envs.handover_env import HandoverEnv
-    from handover_marl.envs.homogeneous import homogeneous
-    from handover_marl.envs.vector_env import vector_env
-    from handover_marl.episode.sight import View
-    from handover_marl.merging.merge import merge
-    from handover_marl.pictures.plan_picture import render_plan
-    from handover_marl.pictures.rendering import render_scene
-    from handover_marl.protocol.status import EpisodeStatus
-    from handover_marl.run import Execution, Run
-    from handover_marl.sim.camera.imperfections import CameraImperfections
-    from handover_marl.sim.camera.photo import Seen
+    from handover_marl.config import WorldConfig as WorldConfig
+    from handover_marl.envs.config import EnvConfig as EnvConfig
+    from handover_marl.envs.constructors import benchmark_env as benchmark_env
+    from handover_marl.envs.constructors import env as env
+    from handover_marl.envs.constructors import parallel_env as parallel_env
+    from handover_marl.envs.handover_env import HandoverEnv as HandoverEnv
+    from handover_marl.envs.vector.vector_env import vector_env as vector_env
+    from handover_marl.envs.wrappers.encode import encode as encode
+    from handover_marl.envs.wrappers.flatten import flatten as flatten
+    from handover_marl.envs.wrappers.freeze import freeze as freeze
+    from handover_marl.envs.wrappers.homogeneous import homogeneous as homogeneous
+    from handover_marl.episode.camera_observations import CameraFrame as CameraFrame
+    from handover_marl.episode.referee import EpisodeStatus as EpisodeStatus
+    from handover_marl.evaluation.agreement import compare_physics as compare_physics
+    from handover_marl.evaluation.benchmark import benchmark as benchmark
+    from handover_marl.evaluation.benchmark import evaluate_pair as evaluate_pair
+    from handover_marl.evaluation.comparison import compare as compare
+    from handover_marl.evaluation.config import EvaluationConfig as EvaluationConfig
+    from handover_marl.evaluation.config import ExecutionConfig as ExecutionConfig
+    from handover_marl.evaluation.crossplay import crossplay as crossplay
+    from handover_marl.evaluation.demonstrations.reader import Demonstrations as Demonstrations
+    from handover_marl.evaluation.demonstrations.record import demonstrate as demonstrate
+    from handover_marl.evaluation.merge import merge as merge
+    from handover_marl.evaluation.rendering.plan import render_plan as render_plan
+    from handover_marl.evaluation.rendering.scene import render_scene as render_scene
+    from handover_marl.evaluation.reports.report import Report as Report
+    from handover_marl.evaluation.reports.report_files import evaluate as evaluate
+    from handover_marl.simulation.camera.frames import SegmentationLabel as SegmentationLabel
+    from handover_marl.simulation.camera.noise import CameraNoise as CameraNoise
 
-__all__ = [
-    "CameraImperfections",
-    "Demonstrations",
-    "EpisodeStatus",
-    "Execution",
-    "HandoverEnv",
-    "Report",
-    "Run",
-    "Seen",
-    "View",
-    "WorldConfig",
-    "__version__",
-    "agreement",
-    "benchmark",
-    "benchmark_env",
-    "compare",
-    "crossplay",
-    "demonstrate",
-    "encode",
-    "env",
-    "evaluate",
-    "evaluate_pair",
-    "flatten",
-    "freeze",
-    "homogeneous",
-    "merge",
-    "parallel_env",
-    "render_plan",
-    "render_scene",
-    "vector_env",
-]
-
-# Loaded at first use, so that the import itself stays quick.
-_HOMES = {
-    "CameraImperfections": "sim.camera.imperfections",
-    "Demonstrations": "demonstrations.demonstrations",
-    "EpisodeStatus": "protocol.status",
-    "Execution": "run",
+# Modules of the public names, imported at first use to keep the import fast.
+_MODULES = {
+    "CameraFrame": "episode.camera_observations",
+    "CameraNoise": "simulation.camera.noise",
+    "Demonstrations": "evaluation.demonstrations.reader",
+    "EnvConfig": "envs.config",
+    "EpisodeStatus": "episode.referee",
+    "EvaluationConfig": "evaluation.config",
+    "ExecutionConfig": "evaluation.config",
     "HandoverEnv": "envs.handover_env",
-    "Report": "benchmarking.report",
-    "Run": "run",
-    "Seen": "sim.camera.photo",
-    "View": "episode.sight",
+    "Report": "evaluation.reports.report",
+    "SegmentationLabel": "simulation.camera.frames",
     "WorldConfig": "config",
-    "agreement": "benchmarking.agreement",
-    "benchmark": "benchmarking.runner",
+    "benchmark": "evaluation.benchmark",
     "benchmark_env": "envs.constructors",
-    "compare": "benchmarking.comparison",
-    "crossplay": "benchmarking.crossplay",
-    "demonstrate": "demonstrations.demonstrate",
-    "encode": "envs.encode",
+    "compare": "evaluation.comparison",
+    "compare_physics": "evaluation.agreement",
+    "crossplay": "evaluation.crossplay",
+    "demonstrate": "evaluation.demonstrations.record",
+    "encode": "envs.wrappers.encode",
     "env": "envs.constructors",
-    "evaluate": "benchmarking.evaluation",
-    "evaluate_pair": "benchmarking.runner",
-    "flatten": "envs.flatten",
-    "freeze": "envs.freeze",
-    "homogeneous": "envs.homogeneous",
-    "merge": "merging.merge",
+    "evaluate": "evaluation.reports.report_files",
+    "evaluate_pair": "evaluation.benchmark",
+    "flatten": "envs.wrappers.flatten",
+    "freeze": "envs.wrappers.freeze",
+    "homogeneous": "envs.wrappers.homogeneous",
+    "merge": "evaluation.merge",
     "parallel_env": "envs.constructors",
-    "render_plan": "pictures.plan_picture",
-    "render_scene": "pictures.rendering",
-    "vector_env": "envs.vector_env",
+    "render_plan": "evaluation.rendering.plan",
+    "render_scene": "evaluation.rendering.scene",
+    "vector_env": "envs.vector.vector_env",
 }
+
+__all__ = ["__version__", *_MODULES]
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
+    if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+    value = getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
     globals()[name] = value
     return value
 
@@ -124,16 +105,14 @@ def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
 
 
-def _prepare() -> None:
-    """Check the installation, and tell PettingZoo and Gymnasium where the environments are."""
+def _check_installation() -> None:
+    """Check that the distribution's packages in other folders can be imported."""
     if find_spec("handover_marl.givers") is None:
         raise ImportError(
-            f"{__file__} stands before the installed handover_marl and has no givers, receivers and assets: leave this "
-            "folder, or install it as it stands (pip install -e .)"
+            f"handover_marl must be installed, got the source folder {__file__}; leave this folder, or install it "
+            "(pip install -e .)"
         )
-    from handover_marl.registration import register_environments
-
-    register_environments()
 
 
-_prepare()
+_check_installation()
+register_environments()

@@ -1,7 +1,7 @@
-"""What can be chosen about the world and the rules, as frozen dataclasses (SI units, radians, quaternions xyzw).
+"""Configuration of the simulated world and the protocol, as frozen dataclasses.
 
-The defaults are HandoverSim's (Chao et al., ICRA 2022); official figures exist for these values only. What cannot
-be chosen, because the data or the robot fix it, stands in capitals.
+SI units, radians, quaternions xyzw. The defaults are HandoverSim's (Chao et al., ICRA 2022); official
+results exist for these values only. Constants in capitals are fixed by the data or the robot.
 """
 
 import math
@@ -9,34 +9,34 @@ from dataclasses import dataclass, field
 
 from handover_marl.errors import OptionError
 
-#: Larger pictures than this (pixels a side) end the software renderer.
-LARGEST_SIDE = 8192
+#: Largest image side (pixels); larger ones crash the software renderer.
+MAX_IMAGE_SIDE = 8192
 
 Vector3 = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 
-#: Seconds in a physics step. The recordings have a row for every step, and periods are told in whole steps.
+#: Physics step (s). Recordings have one row per step; periods are multiples of it.
 TIME_STEP = 0.001
 
 PANDA_DOF = 9
-#: Of the table that the robot stands beside and objects lie on (m).
+ARM_DOF = 7
+#: Height of the table top, world z (m).
 TABLE_HEIGHT = 0.92
-ARM_JOINTS = 7
 HAND_DOF = 51
 OBJECT_DOF = 6
 MAX_OBJECTS = 5
 N_KEYPOINTS = 16
-N_PREVIEW = 5
+N_PREVIEW_POSES = 5
 
 
 @dataclass(frozen=True)
 class MotorConfig:
-    """Position control of a group of joints.
+    """Motor parameters of the position control of a group of joints.
 
     Attributes:
         force: Largest motor force (N) or torque (N m).
-        position_gain: Share of the position error that one step corrects (1).
-        velocity_gain: Share of the velocity error that one step corrects (1).
+        position_gain: Share of the position error that is corrected in one step.
+        velocity_gain: Share of the velocity error that is corrected in one step.
     """
 
     force: float
@@ -46,7 +46,14 @@ class MotorConfig:
 
 @dataclass(frozen=True)
 class PandaConfig:
-    """Franka Panda: where it stands, how it starts and how its nine joints are driven."""
+    """Configuration of the Franka Panda: base pose, start joints and motors.
+
+    Attributes:
+        base_position: Position of the robot's base, world frame (m).
+        base_orientation: Orientation of the robot's base, world frame, quaternion xyzw.
+        start_joints: Joint positions at the start of an episode, 7 arm (rad) and 2 fingers (m).
+        motor: Motor parameters of all nine joints.
+    """
 
     base_position: Vector3 = (0.61, -0.50, 0.875)
     base_orientation: Quaternion = (0.0, 0.0, 0.7071068, 0.7071068)
@@ -56,7 +63,12 @@ class PandaConfig:
 
 @dataclass(frozen=True)
 class ObjectConfig:
-    """Objects on their six-joint chain: three prismatic, three continuous."""
+    """Motor parameters of the objects; an object moves on three prismatic, three continuous joints.
+
+    Attributes:
+        translation_motor: Motor parameters of an object's prismatic joints.
+        rotation_motor: Motor parameters of an object's continuous joints.
+    """
 
     translation_motor: MotorConfig = MotorConfig(force=50.0, position_gain=0.2)
     rotation_motor: MotorConfig = MotorConfig(force=5.0, position_gain=0.2)
@@ -64,7 +76,16 @@ class ObjectConfig:
 
 @dataclass(frozen=True)
 class HandConfig:
-    """The human hand: a base on six joints and 45 finger joints."""
+    """Motor and contact parameters of the human hand, which has 6 base and 45 finger joints.
+
+    Attributes:
+        translation_motor: Motor parameters of the three prismatic joints of the hand's base.
+        rotation_motor: Motor parameters of the three revolute joints of the hand's base.
+        finger_motor: Motor parameters of the finger joints.
+        friction: Lateral friction coefficient of the hand.
+        restitution: Restitution coefficient of the hand.
+        base_damping: Linear and angular damping of the hand's base.
+    """
 
     translation_motor: MotorConfig = MotorConfig(force=50.0, position_gain=0.2)
     rotation_motor: MotorConfig = MotorConfig(force=5.0, position_gain=0.2)
@@ -76,7 +97,15 @@ class HandConfig:
 
 @dataclass(frozen=True)
 class PhysicsConfig:
-    """The simulated world. `gravity` is along world z (m/s^2)."""
+    """Configuration of the simulated world.
+
+    Attributes:
+        gravity: Gravitational acceleration along world z (m/s^2).
+        table_position: Position of the table, world frame (m).
+        panda: Configuration of the robot.
+        objects: Configuration of the objects.
+        hand: Configuration of the human hand.
+    """
 
     gravity: float = -9.8
     table_position: Vector3 = (0.61, 0.28, 0.0)
@@ -87,22 +116,25 @@ class PhysicsConfig:
 
 @dataclass(frozen=True)
 class GiverConfig:
-    """What the giver may do to the replayed motion, and how fast.
+    """Limits of the giver's deviation from the recorded motion.
 
-    Speeds and accelerations are below the peaks that 95 % of the people in DexYCB show in their own reaches: wrist
-    0.86 m/s and 7.1 m/s^2, turning 2.6 rad/s (measured on every tenth recording, smoothed over 0.1 s).
+    Speeds and accelerations are below the peaks of 95 % of the reaches in DexYCB: wrist 0.86 m/s and
+    7.1 m/s^2, rotation 2.6 rad/s (measured on every tenth recording, smoothed over 0.1 s).
 
     Attributes:
         displacement: Largest wrist displacement along each axis (m).
         rotation: Largest component of the wrist's rotation vector (rad).
-        speed: Speed of the displacement (m/s).
-        acceleration: Its acceleration (m/s^2).
-        turn_speed: Speed of the rotation vector (rad/s).
-        turn_acceleration: Its acceleration (rad/s^2).
-        rate_change: How fast the playback rate changes (1/s); a stop from normal speed takes 0.2 s.
-        opening: Share of the finger angles that a hand gives up when it opens.
-        opening_time: How long that takes (s).
-        preview: Times ahead at which the giver knows its recording (s).
+        speed: Largest speed of the wrist's displacement (m/s).
+        acceleration: Largest acceleration of the wrist's displacement (m/s^2).
+        turn_speed: Largest speed of the wrist's rotation vector (rad/s).
+        turn_acceleration: Largest acceleration of the wrist's rotation vector (rad/s^2).
+        rate_change: Largest slope of the playback rate (1/s); a stop takes 0.2 s at the default.
+        opening: Share by which finger angles shrink when the hand opens.
+        opening_time: Time in which the hand opens (s).
+        preview: Times (s) after the present frame at which the giver observes its recording.
+
+    Raises:
+        OptionError: `preview` does not have five times.
     """
 
     displacement: float = 0.3
@@ -117,24 +149,25 @@ class GiverConfig:
     preview: tuple[float, ...] = (0.1, 0.2, 0.3, 0.4, 0.5)
 
     def __post_init__(self) -> None:
-        # Spaces, features and learned givers count on five.
-        if len(self.preview) != N_PREVIEW:
-            raise OptionError(f"preview={self.preview}: a giver knows its recording at {N_PREVIEW} times ahead")
+        # Observation spaces, features and learned givers have five poses.
+        if len(self.preview) != N_PREVIEW_POSES:
+            raise OptionError(f"preview must be {N_PREVIEW_POSES} times, got {self.preview}")
 
 
 @dataclass(frozen=True)
 class ProtocolConfig:
-    """When the human lets go, and when an episode is won or lost.
+    """Rules of a handover: release of the object, success and failure.
 
     Attributes:
-        release_steps: Steps in a row that a release condition must hold.
+        release_steps: Consecutive physics steps for which a release condition must hold.
         region_lower: Lower corner of the grasp region in a finger link's frame (m), exclusive.
         region_upper: Upper corner of the grasp region in a finger link's frame (m), exclusive.
-        goal_center: Where the gripper must bring the object, world frame (m).
-        goal_radius: How near the Panda's hand link must be to the goal (m).
-        success_steps: Steps in a row that the object must be held at the goal.
-        drop_height: An object whose origin is lower than this has fallen, world z (m).
-        horizon_steps: Steps after which an episode without success times out.
+        goal_center: Center of the spherical goal region, world frame (m).
+        goal_radius: Largest distance of the Panda's hand link from the goal's center (m).
+        success_steps: Consecutive physics steps for which the gripper must hold the object at
+            the goal.
+        drop_height: World z (m) of the object's origin below which the object counts as dropped.
+        horizon_steps: Physics steps after which an episode times out.
     """
 
     release_steps: int = 100
@@ -149,12 +182,12 @@ class ProtocolConfig:
 
 @dataclass(frozen=True)
 class WorldConfig:
-    """Everything that can be chosen about a handover but its scene and its policies.
+    """Configuration of simulated world, protocol and giver, shared by all scenes and policies.
 
     Attributes:
-        physics: The simulated world.
-        protocol: The rules.
-        giver: What the giver may do to the recording.
+        physics: Configuration of the simulated world.
+        protocol: Rules of release, success and failure.
+        giver: Limits of the giver's deviation from the recording.
     """
 
     physics: PhysicsConfig = field(default_factory=PhysicsConfig)
@@ -162,17 +195,25 @@ class WorldConfig:
     giver: GiverConfig = field(default_factory=GiverConfig)
 
 
-#: HandoverSim's world.
-OFFICIAL = WorldConfig()
+#: Configuration with the values of HandoverSim.
+OFFICIAL_CONFIG = WorldConfig()
 
 
 @dataclass(frozen=True)
 class CameraConfig:
-    """A pinhole camera; the default sees robot, table and hand from the side (m, degrees, pixels).
+    """Configuration of a pinhole camera; the default shows robot, table and hand from the side.
+
+    Attributes:
+        width: Width of the image (pixels).
+        height: Height of the image (pixels).
+        vertical_fov: Vertical field of view (degrees).
+        near: Distance of the near plane (m).
+        far: Distance of the far plane (m).
+        position: Position of the camera, world frame (m).
+        target: Point at the image's center, world frame (m).
 
     Raises:
-        OptionError: The picture has no size or is too large, or a number is not finite or makes no view; the renderer
-            would end the process over it.
+        OptionError: A number is out of range; the renderer would crash with it.
     """
 
     width: int = 640
@@ -186,12 +227,12 @@ class CameraConfig:
     def __post_init__(self) -> None:
         for name in ("width", "height"):
             side = getattr(self, name)
-            if isinstance(side, bool) or not isinstance(side, int) or not 1 <= side <= LARGEST_SIDE:
-                raise OptionError(f"{name}={side!r}: pictures have 1 to {LARGEST_SIDE} pixels a side")
+            if isinstance(side, bool) or not isinstance(side, int) or not 1 <= side <= MAX_IMAGE_SIDE:
+                raise OptionError(f"{name} must be an integer from 1 to {MAX_IMAGE_SIDE} (pixels), got {side!r}")
         numbers = (self.vertical_fov, self.near, self.far, *self.position, *self.target)
         if not all(isinstance(number, (int, float)) and math.isfinite(number) for number in numbers):
-            raise OptionError(f"{self}: not all numbers are finite")
+            raise OptionError(f"numbers of a camera must be finite, got {self}")
         if not (0.0 < self.vertical_fov < 180.0 and 0.0 < self.near < self.far):
-            raise OptionError(f"{self}: needs 0 < vertical_fov < 180 and 0 < near < far")
+            raise OptionError(f"a camera must have 0 < vertical_fov < 180 and 0 < near < far, got {self}")
         if tuple(self.position) == tuple(self.target):
-            raise OptionError(f"{self}: position and target are the same")
+            raise OptionError(f"position and target of a camera must differ, got {self}")

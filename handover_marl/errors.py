@@ -1,26 +1,33 @@
-"""What a user can get wrong, as exceptions that say what, where and what to do."""
+"""Exceptions of the library; messages name the argument, the rule and the remedy."""
 
 from collections.abc import Iterable
 
 
 class HandoverError(Exception):
-    """Base of every error this library raises on purpose."""
+    """Base class of all errors that the library raises on purpose."""
 
 
 class DataNotFoundError(HandoverError, FileNotFoundError):
-    """A data folder, or a file that must be in it, is missing."""
+    """Error for a data folder, or a required file in it, that does not exist."""
 
 
 class DataFormatError(HandoverError, ValueError):
-    """A data file is there but cannot be what it should be: truncated, malformed, of the wrong shape."""
+    """Error for a data file that is truncated, malformed or of the wrong shape."""
 
 
 class UnsafeFileError(DataFormatError):
-    """A pickled file asks for more than numpy arrays and was not loaded."""
+    """Error for a pickled file that contains more than NumPy arrays; the file was not loaded."""
 
 
 class UnknownNameError(HandoverError, ValueError):
-    """A setup, split, receiver, giver or other named choice does not exist."""
+    """Error for a setup, split, policy or other choice that does not exist.
+
+    Args:
+        kind: Kind of the choice, e.g. "split".
+        name: Unknown name.
+        valid: Valid names.
+        hint: Further advice.
+    """
 
     def __init__(self, kind: str, name: object, valid: Iterable[str], hint: str = "") -> None:
         names = tuple(valid)
@@ -32,36 +39,36 @@ class UnknownNameError(HandoverError, ValueError):
 
 
 class OptionError(HandoverError, ValueError):
-    """An option has a value that cannot work."""
+    """Error for an option that is out of range or contradicts other options."""
 
 
 class SceneError(HandoverError, ValueError):
-    """A scene id does not exist or lies outside the chosen split."""
+    """Error for a scene number that does not exist or is not in the split."""
 
 
 class ActionError(HandoverError, ValueError):
-    """An action has the wrong shape or type, is not finite, or asks for what the agent may not do."""
+    """Error for an action of the wrong shape or type, or with values that are not finite."""
 
 
 class ResetNeededError(HandoverError, RuntimeError):
-    """`step`, `render` or `state` was called before `reset`, or `step` after the episode's end."""
+    """Error for `step`, `render` or `state` of an environment that needs `reset` first."""
 
 
 class SimulationError(HandoverError, RuntimeError):
-    """The physics engine refused something, such as a model file or a window without a screen."""
+    """Error of the physics engine, e.g. for a model file or for a window without a display."""
 
 
 class WorkerError(HandoverError, RuntimeError):
-    """A worker process died."""
+    """Error for a worker process that ended unexpectedly."""
 
 
 class PolicyError(HandoverError, RuntimeError):
-    """A policy's own code failed: while it was made, reset, or asked for an action."""
+    """Error in the code of a policy, while the policy was constructed, reset or called."""
 
 
 class ResultsError(HandoverError, ValueError):
-    """A result folder cannot be read, continued or written."""
+    """Error for a result folder that cannot be read, resumed or written."""
 
 
 class ConformanceError(HandoverError, AssertionError):
-    """A policy does not do what the library relies on; raised by `handover_marl.testing`."""
+    """Error for a policy that fails a conformance test of `handover_marl.testing`."""

@@ -1,4 +1,4 @@
-"""Names under which PettingZoo and Gymnasium find the environments."""
+"""Registration of the environments with PettingZoo and Gymnasium."""
 
 import gymnasium
 import pettingzoo
@@ -7,13 +7,13 @@ PETTINGZOO_ID = "HandoverMARL/Handover-v0"
 RECEIVER_ID = "HandoverMARL/Receiver-v0"
 GIVER_ID = "HandoverMARL/Giver-v0"
 
-_HOME = "handover_marl.envs.constructors"
+_CONSTRUCTORS = "handover_marl.envs.constructors"
 
 
 def register_environments() -> None:
     """Register the two-agent environment with PettingZoo and the single-agent ones with Gymnasium."""
-    # Only single agents go to Gymnasium: its make() does not take a ParallelEnv.
-    pettingzoo.register("parallel", PETTINGZOO_ID, f"{_HOME}:parallel_env")
-    pettingzoo.register("aec", PETTINGZOO_ID, f"{_HOME}:env")
-    gymnasium.register(RECEIVER_ID, f"{_HOME}:receiver_env")
-    gymnasium.register(GIVER_ID, f"{_HOME}:giver_env")
+    # gymnasium.make() does not accept a ParallelEnv.
+    pettingzoo.register("parallel", PETTINGZOO_ID, f"{_CONSTRUCTORS}:parallel_env")
+    pettingzoo.register("aec", PETTINGZOO_ID, f"{_CONSTRUCTORS}:env")
+    gymnasium.register(RECEIVER_ID, f"{_CONSTRUCTORS}:receiver_env")
+    gymnasium.register(GIVER_ID, f"{_CONSTRUCTORS}:giver_env")

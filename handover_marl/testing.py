@@ -1,10 +1,10 @@
-"""Conformance tests for your own givers and receivers; call them from your test suite.
+"""Conformance tests for givers and receivers of other packages, to be called from their tests.
 
 from handover_marl.testing import check_receiver
 
 
 def test_my_receiver():
-check_receiver(MyReceiver)
+    check_receiver(MyReceiver)
 """
 
 import random
@@ -14,16 +14,15 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.datasets import Dataset, open_dataset
-from handover_marl.episode.clock import held_steps
+from handover_marl.episode.callbacks import EpisodeCallback, PolicyDecision
+from handover_marl.episode.camera_observations import WristCameraConfig
 from handover_marl.episode.episode import Episode
+from handover_marl.episode.loop import play, steps_from_hold_time
 from handover_marl.episode.observations import Observation
-from handover_marl.episode.play import play
-from handover_marl.episode.sight import SightConfig
-from handover_marl.episode.watchers import Decision, Watcher
 from handover_marl.errors import ConformanceError
-from handover_marl.options import pybullet_installed
+from handover_marl.execution.options import is_pybullet_installed
 from handover_marl.policies.policy import Action, Policy
-from handover_marl.policies.reference import PolicyLike, policy_reference
+from handover_marl.policies.reference import PolicyLike, parse_policy
 
 __all__ = ["check_giver", "check_receiver"]
 
@@ -34,21 +33,21 @@ _STEPS = 4000
 def check_receiver(
     receiver: PolicyLike, dataset: Dataset | None = None, scenes: Sequence[int] = _SCENES, steps: int = _STEPS
 ) -> None:
-    """Check that a receiver does what the benchmark relies on.
+    """Check that a receiver meets the requirements of evaluations.
 
-    It can be named and sent to worker processes; its actions are valid in whole episodes; it leaves its observations
-    alone; and episodes repeat from their seed whatever was played before, in whichever process, and whatever others
-    draw from global generators.
+    The receiver can be constructed and sent to worker processes; its actions are valid; it does
+    not modify its observations; and its actions depend on seed and scene only, not on earlier
+    episodes, on the process or on global random generators.
 
     Args:
-        receiver: As in `handover_marl.benchmark`.
-        dataset: Where scenes come from; default: the synthetic ones.
-        scenes: The scenes to play.
-        steps: How much of each to play (ms).
+        receiver: Receiver, as in `handover_marl.benchmark`.
+        dataset: Dataset of the scenes; default: the synthetic dataset.
+        scenes: Scene numbers to simulate.
+        steps: Largest number of physics steps per scene.
 
     Raises:
-        ConformanceError: It does not; the message says where and what to do.
-        HandoverError: It cannot be made, fails, or returns what is no action.
+        ConformanceError: The receiver fails a requirement; the message says which and what to do.
+        HandoverError: The receiver cannot be made, fails, or returns a malformed action.
     """
     _check("receiver", receiver, dataset or open_dataset("synthetic"), scenes, steps)
 
@@ -56,32 +55,39 @@ def check_receiver(
 def check_giver(
     giver: PolicyLike, dataset: Dataset | None = None, scenes: Sequence[int] = _SCENES, steps: int = _STEPS
 ) -> None:
-    """Check that a giver does what cross-play relies on; as `check_receiver`, beside the receiver `yang2021`.
+    """Check that a giver meets the requirements of evaluations; the receiver is `yang2021`.
+
+    Args:
+        giver: Giver, as in `handover_marl.crossplay`.
+        dataset: Dataset of the scenes; default: the synthetic dataset.
+        scenes: Scene numbers to simulate.
+        steps: Largest number of physics steps per scene.
 
     Raises:
-        ConformanceError, HandoverError: As `check_receiver`.
+        ConformanceError: The giver fails a requirement; see `check_receiver`.
+        HandoverError: The giver cannot be made, fails, or returns a malformed action.
     """
     _check("giver", giver, dataset or open_dataset("synthetic"), scenes, steps)
 
 
-class _Tape(Watcher):
-    """Keeps what was decided when."""
+class _DecisionRecorder(EpisodeCallback):
+    """Recorder of one agent's actions and the steps of its decisions."""
 
     def __init__(self, agent: str) -> None:
         self.decisions: list[tuple[int, Action]] = []
         self._agent = agent
 
-    def decided(self, episode: Episode, decision: Decision) -> None:
-        action = decision.robot if self._agent == "receiver" else decision.giver
+    def on_decision(self, episode: Episode, decision: PolicyDecision) -> None:
+        action = decision.receiver_action if self._agent == "receiver" else decision.giver_action
         self.decisions.append((episode.steps, action.copy()))
 
 
-class _Supervised:
-    """A policy whose observations are looked at before and after."""
+class _CheckedPolicy:
+    """Policy wrapper that checks that the policy does not modify its observations."""
 
     def __init__(self, policy: Policy) -> None:
         self._policy, self.name = policy, policy.name
-        self.sight, self.observes = policy.sight, policy.observes
+        self.obs_mode = policy.obs_mode
 
     def prepare(self, object_names: Sequence[str]) -> None:
         self._policy.prepare(object_names)
@@ -95,56 +101,57 @@ class _Supervised:
         changed = [key for key, value in before.items() if not np.array_equal(value, observation[key])]
         if changed:
             raise ConformanceError(
-                f"{self.name!r} writes into its observation ({', '.join(changed)}); copy what you change"
+                f"{self.name!r} writes into its observation ({', '.join(changed)}); copy arrays before changing them"
             )
         return action
 
     @property
     def hold_time(self) -> float:
         hold_time = self._policy.hold_time
-        held_steps(hold_time)
+        steps_from_hold_time(hold_time)
         return hold_time
 
 
 def _check(agent: str, policy: PolicyLike, dataset: Dataset, scenes: Sequence[int], steps: int) -> None:
-    reference = policy_reference(agent, policy).resolved(dataset)
-    # Bullet draws more slowly than rays are cast, but needs no extra.
-    physics, renderer = ("fast", "bullet") if pybullet_installed() else ("mujoco", "rays")
-    episode = Episode(physics, sight=SightConfig(renderer=renderer))
-    partner = None if agent == "receiver" else policy_reference("receiver", "yang2021").make(dataset)
+    reference = parse_policy(agent, policy).resolve(dataset)
+    # Slower than rays, but without an optional dependency.
+    physics, renderer = ("fast", "bullet") if is_pybullet_installed() else ("mujoco", "rays")
+    episode = Episode(physics, wrist_camera=WristCameraConfig(renderer=renderer))
+    partner = None if agent == "receiver" else parse_policy("receiver", "yang2021").make(dataset)
 
-    def played(player: Policy, scene: int, seed: int) -> list[tuple[int, Action]]:
-        episode.reset(dataset.scene(scene))
-        tape, live = _Tape(agent), _Supervised(player)
-        if partner is None:
-            play(episode, live, seed=seed, until=steps, watchers=[tape])
-        else:
-            play(episode, partner, live, seed=seed, until=steps, watchers=[tape])
-        return tape.decisions
+    def record(live: Policy, scene: int, seed: int) -> list[tuple[int, Action]]:
+        episode.reset(dataset.load_scene(scene))
+        recorder, checked = _DecisionRecorder(agent), _CheckedPolicy(live)
+        pair = (checked,) if partner is None else (partner, checked)
+        play(episode, *pair, seed=seed, until=steps, callbacks=[recorder])
+        return recorder.decisions
 
     try:
         used = reference.make(dataset)
-        first = [played(used, scene, seed) for seed, scene in enumerate(scenes)]
-        # As in another worker: a new one, other scenes before, other draws from global generators.
+        first = [record(used, scene, seed) for seed, scene in enumerate(scenes)]
+        # As in another worker: new policy, other order of scenes, other global random generators.
         np.random.seed(1)  # noqa: NPY002
         random.seed(1)
         new = reference.make(dataset)
         for seed, scene in reversed(list(enumerate(scenes))):
-            _compare(reference.label, scene, first[seed], played(new, scene, seed), "played in another order")
+            _compare(reference.label, scene, first[seed], record(new, scene, seed), "in another order of scenes")
         for seed, scene in enumerate(scenes):
-            _compare(reference.label, scene, first[seed], played(used, scene, seed), "played once more")
+            _compare(reference.label, scene, first[seed], record(used, scene, seed), "in a second run")
     finally:
         episode.close()
 
 
 def _compare(
-    label: str, scene: int, first: list[tuple[int, Action]], second: list[tuple[int, Action]], how: str
+    label: str, scene: int, first: list[tuple[int, Action]], second: list[tuple[int, Action]], when: str
 ) -> None:
     for (step, action), (other_step, other) in zip(first, second, strict=False):
         if step != other_step or not np.array_equal(action, other):
             raise ConformanceError(
-                f"{label!r} acts otherwise in scene {scene} at step {step} when {how}: reset(seed) must forget the "
-                "last episode, and all that is drawn must come from a generator seeded there"
+                f"{label!r} returns another action in scene {scene} at step {step} {when}; clear all state in "
+                "reset(seed), and draw random numbers from a generator that is seeded there"
             )
     if len(first) != len(second):
-        raise ConformanceError(f"{label!r} is asked {len(first)} times in scene {scene} and {len(second)} when {how}")
+        raise ConformanceError(
+            f"{label!r} must act equally often in each run, got {len(first)} actions in scene {scene} and "
+            f"{len(second)} {when}"
+        )

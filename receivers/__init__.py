@@ -1,39 +1,40 @@
-"""Policies for the receiver, the robot side.
+"""Receivers: policies of the robot.
 
-`hold` stays at the start pose, `random` does anything; `yang2021` is the reactive baseline of HandoverSim; `omg`,
-`omg_hand_aware` and `omg_unchecked_last` plan; `learned:FILE` is a trained policy. Your own is a subclass of
-`Receiver`; packages add theirs by name through the entry-point group `handover_marl.receivers`.
+`hold` and `random` are simple baselines, `yang2021` is the reactive baseline of HandoverSim, and
+`omg`, `omg_hand_aware` and `omg_unchecked_last` plan motions. `reactive` follows the true poses of
+object and hand; `vision` and `gaddpg` use point clouds of the wrist camera. `learned:FILE` is a
+trained policy. A new receiver is a subclass of `Receiver`; packages register theirs by name in the
+entry-point group `handover_marl.receivers`.
 """
 
 from typing import cast
 
 from handover_marl.datasets import Dataset
-from handover_marl.models.panda import WAITING_JOINTS
+from handover_marl.geometry.panda import WAITING_JOINTS
 from handover_marl.policies import registry
-from handover_marl.policies.context import PolicyContext, context_of
-from handover_marl.policies.policy import Action
-from handover_marl.policies.receiver import Receiver
-from handover_marl.policies.reference import PolicyLike, policy_reference
+from handover_marl.policies.policy import Action, PolicyContext, Receiver, make_policy_context
+from handover_marl.policies.reference import PolicyLike, parse_policy
 
-__all__ = ["WAITING_JOINTS", "Action", "PolicyContext", "Receiver", "available", "context_of", "make"]
+__all__ = ["WAITING_JOINTS", "Action", "PolicyContext", "Receiver", "list_available", "make", "make_policy_context"]
 
 
-def available() -> tuple[str, ...]:
-    """Names of the receivers that can be made."""
-    return registry.available("receiver")
+def list_available() -> tuple[str, ...]:
+    """Return the names of the available receivers."""
+    return registry.list_available("receiver")
 
 
 def make(receiver: PolicyLike, dataset: Dataset | None = None, trust: bool = False, setup: str = "s0") -> Receiver:
-    """A receiver for the robot and objects of a dataset.
+    """Create a receiver for the robot and objects of a dataset.
 
     Args:
-        receiver: A registered name, with options or a file, a class; see `handover_marl.policies.reference`.
-        dataset: Whose robot and objects; default: what `open_dataset()` gives.
-        trust: Whether code in a policy file may run.
-        setup: The official setup that it is to play, for which it may have been trained.
+        receiver: Registered name, with options or a file, or a class; see
+            `handover_marl.policies.reference`.
+        dataset: Dataset with the robot and objects; default: the one `open_dataset()` returns.
+        trust: Whether code in a policy file may be executed.
+        setup: Official setup, s0 to s3, whose weights a learned receiver uses.
 
     Raises:
         UnknownNameError: No receiver of this name is registered.
-        HandoverError: It cannot be made, or its file is no policy that may be loaded.
+        HandoverError: The receiver cannot be created, or its policy file cannot be loaded.
     """
-    return cast(Receiver, policy_reference("receiver", receiver, trust).make(dataset, setup=setup))
+    return cast(Receiver, parse_policy("receiver", receiver, trust).make(dataset, setup=setup))

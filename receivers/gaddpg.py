@@ -1,23 +1,26 @@
-"""GA-DDPG (Wang et al., CoRL 2021) as HandoverSim evaluates it: a learned policy that sees points alone.
+"""GA-DDPG (Wang et al., CoRL 2021) as in HandoverSim: a learned policy on point clouds.
 
-It waits at the start pose, then decides every 0.15 s where the hand goes next, from the object's cloud in the wrist
-camera and the number of decisions that are left; when that is 0, or enough points are between the fingers, it closes
-them where it is and carries the object to the goal in a straight line. It sees neither the human hand nor true poses.
+The receiver waits at the start configuration and then decides every 0.15 s on the next pose of the
+hand, from the object's point cloud in the wrist camera and the number of remaining decisions. When
+no decision remains or enough points are between the fingers, it closes them at the present pose and
+carries the object to the goal in a straight line. It uses neither the person's hand nor true poses.
 
-What decides results and is not what one would expect, each as the original scripts have it:
+Details of the authors' scripts that determine the results:
 
-- It waits at the robot's start pose, not at the pose of the other methods.
-- The cloud is the last one seen, thinned more at each decision, with draws of a fixed seed; once the object is out of
-  sight the policy runs on memory. Clouds are rounded to float32 in the robot's base frame, poses in between too.
-- An object that moved by more than 0.1 m since the last look gives five more decisions, up to 20.
-- While nothing was ever seen, the start pose is commanded and no decision is counted.
-- One call of inverse kinematics a decision, from where the arm is, whether it gets there or not.
-- Whether it is done is looked at on the last millisecond of each decision. More than 50 of 1,024 points between the
-  fingers do, repeats counted, at whatever angle, and whatever the hand does.
-- A picture is drawn then, too, and thrown away: what Bullet draws enters its broad phase, and without it the last bits
-  of the arm's motion are others.
-- The points on the way to the goal are 0.03 m apart, the last may lie behind it, and all are solved from the joints at
-  the beginning; the hand may turn.
+- The receiver waits at the robot's start configuration, not at the waiting pose of other methods.
+- The cloud is the last one with the object in view, thinned more at each decision by draws of a
+  fixed seed; while the object is out of sight the policy uses this cloud. Clouds are rounded to
+  float32 in the robot's base frame, and so are intermediate poses.
+- An object that has moved by more than 0.1 m since the last view grants five more decisions, up to
+  20.
+- Before the first view the start configuration is commanded and no decision is counted.
+- Each decision makes one inverse kinematics query from the present joints, converged or not.
+- The end of the approach is checked in the last millisecond of each decision: more than 50 of 1,024
+  points between the fingers end it, repetitions included, whatever the angle and the hand's pose.
+- An image is rendered at that time too, and discarded: rendering changes the broad phase of
+  Bullet's collision detection, and without it the last bits of the arm's motion differ.
+- Waypoints to the goal are 0.03 m apart, the last one may be behind the goal, and IK is solved for
+  all from the joints at the start of the retreat, with free rotation of the hand.
 """
 
 import importlib.util
@@ -28,39 +31,37 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.assets.shipped_weights import GADDPG_WEIGHTS
-from handover_marl.config import ARM_JOINTS
-from handover_marl.episode.observations import SIGHT, Observation
-from handover_marl.episode.sight import CLOUDS
+from handover_marl.assets.shipped import GADDPG_WEIGHTS
+from handover_marl.config import ARM_DOF
+from handover_marl.episode.observations import Observation
+from handover_marl.episode.spaces import FULL_POINTCLOUD
 from handover_marl.errors import OptionError, PolicyError, ResetNeededError
-from handover_marl.models.panda import CLOSED, OPEN
-from handover_marl.models.poses import quaternion_from_matrix
-from handover_marl.policies.context import PolicyContext
-from handover_marl.policies.policy import Action
-from handover_marl.policies.receiver import Receiver
-from handover_marl.policies.waiting import wait_ms
-from handover_marl.receivers.gaddpg_memory import MemoryConfig, PointMemory
-from handover_marl.receivers.solvers import StepSolver, step_solver
+from handover_marl.geometry.panda import CLOSED, OPEN
+from handover_marl.geometry.poses import quaternion_from_matrix
+from handover_marl.planning.inverse_kinematics import IkStepper, make_ik_stepper
+from handover_marl.policies.policy import Action, PolicyContext, Receiver, milliseconds_from_wait
+from handover_marl.receivers.point_cloud_memory import PointCloudMemory, PointCloudMemoryConfig
 
 Array = npt.NDArray[np.float64]
 
-# How files of this library's own weights end.
-_OWN = ".npz"
+# Suffix of weight files of this library.
+_OWN_SUFFIX = ".npz"
 
-#: From points (4, 1030) float64 and the decisions left to translation (m) and Euler angles (rad), six numbers: the
-#: next hand pose in the hand link's frame, turned about x, then y, then z, the axes at rest.
+#: Function from points (4, 1030) float64 and the number of remaining decisions to six numbers: the
+#: translation (m) and Euler angles (rad, static axes x, y, z) to the next pose of the hand link, in
+#: its present frame.
 GaddpgFunction = Callable[[Array, int], npt.ArrayLike]
 
 
 @dataclass(frozen=True)
 class GaddpgTiming:
-    """When what happens, as HandoverSim sets it.
+    """Durations of the phases of the GA-DDPG receiver, as in HandoverSim.
 
     Attributes:
-        wait_ms: How long to stay at the start pose (ms).
-        decision_ms: How long every decision, and every point on the way to the goal, is commanded (ms).
-        close_ms: How long the fingers close (ms).
-        retreat_step: Distance of points on the way to the goal (m).
+        wait_ms: Time at the start configuration (ms).
+        decision_ms: Time for which each decision and each waypoint to the goal is commanded (ms).
+        close_ms: Time for which the fingers close (ms).
+        retreat_step: Distance between waypoints on the straight path to the goal (m).
     """
 
     wait_ms: int = 3000
@@ -70,33 +71,42 @@ class GaddpgTiming:
 
 
 class GaddpgReceiver(Receiver):
-    """Moves by what a network makes of points.
+    """Receiver whose hand poses are decided by a network from point clouds (GA-DDPG).
 
-    Made for `robot="panda_camera"`, the Panda with the camera's body. Asked late it decides late, asked more often it
-    commands the same. A receiver with a network of your own is a subclass that passes it here, under a name of its own.
+    Intended for `robot="panda_camera"`, the Panda with the camera's body. A late call of `act`
+    decides late, an early call repeats the last action. A receiver with another network is a
+    subclass that passes its network to this class and has its own name.
 
     Args:
         context: The robot and the task.
-        network: What decides. Either this or `weights`, or the library's own weights where neither is given.
+        network: Function that decides on the next hand pose; must not be given with `weights`.
         weights: File or folder of the original authors' checkpoint, or an .npz file that
-            `experiments/train_gaddpg.py` wrote, which ends in .npz; needs PyTorch. The library's own go to the grasp
-            that they tell, and results say that they are "own weights".
-        wait: How long to stay at the start pose (s): 3 is "hold", 0 "w/o hold".
-        max_steps: Decisions that an approach may take, as the model was trained: its configuration's RL_MAX_STEP. By
-            default what the library's own weights say (30), or else 20.
-        memory: Constants of what is remembered.
-        timing: When what happens.
+            `experiments/training/train_gaddpg.py` wrote; needs PyTorch. Default: the library's own
+            weights, which move to the grasp that they predict. Result labels of .npz weights
+            contain "own weights".
+        wait: Time at the start configuration (s): 3 for the published variant "hold", 0 for
+            "w/o hold".
+        max_steps: Maximum number of decisions of an approach, RL_MAX_STEP in the configuration of
+            the trained model. Default: the value in the library's own weights (30), or else 20.
+        memory: Configuration of the point cloud memory.
+        timing: Durations of the receiver's phases.
 
     Raises:
-        OptionError: PyTorch is not installed, or network and weights are given, or a number is impossible.
-        DataNotFoundError, DataFormatError, UnsafeFileError: The weights cannot be read.
+        OptionError: PyTorch is not installed, both network and weights are given, or a number is
+            out of range.
+        DataNotFoundError: The weight file does not exist.
+        DataFormatError: The weight file cannot be read.
+        UnsafeFileError: The checkpoint contains more than weights.
+
+    Attributes:
+        timing: Durations of the receiver's phases.
+        memory: Memory of the object's last point cloud.
     """
 
     name = "gaddpg"
     control_period = 0.15
     file_options = ("weights",)
-    sight = CLOUDS
-    observes = SIGHT
+    obs_mode = FULL_POINTCLOUD
 
     def __init__(
         self,
@@ -105,160 +115,166 @@ class GaddpgReceiver(Receiver):
         weights: str | None = None,
         wait: float | None = None,
         max_steps: int | None = None,
-        memory: MemoryConfig | None = None,
+        memory: PointCloudMemoryConfig | None = None,
         timing: GaddpgTiming | None = None,
     ) -> None:
         super().__init__(context)
-        self._network, self._label, own_steps = _chosen(network, weights)
+        self._network, self._label, own_steps = _load_network(network, weights)
         self.timing = timing or GaddpgTiming()
         if wait is not None:
-            self.timing = replace(self.timing, wait_ms=wait_ms(wait))
-        config = memory or MemoryConfig()
+            self.timing = replace(self.timing, wait_ms=milliseconds_from_wait(wait))
+        config = memory or PointCloudMemoryConfig()
         if max_steps is None and memory is None:
             max_steps = own_steps
         if max_steps is not None:
             if isinstance(max_steps, bool) or not isinstance(max_steps, int) or max_steps < 1:
-                raise OptionError(f"max_steps={max_steps!r} must be a whole number, 1 or more")
+                raise OptionError(f"max_steps must be a whole number of at least 1, got {max_steps!r}")
             config = replace(config, max_steps=max_steps)
-        self.memory = PointMemory(config)
+        self.memory = PointCloudMemory(config)
         self._start = np.array(context.panda.start_joints)
-        self._kinematics: StepSolver | None = None
-        self._forget()
-
-    @property
-    def label(self) -> str:
-        """The name, and which weights."""
-        return self._label
-
-    @property
-    def wait(self) -> float:
-        """How long it stays at the start pose (s)."""
-        return self.timing.wait_ms / 1000.0
-
-    @property
-    def hold_time(self) -> float:
-        """Until the next command differs, or it is to be seen whether the hand is there."""
-        return (self._until_ms - self._now_ms) / 1000.0
-
-    def reset(self, seed: int | None = None) -> None:
-        """Forget what was seen. What is drawn depends on the method's own seed alone."""
-        if self._kinematics is None:
-            # Read here rather than at the first decision, where it would count as planning time.
-            self._kinematics = step_solver(self.context.panda_urdf, self.context.panda)
-        self._forget()
-
-    def _forget(self) -> None:
-        self.memory.forget()
-        self._decided, self._judged = -1, True
+        self._ik_stepper: IkStepper | None = None
+        self._decided, self._is_checked = -1, True
         self._target = self._start
         self._close_ms: int | None = None
         self._retreat: list[Array] = []
         self._now_ms, self._until_ms = 0, math.inf
 
+    @property
+    def label(self) -> str:
+        """Name of the receiver with a hash of its weights."""
+        return self._label
+
+    @property
+    def wait(self) -> float:
+        """Time at the start configuration (s)."""
+        return self.timing.wait_ms / 1000.0
+
+    @property
+    def hold_time(self) -> float:
+        """Time until the next command differs or the end of the approach is checked (s)."""
+        return (self._until_ms - self._now_ms) / 1000.0
+
+    def reset(self, seed: int | None = None) -> None:
+        """Start an episode; `seed` is ignored, since the method has a fixed seed of its own."""
+        if self._ik_stepper is None:
+            # Loaded here so that it does not count as planning time.
+            self._ik_stepper = make_ik_stepper(self.context.panda_urdf, self.context.panda)
+        self.memory.reset()
+        self._decided, self._is_checked = -1, True
+        self._target = self._start
+        self._close_ms, self._retreat = None, []
+        self._now_ms, self._until_ms = 0, math.inf
+
     def act(self, observation: Observation) -> Action:
-        """The next nine target joint positions."""
+        """Return the next nine target joint positions.
+
+        Raises:
+            PolicyError: The network did not return six numbers.
+            ResetNeededError: `reset` was not called.
+        """
         timing, self._now_ms = self.timing, round(1000.0 * float(observation["time"][0]))
-        into = self._now_ms - timing.wait_ms
-        if into < 0:
+        elapsed = self._now_ms - timing.wait_ms
+        if elapsed < 0:
             return self._command(self._start, OPEN, timing.wait_ms)
-        number, last = into // timing.decision_ms, into % timing.decision_ms == timing.decision_ms - 1
+        number, is_last = elapsed // timing.decision_ms, elapsed % timing.decision_ms == timing.decision_ms - 1
         if self._close_ms is None and number > self._decided:
-            self._judge(observation)
+            self._check_end(observation)
         if self._close_ms is None and number > self._decided:
             self._target = self._decide(observation)
-            self._decided, self._judged = number, False
-        if self._close_ms is None and last:
-            self._judge(observation)
+            self._decided, self._is_checked = number, False
+        if self._close_ms is None and is_last:
+            self._check_end(observation)
         if self._close_ms is None or self._now_ms < self._close_ms:
             end = timing.wait_ms + (number + 1) * timing.decision_ms
-            return self._command(self._target, OPEN, end if last else end - 1)
-        closed = self._close_ms + timing.close_ms
-        if self._now_ms < closed:
-            return self._command(self._target, CLOSED, closed)
-        return self._carry(observation, closed)
+            return self._command(self._target, OPEN, end if is_last else end - 1)
+        closed_ms = self._close_ms + timing.close_ms
+        if self._now_ms < closed_ms:
+            return self._command(self._target, CLOSED, closed_ms)
+        return self._carry(observation, closed_ms)
 
     def _command(self, arm: Array, fingers: float, until_ms: float) -> Action:
         self._until_ms = until_ms
-        return np.array([*arm[:ARM_JOINTS], fingers, fingers], dtype=np.float32)
+        return np.array([*arm[:ARM_DOF], fingers, fingers], dtype=np.float32)
 
-    def _judge(self, observation: Observation) -> None:
-        """Whether the last decision brought the hand to the object; once a decision, since points are drawn."""
-        if self._judged:
+    def _check_end(self, observation: Observation) -> None:
+        """Check whether the last decision ends the approach, once since the check draws points."""
+        if self._is_checked:
             return
-        self._judged = True
-        if self.memory.remaining == 0 or self.memory.caged(self._base_from_hand(observation)):
+        self._is_checked = True
+        if self.memory.remaining == 0 or self.memory.is_object_caged(self._base_from_hand(observation)):
             self._close_ms = self.timing.wait_ms + (self._decided + 1) * self.timing.decision_ms
 
     def _decide(self, observation: Observation) -> Array:
+        """Return the joints (9,) that the network's decision leads to."""
         points = observation["wrist_object_cloud"][: int(observation["wrist_point_counts"][0])]
         pose = self._base_from_hand(observation)
-        self.memory.see(points, pose)
+        self.memory.update(points, pose)
         if self.memory.cloud.shape[1] == 0:
             return self._start
-        step = np.asarray(self._network(self.memory.network_input(pose), self.memory.remaining), dtype=np.float64)
+        step = np.asarray(self._network(self.memory.make_network_input(pose), self.memory.remaining), dtype=np.float64)
         if step.shape != (6,):
-            raise PolicyError(
-                f"the network of {self.name!r} gave an array of shape {step.shape}; six numbers are wanted"
-            )
-        goal = pose @ _pose_step(step)
+            raise PolicyError(f"the network of {self.name!r} must return six numbers, got an array of {step.shape}")
+        goal = pose @ _matrix_from_step(step)
         self.memory.remaining -= 1
-        target = self._solver().in_world(np.concatenate([goal[:3, 3], quaternion_from_matrix(goal[:3, :3])]))
-        return self._solver().step_towards(observation["robot_joint_position_exact"], target[:3], target[3:])
+        solver = self._solver()
+        target = solver.to_world_frame(np.concatenate([goal[:3, 3], quaternion_from_matrix(goal[:3, :3])]))
+        return solver.solve_step(observation["robot_joint_position_exact"], target[:3], target[3:])
 
     def _carry(self, observation: Observation, closed_ms: int) -> Action:
         if not self._retreat:
-            self._retreat = self._way(observation)
+            self._retreat = self._plan_retreat(observation)
         number = (self._now_ms - closed_ms) // self.timing.decision_ms
         last = len(self._retreat) - 1
         until = closed_ms + (number + 1) * self.timing.decision_ms if number < last else math.inf
         return self._command(self._retreat[min(number, last)], CLOSED, until)
 
-    def _way(self, observation: Observation) -> list[Array]:
-        """Arm joints on the straight way to the goal; its points are float32, as the hand's place is."""
+    def _plan_retreat(self, observation: Observation) -> list[Array]:
+        """Return joints on the straight path to the goal, computed in float32."""
         position = observation["gripper_pose"][:3].copy()
-        way = np.array(self.context.protocol.goal_center) - position
-        length = np.linalg.norm(way)
-        step = way / length * self.timing.retreat_step
+        offset = np.array(self.context.protocol.goal_center) - position
+        length = np.linalg.norm(offset)
+        step = offset / length * self.timing.retreat_step
         joints = []
         for _ in range(math.ceil(length / self.timing.retreat_step)):
             position += step
-            joints.append(self._solver().step_towards(observation["robot_joint_position_exact"], position))
+            joints.append(self._solver().solve_step(observation["robot_joint_position_exact"], position))
         return joints or [self._target]
 
     def _base_from_hand(self, observation: Observation) -> Array:
-        pose = self._solver().in_base(observation["gripper_pose"])
+        """Return the pose (4, 4) of the hand link in the base frame."""
+        pose = self._solver().to_base_frame(observation["gripper_pose"])
         matrix = np.eye(4)
-        matrix[:3, :3], matrix[:3, 3] = _rotation(pose[3:]), pose[:3]
+        matrix[:3, :3], matrix[:3, 3] = _rotation_matrix(pose[3:]), pose[:3]
         return matrix
 
-    def _solver(self) -> StepSolver:
-        if self._kinematics is None:
-            raise ResetNeededError(f"receiver {self.name!r} was asked to act before reset()")
-        return self._kinematics
+    def _solver(self) -> IkStepper:
+        if self._ik_stepper is None:
+            raise ResetNeededError(f"receiver {self.name!r} cannot act before reset(); call reset() first")
+        return self._ik_stepper
 
 
-def _chosen(network: GaddpgFunction | None, weights: str | None) -> tuple[GaddpgFunction, str, int | None]:
-    """What decides, what results are filed under, and how many decisions it wants."""
+def _load_network(network: GaddpgFunction | None, weights: str | None) -> tuple[GaddpgFunction, str, int | None]:
+    """Return the deciding function, the label of results, and the number of decisions if known."""
     if network is not None and weights is not None:
-        raise OptionError("receiver 'gaddpg' takes a network or weights, not both")
+        raise OptionError("receiver 'gaddpg' takes either a network or weights, not both")
     if network is not None:
         return network, GaddpgReceiver.name, None
     weights = str(GADDPG_WEIGHTS) if weights is None else weights
-    own = weights.endswith(_OWN)
+    is_own = weights.endswith(_OWN_SUFFIX)
     if importlib.util.find_spec("torch") is None:
         raise OptionError("receiver 'gaddpg' with weights needs PyTorch: pip install 'handover-marl[train]'")
-    # Only who has weights needs it.
-    from handover_marl.networks.gaddpg_network import GaddpgNetwork
-    from handover_marl.networks.gaddpg_weights import read_weights
-    from handover_marl.networks.own_weights import read_own_weights
+    # Imported here since PyTorch is optional.
+    from handover_marl.learning.networks.gaddpg_network import GaddpgNetwork
+    from handover_marl.learning.networks.gaddpg_weights import read_gaddpg_checkpoint
+    from handover_marl.learning.networks.weights import read_network_weights
 
-    found, fingerprint = read_own_weights(weights, GaddpgNetwork) if own else read_weights(weights)
-    label = f"{GaddpgReceiver.name}@{'own weights ' if own else ''}{fingerprint}"
-    return found.decide, label, found.max_steps
+    loaded, fingerprint = read_network_weights(weights, GaddpgNetwork) if is_own else read_gaddpg_checkpoint(weights)
+    label = f"{GaddpgReceiver.name}@{'own weights ' if is_own else ''}{fingerprint}"
+    return loaded.predict_step, label, loaded.max_steps
 
 
-def _pose_step(step: Array) -> Array:
-    """(4, 4) of translation (m) and Euler angles (rad): about x, then y, then z, the axes at rest."""
+def _matrix_from_step(step: Array) -> Array:
+    """Return the transform (4, 4) of a translation (m) and Euler angles (rad, static x, y, z)."""
     (sa, sb, sc), (ca, cb, cc) = ([function(angle) for angle in step[3:]] for function in (math.sin, math.cos))
     return np.array(
         [
@@ -270,8 +286,11 @@ def _pose_step(step: Array) -> Array:
     )
 
 
-def _rotation(quaternion: Array) -> Array:
-    """(3, 3) of a quaternion xyzw, which need not be of unit length: that of the engine is so in float32 alone."""
+def _rotation_matrix(quaternion: Array) -> Array:
+    """Return the rotation matrix (3, 3) of a quaternion xyzw of any length.
+
+    Quaternions of the engine have unit length in float32 only.
+    """
     x, y, z, w = quaternion
     scale = 2.0 / (w * w + x * x + y * y + z * z)
     wx, wy, wz = w * (x * scale), w * (y * scale), w * (z * scale)

@@ -1,25 +1,24 @@
-"""A receiver that waits and never moves: the floor of every comparison."""
+"""Receiver `hold`, a baseline that never moves."""
 
 import numpy as np
 
 from handover_marl.episode.observations import Observation
-from handover_marl.policies.policy import Action
-from handover_marl.policies.receiver import Receiver
+from handover_marl.policies.policy import Action, Receiver
 
 
 class HoldReceiver(Receiver):
-    """Stays at the start pose with open fingers."""
+    """Receiver that stays at the start configuration with open fingers."""
 
     name = "hold"
 
     @property
     def wait(self) -> None:
-        """It never comes."""
+        """Time at the start configuration: None, since the receiver never starts to move."""
         return None
 
     def reset(self, seed: int | None = None) -> None:
-        """Nothing to forget."""
+        """Do nothing; the receiver has no state."""
 
     def act(self, observation: Observation) -> Action:
-        """The start pose."""
+        """Return the action that keeps the arm at the start configuration."""
         return np.array(self.context.panda.start_joints, dtype=np.float32)

@@ -1,8 +1,9 @@
-"""A motion planner as a receiver: OMG (Wang et al., RSS 2020), as HandoverSim evaluates it.
+"""OMG motion planner (Wang et al., RSS 2020) as a receiver, as in HandoverSim.
 
-Waits until the object is held out, plans once to one of the object's grasps, plays the trajectory without looking
-again, closes the fingers and carries the object to the goal in a straight line. It knows the object's true pose.
-`omg` does not look at the human hand; `omg_hand_aware` keeps clear of it. Both need the extra `planning`.
+The receiver waits until the object is held out, plans once to one of the object's grasps, executes
+the trajectory without feedback, closes the fingers and carries the object to the goal in a straight
+line. It uses the object's true pose. `omg` ignores the person's hand, `omg_hand_aware` keeps
+clear of the hand. All variants need the extra `planning`.
 """
 
 import importlib.util
@@ -14,42 +15,42 @@ from typing import ClassVar, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.config import ARM_JOINTS
+from handover_marl.config import ARM_DOF
 from handover_marl.episode.observations import Observation
 from handover_marl.errors import OptionError, ResetNeededError
-from handover_marl.models.arm import Arm
-from handover_marl.models.panda import CLOSED, HALF_TURN, OPEN, WAITING_JOINTS
-from handover_marl.models.poses import compose, compose_point, inverse, poses_from_rotations
-from handover_marl.models.ycb import CLASS_NAMES
-from handover_marl.planning.capsules import Capsules, hand_capsules
-from handover_marl.planning.field_cache import object_field
-from handover_marl.planning.grasp_rules import usable
-from handover_marl.planning.obstacles import Obstacle
+from handover_marl.geometry.arm import ArmKinematics
+from handover_marl.geometry.distance_field import load_object_sdf
+from handover_marl.geometry.panda import CLOSED, HALF_TURN, OPEN, WAITING_JOINTS
+from handover_marl.geometry.poses import compose, invert_pose, poses_from_rotations, transform_points
+from handover_marl.geometry.ycb import CLASS_NAMES
+from handover_marl.planning.goal_set import is_usable_grasp
+from handover_marl.planning.hand_tracker import Capsules, hand_capsules_from_observation
+from handover_marl.planning.inverse_kinematics import IkSolver, make_ik_solver
 from handover_marl.planning.planner import Plan, Planner
-from handover_marl.planning.planner_config import HandAvoidance, PlannerConfig
-from handover_marl.policies.context import PolicyContext
-from handover_marl.policies.policy import Action
-from handover_marl.policies.receiver import Receiver
-from handover_marl.policies.waiting import wait_ms
-from handover_marl.receivers.object_grasps import ObjectGrasps
-from handover_marl.receivers.solvers import PoseSolver, pose_solver
+from handover_marl.planning.planner_config import HandAvoidanceConfig, PlannerConfig
+from handover_marl.planning.trajectory_cost import Obstacle
+from handover_marl.policies.policy import Action, PolicyContext, Receiver, milliseconds_from_wait
+from handover_marl.receivers.grasp_library import GraspLibrary
 
 Array = npt.NDArray[np.float64]
 
 _Part = TypeVar("_Part")
-_NEEDED = ("igl", "trimesh", "platformdirs")
+_REQUIRED_MODULES = ("igl", "trimesh", "platformdirs")
+# Resolution of the poses that the planner is given (m, and components of a quaternion), far below
+# the accuracy of a camera.
+_POSE_RESOLUTION = 1e-5
 _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
 class OmgTiming:
-    """When what happens, as HandoverSim sets it.
+    """Durations of the phases of the OMG receiver, as in HandoverSim.
 
     Attributes:
-        wait_ms: How long to stay at the waiting pose (ms).
-        waypoint_ms: How long each waypoint is commanded (ms).
-        close_ms: How long the fingers close (ms).
-        retreat_step: Distance of points on the straight way to the goal (m).
+        wait_ms: Time at the waiting pose (ms).
+        waypoint_ms: Time for which each waypoint is commanded (ms).
+        close_ms: Time for which the fingers close (ms).
+        retreat_step: Distance between waypoints on the straight path to the goal (m).
     """
 
     wait_ms: int = 3000
@@ -58,40 +59,42 @@ class OmgTiming:
     retreat_step: float = 0.03
 
 
-# Poses are told to the planner in steps of this (m, and shares of a quaternion): far below what a camera could tell.
-_STEP = 1e-5
+def round_poses(poses: Array) -> Array:
+    """Round poses (n, 7) to 1e-5, and make the largest quaternion component positive.
 
-
-def _steady(poses: Array) -> Array:
-    """(n, 7) poses rounded, quaternions with their largest number positive.
-
-    Which of two goals that cost the same is chosen, and so the whole plan, hangs on the last bit of a pose, in which
-    engines differ.
+    The selection among goals of equal cost, and with it the whole plan, depends on the last bits of
+    a pose, in which physics engines differ.
     """
     largest = np.abs(poses[:, 3:]).argmax(axis=1)
     signs = np.sign(np.take_along_axis(poses[:, 3:], largest[:, None], axis=1))
-    found: Array = _STEP * np.round(np.concatenate([poses[:, :3], signs * poses[:, 3:]], axis=1) / _STEP)
-    found[:, 3:] /= np.maximum(np.linalg.norm(found[:, 3:], axis=1, keepdims=True), _STEP)
-    return found
+    canonical = np.concatenate([poses[:, :3], signs * poses[:, 3:]], axis=1)
+    rounded: Array = _POSE_RESOLUTION * np.round(canonical / _POSE_RESOLUTION)
+    rounded[:, 3:] /= np.maximum(np.linalg.norm(rounded[:, 3:], axis=1, keepdims=True), _POSE_RESOLUTION)
+    return rounded
 
 
 class OmgReceiver(Receiver):
-    """Plans once, then moves without looking.
+    """Receiver that plans a trajectory to a grasp once and executes it without feedback.
 
     Args:
         context: The robot, the objects and their grasps.
-        wait: How long to stay at the waiting pose (s), instead of what `timing` says.
-        config: The planner's constants.
-        timing: When what happens.
+        wait: Time at the waiting pose (s); default: the time in `timing`.
+        config: Configuration of the planner.
+        timing: Durations of the receiver's phases.
 
     Raises:
         OptionError: The extra `planning` is not installed.
+
+    Attributes:
+        config: Configuration of the planner.
+        timing: Durations of the receiver's phases.
+        world_from_base: (7,) world pose of the robot's base, in whose frame plans are given.
     """
 
     name = "omg"
     # All times are multiples of it.
     control_period = 0.01
-    #: The planner's constants unless others are given.
+    #: Configuration of the planner unless another is given.
     default_config: ClassVar[PlannerConfig] = PlannerConfig()
 
     def __init__(
@@ -102,7 +105,7 @@ class OmgReceiver(Receiver):
         timing: OmgTiming | None = None,
     ) -> None:
         super().__init__(context)
-        missing = [module for module in _NEEDED if importlib.util.find_spec(module) is None]
+        missing = [module for module in _REQUIRED_MODULES if importlib.util.find_spec(module) is None]
         if missing:
             raise OptionError(
                 f"receiver {self.name!r} needs {', '.join(missing)}: pip install 'handover-marl[planning]'"
@@ -110,13 +113,12 @@ class OmgReceiver(Receiver):
         self.config = config or self.default_config
         self.timing = timing or OmgTiming()
         if wait is not None:
-            self.timing = replace(self.timing, wait_ms=wait_ms(wait))
-        self._grasps = ObjectGrasps(context.grasps)
-        #: (7,) where plans' base frame is.
+            self.timing = replace(self.timing, wait_ms=milliseconds_from_wait(wait))
         self.world_from_base = np.array([*context.panda.base_position, *context.panda.base_orientation])
+        self._library = GraspLibrary(context.grasps)
         self._planner: Planner | None = None
-        self._kinematics: PoseSolver | None = None
-        self._planned = False
+        self._ik_solver: IkSolver | None = None
+        self._has_planned = False
         self._plan: Plan | None = None
         self._retreat: list[Array] = []
         self._retreat_ms = 0
@@ -125,27 +127,27 @@ class OmgReceiver(Receiver):
 
     @property
     def has_planned(self) -> bool:
-        """Whether it has planned in this episode, with success or without."""
-        return self._planned
+        """Whether the receiver has planned in this episode, successfully or not."""
+        return self._has_planned
 
     @property
     def plan(self) -> Plan | None:
-        """The plan that is being played, if there is one."""
+        """Planned trajectory of this episode; None before planning, or if no grasp is reachable."""
         return self._plan
 
     @property
-    def arm(self) -> Arm:
-        """The arm that plans are for."""
-        return self._ready(self._planner).arm
+    def arm(self) -> ArmKinematics:
+        """Kinematics of the arm in the frame of the robot's base."""
+        return self._require(self._planner).arm
 
     @property
     def wait(self) -> float:
-        """How long it stays at the waiting pose (s)."""
+        """Time at the waiting pose (s)."""
         return self.timing.wait_ms / 1000.0
 
     @property
-    def intention(self) -> Array | None:
-        """The waypoints of the plan, also those behind it, until the fingers are closed."""
+    def planned_goal(self) -> Array | None:
+        """(w, 7) world poses of the hand link at all waypoints, None once the fingers close."""
         if self._plan is None or self._retreat:
             return None
         chain = self.arm.chain(self._plan.trajectory)
@@ -154,29 +156,33 @@ class OmgReceiver(Receiver):
 
     @property
     def hold_time(self) -> float:
-        """Until the next command differs."""
+        """Time until the receiver's next command differs from the last one (s)."""
         return (self._until_ms - self._now_ms) / 1000.0
 
     def reset(self, seed: int | None = None) -> None:
-        """Forget the plan; nothing here is random."""
-        if self._planner is None or self._kinematics is None:
-            # Read here rather than when planning, where it would count as planning time.
-            start = np.array(WAITING_JOINTS[:ARM_JOINTS])
+        """Start an episode; the receiver is deterministic."""
+        if self._planner is None or self._ik_solver is None:
+            # Loaded here so that it does not count as planning time.
+            start = np.array(WAITING_JOINTS[:ARM_DOF])
             self._planner = Planner(self.context.panda_urdf, start, self.config)
-            self._kinematics = pose_solver(self.context.panda_urdf, self.context.panda)
-        self._planned, self._plan, self._retreat = False, None, []
+            self._ik_solver = make_ik_solver(self.context.panda_urdf, self.context.panda)
+        self._has_planned, self._plan, self._retreat = False, None, []
 
     def act(self, observation: Observation) -> Action:
-        """The next nine target joint positions."""
+        """Return the next nine target joint positions.
+
+        Raises:
+            ResetNeededError: `reset` was not called.
+        """
         self._now_ms = round(1000.0 * float(observation["time"][0]))
-        into = self._now_ms - self.timing.wait_ms
-        if into < 0:
-            return self._command(np.array(WAITING_JOINTS[:ARM_JOINTS]), OPEN, self.timing.wait_ms)
-        if not self._planned:
-            self._plan, self._planned = self._make_plan(observation), True
+        elapsed = self._now_ms - self.timing.wait_ms
+        if elapsed < 0:
+            return self._command(np.array(WAITING_JOINTS[:ARM_DOF]), OPEN, self.timing.wait_ms)
+        if not self._has_planned:
+            self._plan, self._has_planned = self._make_plan(observation), True
         if self._plan is None:
-            return self._command(np.array(WAITING_JOINTS[:ARM_JOINTS]), OPEN, math.inf)
-        number = into // self.timing.waypoint_ms
+            return self._command(np.array(WAITING_JOINTS[:ARM_DOF]), OPEN, math.inf)
+        number = elapsed // self.timing.waypoint_ms
         path = self._plan.trajectory
         if number < len(path):
             return self._command(path[number], OPEN, self._waypoint_start(number + 1))
@@ -194,15 +200,16 @@ class OmgReceiver(Receiver):
 
     def _make_plan(self, observation: Observation) -> Plan | None:
         name = CLASS_NAMES[int(observation["object_classes"][0])]
-        grasps = self._grasps.in_object(name)
+        grasps = self._library.hand_poses_in_object(name)
         if grasps is None:
-            _log.warning("%s: no grasps are known of %r; staying at the start pose", self.name, name)
+            _log.warning("%s: no grasps of %r are known; staying at the start pose", self.name, name)
             return None
         grasps = compose(grasps, np.array(HALF_TURN))
-        grasps = grasps[usable(name, grasps)]
-        base_from_world = inverse(self.world_from_base)
-        base_from_objects = compose(base_from_world, _steady(observation["object_poses"].astype(np.float64)))
-        plan = self._ready(self._planner).plan(
+        grasps = grasps[is_usable_grasp(name, grasps)]
+        base_from_world = invert_pose(self.world_from_base)
+        object_poses = round_poses(observation["object_poses"].astype(np.float64))
+        base_from_objects = compose(base_from_world, object_poses)
+        plan = self._require(self._planner).plan(
             compose(base_from_objects[0], grasps),
             self._obstacles(observation, base_from_objects),
             self._hand(observation, base_from_world),
@@ -212,58 +219,60 @@ class OmgReceiver(Receiver):
         return plan
 
     def _obstacles(self, observation: Observation, base_from_objects: Array) -> list[Obstacle]:
+        """Return the objects of the scene as obstacles in the base frame."""
         padding = self.config.costs.padding
         present = np.flatnonzero(observation["object_mask"])
         names = [CLASS_NAMES[int(observation["object_classes"][number])] for number in present]
         return [
-            Obstacle(object_field(self.context.object_urdf(name), padding), base_from_objects[number], padding)
+            Obstacle(load_object_sdf(self.context.object_urdf(name), padding), base_from_objects[number], padding)
             for number, name in zip(present, names, strict=True)
         ]
 
     def _hand(self, observation: Observation, base_from_world: Array) -> Capsules | None:
-        hand = None if self.config.hand is None else hand_capsules(observation)
+        """Return the person's hand in the base frame, or None if it is ignored or absent."""
+        hand = None if self.config.hand is None else hand_capsules_from_observation(observation)
         if hand is None:
             return None
-        starts, ends = (compose_point(base_from_world, points) for points in (hand.starts, hand.ends))
+        starts, ends = (transform_points(base_from_world, points) for points in (hand.starts, hand.ends))
         return replace(hand, starts=starts, ends=ends)
 
     def _carry(self, observation: Observation) -> Action:
         if not self._retreat:
-            self._retreat, self._retreat_ms = self._way_to_goal(observation), self._now_ms
+            self._retreat, self._retreat_ms = self._plan_retreat(observation), self._now_ms
         number = (self._now_ms - self._retreat_ms) // self.timing.waypoint_ms
         if number >= len(self._retreat) - 1:
             return self._command(self._retreat[-1], CLOSED, math.inf)
         until = self._retreat_ms + (number + 1) * self.timing.waypoint_ms
         return self._command(self._retreat[number], CLOSED, until)
 
-    def _way_to_goal(self, observation: Observation) -> list[Array]:
-        """Arm joints (7,) along the straight line from where the hand is to the goal, its turn left free."""
+    def _plan_retreat(self, observation: Observation) -> list[Array]:
+        """Return arm joints (7,) along the straight line to the goal, with free hand rotation."""
         hand = observation["gripper_pose"][:3].astype(np.float64)
         goal = np.array(self.context.protocol.goal_center)
         count = max(1, math.ceil(float(np.linalg.norm(goal - hand)) / self.timing.retreat_step))
-        arm = observation["robot_joint_position"][:ARM_JOINTS].astype(np.float64)
-        way = []
+        arm = observation["robot_joint_position"][:ARM_DOF].astype(np.float64)
+        path = []
         for share in np.arange(1, count + 1) / count:
-            found = self._ready(self._kinematics).solve([*arm, CLOSED, CLOSED], hand + share * (goal - hand))
-            arm = arm if found is None else found
-            way.append(arm)
-        return way
+            joints = self._require(self._ik_solver).solve([*arm, CLOSED, CLOSED], hand + share * (goal - hand))
+            arm = arm if joints is None else joints
+            path.append(arm)
+        return path
 
-    def _ready(self, part: _Part | None) -> _Part:
+    def _require(self, part: _Part | None) -> _Part:
         if part is None:
-            raise ResetNeededError(f"receiver {self.name!r} was asked to act before reset()")
+            raise ResetNeededError(f"receiver {self.name!r} cannot act before reset(); call reset() first")
         return part
 
 
 class OmgHandAwareReceiver(OmgReceiver):
-    """The same with the person's hand as an obstacle: goals beside it, and a way that keeps clear of it."""
+    """OMG receiver that avoids the person's hand, in its choice of a grasp and on its path."""
 
     name = "omg_hand_aware"
-    default_config = PlannerConfig(hand=HandAvoidance())
+    default_config = PlannerConfig(hand=HandAvoidanceConfig())
 
 
 class OmgUncheckedLastReceiver(OmgReceiver):
-    """The same with the slip of the original that decides which goal it takes most often."""
+    """OMG receiver with the authors' indexing error, which determines most of its goals."""
 
     name = "omg_unchecked_last"
     default_config = PlannerConfig(unchecked_last=True)

@@ -1,23 +1,30 @@
-"""A receiver that does anything: what learning has to beat."""
+"""Receiver `random`, a baseline for learned policies."""
 
 import numpy as np
 
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.spaces import receiver_action_space
-from handover_marl.policies.policy import Action
-from handover_marl.policies.receiver import Receiver
+from handover_marl.policies.policy import Action, PolicyContext, Receiver
 
 
 class RandomReceiver(Receiver):
-    """Draws target joint positions within the limits, all alike likely, ten times a second."""
+    """Receiver that samples target joint positions uniformly within the limits.
+
+    Args:
+        context: The robot and the task.
+    """
 
     name = "random"
 
+    def __init__(self, context: PolicyContext) -> None:
+        super().__init__(context)
+        self._rng = np.random.default_rng()
+
     def reset(self, seed: int | None = None) -> None:
-        """Draw anew."""
+        """Seed the random generator."""
         self._rng = np.random.default_rng(seed)
 
     def act(self, observation: Observation) -> Action:
-        """Anything."""
+        """Return nine random target joint positions."""
         space = receiver_action_space()
         return self._rng.uniform(space.low, space.high).astype(np.float32)

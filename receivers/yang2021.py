@@ -1,9 +1,9 @@
-"""Reactive human-to-robot handovers by grasp selection (Yang et al., ICRA 2021), as HandoverSim evaluates it.
+"""Reactive handovers by grasp selection (Yang et al., ICRA 2021), as in HandoverSim.
 
-Every 0.1 s the receiver ranks the object's known grasps by how near their standoff poses are to the pose chosen
-last and to a preferred pose, moves to the best standoff that it can reach, and from there straight onto the
-grasp; then it closes the fingers and carries the object to the goal. It knows the object's true pose and does
-not look at the human hand.
+Every 0.1 s the receiver ranks the object's known grasps by the distance of their standoff poses
+from the pose selected last and from a preferred pose. It moves to the best reachable standoff, from
+there straight to the grasp, closes the fingers and carries the object to the goal. It uses the
+object's true pose and ignores the person's hand.
 """
 
 from dataclasses import dataclass, replace
@@ -12,73 +12,79 @@ from enum import Enum, auto
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.config import ARM_JOINTS
+from handover_marl.config import ARM_DOF
 from handover_marl.episode.observations import Observation
 from handover_marl.errors import ResetNeededError
-from handover_marl.models.handiness import (
-    CANDIDATES,
-    PREFERRED_POSE,
-    ROTATION_WEIGHT,
-    STANDOFF,
+from handover_marl.geometry.panda import (
+    CLOSED,
+    MAX_RANKED_GRASPS,
+    OPEN,
+    PREFERRED_HAND_POSE,
+    RANKING_ROTATION_WEIGHT,
+    RANKING_STANDOFF,
+    WAITING_JOINTS,
     pose_distance,
 )
-from handover_marl.models.panda import CLOSED, OPEN, WAITING_JOINTS
-from handover_marl.models.poses import compose, rotation_angle
-from handover_marl.policies.context import PolicyContext
-from handover_marl.policies.policy import Action
-from handover_marl.policies.receiver import Receiver
-from handover_marl.policies.waiting import wait_ms
-from handover_marl.receivers.object_grasps import ObjectGrasps
-from handover_marl.receivers.solvers import PoseSolver, pose_solver
+from handover_marl.geometry.poses import compose, rotation_angle
+from handover_marl.planning.inverse_kinematics import IkSolver, make_ik_solver
+from handover_marl.policies.policy import Action, PolicyContext, Receiver, milliseconds_from_wait
+from handover_marl.receivers.grasp_library import GraspLibrary
 
-Pose = npt.NDArray[np.float64]
+Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class YangConfig:
-    """Constants of the method (m, rad, s), as HandoverSim sets them.
+    """Constants of the method of Yang et al. (2021), as in HandoverSim.
 
     Attributes:
-        wait_time: How long to stay at the waiting pose.
-        decision_period: Time between decisions while approaching.
-        close_time: How long the fingers close.
-        standoff: Pose of the standoff in the hand link's frame at the grasp.
-        preferred_pose: World pose of the hand that standoffs are drawn to.
-        rotation_weight: Weight of rotations against squared distances.
-        max_candidates: How many grasps are tried for reachability, cheapest first.
-        region_width: Half width of the approach region at zero length.
-        region_slope: Growth of the width with the region's length (1/m), relative to `region_width`.
-        region_max_width: Largest half width.
-        angle_tolerance: How well the hand must be turned, in the region and at the grasp.
-        advance: Distance of one step from standoff to grasp.
-        grasp_tolerance: How near to the grasp the fingers may close.
+        wait_time: Time at the waiting pose (s).
+        decision_period: Time between decisions during the approach (s).
+        close_time: Time for which the fingers close (s).
+        standoff: (7,) standoff pose of the hand link, in the frame of the hand link at the grasp.
+        preferred_pose: (7,) world pose of the hand link near which a standoff has a low cost.
+        rotation_weight: Weight of rotations relative to squared distances in a standoff's cost.
+        max_candidates: Maximum number of grasps that are checked for reachability.
+        region_width: Half width, for a standoff at the grasp, of the region around the line from
+            standoff to grasp in which the hand moves straight to the grasp (m).
+        region_slope: Growth of the region's width with the distance of the standoff from the grasp
+            (1/m), relative to `region_width`.
+        region_max_width: Maximum half width of the region around the line (m).
+        angle_tolerance: Maximum rotation error of the hand in the region and at the grasp (rad).
+        step_length: Length of a step from standoff to grasp (m).
+        grasp_tolerance: Maximum distance from the grasp at which the fingers close (m).
     """
 
     wait_time: float = 3.0
     decision_period: float = 0.1
     close_time: float = 0.5
-    standoff: tuple[float, ...] = STANDOFF
-    preferred_pose: tuple[float, ...] = PREFERRED_POSE
-    rotation_weight: float = ROTATION_WEIGHT
-    max_candidates: int = CANDIDATES
+    standoff: tuple[float, ...] = RANKING_STANDOFF
+    preferred_pose: tuple[float, ...] = PREFERRED_HAND_POSE
+    rotation_weight: float = RANKING_ROTATION_WEIGHT
+    max_candidates: int = MAX_RANKED_GRASPS
     region_width: float = 0.015
     region_slope: float = 50.0
     region_max_width: float = 0.04
     angle_tolerance: float = float(np.radians(15.0))
-    advance: float = 0.05
+    step_length: float = 0.05
     grasp_tolerance: float = 0.005
 
 
 @dataclass(frozen=True)
-class Approach:
-    """A chosen grasp: world poses (7) of the hand link at the standoff and at the grasp."""
+class SelectedGrasp:
+    """Grasp that the receiver has selected, with its standoff.
 
-    standoff: Pose
-    grasp: Pose
+    Attributes:
+        standoff: (7,) world pose of the hand link at the standoff.
+        grasp: (7,) world pose of the hand link at the grasp.
+    """
+
+    standoff: Array
+    grasp: Array
 
 
-class Phase(Enum):
-    """What the receiver is doing."""
+class YangPhase(Enum):
+    """Phase of a handover with the method of Yang et al. (2021)."""
 
     WAIT = auto()
     APPROACH = auto()
@@ -87,34 +93,38 @@ class Phase(Enum):
 
 
 @dataclass
-class Memory:
-    """What the receiver carries from one decision to the next.
+class EpisodeMemory:
+    """State that the receiver `yang2021` keeps between decisions.
 
     Attributes:
-        phase: What it is doing.
-        approach: The grasp chosen last.
-        reference: Standoff (7) that the next choice should stay near, if any.
-        close_until: When the fingers are closed (s).
-        retreat: The action that carries the object to the goal.
+        phase: Present phase of the handover.
+        selected: Grasp that was selected last.
+        reference: (7,) world pose of the last selected standoff, near which the next one has a low
+            cost, or None.
+        close_until: Time at which the fingers are closed (s).
+        retreat: Action that carries the object to the goal, None before it is computed.
     """
 
-    phase: Phase = Phase.WAIT
-    approach: Approach | None = None
-    reference: Pose | None = None
+    phase: YangPhase = YangPhase.WAIT
+    selected: SelectedGrasp | None = None
+    reference: Array | None = None
     close_until: float = 0.0
     retreat: Action | None = None
 
 
 class Yang2021Receiver(Receiver):
-    """The Yang et al. baseline.
+    """Receiver `yang2021`, the reactive baseline of Yang et al. (2021).
 
-    Asked every millisecond while the fingers close (the arm is then told to stay where it is), every 0.1 s
-    before, and once after.
+    The receiver decides every 0.1 s during the approach, every millisecond while the fingers close
+    (the target is then the present configuration), and once afterwards.
 
     Args:
         context: The robot, the task, the objects and their grasps.
-        wait: How long to stay at the waiting pose (s), instead of what `config` says.
-        config: The method's constants.
+        wait: Time at the waiting pose (s); default: the time in `config`.
+        config: Constants of the method.
+
+    Attributes:
+        config: Constants of the method.
     """
 
     name = "yang2021"
@@ -124,135 +134,144 @@ class Yang2021Receiver(Receiver):
         super().__init__(context)
         self.config = config or YangConfig()
         if wait is not None:
-            self.config = replace(self.config, wait_time=wait_ms(wait) / 1000.0)
-        self._kinematics: PoseSolver | None = None
-        self._grasps = ObjectGrasps(context.grasps)
-        self._memory = Memory()
+            self.config = replace(self.config, wait_time=milliseconds_from_wait(wait) / 1000.0)
+        self._ik_solver: IkSolver | None = None
+        self._library = GraspLibrary(context.grasps)
+        self._memory = EpisodeMemory()
 
     def reset(self, seed: int | None = None) -> None:
-        """Forget the chosen grasp; nothing here is random."""
-        if self._kinematics is None:
-            # Loaded here rather than at the first decision, where it would count as planning time.
-            self._kinematics = pose_solver(self.context.panda_urdf, self.context.panda)
-        self._memory = Memory()
+        """Start an episode; the receiver is deterministic."""
+        if self._ik_solver is None:
+            # Loaded here so that it does not count as planning time.
+            self._ik_solver = make_ik_solver(self.context.panda_urdf, self.context.panda)
+        self._memory = EpisodeMemory()
 
     @property
     def wait(self) -> float:
-        """How long it stays at the waiting pose (s)."""
+        """Time at the waiting pose (s)."""
         return self.config.wait_time
 
     @property
-    def intention(self) -> npt.NDArray[np.float64] | None:
-        """Standoff and grasp, until the fingers close."""
-        chosen = self._memory.approach
-        if chosen is None or self._memory.phase is not Phase.APPROACH:
+    def planned_goal(self) -> Array | None:
+        """(2, 7) world poses of the hand link at standoff and grasp; None once fingers close."""
+        selected = self._memory.selected
+        if selected is None or self._memory.phase is not YangPhase.APPROACH:
             return None
-        return np.stack([chosen.standoff, chosen.grasp])
+        return np.stack([selected.standoff, selected.grasp])
 
     @property
     def hold_time(self) -> float:
-        """Until the wait is over, the next decision, the next millisecond while closing, or for ever."""
-        if self._memory.phase is Phase.WAIT:
+        """Time until the next decision (s), infinite during the retreat."""
+        if self._memory.phase is YangPhase.WAIT:
             return self.config.wait_time or self.config.decision_period
-        if self._memory.phase is Phase.APPROACH:
+        if self._memory.phase is YangPhase.APPROACH:
             return self.config.decision_period
-        return 0.001 if self._memory.phase is Phase.CLOSE else float("inf")
+        return 0.001 if self._memory.phase is YangPhase.CLOSE else float("inf")
 
     def act(self, observation: Observation) -> Action:
-        """The next nine target joint positions."""
+        """Return the next nine target joint positions.
+
+        Raises:
+            ResetNeededError: `reset` was not called.
+        """
         time = round(float(observation["time"][0]), 3)
+        memory = self._memory
         if time < self.config.wait_time:
             return np.array(WAITING_JOINTS, dtype=np.float32)
-        if self._memory.phase is Phase.WAIT:
-            self._memory.phase = Phase.APPROACH
-        if self._memory.phase is Phase.APPROACH:
-            arm = self._decide(observation)
+        if memory.phase is YangPhase.WAIT:
+            memory.phase = YangPhase.APPROACH
+        if memory.phase is YangPhase.APPROACH:
+            arm = self._approach(observation)
             if arm is not None:
-                return _action(arm, OPEN)
-            self._memory.phase = Phase.CLOSE
-            self._memory.close_until = round(time + self.config.close_time, 3)
-        if self._memory.phase is Phase.CLOSE and time < self._memory.close_until:
-            return _action(_arm(observation), CLOSED)
-        if self._memory.retreat is None:
-            self._memory.phase = Phase.RETREAT
-            self._memory.retreat = _action(self._arm_at_goal(observation), CLOSED)
-        return self._memory.retreat
+                return _make_action(arm, OPEN)
+            memory.phase = YangPhase.CLOSE
+            memory.close_until = round(time + self.config.close_time, 3)
+        if memory.phase is YangPhase.CLOSE and time < memory.close_until:
+            return _make_action(_arm_joints(observation), CLOSED)
+        if memory.retreat is None:
+            memory.phase = YangPhase.RETREAT
+            memory.retreat = _make_action(self._goal_joints(observation), CLOSED)
+        return memory.retreat
 
-    def _decide(self, observation: Observation) -> npt.NDArray[np.floating] | None:
-        """Arm joints to go to next, or None when the hand is at the grasp."""
-        hand = observation["gripper_pose"]
-        if self._memory.approach is None or not self._in_region(hand, self._memory.approach):
-            return self._to_standoff(observation)
-        if self._at_grasp(hand, self._memory.approach.grasp):
+    def _approach(self, observation: Observation) -> npt.NDArray[np.floating] | None:
+        """Return the next arm joints, or None once the hand is at the grasp."""
+        hand, selected = observation["gripper_pose"], self._memory.selected
+        if selected is None or not self._is_in_region(hand, selected):
+            return self._move_to_standoff(observation)
+        if self._is_at_grasp(hand, selected.grasp):
             return None
-        return self._towards_grasp(observation, self._memory.approach.grasp)
+        return self._move_to_grasp(observation, selected.grasp)
 
-    def _to_standoff(self, observation: Observation) -> npt.NDArray[np.floating]:
-        grasps = self._grasps.in_world(observation)
+    def _move_to_standoff(self, observation: Observation) -> npt.NDArray[np.floating]:
+        """Select the cheapest reachable standoff and return its arm joints."""
+        grasps = self._library.hand_poses_in_world(observation)
         if grasps is None:
-            return _arm(observation)
+            return _arm_joints(observation)
         standoffs = compose(grasps, np.array(self.config.standoff))
         cheapest = np.argsort(self._costs(standoffs, observation["gripper_pose"]), kind="stable")
         for index in cheapest[: self.config.max_candidates]:
             arm = self._solve(observation, standoffs[index])
             if arm is not None:
-                self._memory.approach = Approach(standoff=standoffs[index], grasp=grasps[index])
+                self._memory.selected = SelectedGrasp(standoff=standoffs[index], grasp=grasps[index])
                 self._memory.reference = standoffs[index]
                 return arm
         self._memory.reference = None
-        return _arm(observation)
+        return _arm_joints(observation)
 
-    def _towards_grasp(self, observation: Observation, grasp: Pose) -> npt.NDArray[np.floating]:
+    def _move_to_grasp(self, observation: Observation, grasp: Array) -> npt.NDArray[np.floating]:
+        """Return the arm joints after one step towards the grasp."""
         hand = observation["gripper_pose"][:3]
-        way = grasp[:3] - hand
-        distance = float(np.linalg.norm(way))
+        offset = grasp[:3] - hand
+        distance = float(np.linalg.norm(offset))
         target = grasp.copy()
-        if distance >= self.config.advance:
-            # The reference rounds this set-point to float32, like the observation that it starts from.
-            target[:3] = (hand + way / distance * self.config.advance).astype(np.float32)
+        if distance >= self.config.step_length:
+            # The reference rounds this set-point to float32, like the observed position.
+            target[:3] = (hand + offset / distance * self.config.step_length).astype(np.float32)
         arm = self._solve(observation, target)
-        return _arm(observation) if arm is None else arm
+        return _arm_joints(observation) if arm is None else arm
 
-    def _arm_at_goal(self, observation: Observation) -> npt.NDArray[np.floating]:
+    def _goal_joints(self, observation: Observation) -> npt.NDArray[np.floating]:
+        """Return the arm joints at the goal."""
         goal = self.context.protocol.goal_center
         arm = self._solver().solve(observation["robot_joint_position"], goal)
-        return _arm(observation) if arm is None else arm
+        return _arm_joints(observation) if arm is None else arm
 
-    def _costs(self, standoffs: Pose, hand: npt.NDArray[np.float32]) -> npt.NDArray[np.float64]:
+    def _costs(self, standoffs: Array, hand: npt.NDArray[np.float32]) -> Array:
+        """Return the costs (n,) of standoffs (n, 7)."""
         reference = hand if self._memory.reference is None else self._memory.reference
         weight = self.config.rotation_weight
-        return pose_distance(reference, standoffs, weight) + pose_distance(
-            self.config.preferred_pose, standoffs, weight
-        )
+        to_preferred = pose_distance(self.config.preferred_pose, standoffs, weight)
+        return pose_distance(reference, standoffs, weight) + to_preferred
 
-    def _in_region(self, hand: npt.NDArray[np.float32], approach: Approach) -> bool:
-        standoff, grasp = approach.standoff, approach.grasp
+    def _is_in_region(self, hand: npt.NDArray[np.float32], selected: SelectedGrasp) -> bool:
+        """Return whether the hand is in the region between standoff and grasp."""
+        standoff, grasp = selected.standoff, selected.grasp
         angle = min(rotation_angle(hand[3:], standoff[3:]), rotation_angle(hand[3:], grasp[3:]))
         axis = grasp[:3] - standoff[:3]
         length = float(np.linalg.norm(axis))
-        # The projection is divided by the length twice and clipped in between: the reference's own arithmetic.
+        # The projection is divided by the length twice and clipped in between, as in the reference.
         share = float(np.clip(np.dot(hand[:3] - standoff[:3], axis) / length, 0.0, 1.0)) / length
         distance = float(np.linalg.norm(standoff[:3] + share * axis - hand[:3]))
         config = self.config
         width = config.region_width * (1.0 + config.region_slope * length)
         return distance < min(width, config.region_max_width) and angle < config.angle_tolerance
 
-    def _at_grasp(self, hand: npt.NDArray[np.float32], grasp: Pose) -> bool:
-        near = float(np.linalg.norm(grasp[:3] - hand[:3])) < self.config.grasp_tolerance
-        return near and rotation_angle(hand[3:], grasp[3:]) < self.config.angle_tolerance
+    def _is_at_grasp(self, hand: npt.NDArray[np.float32], grasp: Array) -> bool:
+        is_near = float(np.linalg.norm(grasp[:3] - hand[:3])) < self.config.grasp_tolerance
+        return is_near and rotation_angle(hand[3:], grasp[3:]) < self.config.angle_tolerance
 
-    def _solve(self, observation: Observation, pose: Pose) -> npt.NDArray[np.float64] | None:
+    def _solve(self, observation: Observation, pose: Array) -> Array | None:
         return self._solver().solve(observation["robot_joint_position"], pose[:3], pose[3:])
 
-    def _solver(self) -> PoseSolver:
-        if self._kinematics is None:
-            raise ResetNeededError("receiver 'yang2021' was asked to act before reset()")
-        return self._kinematics
+    def _solver(self) -> IkSolver:
+        if self._ik_solver is None:
+            raise ResetNeededError("receiver 'yang2021' cannot act before reset(); call reset() first")
+        return self._ik_solver
 
 
-def _arm(observation: Observation) -> npt.NDArray[np.float32]:
-    return observation["robot_joint_position"][:ARM_JOINTS]
+def _arm_joints(observation: Observation) -> npt.NDArray[np.float32]:
+    return observation["robot_joint_position"][:ARM_DOF]
 
 
-def _action(arm: npt.NDArray[np.floating], fingers: float) -> Action:
+def _make_action(arm: npt.NDArray[np.floating], fingers: float) -> Action:
     return np.concatenate([arm, [fingers, fingers]]).astype(np.float32)

@@ -3,9 +3,9 @@ from pathlib import Path
 
 import pytest
 
-from handover_marl.datasets import DATA_VARIABLE, OfficialDataset
+from handover_marl.datasets import DATA_DIR_VARIABLE, OfficialDataset
 from tests.fake_layout import write_layout
-from tests.slow import name_of, slow_tests
+from tests.slow import read_slow_tests, test_name
 
 #: Folder with recordings of the reference simulator (`scene*.npz`, `yang_s0_val.json`).
 RECORDINGS_VARIABLE = "HANDOVER_MARL_RECORDINGS"
@@ -16,7 +16,7 @@ SEVERAL_OBJECTS_VARIABLE = "HANDOVER_MARL_SEVERAL_OBJECTS"
 #: Folder with a raw DexYCB, MANO and what HandoverSim's scripts made of them (`raw/`, `expected/checksums.json`).
 RAW_DEXYCB_VARIABLE = "HANDOVER_MARL_RAW_DEXYCB"
 
-REAL_DATA = os.environ.get(DATA_VARIABLE)
+REAL_DATA = os.environ.get(DATA_DIR_VARIABLE)
 RECORDINGS = os.environ.get(RECORDINGS_VARIABLE)
 SEVERAL_OBJECTS = os.environ.get(SEVERAL_OBJECTS_VARIABLE)
 RAW_DEXYCB = os.environ.get(RAW_DEXYCB_VARIABLE)
@@ -25,7 +25,7 @@ RAW_DEXYCB = os.environ.get(RAW_DEXYCB_VARIABLE)
 @pytest.fixture(autouse=True)
 def _no_data_by_default(monkeypatch: pytest.MonkeyPatch) -> None:
     """Tests name their data; none may depend on what happens to be set."""
-    monkeypatch.delenv(DATA_VARIABLE, raising=False)
+    monkeypatch.delenv(DATA_DIR_VARIABLE, raising=False)
 
 
 @pytest.fixture(scope="session")
@@ -44,7 +44,7 @@ def own_data(tmp_path: Path) -> Path:
 def real_data() -> Path:
     """DexYCB in the official layout."""
     if not REAL_DATA:
-        pytest.skip(f"REAL DATA MISSING: set {DATA_VARIABLE} to a folder in HandoverSim's layout")
+        pytest.skip(f"REAL DATA MISSING: set {DATA_DIR_VARIABLE} to a folder in HandoverSim's layout")
     return Path(REAL_DATA)
 
 
@@ -79,17 +79,17 @@ def recordings(real_data: Path) -> Path:
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark what was measured to be slow, and begin with it, so that no core is left waiting for another at the end."""
-    slow = slow_tests()
+    slow = read_slow_tests()
     for item in items:
         module = item.nodeid.partition("::")[0].removesuffix(".py").replace("/", ".")
-        if name_of(module, item.name) in slow:
+        if test_name(module, item.name) in slow:
             item.add_marker(pytest.mark.slow)
     items.sort(key=lambda item: item.get_closest_marker("slow") is None)
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     wanted = {
-        DATA_VARIABLE: REAL_DATA,
+        DATA_DIR_VARIABLE: REAL_DATA,
         RECORDINGS_VARIABLE: RECORDINGS,
         SEVERAL_OBJECTS_VARIABLE: SEVERAL_OBJECTS,
         RAW_DEXYCB_VARIABLE: RAW_DEXYCB,

@@ -20,7 +20,7 @@ from pathlib import Path
 import tyro
 
 from handover_marl import __version__
-from handover_marl.benchmarking.tables import table
+from handover_marl.evaluation.reports.tables import format_table
 
 ROOT = Path(__file__).parents[1]
 #: A wheel is at most so large (bytes).
@@ -130,9 +130,9 @@ def play_with(package: Path, version: str, python: str, place: Path) -> None:
     pip = (str(place / "bin" / "python"), "-m", "pip", "--disable-pip-version-check", "install", "--quiet")
     extra, physics = needed_for(version)
     _run(*pip, "-c", str(ROOT / "constraints.txt"), f"{package}{extra}")
-    told = _run(str(place / "bin" / "handover-marl"), *EPISODE, physics, folder=place)
-    if _PLAYED not in told:
-        raise PackageError(f"{package.name} did not play with {python}:\n{told}")
+    reported = _run(str(place / "bin" / "handover-marl"), *EPISODE, physics, folder=place)
+    if _PLAYED not in reported:
+        raise PackageError(f"{package.name} did not play with {python}:\n{reported}")
 
 
 def main(args: Args) -> str:
@@ -155,7 +155,7 @@ def main(args: Args) -> str:
             rows.append([package.name, f"{package.stat().st_size / 1e6:.1f}", version, "an episode played"])
     missing = sorted(set(supported()) - set(chosen)) if args.every else []
     note = f"\n\nnot tried, for there is no such Python here: {', '.join(missing)}" if missing else ""
-    return table(["package", "MB", "Python", ""], rows) + note
+    return format_table(["package", "MB", "Python", ""], rows) + note
 
 
 def _run(*command: str, folder: Path | None = None) -> str:

@@ -3,18 +3,18 @@
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.datasets.scene import Scene
+from handover_marl.datasets.dataset import Scene
+from handover_marl.episode.callbacks import ActionRecorder, EpisodeCallback
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.play import play as play_episode
-from handover_marl.episode.watchers import ActionLog, Watcher
+from handover_marl.episode.loop import play as play_episode
 from handover_marl.policies.policy import Policy
 
 
 def play(
-    episode: Episode, scene: Scene, receiver: Policy, giver: Policy | None = None, *watchers: Watcher
+    episode: Episode, scene: Scene, receiver: Policy, giver: Policy | None = None, *callbacks: EpisodeCallback
 ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float64]]:
     """Play a scene to its end; the action and the receiver's time of every physics step."""
-    log = ActionLog()
+    log = ActionRecorder()
     episode.reset(scene)
-    play_episode(episode, receiver, giver, watchers=(log, *watchers))
+    play_episode(episode, receiver, giver, callbacks=(log, *callbacks))
     return log.actions, log.times

@@ -1,9 +1,8 @@
-"""Which tests are slow, as measured; `pytest -m "not slow"` leaves them out.
+"""Selection of the slow tests, which `pytest -m "not slow"` leaves out.
 
-    python -m pytest -n auto --junitxml=times.xml && python -m tests.slow times.xml
-
-The list is in slow.txt, a test function a line, its cases together. A new test counts as quick until it is measured; a
-test may also be marked by hand (`@pytest.mark.slow`).
+`make slow-tests` runs all tests, measures them and writes slow.txt: one test function on a line, its
+cases counted together. The functions that are not listed take at most `FAST_SECONDS` together. A new
+test is fast until it is measured.
 """
 
 import sys
@@ -12,29 +11,37 @@ from collections import defaultdict
 from pathlib import Path
 
 LIST = Path(__file__).with_name("slow.txt")
-#: Tests whose cases together take longer (s) are slow.
-LONGEST = 2.0
+#: Processor time (s) of all fast tests together.
+FAST_SECONDS = 100.0
 
 
-def slow_tests() -> frozenset[str]:
-    """Names of slow test functions, such as `tests.envs.test_vector::test_sixteen_run_side_by_side`."""
+def read_slow_tests() -> frozenset[str]:
+    """Return the names of the slow test functions, e.g. `tests.envs.test_vector::test_reset`."""
     return frozenset(LIST.read_text().split()) if LIST.exists() else frozenset()
 
 
-def name_of(module: str, test: str) -> str:
-    """A test function's name, whichever case of it."""
+def test_name(module: str, test: str) -> str:
+    """Return the name of a test function from the id of one of its cases."""
     return f"{module}::{test.partition('[')[0]}"
 
 
-def measured(report: Path) -> list[str]:
-    """Names of the tests that a JUnit report found slow, sorted."""
+test_name.__test__ = False  # type: ignore[attr-defined]
+
+
+def select_slow_tests(report: Path, fast_seconds: float = FAST_SECONDS) -> list[str]:
+    """Return the slowest test functions of a JUnit report, sorted, so that the others fit the limit."""
     seconds: defaultdict[str, float] = defaultdict(float)
     for case in ET.parse(report).getroot().iter("testcase"):
-        seconds[name_of(case.attrib["classname"], case.attrib["name"])] += float(case.attrib["time"])
-    return sorted(name for name, time in seconds.items() if time > LONGEST)
+        seconds[test_name(case.attrib["classname"], case.attrib["name"])] += float(case.attrib["time"])
+    total, slow = 0.0, []
+    for name in sorted(seconds, key=lambda name: (seconds[name], name)):
+        total += seconds[name]
+        if total > fast_seconds:
+            slow.append(name)
+    return sorted(slow)
 
 
 if __name__ == "__main__":
-    names = measured(Path(sys.argv[1]))
+    names = select_slow_tests(Path(sys.argv[1]))
     LIST.write_text("".join(f"{name}\n" for name in names))
-    print(f"{len(names)} test functions are slow")
+    print(f"{len(names)} test functions are slow; they are listed in {LIST}")

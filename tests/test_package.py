@@ -8,11 +8,13 @@ from typing import Any
 import pytest
 
 import handover_marl
-from handover_marl import Execution, HandoverEnv, Run
-from handover_marl.envs.constructors import EnvOptions, giver_env, receiver_env
-from handover_marl.run import RunOptions, SceneOptions
+from handover_marl import EvaluationConfig, ExecutionConfig, HandoverEnv
+from handover_marl.envs.config import EnvConfig
+from handover_marl.envs.constructors import giver_env, receiver_env
+from handover_marl.errors import OptionError
+from handover_marl.evaluation.config import EpisodeOptions, EvaluationOptions
 
-RUN, EXECUTION = ({part.name for part in fields(kind)} for kind in (Run, Execution))
+RUN, EXECUTION = ({part.name for part in fields(kind)} for kind in (EvaluationConfig, ExecutionConfig))
 
 
 def test_public_names_exist() -> None:
@@ -42,20 +44,20 @@ def parameters(function: Callable[..., Any]) -> dict[str, inspect.Parameter]:
 @pytest.mark.parametrize(
     ("function", "own", "left_out"),
     [
-        (handover_marl.benchmark, {"execution"}, {"giver", "config"}),
+        (handover_marl.benchmark, {"execution"}, {"giver", "world_config"}),
         (handover_marl.evaluate_pair, {"execution"}, set()),
-        (handover_marl.agreement, {"execution", "against"}, set()),
-        (handover_marl.demonstrate, {"execution", "sight", "observe", "keep"}, set()),
+        (handover_marl.compare_physics, {"execution", "against"}, set()),
+        (handover_marl.demonstrate, {"execution", "obs_mode", "keep"}, set()),
         (handover_marl.crossplay, {"execution", "givers", "receivers"}, {"giver", "receiver"}),
         (
             handover_marl.render_scene,
             {"scene_id", "out", "key_frames", "camera", "view"},
-            {"setup", "split", "scenes", "config", *NOT_OF_A_SCENE},
+            {"setup", "split", "scenes", "world_config", *NOT_OF_A_SCENE},
         ),
         (
             handover_marl.render_plan,
             {"scene_id", "out", "camera"},
-            {"setup", "split", "scenes", "config", *NOT_OF_A_SCENE, "progress"},
+            {"setup", "split", "scenes", "world_config", *NOT_OF_A_SCENE, "progress"},
         ),
     ],
 )
@@ -63,7 +65,7 @@ def test_signatures_show_every_option(function: Callable[..., Any], own: set[str
     """Which completion and help show, though functions pass them on as keywords."""
     shown = parameters(function)
     assert shown.keys() == (RUN | EXECUTION | own) - left_out
-    defaults = {part.name: part.default for kind in (Run, Execution) for part in fields(kind)}
+    defaults = {part.name: part.default for kind in (EvaluationConfig, ExecutionConfig) for part in fields(kind)}
     chosen = {"split", "receiver", "out"}  # by some of the functions themselves
     for name in shown.keys() - own - chosen:
         assert shown[name].default == defaults[name], name
@@ -71,23 +73,33 @@ def test_signatures_show_every_option(function: Callable[..., Any], own: set[str
 
 def test_typed_options_are_the_fields_of_a_run_and_its_execution() -> None:
     named = {"setup", "split", "giver", "receiver"}
-    assert RunOptions.__optional_keys__ | named == RUN | EXECUTION
-    assert not RunOptions.__required_keys__
-    assert SceneOptions.__optional_keys__ < RunOptions.__optional_keys__
-    assert SceneOptions.__optional_keys__ <= parameters(handover_marl.render_scene).keys()
+    assert EvaluationOptions.__optional_keys__ | named == RUN | EXECUTION
+    assert not EvaluationOptions.__required_keys__
+    assert EpisodeOptions.__optional_keys__ < EvaluationOptions.__optional_keys__
+    assert EpisodeOptions.__optional_keys__ <= parameters(handover_marl.render_scene).keys()
 
 
-def test_typed_options_are_the_parameters_of_the_environment() -> None:
-    taken = parameters(HandoverEnv)
-    assert EnvOptions.__optional_keys__ == taken.keys()
-    assert not EnvOptions.__required_keys__
+def test_constructors_show_every_field_of_the_configuration() -> None:
+    fields_shown = parameters(EnvConfig)
     for function, own in (
-        (handover_marl.parallel_env, set()),
-        (handover_marl.env, set()),
-        (receiver_env, {"partner", "trust"}),
-        (giver_env, {"partner", "trust"}),
+        (HandoverEnv, {"config"}),
+        (handover_marl.parallel_env, {"config"}),
+        (handover_marl.env, {"config"}),
+        (receiver_env, {"config", "partner", "trust"}),
+        (giver_env, {"config", "partner", "trust"}),
     ):
         shown = parameters(function)
-        assert shown.keys() == taken.keys() | own
-        for name, part in taken.items():
+        assert shown.keys() == fields_shown.keys() | own
+        for name, part in fields_shown.items():
             assert (shown[name].default, shown[name].annotation) == (part.default, part.annotation), name
+
+
+def test_a_configuration_stands_alone() -> None:
+    config = EnvConfig(dataset="synthetic", scenes=iter([5, 6]))
+    env = handover_marl.parallel_env(config)
+    assert env.config is config
+    assert env.scene_ids == config.scenes == (5, 6)
+    with pytest.raises(OptionError, match="not both"):
+        handover_marl.parallel_env(config, split="val")
+    with pytest.raises(OptionError, match="prescribes physics"):
+        handover_marl.benchmark_env(physics="fast")

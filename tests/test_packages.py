@@ -52,7 +52,7 @@ def test_what_is_not_fit_to_be_published(
             packages.check_final(version)
 
 
-def test_a_package_that_cannot_be_installed_or_does_not_play_is_told(
+def test_a_package_that_cannot_be_installed_or_does_not_play_is_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     commands: list[str] = []
@@ -71,6 +71,6 @@ def test_later_pythons_play_in_mujoco(tmp_path: Path, monkeypatch: pytest.Monkey
     assert commands[4:] == commands[1:3]
 
 
-def test_what_a_failing_command_says_is_told() -> None:
+def test_what_a_failing_command_says_is_reported() -> None:
     with pytest.raises(packages.PackageError, match="failed:\nfor a reason"):
         packages._run(sys.executable, "-c", "import sys; sys.exit('for a reason')")

@@ -12,12 +12,12 @@ import pytest
 
 from handover_marl.assets.robot_model import PANDA_URDF
 from handover_marl.datasets.synthetic import SyntheticDataset
+from handover_marl.episode.callbacks import EpisodeCallback
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.play import play
-from handover_marl.episode.watchers import Watcher
-from handover_marl.givers import available
-from handover_marl.options import pybullet_installed
-from handover_marl.planning.hand_solver import HandSolver
+from handover_marl.episode.loop import play
+from handover_marl.execution.options import is_pybullet_installed
+from handover_marl.givers import list_available
+from handover_marl.planning.inverse_kinematics import PandaIkSolver
 from handover_marl.receivers import make
 
 pytest.importorskip("mujoco", reason="without PyBullet, MuJoCo is what plays")
@@ -46,17 +46,17 @@ def python(elsewhere: dict[str, str], code: str) -> str:
 
 def command(elsewhere: dict[str, str], *arguments: object) -> subprocess.CompletedProcess[str]:
     """How a command ends there."""
-    words = [sys.executable, "-m", "handover_marl", *map(str, arguments)]
+    words = [sys.executable, "-m", "handover_marl.cli", *map(str, arguments)]
     return subprocess.run(words, env=elsewhere, capture_output=True, text=True, check=False)
 
 
-class Noting(Watcher):
+class Noting(EpisodeCallback):
     """Keeps a hash of all that is seen every 20 steps."""
 
     def __init__(self) -> None:
         self.digest = hashlib.sha256()
 
-    def stepped(self, episode: Episode) -> None:
+    def on_step(self, episode: Episode) -> None:
         if episode.steps % 20 == 0:
             for value in episode.observe().values():
                 self.digest.update(np.asarray(value).tobytes())
@@ -66,21 +66,21 @@ def rollout() -> str:
     """How a handover ends in MuJoCo's physics, and a hash of it; inverse kinematics are the library's own."""
     data = SyntheticDataset()
     receiver, episode, noting = make("yang2021", data), Episode("mujoco"), Noting()
-    receiver._kinematics = HandSolver(data.panda_urdf, episode.config.physics.panda)  # type: ignore[attr-defined]
-    episode.reset(data.scene(SCENE))
-    play(episode, receiver, watchers=[noting])
+    receiver._ik_solver = PandaIkSolver(data.panda_urdf, episode.config.physics.panda)  # type: ignore[attr-defined]
+    episode.reset(data.load_scene(SCENE))
+    play(episode, receiver, callbacks=[noting])
     episode.close()
     return f"{episode.status.label} {episode.steps} {noting.digest.hexdigest()}"
 
 
-@pytest.mark.skipif(not pybullet_installed(), reason="there is nothing to compare with")
+@pytest.mark.skipif(not is_pybullet_installed(), reason="there is nothing to compare with")
 def test_an_episode_is_the_same_to_the_bit(elsewhere: dict[str, str]) -> None:
-    told = python(elsewhere, "from tests.test_without_pybullet import *; print(rollout())").strip()
-    assert told == rollout()
-    assert told.startswith("success")
+    reported = python(elsewhere, "from tests.test_without_pybullet import *; print(rollout())").strip()
+    assert reported == rollout()
+    assert reported.startswith("success")
 
 
-@pytest.mark.skipif(not pybullet_installed(), reason="there is nothing to compare with")
+@pytest.mark.skipif(not is_pybullet_installed(), reason="there is nothing to compare with")
 def test_the_panda_that_ships_is_pybullets() -> None:
     import pybullet_data
 
@@ -98,11 +98,11 @@ PLAYING = f"""
 import itertools
 import sys
 import handover_marl
-from handover_marl.options import pybullet_installed
-from handover_marl.sim.engines import available_physics
+from handover_marl.execution.options import is_pybullet_installed
+from handover_marl.simulation.engines import list_available_physics
 
-assert not pybullet_installed()
-assert available_physics() == ("mujoco",)
+assert not is_pybullet_installed()
+assert list_available_physics() == ("mujoco",)
 scene = dict(dataset="synthetic", physics="mujoco", scenes=[{SCENE}], workers=1)
 for giver, receiver in itertools.product({{givers}}, {{receivers}}):
     report = handover_marl.evaluate_pair(giver, receiver, **scene)
@@ -110,16 +110,16 @@ for giver, receiver in itertools.product({{givers}}, {{receivers}}):
     fluency = report.episodes[0].fluency
     assert 0.0 <= fluency.min_distance < 1.0
     print(receiver, report.episodes[0].status.label)
-assert "handover_marl.sim.bullet.client" not in sys.modules
+assert "handover_marl.simulation.bullet.client" not in sys.modules
 """
 
 
 def test_yang_plays_with_every_giver(elsewhere: dict[str, str]) -> None:
-    names = [name for name in available() if name != "learned"]
+    names = [name for name in list_available() if name != "learned"]
     assert len(names) == 7
-    told = python(elsewhere, PLAYING.format(receivers=["yang2021"], givers=["replay", *names])).splitlines()
-    assert told[0] == "yang2021 success"
-    assert len(told) == 8
+    reported = python(elsewhere, PLAYING.format(receivers=["yang2021"], givers=["replay", *names])).splitlines()
+    assert reported[0] == "yang2021 success"
+    assert len(reported) == 8
 
 
 def test_policies_can_be_checked(elsewhere: dict[str, str]) -> None:
@@ -134,14 +134,14 @@ check_giver("noisy", scenes=(9,), steps=2000)
 
 
 def test_hold_and_random_play(elsewhere: dict[str, str]) -> None:
-    told = python(elsewhere, PLAYING.format(receivers=["hold", "random"], givers=["replay"]))
-    assert told.startswith("hold timeout\nrandom ")
+    reported = python(elsewhere, PLAYING.format(receivers=["hold", "random"], givers=["replay"]))
+    assert reported.startswith("hold timeout\nrandom ")
 
 
 @pytest.mark.skipif(importlib.util.find_spec("igl") is None, reason="the extra planning is not installed")
 def test_planners_play(elsewhere: dict[str, str]) -> None:
-    told = python(elsewhere, PLAYING.format(receivers=["omg", "omg_hand_aware", "reactive"], givers=["replay"]))
-    assert told.splitlines()[1:] == ["omg_hand_aware success", "reactive success"]
+    reported = python(elsewhere, PLAYING.format(receivers=["omg", "omg_hand_aware", "reactive"], givers=["replay"]))
+    assert reported.splitlines()[1:] == ["omg_hand_aware success", "reactive success"]
 
 
 @pytest.mark.skipif(importlib.util.find_spec("torch") is None, reason="the extra train is not installed")
@@ -159,7 +159,7 @@ def test_gaddpg_moves_towards_points(elsewhere: dict[str, str]) -> None:
 import numpy as np
 from handover_marl.datasets import open_dataset
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.play import play
+from handover_marl.episode.loop import play
 from handover_marl.receivers import make
 from handover_marl.receivers.gaddpg import GaddpgReceiver
 data = open_dataset("synthetic", robot="panda_camera")
@@ -168,7 +168,7 @@ def ahead(points, remaining):
     asked.append(remaining)
     return np.array([0.0, 0.0, 0.03, 0.0, 0.0, 0.05])
 receiver, episode = GaddpgReceiver(make("hold", data).context, ahead), Episode("mujoco")
-episode.reset(data.scene({SCENE}))
+episode.reset(data.load_scene({SCENE}))
 start = episode.observe()["gripper_pose"]
 play(episode, receiver, until=lambda: len(asked) == 4 or episode.steps > 9000)
 way = episode.observe()["gripper_pose"][:3] - start[:3]
@@ -184,7 +184,7 @@ import pytest
 import handover_marl
 from handover_marl.errors import OptionError
 scene = dict(dataset="synthetic", split="test", scenes=[{SCENE}])
-env = handover_marl.parallel_env(physics="mujoco", sight={{sight!r}}, **scene)
+env = handover_marl.parallel_env(physics="mujoco", obs_mode={{obs_mode!r}}, **scene)
 observations, _ = env.reset(seed=0)
 for _ in range(40):
     actions = {{{{agent: env.action_space(agent).sample() for agent in env.agents}}}}
@@ -193,16 +193,16 @@ for _ in range(40):
         break
 env.close()
 refused = dict(physics="exact"), dict(physics="fast"), dict(), dict(physics="mujoco", render_mode="rgb_array")
-for options in (*refused, dict(physics="mujoco", sight="points", renderer="bullet")):
+for options in (*refused, dict(physics="mujoco", obs_mode="state+pointcloud", renderer="bullet")):
     with pytest.raises(OptionError, match="needs PyBullet.*up to Python 3.11.*(physics='mujoco'|renderer='rays')"):
         handover_marl.parallel_env(dataset="synthetic", **options)
 """
 
 
 def test_environments_run_and_say_what_they_cannot(elsewhere: dict[str, str]) -> None:
-    python(elsewhere, ENVIRONMENT.format(sight=None))
+    python(elsewhere, ENVIRONMENT.format(obs_mode="state"))
     if importlib.util.find_spec("embreex") is not None:
-        python(elsewhere, ENVIRONMENT.format(sight="points"))
+        python(elsewhere, ENVIRONMENT.format(obs_mode="state+pointcloud"))
 
 
 @pytest.mark.parametrize(
@@ -224,15 +224,15 @@ def test_commands_say_what_they_cannot(elsewhere: dict[str, str], arguments: lis
 
 
 def test_the_doctor_says_what_can_be_played(elsewhere: dict[str, str]) -> None:
-    told = command(elsewhere, "doctor").stdout
-    assert "physics                 mujoco" in told
-    assert "--physics mujoco" in told
+    reported = command(elsewhere, "doctor").stdout
+    assert "physics                 mujoco" in reported
+    assert "--physics mujoco" in reported
 
 
-@pytest.mark.skipif(not pybullet_installed(), reason="there is no result with PyBullet")
+@pytest.mark.skipif(not is_pybullet_installed(), reason="there is no result with PyBullet")
 def test_results_with_and_without_do_not_share_a_folder(elsewhere: dict[str, str], tmp_path: Path) -> None:
     options = ["--dataset", "synthetic", "--physics", "mujoco", "--split", "val", "--scenes", "9", "--workers", "1"]
     for environment, refused in ((elsewhere, False), (elsewhere, False), (dict(os.environ), True)):
         done = command(environment, "benchmark", "--receiver", "hold", *options, "--out", tmp_path / "out")
         assert (done.returncode != 0) == refused, done.stderr
-    assert "without 'PyBullet' there, '' now" in done.stderr
+    assert "'PyBullet' in the folder, '' now" in done.stderr

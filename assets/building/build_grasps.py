@@ -1,47 +1,192 @@
-"""Make the grasps of the procedural objects: `python -m handover_marl.assets.building.build_grasps [--out FILE]`.
+"""Build the robot grasps: `python -m handover_marl.assets.building.build_grasps [--out FILE]`.
 
-Opposite surface points are drawn, the hand's way to them is checked for collisions, and of what is left the most
-different ones are tried in simulation until enough have held the object through a shake. Needs the extra `assets`.
+Candidates pinch pairs of opposite surface points. Those whose approach is free of collisions are
+tried in simulation, the most different ones first, until enough have held the object while it is
+shaken. Needs the extra `assets`.
 """
 
 import io
 import itertools
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import trimesh
 import tyro
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from handover_marl.assets.building.grasp_sampling import ConvexSolid, sample_candidates, spread_order
-from handover_marl.assets.building.object_meshes import load_collision_parts
-from handover_marl.assets.object_models import object_urdf
-from handover_marl.assets.shipped_grasps import GRASPS_PATH, UNGRASPABLE
+from handover_marl.assets.building.object_files import load_collision_parts, merge_meshes
+from handover_marl.assets.object_models import find_object_urdf
+from handover_marl.assets.shipped import CLASSES_WITHOUT_GRASPS, GRASPS_PATH
 from handover_marl.errors import HandoverError
-from handover_marl.files import write_atomically
-from handover_marl.models.ycb import CLASS_NAMES
-from handover_marl.sim.bullet.bullet_trial import BulletTrial
+from handover_marl.execution.files import write_atomically
+from handover_marl.geometry.ycb import CLASS_NAMES
+from handover_marl.simulation.bullet.grasp_validation import BulletGraspValidator
 
 Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Args:
-    """What to build.
+class SamplingConfig:
+    """Parameters of the grasp candidates.
 
     Attributes:
-        out: The `.npz` file to write.
-        only: Class names to build, the file's other ones stay; all graspable ones if empty.
-        n_grasps: Proven grasps per object.
-        n_free: Collision-free candidates to choose them from.
-        n_drawn: Candidates drawn at a time, collisions or not.
-        n_draws: Most draws; an object with few places to grasp gives fewer candidates than `n_free`.
-        seed: Seed of everything random; an object's grasps do not depend on the other objects.
+        max_width: Largest distance (m) of the finger contacts; the Panda opens 0.08.
+        max_cone_angle: Largest angle (rad) between the closing direction and the surface normals.
+        depth_range: Range of the distance (m) from the gripper frame to the contacts. The finger
+            pads end at 0.112, the palm at 0.066.
+        max_bridged_gap: Largest gap (m) between convex parts that counts as solid.
+    """
+
+    max_width: float = 0.076
+    max_cone_angle: float = 0.26
+    depth_range: tuple[float, float] = (0.084, 0.106)
+    max_bridged_gap: float = 0.0005
+
+
+class ConvexSolid:
+    """Solid made of convex parts that may overlap.
+
+    Args:
+        parts: Convex meshes (m).
+    """
+
+    def __init__(self, parts: Sequence[trimesh.Trimesh]) -> None:
+        self._surface = merge_meshes(parts)
+        self._planes = [(part.face_normals.copy(), part.triangles[:, 0].copy()) for part in parts]
+
+    def sample_surface(self, n: int, seed: int) -> tuple[Array, Array]:
+        """Sample up to `n` points (k, 3) on the outer surface, and their normals (k, 3)."""
+        points, faces = trimesh.sample.sample_surface(self._surface, n, seed=seed)
+        normals = self._surface.face_normals[faces]
+        outside = self.is_outside(points + 2e-4 * normals)
+        return np.asarray(points)[outside], np.asarray(normals)[outside]
+
+    def is_outside(self, points: Array) -> npt.NDArray[np.bool_]:
+        """Return a mask (k,) of the points (k, 3) that are outside of all convex parts."""
+        outside = np.ones(len(points), dtype=bool)
+        for normals, corners in self._planes:
+            heights = points @ normals.T - np.einsum("fi,fi->f", normals, corners)
+            outside &= (heights > 0).any(axis=1)
+        return outside
+
+    def find_exits(self, points: Array, directions: Array, max_bridged_gap: float) -> tuple[Array, Array]:
+        """Find where rays that start on the surface leave the solid.
+
+        Args:
+            points: (k, 3) starts of the rays.
+            directions: (k, 3) unit vectors.
+            max_bridged_gap: Largest gap (m) between parts that counts as solid.
+
+        Returns:
+            Lengths (k,) of the rays inside the solid, 0 if they do not enter it, and surface normals
+            (k, 3) at the exits.
+        """
+        entry, leave, leave_normal = self._find_crossings(points, directions)
+        length = np.zeros(len(points))
+        normals = np.zeros((len(points), 3))
+        rays = np.arange(len(points))
+        for _ in range(len(self._planes)):
+            reached = np.where(entry <= length + max_bridged_gap, leave, -np.inf)
+            best = reached.argmax(axis=0)
+            further = reached[best, rays] > length + 1e-9
+            if not further.any():
+                break
+            length = np.where(further, reached[best, rays], length)
+            normals[further] = leave_normal[best, rays][further]
+        return length, normals
+
+    def _find_crossings(self, points: Array, directions: Array) -> tuple[Array, Array, Array]:
+        """Return rays' entry and exit distances (parts, k), (inf, -inf) for misses, and normals."""
+        entries, leaves, normals = [], [], []
+        for plane_normals, plane_points in self._planes:
+            slope = directions @ plane_normals.T
+            gap = np.einsum("fi,fi->f", plane_normals, plane_points) - points @ plane_normals.T
+            with np.errstate(divide="ignore", invalid="ignore"):
+                crossing = gap / slope
+            level = np.abs(slope) < 1e-9
+            entry = np.where(~level & (slope < 0), crossing, -np.inf).max(axis=1)
+            leave = np.where(~level & (slope > 0), crossing, np.inf)
+            face = leave.argmin(axis=1)
+            leave = leave.min(axis=1)
+            misses = (entry > leave) | (level & (gap < -1e-9)).any(axis=1)
+            entries.append(np.where(misses, np.inf, entry))
+            leaves.append(np.where(misses, -np.inf, leave))
+            normals.append(plane_normals[face])
+        return np.stack(entries), np.stack(leaves), np.stack(normals)
+
+
+def sample_candidates(solid: ConvexSolid, n: int, seed: int, config: SamplingConfig | None = None) -> Array:
+    """Sample grasps `object_from_gripper` (k, 4, 4), k < n, that pinch opposite surface points.
+
+    Collisions are not checked.
+    """
+    config = config or SamplingConfig()
+    rng = np.random.default_rng(seed)
+    points, normals = solid.sample_surface(n, seed)
+    closing = _tilt(-normals, config.max_cone_angle * np.sqrt(rng.uniform(size=len(points))), rng)
+    width, exit_normals = solid.find_exits(points, closing, config.max_bridged_gap)
+    opposite = np.einsum("ki,ki->k", closing, exit_normals) > np.cos(config.max_cone_angle)
+    good = opposite & (width > 1e-3) & (width < config.max_width)
+    points, closing, width = points[good], closing[good], width[good]
+    middle = points + 0.5 * width[:, None] * closing
+    # The gripper is symmetric: swap the fingers at random.
+    closing *= rng.choice([-1.0, 1.0], size=len(points))[:, None]
+    approach = _tilt(closing, np.full(len(points), np.pi / 2), rng)
+    depth = rng.uniform(*config.depth_range, size=len(points))
+    grasps = np.tile(np.eye(4), (len(points), 1, 1))
+    grasps[:, :3, 0] = closing
+    grasps[:, :3, 1] = np.cross(approach, closing)
+    grasps[:, :3, 2] = approach
+    grasps[:, :3, 3] = middle - depth[:, None] * approach
+    return grasps
+
+
+def farthest_point_order(grasps: Array, tip_depth: float = 0.1, length_per_turn: float = 0.05) -> npt.NDArray[np.intp]:
+    """Return indices that order grasps (k, 4, 4) so that each is farthest from all previous ones.
+
+    The distance of two grasps combines the distance (m) of the contacts and the differences of the
+    approach directions and closing axes, weighted by `length_per_turn` (m).
+    """
+    if not len(grasps):
+        return np.zeros(0, dtype=np.intp)
+    tips = grasps[:, :3, 3] + tip_depth * grasps[:, :3, 2]
+    axes = np.einsum("ki,kj->kij", grasps[:, :3, 0], grasps[:, :3, 0]).reshape(-1, 9)
+    features = np.concatenate([tips, length_per_turn * grasps[:, :3, 2], length_per_turn * axes], axis=1)
+    order = [0]
+    distance = np.linalg.norm(features - features[0], axis=1)
+    for _ in range(len(grasps) - 1):
+        order.append(int(distance.argmax()))
+        distance = np.minimum(distance, np.linalg.norm(features - features[order[-1]], axis=1))
+        distance[order[-1]] = -1.0
+    return np.array(order)
+
+
+def _tilt(directions: Array, angles: Array, rng: np.random.Generator) -> Array:
+    """Return unit vectors (k, 3) at given angles to `directions` (k, 3), in random planes."""
+    sideways = np.cross(directions, rng.normal(size=directions.shape))
+    sideways /= np.linalg.norm(sideways, axis=1, keepdims=True)
+    return np.cos(angles)[:, None] * directions + np.sin(angles)[:, None] * sideways
+
+
+@dataclass(frozen=True)
+class Args:
+    """Options of the builder of robot grasps.
+
+    Attributes:
+        out: Output file (`.npz`).
+        only: YCB class names to build, keeping the other ones of the file; all if empty.
+        n_grasps: Validated grasps per object.
+        n_free: Collision-free candidates per object.
+        n_drawn: Candidates per draw, before the collision check.
+        n_draws: Largest number of draws; objects with few places to grasp have fewer than `n_free`
+            candidates.
+        seed: Random seed; an object's grasps do not depend on other objects.
     """
 
     out: Path = GRASPS_PATH
@@ -54,55 +199,65 @@ class Args:
 
 
 @dataclass(frozen=True)
-class ObjectGrasps:
-    """Proven grasps `object_from_gripper` (n, 4, 4) and how many trials they took."""
+class SimulatedGrasps:
+    """Grasps that held an object in simulation.
+
+    Attributes:
+        transforms: (n, 4, 4) grasps `object_from_gripper`.
+        n_simulated: Number of simulated candidates.
+    """
 
     transforms: Array
-    n_trials: int
+    n_simulated: int
 
 
-def build_object_grasps(name: str, args: Args, on_proven: Callable[[], None] = lambda: None) -> ObjectGrasps:
-    """Proven grasps of one object.
+def validate_object_grasps(name: str, args: Args, on_validated: Callable[[], None] = lambda: None) -> SimulatedGrasps:
+    """Return grasps of one object that held it in simulation.
+
+    Args:
+        name: YCB class name.
+        args: Options of the command.
+        on_validated: Function called after every validated grasp.
 
     Raises:
-        HandoverError: Too few grasps held.
+        HandoverError: Too few grasps held the object.
     """
-    trial = BulletTrial(object_urdf(name))
+    trial = BulletGraspValidator(find_object_urdf(name))
     try:
-        free = _free_candidates(name, trial, args)
-        proven: list[Array] = []
-        for n_trials, index in enumerate(spread_order(free), start=1):
-            if trial.holds(free[index]):
-                proven.append(free[index])
-                on_proven()
-            if len(proven) == args.n_grasps:
-                return ObjectGrasps(np.stack(proven), n_trials)
+        free = _sample_collision_free(name, trial, args)
+        validated: list[Array] = []
+        for n_simulated, index in enumerate(farthest_point_order(free), start=1):
+            if trial.is_stable(free[index]):
+                validated.append(free[index])
+                on_validated()
+            if len(validated) == args.n_grasps:
+                return SimulatedGrasps(np.stack(validated), n_simulated)
     finally:
         trial.close()
-    raise HandoverError(f"{name}: {len(free)} places to grasp, and only {len(proven)} of {args.n_grasps} held")
+    raise HandoverError(f"{name}: {len(free)} places to grasp, and only {len(validated)} of {args.n_grasps} held")
 
 
-def _free_candidates(name: str, trial: BulletTrial, args: Args) -> Array:
-    """Up to `args.n_free` grasps (k, 4, 4), rounded to float32 as they are stored, that the hand can reach."""
+def _sample_collision_free(name: str, trial: BulletGraspValidator, args: Args) -> Array:
+    """Sample up to `args.n_free` reachable grasps (k, 4, 4), rounded to float32 as in the file."""
     solid = ConvexSolid(load_collision_parts(name))
     free: list[Array] = []
     for draw in range(args.n_draws):
         candidates = sample_candidates(solid, args.n_drawn, zlib.crc32(f"{name} {args.seed} {draw}".encode()))
         stored = candidates.astype(np.float32).astype(np.float64)
-        free += itertools.islice(filter(trial.is_free, stored), args.n_free - len(free))
+        free += itertools.islice(filter(trial.is_collision_free, stored), args.n_free - len(free))
         if len(free) == args.n_free:
             break
     return np.array(free).reshape(-1, 4, 4)
 
 
-def _known(path: Path) -> dict[str, Array]:
+def _read_grasps(path: Path) -> dict[str, Array]:
     if not path.is_file():
         return {}
     with np.load(path, allow_pickle=False) as archive:
         return {name: archive[name] for name in archive.files}
 
 
-def _write(path: Path, grasps: dict[str, Array]) -> None:
+def _write_grasps(path: Path, grasps: dict[str, Array]) -> None:
     stream = io.BytesIO()
     arrays: dict[str, Any] = {name: array.astype(np.float32) for name, array in sorted(grasps.items())}
     np.savez_compressed(stream, **arrays)
@@ -111,18 +266,18 @@ def _write(path: Path, grasps: dict[str, Array]) -> None:
 
 
 def main(args: Args) -> None:
-    """Build the chosen objects' grasps into one file."""
-    names = args.only or tuple(name for name in CLASS_NAMES.values() if name not in UNGRASPABLE)
+    """Build the grasps of the chosen objects and write them to one file."""
+    names = args.only or tuple(name for name in CLASS_NAMES.values() if name not in CLASSES_WITHOUT_GRASPS)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    grasps = _known(args.out) if args.only else {}
+    grasps = _read_grasps(args.out) if args.only else {}
     with Progress(*columns, console=Console(stderr=True)) as progress:
         task = progress.add_task("grasps", total=len(names) * args.n_grasps)
         for name in names:
             progress.update(task, description=f"{name:22}")
-            result = build_object_grasps(name, args, on_proven=lambda: progress.advance(task))
+            result = validate_object_grasps(name, args, on_validated=lambda: progress.advance(task))
             grasps[name] = result.transforms
-            progress.console.print(f"{name:22} {args.n_grasps} proven in {result.n_trials} trials")
-    _write(args.out, grasps)
+            progress.console.print(f"{name:22} {args.n_grasps} proven in {result.n_simulated} trials")
+    _write_grasps(args.out, grasps)
 
 
 if __name__ == "__main__":

@@ -1,60 +1,30 @@
-"""Make the procedural objects' files: `python -m handover_marl.assets.building.build_objects [--out DIR]`.
+"""Build the object models: `python -m handover_marl.assets.building.build_objects [--out DIR]`.
 
 Needs the extra `assets`. The same versions of its packages give the same bytes.
 """
 
-from collections.abc import Callable
+import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
 
 import trimesh
 import tyro
 from rich.progress import track
 
-from handover_marl.assets.building import shapes_packages, shapes_tools, shapes_vessels
-from handover_marl.assets.building.obj_writing import write_convex_parts, write_palette, write_visual
-from handover_marl.assets.building.shapes import Piece
-from handover_marl.assets.building.urdf_objects import chain_urdf
+from handover_marl.assets.building.object_files import write_convex_parts, write_palette, write_visual
+from handover_marl.assets.building.object_shapes import OBJECT_SHAPES
 from handover_marl.assets.object_models import COLLISION_NAME, OBJECTS_ROOT, URDF_NAME, VISUAL_NAME
 
-_METRES = 0.001  # the shapes' tables are in millimetres
-
-#: Class name -> the function that makes its pieces.
-SHAPES: MappingProxyType[str, Callable[[], tuple[Piece, ...]]] = MappingProxyType(
-    {
-        "002_master_chef_can": shapes_packages.master_chef_can,
-        "003_cracker_box": shapes_packages.cracker_box,
-        "004_sugar_box": shapes_packages.sugar_box,
-        "005_tomato_soup_can": shapes_packages.tomato_soup_can,
-        "006_mustard_bottle": shapes_vessels.mustard_bottle,
-        "007_tuna_fish_can": shapes_packages.tuna_fish_can,
-        "008_pudding_box": shapes_packages.pudding_box,
-        "009_gelatin_box": shapes_packages.gelatin_box,
-        "010_potted_meat_can": shapes_packages.potted_meat_can,
-        "011_banana": shapes_packages.banana,
-        "019_pitcher_base": shapes_vessels.pitcher_base,
-        "021_bleach_cleanser": shapes_vessels.bleach_cleanser,
-        "024_bowl": shapes_vessels.bowl,
-        "025_mug": shapes_vessels.mug,
-        "035_power_drill": shapes_tools.power_drill,
-        "036_wood_block": shapes_packages.wood_block,
-        "037_scissors": shapes_tools.scissors,
-        "040_large_marker": shapes_tools.large_marker,
-        "051_large_clamp": shapes_tools.large_clamp,
-        "052_extra_large_clamp": shapes_tools.extra_large_clamp,
-        "061_foam_brick": shapes_packages.foam_brick,
-    }
-)
+_METRES_PER_MILLIMETRE = 0.001
 
 
 @dataclass(frozen=True)
 class Args:
-    """What to build.
+    """Options of the builder of object models.
 
     Attributes:
-        out: Folder that gets one folder per object.
-        only: Class names to build; all if empty.
+        out: Folder for one subfolder per object.
+        only: YCB class names to build; all if empty.
     """
 
     out: Path = OBJECTS_ROOT
@@ -62,26 +32,79 @@ class Args:
 
 
 def build_object(name: str, out: Path) -> Path:
-    """Write one object's URDF, meshes and palette under `out`/`name` and return that folder."""
+    """Write the URDF, meshes and palette of an object to `<out>/<name>/` and return that folder."""
     folder = out / name
     folder.mkdir(parents=True, exist_ok=True)
-    pieces = SHAPES[name]()
-    visual = [(colour, _in_metres(mesh)) for piece in pieces for colour, mesh in piece.visual]
+    pieces = OBJECT_SHAPES[name]()
+    visual = [(color, _convert_to_metres(mesh)) for piece in pieces for color, mesh in piece.visual]
     write_visual(folder / VISUAL_NAME, visual)
-    write_convex_parts(folder / COLLISION_NAME, [_in_metres(part) for piece in pieces for part in piece.collision])
+    write_convex_parts(
+        folder / COLLISION_NAME, [_convert_to_metres(part) for piece in pieces for part in piece.collision]
+    )
     write_palette(folder)
-    (folder / URDF_NAME).write_text(chain_urdf(VISUAL_NAME, COLLISION_NAME), newline="\n")
+    (folder / URDF_NAME).write_text(format_object_urdf(VISUAL_NAME, COLLISION_NAME), newline="\n")
     return folder
 
 
-def _in_metres(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    return trimesh.Trimesh(mesh.vertices * _METRES, mesh.faces, process=False)
+def _convert_to_metres(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    return trimesh.Trimesh(mesh.vertices * _METRES_PER_MILLIMETRE, mesh.faces, process=False)
 
 
 def main(args: Args) -> None:
-    """Build the chosen objects."""
-    for name in track(args.only or tuple(SHAPES), description="objects"):
+    """Build the models of the chosen objects."""
+    for name in track(args.only or tuple(OBJECT_SHAPES), description="objects"):
         build_object(name, args.out)
+
+
+#: Mass (kg) and lateral friction of all objects in HandoverSim.
+MASS, FRICTION = 0.5, 0.9
+_MAX_TRAVEL = 1000  # m
+_AXES = ("1 0 0", "0 1 0", "0 0 1")
+
+
+def format_object_urdf(visual: str, collision: str) -> str:
+    """Return the URDF of an object: six base joints, then a link with the meshes.
+
+    Args:
+        visual: File name of the visual mesh.
+        collision: File name of the convex parts.
+    """
+    robot = ET.Element("robot", name="model_normalized")
+    for number in range(7):
+        _add_link(robot, number, visual, collision)
+        if number:
+            _add_joint(robot, number)
+    ET.indent(robot)
+    return '<?xml version="1.0"?>\n' + ET.tostring(robot, encoding="unicode") + "\n"
+
+
+def _add_link(robot: ET.Element, number: int, visual: str, collision: str) -> None:
+    link = ET.SubElement(robot, "link", name=f"link{number}")
+    is_body = number == 6
+    if is_body:
+        ET.SubElement(ET.SubElement(link, "contact"), "lateral_friction", value=str(FRICTION))
+    inertial = ET.SubElement(link, "inertial")
+    ET.SubElement(inertial, "mass", value=str(MASS if is_body else 0))
+    # Required by URDF; Bullet computes the inertia from the collision shape.
+    moment = "1" if is_body else "0"
+    ET.SubElement(inertial, "inertia", ixx=moment, ixy="0", ixz="0", iyy=moment, iyz="0", izz=moment)
+    if not is_body:
+        return
+    for kind, file_name in (("visual", visual), ("collision", collision)):
+        element = ET.SubElement(link, kind)
+        ET.SubElement(ET.SubElement(element, "geometry"), "mesh", filename=file_name, scale="1 1 1")
+        if kind == "visual":
+            ET.SubElement(ET.SubElement(element, "material", name="palette"), "color", rgba="1 1 1 1")
+
+
+def _add_joint(robot: ET.Element, number: int) -> None:
+    slides = number <= 3
+    joint = ET.SubElement(robot, "joint", name=f"joint{number}", type="prismatic" if slides else "continuous")
+    ET.SubElement(joint, "parent", link=f"link{number - 1}")
+    ET.SubElement(joint, "child", link=f"link{number}")
+    ET.SubElement(joint, "axis", xyz=_AXES[(number - 1) % 3])
+    if slides:
+        ET.SubElement(joint, "limit", lower=str(-_MAX_TRAVEL), upper=str(_MAX_TRAVEL))
 
 
 if __name__ == "__main__":

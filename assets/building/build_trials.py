@@ -1,7 +1,8 @@
-"""Makes the shipped trials of grasps: `python -m handover_marl.assets.building.build_trials --data-dir DIR`.
+"""Build the grasp validations: `python -m handover_marl.assets.building.build_trials --data-dir DIR`.
 
-For the library's own objects and those of a data folder, with both robots; some 20 core minutes for each. What the
-user's cache folder has is taken from there. Needs the extra `planning`.
+Validates the grasps of the library's objects and of those of a data folder with both variants of the
+robot, in about 20 core minutes per object. Results in the user's cache folder are reused. Needs the
+extra `planning`.
 """
 
 from collections.abc import Iterator
@@ -10,37 +11,43 @@ from pathlib import Path
 
 import tyro
 
-from handover_marl.assets.shipped_trials import TRIALS_PATH, Record, all_trials
+from handover_marl.assets.shipped import VALIDATION_PATH, ValidationRecord, load_validation_records
 from handover_marl.datasets import open_dataset
-from handover_marl.files import write_arrays
-from handover_marl.models.panda import PANDA, PANDA_CAMERA
-from handover_marl.models.ycb import CLASS_NAMES
-from handover_marl.pools.pool_config import PoolConfig
-from handover_marl.pools.working import worked_on
-from handover_marl.receivers.object_grasps import ObjectGrasps
-from handover_marl.receivers.reactive.grasps import GraspTrials
-from handover_marl.receivers.reactive.trials import record_file, trial_record
+from handover_marl.execution.files import write_arrays
+from handover_marl.execution.pool import PoolConfig
+from handover_marl.execution.tasks import map_with_progress
+from handover_marl.geometry.panda import PANDA, PANDA_CAMERA
+from handover_marl.geometry.ycb import CLASS_NAMES
+from handover_marl.receivers.grasp_library import GraspLibrary
+from handover_marl.receivers.reactive.grasp_validation import get_validation_record, validation_record_path
+from handover_marl.receivers.reactive.grasps import GraspPreparationConfig
 
 
 @dataclass(frozen=True)
 class Args:
-    """What to build.
+    """Options of the builder of grasp validations.
 
     Attributes:
-        out: The `.npz` file to write.
-        data_dir: A folder in HandoverSim's layout, whose objects are tried out besides the library's own; without it
-            the file's other records stay.
-        workers: Processes.
+        out: Output file (`.npz`).
+        data_dir: Data folder in HandoverSim's layout with further objects; without it, the file's
+            other records are kept.
+        workers: Number of worker processes.
     """
 
-    out: Path = TRIALS_PATH
+    out: Path = VALIDATION_PATH
     data_dir: Path | None = None
     workers: int | None = None
 
 
 @dataclass(frozen=True)
-class Trial:
-    """An object of a data set (a folder, or None for the library's own) and a robot."""
+class ValidationTask:
+    """Object whose grasps are validated with one variant of the robot.
+
+    Attributes:
+        data_dir: Data folder of the object, or None for the library's own objects.
+        robot: Variant of the Panda.
+        object_name: YCB class name.
+    """
 
     data_dir: Path | None
     robot: str
@@ -50,28 +57,30 @@ class Trial:
         return f"{self.object_name} {self.robot}"
 
 
-def name_and_record(trial: Trial) -> tuple[str, Record] | None:
-    """How the record ships, or None for an object that nobody knows a grasp of."""
-    data = open_dataset("dexycb" if trial.data_dir else "synthetic", trial.data_dir, trial.robot)
-    known = ObjectGrasps(data.grasps).in_object(trial.object_name)
+def validate_object(task: ValidationTask) -> tuple[str, ValidationRecord] | None:
+    """Return the name and the record of an object's validation, or None if it has no grasps."""
+    data = open_dataset("dexycb" if task.data_dir else "synthetic", task.data_dir, task.robot)
+    known = GraspLibrary(data.load_grasps).hand_poses_in_object(task.object_name)
     if known is None:
         return None
-    given = (data.object_urdf(trial.object_name), data.panda_urdf, known, GraspTrials())
-    return record_file(*given).stem, trial_record(*given)
+    given = (data.find_object_urdf(task.object_name), data.panda_urdf, known, GraspPreparationConfig())
+    return validation_record_path(*given).stem, get_validation_record(*given)
 
 
-def trials(data_dir: Path | None) -> Iterator[Trial]:
-    """All that there are: robots last, since they share half of the work."""
+def list_tasks(data_dir: Path | None) -> Iterator[ValidationTask]:
+    """Yield all validation tasks, those of the second robot last to reuse earlier results."""
     for folder in (None, data_dir) if data_dir else (None,):
         for robot in (PANDA, PANDA_CAMERA):
-            yield from (Trial(folder, robot, name) for name in CLASS_NAMES.values())
+            yield from (ValidationTask(folder, robot, name) for name in CLASS_NAMES.values())
 
 
 def main(args: Args) -> None:
-    """Try all objects out and write one file."""
-    records = {} if args.data_dir else dict(all_trials(args.out))
-    everything = list(trials(args.data_dir))
-    for _, found in worked_on(lambda: name_and_record, everything, "objects", PoolConfig(args.workers), progress=True):
+    """Validate the grasps of all objects and write one file."""
+    records = {} if args.data_dir else dict(load_validation_records(args.out))
+    tasks = list(list_tasks(args.data_dir))
+    for _, found in map_with_progress(
+        lambda: validate_object, tasks, "objects", PoolConfig(args.workers), progress=True
+    ):
         if found is not None:
             records[found[0]] = found[1]
     write_arrays(args.out, dict(sorted(records.items())))

@@ -1,4 +1,4 @@
-"""The command line, `handover-marl`: a command for everything that can be done without writing code."""
+"""Command-line program `handover-marl`."""
 
 import os
 import sys
@@ -7,21 +7,21 @@ from pathlib import Path
 
 import tyro
 
-from handover_marl._version import __version__
+from handover_marl import __version__
 from handover_marl.cli.data_folders import run_doctor, run_import
 from handover_marl.cli.folders import run_compare, run_evaluate, run_merge
-from handover_marl.cli.run_options import ToldError, registry
+from handover_marl.cli.options import ArgumentError, registry
+from handover_marl.cli.render import run_render
 from handover_marl.cli.runs import run_agreement, run_benchmark, run_crossplay, run_demonstrate, run_pair
-from handover_marl.cli.showing import run_render
 from handover_marl.errors import HandoverError
 
-_DESCRIPTION = """Human-to-robot handovers.
+_DESCRIPTION = """Simulate and evaluate human-to-robot handovers.
 
 Receivers: {receivers}.
 Givers: {givers}.
-A policy may also be a class of yours (my_package.robots:MyReceiver) and take options (omg:wait=1.5)."""
+A policy may also be your own class (my_package.robots:MyReceiver) and take options (omg:wait=1.5)."""
 
-# In the order in which the help lists them.
+# In the order of the help text.
 _COMMANDS: dict[str, Callable[..., int | None]] = {
     "benchmark": run_benchmark,
     "pair": run_pair,
@@ -37,47 +37,55 @@ _COMMANDS: dict[str, Callable[..., int | None]] = {
 }
 
 
-def _app() -> tyro.extras.SubcommandApp:
+def _build_app() -> tyro.extras.SubcommandApp:
     app = tyro.extras.SubcommandApp()
     for name, run in _COMMANDS.items():
         app.command(name=name)(run)
     return app
 
 
-def _description() -> str:
-    from handover_marl.policies.registry import available
+def _describe_program() -> str:
+    from handover_marl.policies.registry import list_available
 
-    return _DESCRIPTION.format(receivers=", ".join(available("receiver")), givers=", ".join(available("giver")))
+    return _DESCRIPTION.format(
+        receivers=", ".join(list_available("receiver")), givers=", ".join(list_available("giver"))
+    )
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command; errors a user can mend come as one message and exit status 2, Ctrl-C as 130.
+    """Run a command of the command line.
 
-    `doctor` tells by status 1 that it found something.
+    Args:
+        arguments: Command and options; default: those of this process.
+
+    Returns:
+        Exit status: 0 for success, 1 if `doctor` found a fault, 2 after an error message, 130 after
+        Ctrl-C, 141 if the reader of the output closed it.
     """
     arguments = sys.argv[1:] if arguments is None else arguments
     if list(arguments) == ["--version"]:
         print(f"handover-marl {__version__}")
         return 0
-    # Policies of one's own are found where one stands, like with `python -m`, but shadow nothing that is installed.
+    # The user's policies are imported from the working directory, as with `python -m`; it is
+    # searched last, so that its modules do not hide installed ones.
     sys.path.append(str(Path.cwd()))
     try:
-        status: object = _app().cli(
+        status: object = _build_app().cli(
             prog="handover-marl",
-            description=_description(),
+            description=_describe_program(),
             args=arguments,
             registry=registry,
             config=(tyro.conf.OmitArgPrefixes,),
         )
         sys.stdout.flush()
-    except (HandoverError, ToldError) as error:
+    except (HandoverError, ArgumentError) as error:
         print(f"handover-marl: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        print("handover-marl: stopped; with --out, the same command goes on from here", file=sys.stderr)
+        print("handover-marl: stopped; with --out, the same command resumes from here", file=sys.stderr)
         return 130
     except BrokenPipeError:
-        # Who reads our output has seen enough; nothing more may be written to it at exit either.
+        # Python flushes stdout at exit, which must not fail again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
     return status if isinstance(status, int) else 0

@@ -1,4 +1,4 @@
-"""Commands that make and examine data folders."""
+"""Commands that create and check data folders."""
 
 import os
 from pathlib import Path
@@ -6,7 +6,7 @@ from typing import Annotated
 
 import tyro
 
-from handover_marl.cli.run_options import parse_scenes
+from handover_marl.cli.options import parse_scenes
 
 
 def run_import(
@@ -18,47 +18,49 @@ def run_import(
     workers: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
     progress: bool = True,
 ) -> None:
-    """Make HandoverSim's data folder from raw DexYCB, MANO and HandoverSim's third-party archive.
+    """Create HandoverSim's data folder from raw DexYCB, MANO and HandoverSim's third-party archive.
 
     Args:
-        dexycb: The folder that DexYCB's archives were expanded into.
-        mano: The folder with MANO_RIGHT.pkl and MANO_LEFT.pkl.
-        out: The data folder to make, or to go on with.
-        third_party: HandoverSim's assets-3rd-party archive, or the folder that it was unpacked into; without it,
-            DexYCB's models, convex parts made of them, the library's grasps and PyBullet's Panda stand in.
-        scenes: Only these scenes, e.g. 209,214.
-        workers: Processes; default: one a core.
+        dexycb: Folder into which DexYCB's archives were unpacked.
+        mano: Folder with MANO_RIGHT.pkl and MANO_LEFT.pkl.
+        out: Data folder to create; an interrupted import resumes there.
+        third_party: HandoverSim's assets-3rd-party archive, or the folder into which it was
+            unpacked; default: substitutes from DexYCB's models, the library's grasps and PyBullet's
+            Panda.
+        scenes: Numbers of the scenes to import, e.g. 209,214; default: all.
+        workers: Number of worker processes; default: one per core.
         progress: Show a progress bar on stderr.
     """
-    from handover_marl.datasets.importing.import_dexycb import import_dexycb
+    from handover_marl.datasets.dexycb.importer import import_dexycb
 
-    chosen = parse_scenes(scenes)
-    print(import_dexycb(dexycb, mano, out, third_party=third_party, scenes=chosen, workers=workers, progress=progress))
+    report = import_dexycb(
+        dexycb, mano, out, third_party=third_party, scenes=parse_scenes(scenes), workers=workers, progress=progress
+    )
+    print(f"{report}\n\nData folder: {report.out}")
 
 
-def run_doctor(
-    data_dir: Annotated[str | None, tyro.conf.arg(metavar="DIR")] = None,
-    progress: bool = True,
-) -> int:
-    """Look what is installed and what of a data folder is there, and tell what to do about what is not.
+def run_doctor(data_dir: Annotated[str | None, tyro.conf.arg(metavar="DIR")] = None, progress: bool = True) -> int:
+    """Check the installation and a data folder, with advice for each problem.
 
-    The exit status is 0 if nothing is wrong, 1 if something is. Notes, such as a hand that stands in for MANO's, are
-    not wrong.
+    The exit status is 1 if there is a fault, else 0. Notes, such as substitutes for MANO's hands, are
+    not faults.
 
     Args:
-        data_dir: A folder in HandoverSim's layout; default: the one that HANDOVER_MARL_DATA names, if any.
+        data_dir: Data folder in HandoverSim's layout; default: the environment variable
+            HANDOVER_MARL_DATA, if set.
         progress: Show a progress bar on stderr.
     """
-    from handover_marl.datasets import DATA_VARIABLE
-    from handover_marl.doctor.data_folder import examine
-    from handover_marl.doctor.findings import State, findings_text
-    from handover_marl.doctor.installation import examine_installation
+    from handover_marl.cli.installation import examine_installation
+    from handover_marl.datasets import DATA_DIR_VARIABLE
+    from handover_marl.datasets.folder_check import Severity, examine_data_folder, format_findings
 
     findings = list(examine_installation())
-    chosen = data_dir or os.environ.get(DATA_VARIABLE)
+    chosen = data_dir or os.environ.get(DATA_DIR_VARIABLE)
     if chosen:
-        findings += examine(Path(chosen).expanduser(), progress)
-    print(findings_text(findings))
-    if not chosen:
-        print(f"\nNo data folder (--data-dir or {DATA_VARIABLE}): everything runs on the synthetic scenes.")
-    return int(any(finding.state is State.FAULT for finding in findings))
+        findings += examine_data_folder(Path(chosen).expanduser(), progress)
+    print(format_findings(findings))
+    if chosen:
+        print(f"\nData folder: {chosen}")
+    else:
+        print(f"\nNo data folder (--data-dir or {DATA_DIR_VARIABLE}): synthetic scenes are used.")
+    return int(any(finding.severity is Severity.FAULT for finding in findings))

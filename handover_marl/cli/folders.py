@@ -1,76 +1,83 @@
-"""Commands that read result folders and play nothing."""
+"""Commands that read result folders, without simulating."""
 
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
-from handover_marl.files import write_atomically
+from handover_marl.execution.files import write_atomically
 
-_Page = Annotated[str | None, tyro.conf.arg(metavar="FILE.html")]
+_PagePath = Annotated[str | None, tyro.conf.arg(metavar="FILE.html")]
 
 
-def run_evaluate(folder: Annotated[str, tyro.conf.arg(metavar="DIR")], /, out: _Page = None) -> None:
-    """Print the table of an official result folder, ours or the original authors'.
+def run_evaluate(folder: Annotated[str, tyro.conf.arg(metavar="DIR")], /, out: _PagePath = None) -> None:
+    """Print the table of a result folder, written by this library or by HandoverSim.
 
     Args:
-        folder: The result folder (config.yaml and 000.npz, 001.npz, ...).
-        out: An .html file for the report as a page, too.
+        folder: Result folder (config.yaml and 000.npz, 001.npz, ...).
+        out: Output file (.html) for the report as a web page; default: none.
     """
-    from handover_marl.benchmarking.evaluation import evaluate
+    from handover_marl.evaluation.reports.report_files import evaluate
 
-    path = _page_path(out)
+    path = _check_page_path(out)
     report = evaluate(folder)
     print(report)
     if path is not None:
-        from handover_marl.benchmarking.report_page import replay_links, report_page
+        from handover_marl.evaluation.reports.pages import find_replay_links, render_report_page
 
-        write_atomically(path, report_page(report, replay_links(Path(folder).expanduser(), path.parent)))
+        links = find_replay_links(Path(folder).expanduser(), path.parent)
+        _write_page(path, render_report_page(report, links))
 
 
 def run_compare(
     first: Annotated[str, tyro.conf.arg(metavar="DIR")],
     second: Annotated[str, tyro.conf.arg(metavar="DIR")],
     /,
-    out: _Page = None,
+    out: _PagePath = None,
 ) -> None:
-    """Compare two result folders scene by scene, without playing anything.
+    """Compare two result folders scene by scene.
 
     Args:
-        first: A result folder.
-        second: Another one, of the same setup, split and data.
-        out: An .html file for the comparison as a page, too.
+        first: Result folder.
+        second: Result folder of the same setup, split and data.
+        out: Output file (.html) for the comparison as a web page; default: none.
     """
-    from handover_marl.benchmarking.comparison import compare
+    from handover_marl.evaluation.comparison import compare
 
-    path = _page_path(out)
+    path = _check_page_path(out)
     comparison = compare(first, second)
     print(comparison)
     if path is not None:
-        from handover_marl.benchmarking.report_page import comparison_page, replay_links
+        from handover_marl.evaluation.comparison import render_comparison_page
+        from handover_marl.evaluation.reports.pages import find_replay_links
 
-        one, other = (replay_links(Path(side).expanduser(), path.parent) for side in (first, second))
-        write_atomically(path, comparison_page(comparison, (one, other)))
+        one, other = (find_replay_links(Path(side).expanduser(), path.parent) for side in (first, second))
+        _write_page(path, render_comparison_page(comparison, (one, other)))
 
 
 def run_merge(
     folders: Annotated[tuple[str, ...], tyro.conf.arg(metavar="DIR"), tyro.conf.Positional],
     out: Annotated[str, tyro.conf.arg(metavar="DIR")],
 ) -> None:
-    """Make one folder of the folders of all shards of a run (--shard), and print what the run would have printed.
+    """Merge the result folders of all shards (--shard) into one, and print its table.
 
     Args:
-        folders: The folders of the shards, in any order.
-        out: The folder to make: as the run would have written it.
+        folders: Result folders of the shards, in any order.
+        out: Result folder to create, equal to that of an evaluation without shards.
     """
-    from handover_marl.merging.merge import merge
+    from handover_marl.evaluation.merge import merge
 
-    print(merge(folders, out))
+    print(f"{merge(folders, out)}\n\nResults: {Path(out).expanduser()}")
 
 
-def _page_path(out: str | None) -> Path | None:
+def _write_page(path: Path, page: str) -> None:
+    write_atomically(path, page)
+    print(f"\nPage: {path}")
+
+
+def _check_page_path(out: str | None) -> Path | None:
     if out is None:
         return None
-    from handover_marl.pictures.rendering import checked_path
+    from handover_marl.visualization.film import check_output_path
 
-    return checked_path(out, (".html",))
+    return check_output_path(out, (".html",))

@@ -1,91 +1,113 @@
-"""Commands that play scenes and print a table, or record episodes."""
+"""Commands that simulate scenes and print a table, or record episodes."""
 
 from typing import Annotated, Literal
 
 import tyro
 
-from handover_marl.cli.run_options import BenchmarkRun, CrossPlayRun, expanded
-from handover_marl.run import Execution, Run
+from handover_marl.cli.options import BenchmarkArguments, CrossPlayArguments, expand_out_folder
+from handover_marl.evaluation.config import EvaluationConfig, ExecutionConfig
 
-_OFFICIAL, _CROSSPLAY = BenchmarkRun(), CrossPlayRun(split="val")
+_OFFICIAL, _CROSSPLAY = BenchmarkArguments(), CrossPlayArguments(split="val")
 _Names = Annotated[str, tyro.conf.arg(metavar="POLICY,...")]
 
 
-def run_benchmark(run: BenchmarkRun = _OFFICIAL, how: Execution = Execution()) -> None:
+def run_benchmark(evaluation: BenchmarkArguments = _OFFICIAL, execution: ExecutionConfig = ExecutionConfig()) -> None:
     """Run HandoverSim's official protocol and print its table.
 
     Args:
-        run: What is run.
-        how: How it is run; outcomes do not depend on it.
+        evaluation: Scenes, policies and simulation.
+        execution: Workers and output; outcomes do not depend on them.
     """
-    from handover_marl.benchmarking.runner import benchmark
+    from handover_marl.evaluation.benchmark import benchmark
 
-    print(benchmark(run, execution=expanded(how)))
+    execution = expand_out_folder(execution)
+    _print_result(benchmark(evaluation, execution=execution), execution, "report.html")
 
 
-def run_pair(run: Run = Run(split="val"), how: Execution = Execution()) -> None:
-    """Let any giver and any receiver play the scenes of a split and print the table.
+def run_pair(
+    evaluation: EvaluationConfig = EvaluationConfig(split="val"), execution: ExecutionConfig = ExecutionConfig()
+) -> None:
+    """Evaluate a giver with a receiver on a split and print the table.
 
     Args:
-        run: What is run.
-        how: How it is run; outcomes do not depend on it.
+        evaluation: Scenes, policies and simulation.
+        execution: Workers and output; outcomes do not depend on them.
     """
-    from handover_marl.benchmarking.runner import evaluate_run
+    from handover_marl.evaluation.benchmark import evaluate_pair
 
-    print(evaluate_run(run, expanded(how)))
+    execution = expand_out_folder(execution)
+    _print_result(evaluate_pair(evaluation, execution=execution), execution, "report.html")
 
 
-def run_agreement(run: Run = Run(split="val"), against: str = "fast", how: Execution = Execution()) -> None:
-    """Play the same scenes in exact and in fast or MuJoCo's physics and compare the outcomes.
+def run_agreement(
+    evaluation: EvaluationConfig = EvaluationConfig(split="val"),
+    against: str = "fast",
+    execution: ExecutionConfig = ExecutionConfig(),
+) -> None:
+    """Compare outcomes of the same scenes in exact and in other physics.
 
     Args:
-        run: What is run; its physics do not count.
-        against: What exact physics are compared with, fast or mujoco.
-        how: How it is run; outcomes do not depend on it.
+        evaluation: Scenes, policies and simulation; the physics option is ignored.
+        against: Physics to compare with exact physics, fast or mujoco.
+        execution: Workers and output; outcomes do not depend on them.
     """
-    from handover_marl.benchmarking.agreement import agreement
+    from handover_marl.evaluation.agreement import AGREEMENT_FILE, compare_physics
 
-    print(agreement(run, against=against, execution=expanded(how)))
+    execution = expand_out_folder(execution)
+    _print_result(compare_physics(evaluation, against=against, execution=execution), execution, AGREEMENT_FILE)
 
 
 def run_crossplay(
     givers: _Names = "replay,cooperative,hesitant",
     receivers: _Names = "hold,yang2021",
-    run: CrossPlayRun = _CROSSPLAY,
-    how: Execution = Execution(),
+    evaluation: CrossPlayArguments = _CROSSPLAY,
+    execution: ExecutionConfig = ExecutionConfig(),
 ) -> None:
-    """Play every giver with every receiver and print who gets on with whom.
+    """Evaluate every giver with every receiver and print the success rates.
 
     Args:
-        givers: Givers, with commas; gains are told over the first one.
-        receivers: Receivers, with commas.
-        run: What is run.
-        how: How it is run; outcomes do not depend on it.
+        givers: Comma-separated givers; the first one is the baseline of the others.
+        receivers: Comma-separated receivers.
+        evaluation: Scenes, policies and simulation.
+        execution: Workers and output; outcomes do not depend on them.
     """
-    from handover_marl.benchmarking.crossplay import crossplay
-    from handover_marl.policies.reference import split_names
+    from handover_marl.evaluation.crossplay import crossplay
+    from handover_marl.policies.reference import split_policy_list
 
-    rows, columns = split_names("giver", givers), split_names("receiver", receivers)
-    print(crossplay(rows, columns, run, execution=expanded(how)))
+    rows, columns = split_policy_list("giver", givers), split_policy_list("receiver", receivers)
+    execution = expand_out_folder(execution)
+    _print_result(crossplay(rows, columns, evaluation, execution=execution), execution, "crossplay.md")
 
 
 def run_demonstrate(
-    sight: Literal["none", "points", "clouds", "images"] = "none",
-    observe: Literal["all", "sight"] = "all",
+    obs_mode: Literal[
+        "state",
+        "state+pointcloud",
+        "pointcloud",
+        "state+rgbd",
+        "rgbd",
+        "state+full_pointcloud",
+        "full_pointcloud",
+    ] = "state",
     keep: Literal["all", "success"] = "all",
-    run: Run = Run(split="train", receiver="reactive"),
-    how: Execution = Execution(),
+    evaluation: EvaluationConfig = EvaluationConfig(split="train", receiver="reactive"),
+    execution: ExecutionConfig = ExecutionConfig(),
 ) -> None:
     """Record episodes of a train split as a data set in Minari's layout (--out DIR).
 
     Args:
-        sight: What is recorded of the wrist camera, whatever the receiver itself looks at.
-        observe: all, or sight: proprioception and sight alone.
-        keep: all episodes, with their outcome, or only successes.
-        run: What is run.
-        how: How it is run; the data do not depend on it.
+        obs_mode: Observation mode of the data set, independent of the receiver's.
+        keep: Episodes to store: all, with their outcomes, or success.
+        evaluation: Scenes, policies and simulation.
+        execution: Workers and output; the data do not depend on them.
     """
-    from handover_marl.demonstrations.demonstrate import demonstrate
+    from handover_marl.evaluation.demonstrations.record import demonstrate
 
-    shown = None if sight == "none" else sight
-    print(demonstrate(run, sight=shown, observe=observe, keep=keep, execution=expanded(how)))
+    execution = expand_out_folder(execution)
+    _print_result(demonstrate(evaluation, obs_mode=obs_mode, keep=keep, execution=execution), execution, "report.html")
+
+
+def _print_result(result: object, execution: ExecutionConfig, report: str) -> None:
+    """Print a result and, as the last line, the path of its report."""
+    print(result)
+    print(f"\nReport: {execution.folder / report}" if execution.folder else "\nReport not saved; add --out DIR.")

@@ -1,70 +1,51 @@
-"""Where scenes come from: DexYCB in the official layout on disk, or generated ones; and the official splits."""
+"""Handover scenes: DexYCB recordings in HandoverSim's folder layout, or generated ones.
+
+`open_dataset` returns a data set by name. DexYCB is imported from its authors' files by
+`handover_marl.datasets.dexycb.importer`.
+"""
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 from handover_marl.datasets.dataset import Dataset
 from handover_marl.datasets.official import OfficialDataset
 from handover_marl.errors import DataNotFoundError, OptionError, UnknownNameError
-from handover_marl.models.panda import PANDA
+from handover_marl.geometry.panda import PANDA
 
-if TYPE_CHECKING:
-    from handover_marl.datasets.importing.import_dexycb import import_dexycb
-    from handover_marl.datasets.importing.imported import Imported
+#: Environment variable with the data folder, for calls without the argument `data_dir`.
+DATA_DIR_VARIABLE = "HANDOVER_MARL_DATA"
 
-#: Environment variable that names the data folder when no argument does.
-DATA_VARIABLE = "HANDOVER_MARL_DATA"
-
-#: What can be asked for. "auto" takes DexYCB when a data folder is given or set, else the generated scenes.
+#: Accepted names. "auto" is DexYCB if a data folder is given or set, else the synthetic scenes.
 DATASETS = ("auto", "synthetic", "dexycb")
 
-#: How they are called in words.
+#: Names of the data sets in reports.
 DATASET_TITLES = {"dexycb": "DexYCB", "synthetic": "synthetic scenes"}
 
-__all__ = [
-    "DATASETS",
-    "DATASET_TITLES",
-    "DATA_VARIABLE",
-    "Dataset",
-    "Imported",
-    "OfficialDataset",
-    "import_dexycb",
-    "open_dataset",
-]
-
-
-def __getattr__(name: str) -> Any:
-    # Only for who imports data, since it pulls in what nobody else needs.
-    if name in ("Imported", "import_dexycb"):
-        from handover_marl.datasets.importing import import_dexycb, imported
-
-        return getattr(imported if name == "Imported" else import_dexycb, name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+__all__ = ["DATASETS", "DATASET_TITLES", "DATA_DIR_VARIABLE", "Dataset", "OfficialDataset", "open_dataset"]
 
 
 def open_dataset(dataset: str = "auto", data_dir: str | os.PathLike[str] | None = None, robot: str = PANDA) -> Dataset:
-    """A dataset by name.
+    """Return a data set by name.
 
     Args:
         dataset: One of `DATASETS`.
-        data_dir: Folder in HandoverSim's layout; default: the one that `HANDOVER_MARL_DATA` names.
-        robot: Which Panda stands in the scenes, "panda" or "panda_camera".
+        data_dir: Folder in HandoverSim's layout; default: the one in `HANDOVER_MARL_DATA`.
+        robot: Variant of the Panda, "panda" or "panda_camera".
 
     Raises:
-        UnknownNameError: No such dataset or robot.
-        OptionError: A data folder was given for the synthetic scenes, which have none.
-        DataNotFoundError: DexYCB was asked for without a data folder, or the folder is not there.
+        UnknownNameError: The data set or the robot does not exist.
+        OptionError: A data folder is given for the synthetic scenes, or is not a path.
+        DataNotFoundError: DexYCB is requested without a data folder, or the folder is missing.
     """
     if dataset not in DATASETS:
         raise UnknownNameError("dataset", dataset, DATASETS)
     if dataset == "synthetic" and data_dir:
         raise OptionError(f"synthetic scenes need no data folder, but data_dir is {data_dir}; leave one of them out")
     if data_dir is not None and not isinstance(data_dir, (str, os.PathLike)):
-        raise OptionError(f"data_dir={data_dir!r} must be a path")
-    chosen = data_dir or os.environ.get(DATA_VARIABLE)
+        raise OptionError(f"data_dir must be a path, got {data_dir!r}")
+    chosen = data_dir or os.environ.get(DATA_DIR_VARIABLE)
     if dataset == "synthetic" or (dataset == "auto" and not chosen):
-        # Only now, because it pulls in what DexYCB does not need.
+        # DexYCB needs none of the generator's imports, which take long.
         from handover_marl.datasets.synthetic import SyntheticDataset
 
         return SyntheticDataset(robot)
@@ -76,5 +57,5 @@ def open_dataset(dataset: str = "auto", data_dir: str | os.PathLike[str] | None 
     try:
         folder = Path(chosen).expanduser().resolve()
     except (OSError, ValueError, RuntimeError) as error:
-        raise DataNotFoundError(f"data folder {str(chosen)[:200]!r} cannot be ({error})") from error
+        raise DataNotFoundError(f"data folder {str(chosen)[:200]!r} cannot be used ({error})") from error
     return OfficialDataset(folder, robot)

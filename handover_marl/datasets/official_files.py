@@ -1,10 +1,11 @@
-"""The files of HandoverSim's `assets/` that come from others, and where those of a data folder come from.
+"""Third-party files in HandoverSim's folder `assets/`, and the origin of those in a data folder.
 
-`third_party.sha256` lists them by their path in `assets/`, with the sums of those that are known. A stand-in says of
-itself that it is one, in its first bytes.
+`third_party.sha256` lists their paths within `assets/` with the known checksums. A stand-in file
+(a substitute made by this library) is marked as such in its first bytes.
 """
 
 import hashlib
+import os
 from collections import Counter
 from enum import Enum
 from functools import cache
@@ -13,27 +14,27 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
-from handover_marl.models.panda import PANDA, PANDA_CAMERA
+from handover_marl.errors import DataNotFoundError
+from handover_marl.geometry.panda import PANDA, PANDA_CAMERA
 
-#: Models of the robots.
+#: URDFs of the robot's variants, relative to `assets/`.
 PANDA_FILES = {
     PANDA: "franka_panda/panda_gripper.urdf",
     PANDA_CAMERA: "franka_panda/panda_gripper_hand_camera.urdf",
 }
-#: HandoverSim comes without grasps of these; its setups never ask for them.
-WITHOUT_GRASPS = ("002_master_chef_can", "036_wood_block")
-#: What a file that stands in for an original one has among its first bytes.
+#: Text among the first bytes of a stand-in file.
 STAND_IN: Final = "handover_marl stand-in"
-#: Links of the hand, counted from 1, that collide with less than they show: roots of middle, little and ring finger.
-SLENDER_LINKS = (5, 8, 11)
+#: Hand links (from 1) with a reduced collision mesh: roots of middle, little and ring finger.
+REDUCED_COLLISION_LINKS = (5, 8, 11)
 N_HAND_MESHES = 16
-# Nothing fails for want of colours, nor of the camera's body, which HandoverSim's URDFs name where it is not.
+# Scenes run without textures, and without the camera's body, which HandoverSim's URDFs name at a
+# path that does not exist.
 _OPTIONAL_ENDINGS = (".mtl", ".png", "camera.stl", "camera.DAE")
-_BEGINNING = 1000  # bytes in which a stand-in says so
+_HEADER_BYTES = 1000
 
 
-class Origin(Enum):
-    """Where a file comes from."""
+class FileOrigin(Enum):
+    """Origin of a model or grasp file."""
 
     ORIGINAL = "original"
     STAND_IN = "stand-in"
@@ -41,54 +42,54 @@ class Origin(Enum):
 
 
 @cache
-def third_party_sums() -> MappingProxyType[str, str | None]:
-    """Path in `assets/` -> SHA-256 in hexadecimal, or None for a file that is expected but not known."""
+def read_third_party_checksums() -> MappingProxyType[str, str | None]:
+    """Return the SHA-256 of every third-party file by its path in `assets/`; None if unknown."""
     text = (files(__package__) / "third_party.sha256").read_text()
     pairs = [line.split(maxsplit=1) for line in text.splitlines() if line and not line.startswith("#")]
     return MappingProxyType({path: None if known == "-" else known for known, path in pairs})
 
 
-def needed_files() -> tuple[str, ...]:
-    """Those of them without which scenes cannot be played, by path in `assets/`."""
-    return tuple(path for path in third_party_sums() if not path.endswith(_OPTIONAL_ENDINGS))
+def list_required_files() -> tuple[str, ...]:
+    """Return the third-party files that scenes need, as paths in `assets/`."""
+    return tuple(path for path in read_third_party_checksums() if not path.endswith(_OPTIONAL_ENDINGS))
 
 
 def is_stand_in(content: bytes) -> bool:
-    """Whether a file says that it stands in for an original one."""
-    return STAND_IN.encode() in content[:_BEGINNING]
+    """Return whether the content of a file is marked as a stand-in."""
+    return STAND_IN.encode() in content[:_HEADER_BYTES]
 
 
-def stands_in(path: Path) -> bool:
-    """The same of a file that may be missing or unreadable."""
+def is_stand_in_file(path: Path) -> bool:
+    """Return whether a file exists, can be read and is marked as a stand-in."""
     try:
         with path.open("rb") as file:
-            return is_stand_in(file.read(_BEGINNING))
+            return is_stand_in(file.read(_HEADER_BYTES))
     except OSError:
         return False
 
 
-def file_origin(path: str, content: bytes) -> Origin:
-    """Where a file comes from, by what it holds.
+def classify_file_origin(path: str, content: bytes) -> FileOrigin:
+    """Return the origin of a third-party file from its content.
 
     Args:
-        path: Relative to `assets/`.
-        content: What it holds.
+        path: Path relative to `assets/`.
+        content: Content of the file.
     """
     if is_stand_in(content):
-        return Origin.STAND_IN
-    known = third_party_sums().get(path)
+        return FileOrigin.STAND_IN
+    known = read_third_party_checksums().get(path)
     same = known is not None and hashlib.sha256(content).hexdigest() == known
-    return Origin.ORIGINAL if same else Origin.UNKNOWN
+    return FileOrigin.ORIGINAL if same else FileOrigin.UNKNOWN
 
 
-def hand_origin(folder: Path) -> Origin:
-    """Whether a hand was compiled from a MANO model as HandoverSim does it, or is of another make.
+def classify_hand_origin(folder: Path) -> FileOrigin:
+    """Return ORIGINAL for a hand compiled from MANO by HandoverSim's rules, else STAND_IN.
 
-    The compiled hand collides with the very surfaces that it shows, but for three links, and these are open where
-    they meet; nobody would make one of bodies so.
+    A compiled hand has equal visual and collision meshes but for three links, and the meshes are
+    open surfaces. Hands made in another way have closed meshes.
 
     Args:
-        folder: The hand's, with `mano.urdf` and `meshes/`.
+        folder: Folder of the hand with `mano.urdf` and `meshes/`.
 
     Raises:
         OSError: A mesh cannot be read.
@@ -97,20 +98,63 @@ def hand_origin(folder: Path) -> Origin:
     def mesh(kind: str, link: int) -> bytes:
         return (folder / "meshes" / kind / f"mesh{link}.obj").read_bytes()
 
-    links = [link for link in range(1, N_HAND_MESHES + 1) if link not in SLENDER_LINKS]
-    compiled = all(mesh("visual", link) == mesh("collision", link) for link in links) and all(
-        _vertices(mesh("collision", link)) <= _vertices(mesh("visual", link)) for link in SLENDER_LINKS
+    def vertices(kind: str, link: int) -> set[bytes]:
+        return {line for line in mesh(kind, link).splitlines() if line.startswith(b"v ")}
+
+    links = [link for link in range(1, N_HAND_MESHES + 1) if link not in REDUCED_COLLISION_LINKS]
+    compiled = (
+        all(mesh("visual", link) == mesh("collision", link) for link in links)
+        and all(vertices("collision", link) <= vertices("visual", link) for link in REDUCED_COLLISION_LINKS)
+        and _is_open(mesh("visual", 1))
     )
-    compiled = compiled and _is_open(mesh("visual", 1))
-    return Origin.ORIGINAL if compiled else Origin.STAND_IN
+    return FileOrigin.ORIGINAL if compiled else FileOrigin.STAND_IN
 
 
 def _is_open(mesh: bytes) -> bool:
-    """Whether a surface bounds no body."""
+    """Return whether a triangle mesh has an edge that is not shared by two faces."""
     faces = [line.split()[1:] for line in mesh.splitlines() if line.startswith(b"f ")]
     edges = Counter(frozenset(pair) for face in faces for pair in zip(face, [*face[1:], face[0]], strict=True))
     return set(edges.values()) != {2}
 
 
-def _vertices(mesh: bytes) -> set[bytes]:
-    return {line for line in mesh.splitlines() if line.startswith(b"v ")}
+def find_origin(assets: Path, path: str) -> FileOrigin:
+    """Return the origin of a third-party file by its path in `assets/`; UNKNOWN if unreadable."""
+    try:
+        return classify_file_origin(path, (assets / path).read_bytes())
+    except OSError:
+        return FileOrigin.UNKNOWN
+
+
+def find_hand_origin(folder: Path) -> FileOrigin:
+    """Return the origin of a hand model by its folder; UNKNOWN if a mesh cannot be read."""
+    try:
+        return classify_hand_origin(folder)
+    except OSError:
+        return FileOrigin.UNKNOWN
+
+
+def describe_origins(kind: str, *origins: FileOrigin) -> list[str]:
+    """Return notes for results on the files of one kind that are not HandoverSim's own."""
+    if FileOrigin.STAND_IN in origins:
+        return [f"stand-in {kind}"]
+    return [f"{kind} of unknown origin"] if FileOrigin.UNKNOWN in origins else []
+
+
+def require_file(path: Path) -> Path:
+    """Return a path if it is a readable file, else raise an error.
+
+    Raises:
+        DataNotFoundError: The file is missing or cannot be read.
+    """
+    try:
+        is_readable = path.is_file() and os.access(path, os.R_OK)
+    except OSError as error:
+        raise DataNotFoundError(f"{path} cannot be read ({error.strerror or error}); check its rights") from error
+    if is_readable:
+        return path
+    if path.exists():
+        raise DataNotFoundError(f"{path} cannot be read; check its rights")
+    raise DataNotFoundError(
+        f"{path} is missing. The data folder is incomplete (list what is missing with handover-marl doctor): copy or "
+        "expand the HandoverSim data again."
+    )

@@ -1,7 +1,7 @@
-"""The official evaluation setups S0-S3 and their splits, as pure functions of the scene number.
+"""Official evaluation setups S0 to S3 and their splits, as functions of the scene number.
 
-A scene's number is 100 * subject + 5 * object + trial, with ten subjects, twenty objects and five trials.
-Source: Chao et al., HandoverSim, ICRA 2022, Table I.
+A scene number is 100 * subject + 5 * object + trial, for ten subjects, twenty objects and five
+trials. Source: Chao et al., HandoverSim, ICRA 2022, Table I.
 """
 
 import operator
@@ -15,41 +15,31 @@ N_SCENES = 1000
 SETUPS = ("s0", "s1", "s2", "s3")
 SPLITS = ("train", "val", "test")
 
-#: Official number of scenes in every split (Table I).
+#: Official number of scenes in every split (HandoverSim, Table I).
 SPLIT_SIZES = {
-    ("s0", "train"): 720,
-    ("s0", "val"): 36,
-    ("s0", "test"): 144,
-    ("s1", "train"): 630,
-    ("s1", "val"): 90,
-    ("s1", "test"): 180,
-    ("s2", "train"): 449,
-    ("s2", "val"): 91,
-    ("s2", "test"): 360,
-    ("s3", "train"): 700,
-    ("s3", "val"): 100,
-    ("s3", "test"): 100,
+    (setup, split): size
+    for setup, sizes in zip(SETUPS, ((720, 36, 144), (630, 90, 180), (449, 91, 360), (700, 100, 100)), strict=True)
+    for split, size in zip(SPLITS, sizes, strict=True)
 }
 
-#: Objects (master chef can, wood block) too large for the gripper, in no split.
+#: Objects 0 (master chef can) and 15 (wood block), too large for the gripper and in no split.
 SKIPPED_OBJECTS = frozenset({0, 15})
 
-#: Trials whose hand was prescribed, right for the first two and left for the others; the last was free.
-TRIALS_BY_DESIGN = range(4)
+#: Trials with a prescribed hand: right in the first two, left in the others. Subjects chose the
+#: hand of the last trial themselves.
+PRESCRIBED_SIDE_TRIALS = range(4)
 
-_ALL_SUBJECTS = frozenset(range(10))
 _ALL_OBJECTS = frozenset(range(20))
-_ALL_TRIALS = frozenset(range(5))
 _LATER_SUBJECTS = frozenset(range(2, 10))
 
 
 @dataclass(frozen=True)
 class _Filter:
-    """Which scenes belong to a split; `side` None takes both hands."""
+    """Subjects, objects, trials and hand (None for both) of the scenes of a split."""
 
-    subjects: frozenset[int] = _ALL_SUBJECTS
+    subjects: frozenset[int] = frozenset(range(10))
     objects: frozenset[int] = _ALL_OBJECTS
-    trials: frozenset[int] = _ALL_TRIALS
+    trials: frozenset[int] = frozenset(range(5))
     side: str | None = None
 
 
@@ -70,65 +60,68 @@ _FILTERS = {
 
 
 def check_setup_and_split(setup: str, split: str) -> None:
-    """Raise `UnknownNameError` unless both names exist."""
+    """Raise `UnknownNameError` unless the setup and the split exist."""
     if setup not in SETUPS:
         raise UnknownNameError("setup", setup, SETUPS)
     if split not in SPLITS:
         raise UnknownNameError("split", split, SPLITS)
 
 
-def split_scenes(setup: str, split: str, side_of_scene: Callable[[int], str]) -> tuple[int, ...]:
-    """Scene ids of a split, ascending; their positions are the official result files' numbers.
+def list_split_scenes(setup: str, split: str, find_side: Callable[[int], str]) -> tuple[int, ...]:
+    """Return the scene numbers of a split in ascending order.
+
+    The position of a scene in this list is its index in the official result files.
 
     Args:
-        setup: "s0" seen everything, "s1" unseen subjects, "s2" unseen handedness, "s3" unseen objects.
+        setup: "s0" (no held-out factor), "s1" (unseen subjects), "s2" (unseen handedness) or "s3"
+            (unseen objects).
         split: "train", "val" or "test".
-        side_of_scene: Gives "right" or "left" for a scene id. Asked only for trial 4 of setup s2, where the
-            hand was the subject's choice; trials 0-1 are right-handed and 2-3 left-handed by design.
+        find_side: Function from a scene number to "right" or "left". It is only called for trial 4
+            of setup s2; the hand of the other trials is prescribed.
 
     Raises:
-        UnknownNameError: No such setup or split.
+        UnknownNameError: The setup or the split does not exist.
     """
     check_setup_and_split(setup, split)
-    chosen = _FILTERS[setup, split]
-    return tuple(scene for scene in range(N_SCENES) if _belongs(scene, chosen, side_of_scene))
+    selected = _FILTERS[setup, split]
+    return tuple(scene for scene in range(N_SCENES) if _is_in_split(scene, selected, find_side))
 
 
-def _belongs(scene: int, chosen: _Filter, side_of_scene: Callable[[int], str]) -> bool:
+def _is_in_split(scene: int, selected: _Filter, find_side: Callable[[int], str]) -> bool:
     subject, obj, trial = scene // 100, scene // 5 % 20, scene % 5
-    if obj in SKIPPED_OBJECTS or subject not in chosen.subjects:
+    if obj in SKIPPED_OBJECTS or subject not in selected.subjects:
         return False
-    if obj not in chosen.objects or trial not in chosen.trials:
+    if obj not in selected.objects or trial not in selected.trials:
         return False
-    return chosen.side is None or chosen.side == _side(scene, side_of_scene)
+    if selected.side is None:
+        return True
+    side = prescribed_side(scene) if trial in PRESCRIBED_SIDE_TRIALS else find_side(scene)
+    return selected.side == side
 
 
-def designed_side(scene: int) -> Literal["left", "right"]:
-    """The hand of a scene whose trial is among `TRIALS_BY_DESIGN`."""
+def prescribed_side(scene: int) -> Literal["left", "right"]:
+    """Return the giver's hand in a scene whose trial is in `PRESCRIBED_SIDE_TRIALS`."""
     return "right" if scene % 5 < 2 else "left"
 
 
-def _side(scene: int, side_of_scene: Callable[[int], str]) -> str:
-    return designed_side(scene) if scene % 5 in TRIALS_BY_DESIGN else side_of_scene(scene)
-
-
 def choose_scenes(split_ids: tuple[int, ...], scenes: Iterable[int] | None, where: str) -> tuple[int, ...]:
-    """Some scenes of a split, ascending and each once, or all of it.
+    """Return the chosen scenes of a split in ascending order without repetitions.
 
     Args:
-        split_ids: The split.
-        scenes: Those wanted, or None for all.
-        where: What to call the split in errors.
+        split_ids: Scene numbers of the split.
+        scenes: Chosen scene numbers, or None for the whole split.
+        where: Name of the split in error messages.
 
     Raises:
-        SceneError: One is not in the split, or none is wanted, or these are no scene numbers.
+        SceneError: `scenes` is empty, holds something other than integers, or a scene outside of
+            the split.
     """
     if scenes is None:
         return split_ids
     try:
         wanted = sorted({operator.index(scene) for scene in scenes})
     except TypeError as error:
-        raise SceneError(f"scenes={scenes!r}: expected scene numbers, such as [209, 214]") from error
+        raise SceneError(f"scenes must be scene numbers such as [209, 214], got {scenes!r}") from error
     foreign = [scene for scene in wanted if scene not in split_ids]
     if foreign:
         raise SceneError(
@@ -136,5 +129,5 @@ def choose_scenes(split_ids: tuple[int, ...], scenes: Iterable[int] | None, wher
             f"{split_ids[-1]}; choose scenes of this split or another setup or split"
         )
     if not wanted:
-        raise SceneError(f"no scene chosen; leave scenes out to run all {len(split_ids)} of {where}")
+        raise SceneError(f"scenes must not be empty; leave it out to run all {len(split_ids)} of {where}")
     return tuple(wanted)

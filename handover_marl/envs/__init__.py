@@ -1,1 +1,1 @@
-"""The two-agent environment, and wrappers around it."""
+"""Two-agent handover environment, its rewards, wrappers and vector environments."""

@@ -1,95 +1,89 @@
-"""The customary constructors."""
+"""Constructors of the handover environment for the APIs of PettingZoo and Gymnasium."""
 
-import os
-from collections.abc import Iterable
+import dataclasses
+from typing import Any
 
 from pettingzoo import AECEnv
 from pettingzoo.utils.conversions import parallel_to_aec
 from pettingzoo.utils.wrappers import OrderEnforcingWrapper
-from typing_extensions import TypedDict, Unpack
 
-from handover_marl.config import CameraConfig, WorldConfig
 from handover_marl.envs.arguments import GIVER, RECEIVER
-from handover_marl.envs.freeze import FrozenPartnerEnv, freeze
+from handover_marl.envs.config import EnvConfig
 from handover_marl.envs.handover_env import HandoverEnv
-from handover_marl.envs.rewards import RewardConfig
-from handover_marl.envs.wrapper import SingleAgentEnv
-from handover_marl.episode.observations import ALL
-from handover_marl.models.panda import PANDA
-from handover_marl.options import shows
+from handover_marl.envs.wrappers.freeze import FrozenPartnerEnv, freeze
+from handover_marl.envs.wrappers.wrapper import SingleAgentEnv
+from handover_marl.errors import OptionError
+from handover_marl.execution.options import forward_signature
 from handover_marl.policies.reference import PolicyLike
-from handover_marl.sim.camera.imperfections import CameraImperfections
+
+# Fields that the benchmark does not fix; it prescribes physics, rules, horizon and camera.
+_BENCHMARK_FIELDS = {"setup", "split", "data_dir", "dataset", "control_period", "render_mode", "robot", "obs_mode"}
+_PRESCRIBED = tuple(field.name for field in dataclasses.fields(EnvConfig) if field.name not in _BENCHMARK_FIELDS)
 
 
-class EnvOptions(TypedDict, total=False):
-    """The options of `HandoverEnv`, which says what they mean."""
+@forward_signature(EnvConfig)
+def parallel_env(config: EnvConfig | None = None, **fields: Any) -> HandoverEnv:
+    """Make a PettingZoo parallel environment, in which both agents act at the same time.
 
-    setup: str
-    split: str
-    data_dir: str | os.PathLike[str] | None
-    dataset: str
-    physics: str
-    control_period: float
-    render_mode: str | None
-    camera: CameraConfig | None
-    rewards: str | RewardConfig
-    scenes: Iterable[int] | None
-    max_cycles: int | None
-    config: WorldConfig
-    robot: str
-    sight: str | None
-    observe: str
-    renderer: str
-    geometry: str
-    imperfections: str | CameraImperfections | None
+    Args:
+        config: Configuration; default: one made of `fields`.
+        fields: Fields of `handover_marl.envs.config.EnvConfig`, in place of `config`.
+    """
+    return HandoverEnv(config, **fields)
 
 
-@shows(HandoverEnv)
-def parallel_env(**options: Unpack[EnvOptions]) -> HandoverEnv:
-    """The environment with both agents acting at once; options as `HandoverEnv`."""
-    return HandoverEnv(**options)
+@forward_signature(EnvConfig)
+def env(config: EnvConfig | None = None, **fields: Any) -> AECEnv:
+    """Make a PettingZoo AEC environment, in which the agents act in turn, the giver first.
+
+    Args:
+        config: Configuration; default: one made of `fields`.
+        fields: Fields of `handover_marl.envs.config.EnvConfig`, in place of `config`.
+    """
+    return OrderEnforcingWrapper(parallel_to_aec(parallel_env(config, **fields)))
 
 
-@shows(HandoverEnv)
-def env(**options: Unpack[EnvOptions]) -> AECEnv:
-    """The environment with the agents acting one after the other, giver first; options as `HandoverEnv`."""
-    return OrderEnforcingWrapper(parallel_to_aec(parallel_env(**options)))
+@forward_signature(EnvConfig)
+def receiver_env(
+    partner: PolicyLike = "replay", trust: bool = False, config: EnvConfig | None = None, **fields: Any
+) -> SingleAgentEnv:
+    """Make a Gymnasium environment of the robot, in which a fixed policy acts for the giver.
+
+    Args:
+        partner: Policy of the giver, the agent that is not controlled from outside.
+        trust: Whether a policy file may run code.
+        config: Configuration; default: one made of `fields`.
+        fields: Fields of `handover_marl.envs.config.EnvConfig`, in place of `config`.
+    """
+    return freeze(HandoverEnv(config, **fields), RECEIVER, partner, api="gymnasium", trust=trust)
 
 
-@shows(HandoverEnv)
-def receiver_env(partner: PolicyLike = "replay", trust: bool = False, **options: Unpack[EnvOptions]) -> SingleAgentEnv:
-    """A Gymnasium environment of the robot alone, the giver frozen to a policy; options as `HandoverEnv`."""
-    return freeze(HandoverEnv(**options), RECEIVER, partner, api="gymnasium", trust=trust)
+@forward_signature(EnvConfig)
+def giver_env(
+    partner: PolicyLike = "yang2021", trust: bool = False, config: EnvConfig | None = None, **fields: Any
+) -> SingleAgentEnv:
+    """Make a Gymnasium environment of the person, in which a fixed policy acts for the receiver.
+
+    Args:
+        partner: Policy of the receiver, the agent that is not controlled from outside.
+        trust: Whether a policy file may run code.
+        config: Configuration; default: one made of `fields`.
+        fields: Fields of `handover_marl.envs.config.EnvConfig`, in place of `config`.
+    """
+    return freeze(HandoverEnv(config, **fields), GIVER, partner, api="gymnasium", trust=trust)
 
 
-@shows(HandoverEnv)
-def giver_env(partner: PolicyLike = "yang2021", trust: bool = False, **options: Unpack[EnvOptions]) -> SingleAgentEnv:
-    """A Gymnasium environment of the person alone, the receiver frozen to a policy; options as `HandoverEnv`."""
-    return freeze(HandoverEnv(**options), GIVER, partner, api="gymnasium", trust=trust)
+@forward_signature(EnvConfig, without=_PRESCRIBED, defaults={"split": "test"})
+def benchmark_env(**fields: Any) -> FrozenPartnerEnv:
+    """Make the official benchmark task of a receiver: exact physics, official rules, replayed giver.
 
+    Args:
+        fields: Fields of `handover_marl.envs.config.EnvConfig` that the benchmark does not fix.
 
-def benchmark_env(
-    setup: str = "s0",
-    split: str = "test",
-    data_dir: str | os.PathLike[str] | None = None,
-    dataset: str = "auto",
-    control_period: float = 0.1,
-    render_mode: str | None = None,
-    robot: str = PANDA,
-    sight: str | None = None,
-    observe: str = ALL,
-) -> FrozenPartnerEnv:
-    """The official task for one receiver. Giver, physics, rules, horizon and camera are the benchmark's."""
-    world = HandoverEnv(
-        setup=setup,
-        split=split,
-        data_dir=data_dir,
-        dataset=dataset,
-        physics="exact",
-        control_period=control_period,
-        render_mode=render_mode,
-        robot=robot,
-        sight=sight,
-        observe=observe,
-    )
-    return freeze(world, RECEIVER, "replay")
+    Raises:
+        OptionError: A field is prescribed by the benchmark.
+    """
+    fixed = [name for name in fields if name in _PRESCRIBED]
+    if fixed:
+        raise OptionError(f"benchmark_env() prescribes {', '.join(fixed)}; use parallel_env() and freeze()")
+    return freeze(HandoverEnv(**{"split": "test", **fields}), RECEIVER, "replay")

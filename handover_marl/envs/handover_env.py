@@ -1,28 +1,6 @@
-"""Human-to-robot handover as a two-agent PettingZoo environment.
+"""Human-to-robot handover as a two-agent PettingZoo environment."""
 
-| | |
-|---|---|
-| agents | `giver` (a human hand with an object), `receiver` (a Franka Panda) |
-| actions | receiver: Box(9), target joint positions; giver: Box(8), deviation from the replay |
-| observations | Dict of arrays; the giver's has the recording's next half second; see `observations` |
-| rewards | 1 to both in the step that completes the handover, else 0; or shaped, see `handover_marl.envs.rewards` |
-| termination | success, contact of robot and person, or drop |
-| truncation | 13 s without success, or `max_cycles` steps |
-
-Both agents act at once; their actions hold for one control period, during which the rules are checked every
-millisecond, so that a step may end early with the episode.
-
-`infos[agent]` has the same keys from reset on, all numbers: `scene_id`; `status`, the bits of an `EpisodeStatus`;
-`steps`, physics steps so far; `release_step`, the step whose contacts made the person let go, or -1; `release`, why:
-an index into `RELEASES`, or -1; `reward/...`, the weighted terms that the agent's last reward is the sum of.
-
-Version history: v0, initial.
-"""
-
-import os
 import time
-from collections.abc import Iterable
-from dataclasses import fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -31,51 +9,34 @@ from gymnasium import spaces
 from gymnasium.utils import EzPickle, seeding
 from pettingzoo import ParallelEnv
 
-from handover_marl.config import OFFICIAL, TIME_STEP, CameraConfig, WorldConfig
+from handover_marl.config import TIME_STEP, CameraConfig
 from handover_marl.datasets import open_dataset
 from handover_marl.datasets.splits import choose_scenes
-from handover_marl.envs.arguments import (
-    AGENTS,
-    GIVER,
-    RECEIVER,
-    checked_actions,
-    checked_cycles,
-    checked_scene,
-    control_steps,
-    has_screen,
-)
-from handover_marl.envs.rewards import RewardConfig, Rewards, Situation, reward_config
+from handover_marl.envs.arguments import AGENTS, GIVER, RECEIVER, check_actions, check_scene_option, has_display
+from handover_marl.envs.config import RENDER_MODES, EnvConfig, make_env_config
+from handover_marl.envs.rewards import RewardFunction, RewardState, Terms, make_reward_config
+from handover_marl.episode.camera_observations import CameraFrame
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.observations import (
-    ALL,
     Observation,
-    as_receiver,
     giver_observation_space,
     observation_space,
     receiver_observation_space,
+    select_receiver_observation,
 )
-from handover_marl.episode.sight import SightConfig, View
-from handover_marl.episode.spaces import (
-    giver_action_space,
-    receiver_action_space,
-)
-from handover_marl.errors import ResetNeededError, UnknownNameError
-from handover_marl.models.panda import FINGERTIPS, PANDA
-from handover_marl.models.poses import compose_point
-from handover_marl.protocol.release import Release
-from handover_marl.protocol.status import EpisodeStatus
-from handover_marl.sim.camera.imperfections import CameraImperfections
-from handover_marl.sim.camera.optics import REFERENCE
-from handover_marl.sim.engines import check_physics
-from handover_marl.sim.renderers import chosen_renderer
-from handover_marl.sim.scene_pictures import check_drawing
+from handover_marl.episode.referee import EpisodeStatus, ReleaseReason
+from handover_marl.episode.spaces import giver_action_space, receiver_action_space
+from handover_marl.errors import ResetNeededError
+from handover_marl.execution.options import forward_signature
+from handover_marl.geometry.panda import FINGERTIPS
+from handover_marl.geometry.poses import transform_points
+from handover_marl.policies.policy import PolicyContext, make_policy_context
 
 if TYPE_CHECKING:
-    from handover_marl.episode.ensemble import Ensemble
+    from handover_marl.episode.lockstep import LockstepScheduler
 
-RENDER_MODES = ("human", "rgb_array")
-#: What `release` in infos is an index into.
-RELEASES = tuple(Release)
+#: Release reasons; the value `release` of infos is an index into this tuple.
+RELEASE_REASONS = tuple(ReleaseReason)
 
 Info = dict[str, float]
 Observations = dict[str, Observation]
@@ -83,38 +44,59 @@ StepResult = tuple[Observations, dict[str, float], dict[str, bool], dict[str, bo
 
 
 class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
-    """The two-agent world.
+    """Two-agent environment in which a person hands an object to a robot.
 
-    A copy or a pickle of it is a new environment with the same options: an episode that runs does not come along.
+    The agent `giver` is a human hand that replays a recorded handover and may deviate from it; the
+    agent `receiver` is a Franka Panda beside a table. Both act at the same time, and their actions hold
+    for one control period (default 0.1 s). The rules are HandoverSim's (Chao et al., ICRA 2022) and are
+    checked every physics step (1 ms), so that the last control step of an episode may be shorter.
+
+    Observation: a dictionary of arrays for each agent; world frame, m, rad, s, quaternions xyzw.
+        - receiver: joints, gripper, objects and human hand in the mode "state", wrist camera data in
+          others; keys and shapes: `handover_marl.episode.observations.receiver_observation_space`.
+        - giver: the state, the recording's next half second and the present deviation; keys and
+          shapes: `handover_marl.episode.observations.giver_observation_space`.
+
+    Action: a float32 array for each agent.
+        - receiver: (9,) target joint positions, 7 arm joints (rad) and 2 fingers (m).
+        - giver: (8,) deviation from the recording: playback rate (1), wrist displacement (3, m), wrist
+          rotation vector (3, rad) and release (1); zeros replay the recording.
+
+    Reward: 1 to both agents in the step that completes the handover, else 0; or shaped, see
+        `handover_marl.envs.rewards`.
+
+    Termination: success (the gripper holds the object at the goal for 0.1 s after the release), contact
+        of robot and person, or drop of the object.
+
+    Truncation: 13 s without termination, or `max_cycles` control steps.
+
+    Infos: a dictionary of numbers for each agent, with the same keys from `reset` on.
+        - `scene_id`: number of the scene.
+        - `status`: bits of `handover_marl.EpisodeStatus`.
+        - `steps`: physics steps since the start.
+        - `release_step`: physics step in which the person released the object, or -1.
+        - `release`: reason of the release, an index into `RELEASE_REASONS`, or -1.
+        - `reward/...`: weighted terms of the agent's last reward.
+
+    Copies and pickles are new environments with the same configuration and no running episode.
+
+    Version history: v0, initial.
 
     Args:
-        setup: Official setup, "s0" to "s3".
-        split: "train", "val" or "test".
-        data_dir: Folder in HandoverSim's layout; default: the environment variable HANDOVER_MARL_DATA.
-        dataset: "dexycb", "synthetic", or "auto": DexYCB when there is a data folder, else synthetic.
-        physics: "exact" is HandoverSim's simulation to the bit; "fast", for training, simulates hand and objects
-            only while the robot is near them; "mujoco" is another engine, faster again.
-        control_period: How long an action holds (s); a whole number of milliseconds, 0.001 or more.
-        render_mode: None, "rgb_array" (needs no screen) or "human" (PyBullet's window).
-        camera: What "rgb_array" pictures show.
-        rewards: "sparse", the task alone; "shaped", with guidance and costs; or weights of your own.
-        scenes: Only these scenes of the split.
-        max_cycles: Episodes are cut off after so many steps, to learn from more of them; None plays to the end.
-        config: The world and the rules.
-        robot: "panda", or "panda_camera" with HandoverSim's depth camera on its hand.
-        sight: What the receiver is shown of the wrist camera, "points", "clouds", "images" or None; either robot has
-            the view.
-        observe: "all", or "sight": proprioception and sight alone, so that nobody learns from the true pose.
-        renderer: "bullet", "rays", or "auto": bullet in exact physics, rays in others.
-        geometry: "reference" puts points where HandoverSim puts them, "true" where they are.
-        imperfections: What is wrong with the camera: None, "realsense" or `CameraImperfections`.
+        config: Configuration; default: one made of `fields`.
+        fields: Fields of `handover_marl.envs.config.EnvConfig`, in place of `config`.
+
+    Attributes:
+        config: Configuration.
+        dataset: Dataset of the scenes.
+        scene_ids: Numbers of the scenes that `reset` draws from, ascending.
 
     Raises:
-        UnknownNameError: No such setup, split, dataset, physics, robot, sight, renderer or render mode.
-        OptionError: The control period is not a whole number of milliseconds, or `max_cycles` no whole number; sight
-            alone is wanted and there is none, or what draws it is not installed.
+        UnknownNameError: There is no such setup, split, dataset, physics, robot, observation mode,
+            renderer or render mode.
+        OptionError: A field is out of range, or both `config` and `fields` are given.
         SceneError: A scene is not in the split.
-        DataNotFoundError: The data folder is not there.
+        DataNotFoundError: The data folder does not exist.
     """
 
     metadata: dict[str, Any] = {
@@ -124,116 +106,89 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         "is_parallelizable": True,
     }
 
-    def __init__(
-        self,
-        setup: str = "s0",
-        split: str = "train",
-        data_dir: str | os.PathLike[str] | None = None,
-        dataset: str = "auto",
-        physics: str = "exact",
-        control_period: float = 0.1,
-        render_mode: str | None = None,
-        camera: CameraConfig | None = None,
-        rewards: str | RewardConfig = "sparse",
-        scenes: Iterable[int] | None = None,
-        max_cycles: int | None = None,
-        config: WorldConfig = OFFICIAL,
-        robot: str = PANDA,
-        sight: str | None = None,
-        observe: str = ALL,
-        renderer: str = "auto",
-        geometry: str = REFERENCE,
-        imperfections: str | CameraImperfections | None = None,
-    ) -> None:
-        # Told below if it is no list, where the split is known.
-        chosen = list(scenes) if isinstance(scenes, Iterable) else scenes
-        EzPickle.__init__(
-            self,
-            *(setup, split, data_dir, dataset, physics, control_period, render_mode, camera, rewards),
-            *(chosen, max_cycles, config, robot, sight, observe, renderer, geometry, imperfections),
-        )
-        if render_mode is not None and render_mode not in RENDER_MODES:
-            raise UnknownNameError("render_mode", render_mode, RENDER_MODES)
-        check_physics(physics)
-        if render_mode is not None:
-            check_drawing(f"render_mode={render_mode!r}")
+    @forward_signature(EnvConfig)
+    def __init__(self, config: EnvConfig | None = None, **fields: Any) -> None:
+        config = make_env_config(config, fields)
+        EzPickle.__init__(self, config)
         self.config = config
-        drawn = SightConfig(renderer, geometry, imperfections)
-        seen = receiver_observation_space(sight, observe)
-        chosen_renderer(renderer, physics, installed=sight is not None)
-        self.sight, self.observe = sight, observe
-        self._episode = Episode(physics, config, window=render_mode == "human", sight=drawn)
-        self.control_period = control_period
-        self.control_steps = control_steps(control_period)
-        self.max_cycles = checked_cycles(max_cycles)
-        self.dataset = open_dataset(dataset, data_dir, robot)
-        self.scene_ids = choose_scenes(self.dataset.split(setup, split), chosen, f"{setup} {split}")
-        self.setup, self.split = setup, split
-        self.render_mode = render_mode
+        self.dataset = open_dataset(config.dataset, config.data_dir, config.robot)
+        split = self.dataset.list_scenes(config.setup, config.split)
+        self.scene_ids = choose_scenes(split, config.scenes, self._split_name)
         self.possible_agents = list(AGENTS)
         self.agents: list[str] = []
-        self._camera = camera or CameraConfig()
-        self._reward_config = reward_config(rewards)
-        self._rewards: Rewards | None = None
+        self.render_mode = config.render_mode
+        world_config = config.world_config
+        self._episode = Episode(config.physics, world_config, config.render_mode == "human", config.wrist_camera)
+        self._rewards = RewardFunction(make_reward_config(config.rewards), world_config.protocol.goal_center)
         self._observation: Observation | None = None
         self._rng: np.random.Generator | None = None
         self._cycles = 0
-        self._observation_spaces = {GIVER: giver_observation_space(config.giver), RECEIVER: seen}
-        self._action_spaces = {GIVER: giver_action_space(config.giver), RECEIVER: receiver_action_space()}
+        self._observation_spaces = {
+            GIVER: giver_observation_space(world_config.giver),
+            RECEIVER: receiver_observation_space(config.obs_mode),
+        }
+        self._action_spaces = {GIVER: giver_action_space(world_config.giver), RECEIVER: receiver_action_space()}
         for space in self._action_spaces.values():
-            # Libraries that save spaces with a policy save with them how long its actions hold.
-            space.control_period = control_period  # type: ignore[attr-defined]
+            # Libraries that save spaces with a policy save the control period with them.
+            space.control_period = config.control_period  # type: ignore[attr-defined]
         flat: Any = spaces.flatten_space(observation_space())
         self.state_space: spaces.Box = flat
-        modes = [mode for mode in RENDER_MODES if mode != "human" or mode == render_mode or has_screen()]
-        self.metadata = {**self.metadata, "render_modes": modes, "render_fps": max(1, round(1.0 / control_period))}
+        modes = [mode for mode in RENDER_MODES if mode != "human" or mode == config.render_mode or has_display()]
+        fps = max(1, round(1.0 / config.control_period))
+        self.metadata = {**self.metadata, "render_modes": modes, "render_fps": fps}
 
     @property
     def object_names(self) -> tuple[str, ...]:
-        """YCB names of the present episode's objects, the given one first."""
+        """YCB names of the episode's objects; the object to be handed over is first."""
         return self._episode.scene.info.object_names
 
     @property
+    def policy_context(self) -> PolicyContext:
+        """Robot, rules, objects and grasps for constructors of policies that act here."""
+        return make_policy_context(self.dataset, self.config.world_config, self.config.setup)
+
+    @property
     def np_random(self) -> np.random.Generator:
-        """What scenes are drawn with."""
+        """Random generator from which `reset` draws scenes."""
         if self._rng is None:
             self._rng, _ = seeding.np_random(None)
         return self._rng
 
     def observation_space(self, agent: str) -> spaces.Dict:
-        """The agent's observation space."""
+        """Return the agent's observation space."""
         return self._observation_spaces[agent]
 
     def action_space(self, agent: str) -> spaces.Box:
-        """The agent's action space."""
+        """Return the agent's action space."""
         return self._action_spaces[agent]
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observations, dict[str, Info]]:
-        """Start an episode.
+        """Start an episode of a drawn or a chosen scene.
 
         Args:
-            seed: Seeds the drawing of scenes; without one, drawing goes on where it was.
-            options: `{"scene_id": n}` chooses a scene of the split instead of drawing one.
+            seed: Seed of the random generator that draws scenes; None keeps its state.
+            options: `{"scene_id": n}` chooses a scene of the split; default: draw one.
+
+        Returns:
+            Observations and infos by agent.
 
         Raises:
             SceneError: The scene is not in the split.
-            DataNotFoundError, DataFormatError: The scene's files are missing or damaged.
+            DataNotFoundError, DataFormatError: Files of the scene are missing or damaged.
         """
-        # Should anything fail below, there is no episode.
+        # If anything fails below, no episode is running.
         self.agents = []
         self._observation = None
         if seed is not None:
             self._rng, _ = seeding.np_random(seed)
-        self._episode.reset(self.dataset.scene(self._chosen_scene(options)))
-        self._episode.seed_sight(self._next_camera_seed())
+        self._episode.reset(self.dataset.load_scene(self._choose_scene(options)))
+        self._episode.seed_camera(self._spawn_camera_seed())
         self._cycles = 0
         self.agents = list(AGENTS)
         observations = self._observe()
-        start = self._situation(self._present())
-        self._rewards = Rewards(self._reward_config, self.config.protocol.goal_center, start)
-        return observations, self._infos(self._no_reward())
+        return observations, self._make_infos(self._rewards.reset(self._read_reward_state()))
 
     def step(self, actions: dict[str, Any]) -> StepResult:
         """Let both agents act for one control period, or until the episode ends.
@@ -241,153 +196,152 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         Args:
             actions: `{"giver": (8,), "receiver": (9,)}`, elements of the agents' action spaces.
 
+        Returns:
+            Observations, rewards, terminations, truncations and infos by agent.
+
         Raises:
-            ActionError: An action is malformed; the world has not moved.
+            ActionError: An action is malformed; the simulation has not advanced.
             ResetNeededError: No episode is running.
         """
         if not self.agents:
             raise ResetNeededError("no episode is running; call reset() before step()")
-        robot_target, deviation = checked_actions(actions, self._action_spaces[GIVER])
+        robot_target, giver_action = check_actions(actions, self._action_spaces[GIVER])
         started = time.monotonic()
-        # Should the simulation fail below, there is no episode any more.
+        # If the simulation fails below, no episode is running.
         self.agents = []
-        self._episode.advance(robot_target, self.control_steps, deviation)
+        self._episode.advance(robot_target, self.config.control_steps, giver_action)
         self._cycles += 1
         if self.render_mode == "human":
-            self._keep_pace(started)
+            self._sleep_until_real_time(started)
         status = self._episode.status
         observations = self._observe()
-        terms = self._reward(self._present(), status)
-        ended = bool(status & ~EpisodeStatus.TIMEOUT)
-        cut_off = self.max_cycles is not None and self._cycles >= self.max_cycles
-        timed_out = bool(status & EpisodeStatus.TIMEOUT) or (cut_off and not ended)
-        if not (ended or timed_out):
+        terms = self._rewards.compute_terms(status, self._read_reward_state)
+        terminated = bool(status & ~EpisodeStatus.TIMEOUT)
+        cut_off = self.config.max_cycles is not None and self._cycles >= self.config.max_cycles
+        truncated = bool(status & EpisodeStatus.TIMEOUT) or (cut_off and not terminated)
+        if not (terminated or truncated):
             self.agents = list(AGENTS)
         return (
             observations,
             {agent: sum(terms[agent].values()) for agent in AGENTS},
-            dict.fromkeys(AGENTS, ended),
-            dict.fromkeys(AGENTS, timed_out),
-            self._infos(terms),
+            dict.fromkeys(AGENTS, terminated),
+            dict.fromkeys(AGENTS, truncated),
+            self._make_infos(terms),
         )
 
     def state(self) -> npt.NDArray[np.float32]:
-        """Everything observed as one vector, for centralised critics; an element of `state_space`."""
-        return np.asarray(spaces.flatten(observation_space(), self._present()))
+        """Return the full state as one vector, an element of `state_space`, for centralised critics.
+
+        Raises:
+            ResetNeededError: No episode has been started.
+        """
+        return np.asarray(spaces.flatten(observation_space(), self._require_observation()))
 
     def render(self) -> npt.NDArray[np.uint8] | None:
-        """An RGB picture (height, width, 3) with "rgb_array"; with "human" the window shows itself."""
+        """Return an RGB image (height, width, 3) in the mode "rgb_array", else None.
+
+        In the mode "human", PyBullet draws its window without calls of `render`.
+        """
         if self.render_mode != "rgb_array":
             return None
-        return self._episode.render(self._camera)
+        return self._episode.render(self.config.camera or CameraConfig())
 
     def close(self) -> None:
         """Free the simulation."""
         self._episode.close()
+        self._stop()
+
+    def capture_wrist_camera(self) -> CameraFrame:
+        """Return depth, segmentation, colours and point clouds of the wrist camera.
+
+        Raises:
+            ResetNeededError: No episode has been started.
+            OptionError: A package is missing that the renderer needs.
+        """
+        return self._episode.capture_wrist_camera()
+
+    def observe_for_policy(self, agent: str, policy: object) -> Observation:
+        """Return an agent's observation in the observation mode that its policy declares.
+
+        Args:
+            agent: Agent that the policy acts for, "giver" or "receiver".
+            policy: Policy; its attribute `obs_mode` names the mode of a receiver.
+
+        Raises:
+            ResetNeededError: No episode has been started.
+        """
+        state = self._require_observation()
+        episode = self._episode
+        observation = episode.observe_giver(state) if agent == GIVER else episode.observe_for_policy(policy, state)
+        return {key: value.copy() for key, value in observation.items()}
+
+    def join_lockstep(self, scheduler: "LockstepScheduler", index: int) -> None:
+        """Simulate this environment in lockstep with equally configured ones from now on.
+
+        Args:
+            scheduler: Scheduler of the environments.
+            index: Index of this environment in the scheduler.
+        """
+        self._stop()
+        self._episode.join_lockstep(scheduler, index)
+
+    @property
+    def _split_name(self) -> str:
+        return f"{self.config.setup} {self.config.split}"
+
+    def _stop(self) -> None:
         self.agents = []
         self._observation = None
 
-    def _chosen_scene(self, options: dict[str, Any] | None) -> int:
-        where = f"{self.setup} {self.split}"
-        wanted = checked_scene(options or {}, self.scene_ids, where)
-        return int(self.np_random.choice(self.scene_ids)) if wanted is None else wanted
+    def _choose_scene(self, options: dict[str, Any] | None) -> int:
+        chosen = check_scene_option(options or {}, self.scene_ids, self._split_name)
+        return int(self.np_random.choice(self.scene_ids)) if chosen is None else chosen
 
-    def _observe(self) -> Observations:
-        self._observation = self._episode.observe()
-        seen = {GIVER: self._episode.observe_as_giver(self._observation), RECEIVER: self._observation}
-        # Copies, so that what one agent does to its arrays stays unseen by the other.
-        copies = {agent: {key: value.copy() for key, value in seen[agent].items()} for agent in AGENTS}
-        shown = as_receiver(copies[RECEIVER], self._episode.observe_sight(self.sight), self.observe)
-        return {GIVER: copies[GIVER], RECEIVER: shown}
-
-    def observation_for(self, agent: str, policy: object) -> Observation:
-        """What a policy that takes an agent's part is shown now, whatever the environment shows who learns in it.
-
-        Args:
-            agent: "giver" or "receiver".
-            policy: It says what it wants to see; see `handover_marl.policies.policy.Policy`.
-
-        Raises:
-            ResetNeededError: No episode has begun.
-        """
-        now = self._present()
-        seen = self._episode.observe_as_giver(now) if agent == GIVER else self._episode.observe_for(policy, now)
-        return {key: value.copy() for key, value in seen.items()}
-
-    def join(self, ensemble: "Ensemble", number: int) -> None:
-        """Play from now on beside other environments of the same physics and configuration.
-
-        Args:
-            ensemble: Where.
-            number: As which of them.
-        """
-        self.agents = []
-        self._observation = None
-        self._episode.join(ensemble, number)
-
-    def look(self) -> View:
-        """What the wrist camera shows at this moment, whatever `sight` is: depth, segmentation, colours and all points.
-
-        Raises:
-            ResetNeededError: No episode has begun.
-            OptionError: The renderer needs an extra that is not installed.
-        """
-        return self._episode.look()
-
-    def _next_camera_seed(self) -> int:
-        """One for every episode, without drawing from what scenes are drawn from."""
+    def _spawn_camera_seed(self) -> int:
+        # Spawned, so that the scenes drawn do not depend on the camera.
         seeds = self.np_random.bit_generator.seed_seq.spawn(1)  # type: ignore[attr-defined]
         return int(seeds[0].generate_state(1)[0])
 
-    def _present(self) -> Observation:
-        """All there is to see, whatever is shown."""
+    def _observe(self) -> Observations:
+        state = self._observation = self._episode.observe()
+        views = {GIVER: self._episode.observe_giver(state), RECEIVER: state}
+        # Copies, so that an agent that writes into its arrays does not change the other's.
+        copies = {agent: {key: value.copy() for key, value in views[agent].items()} for agent in AGENTS}
+        obs_mode = self.config.obs_mode
+        camera = self._episode.observe_camera(obs_mode)
+        return {GIVER: copies[GIVER], RECEIVER: select_receiver_observation(copies[RECEIVER], camera, obs_mode)}
+
+    def _require_observation(self) -> Observation:
         if self._observation is None:
-            raise ResetNeededError("there is nothing to see yet; call reset() first")
+            raise ResetNeededError("no observation yet; call reset() first")
         return self._observation
 
-    def _situation(self, seen: Observation) -> Situation:
-        episode = self._episode
-        return Situation(
-            time=float(seen["time"][0]),
-            gripper=tuple(seen["gripper_pose"][:3].tolist()),
-            fingertips=tuple(compose_point(seen["gripper_pose"], FINGERTIPS).tolist()),
-            item=tuple(seen["object_poses"][0, :3].tolist()),
+    def _read_reward_state(self) -> RewardState:
+        state, episode = self._require_observation(), self._episode
+        return RewardState(
+            time=float(state["time"][0]),
+            gripper=tuple(state["gripper_pose"][:3].tolist()),
+            fingertip_center=tuple(transform_points(state["gripper_pose"], FINGERTIPS).tolist()),
+            object_position=tuple(state["object_poses"][0, :3].tolist()),
             grasped=episode.grasped,
             deviation=tuple(episode.deviation[1:].tolist()),
-            held_out=episode.held_out,
+            object_offered=episode.object_offered,
         )
 
-    def _reward(self, seen: Observation, status: EpisodeStatus) -> dict[str, dict[str, float]]:
-        """The terms of both agents' rewards."""
-        rewards = self._rewards
-        if rewards is None:
-            raise ResetNeededError("no episode is running; call reset() before step()")
-        if rewards.only_outcomes:
-            receiver, giver = rewards.outcome(status)
-            return {GIVER: giver, RECEIVER: receiver}
-        now = self._situation(seen)
-        terms = {GIVER: rewards.giver(now, status), RECEIVER: rewards.receiver(now, status)}
-        rewards.go_on(now)
-        return terms
-
-    def _no_reward(self) -> dict[str, dict[str, float]]:
-        weights = {GIVER: fields(self._reward_config.giver), RECEIVER: fields(self._reward_config.receiver)}
-        return {agent: {part.name: 0.0 for part in weights[agent]} for agent in AGENTS}
-
-    def _infos(self, terms: dict[str, dict[str, float]]) -> dict[str, Info]:
+    def _make_infos(self, terms: dict[str, Terms]) -> dict[str, Info]:
         episode = self._episode
         info = {
             "scene_id": episode.scene.info.scene_id,
             "status": int(episode.status),
             "steps": episode.steps,
             "release_step": -1 if episode.release_step is None else episode.release_step,
-            "release": -1 if episode.release is None else RELEASES.index(episode.release),
+            "release": -1 if episode.release is None else RELEASE_REASONS.index(episode.release),
         }
         return {
             agent: {**info, **{f"reward/{name}": value for name, value in terms[agent].items()}} for agent in AGENTS
         }
 
-    def _keep_pace(self, started: float) -> None:
-        wait = self.control_steps * TIME_STEP - (time.monotonic() - started)
+    def _sleep_until_real_time(self, started: float) -> None:
+        wait = self.config.control_steps * TIME_STEP - (time.monotonic() - started)
         if wait > 0:
             time.sleep(wait)

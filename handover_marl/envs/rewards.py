@@ -1,35 +1,41 @@
-"""What the agents are rewarded for: named terms, weighted by a frozen configuration and summed.
+"""Rewards of both agents: named terms, weighted by a frozen configuration and summed.
 
-The default is the task alone: 1 to both in the step that completes the handover. `SHAPED` adds guidance for the
-receiver and costs for the giver. Guidance is potential-based (Ng et al., ICML 1999): gamma times the potential
-after a step less that before, and no potential once the episode has ended. Over an episode it adds up to the same
-whatever was done, so that it cannot change which policy is best.
+The default is a sparse reward: 1 to both agents in the step that completes the handover. `SHAPED`
+adds potential-based shaping for the receiver and costs for the giver. A shaping term (Ng et al.,
+"Policy invariance under reward transformations", ICML 1999) is gamma times the potential after a
+step minus the potential before it; the potential is 0 once the episode has terminated. The
+discounted sum of a shaping term over an episode depends only on the first state, so that shaping
+does not change the optimal policy.
 """
 
 import functools
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
-from handover_marl.errors import OptionError, UnknownNameError
-from handover_marl.protocol.status import EpisodeStatus
+from handover_marl.envs.arguments import GIVER, RECEIVER
+from handover_marl.episode.referee import EpisodeStatus
+from handover_marl.errors import OptionError, ResetNeededError, UnknownNameError
 
-# Terms that are known from how an episode ended.
-_OUTCOMES = ("task", "contact", "drop")
+Terms = dict[str, float]
+
+# Terms that depend only on the status of the episode.
+_OUTCOME_TERMS = ("task", "contact", "drop")
 
 
 @dataclass(frozen=True)
 class ReceiverWeights:
-    """Weights of the receiver's terms.
+    """Weights of the receiver's reward terms.
 
     Attributes:
-        task: 1 in the step that completes the handover.
-        distance: Guidance; the potential is 1 less the distance (m) of the middle between the fingertips and the
-            object's origin, and 1 while it is grasped.
-        grasp: Guidance; the potential is 1 while both fingers are on the object.
-        goal: Guidance; the potential is 1 less the distance of hand link and goal (m) while grasped, else 0.
-        contact: 1 in the step in which the robot touches the person.
-        drop: 1 in the step in which the object is dropped.
+        task: Weight of the reward 1 in the step that completes the handover.
+        distance: Weight of shaping with the potential 1 minus the distance (m) between the center
+            of the fingertips and the object's origin; the potential is 1 while the object is grasped.
+        grasp: Weight of shaping with the potential 1 while both fingers touch the object, else 0.
+        goal: Weight of shaping with the potential 1 minus the distance (m) between hand link and
+            goal while the object is grasped, else 0.
+        contact: Weight of the value 1 in the step in which the robot touches the person.
+        drop: Weight of the value 1 in the step in which the object is dropped.
     """
 
     task: float = 1.0
@@ -42,15 +48,16 @@ class ReceiverWeights:
 
 @dataclass(frozen=True)
 class GiverWeights:
-    """Weights of the giver's terms.
+    """Weights of the giver's reward terms.
 
     Attributes:
-        task: 1 in the step that completes the handover.
-        effort: The wrist's squared speed of deviation, added up over time (m^2/s).
-        discomfort: How far the wrist is from where the person had it (m, and rad / 3), added up over time (s).
-        waiting: Time (s) during which the object is held out and not yet taken.
-        contact: 1 in the step in which the robot touches the person.
-        drop: 1 in the step in which the object is dropped.
+        task: Weight of the reward 1 in the step that completes the handover.
+        effort: Weight of the squared speed of the wrist's displacement, integrated over time (m^2/s).
+        discomfort: Weight of the wrist's offset from the recording (m, plus rad / 3), integrated over
+            time (s).
+        waiting: Weight of the time (s) for which the object is held out and not yet taken.
+        contact: Weight of the value 1 in the step in which the robot touches the person.
+        drop: Weight of the value 1 in the step in which the object is dropped.
     """
 
     task: float = 1.0
@@ -63,12 +70,12 @@ class GiverWeights:
 
 @dataclass(frozen=True)
 class RewardConfig:
-    """Both agents' weights.
+    """Weights of both agents' reward terms.
 
     Attributes:
-        receiver: The receiver's.
-        giver: The giver's.
-        gamma: Discount that guidance is made for; the learner's own.
+        receiver: Weights of the receiver's terms.
+        giver: Weights of the giver's terms.
+        gamma: Discount factor of the shaping terms; should equal the learner's discount factor.
     """
 
     receiver: ReceiverWeights = field(default_factory=ReceiverWeights)
@@ -78,115 +85,130 @@ class RewardConfig:
 
 SPARSE = RewardConfig()
 SHAPED = RewardConfig(
-    # The task outweighs what ends with the guidance.
+    # The task outweighs the potentials that are lost at the end of the episode.
     receiver=ReceiverWeights(task=3.0, distance=0.5, grasp=0.5, goal=0.5, contact=-0.5, drop=-0.5),
     giver=GiverWeights(effort=-0.05, discomfort=-0.02, waiting=-0.02, contact=-0.5, drop=-0.5),
 )
 REWARDS = {"sparse": SPARSE, "shaped": SHAPED}
 
 
-def reward_config(chosen: str | RewardConfig) -> RewardConfig:
-    """A configuration by name, or as given.
+def make_reward_config(rewards: str | RewardConfig) -> RewardConfig:
+    """Return the reward configuration with a name; return a `RewardConfig` unchanged.
 
     Raises:
-        UnknownNameError: There is none of that name.
-        OptionError: It is neither a name nor a configuration.
+        UnknownNameError: There is no reward of that name.
+        OptionError: `rewards` is neither a name nor a configuration.
     """
-    if isinstance(chosen, RewardConfig):
-        return chosen
-    if not isinstance(chosen, str):
-        raise OptionError(f"rewards={chosen!r} must be one of {', '.join(REWARDS)} or a RewardConfig")
-    if chosen not in REWARDS:
-        raise UnknownNameError("rewards", chosen, REWARDS)
-    return REWARDS[chosen]
+    if isinstance(rewards, RewardConfig):
+        return rewards
+    if not isinstance(rewards, str):
+        raise OptionError(f"rewards must be one of {', '.join(REWARDS)} or a RewardConfig, got {rewards!r}")
+    if rewards not in REWARDS:
+        raise UnknownNameError("rewards", rewards, REWARDS)
+    return REWARDS[rewards]
 
 
 @dataclass(frozen=True)
-class Situation:
-    """What rewards depend on, after a control step or at the start.
+class RewardState:
+    """Part of the simulation's state that the reward terms depend on; world frame.
 
     Attributes:
-        time: Since the start (s).
+        time: Time since the start of the episode (s).
         gripper: (3,) position of the Panda's hand link (m).
-        fingertips: (3,) the middle between its fingertips (m).
-        item: (3,) position of the object (m).
-        grasped: Whether both fingers are on it.
-        deviation: (6,) the giver's wrist displacement (m) and rotation vector (rad).
-        held_out: Whether the person holds the object, picked up and not let go.
+        fingertip_center: (3,) midpoint of the fingertips (m).
+        object_position: (3,) position of the object's origin (m).
+        grasped: Whether both fingers of the robot touch the object.
+        deviation: (6,) wrist displacement (m) and rotation vector (rad) of the giver.
+        object_offered: Whether the person holds the object, picked up and not released.
     """
 
     time: float
     gripper: tuple[float, ...]
-    fingertips: tuple[float, ...]
-    item: tuple[float, ...]
+    fingertip_center: tuple[float, ...]
+    object_position: tuple[float, ...]
     grasped: bool
     deviation: tuple[float, ...]
-    held_out: bool
+    object_offered: bool
 
 
-class Rewards:
-    """Terms from one situation to the next.
+class RewardFunction:
+    """Reward function of both agents: weighted terms of each control step.
 
     Args:
-        config: Weights.
-        goal: (3,) where the gripper must bring the object (m).
-        start: The first situation.
-
-    Attributes:
-        only_outcomes: Whether nothing but how an episode ends has a weight, so that `outcome` says it all.
+        config: Weights of the terms.
+        goal: (3,) position to which the gripper must bring the object, world frame (m).
     """
 
-    def __init__(self, config: RewardConfig, goal: tuple[float, ...], start: Situation) -> None:
+    def __init__(self, config: RewardConfig, goal: tuple[float, ...]) -> None:
         self._config, self._goal = config, goal
-        self._last = start
+        self._last: RewardState | None = None
         weights = [*vars(config.receiver).items(), *vars(config.giver).items()]
-        self.only_outcomes = not any(weight for name, weight in weights if name not in _OUTCOMES)
+        self._only_outcomes = not any(weight for name, weight in weights if name not in _OUTCOME_TERMS)
 
-    def outcome(self, status: EpisodeStatus) -> tuple[dict[str, float], dict[str, float]]:
-        """The receiver's and the giver's terms where `only_outcomes` have weights."""
-        receiver, giver = (
-            _weighted(weights, {**dict.fromkeys(vars(weights), 0.0), **_outcome(status)})
-            for weights in (self._config.receiver, self._config.giver)
-        )
-        return receiver, giver
-
-    def receiver(self, now: Situation, status: EpisodeStatus) -> dict[str, float]:
-        """The receiver's weighted terms for a step that ended in `now`."""
-        before, after = potentials(self._last, self._goal), potentials(now, self._goal)
-        # An episode that only ran out of time is cut off, not over: what comes next still counts.
-        if status & ~EpisodeStatus.TIMEOUT:
-            after = dict.fromkeys(after, 0.0)
-        guidance = {name: self._config.gamma * after[name] - before[name] for name in before}
-        return _weighted(self._config.receiver, {**guidance, **_outcome(status)})
-
-    def giver(self, now: Situation, status: EpisodeStatus) -> dict[str, float]:
-        """The giver's weighted terms for a step that ended in `now`."""
-        period = now.time - self._last.time
-        way = math.dist(now.deviation[:3], self._last.deviation[:3])
-        away = math.hypot(*now.deviation[:3]) + math.hypot(*now.deviation[3:]) / 3.0
-        costs = {
-            "effort": way**2 / period if period > 0.0 else 0.0,
-            "discomfort": away * period,
-            "waiting": period if self._last.held_out else 0.0,
+    def reset(self, state: RewardState) -> dict[str, Terms]:
+        """Start an episode in a state; return reward terms of 0 by agent."""
+        self._last = state
+        return {
+            GIVER: dict.fromkeys(vars(self._config.giver), 0.0),
+            RECEIVER: dict.fromkeys(vars(self._config.receiver), 0.0),
         }
-        return _weighted(self._config.giver, {**costs, **_outcome(status)})
 
-    def go_on(self, now: Situation) -> None:
-        """The next step starts from here."""
+    def compute_terms(self, status: EpisodeStatus, read_state: Callable[[], RewardState]) -> dict[str, Terms]:
+        """Compute the weighted reward terms of a control step by agent, and start the next step.
+
+        Args:
+            status: Status of the episode after the step.
+            read_state: Returns the state after the step; not called if no term depends on it.
+
+        Raises:
+            ResetNeededError: No episode has been started.
+        """
+        if self._last is None:
+            raise ResetNeededError("no episode is running; call reset() before step()")
+        giver, receiver = self._config.giver, self._config.receiver
+        outcome = _outcome_terms(status)
+        if self._only_outcomes:
+            return {
+                agent: _weigh(weights, {**dict.fromkeys(vars(weights), 0.0), **outcome})
+                for agent, weights in ((GIVER, giver), (RECEIVER, receiver))
+            }
+        before, now = self._last, read_state()
         self._last = now
+        return {
+            GIVER: _weigh(giver, {**_giver_costs(before, now), **outcome}),
+            RECEIVER: _weigh(receiver, {**self._guidance(before, now, status), **outcome}),
+        }
+
+    def _guidance(self, before: RewardState, now: RewardState, status: EpisodeStatus) -> Terms:
+        old, new = compute_potentials(before, self._goal), compute_potentials(now, self._goal)
+        # A timeout truncates an episode; only termination ends its potential.
+        if status & ~EpisodeStatus.TIMEOUT:
+            new = dict.fromkeys(new, 0.0)
+        return {name: self._config.gamma * new[name] - old[name] for name in old}
 
 
-def potentials(situation: Situation, goal: tuple[float, ...]) -> dict[str, float]:
-    """The potentials of guidance."""
+def compute_potentials(state: RewardState, goal: tuple[float, ...]) -> Terms:
+    """Compute the potentials of the shaping terms in a state, by the name of the term."""
     return {
-        "distance": 1.0 if situation.grasped else 1.0 - math.dist(situation.fingertips, situation.item),
-        "grasp": float(situation.grasped),
-        "goal": 1.0 - math.dist(situation.gripper, goal) if situation.grasped else 0.0,
+        "distance": 1.0 if state.grasped else 1.0 - math.dist(state.fingertip_center, state.object_position),
+        "grasp": float(state.grasped),
+        "goal": 1.0 - math.dist(state.gripper, goal) if state.grasped else 0.0,
+    }
+
+
+def _giver_costs(before: RewardState, now: RewardState) -> Terms:
+    period = now.time - before.time
+    path = math.dist(now.deviation[:3], before.deviation[:3])
+    offset = math.hypot(*now.deviation[:3]) + math.hypot(*now.deviation[3:]) / 3.0
+    return {
+        "effort": path**2 / period if period > 0.0 else 0.0,
+        "discomfort": offset * period,
+        "waiting": period if before.object_offered else 0.0,
     }
 
 
 @functools.cache
-def _outcome(status: EpisodeStatus) -> Mapping[str, float]:
+def _outcome_terms(status: EpisodeStatus) -> Mapping[str, float]:
     return {
         "task": float(bool(status & EpisodeStatus.SUCCESS)),
         "contact": float(bool(status & EpisodeStatus.HUMAN_CONTACT)),
@@ -194,5 +216,5 @@ def _outcome(status: EpisodeStatus) -> Mapping[str, float]:
     }
 
 
-def _weighted(weights: ReceiverWeights | GiverWeights, values: Mapping[str, float]) -> dict[str, float]:
+def _weigh(weights: ReceiverWeights | GiverWeights, values: Mapping[str, float]) -> Terms:
     return {name: weight * values[name] for name, weight in vars(weights).items()}

@@ -1,1 +1,1 @@
-"""One handover as it is played: the giver's motion, what agents see and do, the loop, and what is noted."""
+"""Episodes of a handover: loop, giver motion, observations, referee, callbacks and metrics."""

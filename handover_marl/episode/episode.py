@@ -1,4 +1,4 @@
-"""One handover as it is played: giver's clock, world and referee, advanced together."""
+"""Episode of a handover: advances giver motion, simulated world, wrist camera and referee."""
 
 import functools
 from collections.abc import Callable, Sequence
@@ -7,83 +7,89 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.config import OFFICIAL, TIME_STEP, CameraConfig, WorldConfig
-from handover_marl.datasets.scene import Scene
-from handover_marl.episode.lockstep import Stretch, play_together
+from handover_marl.config import OFFICIAL_CONFIG, TIME_STEP, CameraConfig, WorldConfig
+from handover_marl.datasets.dataset import Scene
+from handover_marl.episode.camera_observations import BENCHMARK_CAMERA, CameraFrame, WristCamera, WristCameraConfig
+from handover_marl.episode.giver_motion import NO_DEVIATION, Playback
+from handover_marl.episode.lockstep import RolloutSegment, simulate_segments
 from handover_marl.episode.observations import (
-    ALL,
+    MotionPreview,
     Observation,
-    as_receiver,
-    check_observes,
     observe,
-    observe_as_giver,
+    observe_giver,
+    select_receiver_observation,
 )
-from handover_marl.episode.playback import NO_DEVIATION, Playback
-from handover_marl.episode.preview import Preview
-from handover_marl.episode.sight import BENCHMARK_SIGHT, Sight, SightConfig, View
-from handover_marl.episode.spaces import GiverAction
+from handover_marl.episode.referee import EpisodeStatus, Referee, ReleaseReason
+from handover_marl.episode.spaces import STATE, GiverAction, check_obs_mode, get_camera_data
 from handover_marl.errors import ResetNeededError
-from handover_marl.protocol.contacts import Contacts
-from handover_marl.protocol.referee import Referee
-from handover_marl.protocol.release import Release
-from handover_marl.protocol.status import EpisodeStatus
-from handover_marl.sim.engines import check_physics, make_world
-from handover_marl.sim.motion import Motion
-from handover_marl.sim.world import RollingWorld, World
+from handover_marl.simulation.camera.renderers import resolve_renderer
+from handover_marl.simulation.contacts import Contacts
+from handover_marl.simulation.engines import check_physics, make_world
+from handover_marl.simulation.kinematic_paths import ReferenceMotion
+from handover_marl.simulation.world import BatchWorld, World
 
 if TYPE_CHECKING:
-    from handover_marl.episode.ensemble import Ensemble
+    from handover_marl.episode.lockstep import LockstepScheduler
 
-# The giver's motion is worked out for so many steps (1 ms) ahead.
-_STRETCH = 200
+# Physics steps for which the giver's motion is planned at a time.
+_PLANNED_STEPS = 200
 
 
 class Episode:
-    """Plays scenes one after another. The PettingZoo environment and the benchmark both stand on it.
+    """Simulator of handover episodes, the common base of environments and evaluations.
 
     Args:
-        physics: "exact" is HandoverSim's simulation to the bit, "fast" leaves out what cannot touch, "mujoco" is
-            another engine.
-        config: The world and the rules.
+        physics: "exact" is HandoverSim's simulation to the bit, "fast" leaves out bodies that cannot be
+            touched, "mujoco" is another engine.
+        config: Simulated world, protocol and limits of the giver.
         window: Whether to show PyBullet's window.
-        sight: How the wrist camera's pictures are made; drawn only when asked for.
+        wrist_camera: Rendering of the wrist camera's images; they are rendered only when asked for.
 
     Attributes:
-        config: The world and the rules.
+        config: Simulated world, protocol and limits of the giver.
     """
 
     def __init__(
         self,
         physics: str = "exact",
-        config: WorldConfig = OFFICIAL,
+        config: WorldConfig = OFFICIAL_CONFIG,
         window: bool = False,
-        sight: SightConfig = BENCHMARK_SIGHT,
+        wrist_camera: WristCameraConfig = BENCHMARK_CAMERA,
     ) -> None:
         check_physics(physics)
         self.config = config
-        self._roll: Callable[[Stretch], None] = lambda stretch: play_together([stretch], config.protocol)
+        self._simulate_segment: Callable[[RolloutSegment], None] = lambda segment: simulate_segments(
+            [segment], config.protocol
+        )
         self._physics, self._window = physics, window
-        self._sight = Sight(sight, physics, config.physics)
+        resolve_renderer(wrist_camera.renderer, physics, installed=False)
+        self._camera_config, self._camera_seed = wrist_camera, 0
+        self._wrist_camera: WristCamera | None = None
         self._world: World | None = None
         self._playback: Playback | None = None
-        self._preview: Preview | None = None
-        # What touched last; None until somebody asks.
+        self._preview: MotionPreview | None = None
+        # Contacts of the last step; None if they have not been read from the world.
         self._contacts: Contacts | None = Contacts()
         self._referee = Referee(config.protocol)
 
-    def join(self, ensemble: "Ensemble", number: int) -> None:
-        """Be played beside others from now on.
+    def join_lockstep(self, scheduler: "LockstepScheduler", index: int) -> None:
+        """Simulate this episode in lockstep with other episodes from now on.
 
         Args:
-            ensemble: Where, with the same physics and configuration.
-            number: As which of them.
+            scheduler: Scheduler with the same physics and configuration.
+            index: Index of this episode in the scheduler.
         """
         self.close()
-        self._world = ensemble.world(number)
-        self._roll = functools.partial(ensemble.play, number)
+        self._world = scheduler.get_world(index)
+        self._simulate_segment = functools.partial(scheduler.simulate, index)
 
     def reset(self, scene: Scene) -> None:
-        """Go to the start of a scene."""
+        """Reset simulation, giver motion, camera and referee to the start of a scene.
+
+        Raises:
+            DataNotFoundError, DataFormatError: Files of the scene are missing or damaged.
+            SimulationError: The engine cannot load a model.
+        """
         if self._world is None:
             self._world = make_world(self._physics, self.config.physics, self._window)
         self._playback = self._preview = None
@@ -91,8 +97,12 @@ class Episode:
         self._contacts = Contacts()
         playback = Playback(scene, self.config.giver)
         self._world.reset(scene, playback.start())
-        self._sight.reset(scene, self._world)
         self._playback = playback
+        if self._wrist_camera is not None:
+            self._wrist_camera.reset(scene, self._world)
+        elif self._camera_config.noise is not None:
+            # A camera with latency records every step.
+            self._get_wrist_camera()
 
     def advance(
         self,
@@ -101,153 +111,164 @@ class Episode:
         giver_action: npt.NDArray[np.float32] = NO_DEVIATION,
         on_step: Sequence[Callable[["Episode"], None]] = (),
     ) -> None:
-        """Simulate up to `steps` physics steps under one pair of actions; stop early at the episode's end.
+        """Simulate up to `steps` physics steps with constant actions, or to the episode's end.
 
         Args:
             robot_target: (9,) float32 target joint positions, 7 arm (rad) and 2 fingers (m).
-            steps: Physics steps of 1 ms.
-            giver_action: (8,) float32 deviation from the replay, none by default.
-            on_step: Called after every physics step.
+            steps: Number of physics steps (1 ms).
+            giver_action: (8,) float32 deviation from the recording; default: replay the
+                recording.
+            on_step: Functions that are called after every physics step.
         """
-        world, playback, referee = self._running()
+        world, playback, referee = self._require_scene()
         target = robot_target.tolist()
-        if GiverAction.of(giver_action).release and playback.holding and not referee.released:
-            referee.give()
+        if GiverAction.from_array(giver_action).release and playback.holding and not referee.released:
+            referee.release_voluntarily()
             world.release_target()
         while steps > 0 and not referee.status:
-            stretch = min(steps, _STRETCH)
-            given = referee.release is Release.GIVEN
-            motion = playback.plan(stretch, giver_action, referee.released, opening=given)
-            playback.commit(self._play(target, motion, on_step))
-            steps -= stretch
+            planned = min(steps, _PLANNED_STEPS)
+            is_voluntary = referee.release is ReleaseReason.VOLUNTARY
+            motion = playback.plan(planned, giver_action, referee.released, opening=is_voluntary)
+            playback.commit(self._simulate(target, motion, on_step))
+            steps -= planned
 
-    def _play(self, robot_target: list[float], motion: Motion, on_step: Sequence[Callable[["Episode"], None]]) -> int:
-        """Simulate the steps of a motion, or until the episode ends; how many that were."""
-        world, _, referee = self._running()
-        world.lead(motion)
-        if isinstance(world, RollingWorld) and not on_step and not self._sight.remembers:
-            stretch = Stretch(world, referee, robot_target, len(motion))
-            self._roll(stretch)
+    def _simulate(
+        self, robot_target: list[float], motion: ReferenceMotion, on_step: Sequence[Callable[["Episode"], None]]
+    ) -> int:
+        """Simulate the steps of a reference motion until the episode ends; return their number."""
+        world, _, referee = self._require_scene()
+        world.set_reference(motion)
+        camera = self._wrist_camera if self._wrist_camera is not None and self._wrist_camera.has_latency else None
+        if isinstance(world, BatchWorld) and not on_step and camera is None:
+            segment = RolloutSegment(world, referee, robot_target, len(motion))
+            self._simulate_segment(segment)
             self._contacts = None
-            return stretch.done
-        for done in range(1, len(motion) + 1):
+            return segment.simulated_steps
+        for count in range(1, len(motion) + 1):
             world.step(robot_target)
-            if self._sight.remembers:
-                self._sight.note(world)
-            released_before = referee.released
-            self._contacts = contacts = world.contacts(released_before)
-            ended = referee.update(contacts)
-            for look in on_step:
-                look(self)
-            if ended:
-                return done
-            if referee.released and not released_before:
+            if camera is not None:
+                camera.record_snapshot(world)
+            was_released = referee.released
+            self._contacts = contacts = world.read_contacts(was_released)
+            status = referee.update(contacts)
+            for callback in on_step:
+                callback(self)
+            if status:
+                return count
+            if referee.released and not was_released:
                 world.release_target()
         return len(motion)
 
     def observe(self) -> Observation:
-        """What the agents see now."""
-        world, playback, referee = self._running()
+        """Return the full state of the simulation as an observation."""
+        world, playback, referee = self._require_scene()
         time = referee.steps * TIME_STEP
-        return observe(world.state(), playback.scene.info.object_ids, referee.released, time)
+        return observe(world.read_state(), playback.scene.info.object_ids, referee.released, time)
 
-    def observe_for(self, policy: object, observation: Observation) -> Observation:
-        """What a receiver's policy is shown, as far as it says what it wants to see; everything, if it does not.
-
-        Args:
-            policy: The receiver; see `handover_marl.policies.policy.Policy`.
-            observation: What `observe` says now.
-        """
-        sight, observes = getattr(policy, "sight", None), getattr(policy, "observes", ALL)
-        if sight is None and observes == ALL:
-            return observation
-        check_observes(observes, sight)
-        return as_receiver(observation, self.observe_sight(sight), observes)
-
-    def observe_as_giver(self, observation: Observation) -> Observation:
-        """What the giver sees beside what it shares with the receiver.
+    def observe_for_policy(self, policy: object, state: Observation) -> Observation:
+        """Return the receiver's observation in the observation mode that its policy declares.
 
         Args:
-            observation: What `observe` says now.
-        """
-        _, playback, _ = self._running()
-        if self._preview is None:
-            self._preview = Preview(playback.scene, self.config.giver)
-        return observe_as_giver(observation, playback, self._preview)
-
-    def seed_sight(self, seed: int) -> None:
-        """Say what the camera's random draws depend on, beside the step."""
-        self._sight.seed(seed)
-
-    def look(self) -> View:
-        """What the wrist camera shows."""
-        return self._sight.look(self.world, self.steps)
-
-    def observe_sight(self, sight: str | None) -> Observation:
-        """What a kind of sight adds to the receiver's observation: see `sight_space`.
+            policy: The receiver; its attribute `obs_mode` names the mode, "state" if it has none.
+            state: The full state as `observe` returns it now.
 
         Raises:
-            OptionError: The renderer needs an extra that is not installed.
-            DataFormatError, SimulationError: What a model shows cannot be read.
+            UnknownNameError: There is no such observation mode.
         """
-        return self._sight.observe(sight, self.world, self.steps)
+        obs_mode = getattr(policy, "obs_mode", STATE)
+        if obs_mode == STATE:
+            return state
+        check_obs_mode(obs_mode)
+        return select_receiver_observation(state, self.observe_camera(obs_mode), obs_mode)
+
+    def observe_giver(self, state: Observation) -> Observation:
+        """Return the giver's observation: full state, preview of the recording, present deviation.
+
+        Args:
+            state: The full state as `observe` returns it now.
+        """
+        _, playback, _ = self._require_scene()
+        if self._preview is None:
+            self._preview = MotionPreview(playback.scene, self.config.giver)
+        return observe_giver(state, playback, self._preview)
+
+    def seed_camera(self, seed: int) -> None:
+        """Seed the random draws of the wrist camera, which depend on the seed and the physics step only."""
+        self._camera_seed = seed
+        if self._wrist_camera is not None:
+            self._wrist_camera.seed(seed)
+
+    def capture_wrist_camera(self) -> CameraFrame:
+        """Return depth, segmentation, colours and point clouds of the wrist camera."""
+        return self._get_wrist_camera().capture(self.world, self.steps)
+
+    def observe_camera(self, obs_mode: str) -> Observation:
+        """Return the wrist camera data of an observation mode; see `camera_observation_space`.
+
+        Raises:
+            OptionError: A package is missing that the renderer needs.
+            DataFormatError, SimulationError: A visual mesh cannot be read.
+        """
+        if get_camera_data(obs_mode) is None:
+            return {}
+        return self._get_wrist_camera().observe(obs_mode, self.world, self.steps)
 
     def render(self, camera: CameraConfig) -> npt.NDArray[np.uint8]:
-        """An RGB picture (height, width, 3) of the present state."""
-        return self._running()[0].render(camera)
+        """Render the present state of the simulation as an RGB image (height, width, 3)."""
+        return self.world.render(camera)
 
     @property
     def world(self) -> World:
-        """The simulated world of the scene being played."""
-        return self._running()[0]
+        """Simulated world of the running episode."""
+        return self._require_scene()[0]
 
     @property
     def scene(self) -> Scene:
-        """The scene being played."""
-        return self._running()[1].scene
+        """Scene of the running episode."""
+        return self._require_scene()[1].scene
 
     @property
     def contacts(self) -> Contacts:
-        """What touched in the last step."""
+        """Contacts of robot, object and human hand in the last physics step."""
         if self._contacts is None:
-            world, _, referee = self._running()
-            self._contacts = world.contacts(referee.released)
+            world, _, referee = self._require_scene()
+            self._contacts = world.read_contacts(referee.released)
         return self._contacts
 
     @property
     def grasped(self) -> bool:
-        """Whether both fingers were on the object in the last step."""
-        return self.contacts.both_fingers
+        """Whether both fingers of the robot touched the object in the last physics step."""
+        return self.contacts.both_fingers_touch
 
     @property
-    def held_out(self) -> bool:
-        """Whether the person holds the object, picked up and not let go."""
-        _, playback, referee = self._running()
+    def object_offered(self) -> bool:
+        """Whether the person holds the object, picked up and not released."""
+        _, playback, referee = self._require_scene()
         return playback.holding and not referee.released
 
     @property
     def deviation(self) -> npt.NDArray[np.float32]:
-        """(7,) the giver's playback rate, wrist displacement (m) and rotation vector (rad) as they are now."""
-        return self._running()[1].deviation
+        """(7,) playback rate minus 1, wrist displacement (m) and rotation vector (rad) of the giver."""
+        return self._require_scene()[1].deviation
 
     @property
     def status(self) -> EpisodeStatus:
-        """The verdict so far."""
+        """Status of the episode after the last physics step."""
         return self._referee.status
 
     @property
     def steps(self) -> int:
-        """Physics steps simulated since the reset."""
+        """Number of physics steps since the start of the episode."""
         return self._referee.steps
 
     @property
-    def release(self) -> Release | None:
-        """Why the human let go, or None."""
+    def release(self) -> ReleaseReason | None:
+        """Reason why the person released the object; None before a release."""
         return self._referee.release
 
     @property
     def release_step(self) -> int | None:
-        """The step whose contacts made the human let go, or None."""
+        """Physics step in which the person released the object; None before a release."""
         return self._referee.release_step
 
     def close(self) -> None:
@@ -256,7 +277,16 @@ class Episode:
             self._world.close()
         self._world = self._playback = None
 
-    def _running(self) -> tuple[World, Playback, Referee]:
+    def _get_wrist_camera(self) -> WristCamera:
+        """Return the wrist camera, which is created at its first use in an episode."""
+        world, playback, _ = self._require_scene()
+        if self._wrist_camera is None:
+            self._wrist_camera = WristCamera(self._camera_config, self._physics, self.config.physics)
+            self._wrist_camera.reset(playback.scene, world)
+            self._wrist_camera.seed(self._camera_seed)
+        return self._wrist_camera
+
+    def _require_scene(self) -> tuple[World, Playback, Referee]:
         if self._world is None or self._playback is None:
-            raise ResetNeededError("no scene is being played; call reset() first")
+            raise ResetNeededError("no episode is running; call reset() first")
         return self._world, self._playback, self._referee

@@ -1,4 +1,7 @@
-"""What an agent sees: named arrays of fixed shape, all float32 but for pictures."""
+"""Observations of giver and receiver: named arrays of fixed shape, float32 except for images.
+
+World frame; m, rad, s; quaternions xyzw.
+"""
 
 from typing import Any
 
@@ -6,41 +9,42 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from handover_marl.config import HAND_DOF, MAX_OBJECTS, N_KEYPOINTS, OFFICIAL, PANDA_DOF, GiverConfig
-from handover_marl.episode.playback import Playback
-from handover_marl.episode.preview import Preview
-from handover_marl.episode.sight import check_sight, sight_space
-from handover_marl.errors import OptionError, UnknownNameError
-from handover_marl.models.ycb import CLASS_NAMES
-from handover_marl.sim.world import WorldState
+from handover_marl.config import HAND_DOF, MAX_OBJECTS, N_KEYPOINTS, OFFICIAL_CONFIG, PANDA_DOF, TIME_STEP, GiverConfig
+from handover_marl.datasets.dataset import Scene
+from handover_marl.episode.camera_observations import camera_observation_space
+from handover_marl.episode.giver_motion import Playback, find_wrist_offset
+from handover_marl.episode.spaces import STATE, has_state
+from handover_marl.episode.wrist_offset import compute_wrist_positions
+from handover_marl.geometry.poses import quaternions_from_euler
+from handover_marl.geometry.ycb import CLASS_NAMES
+from handover_marl.simulation.world import WorldState
 
 Observation = dict[str, npt.NDArray[Any]]
 
-#: What a policy may be shown beside the camera's view: everything, or only what the robot knows of itself.
-ALL, SIGHT = "all", "sight"
-OBSERVES = (ALL, SIGHT)
-#: What the robot knows of itself.
+#: Keys of the state that are in the receiver's observation in every observation mode.
 PROPRIOCEPTION = ("robot_joint_position", "robot_joint_velocity", "gripper_pose", "time")
 
 _POSE = 7
+# Most episodes end long before the recording, so that poses are computed block by block.
+_BLOCK_FRAMES = 1000
 
 
 def observation_space() -> spaces.Dict:
-    """The space of `observe`'s result: what the receiver sees, and the giver too.
+    """Return the space of the full state, which both agents share.
 
     | key | shape | meaning (world frame; m, rad, s; quaternions xyzw) |
     |---|---|---|
     | robot_joint_position | (9,) | seven arm joints, two fingers |
-    | robot_joint_velocity | (9,) | |
+    | robot_joint_velocity | (9,) | velocities of these joints |
     | gripper_pose | (7,) | pose of the Panda's hand link |
-    | object_poses | (5, 7) | poses of the objects, the one to be handed over first; zeros where there is none |
-    | object_mask | (5,) | 1 where there is an object |
-    | object_classes | (5,) | YCB class number 1-21, 0 where there is none |
-    | hand_dof_position | (51,) | the human hand's base and finger joints; zeros without a hand |
-    | hand_keypoints | (16, 3) | wrist and 15 finger-joint origins; zeros without a hand |
-    | hand_present | (1,) | 1 when there is a hand |
-    | released | (1,) | 1 once the human has let go |
-    | time | (1,) | since the start of the episode |
+    | object_poses | (5, 7) | poses of the objects, the one to be handed over first; zeros for no object |
+    | object_mask | (5,) | 1 for an object, 0 for none |
+    | object_classes | (5,) | YCB class number 1-21, 0 for no object |
+    | hand_dof_position | (51,) | base and finger joints of the human hand; zeros without a hand |
+    | hand_keypoints | (16, 3) | origins of the wrist and 15 finger joints; zeros without a hand |
+    | hand_present | (1,) | 1 with a hand, 0 without |
+    | released | (1,) | 1 after the person has released the object |
+    | time | (1,) | time since the start of the episode |
     """
     return spaces.Dict(
         {
@@ -59,60 +63,30 @@ def observation_space() -> spaces.Dict:
     )
 
 
-def receiver_observation_space(sight: str | None = None, observes: str = ALL) -> spaces.Dict:
-    """What the receiver sees.
+def receiver_observation_space(obs_mode: str = STATE) -> spaces.Dict:
+    """Return the receiver's observation space.
 
     Args:
-        sight: What it is shown of the wrist camera: "points", "clouds", "images" or None; see `sight_space`.
-        observes: "all", or "sight": proprioception and sight alone, so that nobody learns from the true pose.
+        obs_mode: One of `OBS_MODES`: state, wrist camera data, or both; see `camera_observation_space`.
 
     Raises:
-        UnknownNameError: There is no such sight or choice.
-        OptionError: Sight alone is wanted, and there is none.
+        UnknownNameError: There is no such observation mode.
     """
-    check_observes(observes, sight)
-    known = observation_space().spaces
-    own = known if observes == ALL else {key: known[key] for key in PROPRIOCEPTION}
-    return spaces.Dict({**own, **sight_space(sight)})
+    camera = camera_observation_space(obs_mode)
+    state = observation_space().spaces
+    own = state if has_state(obs_mode) else {key: state[key] for key in PROPRIOCEPTION}
+    return spaces.Dict({**own, **camera})
 
 
-def check_observes(observes: str, sight: str | None) -> None:
-    """Check what is to be observed.
-
-    Raises:
-        UnknownNameError: There is no such sight or choice.
-        OptionError: Sight alone is wanted, and there is none.
-    """
-    check_sight(sight)
-    if observes not in OBSERVES:
-        raise UnknownNameError("observe", observes, OBSERVES)
-    if observes == SIGHT and sight is None:
-        raise OptionError(
-            f"observe={SIGHT!r} leaves only what is seen, but sight is None; set sight to 'points' or 'images'"
-        )
-
-
-def as_receiver(observation: Observation, sight: Observation, observes: str = ALL) -> Observation:
-    """The receiver's observation.
-
-    Args:
-        observation: What `observe` says.
-        sight: What the camera adds.
-        observes: "all" or "sight".
-    """
-    own = observation if observes == ALL else {key: observation[key] for key in PROPRIOCEPTION}
-    return {**own, **sight}
-
-
-def giver_observation_space(config: GiverConfig = OFFICIAL.giver) -> spaces.Dict:
-    """What the giver sees: all that the receiver sees, and its own intentions.
+def giver_observation_space(config: GiverConfig = OFFICIAL_CONFIG.giver) -> spaces.Dict:
+    """Return the giver's observation space: the full state and the keys of this table.
 
     | key | shape | meaning (world frame; m, rad; quaternions xyzw) |
     |---|---|---|
-    | replay_wrist_poses | (5, 7) | the recording's wrist 0.1 to 0.5 s ahead; zeros without a hand |
-    | replay_object_poses | (5, 7) | the recording's object to be given at these times |
-    | deviation | (7,) | playback rate less the recorded one, wrist displacement, rotation vector, as they are |
-    | holding | (1,) | 1 once the object has been picked up, so that displacements count |
+    | replay_wrist_poses | (5, 7) | recorded wrist poses 0.1 to 0.5 s ahead; zeros without a hand |
+    | replay_object_poses | (5, 7) | recorded poses of the object to be handed over at these times |
+    | deviation | (7,) | present playback rate minus 1, wrist displacement and rotation vector |
+    | holding | (1,) | 1 after the object has been picked up, when displacements take effect |
     """
     ahead = len(config.preview)
     return spaces.Dict(
@@ -126,39 +100,54 @@ def giver_observation_space(config: GiverConfig = OFFICIAL.giver) -> spaces.Dict
     )
 
 
-def observe_as_giver(observation: Observation, playback: Playback, preview: Preview) -> Observation:
-    """The giver's observation.
+class MotionPreview:
+    """Preview of a recording: poses of wrist and object some tenths of a second ahead.
 
     Args:
-        observation: What the receiver sees.
-        playback: Where the giver is in its recording and how it deviates.
-        preview: The recording.
+        scene: Scene with the recording.
+        config: Configuration of the giver, with the times of the preview.
     """
-    return {
-        **observation,
-        "replay_wrist_poses": preview.wrist_poses(playback.frame),
-        "replay_object_poses": preview.object_poses(playback.frame),
-        "deviation": playback.deviation,
-        "holding": np.array([playback.holding], dtype=np.float32),
-    }
 
+    def __init__(self, scene: Scene, config: GiverConfig) -> None:
+        self._scene, self._base_from_wrist = scene, find_wrist_offset(scene)
+        self._ahead = np.array([round(time / TIME_STEP) for time in config.preview])
+        self._first = self._end = 0
+        self._wrist = self._object = np.zeros((0, _POSE), dtype=np.float32)
 
-def _unbounded(shape: tuple[int, ...]) -> spaces.Box:
-    return spaces.Box(-np.inf, np.inf, shape, np.float32)
+    def read_poses(self, frame: int) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+        """Return recorded poses of wrist and object at the k preview times after a frame.
 
+        Args:
+            frame: Present frame of the recording.
 
-def _flags(shape: tuple[int, ...]) -> spaces.Box:
-    return spaces.Box(0.0, 1.0, shape, np.float32)
+        Returns:
+            (k, 7) poses of the wrist, zeros without a hand, and (k, 7) poses of the object to be handed
+            over: xyz (m) and quaternion xyzw.
+        """
+        n_frames = self._scene.n_frames
+        frames: npt.NDArray[np.int_] = np.minimum(frame + self._ahead, n_frames - 1)
+        first, last = int(frames.min()), int(frames.max())
+        if first < self._first or last >= self._end:
+            self._compute_block(first, min(last + _BLOCK_FRAMES, n_frames))
+        return self._wrist[frames - self._first], self._object[frames - self._first]
+
+    def _compute_block(self, first: int, end: int) -> None:
+        scene, self._first, self._end = self._scene, first, end
+        hand, item = scene.hand_dof[first:end], scene.object_dof[first:end, 0]
+        present = scene.is_hand_present(np.arange(first, end))
+        wrist = _stack_poses(compute_wrist_positions(hand, self._base_from_wrist), hand[:, 3:6])
+        self._wrist = np.where(present[:, None], wrist, np.float32(0.0))
+        self._object = _stack_poses(item[:, :3], item[:, 3:])
 
 
 def observe(state: WorldState, object_ids: tuple[int, ...], released: bool, time: float) -> Observation:
-    """The observation of a world state.
+    """Return the full state of a simulated world as an observation.
 
     Args:
-        state: What the world shows.
-        object_ids: Class numbers of the objects in the state's order.
-        released: Whether the human has let go.
-        time: Simulated time since the reset (s).
+        state: State of the simulated world.
+        object_ids: YCB class numbers of the objects, in the order of the state.
+        released: Whether the person has released the object.
+        time: Time since the start of the episode (s).
     """
     n_objects = len(object_ids)
     poses = np.zeros((MAX_OBJECTS, _POSE), dtype=np.float32)
@@ -179,3 +168,47 @@ def observe(state: WorldState, object_ids: tuple[int, ...], released: bool, time
         "released": np.array([released], dtype=np.float32),
         "time": np.array([time], dtype=np.float32),
     }
+
+
+def select_receiver_observation(state: Observation, camera: Observation, obs_mode: str) -> Observation:
+    """Select the receiver's observation in an observation mode from state and camera data.
+
+    Args:
+        state: The full state as `observe` returns it.
+        camera: The camera data of this mode as `WristCamera.observe` returns it.
+        obs_mode: One of `OBS_MODES`; a mode without "state" keeps only the
+            robot's joints and gripper pose of the state.
+    """
+    own = state if has_state(obs_mode) else {key: state[key] for key in PROPRIOCEPTION}
+    return {**own, **camera}
+
+
+def observe_giver(state: Observation, playback: Playback, preview: MotionPreview) -> Observation:
+    """Return the giver's observation: full state, preview of the recording and present deviation.
+
+    Args:
+        state: The full state as `observe` returns it.
+        playback: Playback of the scene, with the present deviation.
+        preview: Preview of the recording.
+    """
+    wrist_poses, object_poses = preview.read_poses(playback.frame)
+    return {
+        **state,
+        "replay_wrist_poses": wrist_poses,
+        "replay_object_poses": object_poses,
+        "deviation": playback.deviation,
+        "holding": np.array([playback.holding], dtype=np.float32),
+    }
+
+
+def _unbounded(shape: tuple[int, ...]) -> spaces.Box:
+    return spaces.Box(-np.inf, np.inf, shape, np.float32)
+
+
+def _flags(shape: tuple[int, ...]) -> spaces.Box:
+    return spaces.Box(0.0, 1.0, shape, np.float32)
+
+
+def _stack_poses(positions: npt.NDArray[np.floating], angles: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    poses = np.concatenate([positions, quaternions_from_euler(angles)], axis=1)
+    return poses.astype(np.float32)

@@ -1,4 +1,4 @@
-"""The two agents' action spaces, and the checking of actions."""
+"""Observation modes, action spaces of both agents, and checks of actions."""
 
 from dataclasses import dataclass
 
@@ -6,34 +6,69 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from handover_marl.config import OFFICIAL, PANDA_DOF, GiverConfig
-from handover_marl.errors import ActionError
-from handover_marl.models.panda import LOWER_LIMITS, UPPER_LIMITS
+from handover_marl.config import OFFICIAL_CONFIG, PANDA_DOF, GiverConfig
+from handover_marl.errors import ActionError, UnknownNameError
+from handover_marl.geometry.panda import LOWER_LIMITS, UPPER_LIMITS
+
+#: Parts of an observation mode: the simulator's state, and the wrist camera's data.
+STATE, POINTCLOUD, RGBD, FULL_POINTCLOUD = "state", "pointcloud", "rgbd", "full_pointcloud"
+#: Observation modes of the receiver, named as in ManiSkill; without "state" only proprioception is left beside the
+#: camera's data, so that a policy cannot use the true poses by accident.
+OBS_MODES = (
+    STATE,
+    f"{STATE}+{POINTCLOUD}",
+    POINTCLOUD,
+    f"{STATE}+{RGBD}",
+    RGBD,
+    f"{STATE}+{FULL_POINTCLOUD}",
+    FULL_POINTCLOUD,
+)
 
 #: Components of the giver's action: playback rate (1), wrist displacement (3), wrist rotation (3), release (1).
 GIVER_ACTION_SIZE = 8
 
 
-def receiver_action_space() -> spaces.Box:
-    """Target joint positions: 7 arm joints (rad), 2 fingers (m), within the Panda's limits.
+def check_obs_mode(obs_mode: str) -> None:
+    """Check the name of an observation mode.
 
-    Actions beyond the bounds are not clipped; motors and joint limits do the bounding, as in HandoverSim.
+    Raises:
+        UnknownNameError: The name is not one of `OBS_MODES`.
+    """
+    if obs_mode not in OBS_MODES:
+        raise UnknownNameError("obs_mode", obs_mode, OBS_MODES)
+
+
+def has_state(obs_mode: str) -> bool:
+    """Return whether an observation mode includes the true poses of objects and human hand."""
+    return obs_mode.partition("+")[0] == STATE
+
+
+def get_camera_data(obs_mode: str) -> str | None:
+    """Return the wrist camera data of an observation mode: "pointcloud", "rgbd", "full_pointcloud", or None."""
+    part = obs_mode.rpartition("+")[2]
+    return None if part == STATE else part
+
+
+def receiver_action_space() -> spaces.Box:
+    """Return the receiver's action space: 7 arm joints (rad) and 2 fingers (m), within the Panda's limits.
+
+    Actions beyond the bounds are not clipped; motors and joint limits bound the motion, as in HandoverSim.
     """
     return spaces.Box(np.array(LOWER_LIMITS, dtype=np.float32), np.array(UPPER_LIMITS, dtype=np.float32))
 
 
-def giver_action_space(config: GiverConfig = OFFICIAL.giver) -> spaces.Box:
-    """Deviation from the replayed motion; zero is the replay itself.
+def giver_action_space(config: GiverConfig = OFFICIAL_CONFIG.giver) -> spaces.Box:
+    """Return the giver's action space, deviations from a recording; zeros replay the recording.
 
     | components | meaning | bounds |
     |---|---|---|
-    | 0 | playback rate less the recorded one: -1 pauses, 1 doubles the speed | -1 to 1 |
-    | 1-3 | set-point of the wrist's displacement from the replayed wrist, world frame (m) | -0.3 to 0.3 |
-    | 4-6 | set-point of its rotation vector about the wrist, world frame (rad) | -1 to 1 |
-    | 7 | above 0.5: let go now | 0 to 1 |
+    | 0 | playback rate minus 1: -1 pauses, 1 doubles the speed | -1 to 1 |
+    | 1-3 | set-point of the wrist's displacement from the recording, world frame (m) | -0.3 to 0.3 |
+    | 4-6 | set-point of the rotation vector about the wrist, world frame (rad) | -1 to 1 |
+    | 7 | release the object if above 0.5 | 0 to 1 |
 
-    Actions beyond the bounds are clipped. Set-points are approached at a human pace and count once the object has
-    been picked up; see `handover_marl.config.GiverConfig`.
+    Actions beyond the bounds are clipped. Set-points are tracked with limited speed and take effect once
+    the object has been picked up; see `handover_marl.config.GiverConfig`.
     """
     high = np.array([1.0, *[config.displacement] * 3, *[config.rotation] * 3, 1.0], dtype=np.float32)
     low = -high
@@ -43,13 +78,13 @@ def giver_action_space(config: GiverConfig = OFFICIAL.giver) -> spaces.Box:
 
 @dataclass(frozen=True, eq=False)
 class GiverAction:
-    """The parts of a giver's action.
+    """Components of a giver's action.
 
     Attributes:
-        rate: Playback rate less the recorded one.
-        displacement: (3,) set-point of the wrist's displacement (m).
-        rotation: (3,) set-point of its rotation vector (rad).
-        release: Whether to let go now.
+        rate: Playback rate minus 1.
+        displacement: (3,) set-point of the wrist's displacement, world frame (m).
+        rotation: (3,) set-point of the rotation vector about the wrist, world frame (rad).
+        release: Whether to release the object.
     """
 
     rate: float
@@ -58,51 +93,59 @@ class GiverAction:
     release: bool
 
     @classmethod
-    def of(cls, action: npt.NDArray[np.float32]) -> "GiverAction":
-        """Read a checked action (8,)."""
+    def from_array(cls, action: npt.NDArray[np.float32]) -> "GiverAction":
+        """Split a giver's action (8,), already checked, into its components."""
         return cls(float(action[0]), action[1:4], action[4:7], bool(action[7] > 0.5))
 
 
 def check_receiver_action(action: object) -> npt.NDArray[np.float32]:
-    """The action rounded to float32.
+    """Check a receiver's action and return it as a float32 array (9,).
 
     Raises:
-        ActionError: It is not nine finite numbers.
+        ActionError: The action is not nine finite numbers.
     """
-    return _as_float32("receiver", action, PANDA_DOF, "target joint positions: 7 arm (rad), 2 fingers (m)")
+    return check_vector(
+        "action of the receiver", action, PANDA_DOF, "target joint positions: 7 arm (rad), 2 fingers (m)"
+    )
 
 
 def check_giver_action(action: object, space: spaces.Box) -> npt.NDArray[np.float32]:
-    """The action rounded to float32 and clipped to a giver's space.
+    """Check a giver's action; return it as float32 (8,), clipped to the action space.
 
     Raises:
-        ActionError: It is not eight finite numbers.
+        ActionError: The action is not eight finite numbers.
     """
-    values = _as_float32("giver", action, GIVER_ACTION_SIZE, "the deviation from the replay")
+    values = check_vector("action of the giver", action, GIVER_ACTION_SIZE, "the deviation from the recording")
     return np.clip(values, space.low, space.high)
 
 
-def _as_float32(agent: str, action: object, size: int, meaning: str) -> npt.NDArray[np.float32]:
-    if action is None:
-        raise ActionError(
-            f"the {agent} is missing from the actions (or its action is None): pass {size} numbers, {meaning}, "
-            f'under the key "{agent}"'
-        )
-    values = _real_numbers(action)
-    if values is None:
-        raise ActionError(
-            f"the {agent}'s action is not numeric ({type(action).__name__}); expected {size} numbers, {meaning}"
-        )
-    if values.shape != (size,):
-        raise ActionError(f"the {agent}'s action has shape {values.shape}; expected ({size},), {meaning}")
-    if not np.isfinite(values).all():
-        bad = int(np.flatnonzero(~np.isfinite(values))[0])
-        raise ActionError(f"the {agent}'s action is not finite: component {bad} is {values[bad]}")
-    return values
+def check_vector(name: str, values: object, size: int, meaning: str) -> npt.NDArray[np.float32]:
+    """Check numbers and return them as a float32 vector (size,).
+
+    Args:
+        name: Name of the values, for errors.
+        values: Array or sequence of real numbers.
+        size: Number of values.
+        meaning: Description of the values, for errors.
+
+    Raises:
+        ActionError: The values are not `size` finite numbers.
+    """
+    vector = _as_float32(values)
+    if vector is not None and vector.shape == (size,) and np.isfinite(vector).all():
+        return vector
+    if vector is None:
+        problem = "got None; pass it by agent" if values is None else f"got {type(values).__name__}"
+    elif vector.shape != (size,):
+        problem = f"got shape {vector.shape}, expected ({size},)"
+    else:
+        bad = int(np.flatnonzero(~np.isfinite(vector))[0])
+        problem = f"but component {bad} is {vector[bad]}, which is not finite"
+    raise ActionError(f"{name} must be {size} numbers, {meaning}, {problem}")
 
 
-def _real_numbers(action: object) -> npt.NDArray[np.float32] | None:
-    """The action rounded to float32, or None if it is not made of real numbers."""
+def _as_float32(action: object) -> npt.NDArray[np.float32] | None:
+    """Convert an action to float32; return None if it does not consist of real numbers."""
     try:
         values = np.asarray(action)
     except (TypeError, ValueError, RuntimeError):  # ragged lists; tensors on a GPU or with a gradient
@@ -110,8 +153,8 @@ def _real_numbers(action: object) -> npt.NDArray[np.float32] | None:
     if values.dtype.kind not in "biuf":
         return None
     if values.dtype == np.float32:
-        # Nothing overflows, and to say that it may takes its time.
-        rounded: npt.NDArray[np.float32] = values.copy()
-        return rounded
+        # Cannot overflow; np.errstate takes longer than the copy.
+        copied: npt.NDArray[np.float32] = values.copy()
+        return copied
     with np.errstate(over="ignore"):
         return values.astype(np.float32)

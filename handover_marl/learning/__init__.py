@@ -1,1 +1,1 @@
-"""What learning needs beside the environment: features, action schemes, small networks, policy files."""
+"""Features, action schemes, networks and policy files of learned policies."""

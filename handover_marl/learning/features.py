@@ -1,8 +1,11 @@
-"""Observations as short vectors for small networks.
+"""Feature vectors for small networks, computed from observations.
 
-Positions are in decimetres relative to what matters to the agent, so that numbers are near one and a policy need
-not learn the world frame by heart.
+Positions are scaled to decimetres and expressed in the frame of the planned handover or of the
+gripper, so that the components are of order one and independent of the world frame.
 """
+
+import functools
+from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
@@ -11,38 +14,47 @@ from scipy.spatial.transform import Rotation
 
 from handover_marl.config import TIME_STEP, ProtocolConfig
 from handover_marl.episode.observations import Observation, giver_observation_space, observation_space
-from handover_marl.models.ycb import CLASS_NAMES
+from handover_marl.errors import UnknownNameError
+from handover_marl.geometry.ycb import CLASS_NAMES
+from handover_marl.policies.policy import PolicyContext
+from handover_marl.receivers.grasp_library import get_nearest_grasp_selector
 
 Array = npt.NDArray[np.float64]
+Vector = npt.NDArray[np.float32]
+#: Function from an observation to a feature vector.
+FeatureFunction = Callable[[Observation], Vector]
 
-_SCALE = 10.0
-_HIGHEST_CLASS = max(CLASS_NAMES)
+_SCALE, _GRASP_SCALE = 10.0, 5.0  # 1/m
+_N_CLASSES = max(CLASS_NAMES)
+_N_RECEIVER, _N_GRASP, _N_PROXIMITY = 35 + _N_CLASSES, 8, 12
+_GIVER_SPACE, _RECEIVER_SPACE = giver_observation_space(), observation_space()
 
 
-def offer_frame(observation: Observation) -> tuple[Array, Array]:
-    """Where the recording is about to hold the object, seen towards the gripper.
+def handover_frame(observation: Observation) -> tuple[Array, Array]:
+    """Return a frame at the object's recorded position 0.5 s ahead, with x towards the gripper.
 
     Returns:
-        (3,) the object's recorded place 0.5 s ahead (m), and the (3, 3) world axes (columns) of the frame there: x
-        horizontally towards the gripper, z up.
+        (3,) origin in the world (m) and (3, 3) axes as columns in the world: x points horizontally
+        towards the gripper, z up.
     """
     origin = observation["replay_object_poses"][-1, :3].astype(np.float64)
-    way = observation["gripper_pose"][:2] - origin[:2]
-    length = float(np.linalg.norm(way))
-    x, y = way / length if length > 1e-6 else (1.0, 0.0)
+    to_gripper = observation["gripper_pose"][:2] - origin[:2]
+    length = float(np.linalg.norm(to_gripper))
+    x, y = to_gripper / length if length > 1e-6 else (1.0, 0.0)
     return origin, np.array([[x, -y, 0.0], [y, x, 0.0], [0.0, 0.0, 1.0]])
 
 
-def giver_features(observation: Observation, protocol: ProtocolConfig) -> npt.NDArray[np.float32]:
-    """(39,) what a giver needs to choose where to hold the object, in the frame of `offer_frame`.
+def giver_features(observation: Observation, protocol: ProtocolConfig) -> Vector:
+    """Return the (39,) features from which a giver can choose a handover pose.
 
-    Distance and height of the gripper, the object's place in the world, wrist and mean finger place and turn of
-    the object as they are about to be, whether the object was let go, and its class.
+    They are expressed in the frame of `handover_frame`: distance and height of the gripper,
+    position of the object relative to the goal (world frame), recorded wrist position, mean finger
+    position and object orientation 0.5 s ahead, the release flag, and the object class (one-hot).
     """
-    origin, axes = offer_frame(observation)
+    origin, axes = handover_frame(observation)
     wrist = observation["replay_wrist_poses"][-1]
-    item = Rotation.from_quat(observation["replay_object_poses"][-1, 3:])
-    # Fingers keep their place on the wrist, which turns on the way.
+    object_rotation = Rotation.from_quat(observation["replay_object_poses"][-1, 3:])
+    # The fingers keep their position relative to the object until then.
     keypoints = observation["hand_keypoints"].astype(np.float64)
     now = observation["object_poses"][0]
     fingers = Rotation.from_quat(now[3:]).inv().apply(keypoints[1:].mean(axis=0) - now[:3])
@@ -51,59 +63,175 @@ def giver_features(observation: Observation, protocol: ProtocolConfig) -> npt.ND
         _SCALE * np.array([np.linalg.norm(gripper[:2]), gripper[2]]) - 5.0,
         _SCALE * (origin - np.array(protocol.goal_center)),
         _SCALE * (wrist[:3] - origin) @ axes,
-        _SCALE * item.apply(fingers) @ axes,
-        (axes.T @ item.as_matrix())[:, :2].ravel(),
+        _SCALE * object_rotation.apply(fingers) @ axes,
+        (axes.T @ object_rotation.as_matrix())[:, :2].ravel(),
         observation["released"],
-        _one_hot(observation),
+        _one_hot_class(observation),
     ]
     return np.concatenate(parts).astype(np.float32)
 
 
-def receiver_features(observation: Observation, protocol: ProtocolConfig) -> npt.NDArray[np.float32]:
-    """(56,) what a receiver needs to take an object and bring it to the goal, in the gripper's frame.
+def receiver_features(observation: Observation, protocol: ProtocolConfig) -> Vector:
+    """Return the (56,) features from which a receiver can take an object to the goal.
 
-    Object, wrist, mean finger place and goal, turn of the object, which way is up, fingers and their speed, arm
-    joints, whether the object was let go, time, whether there is a hand, and the object's class.
+    They are expressed in the gripper frame: positions of object, wrist, mean finger and goal,
+    object orientation, and the world's vertical; then finger joints and their velocities, arm
+    joints, release flag, elapsed share of the episode, presence of a hand, and class (one-hot).
     """
-    gripper, item = observation["gripper_pose"].astype(np.float64), observation["object_poses"][0]
-    turn = Rotation.from_quat(gripper[3:]).as_matrix()
+    gripper, object_pose = observation["gripper_pose"].astype(np.float64), observation["object_poses"][0]
+    rotation = Rotation.from_quat(gripper[3:]).as_matrix()
     keypoints = observation["hand_keypoints"].astype(np.float64)
-    present = bool(observation["hand_present"][0])
-    hand = np.stack([keypoints[0], keypoints[1:].mean(axis=0)]) if present else np.tile(gripper[:3], (2, 1))
-    places = np.stack([item[:3], *hand, np.array(protocol.goal_center)]) - gripper[:3]
+    if observation["hand_present"][0]:
+        hand = np.stack([keypoints[0], keypoints[1:].mean(axis=0)])
+    else:
+        hand = np.tile(gripper[:3], (2, 1))
+    positions = np.stack([object_pose[:3], *hand, np.array(protocol.goal_center)]) - gripper[:3]
     parts = [
-        (0.5 * _SCALE * places @ turn).ravel(),
-        (turn.T @ Rotation.from_quat(item[3:]).as_matrix())[:, :2].ravel(),
-        turn[2],
+        (0.5 * _SCALE * positions @ rotation).ravel(),
+        (rotation.T @ Rotation.from_quat(object_pose[3:]).as_matrix())[:, :2].ravel(),
+        rotation[2],
         50.0 * observation["robot_joint_position"][7:] - 1.0,
         10.0 * observation["robot_joint_velocity"][7:],
         observation["robot_joint_position"][:7],
         observation["released"],
         observation["time"] / (protocol.horizon_steps * TIME_STEP),
         observation["hand_present"],
-        _one_hot(observation),
+        _one_hot_class(observation),
     ]
     return np.concatenate(parts).astype(np.float32)
 
 
-def flat_giver_features(observation: Observation, protocol: ProtocolConfig) -> npt.NDArray[np.float32]:
-    """All that the giver observes as one vector, in the order of its space; Stable-Baselines3's order too."""
-    return _flattened(_GIVER_SPACE, observation)
+class GraspFeatures:
+    """Function that appends the best reachable grasp to `receiver_features`.
+
+    The grasp is expressed in the gripper frame: scaled translation (3), rotation vector (3), scaled
+    clearance to the person's hand (1), and whether a grasp exists (1).
+
+    Args:
+        context: Robot, task and known grasps of the objects.
+    """
+
+    def __init__(self, context: PolicyContext) -> None:
+        self._grasp_selector = get_nearest_grasp_selector(context)
+        self._protocol = context.protocol
+
+    def __call__(self, observation: Observation) -> Vector:
+        """Return the features (64,) of an observation, those of the grasp last."""
+        return np.concatenate([receiver_features(observation, self._protocol), self.grasp(observation)])
+
+    def grasp(self, observation: Observation) -> Vector:
+        """Return the features (8,) of the best reachable grasp; zeros if no grasp is reachable."""
+        chosen = self._grasp_selector.select(observation)
+        if chosen is None:
+            return np.zeros(_N_GRASP, dtype=np.float32)
+        grasp, clearance = chosen
+        gripper = observation["gripper_pose"].astype(np.float64)
+        gripper_from_world = Rotation.from_quat(gripper[3:]).inv()
+        rotation = (gripper_from_world * Rotation.from_quat(grasp[3:])).as_rotvec()
+        translation = _GRASP_SCALE * gripper_from_world.apply(grasp[:3] - gripper[:3])
+        return np.array([*translation, *rotation, 10.0 * clearance, 1.0], dtype=np.float32)
 
 
-def flat_receiver_features(observation: Observation, protocol: ProtocolConfig) -> npt.NDArray[np.float32]:
-    """All that the receiver observes as one vector, likewise."""
-    return _flattened(_RECEIVER_SPACE, observation)
+class GraspProximityFeatures:
+    """Function from an observation to 12 features that suffice to decide when to close the gripper.
+
+    In the gripper frame: translation (3) and rotation vector (3) to the grasp, exponentially
+    decaying position and orientation proximity (2), finger joints (2), release flag, and whether
+    a grasp exists. With so few features closing is learned from few episodes.
+
+    Attributes:
+        position_scale: Distance (m) at which the position proximity is 1/e.
+        angle_scale: Angle (rad) at which the orientation proximity is 1/e.
+
+    Args:
+        context: Robot, task and known grasps of the objects.
+    """
+
+    position_scale, angle_scale = 0.03, 0.2
+
+    def __init__(self, context: PolicyContext) -> None:
+        self._grasp = GraspFeatures(context)
+
+    def __call__(self, observation: Observation) -> Vector:
+        """Return the features (12,) of the grasp and the gripper in an observation."""
+        translation, rotation, (_, exists) = np.split(self._grasp.grasp(observation), [3, 6])
+        distance = float(np.linalg.norm(translation)) / _GRASP_SCALE
+        angle = float(np.linalg.norm(rotation))
+        proximity = np.exp([-distance / self.position_scale, -angle / self.angle_scale]) * exists
+        fingers = 50.0 * observation["robot_joint_position"][7:] - 1.0
+        parts = [translation, rotation, proximity, fingers, observation["released"], [exists]]
+        return np.concatenate(parts).astype(np.float32)
 
 
-def _one_hot(observation: Observation) -> npt.NDArray[np.float32]:
-    hot = np.zeros(_HIGHEST_CLASS, dtype=np.float32)
-    hot[int(observation["object_classes"][0]) - 1] = 1.0
-    return hot
+def _one_hot_class(observation: Observation) -> Vector:
+    one_hot = np.zeros(_N_CLASSES, dtype=np.float32)
+    one_hot[int(observation["object_classes"][0]) - 1] = 1.0
+    return one_hot
 
 
-def _flattened(space: spaces.Dict, observation: Observation) -> npt.NDArray[np.float32]:
+def _flatten(observation: Observation, space: spaces.Dict) -> Vector:
     return np.asarray(spaces.flatten(space, observation), dtype=np.float32)
 
 
-_GIVER_SPACE, _RECEIVER_SPACE = giver_observation_space(), observation_space()
+def _make_giver_features(context: PolicyContext) -> FeatureFunction:
+    return functools.partial(giver_features, protocol=context.protocol)
+
+
+def _make_receiver_features(context: PolicyContext) -> FeatureFunction:
+    return functools.partial(receiver_features, protocol=context.protocol)
+
+
+# By agent and name: factory and number of features. The flat ones are complete observations in the
+# order in which Gymnasium and Stable-Baselines3 flatten them.
+_FEATURES: dict[str, dict[str, tuple[Callable[[PolicyContext], FeatureFunction], int]]] = {
+    "giver": {
+        "giver": (_make_giver_features, 18 + _N_CLASSES),
+        "flat_giver": (lambda _: functools.partial(_flatten, space=_GIVER_SPACE), spaces.flatdim(_GIVER_SPACE)),
+    },
+    "receiver": {
+        "receiver": (_make_receiver_features, _N_RECEIVER),
+        "flat_receiver": (
+            lambda _: functools.partial(_flatten, space=_RECEIVER_SPACE),
+            spaces.flatdim(_RECEIVER_SPACE),
+        ),
+        "grasp": (GraspFeatures, _N_RECEIVER + _N_GRASP),
+        "close": (GraspProximityFeatures, _N_PROXIMITY),
+    },
+}
+
+
+def available_features(agent: str) -> tuple[str, ...]:
+    """Return the names of all feature functions for an agent.
+
+    Raises:
+        UnknownNameError: `agent` is neither "giver" nor "receiver".
+    """
+    if agent not in _FEATURES:
+        raise UnknownNameError("agent", agent, _FEATURES)
+    return tuple(_FEATURES[agent])
+
+
+def n_features(agent: str, name: str) -> int:
+    """Return the length of an agent's feature vector.
+
+    Raises:
+        UnknownNameError: The agent is unknown or has no features of that name.
+    """
+    if name not in available_features(agent):
+        raise UnknownNameError(f"features of the {agent}", name, available_features(agent))
+    return _FEATURES[agent][name][1]
+
+
+def make_features(agent: str, name: str, context: PolicyContext) -> FeatureFunction:
+    """Create an agent's feature function by name.
+
+    Args:
+        agent: "giver" or "receiver".
+        name: One of `available_features(agent)`.
+        context: Task and known grasps of the objects, which some features contain.
+
+    Raises:
+        UnknownNameError: The agent is unknown or has no features of that name.
+    """
+    n_features(agent, name)
+    return _FEATURES[agent][name][0](context)

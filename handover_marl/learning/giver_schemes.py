@@ -1,120 +1,137 @@
-"""Action schemes for givers."""
+"""Action schemes of givers, which convert network outputs to the giver's actions."""
 
 from abc import abstractmethod
 
 import numpy as np
+import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.spaces import GIVER_ACTION_SIZE, GiverAction, giver_action_space
-from handover_marl.givers.patience import Patience
-from handover_marl.learning.features import offer_frame
-from handover_marl.learning.scheme import Action, ActionScheme, Outputs, Raw
-from handover_marl.policies.giver import deviation
+from handover_marl.givers.cooperative import OfferTimer
+from handover_marl.learning.action_scheme import Action, ActionScheme, Outputs, RawScheme
+from handover_marl.learning.features import handover_frame
+from handover_marl.policies.policy import make_giver_action
 
 
-class GiverRaw(Raw):
-    """The giver's Box(8) as it is, in physical units."""
+class RawGiverScheme(RawScheme):
+    """Identity scheme of givers: the outputs are the action Box(8) in physical units."""
 
     name, agent, size = "giver", "giver", GIVER_ACTION_SIZE
 
 
 class GiverScheme(ActionScheme):
-    """A scheme that can also say which outputs come nearest to an action, to learn from other givers."""
+    """Base class of invertible giver schemes, with which other givers can be imitated."""
 
     @abstractmethod
-    def outputs(self, action: Action, observation: Observation) -> Outputs:
-        """(size,) outputs, between -1 and 1, for a giver's action (8,)."""
+    def outputs_from_action(self, action: Action, observation: Observation) -> Outputs:
+        """Return the outputs (size,) in [-1, 1] whose action is nearest to a giver's action (8,)."""
 
 
-class Deviation(GiverScheme):
-    """The giver's Box(8), every component between -1 and 1; zero replays, the last one lets go above 0.5."""
+class DeviationScheme(GiverScheme):
+    """Deviation from the recorded motion: the giver's action Box(8), scaled to [-1, 1].
+
+    Zero follows the recording; the last output releases the object above 0.5.
+    """
 
     name, agent, size = "deviation", "giver", GIVER_ACTION_SIZE
 
-    def action(self, observation: Observation) -> Action:
-        """The outputs in physical units."""
+    def compute_action(self, observation: Observation) -> Action:
+        """Return the giver's action (8,), the outputs in physical units."""
         space = giver_action_space(self.context.config.giver)
         return np.clip(self._outputs * space.high, space.low, space.high).astype(np.float32)
 
-    def outputs(self, action: Action, observation: Observation) -> Outputs:
-        """The action as shares of its bounds."""
+    def outputs_from_action(self, action: Action, observation: Observation) -> Outputs:
+        """Return the outputs (8,) of a giver's action, divided by its bounds."""
         return np.asarray(np.clip(action / giver_action_space(self.context.config.giver).high, -1.0, 1.0))
 
 
-class Offer(GiverScheme):
-    """One decision in an episode: where and how to hold the object out; and how far to draw back afterwards.
+class HandoverPoseScheme(GiverScheme):
+    """Scheme with one decision per episode: handover pose, and withdrawal after the release.
 
-    Asked when the recording is about to arrive where it holds the object out. Until then it is replayed; after
-    that nothing changes until the object has been let go, since robots take best what does not move; only when
-    nobody comes for two seconds is the object offered otherwise (`handover_marl.givers.patience`).
+    Outputs are requested when the recorded hand is about to stop at its own handover pose. Before,
+    the recording is followed; afterwards the pose is held until the object is released, because
+    robots take resting objects best. After two seconds without approach `OfferTimer` varies the
+    pose.
 
-    | outputs | meaning, at 1 |
+    | outputs | meaning at 1, in the frame of `handover_frame` |
     |---|---|
-    | 0-2 | the object is 0.25 m nearer to the gripper, 0.25 m further to its left, 0.25 m higher |
-    | 3-5 | hand and object are turned by 1 rad about these axes, about the object's middle |
-    | 6 | the hand draws back by 0.3 m once the object has been let go; at -1 it stays |
+    | 0-2 | translation of the object: 0.25 m towards the gripper, 0.25 m to its left, 0.25 m up |
+    | 3-5 | rotation of hand and object by 1 rad about these axes through the object's center |
+    | 6 | withdrawal of the hand by 0.3 m after the release; at -1 it stays |
+
+    Attributes:
+        max_shift: Translation at output 1 (m).
+        turn: Rotation at output 1 (rad).
+        withdraw: Withdrawal at output 1 (m).
+        arrival_tolerance: Remaining motion of the recorded wrist at which outputs are requested (m).
+        latest_decision_s: Episode time at which outputs are requested at the latest (s).
     """
 
     name, agent, size = "offer", "giver", 7
-    reach, turn, withdraw = 0.25, 1.0, 0.3  # m, rad, m
-    at_rest = 0.01  # m, what the wrist may still move while arriving
-    latest = 2.5  # s; by then it has to decide
+    max_shift, turn, withdraw = 0.25, 1.0, 0.3
+    arrival_tolerance = 0.01
+    latest_decision_s = 2.5
 
     def reset(self) -> None:
-        """Replay until asked."""
+        """Clear the decision of the previous episode; the giver follows the recording."""
         super().reset()
         self._decided = self._chosen = False
         self._shift, self._turn = np.zeros(3), np.zeros(3)
-        self._drawn_back: np.ndarray | None = None
-        self._patience = Patience()
+        self._withdrawal: npt.NDArray[np.float64] | None = None
+        self._timer = OfferTimer()
 
-    def asks(self, observation: Observation) -> bool:
-        """Once, when the recording is about to come to rest."""
+    def needs_outputs(self, observation: Observation) -> bool:
+        """Return whether the recorded hand is about to stop and no outputs were set yet."""
         if self._decided or not observation["holding"][0] or not observation["hand_present"][0]:
             return False
         coming = observation["replay_wrist_poses"][2:, :3]
-        arriving = float(np.abs(coming - coming[-1]).max()) < self.at_rest
-        return arriving or float(observation["time"][0]) >= self.latest
+        is_arriving = float(np.abs(coming - coming[-1]).max()) < self.arrival_tolerance
+        return is_arriving or float(observation["time"][0]) >= self.latest_decision_s
 
-    def decide(self, outputs: Outputs) -> None:
-        """Take the outputs."""
-        super().decide(outputs)
+    def set_outputs(self, outputs: Outputs) -> None:
+        """Set the outputs of this episode, (7,), clipped to [-1, 1]."""
+        super().set_outputs(outputs)
         self._decided = True
 
-    def action(self, observation: Observation) -> Action:
-        """Replay, hold out, or draw back."""
+    def compute_action(self, observation: Observation) -> Action:
+        """Return the deviation from the recorded motion, for handover pose or withdrawal."""
         if self._decided and not self._chosen:
-            self._choose(observation)
+            self._choose_pose(observation)
         if self._chosen and observation["released"][0]:
-            return self._draw_back(observation)
+            return self._withdraw(observation)
         if self._chosen:
-            self._patience.watch(observation)
-        share = self._patience.share
-        return deviation(displacement=share * self._shift, rotation=share * self._turn)
+            self._timer.update(observation)
+        share = self._timer.share
+        return make_giver_action(displacement=share * self._shift, rotation=share * self._turn)
 
-    def outputs(self, action: Action, observation: Observation) -> Outputs:
-        """What holds the object out as an action would; drawing back is left at half its length."""
-        wanted = GiverAction.of(action)
-        item, axes = offer_frame(observation)
-        wrist = observation["replay_wrist_poses"][-1, :3].astype(np.float64)
-        swung = wrist + Rotation.from_rotvec(wanted.rotation).apply(item - wrist)
-        way = axes.T @ (swung + wanted.displacement - item) / self.reach
-        return np.asarray(np.clip([*way, *(axes.T @ wanted.rotation / self.turn), 0.0], -1.0, 1.0))
+    def outputs_from_action(self, action: Action, observation: Observation) -> Outputs:
+        """Return the outputs for the handover pose of an action, with half of the full withdrawal."""
+        target = GiverAction.from_array(action)
+        center, axes, rotated = self._rotate_about_wrist(target.rotation, observation)
+        shift = axes.T @ (rotated + target.displacement - center) / self.max_shift
+        return np.asarray(np.clip([*shift, *(axes.T @ target.rotation / self.turn), 0.0], -1.0, 1.0))
 
-    def _choose(self, observation: Observation) -> None:
-        item, axes = offer_frame(observation)
-        wrist = observation["replay_wrist_poses"][-1, :3].astype(np.float64)
+    def _choose_pose(self, observation: Observation) -> None:
+        _, axes = handover_frame(observation)
         self._turn = axes @ self._outputs[3:6] * self.turn
-        # The object swings about the wrist; the wrist makes up for it.
-        swung = wrist + Rotation.from_rotvec(self._turn).apply(item - wrist)
-        self._shift = item + axes @ self._outputs[:3] * self.reach - swung
+        center, _, rotated = self._rotate_about_wrist(self._turn, observation)
+        # Actions rotate about the wrist, so the translation compensates the object's motion.
+        self._shift = center + axes @ self._outputs[:3] * self.max_shift - rotated
         self._chosen = True
 
-    def _draw_back(self, observation: Observation) -> Action:
-        if self._drawn_back is None:
+    def _rotate_about_wrist(
+        self, rotation: npt.NDArray[np.floating], observation: Observation
+    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """Return origin (3,) and axes (3, 3) of the handover frame, and the origin rotated about the wrist."""
+        center, axes = handover_frame(observation)
+        wrist = observation["replay_wrist_poses"][-1, :3].astype(np.float64)
+        return center, axes, wrist + Rotation.from_rotvec(rotation).apply(center - wrist)
+
+    def _withdraw(self, observation: Observation) -> Action:
+        if self._withdrawal is None:
             away = observation["hand_keypoints"][0] - observation["gripper_pose"][:3]
             length = (self._outputs[6] + 1.0) / 2.0 * self.withdraw
-            shift = self._patience.share * self._shift
-            self._drawn_back = shift + length * away / max(float(np.linalg.norm(away)), 1e-6)
-        return deviation(displacement=self._drawn_back, rotation=self._patience.share * self._turn)
+            shift = self._timer.share * self._shift
+            self._withdrawal = shift + length * away / max(float(np.linalg.norm(away)), 1e-6)
+        return make_giver_action(displacement=self._withdrawal, rotation=self._timer.share * self._turn)

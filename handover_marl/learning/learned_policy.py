@@ -1,4 +1,4 @@
-"""Givers and receivers as a network learned them."""
+"""Givers and receivers that run a trained network."""
 
 import os
 from pathlib import Path
@@ -6,31 +6,31 @@ from pathlib import Path
 import handover_marl.givers
 from handover_marl.episode.observations import Observation
 from handover_marl.errors import DataFormatError, OptionError
-from handover_marl.learning.observing import make_features, n_features
-from handover_marl.learning.policy_files import PolicyFile, read_policy
+from handover_marl.learning.features import make_features, n_features
+from handover_marl.learning.policy_files import read_policy
 from handover_marl.learning.schemes import make_scheme, scheme_size
-from handover_marl.policies.context import PolicyContext
-from handover_marl.policies.policy import Action, Policy
-from handover_marl.policies.waiting import wait_ms
+from handover_marl.policies.policy import Action, Policy, PolicyContext, milliseconds_from_wait
 
-#: Trained for the receiver yang2021; the file says how.
-SHIPPED_GIVER = Path(handover_marl.givers.__file__).parent / "policies" / "for_yang2021.npz"
+#: Shipped giver, trained for the receiver `yang2021`.
+DEFAULT_GIVER_FILE = Path(handover_marl.givers.__file__).parent / "policies" / "for_yang2021.npz"
 
 
 class LearnedPolicy(Policy):
-    """Does what a trained policy says: `learned:FILE`; without a file, the giver in the box.
+    """Policy that runs a trained network, `learned:FILE`; the giver `learned` runs the shipped file.
 
     Args:
-        agent: Whose policy it is, "giver" or "receiver".
-        context: The robot, the task and the objects' grasps.
-        path: A policy file, see `handover_marl.learning.policy_files`.
+        agent: Agent that the policy controls, "giver" or "receiver".
+        context: Robot, task and known grasps of the objects.
+        path: Policy file, see `handover_marl.learning.policy_files`.
         trust: Whether code in the file may run.
-        control_period: How often it was asked in training (s), for files that do not tell.
-        wait: How long to stay at the waiting pose (s) instead of as in training, for schemes with a wait.
+        control_period: Time between two decisions in training (s), for files that do not record it.
+        wait: Time at the waiting pose (s); default as in training. Only for schemes with a wait.
 
     Raises:
-        DataNotFoundError, DataFormatError, UnsafeFileError, OptionError: As `read_policy`; OptionError also without
-            a file for a receiver, of which none is shipped.
+        DataNotFoundError: The file does not exist.
+        DataFormatError: The file is damaged or for another agent.
+        UnsafeFileError: The file contains code and is not trusted.
+        OptionError: A receiver has no file, or an option does not fit the file.
     """
 
     name = "learned"
@@ -46,49 +46,45 @@ class LearnedPolicy(Policy):
     ) -> None:
         if path is None and agent != "giver":
             raise OptionError(f"{agent} 'learned' needs a policy file: learned:FILE, see experiments/")
-        file = SHIPPED_GIVER if path is None else Path(path).expanduser()
+        file = DEFAULT_GIVER_FILE if path is None else Path(path).expanduser()
         found = read_policy(file, agent, trust, control_period)
         self._label = self.name if path is None else f"{self.name}:{found.label}"
-        self._use(found, context)
+        self.spec, self._function = found.spec, found.function
+        sizes = n_features(agent, self.spec.features), scheme_size(agent, self.spec.actions)
+        if (self._function.n_inputs, self._function.n_outputs) != sizes:
+            raise DataFormatError(
+                f"{found.label}: the network must have {sizes[0]} inputs for features {self.spec.features!r} and "
+                f"{sizes[1]} outputs for actions {self.spec.actions!r}, got {self._function.n_inputs} and "
+                f"{self._function.n_outputs}"
+            )
+        self._features = make_features(agent, self.spec.features, context)
+        self._scheme = make_scheme(agent, self.spec.actions, context)
         if wait is not None:
             if not self._scheme.wait:
-                raise OptionError(f"{found.label}: its actions ({found.spec.actions!r}) have no wait to be set")
-            self._scheme.wait = wait_ms(wait) / 1000.0
-
-    def _use(self, found: PolicyFile, context: PolicyContext) -> None:
-        spec, function = found.spec, found.function
-        wanted = (n_features(spec.agent, spec.features), scheme_size(spec.agent, spec.actions))
-        if (function.n_inputs, function.n_outputs) != wanted:
-            raise DataFormatError(
-                f"{found.label}: the policy takes {function.n_inputs} numbers and gives {function.n_outputs}; "
-                f"features {spec.features!r} are {wanted[0]} and actions {spec.actions!r} are {wanted[1]}"
-            )
-        self.spec = spec
-        self._function = function
-        self._features = make_features(spec.agent, spec.features, context)
-        self._scheme = make_scheme(spec.agent, spec.actions, context)
+                raise OptionError(f"{found.label}: action scheme {self.spec.actions!r} has no wait; remove wait={wait}")
+            self._scheme.wait = milliseconds_from_wait(wait) / 1000.0
 
     @property
     def label(self) -> str:
-        """The name, and which file."""
+        """Unique label of the policy in result files: its name, file name and file hash."""
         return self._label
 
     @property
     def wait(self) -> float:
-        """How long it stays at the waiting pose (s)."""
+        """Time at the waiting pose at the start of an episode (s)."""
         return self._scheme.wait
 
     @property
     def hold_time(self) -> float:
-        """As the policy was trained (s)."""
+        """Time between two decisions (s), as in training."""
         return self.spec.control_period
 
     def reset(self, seed: int | None = None) -> None:
-        """Forget the last episode; nothing here is random."""
+        """Clear the state of the previous episode; the policy draws no random numbers."""
         self._scheme.reset()
 
     def act(self, observation: Observation) -> Action:
-        """Ask the policy, if its scheme wants outputs now."""
-        if self._scheme.asks(observation):
-            self._scheme.decide(self._function(self._features(observation)))
-        return self._scheme.action(observation)
+        """Return the next action; evaluate the network only if the action scheme requires it."""
+        if self._scheme.needs_outputs(observation):
+            self._scheme.set_outputs(self._function(self._features(observation)))
+        return self._scheme.compute_action(observation)

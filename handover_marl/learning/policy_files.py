@@ -1,13 +1,10 @@
-"""Policies on disk.
+"""Reader and writer of policy files.
 
-| file | what it is | loaded |
+| suffix | content | loading |
 |---|---|---|
-| .npz | this library's: the weights of a `Network` and a `PolicySpec` as JSON | always |
-| .zip | Stable-Baselines3's, trained on a frozen environment as it is | by its weights alone; extra `train` |
-| .pt | TorchScript: all observations as one vector to an action | with `trust=True`: it is code; extra `train` |
-
-Loading never runs code from the file unless it is trusted. A policy that the training scripts in experiments/ made
-comes as .npz.
+| .npz | weights of a `DenseNetwork`, and a `PolicySpec` as JSON; written by the training scripts | always safe |
+| .zip | Stable-Baselines3 model, trained on a frozen environment without encoding | weights only; extra `train` |
+| .pt | TorchScript module from flat observations to actions | code, needs `trust=True`; extra `train` |
 """
 
 import hashlib
@@ -20,45 +17,39 @@ from typing import Any
 import numpy as np
 
 from handover_marl.errors import DataFormatError, DataNotFoundError, HandoverError, OptionError
-from handover_marl.files import write_arrays
-from handover_marl.learning.network import Network
-from handover_marl.learning.policy_spec import Function, PolicySpec
+from handover_marl.execution.files import write_arrays
+from handover_marl.learning.policy_spec import DenseNetwork, PolicyFunction, PolicySpec
 
 _FORMAT = 1
-_LARGEST = 500_000_000  # bytes
-#: What foreign policies see and do: everything, and the agent's space as it is.
-PLAIN = {"giver": ("flat_giver", "giver"), "receiver": ("flat_receiver", "receiver")}
+_MAX_BYTES = 500_000_000
+#: Features and action scheme of policies from other libraries: flat observations, physical units.
+RAW_ENCODINGS = {"giver": ("flat_giver", "giver"), "receiver": ("flat_receiver", "receiver")}
 
 
 @dataclass(frozen=True, eq=False)
 class PolicyFile:
-    """What a policy file holds.
+    """Content of a policy file: network, encoding and label.
 
     Attributes:
-        spec: How the function is used.
-        function: From features to outputs.
-        label: Name of the file and a hash of its content, by which results are filed.
+        spec: Encoding of inputs and outputs.
+        function: Function from features to outputs.
+        label: Unique label of the policy in result files: file name and a hash of the content.
     """
 
     spec: PolicySpec
-    function: Function
+    function: PolicyFunction
     label: str
 
 
-def write_policy(path: Path, spec: PolicySpec, network: Network) -> None:
+def write_policy(path: Path, spec: PolicySpec, network: DenseNetwork) -> None:
     """Write a policy file (.npz).
 
     Raises:
-        ResultsError: It cannot be written.
+        ResultsError: The file cannot be written.
     """
     arrays = {f"weight_{number}": weight for number, weight in enumerate(network.weights)}
     arrays |= {f"bias_{number}": bias for number, bias in enumerate(network.biases)}
-    about = {
-        "format": _FORMAT,
-        "spec": asdict(spec),
-        "activation": network.activation,
-        "output": network.output,
-    }
+    about = {"format": _FORMAT, "spec": asdict(spec), "activation": network.activation, "output": network.output}
     write_arrays(path, {"about": np.array(json.dumps(about)), **arrays})
 
 
@@ -66,99 +57,94 @@ def read_policy(path: Path, agent: str, trust: bool = False, control_period: flo
     """Read a policy file of any kind.
 
     Args:
-        path: The file.
-        agent: Whose policy is wanted, "giver" or "receiver".
+        path: Policy file.
+        agent: Agent that the policy must control, "giver" or "receiver".
         trust: Whether code in the file may run.
-        control_period: How often it was asked in training (s), for files that do not tell.
+        control_period: Time between two decisions in training (s), for files that do not record it.
 
     Raises:
-        DataNotFoundError: There is no such file.
-        DataFormatError: It is no policy, or one of another agent or other spaces.
-        UnsafeFileError: It holds foreign Python objects or code and is not trusted.
-        OptionError: Its kind is not known, or needs PyTorch, which is not installed; or the file says another
-            control period than is asked for, or none and none is given.
+        DataNotFoundError: The file does not exist or cannot be read.
+        DataFormatError: The file is damaged, or the policy is for another agent or other spaces.
+        UnsafeFileError: The file contains Python objects or code and is not trusted.
+        OptionError: The suffix is unknown, PyTorch is missing, or `control_period` is missing or
+            contradicts the file.
     """
     content = _read_bytes(path)
     label = f"{path.stem}@{hashlib.sha256(content).hexdigest()[:8]}"
-    function: Function
+    function: PolicyFunction
     if path.suffix == ".npz":
-        spec, function = _read_own(path, content)
+        spec, function = _read_npz(path, content)
     elif path.suffix in (".zip", ".pt"):
-        # Only who has such a file needs PyTorch.
+        # Imports PyTorch, which .npz files do not need.
         from handover_marl.learning.foreign_policies import read_stable_baselines, read_torch_script
 
         if path.suffix == ".zip":
             function, period = read_stable_baselines(path, content, agent)
         else:
             function, period = read_torch_script(path, content, agent, trust), None
-        spec = PolicySpec(agent, *PLAIN[agent], _period(path, period, control_period), origin=path.name)
+        period = _resolve_control_period(path, period, control_period)
+        spec = PolicySpec(agent, *RAW_ENCODINGS[agent], period, origin=path.name)
     else:
         raise OptionError(f"{path}: policy files are .npz, .zip (Stable-Baselines3) or .pt (TorchScript)")
     if spec.agent != agent:
-        raise DataFormatError(f"{path}: this policy is a {spec.agent}'s; a {agent}'s is wanted")
+        raise DataFormatError(f"{path}: policy must be for the {agent}, got one for the {spec.agent}")
     if control_period is not None and abs(control_period - spec.control_period) > 1e-9:
-        raise OptionError(f"{path}: it was trained at {spec.control_period} s a decision, not {control_period}")
+        raise OptionError(f"{path}: control_period must be {spec.control_period} as in training, got {control_period}")
     return PolicyFile(spec, function, label)
 
 
 def _read_bytes(path: Path) -> bytes:
     try:
         if not path.is_file():
-            raise DataNotFoundError(f"{path}: there is no such policy file")
-        if path.stat().st_size > _LARGEST:
-            raise DataFormatError(f"{path}: policy files have at most {_LARGEST // 1_000_000} MB")
+            raise DataNotFoundError(f"{path}: no such policy file")
+        if path.stat().st_size > _MAX_BYTES:
+            raise DataFormatError(f"{path}: policy files must have at most {_MAX_BYTES // 1_000_000} MB")
         return path.read_bytes()
-    except ValueError as error:
-        if isinstance(error, HandoverError):
-            raise
-        raise DataNotFoundError(f"{path}: there is no such policy file") from error
-    except DataNotFoundError:
+    except HandoverError:
         raise
-    except OSError as error:
-        raise DataNotFoundError(f"{path}: cannot read this policy file ({error.strerror or error})") from error
+    except (OSError, ValueError) as error:
+        raise DataNotFoundError(f"{path}: cannot read this policy file ({error})") from error
 
 
-def _period(path: Path, found: float | None, asked: float | None) -> float:
-    """The control period of a policy: what its file says, or what is asked for."""
-    period = asked if found is None else found
+def _resolve_control_period(path: Path, recorded: float | None, requested: float | None) -> float:
+    period = requested if recorded is None else recorded
     if period is None:
         raise OptionError(
-            f"{path}: the file does not say how often the policy was asked in training; say so: "
+            f"{path}: the file does not record the control period of the training; pass it: "
             f"learned:{path}:control_period=0.1"
         )
     if isinstance(period, bool) or not isinstance(period, (int, float)) or not 0.001 <= period <= 60.0:
-        raise OptionError(f"control_period={period!r} must be a time from 0.001 to 60 s")
+        raise OptionError(f"control_period must be a time from 0.001 to 60 s, got {period!r}")
     return float(period)
 
 
-def _read_own(path: Path, content: bytes) -> tuple[PolicySpec, Network]:
+def _read_npz(path: Path, content: bytes) -> tuple[PolicySpec, DenseNetwork]:
     try:
         with np.load(io.BytesIO(content), allow_pickle=False) as archive:
             about = json.loads(str(archive["about"]))
-            spec = _spec(about)
+            spec = _parse_spec(about)
             count = sum(name.startswith("weight_") for name in archive.files)
             weights, biases = (
                 tuple(archive[f"{part}_{number}"].astype(np.float32) for number in range(count))
                 for part in ("weight", "bias")
             )
-            return spec, Network(weights, biases, about["activation"], about["output"])
+            return spec, DenseNetwork(weights, biases, about["activation"], about["output"])
     except HandoverError as error:
         raise DataFormatError(f"{path}: {error}") from error
-    except Exception as error:  # what NumPy and zipfile raise on damaged bytes has no end
+    except Exception as error:  # NumPy and zipfile raise many kinds on damaged bytes
         raise DataFormatError(
-            f"{path}: no policy file of handover_marl ({type(error).__name__}: {error}); "
+            f"{path}: not a policy file of handover_marl ({type(error).__name__}: {error}); "
             "the scripts in experiments/ write them"
         ) from error
 
 
-def _spec(about: dict[str, Any]) -> PolicySpec:
+def _parse_spec(about: dict[str, Any]) -> PolicySpec:
     if about["format"] != _FORMAT:
-        raise DataFormatError(f"format {about['format']!r}, expected {_FORMAT}; update handover_marl")
+        raise DataFormatError(f"format must be {_FORMAT}, got {about['format']!r}; update handover_marl")
     spec = PolicySpec(**about["spec"])
     for name, value in asdict(spec).items():
-        kinds = (int, float) if name == "control_period" else (str,)
-        if not isinstance(value, kinds):
-            raise DataFormatError(f"{name} is {value!r}")
+        if not isinstance(value, (int, float) if name == "control_period" else str):
+            raise DataFormatError(f"{name} has the wrong type: {value!r}")
     if not 0.001 <= spec.control_period <= 60.0:
-        raise DataFormatError(f"a control period of {spec.control_period} s")
+        raise DataFormatError(f"control_period must be from 0.001 to 60 s, got {spec.control_period}")
     return spec

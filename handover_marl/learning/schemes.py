@@ -1,52 +1,54 @@
-"""Action schemes by name."""
+"""Registry of the action schemes by agent and name."""
 
 from handover_marl.errors import UnknownNameError
-from handover_marl.learning.giver_schemes import Deviation, GiverRaw, Offer
+from handover_marl.learning.action_scheme import ActionScheme
+from handover_marl.learning.giver_schemes import DeviationScheme, HandoverPoseScheme, RawGiverScheme
 from handover_marl.learning.receiver_schemes import (
-    CartesianDelta,
-    GraspServo,
-    JointDelta,
-    Joints,
-    ReceiverRaw,
+    CartesianDeltaScheme,
+    GraspServoScheme,
+    JointDeltaScheme,
+    JointPositionScheme,
+    RawReceiverScheme,
 )
-from handover_marl.learning.scheme import ActionScheme
-from handover_marl.policies.context import PolicyContext
+from handover_marl.policies.policy import PolicyContext
 
-_KINDS: tuple[type[ActionScheme], ...] = (
-    *(GiverRaw, Deviation, Offer),
-    *(ReceiverRaw, Joints, JointDelta, CartesianDelta, GraspServo),
+_GIVER_SCHEMES: tuple[type[ActionScheme], ...] = (RawGiverScheme, DeviationScheme, HandoverPoseScheme)
+_RECEIVER_SCHEMES: tuple[type[ActionScheme], ...] = (
+    RawReceiverScheme,
+    JointPositionScheme,
+    JointDeltaScheme,
+    CartesianDeltaScheme,
+    GraspServoScheme,
 )
-_SCHEMES = {kind.name: kind for kind in _KINDS}
+_SCHEMES = {scheme.name: scheme for scheme in _GIVER_SCHEMES + _RECEIVER_SCHEMES}
 
 
-def schemes(agent: str) -> tuple[str, ...]:
-    """Names of an agent's action schemes."""
-    return tuple(name for name, kind in _SCHEMES.items() if kind.agent == agent)
+def available_schemes(agent: str) -> tuple[str, ...]:
+    """Return the names of an agent's action schemes."""
+    return tuple(name for name, scheme in _SCHEMES.items() if scheme.agent == agent)
 
 
 def scheme_size(agent: str, name: str) -> int:
-    """Number of outputs of a scheme.
+    """Return the number of network outputs that an agent's action scheme decodes.
 
     Raises:
-        UnknownNameError: The agent has none of that name.
+        UnknownNameError: The agent has no scheme of that name.
     """
-    if name not in schemes(agent):
-        raise UnknownNameError(f"action scheme of the {agent}", name, schemes(agent))
+    if name not in available_schemes(agent):
+        raise UnknownNameError(f"action scheme of the {agent}", name, available_schemes(agent))
     return _SCHEMES[name].size
 
 
 def make_scheme(agent: str, name: str, context: PolicyContext) -> ActionScheme:
-    """An agent's action scheme by name.
+    """Create an agent's action scheme by name.
 
     Args:
         agent: "giver" or "receiver".
-        name: Name of the scheme.
-        context: The robot, the task and the objects' grasps.
+        name: One of `available_schemes(agent)`.
+        context: Robot, task and known grasps of the objects.
 
     Raises:
-        UnknownNameError: The agent has none of that name.
+        UnknownNameError: The agent has no scheme of that name.
     """
     scheme_size(agent, name)
-    scheme = _SCHEMES[name](context)
-    scheme.reset()
-    return scheme
+    return _SCHEMES[name](context)

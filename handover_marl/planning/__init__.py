@@ -1,1 +1,1 @@
-"""Motion planning to a set of grasps: goal set, signed distances, goal selection, trajectory optimisation."""
+"""Motion planning of a robot arm to grasps, collision avoidance, and motion prediction."""

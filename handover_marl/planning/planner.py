@@ -1,4 +1,8 @@
-"""Manipulation trajectory optimisation with online grasp selection (Wang et al., RSS 2020)."""
+"""OMG: manipulation trajectory optimization with online grasp selection (Wang et al., RSS 2020).
+
+The optimizer is goal-set CHOMP (Zucker et al., 2013): covariant gradient steps that keep the end of
+a trajectory on the tail of a goal (Wang et al., 2020, section III-B).
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -6,20 +10,17 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+from scipy.interpolate import CubicSpline
 
-from handover_marl.models.arm import Arm
-from handover_marl.models.distance_field import field_of
-from handover_marl.models.kinematic_tree import read_tree
-from handover_marl.models.panda import FINGER_LINKS, HAND_LINK, LOWER_LIMITS, UPPER_LIMITS
-from handover_marl.models.poses import IDENTITY
-from handover_marl.planning.body_samples import body_samples
-from handover_marl.planning.capsules import Capsules
-from handover_marl.planning.chomp import Chomp, first_trajectory
-from handover_marl.planning.goal_selection import GoalSelector
-from handover_marl.planning.goal_set import GoalFinder, GoalSet
-from handover_marl.planning.obstacles import Obstacle
-from handover_marl.planning.planner_config import HandAvoidance, PlannerConfig
-from handover_marl.planning.trajectory_cost import BodyCost
+from handover_marl.geometry.arm import ArmKinematics
+from handover_marl.geometry.distance_field import sample_distance_field
+from handover_marl.geometry.kinematic_tree import read_tree
+from handover_marl.geometry.panda import FINGER_LINKS, HAND_LINK, LOWER_LIMITS, UPPER_LIMITS
+from handover_marl.geometry.poses import IDENTITY
+from handover_marl.planning.goal_set import GoalSelector, GoalSet, GoalSetBuilder, Limits
+from handover_marl.planning.hand_tracker import Capsules
+from handover_marl.planning.planner_config import ChompConfig, CostConfig, HandAvoidanceConfig, PlannerConfig
+from handover_marl.planning.trajectory_cost import Obstacle, ObstacleCost, sample_body_points
 
 Array = npt.NDArray[np.float64]
 
@@ -28,14 +29,14 @@ _HAND_CELL = 0.01  # m
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """What was planned, in the robot's base frame.
+    """Planned trajectory in the robot's base frame.
 
     Attributes:
-        start: (7,) joints at the start (rad).
-        goals: What the arm might have ended at.
-        chosen: Number of the goal it ends at.
-        trajectory: (w, 7) joints (rad), the start not counted; the last rows are the goal's tail.
-        steps: Optimisation steps taken.
+        start: (7,) configuration before the first waypoint (rad).
+        goals: Goal set from which the goal of the trajectory was selected.
+        chosen: Index of the selected goal in `goals`.
+        trajectory: (w, 7) waypoints (rad); the last ones are the approach from standoff to grasp.
+        steps: Number of optimization steps that were made.
     """
 
     start: Array
@@ -46,90 +47,187 @@ class Plan:
 
 
 class Planner:
-    """Plans from one start to a grasp.
+    """OMG planner of arm trajectories from one start configuration to a grasp.
 
     Args:
-        panda_urdf: The robot's model.
-        start: (7,) joints at which motions start (rad).
-        config: Constants.
+        panda_urdf: URDF model of the robot.
+        start: (7,) configuration at which motions start (rad).
+        config: Configuration of the planner.
 
     Raises:
-        SimulationError, DataFormatError: The model is no Panda, or a mesh cannot be read.
+        SimulationError: The model is not a Panda.
+        DataFormatError: A mesh cannot be read.
+
+    Attributes:
+        config: Configuration of the planner.
+        arm: Kinematics of the arm in its base frame.
     """
 
     def __init__(self, panda_urdf: Path, start: Array, config: PlannerConfig) -> None:
         self.config = config
-        self.arm = Arm(read_tree(panda_urdf))
-        self._start = start
+        self.arm = ArmKinematics(read_tree(panda_urdf))
         padding = config.goals.limit_padding
         joints = self.arm.n_joints
         self._limits = (
             np.array(LOWER_LIMITS[:joints]) + padding,
             np.array(UPPER_LIMITS[:joints]) - padding,
         )
-        self._body = body_samples(panda_urdf, tuple(self.arm.link_names), config.points_per_link)
-        self._gripper = body_samples(panda_urdf, (HAND_LINK, *FINGER_LINKS), config.gripper_points)
-        self._finder = self._finder_from(start)
+        self._body = sample_body_points(panda_urdf, tuple(self.arm.link_names), config.n_points_per_link)
+        self._gripper = sample_body_points(panda_urdf, (HAND_LINK, *FINGER_LINKS), config.n_gripper_points)
+        self._start = start
+        self._builder = self._make_builder(start)
 
-    def start_from(self, start: Array) -> None:
-        """Let motions start at (7,) other joints (rad) from now on."""
-        self._start, self._finder = start, self._finder_from(start)
+    def set_start(self, start: Array) -> None:
+        """Set the configuration (7,) in rad at which planned trajectories start."""
+        self._start, self._builder = start, self._make_builder(start)
 
-    def _finder_from(self, start: Array) -> GoalFinder:
-        return GoalFinder(self.arm, self._body, self._gripper, start, self._limits, self.config)
+    def _make_builder(self, start: Array) -> GoalSetBuilder:
+        return GoalSetBuilder(self.arm, self._body, self._gripper, start, self._limits, self.config)
 
     def plan(self, grasps: Array, objects: Sequence[Obstacle], hand: Capsules | None = None) -> Plan | None:
-        """A trajectory to one of some grasps.
+        """Return a trajectory to one of several grasps, or None if no grasp can be reached.
 
         Args:
             grasps: (n, 7) poses of the hand link in the base frame.
-            objects: Where the objects are.
-            hand: The person's hand in the base frame, if it is to be looked at.
-
-        Returns:
-            None if no grasp can be reached.
+            objects: Objects to keep clear of, in the base frame.
+            hand: The person's hand in the base frame, or None to ignore it.
         """
         config = self.config
-        person = None if hand is None or config.hand is None else hand_obstacle(hand, config.hand)
-        goals = self._finder.find(grasps, objects, person)
+        person = None if hand is None or config.hand is None else make_hand_obstacle(hand, config.hand)
+        goals = self._builder.build(grasps, objects, person)
         if not len(goals):
             return None
         obstacles = [*objects] if person is None else [*objects, person]
-        body = BodyCost(self.arm, self._body, obstacles, config.goals.tail, config.costs)
-        chomp = Chomp(body, self._start, self._limits, config.optimiser, config.costs)
-        selector = GoalSelector(
-            body,
-            goals.goals,
-            self._handicaps(goals),
-            config.optimiser.waypoints,
-            config.selection,
-            config.unchecked_last,
-        )
-        return self._optimise(goals, selector, chomp)
+        cost = ObstacleCost(self.arm, self._body, obstacles, config.goals.n_tail, config.costs)
+        chomp = Chomp(cost, self._start, self._limits, config.chomp, config.costs)
+        n_waypoints, goal_costs = config.chomp.n_waypoints, self._clearance_costs(goals)
+        selector = GoalSelector(cost, goals.goals, goal_costs, n_waypoints, config.selection, config.unchecked_last)
+        return self._optimize(goals, selector, chomp)
 
-    def _optimise(self, goals: GoalSet, selector: GoalSelector, chomp: Chomp) -> Plan:
-        config = self.config.optimiser
-        first = first_trajectory(self._start, goals.goals[0], config.waypoints)
-        chosen = selector.first(first)
-        trajectory = first_trajectory(self._start, goals.goals[chosen], config.waypoints)
-        for step in range(config.steps + config.smooth_steps):
-            if step < config.steps:
-                chosen = selector.next(trajectory, step + 1)
-            if step > 0 and chomp.done(trajectory, goals.goals[chosen], self.config.goals.clearance):
+    def _optimize(self, goals: GoalSet, selector: GoalSelector, chomp: "Chomp") -> Plan:
+        """Compute a plan by alternating goal selection and trajectory steps."""
+        config = self.config.chomp
+        first = make_initial_trajectory(self._start, goals.goals[0], config.n_waypoints)
+        chosen = selector.select_first(first)
+        trajectory = make_initial_trajectory(self._start, goals.goals[chosen], config.n_waypoints)
+        max_steps = config.n_selection_steps + config.n_fixed_goal_steps
+        for step in range(max_steps):
+            if step < config.n_selection_steps:
+                chosen = selector.select_next(trajectory, step + 1)
+            goal = goals.goals[chosen]
+            if step > 0 and chomp.is_finished(trajectory, goal, self.config.goals.collision_distance):
                 return Plan(self._start, goals, chosen, trajectory, step)
             trajectory = chomp.step(trajectory, goals.tails[chosen], step + 1)
-        return Plan(self._start, goals, chosen, trajectory, config.steps + config.smooth_steps)
+        return Plan(self._start, goals, chosen, trajectory, max_steps)
 
-    def _handicaps(self, goals: GoalSet) -> Array:
-        """(g,) what goals cost for lack of room beside the person's hand."""
-        if self.config.hand is None:
+    def _clearance_costs(self, goals: GoalSet) -> Array:
+        """Return the cost (g,) of each goal's missing clearance to the person's hand."""
+        hand = self.config.hand
+        if hand is None:
             return np.zeros(len(goals))
-        return self.config.hand.rank * np.maximum(0.0, self.config.hand.padding - goals.rooms)
+        return hand.clearance_cost * np.maximum(0.0, hand.padding - goals.clearances)
 
 
-def hand_obstacle(hand: Capsules, config: HandAvoidance) -> Obstacle:
-    """A hand in the base frame as something to keep clear of."""
+def make_hand_obstacle(hand: Capsules, config: HandAvoidanceConfig) -> Obstacle:
+    """Return the person's hand, given in the base frame, as an obstacle for the planner."""
     reach = config.padding + hand.radii.max()
     ends = np.concatenate([hand.starts, hand.ends])
-    field = field_of(hand.distances, ends.min(axis=0) - reach, ends.max(axis=0) + reach, _HAND_CELL)
+    lower, upper = ends.min(axis=0) - reach, ends.max(axis=0) + reach
+    field = sample_distance_field(hand.distances, lower, upper, _HAND_CELL)
     return Obstacle(field, IDENTITY, config.padding, config.weight, in_tail=True)
+
+
+def make_initial_trajectory(start: Array, goal: Array, n_waypoints: int) -> Array:
+    """Return the waypoints (w, d) on a cubic between two configurations (d,) at rest."""
+    spline = CubicSpline([0.0, 1.0], np.stack([start, goal]), bc_type="clamped")
+    points: Array = spline(np.linspace(0.0, 1.0, n_waypoints + 2)[1:-1])
+    return points
+
+
+class Chomp:
+    """Trajectory optimizer CHOMP for goal sets (Zucker et al., 2013), one step at a time.
+
+    Args:
+        cost: Obstacle cost of trajectories.
+        start: (7,) configuration before the first waypoint (rad).
+        limits: Lower and upper joint limits with padding, (7,) each (rad).
+        config: Step size and termination.
+        costs: Weights of obstacle and smoothness costs.
+    """
+
+    def __init__(
+        self, cost: ObstacleCost, start: Array, limits: Limits, config: ChompConfig, costs: CostConfig
+    ) -> None:
+        self._cost, self._start, self._limits = cost, start, limits
+        self._config, self._costs = config, costs
+        count = config.n_waypoints
+        difference = (np.eye(count) - np.eye(count, k=-1)) / costs.time_step
+        self._metric = difference.T @ difference
+        self._inverse_metric = np.linalg.inv(self._metric)
+        # Smoothness is half the squared norm of the differences, the first of which has the start.
+        self._start_gradient = difference.T @ np.concatenate([[-1.0 / costs.time_step], np.zeros(count - 1)])
+        ends = self._inverse_metric[:, -cost.n_tail :]
+        self._tail_correction = ends @ np.linalg.inv(ends[-cost.n_tail :])
+
+    def smoothness_cost(self, trajectory: Array) -> float:
+        """Return half the sum of squared joint velocities of a trajectory (w, 7)."""
+        steps = np.diff(trajectory, axis=0, prepend=self._start[None]) / self._costs.time_step
+        return float(0.5 * (steps**2).sum())
+
+    def smoothness_gradient(self, trajectory: Array) -> Array:
+        """Return the gradient (w, 7) of the smoothness cost of a trajectory (w, 7)."""
+        gradient: Array = self._metric @ trajectory + self._start_gradient[:, None] * self._start
+        return gradient
+
+    def step(self, trajectory: Array, tail: Array, number: int) -> Array:
+        """Return the trajectory (w, 7) after one gradient step that ends on a given approach path.
+
+        Args:
+            trajectory: (w, 7) waypoints (rad).
+            tail: (t, 7) required last waypoints, from standoff to grasp (rad).
+            number: Number of the step in the optimization, counted from 1.
+        """
+        smooth = self.smoothness_gradient(trajectory)
+        near = self._costs.obstacle_weight * self._cost.gradient(trajectory, self._start, tail[-1])
+        near = np.clip(near, -self._costs.max_gradient, self._costs.max_gradient)
+        weight = self._costs.smoothness_weight * self._costs.smoothness_growth**number
+        descent = self._config.step_size * (self._inverse_metric @ (near + weight * smooth))
+        error = trajectory[-len(tail) :] - tail
+        moved = trajectory - descent + self._tail_correction @ (descent[-len(tail) :] - error)
+        return self._project_to_limits(moved)
+
+    def limit_violation(self, trajectory: Array) -> Array:
+        """Return the joint changes (w, 7) in rad that bring a trajectory within joint limits."""
+        low, high = self._limits
+        return np.maximum(low - trajectory, 0.0) + np.minimum(high - trajectory, 0.0)
+
+    def is_finished(self, trajectory: Array, goal: Array, collision_distance: float) -> bool:
+        """Return whether the optimization of a trajectory may end early.
+
+        Args:
+            trajectory: (w, 7) waypoints (rad).
+            goal: (7,) configuration at the grasp (rad).
+            collision_distance: Distance below which a body point collides with an obstacle (m).
+        """
+        config = self._config
+        return (
+            float(np.linalg.norm(trajectory[-1] - goal)) < config.goal_tolerance
+            and self.smoothness_cost(trajectory) < config.max_smoothness_cost
+            and float(np.abs(self.limit_violation(trajectory)).max()) <= config.max_limit_violation
+            and self._cost.count_collisions(trajectory, collision_distance) <= config.max_collisions
+        )
+
+    def _project_to_limits(self, trajectory: Array) -> Array:
+        """Return the trajectory smoothly moved towards the joint limits.
+
+        The tail moves too; the next step repairs it.
+        """
+        for _ in range(self._config.max_limit_projections):
+            violation = self.limit_violation(trajectory)
+            if np.linalg.norm(violation) <= self._config.limit_tolerance:
+                break
+            smooth = self._inverse_metric @ violation
+            worst = np.unravel_index(np.abs(violation).argmax(), violation.shape)
+            scale = abs(violation[worst]) / max(abs(smooth[worst]), np.finfo(np.float64).tiny)
+            trajectory = trajectory + scale * smooth
+        return trajectory

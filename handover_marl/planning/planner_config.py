@@ -1,4 +1,4 @@
-"""Every constant of the planner, as the original sets it unless an attribute says otherwise."""
+"""Configuration of the OMG planner; defaults are those of the authors unless stated otherwise."""
 
 import math
 from dataclasses import dataclass
@@ -6,26 +6,30 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class GoalConfig:
-    """How grasps become goals (m, rad).
+    """Configuration of how grasps become goal configurations.
 
     Attributes:
-        anchors: Arm configurations from which inverse kinematics starts, beside the start of the motion.
-        limit_padding: Joint limits are narrowed by so much on each side.
-        iterations: Newton steps at most.
-        tolerance: On each component of position and rotation vector.
-        standoff: Distance of the first tail pose from the grasp, back along the hand's z axis.
-        tail: Poses from standoff to grasp, both counted.
-        longest_tail: Largest norm of a tail's joint differences; a longer one jumps between arm postures.
-        largest_turn: How far the hand may turn from where it starts, on the way to the grasp.
-        lowest_x: How far the hand's x axis may point down (z component) on the way.
-        way_points: Where on the way these two are looked at.
-        clearance: A body point nearer to an object than this collides.
-        allowed_points: So many pairs of body point and object may collide.
-        diversity: Least distance between the standoff configurations of two goals.
-        most: Goals kept at most.
+        ik_seeds: Arm configurations at which inverse kinematics starts (rad), in addition to the
+            start of the trajectory.
+        limit_padding: Amount by which joint limits are narrowed on each side (rad).
+        max_iterations: Maximum number of Newton steps of inverse kinematics.
+        tolerance: Maximum error of inverse kinematics in each component of position (m) and
+            rotation vector (rad).
+        standoff: Distance of the standoff pose from the grasp, back along the hand's z axis (m).
+        n_tail: Number of poses on the approach (tail) from standoff to grasp, both included.
+        max_tail_norm: Maximum norm of the joint differences on an approach (rad); on a longer one,
+            inverse kinematics has jumped between arm configurations.
+        max_rotation: Maximum rotation of the robot's hand relative to its start orientation, on the
+            straight joint path to the grasp (rad).
+        min_hand_x_z: Minimum z component of the hand's x axis on the straight joint path.
+        n_path_checks: Number of points of the path at which the hand's orientation is checked.
+        collision_distance: Distance below which a body point collides with an object (m).
+        max_collisions: Maximum number of colliding pairs of body point and object at a standoff.
+        min_goal_distance: Minimum distance between the standoffs of two goals (rad).
+        max_goals: Maximum number of goals in a goal set.
     """
 
-    anchors: tuple[tuple[float, ...], ...] = (
+    ik_seeds: tuple[tuple[float, ...], ...] = (
         (2.5, 0.23, -2.89, -1.69, 0.056, 1.46, -1.27),
         (2.8, 0.23, -2.89, -1.69, 0.056, 1.46, -1.27),
         (2.0, 0.23, -2.89, -1.69, 0.056, 1.46, -1.27),
@@ -40,31 +44,32 @@ class GoalConfig:
         (1.51, -1.48, -1.12, -1.55, -1.57, 1.15, 0.24),
     )
     limit_padding: float = 0.2
-    iterations: int = 100
+    max_iterations: int = 100
     tolerance: float = 1e-6
     standoff: float = 0.08
-    tail: int = 5
-    longest_tail: float = 2.0
-    largest_turn: float = math.radians(120.0)
-    lowest_x: float = -0.3
-    way_points: int = 5
-    clearance: float = 0.01
-    allowed_points: int = 5
-    diversity: float = 0.5
-    most: int = 100
+    n_tail: int = 5
+    max_tail_norm: float = 2.0
+    max_rotation: float = math.radians(120.0)
+    min_hand_x_z: float = -0.3
+    n_path_checks: int = 5
+    collision_distance: float = 0.01
+    max_collisions: int = 5
+    min_goal_distance: float = 0.5
+    max_goals: int = 100
 
 
 @dataclass(frozen=True)
 class CostConfig:
-    """What a trajectory costs.
+    """Configuration of the obstacle and smoothness costs of a trajectory.
 
     Attributes:
-        time_step: Between waypoints (s); it only scales derivatives.
-        padding: Objects cost something up to this distance (m).
-        obstacle_weight: Of the obstacle cost's gradient.
-        smoothness_weight: Of the smoothness cost's gradient at first.
-        smoothness_growth: Factor on it at every step.
-        largest_gradient: Entries of the weighted obstacle gradient are clipped to this.
+        time_step: Time between waypoints (s), which only scales velocities and accelerations.
+        padding: Distance up to which an object has a cost (m).
+        obstacle_weight: Weight of the obstacle cost's gradient.
+        smoothness_weight: Initial weight of the smoothness cost's gradient.
+        smoothness_growth: Factor by which the smoothness weight grows in every optimization step.
+        max_gradient: Largest absolute value of an entry of the weighted obstacle gradient; larger
+            entries are clipped.
     """
 
     time_step: float = 0.1
@@ -72,93 +77,108 @@ class CostConfig:
     obstacle_weight: float = 1.0
     smoothness_weight: float = 0.1
     smoothness_growth: float = 1.02
-    largest_gradient: float = 10.0
+    max_gradient: float = 10.0
 
 
 @dataclass(frozen=True)
-class SelectionConfig:
-    """Online choice of the goal by mirror descent over experts (Wang et al., 2020, section III-C).
+class GoalSelectionConfig:
+    """Configuration of online goal selection by mirror descent (Wang et al., 2020, III-C).
 
     Attributes:
-        rounds: Steps that learning rates are made for, and during which the goal may change.
-        rates: Experts' learning rates, as multiples of the best fixed one.
-        pace: Waypoints by which the look-ahead starts later, for each step.
-        smoothness: Weight of the straight way's squared length in joint space against its obstacle cost.
+        n_rounds: Number of selection rounds for which the optimal fixed learning rate is
+            computed.
+        learning_rates: Learning rates of the experts, as multiples of the optimal fixed rate.
+        lookahead_rate: Number of waypoints by which the start of the evaluated straight path moves
+            along the trajectory in each round.
+        smoothness_weight: Weight of the straight path's squared length in joint space.
     """
 
-    rounds: int = 50
-    rates: tuple[float, ...] = (0.25, 0.5, 1.0, 4.0, 16.0)
-    pace: float = 0.6
-    smoothness: float = 0.003
+    n_rounds: int = 50
+    learning_rates: tuple[float, ...] = (0.25, 0.5, 1.0, 4.0, 16.0)
+    lookahead_rate: float = 0.6
+    smoothness_weight: float = 0.003
 
 
 @dataclass(frozen=True)
-class OptimiserConfig:
-    """Goal-set CHOMP.
+class ChompConfig:
+    """Configuration of the trajectory optimizer CHOMP for goal sets.
 
     Attributes:
-        waypoints: Of a trajectory, the start not counted.
-        steps: Optimisation steps with choice of the goal.
-        smooth_steps: Further ones with the goal fixed.
-        step_size: Of the covariant gradient step.
-        limit_steps: Projections onto the joint limits at most, in a step.
-        limit_tolerance: Norm of the violations (rad) that needs no projection.
-        allowed_points: So many pairs of body point and object may collide at the end.
-        goal_distance: How near the last waypoint must come to the goal (rad).
-        most_effort: Largest smoothness cost that may end the optimisation early.
-        most_violation: Largest violation of a joint limit (rad) likewise.
+        n_waypoints: Number of waypoints of a trajectory without its start.
+        n_selection_steps: Number of optimization steps with goal selection.
+        n_fixed_goal_steps: Number of further optimization steps with the last selected goal.
+        step_size: Factor on the covariant gradient in each step.
+        max_limit_projections: Maximum number of projections onto the joint limits in a step.
+        limit_tolerance: Norm of joint limit violations below which no projection is made (rad).
+        max_collisions: Maximum number of colliding pairs of body point and object in a trajectory
+            that ends the optimization early.
+        goal_tolerance: Maximum joint distance of the last waypoint from the goal in a trajectory
+            that ends the optimization early (rad).
+        max_smoothness_cost: Maximum smoothness cost of a trajectory that ends the optimization
+            early.
+        max_limit_violation: Maximum joint limit violation of a trajectory that ends the
+            optimization early (rad).
     """
 
-    waypoints: int = 30
-    steps: int = 50
-    smooth_steps: int = 20
+    n_waypoints: int = 30
+    n_selection_steps: int = 50
+    n_fixed_goal_steps: int = 20
     step_size: float = 0.1
-    limit_steps: int = 10
+    max_limit_projections: int = 10
     limit_tolerance: float = 1e-2
-    allowed_points: int = 5
-    goal_distance: float = 0.01
-    most_effort: float = 35.0
-    most_violation: float = 5e-3
+    max_collisions: int = 5
+    goal_tolerance: float = 0.01
+    max_smoothness_cost: float = 35.0
+    max_limit_violation: float = 5e-3
 
 
 @dataclass(frozen=True)
-class HandAvoidance:
-    """The person's hand as an obstacle, for who looks at it (m).
+class HandAvoidanceConfig:
+    """Configuration of the person's hand as an obstacle of the planner.
 
     Attributes:
-        padding: The hand costs something up to this distance.
-        weight: Of its cost against an object's.
-        room: Goals whose gripper comes nearer to the hand than this are left out while others are there.
-        rank: Price of each metre of room that a goal lacks, against its cost.
+        padding: Distance up to which the hand has a cost (m).
+        weight: Weight of the hand's obstacle cost relative to that of an object.
+        min_clearance: Minimum clearance of the gripper to the hand (m); goals with less are
+            excluded unless there are no others.
+        clearance_cost: Cost of a goal per metre by which its clearance is below `padding`.
     """
 
     padding: float = 0.1
     weight: float = 1.0
-    room: float = 0.02
-    rank: float = 10.0
+    min_clearance: float = 0.02
+    clearance_cost: float = 10.0
 
 
 @dataclass(frozen=True)
 class PlannerConfig:
-    """All of it.
+    """Configuration of the OMG planner (Wang et al., RSS 2020).
 
     Attributes:
-        points_per_link: Body points on each of the arm's links, hand and fingers.
-        gripper_points: Points on the hand and on each finger to measure the room beside the person's hand with.
-        hand: How the person's hand counts, or None to ignore it as the original does.
-        unchecked_last: The original blanks the costs of the last rows of whatever it evaluates together, meant for
-            a trajectory's tail. Of a set of goals these are its last five in the collision filter, and the last
-            one's nearest waypoints in the choice, which makes that goal look cheap. True does the same. Measured
-            on DexYCB (exact physics, replay giver, paired by scene), it changes s0 test (144 scenes) by +2.1
-            points of success (95 %: -6.8 to +11.0) and -4.9 of contact (-12.6 to +3.0), s1 test (180 scenes) by
+        goals: Configuration of the goal set.
+        costs: Configuration of the trajectory costs.
+        selection: Configuration of goal selection.
+        chomp: Configuration of the trajectory optimizer.
+        hand: Configuration of hand avoidance, or None to ignore the hand, as the authors' code
+            does.
+        n_points_per_link: Number of collision points on each link of arm, hand and fingers.
+        n_gripper_points: Number of points on the robot's hand and on each finger, from which
+            clearances to the person's hand are computed.
+        unchecked_last: Whether to reproduce an indexing error of the authors' code. It sets the
+            costs of the last rows of any batch to zero, which is meant for the approach at the end
+            of a trajectory. In a batch of goals these rows are the last five goals in the collision
+            filter, and in goal selection the waypoints of the last goal, which makes that goal look
+            cheap. Measured on DexYCB (exact physics, replay giver, paired by scene), the error
+            changes s0 test (144 scenes) by +2.1 percentage points of success (95 %: -6.8 to +11.0)
+            and -4.9 of contact (-12.6 to +3.0), s1 test (180 scenes) by
             +8.9 (+0.9 to +16.7) and -10.6 (-17.9 to -3.0).
     """
 
     goals: GoalConfig = GoalConfig()
     costs: CostConfig = CostConfig()
-    selection: SelectionConfig = SelectionConfig()
-    optimiser: OptimiserConfig = OptimiserConfig()
-    hand: HandAvoidance | None = None
-    points_per_link: int = 15
-    gripper_points: int = 60
+    selection: GoalSelectionConfig = GoalSelectionConfig()
+    chomp: ChompConfig = ChompConfig()
+    hand: HandAvoidanceConfig | None = None
+    n_points_per_link: int = 15
+    n_gripper_points: int = 60
     unchecked_last: bool = False

@@ -1,48 +1,145 @@
-"""What trajectories cost: how near the moving body comes to obstacles (CHOMP; Zucker et al., 2013)."""
+"""Obstacle costs of trajectories and their gradients (CHOMP; Zucker et al., 2013)."""
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial.transform import Rotation
 
-from handover_marl.models.arm import Arm, Frames, body_points
-from handover_marl.planning.obstacles import Floats, Obstacle, nearness, steepness
+from handover_marl.geometry.arm import ArmKinematics, LinkFrames, transform_body_points
+from handover_marl.geometry.distance_field import DistanceField
+from handover_marl.geometry.meshes import read_link_vertices
 from handover_marl.planning.planner_config import CostConfig
 
 Array = npt.NDArray[np.float64]
+Floats = npt.NDArray[np.float32]
 
-# Links that the gradient looks at: arm and hand. The fingers go where the hand goes.
-_LINKS = 8
-_TINY = 1e-8
+# Number of links in the gradient: arm and hand. The fingers follow the hand.
+_N_GRADIENT_LINKS = 8
+_EPSILON = 1e-8
+
+
+def sample_body_points(urdf: Path, link_names: tuple[str, ...], count: int) -> tuple[Array, ...]:
+    """Return `count` vertices (count, 3) in m of the visual mesh of each link, in its frame.
+
+    Vertices are selected by farthest point sampling, so that finely meshed details do not attract
+    most of the points as they do in random sampling.
+
+    Raises:
+        DataFormatError: A link has no mesh, or a file cannot be read.
+    """
+    return _cached_body_points(urdf, urdf.stat().st_mtime_ns, link_names, count)
+
+
+@functools.cache
+def _cached_body_points(urdf: Path, changed: int, link_names: tuple[str, ...], count: int) -> tuple[Array, ...]:
+    meshes = read_link_vertices(urdf, "visual", list(link_names))
+    return tuple(_sample_farthest(vertices, count) for vertices in meshes)
+
+
+def _sample_farthest(vertices: Array, count: int) -> Array:
+    """Return `count` of the vertices (n, 3) by farthest point sampling."""
+    center = (vertices.min(axis=0) + vertices.max(axis=0)) / 2.0
+    chosen = [int(np.argmax(np.linalg.norm(vertices - center, axis=1)))]
+    distances = np.full(len(vertices), np.inf)
+    while len(chosen) < count:
+        distances = np.minimum(distances, np.linalg.norm(vertices - vertices[chosen[-1]], axis=1))
+        chosen.append(int(np.argmax(distances)))
+    return vertices[chosen]
 
 
 @dataclass(frozen=True, eq=False)
-class BodyCost:
-    """Obstacle costs of a body on its way.
+class Obstacle:
+    """Obstacle with a cost near its surface, given by a signed distance field at a pose.
 
     Attributes:
-        arm: The arm.
-        body: (m, 3) points on each of its links.
-        obstacles: What to keep clear of.
-        tail: Waypoints at the end in which objects cost nothing, since a grasp touches one.
-        config: Scales.
+        field: Signed distance field of the obstacle.
+        base_from_field: (7,) pose of the field's frame in the robot's base frame.
+        padding: Distance from the surface up to which the obstacle has a cost (m).
+        weight: Weight of the obstacle's cost.
+        in_tail: Whether the obstacle has a cost in the final approach to a grasp too, unlike an
+            object that is to be grasped.
     """
 
-    arm: Arm
-    body: Sequence[Array]
-    obstacles: Sequence[Obstacle]
-    tail: int
-    config: CostConfig
+    field: DistanceField
+    base_from_field: Array
+    padding: float
+    weight: float = 1.0
+    in_tail: bool = False
 
-    def of_lines(self, start: Array, goals: Array, count: int, tails: npt.NDArray[np.bool_]) -> Array:
-        """(g,) costs of straight joint lines, cost times workspace speed added up.
+    def distances(self, points: Floats) -> Floats:
+        """Return the signed distances (n,) in m from points (3, n) in the base frame."""
+        return self.field.distances(self._to_field_frame(points))
+
+    def distances_and_gradients(self, points: Floats) -> tuple[Floats, Floats]:
+        """Return signed distances (n,) in m to the obstacle and their gradients (3, n).
 
         Args:
-            start: (7,) where they start.
-            goals: (g, 7) where they end.
-            count: Points between both.
-            tails: (g, count) where objects cost nothing.
+            points: (3, n) points in the robot's base frame (m), as the gradients.
+        """
+        distances, gradients = self.field.distances_and_gradients(self._to_field_frame(points))
+        return distances, self._rotation() @ gradients
+
+    def _rotation(self) -> Floats:
+        matrix: Floats = Rotation.from_quat(self.base_from_field[3:]).as_matrix().astype(np.float32)
+        return matrix
+
+    def _to_field_frame(self, points: Floats) -> Floats:
+        offsets = points - self.base_from_field[:3, None].astype(np.float32)
+        local: Floats = self._rotation().T @ offsets
+        return local
+
+
+def proximity_cost(distances: Floats, padding: float) -> Floats:
+    """Return the CHOMP cost of signed distances (m) to an obstacle.
+
+    The cost is 0 beyond `padding` (m), quadratic below it, and linear inside the obstacle.
+    """
+    quadratic = (distances - padding) ** 2 / (2.0 * padding)
+    outside = np.where(distances <= padding, quadratic, 0.0)
+    cost: Floats = np.where(distances <= 0.0, padding / 2.0 - distances, outside)
+    return cost
+
+
+def proximity_cost_gradient(distances: Floats, padding: float) -> Floats:
+    """Return the derivative of `proximity_cost` with respect to the distance."""
+    linear = (distances - padding) / padding
+    outside = np.where(distances <= padding, linear, 0.0)
+    gradient: Floats = np.where(distances <= 0.0, -1.0, outside)
+    return gradient
+
+
+@dataclass(frozen=True, eq=False)
+class ObstacleCost:
+    """Obstacle cost of arm trajectories (CHOMP; Zucker et al., 2013).
+
+    Attributes:
+        arm: Kinematics of the arm.
+        body: (m, 3) points on each link of the arm, in the link's frame (m).
+        obstacles: Obstacles in the robot's base frame.
+        n_tail: Number of last waypoints, the approach to the grasp, at which objects have no cost.
+        config: Time step, padding and weights of the costs.
+    """
+
+    arm: ArmKinematics
+    body: Sequence[Array]
+    obstacles: Sequence[Obstacle]
+    n_tail: int
+    config: CostConfig
+
+    def evaluate_lines(self, start: Array, goals: Array, count: int, tails: npt.NDArray[np.bool_]) -> Array:
+        """Return the obstacle costs (g,) of straight joint paths from one start to several goals.
+
+        The cost of a path is the sum of proximity cost times workspace speed over all body points.
+
+        Args:
+            start: (7,) start of all paths (rad).
+            goals: (g, 7) ends of the paths (rad).
+            count: Number of points between start and goal.
+            tails: (g, count) whether objects have no cost at each point.
         """
         shares = np.arange(count + 1) / (count + 1)
         line = start + shares[:, None, None] * (goals - start)
@@ -52,78 +149,88 @@ class BodyCost:
         total: Array = (costs * speed).sum(axis=(0, 1), dtype=np.float64)
         return total
 
-    def colliding(self, trajectory: Array, clearance: float) -> int:
-        """Pairs of body point and obstacle nearer than `clearance` (m), objects in the tail not counted."""
+    def count_collisions(self, trajectory: Array, distance: float) -> int:
+        """Return the number of pairs of body point and obstacle closer than `distance` (m).
+
+        At the last `n_tail` waypoints of the trajectory (w, 7), objects to grasp are not counted.
+        """
         points = self._points(trajectory)
         pairs = 0
         for obstacle in self.obstacles:
-            seen = points if obstacle.in_tail else points[..., : -self.tail]
-            pairs += int((obstacle.distances(seen.reshape(3, -1)) < clearance).sum())
+            checked = points if obstacle.in_tail else points[..., : -self.n_tail]
+            pairs += int((obstacle.distances(checked.reshape(3, -1)) < distance).sum())
         return pairs
 
     def gradient(self, trajectory: Array, start: Array, end: Array) -> Array:
-        """(w, 7) gradient of the obstacle cost of a trajectory (w, 7) from `start` that is to end at `end`, (7,).
+        """Return the gradient (w, 7) of the obstacle cost of a trajectory (w, 7).
 
-        At every waypoint each link counts with its costliest point.
+        At every waypoint each link contributes its point of largest cost.
+
+        Args:
+            trajectory: (w, 7) waypoints (rad).
+            start: (7,) configuration before the first waypoint (rad).
+            end: (7,) configuration after the last waypoint (rad).
         """
         frames = self.arm.frames(np.concatenate([start[None], trajectory, end[None]]))
-        moving = body_points(frames, self.body)[:, : _LINKS * len(self.body[0])]
-        costs, slopes = self._costs_and_slopes(moving[..., 1:-1].astype(np.float32))
-        chosen = costs.reshape(_LINKS, -1, len(trajectory)).argmax(axis=1)
-        at = chosen + np.arange(_LINKS)[:, None] * len(self.body[0])
-        when = np.arange(len(trajectory)) + 1
-        before, here, after = (moving[:, at, when + step] for step in (-1, 0, 1))
-        force = self._force(
+        n_points = len(self.body[0])
+        moving = transform_body_points(frames, self.body)[:, : _N_GRADIENT_LINKS * n_points]
+        costs, gradients = self._costs_and_gradients(moving[..., 1:-1].astype(np.float32))
+        worst = costs.reshape(_N_GRADIENT_LINKS, -1, len(trajectory)).argmax(axis=1)
+        index = worst + np.arange(_N_GRADIENT_LINKS)[:, None] * n_points
+        waypoint = np.arange(len(trajectory)) + 1
+        before, here, after = (moving[:, index, waypoint + step] for step in (-1, 0, 1))
+        force = self._workspace_gradient(
             (here - before) / self.config.time_step,
             (before - 2.0 * here + after) / self.config.time_step**2,
-            costs[at, when - 1],
-            slopes[:, at, when - 1],
+            costs[index, waypoint - 1],
+            gradients[:, index, waypoint - 1],
         )
-        return self._in_joints(frames, here, force)
+        return self._joint_torques(frames, here, force)
 
-    def _force(self, velocity: Array, acceleration: Array, costs: Floats, slopes: Floats) -> Array:
-        """(3, l, w) workspace gradients of points that move."""
-        squared = (velocity**2).sum(axis=0) + _TINY
+    def _workspace_gradient(self, velocity: Array, acceleration: Array, costs: Floats, gradients: Floats) -> Array:
+        """Return the workspace gradients (3, l, w) of moving points."""
+        squared = (velocity**2).sum(axis=0) + _EPSILON
 
-        def across(vector: npt.NDArray[np.floating]) -> Array:
-            sideways: Array = vector - velocity * ((velocity * vector).sum(axis=0) / squared)
-            return sideways
+        def project(vector: npt.NDArray[np.floating]) -> Array:
+            orthogonal: Array = vector - velocity * ((velocity * vector).sum(axis=0) / squared)
+            return orthogonal
 
-        curvature = across(acceleration) / squared
-        force: Array = np.sqrt(squared) * (across(slopes) - costs * curvature)
+        curvature = project(acceleration) / squared
+        force: Array = np.sqrt(squared) * (project(gradients) - costs * curvature)
         return force
 
-    def _in_joints(self, frames: Frames, points: Array, force: Array) -> Array:
-        """(w, 7) torques of forces at points on links, both (3, l, w)."""
+    def _joint_torques(self, frames: LinkFrames, points: Array, force: Array) -> Array:
+        """Return the joint torques (w, 7) of forces at points on links, both (3, l, w)."""
         joints = self.arm.n_joints
         axes, origins = frames.rotations[:joints, :, 2, 1:-1], frames.origins[:joints, :, 1:-1]
         levers = points[None] - origins[:, :, None]
         torques = (axes[:, :, None] * np.cross(levers, force[None], axis=1)).sum(axis=1)
-        carries = np.arange(joints)[:, None] <= np.arange(points.shape[1])
-        total: Array = (torques * carries[..., None]).sum(axis=1).T
+        is_moved = np.arange(joints)[:, None] <= np.arange(points.shape[1])
+        total: Array = (torques * is_moved[..., None]).sum(axis=1).T
         return total
 
     def _points(self, joints: Array) -> Floats:
-        """(3, p, n) body points of configurations (n, 7)."""
-        return body_points(self.arm.frames(joints), self.body).astype(np.float32)
+        """Return the body points (3, p, n) at configurations (n, 7)."""
+        return transform_body_points(self.arm.frames(joints), self.body).astype(np.float32)
 
     def _costs(self, points: Floats, tails: npt.NDArray[np.bool_]) -> Floats:
-        """Costs of points (3, p, ...), objects free of charge where `tails` (...) says so."""
+        """Return the costs of points (3, p, ...), without objects' where `tails` (...) is true."""
         total = np.zeros(points.shape[1:], dtype=np.float32)
         flat = points.reshape(3, -1)
         for obstacle in self.obstacles:
-            price = nearness(obstacle.distances(flat), obstacle.padding).reshape(total.shape)
-            total += np.float32(obstacle.weight) * (price if obstacle.in_tail else price * ~tails)
+            cost = proximity_cost(obstacle.distances(flat), obstacle.padding).reshape(total.shape)
+            total += np.float32(obstacle.weight) * (cost if obstacle.in_tail else cost * ~tails)
         return total
 
-    def _costs_and_slopes(self, points: Floats) -> tuple[Floats, Floats]:
-        """The same and its gradient for points (3, p, w) of one trajectory."""
-        total, slopes = np.zeros(points.shape[1:], dtype=np.float32), np.zeros(points.shape, dtype=np.float32)
+    def _costs_and_gradients(self, points: Floats) -> tuple[Floats, Floats]:
+        """Return the costs and gradients of points (3, p, w) of one trajectory."""
+        total, gradients = np.zeros(points.shape[1:], dtype=np.float32), np.zeros(points.shape, dtype=np.float32)
         counts = np.ones(points.shape[2], dtype=np.float32)
-        counts[-self.tail :] = 0.0
+        counts[-self.n_tail :] = 0.0
         for obstacle in self.obstacles:
-            distances, outward = obstacle.distances_and_slopes(points.reshape(3, -1))
+            distances, outward = obstacle.distances_and_gradients(points.reshape(3, -1))
             weight = np.float32(obstacle.weight) * (np.float32(1.0) if obstacle.in_tail else counts)
-            total += weight * nearness(distances, obstacle.padding).reshape(total.shape)
-            slopes += weight * (steepness(distances, obstacle.padding) * outward).reshape(slopes.shape)
-        return total, slopes
+            total += weight * proximity_cost(distances, obstacle.padding).reshape(total.shape)
+            slope = proximity_cost_gradient(distances, obstacle.padding)
+            gradients += weight * (slope * outward).reshape(gradients.shape)
+        return total, gradients

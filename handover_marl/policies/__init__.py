@@ -1,1 +1,1 @@
-"""What policies are, how one is named, and how it is made."""
+"""Policies: base classes, references by name, and hashes of their code."""

@@ -1,93 +1,266 @@
-"""What every policy is, the person's as well as the robot's."""
+"""Base classes of policies, and the context that their constructors may take."""
 
+import inspect
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from typing import ClassVar
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.episode.observations import ALL, Observation
+from handover_marl.config import OFFICIAL_CONFIG, PandaConfig, ProtocolConfig, WorldConfig
+from handover_marl.datasets.dataset import Dataset
+from handover_marl.episode.observations import Observation
+from handover_marl.episode.spaces import STATE
+from handover_marl.errors import OptionError
 
 Action = npt.NDArray[np.float32]
 
+_MAX_WAIT = 60.0  # s
+# Constructor parameters that the library fills in; not available as options.
+_RESERVED_PARAMETERS = ("self", "context", "agent", "path", "trust")
 
-class Policy(ABC):
-    """Turns observations into actions of one agent.
 
-    A policy sees observations only and never holds an environment. Its constructor may take `context`, a
-    `PolicyContext`, and options with defaults, which can then be given with its name (`omg:wait=1.5`).
+@dataclass(frozen=True)
+class PolicyContext:
+    """Context for constructors of policies: robot, protocol, objects and known grasps.
 
     Attributes:
-        agent: Whose policy it is, "giver" or "receiver"; None if either's.
-        name: What tables and files call it.
-        control_period: How often it decides (s); a whole number of milliseconds.
-        sight: What a receiver wants to be shown of the wrist camera: "points", "clouds", "images", or None; pictures
-            are drawn only when it is asked, and drawing is not planning time. See
-            `handover_marl.episode.sight.sight_space`.
-        observes: "all", or "sight": proprioception and sight alone, so that the true pose cannot be used by accident.
-        file_options: Options of the constructor that name a file or a folder, which is sent along to other machines.
+        panda_urdf: URDF file of the robot.
+        grasps: Function that returns the known grasps of an object by YCB name: (n, 4, 4) gripper
+            poses in the object's frame (m), or None for an object without grasps.
+        object_urdf: Function that returns the URDF file of an object by YCB name.
+        config: Simulated world, protocol and limits of the giver.
+        setup: Official setup, "s0" to "s3", for policies with different weights for each setup.
+    """
+
+    panda_urdf: Path
+    grasps: Callable[[str], npt.NDArray[np.float64] | None]
+    object_urdf: Callable[[str], Path]
+    config: WorldConfig = OFFICIAL_CONFIG
+    setup: str = "s0"
+
+    @property
+    def panda(self) -> PandaConfig:
+        """Base pose, start joints and motors of the robot."""
+        return self.config.physics.panda
+
+    @property
+    def protocol(self) -> ProtocolConfig:
+        """Rules of release, success and failure, including the goal position."""
+        return self.config.protocol
+
+
+def make_policy_context(dataset: Dataset, config: WorldConfig = OFFICIAL_CONFIG, setup: str = "s0") -> PolicyContext:
+    """Make the context for policies that act in the scenes of a dataset.
+
+    Args:
+        dataset: Dataset with robot and objects.
+        config: Simulated world, protocol and limits of the giver.
+        setup: Official setup.
+    """
+    return PolicyContext(dataset.panda_urdf, dataset.load_grasps, dataset.find_object_urdf, config, setup)
+
+
+class Policy(ABC):
+    """Base class of policies: a policy maps observations of one agent to its actions.
+
+    A policy holds no environment. Its constructor may take `context`, a `PolicyContext`, and options with
+    defaults, which can be given with its name (`omg:wait=1.5`).
+
+    Attributes:
+        agent: Agent that the policy acts for, "giver" or "receiver"; None for either.
+        name: Name of the policy in tables and files.
+        control_period: Time between two decisions (s); a whole number of milliseconds.
+        obs_mode: Observation mode of a receiver: "state", or wrist camera data such as "pointcloud" or
+            "state+rgbd"; see `handover_marl.episode.spaces.OBS_MODES`. Images are rendered only when the
+            policy acts, and rendering does not count as planning time.
+        file_options: Constructor options that name a file or folder, which is sent to other machines.
     """
 
     agent: ClassVar[str | None] = None
     name: ClassVar[str]
     control_period: ClassVar[float] = 0.1
     file_options: ClassVar[tuple[str, ...]] = ()
-    sight: str | None = None
-    observes: str = ALL
+    obs_mode: str = STATE
 
     def prepare(self, object_names: Sequence[str]) -> None:  # noqa: B027
-        """Get ready for episodes with these objects, before the clock of one runs.
+        """Prepare for episodes with these objects; may be called several times before `reset`.
 
-        For what takes long and is kept, such as trying out grasps. It is called before `reset`, and may be called with
-        the same objects again and again; what it finds out must depend on nothing else.
+        Slow computations whose results are cached, such as grasp validation, belong here. They must
+        depend on the objects only.
 
         Args:
-            object_names: YCB names, e.g. "025_mug", the one that is handed over first.
+            object_names: YCB names such as "025_mug", the object that is handed over first.
         """
 
     @abstractmethod
     def reset(self, seed: int | None = None) -> None:
-        """Forget the last episode.
+        """Start an episode; forget all earlier episodes.
 
         Args:
-            seed: For what the policy draws. It says nothing about the scene.
+            seed: Seed of the policy's random generator; it does not disclose the scene.
         """
 
     @abstractmethod
     def act(self, observation: Observation) -> Action:
-        """Decide on an action, an element of the agent's action space, from an element of its observation space."""
+        """Return an action, an element of the agent's action space.
+
+        Args:
+            observation: Element of the agent's observation space.
+        """
 
     @property
     def label(self) -> str:
-        """What results are filed under: the name, and what else tells two apart."""
+        """Unique label of the policy in result files; default: its name."""
         return self.name
 
     @property
     def weights_hash(self) -> str:
-        """A hash of the weights that it was made with, if any: with others its results are not the same any more."""
+        """Hash of the policy's network weights; empty without weights."""
         return ""
 
     @property
     def wait(self) -> float | None:
-        """How long (s) it stays away from the start of every episode, so that results can say it; None if unknown."""
+        """Time (s) for which the robot waits at the start of each episode; None if unknown."""
         return 0.0
 
     @property
-    def intention(self) -> npt.NDArray[np.float64] | None:
-        """(k, 7) poses through which the robot means to bring its hand link, for replays; None if it has none in mind.
+    def planned_goal(self) -> npt.NDArray[np.float64] | None:
+        """Planned poses (k, 7) of the robot's hand link, the grasp last; None without a plan.
 
-        World frame, xyz (m) and quaternion xyzw, the next one first; the last one is where it means to grasp. To ask
-        for it changes nothing.
+        World frame, xyz (m) and quaternion xyzw; shown in replays of episodes.
         """
         return None
 
     @property
     def hold_time(self) -> float:
-        """How long (s) the last action stands before the policy wants to be asked again.
+        """Time (s) for which the last action is held; default: the control period.
 
-        A policy may override it to decide more often in some phases than in others. Whole episodes (`play`, the
-        benchmark) ask that late; an environment's step is one control period long, and a frozen partner in it is
-        asked at the first step that begins when this time is over.
+        Subclasses may override it to act more often in some phases. Evaluations call the policy after
+        exactly this time; an environment calls a frozen partner at the first control step after it.
         """
         return self.control_period
+
+
+class Giver(Policy):
+    """Base class of givers, policies of the human side.
+
+    Own givers can be passed as a class, or registered in the entry-point group `handover_marl.givers`.
+    """
+
+    agent: ClassVar[str | None] = "giver"
+
+    @abstractmethod
+    def act(self, observation: Observation) -> Action:
+        """Return the giver's action (8,) float32, a deviation from the recording.
+
+        `make_giver_action` makes an action of its components.
+
+        Args:
+            observation: Element of `handover_marl.episode.observations.giver_observation_space`.
+        """
+
+
+class Receiver(Policy):
+    """Base class of receivers, policies of the robot.
+
+    Own receivers can be passed as a class, or registered in the entry-point group
+    `handover_marl.receivers`.
+
+    Args:
+        context: Robot, protocol, objects and known grasps.
+    """
+
+    agent: ClassVar[str | None] = "receiver"
+
+    def __init__(self, context: PolicyContext) -> None:
+        self.context = context
+
+    @abstractmethod
+    def act(self, observation: Observation) -> Action:
+        """Return the robot's target joint positions (9,): 7 arm (rad), 2 fingers (m), float32.
+
+        Args:
+            observation: Element of `handover_marl.episode.observations.receiver_observation_space`.
+        """
+
+
+def make_giver_action(
+    rate: float = 0.0,
+    displacement: npt.ArrayLike = (0.0, 0.0, 0.0),
+    rotation: npt.ArrayLike = (0.0, 0.0, 0.0),
+    release: bool = False,
+) -> Action:
+    """Make a giver's action (8,) of its components; see `handover_marl.episode.spaces.giver_action_space`.
+
+    Args:
+        rate: Playback rate minus 1, from -1 to 1.
+        displacement: (3,) set-point of the wrist's displacement, world frame (m).
+        rotation: (3,) set-point of the rotation vector about the wrist, world frame (rad).
+        release: Whether to release the object.
+    """
+    parts = [rate, *np.asarray(displacement), *np.asarray(rotation), float(release)]
+    return np.array(parts, dtype=np.float32)
+
+
+def milliseconds_from_wait(wait: float) -> int:
+    """Convert a waiting time (s) to whole milliseconds.
+
+    Raises:
+        OptionError: The time is not a number from 0 to 60.
+    """
+    if isinstance(wait, bool) or not isinstance(wait, (int, float)) or not 0.0 <= wait <= _MAX_WAIT:
+        raise OptionError(f"wait must be a time from 0 to {_MAX_WAIT:g} s, got {wait!r}")
+    return round(1000.0 * wait)
+
+
+def check_policy_class(agent: str, policy_class: Any, name: str) -> None:
+    """Check that an object is a complete policy class for an agent.
+
+    Args:
+        agent: "giver" or "receiver".
+        policy_class: Object to check.
+        name: Name of the policy for error messages.
+
+    Raises:
+        OptionError: The object is not a policy class of the agent, or a method or class attribute
+            is missing or invalid.
+    """
+    if not (isinstance(policy_class, type) and issubclass(policy_class, Policy)) or policy_class.agent not in (
+        agent,
+        None,
+    ):
+        base = f"handover_marl.{agent}s.{agent.capitalize()}"
+        raise OptionError(f"{agent} {name!r} ({policy_class!r}) must be a subclass of {base}")
+    if inspect.isabstract(policy_class):
+        missing = ", ".join(sorted(policy_class.__abstractmethods__))
+        raise OptionError(f"{agent} {name!r} must define {missing}; add the missing methods")
+    period = getattr(policy_class, "control_period", None)
+    if isinstance(period, (bool, str)) or not isinstance(period, (int, float, property)):
+        raise OptionError(f"control_period of {agent} {name!r} must be a number (s), got {period!r}")
+    if not isinstance(getattr(policy_class, "name", None), (str, property)):
+        raise OptionError(f'{agent} {name!r} has no name; add the class attribute name = "mine"')
+
+
+def check_policy_options(agent: str, policy_class: type, name: str, options: Iterable[str]) -> None:
+    """Check that the constructor of a policy class has parameters with these names.
+
+    Raises:
+        OptionError: The constructor has no such parameter, or the library fills it in.
+    """
+    parameters = get_parameters(policy_class)
+    if any(parameter.kind is inspect.Parameter.VAR_KEYWORD for parameter in parameters.values()):
+        return
+    valid = [key for key in parameters if key not in _RESERVED_PARAMETERS]
+    for key in options:
+        if key not in valid:
+            known = f"valid options: {', '.join(valid)}" if valid else "it takes no options"
+            raise OptionError(f"{agent} {name!r} has no option {key!r}; {known}")
+
+
+def get_parameters(policy_class: type) -> dict[str, inspect.Parameter]:
+    """Return the parameters of a class's constructor by name."""
+    return dict(inspect.signature(policy_class).parameters)

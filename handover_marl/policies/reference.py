@@ -1,17 +1,15 @@
-"""Policies as values: one description of which policy is meant, small and picklable, from which it is made.
+"""References to policies: small picklable values that name a policy and can construct it.
 
-| what may be passed | example |
+| Accepted value | Example |
 |---|---|
-| a registered name, with options | `"yang2021"`, `"omg_hand_aware:wait=1.5"` |
-| a registered name and a file | `"learned:runs/policy.npz"` |
-| where a class is | `"my_package.robots:MyReceiver"`, `"my_package.robots:MyReceiver:speed=2"` |
-| a class | `MyReceiver` |
-| an instance | `MyReceiver(...)` |
-| one of these and a dict of options | `("omg_hand_aware", {"wait": 1.5})` |
+| registered name, with options | `"yang2021"`, `"omg_hand_aware:wait=1.5"` |
+| registered name and a file | `"learned:runs/policy.npz"` |
+| module and class | `"my_package.robots:MyReceiver"`, `"my_package.robots:MyReceiver:speed=2"` |
+| class | `MyReceiver` |
+| instance | `MyReceiver(...)` |
+| pair of one of these and a dict of options | `("omg_hand_aware", {"wait": 1.5})` |
 """
 
-import importlib
-import inspect
 import json
 import pickle
 import re
@@ -22,288 +20,248 @@ from typing import Any, TypeAlias
 
 import cloudpickle
 
-from handover_marl.config import OFFICIAL, WorldConfig
+from handover_marl.config import OFFICIAL_CONFIG, WorldConfig
 from handover_marl.datasets import Dataset, open_dataset
-from handover_marl.episode.observations import ALL, check_observes
+from handover_marl.episode.spaces import STATE, check_obs_mode
 from handover_marl.errors import HandoverError, OptionError, PolicyError, UnknownNameError
-from handover_marl.policies.context import context_of
-from handover_marl.policies.policy import Policy
-from handover_marl.policies.registry import available, registered
-from handover_marl.policies.source_hash import source_hash
-from handover_marl.policies.waiting import wait_ms
+from handover_marl.policies.policy import (
+    Policy,
+    check_policy_class,
+    check_policy_options,
+    get_parameters,
+    make_policy_context,
+    milliseconds_from_wait,
+)
+from handover_marl.policies.registry import import_policy, list_available, load_registered
+from handover_marl.policies.source_hash import hash_policy
 
 _OPTIONS = re.compile(r"[A-Za-z_]\w*=[^=,]*(,[A-Za-z_]\w*=[^=,]*)*")
-# What a constructor gets if it asks for it; not for users to set by name.
-_GIVEN = ("self", "context", "agent", "path", "trust")
+Options: TypeAlias = tuple[tuple[str, Any], ...]
 
 
 @dataclass(frozen=True)
 class PolicyReference:
-    """Which policy is meant. Made by `policy_reference`.
+    """Reference to a policy, made by `parse_policy`.
 
     Attributes:
-        agent: Whose policy, "giver" or "receiver".
-        text: How it was named, or the class's name.
-        pickled: The class or instance, pickled; empty where `text` says where the class is.
-        file: The policy file, or None.
-        options: What its constructor gets, by name.
-        trust: Whether code in its file may run.
-        label: What tables and folders call it; known once it is `resolved`, and so are
-        source: the hash of its code, options and file,
-        wait: how long it stays away at the start (s), None if unknown,
-        sight: what it wants to be shown of the wrist camera, and
-        observes: whether it sees all, or by sight alone.
+        agent: The policy's agent, "giver" or "receiver".
+        name: Registered name, "module:Class", or the name of a pickled class.
+        pickled: Pickled class or instance; empty if `name` suffices to import the class.
+        file: Path of the policy file, or None.
+        options: Keyword arguments of the constructor, sorted by name.
+        trust: Whether code in the policy file may run.
+        label: Name of the policy with its options in tables and result folders; empty until
+            `resolve`.
+        code_hash: Hash of the policy's code and weights (`hash_policy`); empty until `resolve`.
+        wait: Time (s) for which the policy stays at its start, or None if unknown; set by `resolve`.
+        obs_mode: Observation mode that the policy declares; set by `resolve`.
     """
 
     agent: str
-    text: str
+    name: str
     pickled: bytes = b""
     file: str | None = None
-    options: tuple[tuple[str, Any], ...] = ()
+    options: Options = ()
     trust: bool = False
     label: str = ""
-    source: str = ""
+    code_hash: str = ""
     wait: float | None = None
-    sight: str | None = None
-    observes: str = ALL
+    obs_mode: str = STATE
 
     @property
-    def kind(self) -> type[Policy]:
-        """The policy's class.
+    def policy_class(self) -> type[Policy]:
+        """Class of the referenced policy.
 
         Raises:
-            UnknownNameError: It cannot be imported.
+            UnknownNameError: The class cannot be imported.
         """
-        found = self._found()
-        kind: type[Policy] = found if isinstance(found, type) else type(found)
-        return kind
+        found = self._load()
+        policy_class: type[Policy] = found if isinstance(found, type) else type(found)
+        return policy_class
 
-    def make(self, dataset: Dataset | None = None, config: WorldConfig = OFFICIAL, setup: str = "s0") -> Policy:
-        """The policy itself, for the robot, the objects of a dataset and a setup; default: what `open_dataset()` gives.
+    def make(self, dataset: Dataset | None = None, config: WorldConfig = OFFICIAL_CONFIG, setup: str = "s0") -> Policy:
+        """Construct the policy that this reference names.
+
+        Args:
+            dataset: Robot model, objects and grasps for the policy; default: `open_dataset()`.
+            config: World and rules for the policy.
+            setup: Official setup that is played, "s0" to "s3".
 
         Raises:
-            PolicyError: Its constructor fails.
-            HandoverError: Its file is not there, or is no policy that may be loaded.
+            PolicyError: The constructor fails.
+            HandoverError: The policy file is missing, invalid, or runs code and is not trusted.
         """
-        found = self._found()
+        found = self._load()
         if isinstance(found, Policy):
             return found
-        taken = _parameters(found)
+        parameters = get_parameters(found)
         given: dict[str, Any] = {"agent": self.agent, "path": self.file, "trust": self.trust}
-        if "context" in taken:
-            given["context"] = context_of(dataset or open_dataset(), config, setup)
-        options = dict(self.options) | {name: value for name, value in given.items() if name in taken}
+        if "context" in parameters:
+            given["context"] = make_policy_context(dataset or open_dataset(), config, setup)
+        given = {name: value for name, value in given.items() if name in parameters}
         try:
-            made = found(**options)
+            policy = found(**dict(self.options) | given)
         except HandoverError:
             raise
         except (Exception, SystemExit) as error:
-            raise PolicyError(f"{self.agent} {self.text!r} cannot be made ({type(error).__name__}: {error})") from error
-        if not isinstance(made, Policy):
-            raise OptionError(f"{self.agent} {self.text!r} made {made!r}, which is no policy")
-        return made
+            raise PolicyError(f"{self.agent} {self.name!r} cannot be made ({type(error).__name__}: {error})") from error
+        if not isinstance(policy, Policy):
+            raise OptionError(f"{self.agent} {self.name!r} must make a policy, got {policy!r}")
+        return policy
 
-    def resolved(self, dataset: Dataset, config: WorldConfig = OFFICIAL, setup: str = "s0") -> "PolicyReference":
-        """The same with its label and the hash of its code; making it once shows whether it can be made.
+    def resolve(self, dataset: Dataset, config: WorldConfig = OFFICIAL_CONFIG, setup: str = "s0") -> "PolicyReference":
+        """Return a copy of this reference with label, code hash, wait and observation mode set.
+
+        The policy is constructed once, so that errors of its constructor show early.
+
+        Args:
+            dataset: Robot model, objects and grasps for the policy.
+            config: World and rules for the policy.
+            setup: Official setup that is played.
 
         Raises:
-            HandoverError: As `make`.
+            HandoverError: The policy cannot be constructed; see `make`.
         """
-        made = self.make(dataset, config, setup)
-        label = made.label
-        if self.options:
-            label += ":" + ",".join(f"{key}={_shown(value)}" for key, value in self.options)
-        content = repr(self.options).encode()
-        found = self._found()
-        if isinstance(found, Policy):
-            # Its state; a pickled class that was typed in has another number in every process.
-            content += cloudpickle.dumps(vars(found))
+        policy = self.make(dataset, config, setup)
+        check_obs_mode(policy.obs_mode)
+        listed = ",".join(f"{key}={_format_value(value)}" for key, value in self.options)
+        # The state of an instance; its class would be pickled differently in every process.
+        state = cloudpickle.dumps(vars(self._load())) if isinstance(self._load(), Policy) else b""
+        weights = policy.weights_hash.encode()
         if self.file is not None:
-            content += Path(self.file).expanduser().read_bytes()
-        content += made.weights_hash.encode()
-        check_observes(made.observes, made.sight)
+            weights += Path(self.file).expanduser().read_bytes()
         return replace(
             self,
-            label=label,
-            source=source_hash(type(made), content),
-            wait=_told_wait(made),
-            sight=made.sight,
-            observes=made.observes,
+            label=policy.label + (f":{listed}" if listed else ""),
+            code_hash=hash_policy(type(policy), repr(self.options).encode() + state, weights),
+            wait=None if policy.wait is None else milliseconds_from_wait(policy.wait) / 1000.0,
+            obs_mode=policy.obs_mode,
         )
 
-    def _found(self) -> Any:
-        return pickle.loads(self.pickled) if self.pickled else _named(self.agent, self.text)
+    def _load(self) -> Any:
+        if self.pickled:
+            return pickle.loads(self.pickled)
+        module, colon, attribute = self.name.partition(":")
+        return import_policy(self.agent, module, attribute) if colon else load_registered(self.agent, module)
 
 
 PolicyLike: TypeAlias = str | type[Policy] | Policy | PolicyReference | tuple[Any, Mapping[str, Any]]
 
 
-def policy_reference(agent: str, policy: PolicyLike, trust: bool = False) -> PolicyReference:
-    """What is meant by a policy, checked as far as that goes without making it.
+def parse_policy(agent: str, policy: PolicyLike, trust: bool = False) -> PolicyReference:
+    """Parse a name, class or instance of a policy into a reference, without constructing it.
 
     Args:
-        agent: Whose policy is wanted, "giver" or "receiver".
-        policy: One of what the module's table shows.
+        agent: Agent that needs a policy, "giver" or "receiver".
+        policy: A value of the table in this module's docstring.
         trust: Whether code in a policy file may run.
 
     Raises:
-        UnknownNameError: Nothing is registered under the name, or there is no such agent.
-        OptionError: What is named cannot be imported, is no policy of this agent, takes no file or no such option,
-            or cannot be sent to worker processes.
+        UnknownNameError: No policy is registered under the name, or there is no such agent.
+        OptionError: The policy cannot be imported or pickled, belongs to the other agent, or has no
+            such option.
     """
     extra: Mapping[str, Any] = {}
     if isinstance(policy, tuple):
-        policy, extra = _split_pair(agent, policy)
+        if len(policy) != 2 or not isinstance(policy[1], Mapping):
+            raise OptionError(f"a {agent} with options must be a pair (policy, dict of options), got {policy!r}")
+        policy, extra = policy
     if isinstance(policy, PolicyReference):
         if policy.agent != agent:
-            raise OptionError(f"this is a {policy.agent}'s policy ({policy.text}); a {agent}'s is wanted")
+            raise OptionError(f"{agent} must be a {agent}'s policy, got {policy.name} of the {policy.agent}")
         if not extra:
             return policy
-        return replace(policy, options=_merged(policy.options, extra), label="", source="", wait=None)
+        options = _sort_options(dict(policy.options) | dict(extra))
+        return replace(policy, options=options, label="", code_hash="", wait=None)
     if isinstance(policy, str):
-        return _read_text(agent, policy, extra, trust)
+        return _parse_text(agent, policy, extra, trust)
     if isinstance(policy, (type, Policy)):
-        return _of_object(agent, policy, extra, trust)
+        return _parse_object(agent, policy, extra, trust)
     raise OptionError(
-        f"a {agent} is a name, a class or an instance of a policy, not {policy!r}; a class must derive from "
-        f"handover_marl.{agent}s.{agent.capitalize()}"
+        f"{agent} must be a name, a class or an instance of a policy, got {policy!r}; derive the "
+        f"class from handover_marl.{agent}s.{agent.capitalize()}"
     )
 
 
-def split_names(agent: str, text: str) -> list[str]:
-    """Policies from a comma-separated list; commas inside options and file names stay."""
+def split_policy_list(agent: str, text: str) -> list[str]:
+    """Split a comma-separated list of policies, but not at commas in options and file names."""
     names: list[str] = []
     for part in text.split(","):
         head = part.strip().partition(":")[0]
-        starts = head in available(agent) or (":" in part and "=" not in head and "/" not in head)
-        if names and not starts and (":" in names[-1]):
+        starts = head in list_available(agent) or (":" in part and "=" not in head and "/" not in head)
+        if names and not starts and ":" in names[-1]:
             names[-1] += f",{part}"
         else:
             names.append(part.strip())
     return names
 
 
-def _split_pair(agent: str, pair: tuple[Any, ...]) -> tuple[Any, Mapping[str, Any]]:
-    if len(pair) != 2 or not isinstance(pair[1], Mapping):
-        raise OptionError(f"a {agent} with options is a pair (policy, dict of options), not {pair!r}")
-    return pair[0], pair[1]
-
-
-def _read_text(agent: str, text: str, extra: Mapping[str, Any], trust: bool) -> PolicyReference:
+def _parse_text(agent: str, text: str, extra: Mapping[str, Any], trust: bool) -> PolicyReference:
     head, colon, tail = text.partition(":")
-    kind = registered(agent, head)
-    name, file = head, None
-    if kind is None:
-        # Registered names have no dots and no second part, places of classes have.
+    policy_class, name, file = load_registered(agent, head), head, None
+    if policy_class is None:
+        # Registered names have no second part, classes are named "module:Class".
         if not colon or not tail:
-            raise UnknownNameError(agent, text, available(agent))
+            raise UnknownNameError(agent, text, list_available(agent))
         attribute, _, rest = tail.partition(":")
         name, tail = f"{head}:{attribute}", rest
-        kind = _imported(agent, head, attribute)
-    elif colon and "path" in _parameters(kind):
+        policy_class = import_policy(agent, head, attribute)
+    elif colon and "path" in get_parameters(policy_class):
         file, tail = _split_file(tail)
         if not file:
-            raise OptionError(f"{agent} {text!r} names no file; write {head}:FILE")
-    _check_kind(agent, kind, name)
-    options = _merged((), _parse_options(agent, text, tail) | dict(extra))
-    _check_options(agent, kind, name, options)
+            raise OptionError(f"{agent} {text!r} must name a file; write {head}:FILE")
+    check_policy_class(agent, policy_class, name)
+    options = _sort_options(_parse_options(agent, text, tail) | dict(extra))
+    check_policy_options(agent, policy_class, name, dict(options))
     return PolicyReference(agent, name, file=file, options=options, trust=trust)
 
 
+def _parse_object(agent: str, policy: Any, extra: Mapping[str, Any], trust: bool) -> PolicyReference:
+    policy_class = policy if isinstance(policy, type) else type(policy)
+    name = policy_class.__name__
+    check_policy_class(agent, policy_class, name)
+    if extra and not isinstance(policy, type):
+        raise OptionError(f"options must be passed with a class, got an instance of {name}; pass the class")
+    check_policy_options(agent, policy_class, name, extra)
+    try:
+        pickled = cloudpickle.dumps(policy)
+    except Exception as error:  # pickling a user's object may raise anything
+        raise OptionError(
+            f"{agent} {name} cannot be sent to worker processes ({type(error).__name__}: {error}); "
+            "pass its class, which makes what it needs in reset()"
+        ) from error
+    return PolicyReference(agent, name, pickled, options=_sort_options(extra), trust=trust)
+
+
 def _split_file(tail: str) -> tuple[str, str]:
-    """A file's name and the options behind it."""
+    """Split "FILE:options" into file name and options."""
     file, colon, options = tail.rpartition(":")
     try:
-        whole = Path(tail).exists()
-    except (OSError, ValueError):  # no name that a file could have
-        whole = False
-    return (file, options) if colon and not whole and _OPTIONS.fullmatch(options) else (tail, "")
+        is_file_name = Path(tail).exists()
+    except (OSError, ValueError):  # not a possible file name
+        is_file_name = False
+    return (file, options) if colon and not is_file_name and _OPTIONS.fullmatch(options) else (tail, "")
 
 
 def _parse_options(agent: str, text: str, tail: str) -> dict[str, Any]:
     if not tail:
         return {}
     if not _OPTIONS.fullmatch(tail):
-        raise OptionError(f"{agent} {text!r}: options are written key=value,key=value, not {tail!r}")
-    return {key: _value(value) for key, _, value in (part.partition("=") for part in tail.split(","))}
+        raise OptionError(f"options of {agent} {text!r} must be key=value,key=value, got {tail!r}")
+    return {key: _parse_value(value) for key, _, value in (part.partition("=") for part in tail.split(","))}
 
 
-def _value(text: str) -> Any:
-    """A number, true, false or null as such; anything else is text."""
+def _parse_value(text: str) -> Any:
+    """Parse an option's text as a JSON number, boolean or null; return other text unchanged."""
     try:
         return json.loads(text)
     except ValueError:
         return text
 
 
-def _of_object(agent: str, policy: Any, extra: Mapping[str, Any], trust: bool) -> PolicyReference:
-    kind = policy if isinstance(policy, type) else type(policy)
-    _check_kind(agent, kind, kind.__name__)
-    if extra and not isinstance(policy, type):
-        raise OptionError(f"{agent} {kind.__name__} is made already; options go with its class")
-    options = _merged((), extra)
-    _check_options(agent, kind, kind.__name__, options)
-    try:
-        pickled = cloudpickle.dumps(policy)
-    except Exception as error:  # what pickling meets has no end
-        raise OptionError(
-            f"{agent} {kind.__name__} cannot be sent to worker processes ({type(error).__name__}: {error}); pass its "
-            "class, which makes what it needs in reset()"
-        ) from error
-    return PolicyReference(agent, kind.__name__, pickled, options=options, trust=trust)
+def _sort_options(options: Mapping[str, Any]) -> Options:
+    return tuple(sorted(options.items()))
 
 
-def _named(agent: str, text: str) -> Any:
-    module, colon, attribute = text.partition(":")
-    return _imported(agent, module, attribute) if colon else registered(agent, text)
-
-
-def _imported(agent: str, module: str, attribute: str) -> Any:
-    try:
-        return getattr(importlib.import_module(module), attribute)
-    except Exception as error:  # a module of somebody's own may do anything
-        raise UnknownNameError(
-            agent, f"{module}:{attribute}", available(agent), f"and it cannot be imported ({error})"
-        ) from error
-
-
-def _check_kind(agent: str, kind: Any, name: str) -> None:
-    if not (isinstance(kind, type) and issubclass(kind, Policy)) or kind.agent not in (agent, None):
-        base = f"handover_marl.{agent}s.{agent.capitalize()}"
-        raise OptionError(f"{agent} {name!r} ({kind!r}) must be a subclass of {base}")
-    if inspect.isabstract(kind):
-        missing = ", ".join(sorted(kind.__abstractmethods__))
-        raise OptionError(f"{agent} {name!r} lacks {missing}; write them")
-    period = getattr(kind, "control_period", None)
-    if isinstance(period, (bool, str)) or not isinstance(period, (int, float, property)):
-        raise OptionError(f"{agent} {name!r} has control_period {period!r}; it must be a number (s)")
-    if not isinstance(getattr(kind, "name", None), (str, property)):
-        raise OptionError(f'{agent} {name!r} has no name; give the class one: name = "mine"')
-
-
-def _parameters(kind: Any) -> dict[str, inspect.Parameter]:
-    return dict(inspect.signature(kind).parameters)
-
-
-def _told_wait(policy: Policy) -> float | None:
-    """How long a policy says it waits (s), in whole milliseconds."""
-    return None if policy.wait is None else wait_ms(policy.wait) / 1000.0
-
-
-def _merged(options: tuple[tuple[str, Any], ...], extra: Mapping[str, Any]) -> tuple[tuple[str, Any], ...]:
-    return tuple(sorted((dict(options) | dict(extra)).items()))
-
-
-def _check_options(agent: str, kind: Any, name: str, options: tuple[tuple[str, Any], ...]) -> None:
-    parameters = _parameters(kind)
-    if any(parameter.kind is inspect.Parameter.VAR_KEYWORD for parameter in parameters.values()):
-        return
-    valid = [key for key in parameters if key not in _GIVEN]
-    for key, _ in options:
-        if key not in valid:
-            known = f"it takes {', '.join(valid)}" if valid else "it takes none"
-            raise OptionError(f"{agent} {name!r} has no option {key!r}; {known}")
-
-
-def _shown(value: Any) -> str:
+def _format_value(value: Any) -> str:
     return value if isinstance(value, str) else repr(value)

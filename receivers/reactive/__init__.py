@@ -1,1 +1,1 @@
-"""The receiver `reactive`, which knows true poses and moves with the person. It is in `reactive_receiver`."""
+"""Receiver `reactive`, which uses the true poses of object and hand and moves with the person."""

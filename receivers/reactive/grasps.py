@@ -1,101 +1,204 @@
-"""Grasps that hold: the known ones, tilted copies of them, and what came of trying them out, in a few numbers each."""
+"""Known grasps of an object: validated poses, tilted copies, and offset copies.
 
+Poses are those of the hand link, position (m) and quaternion xyzw.
+"""
+
+import itertools
 from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from handover_marl.assets.shipped_trials import Record
-from handover_marl.models.poses import compose, inverse
-from handover_marl.sim.grasp_trial import TrialConfig
+from handover_marl.assets.shipped import ValidationRecord
+from handover_marl.geometry.poses import compose, invert_pose
+from handover_marl.planning.clearance import (
+    Spheres,
+    compute_grasp_clearances,
+    compute_open_gripper_clearances,
+    count_points_between_pads,
+)
+from handover_marl.simulation.grasp_validation import GraspValidationConfig
 
 Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class GraspTrials:
-    """How known grasps become tried ones.
+class GraspPreparationConfig:
+    """Configuration of tilted copies of known grasps and of their validation in simulation.
 
     Attributes:
-        tilts: Angles of the copies about the line between the finger pads (rad).
-        pads: Distance of that line from the hand's frame (m).
-        apart: Copies nearer to another grasp than this (m), with a turn counted by `arm`, are left out.
-        arm: Metres that a radian counts.
-        most: So many copies at most.
-        aside: Displacements in the gripper's frame (m) from which a grasp that holds is tried too.
-        deeper: Grasps are moved on by the first of these ways (m) that leaves the open gripper free of the object, with
-        spare: so much room before it (m): what the fingers hold by their very tips springs away when the person lets
-            go, before they press as hard as in a trial.
-        held_time: The object is held for so long while the fingers close, and then let go for
-        free_time: so long (s), in which it may slip by
-        slip: this (m), from the grasp's place and from
-        around: places around it in the gripper's frame (m).
-        trial: What a grasp must stand.
+        tilts: Rotations of the copies about the line between the finger pads (rad).
+        pad_distance: Distance of the line between the pads from the origin of the hand link (m).
+        min_distance: Minimum distance of a copy from another grasp (m); closer ones are discarded.
+        rotation_weight: Weight of rotations in the distance of two grasps (m/rad).
+        max_copies: Maximum number of stable copies of all grasps.
+        lateral_offsets: Offsets in the gripper's frame at which the shaking of a stable grasp is
+            repeated (m).
+        advances: Distances by which a grasp may be moved along its approach axis towards the object
+            (m), the preferred one first.
+        min_advance_clearance: Further distance along the approach axis in which the open gripper
+            must not collide with the object (m). A grasp is advanced since an object that is held
+            by the fingertips slips away on release, before the fingers press as hard as in a
+            validation.
+        held_time: Time for which the object is held in place while the fingers close (s).
+        free_time: Time for which the object is then simulated without support (s).
+        max_slip: Maximum slip of the object within `free_time` (m).
+        release_offsets: Offsets in the gripper's frame at which the simulated release is repeated
+            (m).
+        validation: Configuration of closing the gripper and shaking it.
     """
 
     tilts: tuple[float, ...] = (-0.4, 0.4, -0.8, 0.8)
-    pads: float = 0.1
-    apart: float = 0.035
-    arm: float = 0.1
-    most: int = 150
-    aside: tuple[tuple[float, float, float], ...] = ((0.005, 0.0, -0.004), (-0.005, 0.0, -0.004))
-    deeper: tuple[float, ...] = (0.01, 0.0075, 0.005, 0.0025)
-    spare: float = 0.004
+    pad_distance: float = 0.1
+    min_distance: float = 0.035
+    rotation_weight: float = 0.1
+    max_copies: int = 150
+    lateral_offsets: tuple[tuple[float, float, float], ...] = ((0.005, 0.0, -0.004), (-0.005, 0.0, -0.004))
+    advances: tuple[float, ...] = (0.01, 0.0075, 0.005, 0.0025)
+    min_advance_clearance: float = 0.004
     held_time: float = 0.22
     free_time: float = 0.06
-    slip: float = 0.003
-    around: tuple[tuple[float, float, float], ...] = ((0.003, 0.0, -0.002), (-0.003, 0.0, -0.002), (0.0, 0.003, 0.0))
-    trial: TrialConfig = field(default_factory=lambda: TrialConfig(close_time=0.25, shake_time=0.06))
+    max_slip: float = 0.003
+    release_offsets: tuple[tuple[float, float, float], ...] = (
+        (0.003, 0.0, -0.002),
+        (-0.003, 0.0, -0.002),
+        (0.0, 0.003, 0.0),
+    )
+    validation: GraspValidationConfig = field(
+        default_factory=lambda: GraspValidationConfig(close_time=0.25, shake_time=0.06)
+    )
 
 
 @dataclass(frozen=True, eq=False)
-class TriedGrasps:
-    """Poses (n, 7) of the hand link in the object's frame, and the share of trials that each has stood (n,)."""
+class ValidatedGrasps:
+    """Grasps of an object with the outcome of their validation in simulation.
+
+    Attributes:
+        poses: (n, 7) poses of the hand link in the object's frame.
+        success_rates: (n,) share of validations that each grasp has passed, 0 to 1.
+    """
 
     poses: Array
-    holds: Array
+    success_rates: Array
 
 
-def of_record(record: Record, known: Array, config: GraspTrials) -> TriedGrasps:
-    """The grasps that a record (n, 4) tells of.
+@dataclass(frozen=True)
+class GraspOffsets:
+    """Offsets of additional grasp copies, in the gripper's frame about the middle of the pads.
+
+    The copies are not validated in simulation. They are likely to hold, since the object is between
+    the fingers and these close along the same line as in a validated grasp.
+
+    Attributes:
+        tilts: Rotations about the line between the pads (rad).
+        lateral: Translations across the line between the pads and the approach direction (m).
+        backward: Translations back along the approach direction (m).
+        pad_distance: Distance of the pads' middle from the origin of the hand link (m).
+        min_clearance: Minimum clearance of the gripper to the person's hand (m).
+        min_object_clearance: Minimum clearance of the open gripper to the object's points (m).
+        n_points: Number of the object's points that are checked, from the end of the list.
+        min_points_between_pads: Minimum number of the checked points between the pads.
+        max_grasps: Maximum number of copies, taken evenly from all.
+    """
+
+    tilts: tuple[float, ...] = (0.0, -0.35, 0.35, -0.7, 0.7)
+    lateral: tuple[float, ...] = (0.0, -0.012, 0.012, -0.024, 0.024)
+    backward: tuple[float, ...] = (0.0, 0.01)
+    pad_distance: float = 0.1
+    min_clearance: float = 0.003
+    min_object_clearance: float = 0.001
+    n_points: int = 1200
+    min_points_between_pads: int = 2
+    max_grasps: int = 1500
+
+
+def grasps_from_record(record: ValidationRecord, known: Array, config: GraspPreparationConfig) -> ValidatedGrasps:
+    """Return the grasps that a validation record (n, 4) describes.
 
     Raises:
-        ValueError: It is not about these known grasps (k, 7), tried this way.
+        ValueError: The record belongs to other grasps than `known` (k, 7), or to another
+            configuration.
     """
-    n, copies = len(known), tilted(known, config)
-    copy, stood, way, kept = np.asarray(record, dtype=np.int64).reshape(-1, 4).T
+    n, copies = len(known), tilt_grasps(known, config)
+    copy, stable, advance, kept = np.asarray(record, dtype=np.int64).reshape(-1, 4).T
     if len(copy) < n or (copy[:n] != -1).any() or (copy[n:] < 0).any() or (copy >= len(copies)).any():
-        raise ValueError("a record of other grasps")
-    most = np.array([1 + len(config.aside), len(config.deeper), 1 + len(config.around)])
-    if ((record[:, 1:] < 0) | (record[:, 1:] > most)).any():
-        raise ValueError("a record of other trials")
+        raise ValueError("the record belongs to other grasps")
+    n_shakes, n_releases = 1 + len(config.lateral_offsets), 1 + len(config.release_offsets)
+    largest = np.array([n_shakes, len(config.advances), n_releases])
+    if ((record[:, 1:] < 0) | (record[:, 1:] > largest)).any():
+        raise ValueError("the record belongs to another validation")
     poses = np.concatenate([known, copies[copy[n:]]])
-    ways = np.array([0.0, *config.deeper])
-    moved = [onward(pose, ways[number]) if number else pose for pose, number in zip(poses, way, strict=True)]
-    holds = (stood / (1 + len(config.aside))) * (kept / (1 + len(config.around)))
-    return TriedGrasps(np.array(moved).reshape(-1, 7), holds)
+    distances = np.array([0.0, *config.advances])
+    moved = [advance_grasp(pose, distances[step]) if step else pose for pose, step in zip(poses, advance, strict=True)]
+    return ValidatedGrasps(np.array(moved).reshape(-1, 7), (stable / n_shakes) * (kept / n_releases))
 
 
-def onward(pose: Array, way: float) -> Array:
-    """(7,) a grasp (7,) that reaches farther by a way (m)."""
-    moved: Array = compose(pose, np.array([0.0, 0.0, way, 0.0, 0.0, 0.0, 1.0]))
+def advance_grasp(pose: Array, distance: float) -> Array:
+    """Return a grasp pose (7,) moved along its own z axis by a distance (m)."""
+    moved: Array = compose(pose, np.array([0.0, 0.0, distance, 0.0, 0.0, 0.0, 1.0]))
     return moved
 
 
-def tilted(known: Array, config: GraspTrials) -> Array:
-    """(m, 7) copies of grasps (n, 7), tilted about the line between the pads, that are no near doubles."""
-    pads = np.array([0.0, 0.0, config.pads, 0.0, 0.0, 0.0, 1.0])
+def tilt_grasps(known: Array, config: GraspPreparationConfig) -> Array:
+    """Return (m, 7) copies of grasps (n, 7), tilted about the line between the pads."""
+    pads = np.array([0.0, 0.0, config.pad_distance, 0.0, 0.0, 0.0, 1.0])
     copies = []
     for tilt in config.tilts:
-        turn = np.concatenate([np.zeros(3), Rotation.from_euler("y", tilt).as_quat()])
-        copies.append(compose(compose(compose(known, pads), turn), inverse(pads)))
+        rotation = np.concatenate([np.zeros(3), Rotation.from_euler("y", tilt).as_quat()])
+        copies.append(compose(compose(compose(known, pads), rotation), invert_pose(pads)))
     return np.concatenate(copies) if copies else np.zeros((0, 7))
 
 
-def distances(pose: Array, poses: Array, arm: float) -> Array:
-    """(n,) distances of poses (n, 7) to one (7,): the pads' way (m) plus the turn times `arm` (m/rad)."""
-    ways = np.linalg.norm(poses[:, :3] - pose[:3], axis=1)
+def compute_grasp_distances(pose: Array, poses: Array, rotation_weight: float) -> Array:
+    """Return the distances (n,) in m of grasp poses (n, 7) to one grasp pose (7,).
+
+    A distance is the translation (m) plus the rotation angle (rad) times `rotation_weight` (m/rad).
+    """
+    translations = np.linalg.norm(poses[:, :3] - pose[:3], axis=1)
     cosines = np.clip(np.abs(poses[:, 3:] @ pose[3:]), 0.0, 1.0)
-    found: Array = ways + 2.0 * arm * np.arccos(cosines)
-    return found
+    distances: Array = translations + 2.0 * rotation_weight * np.arccos(cosines)
+    return distances
+
+
+def perturb_grasps(
+    grasps: ValidatedGrasps, points: Array, hand: Spheres, sweep: float, offsets: GraspOffsets
+) -> ValidatedGrasps:
+    """Return offset copies of stable grasps that keep clear of a person's hand and of the object.
+
+    Args:
+        grasps: Grasps in the object's frame.
+        points: (k, 3) points of the object's surface in its frame (m).
+        hand: The person's hand in the object's frame.
+        sweep: Length of the straight approach to a grasp (m).
+        offsets: Offsets of the copies, and required clearances.
+    """
+    is_stable = grasps.success_rates > 0.0
+    poses, rates = grasps.poses[is_stable], grasps.success_rates[is_stable]
+    # The first combination is the grasp itself.
+    combinations = list(itertools.product(offsets.tilts, offsets.lateral, offsets.backward))[1:]
+    moved = (compose(poses, make_offset_pose(*values, offsets.pad_distance)) for values in combinations)
+    copies = np.concatenate([np.zeros((0, 7)), *moved])
+    rates = np.tile(rates, len(combinations))
+    keep = np.flatnonzero(compute_grasp_clearances(copies, hand, sweep) > offsets.min_clearance)
+    keep = keep[:: max(1, -(-len(keep) // offsets.max_grasps))]
+    checked = points[-offsets.n_points :]
+    surface = Spheres(checked, np.zeros(len(checked)))
+    keep = keep[compute_open_gripper_clearances(copies[keep], surface) > offsets.min_object_clearance]
+    keep = keep[count_points_between_pads(copies[keep], checked) >= offsets.min_points_between_pads]
+    return ValidatedGrasps(copies[keep], rates[keep])
+
+
+def make_offset_pose(tilt: float, lateral: float, backward: float, pad_distance: float) -> Array:
+    """Return the pose (7,) of an offset grasp copy in the frame of the original grasp.
+
+    Args:
+        tilt: Rotation about the line between the pads (rad).
+        lateral: Translation across the line between the pads and the approach direction (m).
+        backward: Translation back along the approach direction (m).
+        pad_distance: Distance of the pads' middle from the hand's frame (m).
+    """
+    middle = np.array([0.0, 0.0, pad_distance, 0.0, 0.0, 0.0, 1.0])
+    moved = np.array([lateral, 0.0, -backward, *Rotation.from_euler("y", tilt).as_quat()])
+    offset: Array = compose(compose(middle, moved), invert_pose(middle))
+    return offset

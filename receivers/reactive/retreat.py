@@ -1,4 +1,4 @@
-"""Taking an object away: out of the person's hand first, then to the goal."""
+"""Retreat with the grasped object: straight out of the person's hand, then to the goal."""
 
 import itertools
 
@@ -6,40 +6,41 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from handover_marl.models.poses import IDENTITY, compose_point, inverse_transform_points, rotate
-from handover_marl.planning.arm_in_world import ArmInWorld
-from handover_marl.planning.arm_servo import ArmServo
-from handover_marl.planning.gripper_room import Balls, rooms
-from handover_marl.receivers.reactive.choice import HOME, SEEDS
-from handover_marl.receivers.reactive.reactive_config import RetreatConfig
+from handover_marl.geometry.poses import IDENTITY, inverse_transform_points, rotate_points, transform_points
+from handover_marl.planning.arm_control import ArmInWorld, ArmServo
+from handover_marl.planning.clearance import Spheres, compute_grasp_clearances
+from handover_marl.receivers.reactive.config import RetreatConfig
+from handover_marl.receivers.reactive.reachability import HOME, IK_SEEDS
 
 Array = npt.NDArray[np.float64]
 
 _DIRECTIONS = np.array(
-    [np.array(way) / np.linalg.norm(way) for way in itertools.product((-1, 0, 1), repeat=3) if any(way)]
+    [np.array(axes) / np.linalg.norm(axes) for axes in itertools.product((-1, 0, 1), repeat=3) if any(axes)]
 )
-_TURN_SHARES = (0.0, 0.25, 0.5, 1.0)
-# Shares of the way at which it is looked whether it is free.
-_LOOKS = np.array([0.35, 0.7, 1.0])
-# Column, upper arm and forearm as balls along the lines between the base, the shoulder, the elbow and the wrist (m).
-_RADII = np.array([0.1, 0.09, 0.075])
-_BALLS = 6
+# Shares of the rotation to the waiting pose with which end poses are tried.
+_ROTATION_SHARES = (0.0, 0.25, 0.5, 1.0)
+# Shares of the path at which clearances are checked.
+_CHECKED_SHARES = np.array([0.35, 0.7, 1.0])
+# Radii of column, upper arm and forearm, the lines between base, shoulder, elbow and wrist (m).
+_LINK_RADII = np.array([0.1, 0.09, 0.075])
+_SPHERES_PER_LINK = 6
 _SHOULDER, _ELBOW, _WRIST = 1, 3, 4
-_STEPS, _TOLERANCE = 12, 5e-3
-_FAR = 1000.0
+_SHOULDER_HEIGHT = 0.333  # m
+_IK_ITERATIONS, _IK_TOLERANCE = 12, 5e-3
+_UNREACHABLE = 1000.0  # s
 
 
-class Retreat:
-    """One retreat.
+class RetreatController:
+    """Controller of the arm on one retreat with the grasped object to the goal.
 
     Args:
-        arm: The arm.
-        servo: Its speeds.
-        goal: (3,) where the hand is to come (m).
-        config: How.
-        start: (7,) pose of the hand link when the person let go.
-        held: (k, 3) points of the object in the hand's frame (m).
-        person: The person's hand, or None.
+        arm: Kinematics of the arm.
+        servo: Servo of the arm, with speed limits and control period.
+        goal: (3,) goal of the hand link's position in the world (m).
+        config: Configuration of the retreat.
+        start: (7,) world pose of the hand link when the person released the object.
+        held: (k, 3) points of the object in the hand link's frame (m).
+        person: Spheres that approximate the person's hand in the world, or None without a hand.
     """
 
     def __init__(
@@ -50,88 +51,108 @@ class Retreat:
         config: RetreatConfig,
         start: Array,
         held: Array,
-        person: Balls | None,
+        person: Spheres | None,
     ) -> None:
         self._arm, self._servo, self._goal, self._config = arm, servo, goal, config
         self._start, self._held, self._person = start, held, person
-        self._back = -rotate(start[3:], np.array([0.0, 0.0, 1.0]))
-        self._share, self._speed = 0.0, 0.0
-        self._joints: Array | None = None
-        self._blocked: list[Array] = []
-        self._left, self._left_at = np.inf, 0.0
-        self._begun: float | None = None
+        self._back = -rotate_points(start[3:], np.array([0.0, 0.0, 1.0]))
+        self._blend, self._speed = 0.0, 0.0
+        self._end: Array | None = None
+        self._rejected: list[Array] = []
+        self._remaining, self._remaining_at = np.inf, 0.0
+        self._started_at: float | None = None
 
-    def velocity(self, time: float, joints: Array, hand: Array) -> Array:
-        """(7,) joint velocities (rad/s) at a time (s), for the arm at (7,) with its hand at pose (7,)."""
-        if self._joints is None or self._stuck(time, float(np.abs(joints - self._joints).max())):
-            if self._joints is not None:
-                self._blocked.append(self._joints)
-            self._joints, self._left, self._left_at = self._choose(joints, hand), np.inf, time
+    def compute_velocity(self, time: float, joints: Array, hand: Array) -> Array:
+        """Return the joint velocities (7,) in rad/s that continue the retreat.
+
+        Args:
+            time: Time since the start of the episode (s).
+            joints: (7,) present configuration (rad).
+            hand: (7,) present world pose of the hand link.
+        """
+        if self._end is None or self._is_stalled(time, float(np.abs(joints - self._end).max())):
+            if self._end is not None:
+                self._rejected.append(self._end)
+            self._end, self._remaining, self._remaining_at = self._select_end(joints, hand), np.inf, time
         config, period = self._config, self._servo.period
-        self._begun = time if self._begun is None else self._begun
-        backed = float((hand[:3] - self._start[:3]) @ self._back)
-        done = max(backed / config.back, (time - self._begun) / config.back_time)
-        self._share = float(np.clip(done, self._share, 1.0))
+        self._started_at = time if self._started_at is None else self._started_at
+        distance = float((hand[:3] - self._start[:3]) @ self._back)
+        progress = max(distance / config.backout_distance, (time - self._started_at) / config.backout_timeout)
+        self._blend = float(np.clip(progress, self._blend, 1.0))
         self._speed = min(config.speed, self._speed + config.acceleration * period)
-        there = self._servo.limited(self._servo.towards(joints, self._joints))
-        if self._share >= 1.0:
-            return there
-        turn = (Rotation.from_quat(self._start[3:]) * Rotation.from_quat(hand[3:]).inv()).as_rotvec()
-        out = self._arm.velocity(joints, self._speed * self._back, config.turn_gain * turn, config.turn_weight, period)
-        mixed: Array = (1.0 - self._share) * out + self._share * there
-        return mixed
+        to_end = self._servo.limit_speed(self._servo.compute_goal_velocity(joints, self._end))
+        if self._blend >= 1.0:
+            return to_end
+        rotation = (Rotation.from_quat(self._start[3:]) * Rotation.from_quat(hand[3:]).inv()).as_rotvec()
+        linear, angular = self._speed * self._back, config.rotation_gain * rotation
+        out = self._arm.velocity(joints, linear, angular, config.rotation_weight, period)
+        blended: Array = (1.0 - self._blend) * out + self._blend * to_end
+        return blended
 
-    def _stuck(self, time: float, left: float) -> bool:
-        if left < self._config.progress * self._left or left < self._config.there:
-            self._left, self._left_at = left, time
-        return time - self._left_at > self._config.stall
+    def _is_stalled(self, time: float, remaining: float) -> bool:
+        if remaining < self._config.progress_ratio * self._remaining or remaining < self._config.joint_tolerance:
+            self._remaining, self._remaining_at = remaining, time
+        return time - self._remaining_at > self._config.stall_timeout
 
-    def _choose(self, joints: Array, hand: Array) -> Array:
-        """(7,) joints near the goal that are soonest reached on a free way."""
+    def _select_end(self, joints: Array, hand: Array) -> Array:
+        """Return the configuration (7,) near the goal that is reached soonest on a clear path."""
+        ends, times = self._solve_ends(joints, hand)
+        order = np.argsort(times, kind="stable")
+        fastest = order[: self._config.max_path_checks]
+        clear = [n for n in fastest if times[n] < 0.5 * _UNREACHABLE and self._is_clear_of_arm(joints, ends[n])]
+        for number in clear:
+            if self._is_clear_of_person(joints, ends[number]):
+                return np.asarray(ends[number])
+        return np.asarray(ends[clear[0] if clear else order[0]])
+
+    def _solve_ends(self, joints: Array, hand: Array) -> tuple[Array, Array]:
+        """Return configurations (n, 7) around the goal, and their costs (n,) by travel time (s)."""
         here = Rotation.from_quat(hand[3:])
         home = (Rotation.from_quat(self._arm.hand(HOME)[3:]) * here.inv()).as_rotvec()
-        turns = [(Rotation.from_rotvec(share * home) * here).as_quat() for share in _TURN_SHARES]
-        places = self._goal + self._config.inside * np.concatenate([np.zeros((1, 3)), _DIRECTIONS])
-        poses = np.array([[*place, *turn] for place in places for turn in turns])
-        seeds = np.concatenate([joints[None], SEEDS])
-        found, reached = self._arm.solve(
-            np.tile(poses, (len(seeds), 1)), np.repeat(seeds, len(poses), axis=0), _STEPS, _TOLERANCE
-        )
-        travel = (np.abs(found - joints) / self._servo.limits).max(axis=1)
-        travel[~reached] = _FAR
-        for other in self._blocked:
-            travel[np.abs(found - other).max(axis=1) < self._config.other] += 0.5 * _FAR
-        order = np.argsort(travel, kind="stable")
-        looks = [n for n in order[: self._config.looks] if travel[n] < 0.5 * _FAR and self._free(joints, found[n])]
-        for number in looks:
-            if self._passes(joints, found[number]):
-                return np.asarray(found[number])
-        return np.asarray(found[looks[0] if looks else order[0]])
+        rotations = [(Rotation.from_rotvec(share * home) * here).as_quat() for share in _ROTATION_SHARES]
+        positions = self._goal + self._config.goal_radius * np.concatenate([np.zeros((1, 3)), _DIRECTIONS])
+        poses = np.array([[*position, *rotation] for position in positions for rotation in rotations])
+        seeds = np.concatenate([joints[None], IK_SEEDS])
+        all_poses, all_seeds = np.tile(poses, (len(seeds), 1)), np.repeat(seeds, len(poses), axis=0)
+        ends, is_reached = self._arm.solve(all_poses, all_seeds, _IK_ITERATIONS, _IK_TOLERANCE)
+        times = (np.abs(ends - joints) / self._servo.limits).max(axis=1)
+        times[~is_reached] = _UNREACHABLE
+        for other in self._rejected:
+            is_similar = np.abs(ends - other).max(axis=1) < self._config.min_joint_difference
+            times[is_similar] += 0.5 * _UNREACHABLE
+        return ends, times
 
-    def _passes(self, joints: Array, goal: Array) -> bool:
-        """Whether the gripper has enough room beside the person's hand on the straight joint way."""
+    def _is_clear_of_person(self, joints: Array, goal: Array) -> bool:
+        """Return whether the gripper keeps clear of the person's hand on the straight path."""
         if self._person is None:
             return True
-        hands = self._arm.hands(joints + np.array([0.0, *_LOOKS])[:, None] * (goal - joints))
-        room = rooms(hands, self._person)
-        return bool(room[1:].min() > min(float(room[0]), self._config.room))
+        hands = self._arm.hands(joints + np.array([0.0, *_CHECKED_SHARES])[:, None] * (goal - joints))
+        clearances = compute_grasp_clearances(hands, self._person)
+        return bool(clearances[1:].min() > min(float(clearances[0]), self._config.desired_clearance))
 
-    def _free(self, joints: Array, goal: Array) -> bool:
-        """Whether gripper and object keep clear of the arm itself on the straight joint way."""
-        line = joints + _LOOKS[:, None] * (goal - joints)
+    def _is_clear_of_arm(self, joints: Array, goal: Array) -> bool:
+        """Return whether gripper and object keep clear of the arm itself on the straight path."""
+        line = joints + _CHECKED_SHARES[:, None] * (goal - joints)
         (links, _), hands = self._arm.frames(line), self._arm.hands(line)
-        shares = np.linspace(0.0, 1.0, _BALLS)[:, None, None]
+        shares = np.linspace(0.0, 1.0, _SPHERES_PER_LINK)[:, None, None]
         for origins, hand in zip(links, hands, strict=True):
-            foot = np.array([*origins[0, :2], origins[0, 2] - 0.333])
-            ends = np.stack([foot, origins[_SHOULDER], origins[_ELBOW], origins[_WRIST]])
-            centers = (ends[:-1] + shares * (ends[1:] - ends[:-1])).reshape(-1, 3)
-            body = Balls(inverse_transform_points(hand, centers), np.tile(_RADII, _BALLS))
-            apart = np.linalg.norm(self._held[:, None] - body.centers, axis=-1) - body.radii
-            if apart.min() < 0.0 or rooms(IDENTITY[None], body, flange=False)[0] < 0.0:
+            base = np.array([*origins[0, :2], origins[0, 2] - _SHOULDER_HEIGHT])
+            joints_in_world = np.stack([base, origins[_SHOULDER], origins[_ELBOW], origins[_WRIST]])
+            starts, ends = joints_in_world[:-1], joints_in_world[1:]
+            centers = (starts + shares * (ends - starts)).reshape(-1, 3)
+            arm = Spheres(inverse_transform_points(hand, centers), np.tile(_LINK_RADII, _SPHERES_PER_LINK))
+            distances = np.linalg.norm(self._held[:, None] - arm.centers, axis=-1) - arm.radii
+            if distances.min() < 0.0 or compute_grasp_clearances(IDENTITY[None], arm, flange=False)[0] < 0.0:
                 return False
         return True
 
 
-def held_points(hand: Array, obj: Array, surface: Array) -> Array:
-    """(k, 3) points of an object at pose (7,) in the frame of a hand at pose (7,), from points in its own (m)."""
-    return inverse_transform_points(hand, compose_point(obj, surface))
+def transform_to_hand_frame(hand: Array, object_pose: Array, surface: Array) -> Array:
+    """Return points (k, 3) of an object in the frame of the robot's hand link (m).
+
+    Args:
+        hand: (7,) world pose of the hand link.
+        object_pose: (7,) world pose of the object.
+        surface: (k, 3) points in the object's frame (m).
+    """
+    return inverse_transform_points(hand, transform_points(object_pose, surface))

@@ -1,1 +1,1 @@
-"""The receiver `vision`, which sees points alone. It is in `vision_receiver`."""
+"""Receiver `vision`, which uses only the point clouds of the wrist camera."""

@@ -1,15 +1,21 @@
 import numpy as np
 import pytest
 
-from handover_marl.assets.hand_model import SIDES, SUBJECTS, hand_model, hand_urdf
-from handover_marl.assets.human_grasps import ANGLE_STEP, GRASPED_OBJECTS, GRASPS_FILE, HumanGrasps, human_grasps
-from handover_marl.assets.human_grasps_statistics import wrist_distance_quantile
-from handover_marl.assets.object_models import object_urdf
+from handover_marl.assets.hand_model import SIDES, SUBJECTS, find_hand_urdf, make_hand_geometry
+from handover_marl.assets.human_grasps import (
+    ANGLE_STEP,
+    GRASPED_OBJECTS,
+    GRASPS_FILE,
+    HumanGrasps,
+    interpolate_wrist_distance,
+    load_human_grasps,
+)
+from handover_marl.assets.object_models import find_object_urdf
 from handover_marl.config import HandConfig
 from handover_marl.errors import UnknownNameError
-from handover_marl.models.poses import compose_point, rotate
-from handover_marl.sim.bullet.client import connect, load_urdf
-from handover_marl.sim.bullet.hand_body import Hand
+from handover_marl.geometry.poses import rotate_points, transform_points
+from handover_marl.simulation.bullet.bodies import HandBody
+from handover_marl.simulation.bullet.client import connect, load_urdf
 
 # Bullet adds a margin of about a millimetre to both shapes of a pair.
 MOST_OVERLAP, MARGINS = 0.008, 0.002
@@ -22,8 +28,8 @@ def every_set():
 
 def hand_and_object(name, subject, side, dof):
     client = connect()
-    item = load_urdf(client, object_urdf(name), useFixedBase=True)
-    hand = Hand(client, hand_urdf(subject, side), list(dof), HandConfig())
+    item = load_urdf(client, find_object_urdf(name), useFixedBase=True)
+    hand = HandBody(client, find_hand_urdf(subject, side), list(dof), HandConfig())
     client.performCollisionDetection()
     return client, item, hand
 
@@ -39,7 +45,7 @@ def gaps_by_link(client, item, hand, within):
 def test_every_object_person_and_side_has_grasps():
     assert len(GRASPED_OBJECTS) == 20
     for name, subject, side in every_set():
-        grasps = human_grasps(name, subject, side)
+        grasps = load_human_grasps(name, subject, side)
         assert len(grasps) >= 12
         assert grasps.object_from_base.shape == (len(grasps), 7)
         assert grasps.finger_angles.shape == grasps.open_angles.shape == (len(grasps), 45)
@@ -48,7 +54,7 @@ def test_every_object_person_and_side_has_grasps():
 
 def test_thumb_and_two_fingers_touch_everywhere():
     for name, subject, side in every_set():
-        touching = human_grasps(name, subject, side).touching
+        touching = load_human_grasps(name, subject, side).touching
         assert touching[:, 4].all()
         assert (touching[:, :4].sum(axis=1) >= 2).all()
 
@@ -58,9 +64,9 @@ def test_thumb_and_two_fingers_touch_everywhere():
 def test_grasps_hold_in_the_simulator(name, side):
     rng = np.random.default_rng(GRASPED_OBJECTS.index(name))
     for subject in rng.choice(SUBJECTS, 2, replace=False):
-        grasps = human_grasps(name, int(subject), side)
+        grasps = load_human_grasps(name, int(subject), side)
         row = int(rng.integers(len(grasps)))
-        client, item, hand = hand_and_object(name, int(subject), side, grasps.hand_dof(row))
+        client, item, hand = hand_and_object(name, int(subject), side, grasps.compute_hand_dof(row))
         gaps = gaps_by_link(client, item, hand, 0.01)
         assert min(gaps.values()) > -(MOST_OVERLAP + MARGINS)
         near = [min(gaps.get(link, np.inf) for link in links) < 0.003 for links in DIGIT_LINKS]
@@ -71,30 +77,30 @@ def test_grasps_hold_in_the_simulator(name, side):
 @pytest.mark.parametrize("side", SIDES)
 def test_the_open_hand_is_clear_of_the_object(side):
     for name in GRASPED_OBJECTS[::3]:
-        grasps = human_grasps(name, 4, side)
-        dof = np.concatenate([grasps.hand_dof(7)[:6], grasps.open_angles[7]])
+        grasps = load_human_grasps(name, 4, side)
+        dof = np.concatenate([grasps.compute_hand_dof(7)[:6], grasps.open_angles[7]])
         client, item, hand = hand_and_object(name, 4, side, dof)
         gaps = gaps_by_link(client, item, hand, 0.01)
         assert all(gap > -0.005 for link, gap in gaps.items() if link != 6)
 
 
-def test_wrist_distance_is_the_palms():
+def test_wrist_distance_is_to_the_palm():
     for name, subject, side in every_set()[::17]:
-        grasps = human_grasps(name, subject, side)
-        palm = compose_point(grasps.object_from_base, hand_model(subject, side).palm_offset)
+        grasps = load_human_grasps(name, subject, side)
+        palm = transform_points(grasps.object_from_base, make_hand_geometry(subject, side).palm_offset)
         np.testing.assert_allclose(np.linalg.norm(palm, axis=1), grasps.wrist_distance, atol=1e-5)
 
 
 @pytest.mark.parametrize("name", GRASPED_OBJECTS)
-def test_wrist_distances_are_spread_as_peoples(name):
-    ours = np.concatenate([human_grasps(name, s, side).wrist_distance for s in SUBJECTS for side in SIDES])
+def test_wrist_distances_have_dexycbs_distribution(name):
+    ours = np.concatenate([load_human_grasps(name, s, side).wrist_distance for s in SUBJECTS for side in SIDES])
     levels = np.array([0.1, 0.25, 0.5, 0.75, 0.9])
-    np.testing.assert_allclose(np.quantile(ours, levels), wrist_distance_quantile(name, levels), atol=0.012)
+    np.testing.assert_allclose(np.quantile(ours, levels), interpolate_wrist_distance(name, levels), atol=0.012)
 
 
 def test_grasps_of_one_person_differ():
     for name, subject, side in every_set()[::7]:
-        pose = human_grasps(name, subject, side).object_from_base
+        pose = load_human_grasps(name, subject, side).object_from_base
         cosine = np.abs(pose[:, 3:] @ pose[:, 3:].T)
         apart = np.linalg.norm(pose[:, None, :3] - pose[None, :, :3], axis=-1)
         alike = (apart < 0.005) & (cosine > np.cos(0.05))
@@ -103,31 +109,33 @@ def test_grasps_of_one_person_differ():
 
 
 def test_most_of_the_object_stays_free():
-    shares = [human_grasps(*which).free_share for which in every_set()]
+    shares = [load_human_grasps(*which).free_share for which in every_set()]
     assert 0.2 < np.median(np.concatenate(shares)) < 0.9
 
 
-def test_pointing_is_where_the_straight_fingers_point():
+def test_finger_direction_is_that_of_straight_fingers():
     for side in SIDES:
-        grasps = human_grasps("061_foam_brick", 2, side)
-        straight = hand_model(2, side).keypoints(np.zeros(51))
+        grasps = load_human_grasps("061_foam_brick", 2, side)
+        straight = make_hand_geometry(2, side).compute_keypoints(np.zeros(51))
         finger = straight[8] - straight[0]
-        along = rotate(grasps.object_from_base[:, 3:], np.tile(finger / np.linalg.norm(finger), (len(grasps), 1)))
-        np.testing.assert_allclose((along * grasps.pointing).sum(axis=1), 1.0, atol=1e-2)
+        along = rotate_points(
+            grasps.object_from_base[:, 3:], np.tile(finger / np.linalg.norm(finger), (len(grasps), 1))
+        )
+        np.testing.assert_allclose((along * grasps.finger_direction).sum(axis=1), 1.0, atol=1e-2)
 
 
 def test_building_one_object_gives_the_shipped_grasps():
     for library in ("trimesh", "manifold3d", "igl", "embreex"):
         pytest.importorskip(library)
-    from handover_marl.assets.building.build_human_grasps import Args, object_grasps
+    from handover_marl.assets.building.build_human_grasps import Args, synthesize_object_grasps
 
-    person = object_grasps("009_gelatin_box", "left", Args())[0]
-    shipped = human_grasps("009_gelatin_box", 1, "left")
+    person = synthesize_object_grasps("009_gelatin_box", "left", Args())[0]
+    shipped = load_human_grasps("009_gelatin_box", 1, "left")
     np.testing.assert_allclose(person["object_from_base"], shipped.object_from_base, atol=1e-4)
     np.testing.assert_allclose(person["finger_angles"] * ANGLE_STEP, shipped.finger_angles, atol=2e-3)
 
 
-def test_the_file_is_small_and_plain():
+def test_file_is_small_and_has_no_pickles():
     assert GRASPS_FILE.stat().st_size < 3_000_000
     with np.load(GRASPS_FILE, allow_pickle=False) as archive:
         assert tuple(archive["object_names"]) == GRASPED_OBJECTS
@@ -136,14 +144,14 @@ def test_the_file_is_small_and_plain():
 def test_unknown_names_are_refused():
     for arguments in (("999_spoon", 1, "left"), ("025_mug", 0, "left"), ("025_mug", 1, "both")):
         with pytest.raises(UnknownNameError):
-            human_grasps(*arguments)
+            load_human_grasps(*arguments)
 
 
-def test_loaded_grasps_may_be_changed_without_harm():
-    first = human_grasps("025_mug", 1, "right")
+def test_loaded_grasps_are_copies():
+    first = load_human_grasps("025_mug", 1, "right")
     assert isinstance(first, HumanGrasps)
     first.object_from_base[:] = 0.0
     first.touching[:] = False
-    again = human_grasps("025_mug", 1, "right")
+    again = load_human_grasps("025_mug", 1, "right")
     assert again.object_from_base.any()
     assert again.touching.any()

@@ -5,20 +5,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handover_marl.assets.building.object_meshes import collision_mesh, load_collision_parts, load_visual
-from handover_marl.assets.object_models import (
-    COLLISION_NAME,
-    OBJECTS_ROOT,
-    REAL_BOUNDS,
-    VISUAL_NAME,
-    object_urdf,
-)
+from handover_marl.assets.building.object_files import load_collision_mesh, load_collision_parts, load_visual_mesh
+from handover_marl.assets.object_models import COLLISION_NAME, OBJECTS_ROOT, VISUAL_NAME, find_object_urdf
 from handover_marl.config import ObjectConfig
 from handover_marl.errors import DataFormatError, DataNotFoundError, UnknownNameError
-from handover_marl.models.ycb import CLASS_NAMES
-from handover_marl.sim.bullet.body import Start
-from handover_marl.sim.bullet.client import BulletClient, connect
-from handover_marl.sim.bullet.object_body import Object
+from handover_marl.geometry.ycb import CLASS_NAMES
+from handover_marl.simulation.bullet.bodies import ObjectBody
+from handover_marl.simulation.bullet.body import InitialState
+from handover_marl.simulation.bullet.client import BulletClient, connect
+from tests.assets.ycb_bounds import YCB_BOUNDS
 
 NAMES = tuple(CLASS_NAMES.values())
 
@@ -29,8 +24,8 @@ def client() -> BulletClient:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_urdf_is_the_official_chain(client: BulletClient, name: str) -> None:
-    body = client.loadURDF(str(object_urdf(name)), useFixedBase=True)
+def test_urdf_has_the_official_structure(client: BulletClient, name: str) -> None:
+    body = client.loadURDF(str(find_object_urdf(name)), useFixedBase=True)
     infos = [client.getJointInfo(body, joint) for joint in range(client.getNumJoints(body))]
     assert [info[2] for info in infos] == [client.JOINT_PRISMATIC] * 3 + [client.JOINT_REVOLUTE] * 3
     assert [info[12].decode() for info in infos] == [f"link{number}" for number in range(1, 7)]
@@ -44,25 +39,25 @@ def test_urdf_is_the_official_chain(client: BulletClient, name: str) -> None:
 @pytest.mark.parametrize("name", ["025_mug", "037_scissors", "061_foam_brick"])
 def test_every_convex_part_collides(client: BulletClient, name: str) -> None:
     pytest.importorskip("trimesh")
-    body = client.loadURDF(str(object_urdf(name)), useFixedBase=True)
+    body = client.loadURDF(str(find_object_urdf(name)), useFixedBase=True)
     ball = client.createMultiBody(0, client.createCollisionShape(client.GEOM_SPHERE, radius=1e-4))
     for part in load_collision_parts(name):
         client.resetBasePositionAndOrientation(ball, part.center_mass.tolist(), (0, 0, 0, 1))
         assert client.getClosestPoints(ball, body, 0.0)
 
 
-def test_world_takes_the_model(client: BulletClient) -> None:
+def test_simulation_loads_the_model(client: BulletClient) -> None:
     start = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]
-    mug = Object(client, object_urdf("025_mug"), 14, Start(start), ObjectConfig())
-    assert mug.link_id == 5
-    np.testing.assert_allclose(mug.joint_states()[0], start, atol=1e-6)
+    mug = ObjectBody(client, find_object_urdf("025_mug"), 14, InitialState(start), ObjectConfig())
+    assert mug.n_links - 1 == 5
+    np.testing.assert_allclose(mug.read_joint_states()[0], start, atol=1e-6)
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_size_and_frame_are_the_real_ones(name: str) -> None:
+def test_size_and_frame_are_those_of_the_scans(name: str) -> None:
     pytest.importorskip("trimesh")
-    for mesh in (load_visual(name), collision_mesh(name)):
-        np.testing.assert_allclose(mesh.bounds, REAL_BOUNDS[name], rtol=0, atol=0.003)
+    for mesh in (load_visual_mesh(name), load_collision_mesh(name)):
+        np.testing.assert_allclose(mesh.bounds, YCB_BOUNDS[name], rtol=0, atol=0.003)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -85,14 +80,14 @@ def test_parts_are_convex_and_closed(name: str) -> None:
     ],
 )
 def test_openings_are_open(client: BulletClient, name: str, point: tuple[float, float, float]) -> None:
-    client.loadURDF(str(object_urdf(name)), useFixedBase=True)
+    client.loadURDF(str(find_object_urdf(name)), useFixedBase=True)
     ball = client.createMultiBody(0, client.createCollisionShape(client.GEOM_SPHERE, radius=0.004), -1, point)
     client.performCollisionDetection()
     assert not client.getContactPoints(ball)
 
 
-def test_colours_show(client: BulletClient) -> None:
-    client.loadURDF(str(object_urdf("006_mustard_bottle")), useFixedBase=True)
+def test_colors_are_rendered(client: BulletClient) -> None:
+    client.loadURDF(str(find_object_urdf("006_mustard_bottle")), useFixedBase=True)
     view = client.computeViewMatrix((0.3, -0.25, 0.1), (0, 0, 0), (0, 0, 1))
     projection = client.computeProjectionMatrixFOV(40, 1, 0.05, 2)
     pixels = client.getCameraImage(96, 96, view, projection, renderer=client.ER_TINY_RENDERER)[2]
@@ -120,9 +115,9 @@ def test_models_are_small() -> None:
 def test_urdf_path_needs_no_mesh_library() -> None:
     code = """
 import sys
-from handover_marl.assets.shipped_grasps import load_object_grasps
-from handover_marl.assets.object_models import object_urdf
-object_urdf("025_mug")
+from handover_marl.assets.shipped import load_object_grasps
+from handover_marl.assets.object_models import find_object_urdf
+find_object_urdf("025_mug")
 load_object_grasps("025_mug")
 assert "trimesh" not in sys.modules
 """
@@ -131,9 +126,9 @@ assert "trimesh" not in sys.modules
 
 def test_bad_names_and_files(tmp_path: Path) -> None:
     with pytest.raises(UnknownNameError, match="025_cup"):
-        object_urdf("025_cup")
+        find_object_urdf("025_cup")
     with pytest.raises(DataNotFoundError, match="build_objects"):
-        object_urdf("025_mug", tmp_path)
+        find_object_urdf("025_mug", tmp_path)
     pytest.importorskip("trimesh")
     folder = tmp_path / "025_mug"
     folder.mkdir()
@@ -143,4 +138,4 @@ def test_bad_names_and_files(tmp_path: Path) -> None:
     with pytest.raises(DataFormatError, match=COLLISION_NAME):
         load_collision_parts("025_mug", tmp_path)
     with pytest.raises(DataFormatError, match=VISUAL_NAME):
-        load_visual("025_mug", tmp_path)
+        load_visual_mesh("025_mug", tmp_path)

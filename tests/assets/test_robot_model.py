@@ -10,16 +10,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handover_marl.assets.robot_model import PANDA_URDF, camera_panda_urdf
+from handover_marl.assets.robot_model import PANDA_URDF, write_camera_panda_urdf
 from handover_marl.config import PandaConfig
 from handover_marl.datasets import open_dataset
-from handover_marl.models.kinematic_tree import read_tree
-from handover_marl.models.panda import CAMERA_LINK, HAND_LINK, LOWER_LIMITS, UPPER_LIMITS
-from handover_marl.models.poses import compose, inverse
-from handover_marl.sim.bullet.client import BulletClient, connect, load_urdf
-from handover_marl.sim.bullet.panda_body import Panda
+from handover_marl.geometry.kinematic_tree import read_tree
+from handover_marl.geometry.panda import CAMERA_LINK, HAND_LINK, LOWER_LIMITS, UPPER_LIMITS
+from handover_marl.geometry.poses import compose, invert_pose
+from handover_marl.simulation.bullet.bodies import PandaBody
+from handover_marl.simulation.bullet.client import BulletClient, connect, load_urdf
 
-#: Places in what PyBullet tells of a joint.
+#: Places in what PyBullet reports of a joint.
 TYPE, FIRST_LIMIT, LINK, AXIS = 2, 8, 12, 13
 
 
@@ -31,14 +31,14 @@ def client() -> Iterator[BulletClient]:
 
 
 def joints(client: BulletClient, urdf: Path) -> dict[str, tuple[Any, ...]]:
-    """What PyBullet tells of each link's joint, but for its number and its parent's."""
+    """What PyBullet reports of each link's joint, but for its number and its parent's."""
     body = load_urdf(client, urdf, useFixedBase=True)
     infos = [client.getJointInfo(body, joint) for joint in range(client.getNumJoints(body))]
     return {info[LINK].decode(): (info[1], info[TYPE], *info[6:16]) for info in infos}
 
 
 def test_joints_are_those_of_the_plain_panda(client: BulletClient) -> None:
-    plain, camera = joints(client, PANDA_URDF), joints(client, camera_panda_urdf())
+    plain, camera = joints(client, PANDA_URDF), joints(client, write_camera_panda_urdf())
     assert set(camera) - set(plain) == {CAMERA_LINK}
     assert camera.pop(CAMERA_LINK)[1] == client.JOINT_FIXED
     assert camera == plain
@@ -46,7 +46,7 @@ def test_joints_are_those_of_the_plain_panda(client: BulletClient) -> None:
 
 
 def test_only_the_camera_is_added(client: BulletClient) -> None:
-    bodies = [load_urdf(client, urdf, useFixedBase=True) for urdf in (PANDA_URDF, camera_panda_urdf())]
+    bodies = [load_urdf(client, urdf, useFixedBase=True) for urdf in (PANDA_URDF, write_camera_panda_urdf())]
     masses, shapes = [], []
     for body in bodies:
         links = range(-1, client.getNumJoints(body))
@@ -63,36 +63,40 @@ def test_only_the_camera_is_added(client: BulletClient) -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_the_camera_is_where_handoversim_has_it(client: BulletClient, seed: int) -> None:
+def test_camera_pose_equals_handoversims(client: BulletClient, seed: int) -> None:
     low, high = np.array(LOWER_LIMITS), np.array(UPPER_LIMITS)
     robot = np.random.default_rng(seed).uniform(low, high)
-    panda = Panda(client, camera_panda_urdf(), PandaConfig())
-    panda.place(robot.tolist())
-    hand, camera = panda.link_poses([panda.link(HAND_LINK), panda.link(CAMERA_LINK)]).astype(np.float64)
-    relative = compose(inverse(hand), camera)
+    panda = PandaBody(client, write_camera_panda_urdf(), PandaConfig())
+    panda.reset_joints(robot.tolist())
+    hand, camera = panda.read_link_poses([panda.get_link(HAND_LINK), panda.get_link(CAMERA_LINK)]).astype(np.float64)
+    relative = compose(invert_pose(hand), camera)
     np.testing.assert_allclose(relative[:3], [0.036, 0.0, 0.036], atol=1e-6)
     assert abs(relative[3:] @ [-0.5, 0.5, -0.5, 0.5]) == pytest.approx(1.0, abs=1e-6)
-    np.testing.assert_allclose(panda.camera_pose(), camera, atol=1e-6)
+    np.testing.assert_allclose(panda.read_camera_pose(), camera, atol=1e-6)
     # A Panda without one looks from the same place.
-    plain = Panda(client, PANDA_URDF, PandaConfig())
-    plain.place(robot.tolist())
-    pose = plain.camera_pose()
+    plain = PandaBody(client, PANDA_URDF, PandaConfig())
+    plain.reset_joints(robot.tolist())
+    pose = plain.read_camera_pose()
     assert pose.dtype == np.float32
     np.testing.assert_allclose(pose[:3], camera[:3], atol=1e-6)
     assert abs(pose[3:] @ camera[3:]) == pytest.approx(1.0, abs=1e-6)
 
 
-def test_the_model_is_read_without_bullet_too() -> None:
-    tree = read_tree(camera_panda_urdf())
+def test_kinematic_tree_equals_bullets() -> None:
+    tree = read_tree(write_camera_panda_urdf())
     names = [joint.link for joint in tree.joints]
     assert tree.n_dof == 9
     assert tree.joints[names.index(CAMERA_LINK)].parent == names.index(HAND_LINK)
 
 
 def test_one_process_has_one_file() -> None:
-    path = camera_panda_urdf()
-    assert camera_panda_urdf() == path == open_dataset("synthetic", robot="panda_camera").scene(209).assets.panda
-    assert open_dataset("synthetic", robot="panda").scene(209).assets.panda == PANDA_URDF
+    path = write_camera_panda_urdf()
+    assert (
+        write_camera_panda_urdf()
+        == path
+        == open_dataset("synthetic", robot="panda_camera").load_scene(209).assets.panda
+    )
+    assert open_dataset("synthetic", robot="panda").load_scene(209).assets.panda == PANDA_URDF
     assert path.is_file()
     assert PANDA_URDF.is_file()
     assert CAMERA_LINK not in PANDA_URDF.read_text()
@@ -100,28 +104,28 @@ def test_one_process_has_one_file() -> None:
 
 def run(code: str) -> list[Path]:
     """Run a program and tell the paths that it printed."""
-    program = f"import os, sys\nfrom handover_marl.assets.robot_model import camera_panda_urdf\n{code}"
+    program = f"import os, sys\nfrom handover_marl.assets.robot_model import write_camera_panda_urdf\n{code}"
     done = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True, timeout=60)
     assert not done.stderr
     return [Path(line) for line in done.stdout.split()]
 
 
-def test_the_file_is_removed_when_the_process_ends() -> None:
-    (path,) = run("print(camera_panda_urdf())\nassert camera_panda_urdf().is_file()")
-    assert path != camera_panda_urdf()
+def test_temporary_file_is_removed_at_exit() -> None:
+    (path,) = run("print(write_camera_panda_urdf())\nassert write_camera_panda_urdf().is_file()")
+    assert path != write_camera_panda_urdf()
     assert not path.parent.exists()
-    assert camera_panda_urdf().is_file(), "each process has its own"
+    assert write_camera_panda_urdf().is_file(), "each process has its own"
 
 
 FORKS = """
-path = camera_panda_urdf()
+path = write_camera_panda_urdf()
 for own in (False, True):
     child = os.fork()
     if not child:
         if own:
-            print(camera_panda_urdf(), flush=True)
-            assert camera_panda_urdf() != path
-            assert camera_panda_urdf().is_file()
+            print(write_camera_panda_urdf(), flush=True)
+            assert write_camera_panda_urdf() != path
+            assert write_camera_panda_urdf().is_file()
         # Ends with all that is done at exit, other than os._exit.
         sys.exit(0)
     assert os.waitpid(child, 0)[1] == 0
@@ -131,7 +135,7 @@ print(path)
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
-def test_forked_children_leave_their_parents_file_alone() -> None:
+def test_forked_children_keep_their_parents_file() -> None:
     childs, parents = run(FORKS)
     assert childs != parents
     assert not childs.parent.exists()
@@ -146,14 +150,12 @@ def test_forked_children_leave_their_parents_file_alone() -> None:
         "forkserver",
     ],
 )
-def test_children_of_multiprocessing_leave_nothing_behind(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, method: str
-) -> None:
+def test_child_processes_remove_their_files(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, method: str) -> None:
     """As vectors of environments start them."""
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     run(
         "import multiprocessing\n"
-        f"child = multiprocessing.get_context({method!r}).Process(target=camera_panda_urdf)\n"
+        f"child = multiprocessing.get_context({method!r}).Process(target=write_camera_panda_urdf)\n"
         "child.start()\n"
         "child.join()\n"
         "assert child.exitcode == 0"

@@ -4,14 +4,14 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from handover_marl.assets.building.object_meshes import load_collision_parts
-from handover_marl.assets.object_models import object_urdf
-from handover_marl.assets.shipped_grasps import GRASPS_PATH, UNGRASPABLE, load_object_grasps
+from handover_marl.assets.building.object_files import load_collision_parts
+from handover_marl.assets.object_models import find_object_urdf
+from handover_marl.assets.shipped import CLASSES_WITHOUT_GRASPS, GRASPS_PATH, load_object_grasps
 from handover_marl.errors import DataFormatError, DataNotFoundError, UnknownNameError
-from handover_marl.models.ycb import CLASS_NAMES
-from handover_marl.sim.bullet.bullet_trial import BulletTrial
+from handover_marl.geometry.ycb import CLASS_NAMES
+from handover_marl.simulation.bullet.grasp_validation import BulletGraspValidator
 
-GRASPABLE = tuple(name for name in CLASS_NAMES.values() if name not in UNGRASPABLE)
+GRASPABLE = tuple(name for name in CLASS_NAMES.values() if name not in CLASSES_WITHOUT_GRASPS)
 PROVEN_AGAIN = ("003_cracker_box", "024_bowl", "025_mug", "037_scissors", "040_large_marker")
 
 
@@ -35,7 +35,7 @@ def test_poses_are_rigid(name: str) -> None:
 @pytest.mark.parametrize("name", GRASPABLE)
 def test_object_lies_between_the_open_fingers(name: str) -> None:
     pytest.importorskip("trimesh")
-    from handover_marl.assets.building.grasp_sampling import ConvexSolid
+    from handover_marl.assets.building.build_grasps import ConvexSolid
 
     solid = ConvexSolid(load_collision_parts(name))
     across = np.linspace(-0.04, 0.04, 61)  # between the open fingers, along the gripper frame's x
@@ -60,20 +60,20 @@ def test_grasps_differ(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", PROVEN_AGAIN)
-def test_shipped_grasps_hold_again(name: str) -> None:
-    trial = BulletTrial(object_urdf(name))
+def test_shipped_grasps_hold_in_simulation(name: str) -> None:
+    trial = BulletGraspValidator(find_object_urdf(name))
     for grasp in _grasps(name)[::20]:
-        assert trial.is_free(grasp)
-        assert trial.holds(grasp)
+        assert trial.is_collision_free(grasp)
+        assert trial.is_stable(grasp)
 
 
 def test_classes_without_grasps() -> None:
-    assert all(load_object_grasps(name) is None for name in UNGRASPABLE)
+    assert all(load_object_grasps(name) is None for name in CLASSES_WITHOUT_GRASPS)
     with np.load(GRASPS_PATH, allow_pickle=False) as archive:
         assert sorted(archive.files) == sorted(GRASPABLE)
 
 
-def test_answer_is_the_callers_own() -> None:
+def test_loaded_grasps_are_copies() -> None:
     first = _grasps("025_mug")
     first[:] = 0.0
     assert _grasps("025_mug").any()
@@ -81,9 +81,9 @@ def test_answer_is_the_callers_own() -> None:
 
 def test_rebuild_gives_the_shipped_grasps() -> None:
     pytest.importorskip("trimesh")
-    from handover_marl.assets.building.build_grasps import Args, build_object_grasps
+    from handover_marl.assets.building.build_grasps import Args, validate_object_grasps
 
-    rebuilt = build_object_grasps("009_gelatin_box", Args(n_grasps=3)).transforms
+    rebuilt = validate_object_grasps("009_gelatin_box", Args(n_grasps=3)).transforms
     np.testing.assert_allclose(rebuilt, _grasps("009_gelatin_box")[:3], atol=1e-6)
 
 

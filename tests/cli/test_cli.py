@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from handover_marl.benchmarking import playing
 from handover_marl.cli import main
-from handover_marl.cli.run_options import parse_scenes
+from handover_marl.cli.options import parse_scenes
 from handover_marl.errors import OptionError
+from handover_marl.evaluation import episode_runner
 
 
 def test_benchmark_and_evaluate(fake_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -17,7 +17,9 @@ def test_benchmark_and_evaluate(fake_data: Path, tmp_path: Path, capsys: pytest.
     assert "1 of 36 scenes (partial)" in printed.out
     assert "timeout" in printed.err
     assert main(["evaluate", str(tmp_path / "out")]) == 0
-    assert capsys.readouterr().out == printed.out
+    text, report = printed.out.rstrip("\n").rsplit("\n\n", 1)
+    assert capsys.readouterr().out == text + "\n"
+    assert report == f"Report: {tmp_path / 'out' / 'report.html'}"
 
 
 @pytest.mark.parametrize(
@@ -28,9 +30,9 @@ def test_benchmark_and_evaluate(fake_data: Path, tmp_path: Path, capsys: pytest.
         (["benchmark", "--setup", "s9"], "unknown setup 's9'; valid: s0, s1, s2, s3"),
         (
             ["benchmark", "--scenes", "1,x"],
-            "--scenes takes scene numbers separated by commas, such as 209,214, not '1,x'",
+            "--scenes must be numbers separated by commas, such as 209,214, got '1,x'",
         ),
-        (["benchmark", "--workers", "0"], "workers=0 must be a whole number"),
+        (["benchmark", "--workers", "0"], "workers must be an integer of at least 1, got 0"),
         (["benchmark", "--receiver", "nobody"], "unknown receiver 'nobody'; valid: gaddpg, hold"),
         (["pair", "--giver", "nobody"], "unknown giver 'nobody'; valid: cooperative"),
         (["crossplay", "--givers", "replay,nobody"], "unknown giver 'nobody'"),
@@ -38,7 +40,7 @@ def test_benchmark_and_evaluate(fake_data: Path, tmp_path: Path, capsys: pytest.
         (["evaluate", "/nowhere"], "/nowhere does not exist"),
     ],
 )
-def test_errors_are_one_message(arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_error_messages(arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(arguments) == 2
     printed = capsys.readouterr()
     assert message in printed.err
@@ -50,13 +52,13 @@ def test_ctrl_c(fake_data: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(playing, "play", interrupted)
+    monkeypatch.setattr(episode_runner, "play", interrupted)
     assert main(["benchmark", "--split", "val", "--scenes", "9", "--data-dir", str(fake_data)]) == 130
-    assert "same command goes on" in capsys.readouterr().err
+    assert "same command resumes" in capsys.readouterr().err
 
 
 @pytest.mark.slow
-def test_a_reader_that_goes_away(fake_data: Path) -> None:
+def test_closed_output(fake_data: Path) -> None:
     code = "import sys; from handover_marl.cli import main; sys.exit(main())"
     arguments = [
         "benchmark",
@@ -78,9 +80,7 @@ def test_a_reader_that_goes_away(fake_data: Path) -> None:
     assert process.returncode == 141
 
 
-def test_pairs_play_the_split_and_the_scenes_that_are_named(
-    fake_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_pair_selects_split_and_scenes(fake_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     command = ["pair", "--giver", "hesitant", "--receiver", "hold", "--scenes", "9", "--physics", "fast"]
     command += ["--data-dir", str(fake_data), "--out", str(tmp_path / "out"), "--workers", "1", "--no-progress"]
     assert main(command) == 0
@@ -90,7 +90,7 @@ def test_pairs_play_the_split_and_the_scenes_that_are_named(
     assert main(command) == 0
     assert "1 of the 1 episodes come from an earlier run." in capsys.readouterr().out
     assert main([*command, "--seed", "1"]) == 2
-    assert "another run (seed '0' there, '1' now)" in capsys.readouterr().err
+    assert "another evaluation (seed '0' in the folder, '1' now)" in capsys.readouterr().err
     assert main([*command, "--seed", "1", "--fresh"]) == 0
     assert "earlier run" not in capsys.readouterr().out
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from handover_marl.datasets import DATA_VARIABLE, OfficialDataset, open_dataset
+from handover_marl.datasets import DATA_DIR_VARIABLE, OfficialDataset, open_dataset
 from handover_marl.errors import DataFormatError, DataNotFoundError, SceneError
 from tests.fake_layout import HAND_FIRST, HAND_LAST, N_FRAMES, FakeScene, evil_grasps, write_grasps, write_scene
 
@@ -19,8 +19,8 @@ def edit_meta(data: Path, scene_id: int, **changes: object) -> None:
     path.write_text(json.dumps({**json.loads(path.read_text()), **changes}))
 
 
-def test_scene_in_the_world_frame(fake_data: Path) -> None:
-    scene = OfficialDataset(fake_data).scene(5)
+def test_scene_is_in_the_world_frame(fake_data: Path) -> None:
+    scene = OfficialDataset(fake_data).load_scene(5)
     with np.load(fake_data / "dex-ycb-cache" / "pose_005.npz") as file:
         pose_y, pose_m = file["pose_y"], file["pose_m"][:, 0]
     assert scene.n_frames == N_FRAMES
@@ -35,9 +35,9 @@ def test_scene_in_the_world_frame(fake_data: Path) -> None:
         scene.object_dof[0, 0, 0] = 1.0
 
 
-def test_the_grasped_object_comes_first_and_the_others_keep_their_order(fake_data: Path) -> None:
+def test_grasped_object_comes_first(fake_data: Path) -> None:
     dataset = OfficialDataset(fake_data)
-    scene = dataset.scene(14)
+    scene = dataset.load_scene(14)
     assert scene.info.object_ids == (3, 11, 21)
     assert scene.info.target_name == "004_sugar_box"
     assert [path.parent.name for path in scene.assets.objects] == list(scene.info.object_names)
@@ -52,15 +52,15 @@ def test_missing_folders_and_files_are_named(tmp_path: Path, own_data: Path) -> 
         open_dataset("dexycb")
     dataset = OfficialDataset(own_data)
     with pytest.raises(DataNotFoundError, match="meta_019"):
-        dataset.scene(19)
+        dataset.load_scene(19)
     (own_data / "assets" / "003_cracker_box" / "model_normalized.urdf").unlink()
     with pytest.raises(DataNotFoundError, match="003_cracker_box"):
         dataset.check_scenes((5,))
 
 
 def test_data_folder_from_the_environment(fake_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(DATA_VARIABLE, str(fake_data))
-    assert open_dataset().info(5).subject == "20200709-subject-01"
+    monkeypatch.setenv(DATA_DIR_VARIABLE, str(fake_data))
+    assert open_dataset().load_info(5).subject == "20200709-subject-01"
 
 
 @pytest.mark.parametrize(
@@ -87,14 +87,14 @@ def test_data_folder_from_the_environment(fake_data: Path, monkeypatch: pytest.M
 def test_bad_meta(own_data: Path, changes: dict[str, object], message: str) -> None:
     edit_meta(own_data, 5, **changes)
     with pytest.raises(DataFormatError, match=f"meta_005.*{message}"):
-        OfficialDataset(own_data).info(5)
+        OfficialDataset(own_data).load_info(5)
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", "{}", "null", '{"name": 3}', "[" * 100_000])
-def test_meta_that_is_no_meta(own_data: Path, text: str) -> None:
+def test_other_files_as_meta(own_data: Path, text: str) -> None:
     (own_data / "dex-ycb-cache" / "meta_005.json").write_text(text)
     with pytest.raises(DataFormatError, match="meta_005"):
-        OfficialDataset(own_data).info(5)
+        OfficialDataset(own_data).load_info(5)
 
 
 @settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
@@ -105,7 +105,7 @@ def test_truncated_motion(own_data: Path, share: float) -> None:
     try:
         path.write_bytes(whole[: int(len(whole) * share)])
         with pytest.raises(DataFormatError, match=r"pose_005\.npz.*truncated"):
-            OfficialDataset(own_data).scene(5)
+            OfficialDataset(own_data).load_scene(5)
     finally:
         path.write_bytes(whole)
 
@@ -121,19 +121,19 @@ def test_truncated_motion(own_data: Path, share: float) -> None:
         (np.full((10, 1, 6), np.nan), np.zeros((10, 1, 51))),
     ],
 )
-def test_motion_of_the_wrong_shape(own_data: Path, pose_y: np.ndarray, pose_m: np.ndarray) -> None:
+def test_wrong_shapes_of_motion(own_data: Path, pose_y: np.ndarray, pose_m: np.ndarray) -> None:
     np.savez(own_data / "dex-ycb-cache" / "pose_005.npz", pose_y=pose_y, pose_m=pose_m)
     with pytest.raises(DataFormatError, match="pose_005"):
-        OfficialDataset(own_data).scene(5)
+        OfficialDataset(own_data).load_scene(5)
 
 
-def test_motion_files_of_another_kind(own_data: Path) -> None:
+def test_other_files_as_motion(own_data: Path) -> None:
     path = own_data / "dex-ycb-cache" / "pose_005.npz"
     whole = path.read_bytes()
 
     def refused() -> None:
         with pytest.raises(DataFormatError, match=r"pose_005\.npz: not a readable pose file"):
-            OfficialDataset(own_data).scene(5)
+            OfficialDataset(own_data).load_scene(5)
 
     with path.open("wb") as stream:
         np.save(stream, np.zeros(3))
@@ -161,68 +161,68 @@ def test_flipped_bytes_in_motion_files(own_data: Path) -> None:
             spoilt[rng.choice((rng.randrange(200), -1 - rng.randrange(250)))] = rng.randrange(256)
         path.write_bytes(spoilt)
         try:
-            OfficialDataset(own_data).scene(5)
+            OfficialDataset(own_data).load_scene(5)
         except DataFormatError:
             refused += 1
     assert refused > 200
 
 
-def test_grasps_are_read_safely(own_data: Path, tmp_path: Path) -> None:
+def test_grasps_of_unsafe_files(own_data: Path, tmp_path: Path) -> None:
     path = own_data / "assets" / "grasps" / "003_cracker_box.npy"
-    assert OfficialDataset(own_data).grasps("003_cracker_box").shape == (100, 4, 4)
-    assert OfficialDataset(own_data).grasps("036_wood_block") is None
+    assert OfficialDataset(own_data).load_grasps("003_cracker_box").shape == (100, 4, 4)
+    assert OfficialDataset(own_data).load_grasps("036_wood_block") is None
     evil_grasps(path, tmp_path / "was_run")
     with pytest.raises(DataFormatError, match="003_cracker_box"):
-        OfficialDataset(own_data).grasps("003_cracker_box")
+        OfficialDataset(own_data).load_grasps("003_cracker_box")
     assert not (tmp_path / "was_run").exists()
 
 
 @pytest.mark.parametrize("name", ["002_master_chef_can", "036_wood_block"])
 def test_classes_without_grasps(own_data: Path, name: str) -> None:
     (own_data / "assets" / "grasps" / f"{name}.npy").unlink(missing_ok=True)
-    assert OfficialDataset(own_data).grasps(name) is None
+    assert OfficialDataset(own_data).load_grasps(name) is None
     write_grasps(own_data / "assets" / "grasps" / f"{name}.npy", n=3)
-    assert OfficialDataset(own_data).grasps(name).shape == (3, 4, 4)
+    assert OfficialDataset(own_data).load_grasps(name).shape == (3, 4, 4)
 
 
 def test_missing_grasps_are_named(own_data: Path) -> None:
     (own_data / "assets" / "grasps" / "003_cracker_box.npy").unlink()
     dataset = OfficialDataset(own_data)
     with pytest.raises(DataNotFoundError, match=r"003_cracker_box\.npy is missing"):
-        dataset.grasps("003_cracker_box")
+        dataset.load_grasps("003_cracker_box")
     with pytest.raises(DataNotFoundError, match=r"003_cracker_box\.npy is missing"):
         dataset.check_scenes((14, 5))
     dataset.check_scenes((14,))
     with pytest.raises(DataNotFoundError, match=r"051_large_clamp\.npy"):
-        dataset.grasps("051_large_clamp")
+        dataset.load_grasps("051_large_clamp")
 
 
 def test_scenes_of_classes_without_grasps_are_complete(own_data: Path) -> None:
     write_scene(own_data, FakeScene(75))
     (own_data / "assets" / "grasps" / "036_wood_block.npy").unlink()
     OfficialDataset(own_data).check_scenes((75,))
-    assert OfficialDataset(own_data).fingerprint(75)
+    assert OfficialDataset(own_data).compute_fingerprint(75)
 
 
 @pytest.mark.parametrize("scene_id", [-1, 1000])
 def test_scene_numbers(fake_data: Path, scene_id: int) -> None:
     with pytest.raises(SceneError, match="0 to 999"):
-        OfficialDataset(fake_data).scene(scene_id)
+        OfficialDataset(fake_data).load_scene(scene_id)
 
 
-def test_fingerprint_follows_the_data(own_data: Path) -> None:
-    before = OfficialDataset(own_data).fingerprint(5)
-    assert before == OfficialDataset(own_data).fingerprint(5)
-    assert before != OfficialDataset(own_data).fingerprint(6)
+def test_fingerprint_depends_on_the_data(own_data: Path) -> None:
+    before = OfficialDataset(own_data).compute_fingerprint(5)
+    assert before == OfficialDataset(own_data).compute_fingerprint(5)
+    assert before != OfficialDataset(own_data).compute_fingerprint(6)
     edit_meta(own_data, 5, name="20200709-subject-01/other")
-    assert before != OfficialDataset(own_data).fingerprint(5)
+    assert before != OfficialDataset(own_data).compute_fingerprint(5)
 
 
-def test_fingerprint_follows_grasps_and_meshes(own_data: Path) -> None:
+def test_fingerprint_depends_on_grasps_and_meshes(own_data: Path) -> None:
     assets = own_data / "assets"
     urdf = assets / "003_cracker_box" / "model_normalized.urdf"
     urdf.write_text(urdf.read_text().replace('<box size="0.05 0.05 0.08"/>', '<mesh filename="box.obj"/>'))
-    seen = [OfficialDataset(own_data).fingerprint(5)]
+    seen = [OfficialDataset(own_data).compute_fingerprint(5)]
     for change in (
         lambda: (assets / "003_cracker_box" / "box.obj").write_text("v 0 0 0\n"),
         lambda: (assets / "003_cracker_box" / "box.obj").write_text("v 0 0 0\nv 1 0 0\n"),
@@ -230,7 +230,7 @@ def test_fingerprint_follows_grasps_and_meshes(own_data: Path) -> None:
         lambda: urdf.write_text(urdf.read_text() + " "),
     ):
         change()
-        seen.append(OfficialDataset(own_data).fingerprint(5))
+        seen.append(OfficialDataset(own_data).compute_fingerprint(5))
     assert len(set(seen)) == len(seen)
     write_grasps(assets / "grasps" / "004_sugar_box.npy", n=5)
-    assert OfficialDataset(own_data).fingerprint(5) == seen[-1]
+    assert OfficialDataset(own_data).compute_fingerprint(5) == seen[-1]

@@ -2,7 +2,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handover_marl.datasets.splits import SETUPS, SPLIT_SIZES, SPLITS, split_scenes
+from handover_marl.datasets.splits import SETUPS, SPLIT_SIZES, SPLITS, list_split_scenes
 from handover_marl.errors import UnknownNameError
 
 NAMES = st.sampled_from([(setup, split) for setup in SETUPS for split in SPLITS])
@@ -14,18 +14,18 @@ def no_side(scene_id: int) -> str:
 
 @pytest.mark.parametrize("setup", ["s0", "s1", "s3"])
 @pytest.mark.parametrize("split", SPLITS)
-def test_official_sizes_without_asking_for_sides(setup: str, split: str) -> None:
-    assert len(split_scenes(setup, split, no_side)) == SPLIT_SIZES[setup, split]
+def test_official_sizes_of_splits(setup: str, split: str) -> None:
+    assert len(list_split_scenes(setup, split, no_side)) == SPLIT_SIZES[setup, split]
 
 
-def test_s2_asks_only_for_the_last_trial() -> None:
+def test_s2_depends_on_the_side_of_the_last_trial_only() -> None:
     asked = []
 
     def side(scene_id: int) -> str:
         asked.append(scene_id)
         return "left"
 
-    scenes = split_scenes("s2", "test", side)
+    scenes = list_split_scenes("s2", "test", side)
     assert all(scene % 5 == 4 for scene in asked)
     assert len(scenes) == 8 * 18 * 3
 
@@ -35,20 +35,20 @@ def test_splits_are_disjoint_ascending_and_without_skipped_objects(setup: str, b
     def side(scene_id: int) -> str:
         return "left" if (bits >> (scene_id // 5 % 32)) & 1 else "right"
 
-    splits = [split_scenes(setup, split, side) for split in SPLITS]
+    splits = [list_split_scenes(setup, split, side) for split in SPLITS]
     together = [scene for scenes in splits for scene in scenes]
     assert len(set(together)) == len(together)
     assert all(list(scenes) == sorted(scenes) for scenes in splits)
     assert not any(scene // 5 % 20 in (0, 15) for scene in together)
 
 
-def test_known_members() -> None:
-    assert split_scenes("s0", "val", no_side)[:2] == (9, 14)
-    assert split_scenes("s3", "test", no_side)[:2] == (35, 36)
-    assert split_scenes("s1", "test", no_side)[0] == 705
+def test_known_scenes_of_splits() -> None:
+    assert list_split_scenes("s0", "val", no_side)[:2] == (9, 14)
+    assert list_split_scenes("s3", "test", no_side)[:2] == (35, 36)
+    assert list_split_scenes("s1", "test", no_side)[0] == 705
 
 
 @pytest.mark.parametrize(("setup", "split"), [("s4", "test"), ("s0", "dev"), ("", "test")])
 def test_unknown_names(setup: str, split: str) -> None:
     with pytest.raises(UnknownNameError, match="valid"):
-        split_scenes(setup, split, no_side)
+        list_split_scenes(setup, split, no_side)

@@ -9,30 +9,31 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+from unittest.mock import MagicMock
 
 import pytest
 import tyro
 
 from handover_marl.cli import main
 from handover_marl.datasets.splits import check_setup_and_split
-from handover_marl.policies.reference import policy_reference
-from handover_marl.run import Run
+from handover_marl.evaluation.config import EvaluationConfig
+from handover_marl.policies.reference import parse_policy
 from tests.docs.pages import REPOSITORY
 
 #: What the commands of the library lead to.
 TARGETS = (
-    "handover_marl.benchmarking.agreement.agreement",
-    "handover_marl.benchmarking.comparison.compare",
-    "handover_marl.benchmarking.crossplay.crossplay",
-    "handover_marl.benchmarking.evaluation.evaluate",
-    "handover_marl.benchmarking.runner.benchmark",
-    "handover_marl.benchmarking.runner.evaluate_run",
-    "handover_marl.datasets.importing.import_dexycb.import_dexycb",
-    "handover_marl.demonstrations.demonstrate.demonstrate",
-    "handover_marl.doctor.data_folder.examine",
-    "handover_marl.merging.merge.merge",
-    "handover_marl.pictures.plan_picture.render_plan",
-    "handover_marl.pictures.rendering.render_scene",
+    "handover_marl.evaluation.agreement.compare_physics",
+    "handover_marl.evaluation.comparison.compare",
+    "handover_marl.evaluation.crossplay.crossplay",
+    "handover_marl.evaluation.reports.report_files.evaluate",
+    "handover_marl.evaluation.benchmark.benchmark",
+    "handover_marl.evaluation.benchmark.evaluate_pair",
+    "handover_marl.datasets.dexycb.importer.import_dexycb",
+    "handover_marl.evaluation.demonstrations.record.demonstrate",
+    "handover_marl.datasets.folder_check.examine_data_folder",
+    "handover_marl.evaluation.merge.merge",
+    "handover_marl.evaluation.rendering.plan.render_plan",
+    "handover_marl.evaluation.rendering.scene.render_scene",
 )
 _PYTHONS = ("python", ".venv/bin/python")
 _SHELL = ("tar", "done", "pytest")
@@ -71,15 +72,15 @@ def check(words: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
 
 def _check_own(arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
     """The library's own command line takes it, and every name in it means something."""
-    if len(arguments) == 1:  # only named
+    if len(arguments) == 1 or arguments[1:] == ["--help"]:  # only named
         with pytest.raises(SystemExit, match="0"):
-            main([*arguments, "--help"])
+            main([arguments[0], "--help"])
         return
     called: list[tuple[tuple[Any, ...], dict[str, Any]]] = []
 
-    def note(*args: Any, **kwargs: Any) -> list[Any]:
+    def note(*args: Any, **kwargs: Any) -> MagicMock:
         called.append((args, kwargs))
-        return []
+        return MagicMock()
 
     with monkeypatch.context() as patch:
         for target in TARGETS:
@@ -92,16 +93,16 @@ def _check_own(arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
     assert len(called) == 1
     args, kwargs = called[0]
     for value in (*args, *kwargs.values()):
-        if isinstance(value, Run):
+        if isinstance(value, EvaluationConfig):
             check_setup_and_split(value.setup, value.split)
             for agent in ("giver", "receiver"):
-                policy_reference(agent, getattr(value, agent))
+                parse_policy(agent, getattr(value, agent))
     if arguments[0] == "crossplay":
         for agent, policies in zip(("giver", "receiver"), args[:2], strict=True):
             for policy in policies:
-                policy_reference(agent, policy)
+                parse_policy(agent, policy)
     if kwargs.get("receiver") is not None:
-        policy_reference("receiver", kwargs["receiver"])
+        parse_policy("receiver", kwargs["receiver"])
 
 
 def _check_script(path: Path, arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,7 +7,8 @@ from markdown_it import MarkdownIt
 from markdown_it.token import Token
 
 REPOSITORY = Path(__file__).parents[2]
-PAGES = (REPOSITORY / "README.md", REPOSITORY / "CONTRIBUTING.md", *sorted((REPOSITORY / "docs").glob("*.md")))
+_SITE = sorted(path for path in (REPOSITORY / "docs").rglob("*.md") if path.parent.name != "source")
+PAGES = (REPOSITORY / "README.md", REPOSITORY / "CONTRIBUTING.md", *_SITE)
 #: Inline code that starts so is a command to be tried; alone it is only a name.
 _COMMANDS = ("handover-marl ", "python ", "make ")
 _MARK = "<!-- checked: "

@@ -11,7 +11,7 @@ import gymnasium
 import pytest
 
 import handover_marl
-from handover_marl.datasets.splits import choose_scenes, designed_side, split_scenes
+from handover_marl.datasets.splits import choose_scenes, list_split_scenes, prescribed_side
 from handover_marl.errors import HandoverError
 from tests.docs.commands import check, commands
 from tests.docs.pages import PAGES, Block, blocks, inline_commands, name
@@ -25,10 +25,10 @@ SHELL = [
 ]
 PROGRAMS = [page for page in PAGES if blocks(page, "python")]
 #: Which pages need more than the library itself.
-NEEDS = {"docs/environment.md": ("stable_baselines3", "mujoco"), "docs/sight.md": ("embreex",)} | {
-    "docs/demonstrations.md": ("h5py", "minari", "embreex"),
-    "docs/clusters.md": ("ray",),
-    "docs/engines.md": ("mujoco",),
+NEEDS = {"docs/reference/environment.md": ("stable_baselines3",), "docs/how_to/wrist_camera.md": ("embreex",)} | {
+    "docs/how_to/demonstrations.md": ("h5py", "minari", "embreex"),
+    "docs/how_to/many_machines.md": ("ray",),
+    "docs/how_to/vector_environments.md": ("mujoco",),
 }
 #: Which scripts need more than the library itself, by the beginning of their names.
 SCRIPTS_NEED = {
@@ -55,7 +55,7 @@ def test_commands_are_taken(block: Block, monkeypatch: pytest.MonkeyPatch) -> No
     assert found
     for words in found:
         for script, module in SCRIPTS_NEED.items():
-            if f"experiments/{script}" in " ".join(words):
+            if f"experiments/training/{script}" in " ".join(words):
                 pytest.importorskip(module)
         check(words, monkeypatch)
 
@@ -65,7 +65,7 @@ def test_a_wrong_command_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
         "handover-marl benchmark --recever hold",
         "handover-marl benchmark --receiver nobody",
         "handover-marl crossplay --givers nobody --receivers hold",
-        "python experiments/verdict.py --scenes 37",
+        "python experiments/analysis/scene_37.py --scenes 37",
         "make everything",
         "pip install -e .[nothing]",
     ):
@@ -79,13 +79,13 @@ def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     # Else Ray joins whatever cluster another test has on this machine, and falls with it.
     monkeypatch.setenv("RAY_ADDRESS", "local")
-    first, *_ = split_scenes("s3", "test", designed_side)
+    first, *_ = list_split_scenes("s3", "test", prescribed_side)
     write_layout(tmp_path / "handover" / "data", (FakeScene(first),))
 
     def one_scene(split: tuple[int, ...], scenes: Iterable[int] | None, where: str) -> tuple[int, ...]:
         return choose_scenes(split, scenes, where)[: None if scenes else 1]
 
-    monkeypatch.setattr("handover_marl.run.choose_scenes", one_scene)
+    monkeypatch.setattr("handover_marl.evaluation.config.choose_scenes", one_scene)
     make_vec = gymnasium.make_vec
     monkeypatch.setattr(gymnasium, "make_vec", lambda name, _, **kwargs: make_vec(name, ENVIRONMENTS, **kwargs))
     if importlib.util.find_spec("stable_baselines3"):
@@ -121,7 +121,7 @@ def test_programs_run(page: Path, small: None) -> None:
     names: dict[str, Any] = {"__name__": f"{page.stem}_blocks"}
     if page.stem == "demonstrations":
         handover_marl.demonstrate(
-            setup="s0", receiver="yang2021", physics="fast", sight="points", out="DIR", progress=False
+            setup="s0", receiver="yang2021", physics="fast", obs_mode="state+pointcloud", out="DIR", progress=False
         )
     try:
         for block in blocks(page, "python"):
@@ -130,7 +130,7 @@ def test_programs_run(page: Path, small: None) -> None:
         for value in names.values():
             if hasattr(value, "close") and not isinstance(value, type):
                 value.close()
-        if name(page) == "docs/clusters.md":
+        if name(page) == "docs/how_to/many_machines.md":
             import ray
 
             ray.shutdown()

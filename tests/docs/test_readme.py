@@ -1,4 +1,4 @@
-"""README is short, its map shows the house as it stands, and what tells versions tells the same."""
+"""README is short, and files that name versions name the same ones."""
 
 import configparser
 import re
@@ -6,12 +6,10 @@ import re
 import yaml
 
 import handover_marl
-from tests.docs.pages import REPOSITORY, blocks
+from tests.docs.pages import REPOSITORY
 
 README = REPOSITORY / "README.md"
 WORKFLOWS = REPOSITORY / ".github" / "workflows"
-#: What is put together into a line of the map, or only told on the page of the house.
-ROOT_FILES = {"__init__.py", "_version.py", "py.typed", "__main__.py"}
 
 
 def setup_cfg() -> configparser.ConfigParser:
@@ -24,21 +22,10 @@ def test_readme_is_short() -> None:
     assert len(README.read_text().splitlines()) < 120
 
 
-def test_the_map_shows_every_room() -> None:
-    (drawn,) = blocks(README, "text")
-    inside = re.findall(r"^  ([\w/]+)/ ", drawn.text, re.MULTILINE)
-    outside = re.findall(r"^([\w/]+)/ ", drawn.text, re.MULTILINE)
-    rooms = {path.parent.name for path in (REPOSITORY / "handover_marl").glob("*/__init__.py")}
-    assert set(inside) == rooms
-    assert len(inside) == len(rooms)
-    top = {path.name for path in REPOSITORY.iterdir() if path.is_dir() and next(path.glob("*.py"), None)}
-    assert set(outside) == top - {"docs"}
-
-
-def test_the_house_names_what_is_at_the_root() -> None:
-    told = set(re.findall(r"`(\w+\.py)`", (REPOSITORY / "docs" / "house.md").read_text().partition("\n\nRooms")[0]))
-    files = {path.name for path in (REPOSITORY / "handover_marl").iterdir() if path.is_file()}
-    assert told == files - ROOT_FILES
+def test_the_first_screen_shows_how_to_start() -> None:
+    first = "\n".join(README.read_text().splitlines()[:30])
+    for part in ("![", "pip install", "parallel_env(", "docs/results/s0_test.svg"):
+        assert part in first
 
 
 def test_supported_pythons_are_tested() -> None:
@@ -58,7 +45,7 @@ def test_the_site_is_built_by_the_same_command() -> None:
     assert {"run": "make docs"} in steps
     built = next(step["with"]["path"] for step in steps if "upload-pages-artifact" in step.get("uses", ""))
     assert f" docs {built}\n" in (REPOSITORY / "Makefile").read_text()
-    assert "make docs" in (REPOSITORY / ".ci" / "run").read_text().splitlines()
+    assert "make docs" in (REPOSITORY / ".ci" / "run").read_text()
 
 
 def test_the_citation_names_this_version() -> None:

@@ -10,9 +10,9 @@ from pettingzoo.test import parallel_api_test, parallel_seed_test
 
 from handover_marl import givers
 from handover_marl.envs.constructors import parallel_env
-from handover_marl.envs.encode import EncodedEnv, encode
-from handover_marl.envs.freeze import freeze
-from handover_marl.envs.wrapper import SingleAgentEnv
+from handover_marl.envs.wrappers.encode import EncodedEnv, encode
+from handover_marl.envs.wrappers.freeze import freeze
+from handover_marl.envs.wrappers.wrapper import SingleAgentEnv
 from handover_marl.errors import ActionError, OptionError, ResetNeededError, SceneError, UnknownNameError
 
 SYNTHETIC: dict[str, Any] = {"dataset": "synthetic", "physics": "fast", "split": "val"}
@@ -115,17 +115,17 @@ def test_infos_tell_the_terms_of_what_was_added_up() -> None:
 def test_imitation_knows_what_a_giver_would_have_decided() -> None:
     env = encoded("giver", "hold", "offer")
     with pytest.raises(ResetNeededError):
-        env.observed("giver")
+        env.last_observation("giver")
     env.reset(seed=0)
     teacher = givers.make("cooperative")
     teacher.reset()
-    wanted = env.outputs_of("giver", teacher.act(env.observed("giver")))
+    wanted = env.outputs_from_action("giver", teacher.act(env.last_observation("giver")))
     assert wanted.shape == (7,)
     assert np.abs(wanted).max() > 0.1
     receiver = encoded("receiver", "replay")
     receiver.reset(seed=0)
     with pytest.raises(OptionError, match="cannot imitate"):
-        receiver.outputs_of("receiver", np.zeros(9, np.float32))
+        receiver.outputs_from_action("receiver", np.zeros(9, np.float32))
 
 
 def test_scenes_can_be_kept_for_testing() -> None:
@@ -147,13 +147,13 @@ def test_bad_names_and_order() -> None:
         encode(view, schemes="offer")
     with pytest.raises(UnknownNameError, match="api 'gym'; valid: parallel, gymnasium"):
         encode(view, api="gym")  # type: ignore[call-overload]
-    with pytest.raises(OptionError, match="named for 'giver', but the agents here are receiver"):
+    with pytest.raises(OptionError, match="features must be for receiver, got a name for 'giver'"):
         encode(view, {"giver": "giver"})
-    with pytest.raises(OptionError, match="there are 2 agents"):
+    with pytest.raises(OptionError, match="by agent for 2 agents"):
         encode(world, "receiver")
-    with pytest.raises(OptionError, match="has giver and receiver; freeze"):
+    with pytest.raises(OptionError, match="one agent, got giver and receiver; call freeze"):
         encode(world, api="gymnasium")
-    with pytest.raises(OptionError, match="encoded already"):
+    with pytest.raises(OptionError, match="must not be encoded"):
         freeze(encode(world), "receiver", "replay")
     with pytest.raises(ResetNeededError):
         encode(view, api="gymnasium").step(np.zeros(7, np.float32))
@@ -166,7 +166,7 @@ def test_malformed_outputs_leave_the_world_alone(actions: Any) -> None:
     env = encoded("receiver", "replay")
     env.reset(seed=0)
     before = env.state()
-    with pytest.raises(ActionError, match="the receiver's outputs must be 7 finite numbers"):
+    with pytest.raises(ActionError, match="outputs of the receiver must be 7 numbers"):
         env.step(actions)
     np.testing.assert_array_equal(before, env.state())
     assert env.step({"receiver": np.zeros(7)})[4]["receiver"]["steps"] == 100

@@ -7,10 +7,9 @@ import pytest
 
 import handover_marl
 from handover_marl.config import PandaConfig
-from handover_marl.envs.handover_env import RELEASES, HandoverEnv
+from handover_marl.envs.handover_env import RELEASE_REASONS, HandoverEnv
+from handover_marl.episode.referee import EpisodeStatus, ReleaseReason
 from handover_marl.errors import ActionError
-from handover_marl.protocol.release import Release
-from handover_marl.protocol.status import EpisodeStatus
 
 START = np.array(PandaConfig().start_joints, dtype=np.float32)
 SCENE = 209
@@ -67,7 +66,7 @@ def test_letting_go_drops_the_object(physics: str) -> None:
     act(env, giver(), 28)
     seen, info = act(env, giver(release=1.0), 1)
     assert seen["released"] == 1
-    assert RELEASES[int(info["release"])] is Release.GIVEN
+    assert RELEASE_REASONS[int(info["release"])] is ReleaseReason.VOLUNTARY
     assert info["release_step"] == 2800
     before = seen["object_poses"][0, 2]
     seen, info = act(env, giver(release=1.0), 20)
@@ -104,13 +103,13 @@ def test_the_benchmark_view_has_no_giver_to_ask() -> None:
     view.reset(options={"scene_id": SCENE})
     for _ in range(28):
         view.step({"receiver": START})
-    assert view.world._episode.held_out
+    assert view.unwrapped._episode.object_offered
     for wanted in (giver(release=1.0), giver(shift=(0.1, 0.0, 0.0)), giver(rate=-1.0)):
-        with pytest.raises(ActionError, match="the one live agent"):
+        with pytest.raises(ActionError, match="one action, for the receiver"):
             view.step({"receiver": START, "giver": wanted})
         seen, *_, infos = view.step({"receiver": START})
         assert view.observation_space("receiver").contains(seen["receiver"])
         assert seen["receiver"]["released"] == 0
         assert infos["receiver"]["release"] == infos["receiver"]["release_step"] == -1
-        assert not view.world._episode.deviation.any()
+        assert not view.unwrapped._episode.deviation.any()
     assert infos["receiver"]["steps"] == 3100

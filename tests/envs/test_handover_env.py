@@ -12,8 +12,9 @@ import handover_marl
 from handover_marl import parallel_env
 from handover_marl.config import CameraConfig, PandaConfig, ProtocolConfig, WorldConfig
 from handover_marl.envs.arguments import AGENTS
-from handover_marl.envs.handover_env import RELEASES, HandoverEnv
+from handover_marl.envs.handover_env import RELEASE_REASONS, HandoverEnv
 from handover_marl.envs.rewards import SHAPED, GiverWeights, ReceiverWeights
+from handover_marl.episode.referee import EpisodeStatus, ReleaseReason
 from handover_marl.episode.spaces import GIVER_ACTION_SIZE
 from handover_marl.errors import (
     ActionError,
@@ -24,10 +25,8 @@ from handover_marl.errors import (
     SimulationError,
     UnknownNameError,
 )
-from handover_marl.givers import deviation
-from handover_marl.models.panda import UPPER_LIMITS
-from handover_marl.protocol.release import Release
-from handover_marl.protocol.status import EpisodeStatus
+from handover_marl.geometry.panda import UPPER_LIMITS
+from handover_marl.givers import make_giver_action
 
 START = np.array(PandaConfig().start_joints, dtype=np.float32)
 REPLAY = np.zeros(GIVER_ACTION_SIZE, dtype=np.float32)
@@ -65,7 +64,7 @@ def only_known_scenes(monkeypatch: pytest.MonkeyPatch) -> None:
     """API tests draw scenes; the small dataset has but a few of each split."""
     splits = {("s0", "train"): (5, 6), ("s0", "val"): (9, 14)}
     monkeypatch.setattr(
-        "handover_marl.datasets.official.OfficialDataset.split", lambda self, setup, split: splits[setup, split]
+        "handover_marl.datasets.official.OfficialDataset.list_scenes", lambda self, setup, split: splits[setup, split]
     )
 
 
@@ -344,7 +343,7 @@ EARLY = 69
 def timed(step: int, release_at: int = 10**9) -> np.ndarray:
     """What the giver does at a physics step, whatever the control period."""
     shift = (0.15, -0.1, 0.05) if step >= 1100 else (0.0, 0.0, 0.0)
-    return deviation(displacement=shift, rotation=(0.0, 0.0, 2.0 * shift[0]), release=step >= release_at)
+    return make_giver_action(displacement=shift, rotation=(0.0, 0.0, 2.0 * shift[0]), release=step >= release_at)
 
 
 def to_the_end(env: HandoverEnv, release_at: int = 10**9) -> list[Any]:
@@ -376,7 +375,7 @@ def test_infos_are_the_same_numbers_all_along(rewards: str, release_at: int, max
     last = results[-1][-1]["giver"]
     if max_cycles is None:
         assert last["status"] & EpisodeStatus.OBJECT_DROP
-        assert RELEASES[last["release"]] is Release.GIVEN
+        assert RELEASE_REASONS[last["release"]] is ReleaseReason.VOLUNTARY
         assert last["release_step"] == 1300
     else:
         assert (last["status"], last["release"], last["release_step"]) == (EpisodeStatus.RUNNING, -1, -1)
@@ -423,7 +422,7 @@ def assert_as_seen_by_the_giver(one: dict[str, np.ndarray], other: dict[str, np.
 def test_an_episode_that_ends_inside_a_control_step_stops_there(physics: str, period: float) -> None:
     """What the giver sees last, and what it pays, is of where the world stopped, not of where it might have gone."""
     config = WorldConfig(protocol=ProtocolConfig(horizon_steps=1350))
-    options = SYNTHETIC | {"physics": physics, "config": config, "rewards": "shaped"}
+    options = SYNTHETIC | {"physics": physics, "world_config": config, "rewards": "shaped"}
     coarse, fine = (to_the_end(parallel_env(**options, control_period=each)) for each in (0.1, period))
     last, same = coarse[-1], fine[-1]
     assert [result[-1]["giver"]["steps"] for result in coarse[-2:]] == [1300, 1350]

@@ -13,9 +13,9 @@ from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test
 from pettingzoo.utils.conversions import parallel_to_aec
 
 import handover_marl
-from handover_marl.envs.flatten import FlattenedEnv
-from handover_marl.envs.homogeneous import HomogeneousEnv
-from handover_marl.envs.wrapper import ParallelWrapper
+from handover_marl.envs.wrappers.flatten import FlattenedEnv
+from handover_marl.envs.wrappers.homogeneous import HomogeneousEnv
+from handover_marl.envs.wrappers.wrapper import ParallelWrapper
 from handover_marl.errors import ActionError, OptionError, ResetNeededError
 
 SYNTHETIC: dict[str, Any] = {"dataset": "synthetic", "physics": "fast", "split": "val", "max_cycles": 6}
@@ -72,7 +72,7 @@ def test_whole_rollouts_repeat_from_their_seed(make: Callable[[], ParallelWrappe
 
 def test_vectors_hold_all_that_dictionaries_show() -> None:
     pytest.importorskip("embreex", reason="needs the extra `vision`")
-    world, env = handover_marl.parallel_env(**SYNTHETIC, sight="images"), flattened(sight="images")
+    world, env = handover_marl.parallel_env(**SYNTHETIC, obs_mode="state+rgbd"), flattened(obs_mode="state+rgbd")
     shown, seen = world.reset(seed=1)[0], env.reset(seed=1)[0]
     assert shown["receiver"]["wrist_rgb"].any()
     for agent in AGENTS:
@@ -82,7 +82,7 @@ def test_vectors_hold_all_that_dictionaries_show() -> None:
         for key, value in shown[agent].items():
             np.testing.assert_array_equal(back[key], value)
             assert back[key].dtype == value.dtype
-    with pytest.raises(OptionError, match="the giver's observations are vectors of shape"):
+    with pytest.raises(OptionError, match="vector of the giver must have shape"):
         env.unflatten("giver", seen["receiver"])
 
 
@@ -164,19 +164,19 @@ def test_malformed_actions_leave_the_world_alone(bad: Any) -> None:
         env.step({})
     env.reset(seed=0)
     before = env.state()
-    with pytest.raises(ActionError, match="the receiver's action must be 8 finite numbers"):
+    with pytest.raises(ActionError, match="action of the receiver must be 8 finite numbers"):
         env.step({"giver": np.zeros(8), "receiver": bad})
-    with pytest.raises(ActionError, match="actions for giver and receiver"):
+    with pytest.raises(ActionError, match="a dict for giver and receiver"):
         env.step({"giver": np.zeros(8), "receiver": np.zeros(8), "robot": np.zeros(8)})
     np.testing.assert_array_equal(before, env.state())
 
 
 def test_wrappers_that_cannot_follow_say_so() -> None:
-    with pytest.raises(OptionError, match="encode before flattening"):
+    with pytest.raises(OptionError, match="encode once, before flattening"):
         handover_marl.encode(flattened())
-    with pytest.raises(OptionError, match="encoded already"):
+    with pytest.raises(OptionError, match="must not be encoded"):
         handover_marl.freeze(flattened())
-    with pytest.raises(OptionError, match="FlattenedEnv wraps"):
+    with pytest.raises(OptionError, match="env must be made by"):
         handover_marl.flatten(object())  # type: ignore[arg-type]
 
 

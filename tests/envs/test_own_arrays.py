@@ -45,7 +45,7 @@ def seen_alone(agent: str, partner: Any, scribbles: bool, api: Any) -> list[dict
     env = handover_marl.freeze(world, agent, partner, api=api)
     parallel = api == "parallel"
     observation: Any = env.reset(seed=0, options={"scene_id": 209})[0]
-    start = np.array(world.config.physics.panda.start_joints) if agent == "receiver" else np.zeros(8)
+    start = np.array(world.config.world_config.physics.panda.start_joints) if agent == "receiver" else np.zeros(8)
     spread = np.array([0.1] * 7 + [0.0, 0.0]) if agent == "receiver" else np.array([0.3] * 7 + [0.0])
     rng, found = np.random.default_rng(0), []
     for _ in range(STEPS):

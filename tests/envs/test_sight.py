@@ -19,10 +19,10 @@ from handover_marl.receivers import Receiver
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
 OPTIONS: dict[str, Any] = {"dataset": "synthetic", "physics": "fast", "control_period": 0.15, "scenes": (5, 6)}
 TEST: dict[str, Any] = {"split": "test", "scenes": (209,)}
-POINTS = {"wrist_object_points", "wrist_hand_points", "wrist_point_counts"}
-IMAGES = {"wrist_depth", "wrist_segmentation", "wrist_rgb"}
-CLOUDS = {"wrist_object_cloud", "wrist_hand_cloud", "wrist_point_counts", "robot_joint_position_exact"}
-KEYS = {"points": POINTS, "images": IMAGES, "clouds": CLOUDS}
+POINTCLOUD = {"wrist_object_points", "wrist_hand_points", "wrist_point_counts"}
+RGBD = {"wrist_depth", "wrist_segmentation", "wrist_rgb"}
+FULL_POINTCLOUD = {"wrist_object_cloud", "wrist_hand_cloud", "wrist_point_counts", "robot_joint_position_exact"}
+KEYS = {"pointcloud": POINTCLOUD, "rgbd": RGBD, "full_pointcloud": FULL_POINTCLOUD}
 OWN = {"robot_joint_position", "robot_joint_velocity", "gripper_pose", "time"}
 START = np.array([0.0, -1.285, 0.0, -2.356, 0.0, 1.571, 0.785, 0.04, 0.04], dtype=np.float32)
 
@@ -33,12 +33,12 @@ def make(**options: Any) -> handover_marl.HandoverEnv:
 
 def rollout(steps: int = 14, seed: int = 3, looks: bool = False, **options: Any) -> list[dict[str, np.ndarray]]:
     """What the receiver sees while its arm trembles."""
-    env = make(**{"sight": "points", **options})
+    env = make(**{"obs_mode": "state+pointcloud", **options})
     seen = [env.reset(seed=seed)[0]["receiver"]]
     rng = np.random.default_rng(0)
     while env.agents and len(seen) <= steps:
         if looks:
-            env.look()
+            env.capture_wrist_camera()
         action = START + rng.uniform(-0.1, 0.1, 9).astype(np.float32)
         seen.append(env.step({"giver": np.zeros(8, dtype=np.float32), "receiver": action})[0]["receiver"])
     env.close()
@@ -53,9 +53,9 @@ def assert_same(first: list[dict[str, np.ndarray]], second: list[dict[str, np.nd
             np.testing.assert_array_equal(value, other[key], err_msg=key)
 
 
-@pytest.mark.parametrize(("sight", "keys"), KEYS.items())
-def test_what_is_seen_is_in_the_space(sight: str, keys: set[str]) -> None:
-    blind, env = make(), make(sight=sight)
+@pytest.mark.parametrize(("data", "keys"), KEYS.items())
+def test_what_is_seen_is_in_the_space(data: str, keys: set[str]) -> None:
+    blind, env = make(), make(obs_mode=f"state+{data}")
     plain, seeing = blind.observation_space("receiver"), env.observation_space("receiver")
     assert set(seeing.spaces) - set(plain.spaces) == keys
     assert env.observation_space("giver") == blind.observation_space("giver")
@@ -65,32 +65,32 @@ def test_what_is_seen_is_in_the_space(sight: str, keys: set[str]) -> None:
     env.close()
 
 
-@pytest.mark.parametrize("sight", KEYS)
-def test_sight_alone_has_no_privileged_key(sight: str) -> None:
-    env = make(sight=sight, observe="sight")
+@pytest.mark.parametrize("data", KEYS)
+def test_sight_alone_has_no_privileged_key(data: str) -> None:
+    env = make(obs_mode=data)
     observations, _ = env.reset(seed=0)
-    assert set(observations["receiver"]) == set(env.observation_space("receiver").spaces) == OWN | KEYS[sight]
+    assert set(observations["receiver"]) == set(env.observation_space("receiver").spaces) == OWN | KEYS[data]
     assert "object_poses" in observations["giver"]
     assert env.observation_space("receiver").contains(observations["receiver"])
     assert env.step({"giver": np.zeros(8, dtype=np.float32), "receiver": START})[1]["receiver"] == 0.0
     env.close()
 
 
-@pytest.mark.parametrize("sight", KEYS)
-def test_the_checkers_are_content(sight: str) -> None:
-    parallel_api_test(make(sight=sight, max_cycles=5), num_cycles=8)
-    env = handover_marl.freeze(make(sight=sight, max_cycles=5), api="gymnasium")
+@pytest.mark.parametrize("data", KEYS)
+def test_the_checkers_are_content(data: str) -> None:
+    parallel_api_test(make(obs_mode=f"state+{data}", max_cycles=5), num_cycles=8)
+    env = handover_marl.freeze(make(obs_mode=f"state+{data}", max_cycles=5), api="gymnasium")
     check_env(env, skip_render_check=True)
     sb3 = pytest.importorskip("stable_baselines3.common.env_checker", reason="needs the extra `train`")
     sb3.check_env(env, warn=False)
 
 
-@pytest.mark.parametrize("sight", ["points", "images"])
-def test_torchrl_is_content(sight: str) -> None:
+@pytest.mark.parametrize("data", ["pointcloud", "rgbd"])
+def test_torchrl_is_content(data: str) -> None:
     torchrl = pytest.importorskip("torchrl.envs", reason="needs the extra `torchrl`")
     from torchrl.envs.utils import check_env_specs
 
-    env = torchrl.PettingZooWrapper(make(sight=sight, max_cycles=5))
+    env = torchrl.PettingZooWrapper(make(obs_mode=f"state+{data}", max_cycles=5))
     check_env_specs(env)
     env.close()
 
@@ -100,8 +100,8 @@ def test_whole_rollouts_repeat_whoever_looks() -> None:
     assert max(float(seen["wrist_point_counts"][0]) for seen in first) > 50
     assert_same(first, rollout())
     assert_same(first, rollout(looks=True))
-    noisy = rollout(imperfections="realsense")
-    assert_same(noisy, rollout(imperfections="realsense", looks=True))
+    noisy = rollout(camera_noise="realsense")
+    assert_same(noisy, rollout(camera_noise="realsense", looks=True))
     assert any(
         not np.array_equal(one["wrist_object_points"], two["wrist_object_points"])
         for one, two in zip(first, noisy, strict=True)
@@ -110,13 +110,13 @@ def test_whole_rollouts_repeat_whoever_looks() -> None:
 
 def test_looking_changes_nothing_else() -> None:
     for physics, steps in (("exact", 4), ("fast", 8)):
-        blind = rollout(steps, sight=None, physics=physics)
+        blind = rollout(steps, obs_mode="state", physics=physics)
         seeing = rollout(steps, physics=physics, renderer="bullet", looks=True)
-        assert_same(blind, [{key: value for key, value in seen.items() if key not in POINTS} for seen in seeing])
+        assert_same(blind, [{key: value for key, value in seen.items() if key not in POINTCLOUD} for seen in seeing])
 
 
 def test_episodes_draw_noise_of_their_own() -> None:
-    env = make(sight="images", imperfections="realsense", scenes=[5])
+    env = make(obs_mode="state+rgbd", camera_noise="realsense", scenes=[5])
     first = env.reset(seed=0)[0]["receiver"]["wrist_depth"]
     second = env.reset()[0]["receiver"]["wrist_depth"]
     assert not np.array_equal(first, second)
@@ -126,7 +126,7 @@ def test_episodes_draw_noise_of_their_own() -> None:
 
 def test_scenes_are_drawn_as_without_sight() -> None:
     drawn = []
-    for options in ({}, {"sight": "points"}):
+    for options in ({}, {"obs_mode": "state+pointcloud"}):
         env = make(scenes=None, max_cycles=1, **options)
         drawn.append(
             [env.reset(seed=5)[1]["giver"]["scene_id"], *(env.reset()[1]["giver"]["scene_id"] for _ in range(2))]
@@ -136,19 +136,19 @@ def test_scenes_are_drawn_as_without_sight() -> None:
 
 
 def test_a_look_is_the_view_of_the_moment() -> None:
-    env = make(sight="images", **TEST)
+    env = make(obs_mode="state+rgbd", **TEST)
     with pytest.raises(ResetNeededError):
-        env.look()
+        env.capture_wrist_camera()
     observation = env.reset(seed=0, options={"scene_id": 209})[0]["receiver"]
     for _ in range(12):
         observation = env.step({"giver": np.zeros(8, dtype=np.float32), "receiver": START})[0]["receiver"]
-    view = env.unwrapped.look()
+    view = env.unwrapped.capture_wrist_camera()
     np.testing.assert_array_equal(view.depth, observation["wrist_depth"][..., 0])
     np.testing.assert_array_equal(view.segmentation, observation["wrist_segmentation"][..., 0])
     np.testing.assert_array_equal(view.rgb, observation["wrist_rgb"])
     assert (view.depth.dtype, view.segmentation.dtype, view.object_points.dtype) == (np.float32, np.uint8, np.float32)
-    assert len(view.object_points) == (view.segmentation == handover_marl.Seen.TARGET).sum() > 50
-    assert len(view.hand_points) == (view.segmentation == handover_marl.Seen.HAND).sum()
+    assert len(view.object_points) == (view.segmentation == handover_marl.SegmentationLabel.TARGET).sum() > 50
+    assert len(view.hand_points) == (view.segmentation == handover_marl.SegmentationLabel.HAND).sum()
     env.close()
 
 
@@ -162,25 +162,25 @@ def test_every_kind_of_environment_can_look() -> None:
     ]
     for env in made:
         env.reset(seed=0)
-        assert env.unwrapped.look().depth.shape == (224, 224)
+        assert env.unwrapped.capture_wrist_camera().depth.shape == (224, 224)
         env.close()
 
 
 def test_the_geometry_is_a_choice() -> None:
     clouds = {}
-    for geometry in ("reference", "true"):
-        env = make(geometry=geometry, **TEST)
+    for camera_model in ("handoversim", "pinhole"):
+        env = make(camera_model=camera_model, **TEST)
         env.reset(seed=0, options={"scene_id": 209})
-        clouds[geometry] = env.look().object_points
+        clouds[camera_model] = env.capture_wrist_camera().object_points
         env.close()
-    apart = clouds["reference"] - clouds["true"]
-    depth = clouds["true"][:, 2] - np.float32(0.036)
+    apart = clouds["handoversim"] - clouds["pinhole"]
+    depth = clouds["pinhole"][:, 2] - np.float32(0.036)
     np.testing.assert_allclose(apart[:, 0], depth / 112.0, atol=1e-6)
     np.testing.assert_allclose(apart[:, 1:], 0.0, atol=1e-6)
 
 
 def test_copies_see_alike() -> None:
-    env = make(sight="points", observe="sight", robot="panda_camera", renderer="bullet", geometry="true")
+    env = make(obs_mode="pointcloud", robot="panda_camera", renderer="bullet", camera_model="pinhole")
     for other in (copy.deepcopy(env), pickle.loads(pickle.dumps(env))):
         assert other.observation_space("receiver") == env.observation_space("receiver")
         assert_same([env.reset(seed=1)[0]["receiver"]], [other.reset(seed=1)[0]["receiver"]])
@@ -192,7 +192,11 @@ def test_copies_see_alike() -> None:
 def test_vector_environments_repeat_from_their_seed() -> None:
     def last(n: int) -> dict[str, np.ndarray]:
         envs = gymnasium.make_vec(
-            "handover_marl:HandoverMARL/Receiver-v0", num_envs=n, vectorization_mode="async", sight="points", **OPTIONS
+            "handover_marl:HandoverMARL/Receiver-v0",
+            num_envs=n,
+            vectorization_mode="async",
+            obs_mode="state+pointcloud",
+            **OPTIONS,
         )
         envs.reset(seed=5)
         for _ in range(8):
@@ -210,14 +214,13 @@ class Looker(Receiver):
     """Asks for points alone and lets them move its arm."""
 
     name = "looker"
-    sight = "points"
-    observes = "sight"
+    obs_mode = "pointcloud"
 
     def reset(self, seed: int | None = None) -> None:
         self.asked = 0
 
     def act(self, observation: dict[str, np.ndarray]) -> np.ndarray:
-        assert set(observation) == OWN | POINTS
+        assert set(observation) == OWN | POINTCLOUD
         self.asked += 1
         shift = np.float32(1e-4) * observation["wrist_point_counts"].sum()
         return START + np.array([shift, *[0.0] * 8], dtype=np.float32)
@@ -235,22 +238,16 @@ def test_frozen_receivers_see_what_they_ask_for() -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"sight": "lidar"}, "unknown sight 'lidar'; valid: points, images"),
+        ({"obs_mode": "lidar"}, r"unknown obs_mode 'lidar'; valid: state, state\+pointcloud, pointcloud"),
         ({"renderer": "cycles"}, "unknown renderer 'cycles'; valid: auto, bullet, rays"),
-        ({"geometry": "wrong"}, "unknown geometry 'wrong'; valid: reference, true"),
+        ({"camera_model": "wrong"}, "unknown camera_model 'wrong'; valid: handoversim, pinhole"),
         ({"robot": "ur5"}, "unknown robot 'ur5'; valid: panda, panda_camera"),
-        ({"observe": "nothing"}, "unknown observe 'nothing'; valid: all, sight"),
-        ({"imperfections": "kinect"}, "unknown camera 'kinect'; valid: realsense"),
+        ({"camera_noise": "kinect"}, "unknown camera_noise 'kinect'; valid: realsense"),
     ],
 )
-def test_unknown_names_are_told(options: dict[str, str], message: str) -> None:
+def test_unknown_names_are_refused(options: dict[str, str], message: str) -> None:
     with pytest.raises(UnknownNameError, match=message):
         make(**options)
-
-
-def test_sight_alone_needs_sight() -> None:
-    with pytest.raises(OptionError, match="set sight to 'points' or 'images'"):
-        make(observe="sight")
 
 
 def test_rays_need_their_extra(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -259,12 +256,12 @@ def test_rays_need_their_extra(monkeypatch: pytest.MonkeyPatch) -> None:
         importlib.util, "find_spec", lambda name, *rest: None if name == "embreex" else find(name, *rest)
     )
     with pytest.raises(OptionError, match=r"pip install 'handover-marl\[vision\]', or take renderer='bullet'"):
-        make(sight="points")
-    make(sight="points", renderer="bullet").close()
+        make(obs_mode="state+pointcloud")
+    make(obs_mode="state+pointcloud", renderer="bullet").close()
     env = make()
     env.reset(seed=0)
     with pytest.raises(OptionError, match=r"handover-marl\[vision\]"):
-        env.look()
+        env.capture_wrist_camera()
     env.close()
 
 

@@ -12,7 +12,7 @@ pytest.importorskip("mujoco", reason="needs the extra `mujoco`")
 
 import handover_marl
 from handover_marl.envs.handover_env import HandoverEnv
-from handover_marl.envs.vector_env import HandoverVectorEnv
+from handover_marl.envs.vector.vector_env import HandoverVectorEnv
 from handover_marl.errors import ActionError, OptionError, ResetNeededError, UnknownNameError
 from tests.failing import Failing
 
@@ -157,12 +157,12 @@ def test_some_may_be_reset_alone() -> None:
     seen, infos = envs.reset(seed=[7, 8, 9], options={"reset_mask": np.array([True, False, True]), "scene_id": scene})
     np.testing.assert_allclose(seen["time"][:, 0], [0.0, 0.1, 0.0], atol=1e-6)
     assert infos["scene_id"][[0, 2]].tolist() == [scene, scene]
-    with pytest.raises(OptionError, match="3 environments"):
+    with pytest.raises(OptionError, match="3 seeds"):
         envs.reset(seed=[1, 2])
     envs.close()
 
 
-def test_a_failing_partner_is_told_and_resets_go_on() -> None:
+def test_a_failing_partner_raises_an_error_and_resets_work() -> None:
     envs = handover_marl.vector_env(COUNT, "giver", Failing, threads=2, **SHORT)
     envs.reset(seed=0)
     still = np.zeros((COUNT, 8), np.float32)
@@ -178,7 +178,7 @@ def test_a_failing_partner_is_told_and_resets_go_on() -> None:
 
 
 def test_without_greenlet_it_is_said_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("handover_marl.envs.fleet.find_spec", lambda name: None)
+    monkeypatch.setattr("handover_marl.envs.vector.batch.find_spec", lambda name: None)
     with pytest.raises(OptionError, match=r"pip install 'handover-marl\[mujoco\]'"):
         handover_marl.vector_env(2, **OPTIONS)
 
@@ -189,7 +189,7 @@ def test_its_signature_says_what_its_physics_are() -> None:
 
 
 def test_what_cannot_be_is_refused(both: Callable[..., Any]) -> None:
-    for options, error, told in (
+    for options, error, message in (
         ({"num_envs": 0}, OptionError, "num_envs"),
         ({"num_envs": 2, "threads": True}, OptionError, "threads"),
         ({"num_envs": 2, "agent": None, "partner": "replay"}, OptionError, "partner"),
@@ -197,7 +197,7 @@ def test_what_cannot_be_is_refused(both: Callable[..., Any]) -> None:
         ({"num_envs": 2, "autoreset": "always"}, UnknownNameError, "autoreset"),
         ({"num_envs": 2, "physics": "newton"}, UnknownNameError, "physics"),
     ):
-        with pytest.raises(error, match=told):
+        with pytest.raises(error, match=message):
             handover_marl.vector_env(**{**OPTIONS, **options})
     batch = both()
     with pytest.raises(ResetNeededError):
@@ -217,5 +217,5 @@ def test_other_physics_play_in_turns(physics: str) -> None:
     alone = gymnasium.vector.SyncVectorEnv([lambda: single("receiver", "replay", **options)] * 2)
     together = handover_marl.vector_env(2, "receiver", "replay", **options)
     assert isinstance(together, HandoverVectorEnv)
-    assert isinstance(together.envs[0].unwrapped.env.world, HandoverEnv)
+    assert isinstance(together.envs[0].unwrapped.env.unwrapped, HandoverEnv)
     assert_equal(rollout(together, 3), rollout(alone, 3))

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handover_marl.episode.clock import PolicyClock, held_steps
+from handover_marl.episode.loop import PolicyScheduler, steps_from_hold_time
 from handover_marl.errors import OptionError, PolicyError, SimulationError
 
 SEEN: dict[str, np.ndarray] = {}
@@ -49,14 +49,14 @@ class CountingPolicy:
     ],
 )
 def test_policies_are_asked_when_they_want_to_be(hold_time: float, expected: list[int]) -> None:
-    clock = PolicyClock(CountingPolicy(hold_time))
+    clock = PolicyScheduler(CountingPolicy(hold_time))
     for _ in range(2):
         clock.reset(None)
         assert [int(clock.act(lambda: SEEN, 100 * n)[0]) for n in range(5)] == expected
 
 
-def test_due_is_told_in_physics_steps() -> None:
-    clock = PolicyClock(CountingPolicy(0.13))
+def test_due_is_reported_in_physics_steps() -> None:
+    clock = PolicyScheduler(CountingPolicy(0.13))
     clock.reset(None)
     assert clock.due == 0
     clock.act(lambda: SEEN, 0)
@@ -71,21 +71,21 @@ def test_due_is_told_in_physics_steps() -> None:
 
 @pytest.mark.parametrize("hold_time", [0, -0.1, float("nan"), "0.1", None, True])
 def test_no_time_at_all_is_refused(hold_time: Any) -> None:
-    clock = PolicyClock(CountingPolicy(hold_time))
+    clock = PolicyScheduler(CountingPolicy(hold_time))
     clock.reset(None)
     with pytest.raises(OptionError, match="hold_time"):
         clock.act(lambda: SEEN, 0)
 
 
 def test_short_times_are_one_step() -> None:
-    assert held_steps(1e-9) == held_steps(0.001) == 1
-    assert held_steps(np.float32(0.1)) == 100
-    assert held_steps(1e300) > 10**12
+    assert steps_from_hold_time(1e-9) == steps_from_hold_time(0.001) == 1
+    assert steps_from_hold_time(np.float32(0.1)) == 100
+    assert steps_from_hold_time(1e300) > 10**12
 
 
 @pytest.mark.parametrize("error", [ZeroDivisionError("nought"), SystemExit("bye")])
 def test_whose_fault_it_was(error: BaseException) -> None:
-    clock = PolicyClock(CountingPolicy(0.1, error))
+    clock = PolicyScheduler(CountingPolicy(0.1, error))
     with pytest.raises(PolicyError, match=rf"policy 'counting' failed \(reset\): {type(error).__name__}: {error}"):
         clock.reset(None)
     with pytest.raises(PolicyError, match=r"policy 'counting' failed \(after 300 steps\)"):
@@ -94,12 +94,12 @@ def test_whose_fault_it_was(error: BaseException) -> None:
 
 def test_errors_of_the_library_and_of_the_user_stay_what_they_are() -> None:
     with pytest.raises(SimulationError, match="broken"):
-        PolicyClock(CountingPolicy(0.1, SimulationError("broken"))).reset(None)
+        PolicyScheduler(CountingPolicy(0.1, SimulationError("broken"))).reset(None)
     with pytest.raises(KeyboardInterrupt):
-        PolicyClock(CountingPolicy(0.1, KeyboardInterrupt())).act(lambda: SEEN, 0)
+        PolicyScheduler(CountingPolicy(0.1, KeyboardInterrupt())).act(lambda: SEEN, 0)
 
 
 def test_policies_get_ready_before_an_episode() -> None:
     policy = CountingPolicy(0.1)
-    PolicyClock(policy).reset(0, ("025_mug",))
+    PolicyScheduler(policy).reset(0, ("025_mug",))
     assert policy.prepared == ("025_mug",)

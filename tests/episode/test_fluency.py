@@ -1,4 +1,4 @@
-"""Metrics of made-up tracks, whose values are known."""
+"""Metrics of constructed traces with known values."""
 
 import dataclasses
 from pathlib import Path
@@ -8,20 +8,25 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handover_marl.benchmarking.fluency_tables import METRICS, fluency_averages
-from handover_marl.benchmarking.playing import Player, Task
-from handover_marl.config import OFFICIAL, TIME_STEP
+from handover_marl.config import OFFICIAL_CONFIG, TIME_STEP
 from handover_marl.datasets.synthetic import SyntheticDataset
+from handover_marl.episode.callbacks import SAMPLE_STEPS, EpisodeCallback, EpisodeTrace, TraceRecorder
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.fluency import Fluency, activities, fluency, spectral_arc_length
-from handover_marl.episode.track import SAMPLE_STEPS, Recorder, Track
-from handover_marl.episode.watchers import Watcher
-from handover_marl.models.motion_frames import MotionFrames, motion_frames
-from handover_marl.models.panda import ROBOTS
+from handover_marl.episode.metrics import (
+    FluencyMetrics,
+    compute_fluency,
+    compute_spectral_arc_length,
+    find_activities,
+)
+from handover_marl.evaluation.config import EvaluationConfig, resolve_config
+from handover_marl.evaluation.episode_runner import EpisodeRunner, SceneTask
+from handover_marl.evaluation.reports.fluency_tables import FLUENCY_UNITS, compute_fluency_means
+from handover_marl.geometry.link_trajectory import LinkFrameTrajectory, compute_link_trajectory
+from handover_marl.geometry.panda import ROBOTS
 from handover_marl.receivers import make
-from handover_marl.run import Run, resolve
-from handover_marl.sim.bullet.bullet_ruler import BulletRuler
-from handover_marl.sim.gap import GapMeter, Ruler
+from handover_marl.simulation.bullet.distances import BulletDistanceQuery
+from handover_marl.simulation.clearance import ClearanceMonitor, DistanceQuery
+from handover_marl.simulation.engines import make_distance_query
 from tests.playing import play
 
 PERIOD = SAMPLE_STEPS * TIME_STEP
@@ -40,16 +45,16 @@ def ramp(start: float, end: float, duration: float, way: float) -> np.ndarray:
     return np.stack([x, np.zeros_like(x), np.zeros_like(x)], axis=1)
 
 
-def made_up(**changes: object) -> Track:
+def made_up(**changes: object) -> EpisodeTrace:
     """The person moves from 1 to 2 s, the robot from 3 to 4.5 s and takes the object at 4 s of 5 s."""
     wrist = ramp(1.0, 2.0, 5.0, 0.5)
-    track = Track(ramp(3.0, 4.5, 5.0, 0.6), np.zeros((len(wrist), 2)), wrist, 5000, 4000, 12.0, 0.03)
-    return dataclasses.replace(track, **changes)  # type: ignore[arg-type]
+    trace = EpisodeTrace(ramp(3.0, 4.5, 5.0, 0.6), np.zeros((len(wrist), 2)), wrist, 5000, 4000, 12.0, 0.03)
+    return dataclasses.replace(trace, **changes)  # type: ignore[arg-type]
 
 
 def test_a_handover_one_after_the_other() -> None:
     """Averaged over three samples of a symmetric difference, a ramp is active one sample before and behind it too."""
-    found = fluency(made_up())
+    found = compute_fluency(made_up())
     assert found.handover_time == exactly(4.0)
     assert found.human_idle == exactly(1.0 - 53 / N)  # active from 0.98 to 2.02 s, samples 49 to 101
     assert found.robot_idle == exactly(1.0 - 78 / N)  # from 2.98 to 4.52 s, samples 149 to 226
@@ -61,7 +66,7 @@ def test_a_handover_one_after_the_other() -> None:
 
 
 def test_a_robot_that_comes_while_the_person_moves_has_a_negative_delay() -> None:
-    found = fluency(made_up(gripper=ramp(1.5, 4.2, 5.0, 0.6)))
+    found = compute_fluency(made_up(gripper=ramp(1.5, 4.2, 5.0, 0.6)))
     # It is so slow that the sample before its ramp does not count: samples 75 to 210.
     assert found.functional_delay == exactly((1.5 - 2.02) / 5.0)
     assert found.concurrent == exactly(27 / N)
@@ -71,13 +76,15 @@ def test_a_robot_that_comes_while_the_person_moves_has_a_negative_delay() -> Non
 def test_closing_fingers_are_activity() -> None:
     fingers = np.repeat(ramp(3.0, 3.5, 5.0, -0.03)[:, :1], 2, axis=1)
     still = np.zeros_like(made_up().gripper)
-    assert fluency(made_up(gripper=still, fingers=fingers)).robot_idle == exactly(1.0 - 28 / N)
+    assert compute_fluency(made_up(gripper=still, fingers=fingers)).robot_idle == exactly(1.0 - 28 / N)
 
 
 def test_nothing_to_tell() -> None:
     """No release and no hand: nothing is made up."""
-    track = made_up()
-    found = fluency(dataclasses.replace(track, wrist=np.full_like(track.wrist, np.nan), release_step=None, gap=None))
+    trace = made_up()
+    found = compute_fluency(
+        dataclasses.replace(trace, wrist=np.full_like(trace.wrist, np.nan), release_step=None, min_distance=None)
+    )
     assert found.handover_time is found.functional_delay is found.giver_smoothness is found.min_distance is None
     assert (found.human_idle, found.giver_path, found.reach) == (1.0, 0.0, 0.0)
 
@@ -85,8 +92,8 @@ def test_nothing_to_tell() -> None:
 @pytest.mark.parametrize("steps", [13_000, 12_999, 5000, 4013, 19, 20, 21])
 def test_samples_up_to_every_step(steps: int) -> None:
     n = steps // 20 + 1
-    track = made_up(wrist=np.zeros((n, 3)), gripper=np.zeros((n, 3)), fingers=np.zeros((n, 2)), steps=steps)
-    found = [track.samples_until(step) for step in range(1, 13_001)]
+    trace = made_up(wrist=np.zeros((n, 3)), gripper=np.zeros((n, 3)), fingers=np.zeros((n, 2)), steps=steps)
+    found = [trace.count_samples_until(step) for step in range(1, 13_001)]
     assert found == [min(step // 20 + 1, n) for step in range(1, 13_001)]
     # Which is to say: as many as were taken, every 20 steps from 0 on, when the step was over.
     taken = np.arange(0, steps + 1, 20)
@@ -98,27 +105,27 @@ def test_samples_up_to_every_step(steps: int) -> None:
 )
 def test_nothing_counts_after_the_release(release_step: int, seconds: float) -> None:
     """The wrist goes on at 0.5 m/s from 3 s to the end."""
-    found = fluency(made_up(wrist=ramp(3.0, 5.0, 5.0, 1.0), release_step=release_step))
+    found = compute_fluency(made_up(wrist=ramp(3.0, 5.0, 5.0, 1.0), release_step=release_step))
     assert found.giver_path == exactly(0.5 * (seconds - 3.0))
     assert found.reach == exactly(0.5 * (seconds - 3.0))
     assert found.handover_time == exactly(release_step / 1000)
 
 
 def test_without_a_release_all_the_way_counts() -> None:
-    found = fluency(made_up(wrist=ramp(3.0, 5.0, 5.0, 1.0), release_step=None))
+    found = compute_fluency(made_up(wrist=ramp(3.0, 5.0, 5.0, 1.0), release_step=None))
     assert (found.giver_path, found.reach) == (exactly(1.0), exactly(1.0))
 
 
 def test_a_robot_that_moves_only_after_the_release_takes_nothing() -> None:
-    assert fluency(made_up(gripper=ramp(4.2, 4.9, 5.0, 0.6))).functional_delay is None
+    assert compute_fluency(made_up(gripper=ramp(4.2, 4.9, 5.0, 0.6))).functional_delay is None
     late = made_up(gripper=ramp(2.9, 3.3, 5.0, 0.2) + ramp(4.2, 4.9, 5.0, 0.6))
-    assert fluency(late).functional_delay == exactly((2.88 - 2.02) / 5.0)
+    assert compute_fluency(late).functional_delay == exactly((2.88 - 2.02) / 5.0)
 
 
 def test_a_hand_that_comes_late_goes_no_way_before() -> None:
     wrist = ramp(1.0, 2.0, 5.0, 0.5)
     wrist[:75] = np.nan  # seen from 1.5 s on
-    found = fluency(made_up(wrist=wrist))
+    found = compute_fluency(made_up(wrist=wrist))
     assert (found.giver_path, found.reach) == (exactly(0.25), exactly(0.25))
     # Its speed is known from the second sample on, and at the first by averaging.
     assert found.human_idle == exactly(1.0 - 27 / N)
@@ -127,7 +134,7 @@ def test_a_hand_that_comes_late_goes_no_way_before() -> None:
 def test_pauses_divide_activities_only_when_long() -> None:
     active = np.zeros(100, dtype=bool)
     active[[10, 11, 20, 21, 60]] = True
-    assert activities(active, 0.02) == [(10, 21), (60, 60)]
+    assert find_activities(active, 0.02) == [(10, 21), (60, 60)]
 
 
 def minimum_jerk(duration: float) -> np.ndarray:
@@ -137,10 +144,10 @@ def minimum_jerk(duration: float) -> np.ndarray:
 
 def test_smoothness_is_as_published() -> None:
     """A single minimum-jerk movement has a spectral arc length of -1.41 (Balasubramanian et al., 2015)."""
-    smooth = spectral_arc_length(minimum_jerk(1.0), 1.0 / PERIOD)
+    smooth = compute_spectral_arc_length(minimum_jerk(1.0), 1.0 / PERIOD)
     assert smooth == pytest.approx(-1.41, abs=0.02)
     twice = np.concatenate([minimum_jerk(0.6), np.zeros(10), minimum_jerk(0.6)])
-    rough = spectral_arc_length(twice, 1.0 / PERIOD)
+    rough = compute_spectral_arc_length(twice, 1.0 / PERIOD)
     assert rough is not None
     assert rough < -1.8
 
@@ -148,12 +155,12 @@ def test_smoothness_is_as_published() -> None:
 @given(st.floats(0.1, 10.0))
 def test_smoothness_does_not_depend_on_speed(factor: float) -> None:
     speed = minimum_jerk(0.8)
-    assert spectral_arc_length(factor * speed, 50.0) == pytest.approx(spectral_arc_length(speed, 50.0))
+    assert compute_spectral_arc_length(factor * speed, 50.0) == pytest.approx(compute_spectral_arc_length(speed, 50.0))
 
 
 def test_gap_is_what_the_world_says() -> None:
-    """In the world, where both stand, Bullet tells the same distance."""
-    scene = SyntheticDataset().scene(209)
+    """In the world, where both stand, Bullet reports the same distance."""
+    scene = SyntheticDataset().load_scene(209)
     episode = Episode("exact")
     episode.reset(scene)
     start = np.array([0.0, -1.285, 0.0, -2.356, 0.0, 1.571, 0.785, 0.04, 0.04], dtype=np.float32)
@@ -164,81 +171,84 @@ def test_gap_is_what_the_world_says() -> None:
         body = getattr(world, "_hand", None)
         if body is None:
             continue
-        points = world._client.getClosestPoints(world._panda.id, body.id, 3.0)  # type: ignore[attr-defined]
+        points = world._client.getClosestPoints(world._loaded_workcell.panda.id, body.id, 3.0)  # type: ignore[attr-defined]
         distances.append(min(point[8] for point in points))
-        postures = world.postures()
-        robot.append(postures.robot)
-        hand.append(postures.hand)
+        read_agent_joints = world.read_agent_joints()
+        robot.append(read_agent_joints.robot)
+        hand.append(read_agent_joints.hand)
     assert len(distances) > 5
     robot_dof, hand_dof = np.array(robot, dtype=np.float64), np.array(hand, dtype=np.float64)
-    meter = GapMeter(scene.assets.panda, OFFICIAL.physics.panda)
-    frames = robot_frames(robot_dof), motion_frames(scene.assets.hand, hand_dof)
-    smallest = meter.smallest(scene.assets.hand, robot_dof, hand_dof, *frames)
-    assert smallest == pytest.approx(min(distances), abs=1e-4)
+    panda = OFFICIAL_CONFIG.physics.panda
+    meter = ClearanceMonitor(scene.assets.panda, panda, make_distance_query(scene.assets.panda, panda))
+    frames = robot_frames(robot_dof), compute_link_trajectory(scene.assets.hand, hand_dof)
+    compute_min_distance = meter.compute_min_distance(scene.assets.hand, robot_dof, hand_dof, *frames)
+    assert compute_min_distance == pytest.approx(min(distances), abs=1e-4)
     for number, distance in enumerate(distances):
         one = slice(number, number + 1)
         now = np.arange(len(distances)) == number
-        found = meter.smallest(scene.assets.hand, robot_dof[one], hand_dof[one], *(part.at(now) for part in frames))
+        found = meter.compute_min_distance(
+            scene.assets.hand, robot_dof[one], hand_dof[one], *(part.select(now) for part in frames)
+        )
         assert found == pytest.approx(distance, abs=1e-4)
     meter.close()
     episode.close()
 
 
-def robot_frames(dof: np.ndarray) -> MotionFrames:
-    panda = OFFICIAL.physics.panda
+def robot_frames(dof: np.ndarray) -> LinkFrameTrajectory:
+    panda = OFFICIAL_CONFIG.physics.panda
     base = [*panda.base_position, *panda.base_orientation]
-    return motion_frames(SyntheticDataset().panda_urdf, dof, base)
+    return compute_link_trajectory(SyntheticDataset().panda_urdf, dof, base)
 
 
 @pytest.mark.parametrize("engine", ["bullet", "mujoco"])
 def test_no_time_is_missed_by_the_bounds(engine: str) -> None:
     """The smallest gap of a motion is the smallest of the gaps that are measured at every time of it."""
-    scene, rng = SyntheticDataset().scene(209), np.random.default_rng(0)
-    ruler = make_rulers(scene.assets.panda)[engine]
-    meter = GapMeter(scene.assets.panda, OFFICIAL.physics.panda, ruler)
+    scene, rng = SyntheticDataset().load_scene(209), np.random.default_rng(0)
+    distance_query = make_distance_queries(scene.assets.panda)[engine]
+    meter = ClearanceMonitor(scene.assets.panda, OFFICIAL_CONFIG.physics.panda, distance_query)
     lower = np.array([-2.9, -1.8, -2.9, -3.1, -2.9, 0.0, -2.9])
     upper = np.array([2.9, 1.8, 2.9, 0.0, 2.9, 3.7, 2.9])
     for middle in ([0.61, -0.5, 0.95], [0.4, 0.1, 1.2], [0.61, -0.2, 1.25], [0.61, -0.75, 0.95]):
         robot = np.concatenate([rng.uniform(lower, upper, (12, 7)), rng.uniform(0.0, 0.04, (12, 2))], axis=1)
         robot = np.concatenate([robot[:-1] + share * np.diff(robot, axis=0) for share in (0.0, 0.1, 0.5)])
-        hand = np.tile(scene.hand_dof[np.flatnonzero(scene.hand_present(np.arange(scene.n_frames)))[0]], (33, 1))
+        hand = np.tile(scene.hand_dof[np.flatnonzero(scene.is_hand_present(np.arange(scene.n_frames)))[0]], (33, 1))
         hand = hand.astype(np.float64)
         hand[:, :3] = rng.normal(middle, 0.2, (33, 3))
         hand[:, 3:6] = rng.uniform(-np.pi, np.pi, (33, 3))
         measured = [
-            max(0.0, ruler.distance(scene.assets.hand, row.tolist(), dof.tolist(), 3.0))
+            max(0.0, distance_query.measure(scene.assets.hand, row.tolist(), dof.tolist(), 3.0))
             for row, dof in zip(robot, hand, strict=True)
         ]
         for chosen in (slice(None), slice(0, 5), slice(5, 20), np.argsort(measured)[3:]):
-            frames = robot_frames(robot[chosen]), motion_frames(scene.assets.hand, hand[chosen])
-            found = meter.smallest(scene.assets.hand, robot[chosen], hand[chosen], *frames)
+            frames = robot_frames(robot[chosen]), compute_link_trajectory(scene.assets.hand, hand[chosen])
+            found = meter.compute_min_distance(scene.assets.hand, robot[chosen], hand[chosen], *frames)
             assert found == pytest.approx(np.min(np.array(measured)[chosen]), abs=1e-4)
     meter.close()
 
 
-def make_rulers(panda: Path) -> dict[str, Ruler]:
+def make_distance_queries(panda: Path) -> dict[str, DistanceQuery]:
     pytest.importorskip("mujoco")
-    from handover_marl.sim.mujoco.mujoco_ruler import MujocoRuler
+    from handover_marl.simulation.mujoco.distances import MujocoDistanceQuery
 
-    config = OFFICIAL.physics.panda
-    return {"bullet": BulletRuler(panda, config), "mujoco": MujocoRuler(panda, config)}
+    config = OFFICIAL_CONFIG.physics.panda
+    return {"bullet": BulletDistanceQuery(panda, config), "mujoco": MujocoDistanceQuery(panda, config)}
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_engines_measure_alike(robot: str) -> None:
     """Also where robot and hand overlap, and for boxes, which have no margin around them."""
-    scene, rng = SyntheticDataset(robot).scene(209), np.random.default_rng(1)
-    rulers = make_rulers(scene.assets.panda)
+    scene, rng = SyntheticDataset(robot).load_scene(209), np.random.default_rng(1)
+    queries = make_distance_queries(scene.assets.panda)
     found = []
     for _ in range(40):
         arm = rng.uniform([-2.9, -1.8, -2.9, -3.1, -2.9, 0.0, -2.9], [2.9, 1.8, 2.9, 0.0, 2.9, 3.7, 2.9])
         hand = scene.hand_dof[-1].astype(np.float64)
         hand[:3], hand[3:6] = rng.normal([0.5, -0.2, 1.2], 0.25), rng.uniform(-np.pi, np.pi, 3)
         given = scene.assets.hand, [*arm.tolist(), 0.03, 0.01], hand.tolist()
-        found.append([ruler.distance(*given, 3.0) for ruler in rulers.values()])
+        found.append([distance_query.measure(*given, 3.0) for distance_query in queries.values()])
         assert all(
-            ruler.distance(*given, 0.01) == pytest.approx(min(0.01, found[-1][0]), abs=1e-3)
-            for ruler in rulers.values()
+            distance_query.measure(*given, 0.01) == pytest.approx(min(0.01, found[-1][0]), abs=1e-3)
+            for distance_query in queries.values()
             if found[-1][0] > 0.0
         )
     bullet, mujoco = np.maximum(np.array(found).T, 0.0)
@@ -248,16 +258,16 @@ def test_engines_measure_alike(robot: str) -> None:
 
 
 @pytest.fixture(scope="module")
-def played() -> Fluency:
-    run, _ = resolve(Run(dataset="synthetic", physics="fast", scenes=(209,)))
-    player = Player(run, "here")
-    found = player.play(Task(0, 209)).result
+def played() -> FluencyMetrics:
+    run, _ = resolve_config(EvaluationConfig(dataset="synthetic", physics="fast", scenes=(209,)))
+    player = EpisodeRunner(run, "here")
+    found = player.run(SceneTask(0, 209)).result
     player.close()
     assert found.fluency is not None
     return found.fluency
 
 
-def test_a_played_scene_has_all_metrics(played: Fluency) -> None:
+def test_a_played_scene_has_all_metrics(played: FluencyMetrics) -> None:
     assert 0.0 < played.human_idle < 1.0
     assert 0.0 < played.robot_idle < 1.0
     assert played.peak_force > 0.0
@@ -265,14 +275,14 @@ def test_a_played_scene_has_all_metrics(played: Fluency) -> None:
     assert played.giver_path >= played.reach > 0.1
 
 
-class Sketch(Watcher):
+class Sketch(EpisodeCallback):
     """Notes what policies would see, every 20 steps from the start on."""
 
-    def started(self, episode: Episode) -> None:
+    def on_reset(self, episode: Episode) -> None:
         self.seen: list[dict[str, np.ndarray]] = []
-        self.stepped(episode)
+        self.on_step(episode)
 
-    def stepped(self, episode: Episode) -> None:
+    def on_step(self, episode: Episode) -> None:
         if episode.steps % 20 == 0:
             self.seen.append(episode.observe())
 
@@ -280,20 +290,20 @@ class Sketch(Watcher):
 @pytest.mark.slow
 def test_recording_changes_nothing_and_notes_what_can_be_seen() -> None:
     dataset = SyntheticDataset()
-    episode, policy, scene = Episode("exact"), make("yang2021", dataset), dataset.scene(209)
-    recorder, sketch = Recorder(), Sketch()
+    episode, policy, scene = Episode("exact"), make("yang2021", dataset), dataset.load_scene(209)
+    recorder, sketch = TraceRecorder(), Sketch()
     plain, _ = play(episode, scene, policy)
     recorded, _ = play(episode, scene, policy, None, recorder, sketch)
     np.testing.assert_array_equal(plain, recorded)
-    track = recorder.track
-    assert (track.steps, track.release_step) == (episode.steps, episode.release_step)
-    assert len(track.gripper) == len(track.wrist) == len(track.fingers) == episode.steps // 20 + 1 == len(sketch.seen)
+    trace = recorder.trace
+    assert (trace.steps, trace.release_step) == (episode.steps, episode.release_step)
+    assert len(trace.gripper) == len(trace.wrist) == len(trace.fingers) == episode.steps // 20 + 1 == len(sketch.seen)
     there = np.array([bool(seen["hand_present"][0]) for seen in sketch.seen])
-    np.testing.assert_array_equal(np.isnan(track.wrist).all(axis=1), ~there)
+    np.testing.assert_array_equal(np.isnan(trace.wrist).all(axis=1), ~there)
     for key, found, expected in (
-        ("gripper", track.gripper, [seen["gripper_pose"][:3] for seen in sketch.seen]),
-        ("fingers", track.fingers, [seen["robot_joint_position"][7:] for seen in sketch.seen]),
-        ("wrist", track.wrist[there], [seen["hand_keypoints"][0] for seen in sketch.seen if seen["hand_present"][0]]),
+        ("gripper", trace.gripper, [seen["gripper_pose"][:3] for seen in sketch.seen]),
+        ("fingers", trace.fingers, [seen["robot_joint_position"][7:] for seen in sketch.seen]),
+        ("wrist", trace.wrist[there], [seen["hand_keypoints"][0] for seen in sketch.seen if seen["hand_present"][0]]),
     ):
         np.testing.assert_allclose(found, np.array(expected), atol=1e-5, err_msg=key)
     recorder.close()
@@ -301,5 +311,5 @@ def test_recording_changes_nothing_and_notes_what_can_be_seen() -> None:
 
 
 def test_every_metric_has_a_column() -> None:
-    assert [metric.key for metric in METRICS] == [part.name for part in dataclasses.fields(Fluency)]
-    assert fluency_averages([]) == {}
+    assert list(FLUENCY_UNITS) == [part.name for part in dataclasses.fields(FluencyMetrics)]
+    assert compute_fluency_means([]) == {}

@@ -6,46 +6,46 @@ import numpy as np
 import pytest
 
 from handover_marl import givers, receivers
-from handover_marl.config import OFFICIAL
+from handover_marl.config import OFFICIAL_CONFIG
 from handover_marl.datasets.synthetic import SyntheticDataset
+from handover_marl.episode.callbacks import EpisodeCallback, PolicyDecision
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.play import play, policy_seed
-from handover_marl.episode.watchers import Decision, Watcher
+from handover_marl.episode.loop import derive_policy_seed, play
 from handover_marl.givers.cooperative import CooperativeGiver
 from handover_marl.policies.policy import Policy
-from handover_marl.receivers import context_of
+from handover_marl.receivers import make_policy_context
 from handover_marl.receivers.yang2021 import Yang2021Receiver
 
 SCENE = 209
 
-Seen = dict[str, np.ndarray]
+SegmentationLabel = dict[str, np.ndarray]
 
 
-class Decisions(Watcher):
+class Decisions(EpisodeCallback):
     """Everything that was decided."""
 
-    def started(self, episode: Episode) -> None:
+    def on_reset(self, episode: Episode) -> None:
         self.steps: list[int] = []
         self.robot: list[np.ndarray] = []
         self.giver: list[np.ndarray] = []
 
-    def decided(self, episode: Episode, decision: Decision) -> None:
+    def on_decision(self, episode: Episode, decision: PolicyDecision) -> None:
         self.steps.append(episode.steps)
-        self.robot.append(decision.robot.copy())
-        self.giver.append(decision.giver.copy())
+        self.robot.append(decision.receiver_action.copy())
+        self.giver.append(decision.giver_action.copy())
 
 
 class CopyingReceiver(Yang2021Receiver):
     """Plans with arrays of its own."""
 
-    def act(self, observation: Seen) -> np.ndarray:
+    def act(self, observation: SegmentationLabel) -> np.ndarray:
         return np.array(super().act({key: value.copy() for key, value in observation.items()}))
 
 
 class ScribblingReceiver(CopyingReceiver):
     """And spoils those that it was given."""
 
-    def act(self, observation: Seen) -> np.ndarray:
+    def act(self, observation: SegmentationLabel) -> np.ndarray:
         action = super().act(observation)
         for value in observation.values():
             value[...] = 0.0
@@ -53,7 +53,7 @@ class ScribblingReceiver(CopyingReceiver):
 
 
 class ScribblingGiver(CooperativeGiver):
-    def act(self, observation: Seen) -> np.ndarray:
+    def act(self, observation: SegmentationLabel) -> np.ndarray:
         action = np.array(super().act({key: value.copy() for key, value in observation.items()}))
         for value in observation.values():
             value[...] = 7.0
@@ -65,9 +65,9 @@ class KeepingGiver(CooperativeGiver):
 
     def reset(self, seed: int | None = None) -> None:
         super().reset(seed)
-        self.kept: list[tuple[Seen, Seen]] = []
+        self.kept: list[tuple[SegmentationLabel, SegmentationLabel]] = []
 
-    def act(self, observation: Seen) -> np.ndarray:
+    def act(self, observation: SegmentationLabel) -> np.ndarray:
         self.kept.append((observation, {key: value.copy() for key, value in observation.items()}))
         return super().act(observation)
 
@@ -75,8 +75,8 @@ class KeepingGiver(CooperativeGiver):
 def played(receiver: type[Yang2021Receiver], giver: Any, until: int | None = None) -> tuple[Any, ...]:
     dataset = SyntheticDataset()
     episode, decisions = Episode("fast"), Decisions()
-    episode.reset(dataset.scene(SCENE))
-    play(episode, receiver(context_of(dataset)), giver, seed=0, until=until, watchers=[decisions])
+    episode.reset(dataset.load_scene(SCENE))
+    play(episode, receiver(make_policy_context(dataset)), giver, seed=0, until=until, callbacks=[decisions])
     end = (episode.status, episode.steps, episode.release_step)
     episode.close()
     return (*end, decisions)
@@ -110,15 +110,15 @@ def test_what_policies_write_into_their_observations_is_seen_by_nobody() -> None
             np.testing.assert_array_equal(value, as_it_was[key], err_msg=f"the receiver spoilt the giver's {key}")
 
 
-class Places(Watcher):
+class Places(EpisodeCallback):
     """Where robot and objects are after every step."""
 
-    def started(self, episode: Episode) -> None:
+    def on_reset(self, episode: Episode) -> None:
         self.rows: list[np.ndarray] = []
 
-    def stepped(self, episode: Episode) -> None:
+    def on_step(self, episode: Episode) -> None:
         world = episode.world
-        self.rows.append(np.concatenate([world.postures().robot, world.object_dof().ravel()]))
+        self.rows.append(np.concatenate([world.read_agent_joints().robot, world.read_object_joints().ravel()]))
 
 
 @pytest.mark.slow
@@ -135,8 +135,8 @@ def test_an_episode_does_not_depend_on_those_before_it(physics: str, giver: str,
     for turn in range(3):
         for scene_id in scenes:
             episode, places = Episode(physics) if turn == 0 else used, Places()
-            episode.reset(dataset.scene(scene_id))
-            play(episode, *players, seed=0, watchers=[places])
+            episode.reset(dataset.load_scene(scene_id))
+            play(episode, *players, seed=0, callbacks=[places])
             end = (episode.status, episode.steps, episode.release_step)
             if turn == 0:
                 first[scene_id] = (end, np.array(places.rows))
@@ -152,7 +152,7 @@ def test_an_episode_does_not_depend_on_those_before_it(physics: str, giver: str,
 
 
 class Counting(Policy):
-    """Says what it was asked and told."""
+    """Says what it was asked and reported."""
 
     name = "counting"
 
@@ -169,22 +169,22 @@ class Counting(Policy):
         self.seeds.append(seed)
         self.times = []
 
-    def act(self, observation: Seen) -> np.ndarray:
+    def act(self, observation: SegmentationLabel) -> np.ndarray:
         self.times.append(round(1000 * float(observation["time"][0])))
         return self.action
 
 
 @pytest.fixture
 def pair() -> tuple[Counting, Counting]:
-    start = np.array(OFFICIAL.physics.panda.start_joints, dtype=np.float32)
+    start = np.array(OFFICIAL_CONFIG.physics.panda.start_joints, dtype=np.float32)
     return Counting(start, 0.07), Counting(np.zeros(8, dtype=np.float32), 0.03)
 
 
 def test_both_are_asked_when_they_want_to_be(pair: tuple[Counting, Counting]) -> None:
     receiver, giver = pair
     episode, decisions = Episode("fast"), Decisions()
-    episode.reset(SyntheticDataset().scene(SCENE))
-    play(episode, receiver, giver, until=200, watchers=[decisions])
+    episode.reset(SyntheticDataset().load_scene(SCENE))
+    play(episode, receiver, giver, until=200, callbacks=[decisions])
     assert (episode.steps, int(episode.status)) == (200, 0)
     assert receiver.times == list(range(0, 200, 70))
     assert giver.times == list(range(0, 200, 30))
@@ -192,10 +192,10 @@ def test_both_are_asked_when_they_want_to_be(pair: tuple[Counting, Counting]) ->
     episode.close()
 
 
-def test_playing_stops_when_it_is_told_to(pair: tuple[Counting, Counting]) -> None:
+def test_playing_stops_on_request(pair: tuple[Counting, Counting]) -> None:
     receiver, giver = pair
     episode = Episode("fast")
-    episode.reset(SyntheticDataset().scene(SCENE))
+    episode.reset(SyntheticDataset().load_scene(SCENE))
     play(episode, receiver, giver, until=lambda: len(receiver.times) == 3)
     assert episode.steps == receiver.times[-1] == 140
     episode.close()
@@ -205,10 +205,10 @@ def test_every_policy_gets_a_seed_of_its_own(pair: tuple[Counting, Counting]) ->
     receiver, giver = pair
     episode, dataset = Episode("fast"), SyntheticDataset()
     for scene_id, seed in ((209, 0), (209, 1), (214, 0), (209, None), (209, 0)):
-        episode.reset(dataset.scene(scene_id))
+        episode.reset(dataset.load_scene(scene_id))
         play(episode, receiver, giver, seed=seed, until=1)
-        assert receiver.seeds[-1] == policy_seed(seed, scene_id, "receiver")
-        assert giver.seeds[-1] == policy_seed(seed, scene_id, "giver")
+        assert receiver.seeds[-1] == derive_policy_seed(seed, scene_id, "receiver")
+        assert giver.seeds[-1] == derive_policy_seed(seed, scene_id, "giver")
     assert len({*receiver.seeds[:3], *giver.seeds[:3]}) == 6
     # None is 0: results without a seed can be had again.
     assert receiver.seeds[0] == receiver.seeds[3] == receiver.seeds[4]
@@ -218,7 +218,9 @@ def test_every_policy_gets_a_seed_of_its_own(pair: tuple[Counting, Counting]) ->
 def test_seeds_differ_and_say_nothing_about_the_scene() -> None:
     scenes, agents, seeds = range(1000), ("giver", "receiver"), (0, 1, 2, 1000)
     by_run = {
-        (seed, agent): [policy_seed(seed, scene, agent) for scene in scenes] for seed in seeds for agent in agents
+        (seed, agent): [derive_policy_seed(seed, scene, agent) for scene in scenes]
+        for seed in seeds
+        for agent in agents
     }
     drawn = [value for values in by_run.values() for value in values]
     assert len(set(drawn)) == len(drawn)

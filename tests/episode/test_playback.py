@@ -8,15 +8,15 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from handover_marl.config import GiverConfig
-from handover_marl.datasets.scene import Scene
+from handover_marl.datasets.dataset import Scene
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.episode import carrying
-from handover_marl.episode.carrying import wrist_points
-from handover_marl.episode.playback import NO_DEVIATION, Playback, pick_up_frame, wrist_place
-from handover_marl.episode.preview import Preview
-from handover_marl.sim.motion import Motion
+from handover_marl.episode import wrist_offset as carrying
+from handover_marl.episode.giver_motion import NO_DEVIATION, Playback, find_pick_up_frame, find_wrist_offset
+from handover_marl.episode.observations import MotionPreview
+from handover_marl.episode.wrist_offset import compute_wrist_positions
+from handover_marl.simulation.kinematic_paths import ReferenceMotion
 
-SCENE = SyntheticDataset().scene(209)
+SCENE = SyntheticDataset().load_scene(209)
 CONFIG = GiverConfig()
 
 
@@ -24,7 +24,7 @@ def playback(scene: Scene = SCENE) -> Playback:
     return Playback(scene, CONFIG)
 
 
-def advance(played: Playback, steps: int, wanted: np.ndarray = NO_DEVIATION, **states: bool) -> Motion:
+def advance(played: Playback, steps: int, wanted: np.ndarray = NO_DEVIATION, **states: bool) -> ReferenceMotion:
     motion = played.plan(steps, wanted, **states)
     played.commit(steps)
     return motion
@@ -38,8 +38,8 @@ def pose(dof: np.ndarray) -> tuple[np.ndarray, Rotation]:
     return dof[..., :3].astype(float), Rotation.from_euler("XYZ", dof[..., 3:6].astype(float))
 
 
-def wrist(motion: Motion) -> np.ndarray:
-    return wrist_points(motion.hand, wrist_place(SCENE))
+def wrist(motion: ReferenceMotion) -> np.ndarray:
+    return compute_wrist_positions(motion.hand, find_wrist_offset(SCENE))
 
 
 def held() -> Playback:
@@ -108,21 +108,21 @@ def test_deviations_come_at_a_human_pace_and_without_jumps() -> None:
 
 def test_the_object_waits_where_it_lies_until_it_is_picked_up() -> None:
     played = playback()
-    lift = pick_up_frame(SCENE)
+    lift = find_pick_up_frame(SCENE)
     assert lift is not None
     lying = advance(played, lift - 1, action(shift=(0.2, 0, 0)))
     np.testing.assert_array_equal(lying.objects, SCENE.object_dof[1:lift])
     np.testing.assert_array_equal(lying.hand, SCENE.hand_dof[1:lift])
     assert not played.holding
     advance(played, 1)
-    carried = advance(played, 600, action(shift=(0.2, 0, 0)))
+    apply_wrist_offset = advance(played, 600, action(shift=(0.2, 0, 0)))
     assert played.holding
-    assert carried.objects[-1, 0, 0] - SCENE.object_dof[played.frame, 0, 0] == pytest.approx(0.2, abs=1e-6)
+    assert apply_wrist_offset.objects[-1, 0, 0] - SCENE.object_dof[played.frame, 0, 0] == pytest.approx(0.2, abs=1e-6)
 
 
 def test_a_stretch_with_the_pick_up_in_it_is_as_recorded() -> None:
     played = playback()
-    lift = pick_up_frame(SCENE)
+    lift = find_pick_up_frame(SCENE)
     assert lift is not None
     advance(played, lift - 50)
     around = advance(played, 100, action(shift=(0.2, 0, 0)))
@@ -142,7 +142,7 @@ def test_after_letting_go_the_hand_opens_and_leaves_the_object() -> None:
 
 def test_moving_by_nothing_is_nothing() -> None:
     rows, still = SCENE.object_dof[::100, 0], np.zeros((len(SCENE.object_dof[::100]), 3))
-    for moved in carrying.carried([rows, rows], np.ones(3), still, still, [rows[0], rows[0]]):
+    for moved in carrying.apply_wrist_offset([rows, rows], np.ones(3), still, still, [rows[0], rows[0]]):
         np.testing.assert_allclose(moved, rows, atol=1e-6)
 
 
@@ -151,26 +151,28 @@ def test_what_is_carried_keeps_its_place_beside_the_hand() -> None:
     hand, item = (rng.uniform(-1.0, 1.0, (5, 6)).astype(np.float32) for _ in range(2))
     shifts, turns = rng.uniform(-0.3, 0.3, (2, 5, 3))
     place = np.array([0.05, 0.0, 0.1])
-    moved = carrying.carried([hand, item], place, shifts, turns, [hand[0], item[0]])
+    moved = carrying.apply_wrist_offset([hand, item], place, shifts, turns, [hand[0], item[0]])
 
     def beside(first: npt.NDArray[np.float32], second: npt.NDArray[np.float32]) -> npt.NDArray[np.float64]:
         return Rotation.from_euler("XYZ", first[:, 3:]).inv().apply(second[:, :3] - first[:, :3])
 
     np.testing.assert_allclose(beside(*moved), beside(hand, item), atol=1e-5)
-    wrists = [wrist_points(one, place) for one in (hand, moved[0])]
+    wrists = [compute_wrist_positions(one, place) for one in (hand, moved[0])]
     np.testing.assert_allclose(wrists[1] - wrists[0], shifts, atol=1e-5)
 
 
 def test_the_preview_shows_what_comes() -> None:
-    preview = Preview(SCENE, CONFIG)
+    preview = MotionPreview(SCENE, CONFIG)
     ahead = np.array([100, 200, 300, 400, 500])
-    seen = preview.object_poses(1000)
+    seen = preview.read_poses(1000)[1]
     place, turn = pose(SCENE.object_dof[1000 + ahead, 0])
     np.testing.assert_allclose(seen[:, :3], place, atol=1e-6)
     assert (Rotation.from_quat(seen[:, 3:]) * turn.inv()).magnitude().max() < 1e-5
-    np.testing.assert_array_equal(preview.wrist_poses(10**6), np.tile(preview.wrist_poses(10**6)[0], (5, 1)))
+    np.testing.assert_array_equal(preview.read_poses(10**6)[0], np.tile(preview.read_poses(10**6)[0][0], (5, 1)))
     np.testing.assert_allclose(
-        preview.wrist_poses(1000)[:, :3], wrist_points(SCENE.hand_dof, wrist_place(SCENE))[1000 + ahead], atol=1e-6
+        preview.read_poses(1000)[0][:, :3],
+        compute_wrist_positions(SCENE.hand_dof, find_wrist_offset(SCENE))[1000 + ahead],
+        atol=1e-6,
     )
 
 
@@ -188,14 +190,14 @@ def test_plans_change_nothing_until_they_are_committed() -> None:
     assert seen(played) == before
     played.commit(0)
     assert seen(played) == before
-    with pytest.raises(ValueError, match="nothing is planned"):
+    with pytest.raises(ValueError, match="no motion has been planned"):
         played.commit(1)
 
 
-def carried() -> Playback:
+def apply_wrist_offset() -> Playback:
     """A playback in which the object is on its way."""
     played = playback()
-    lift = pick_up_frame(SCENE)
+    lift = find_pick_up_frame(SCENE)
     assert lift is not None
     advance(played, lift + 100)
     assert played.holding
@@ -207,7 +209,7 @@ def carried() -> Playback:
 def test_only_what_was_simulated_counts(done: int, rate: float) -> None:
     """What was planned beyond the episode's end never happened."""
     wanted = action(rate=rate, shift=(0.1, -0.2, 0.05), turn=(0.3, 0.0, -0.5))
-    whole, cut = carried(), carried()
+    whole, cut = apply_wrist_offset(), apply_wrist_offset()
     planned = whole.plan(100, wanted, opening=True)
     whole.commit(done)
     short = advance(cut, done, wanted, opening=True)
@@ -221,10 +223,10 @@ def test_only_what_was_simulated_counts(done: int, rate: float) -> None:
 @pytest.mark.parametrize("rate", [-1.0, 1.0])
 def test_how_steps_are_cut_does_not_matter(rate: float) -> None:
     """A control period only groups steps, whoever pauses or hurries."""
-    whole = carried()
+    whole = apply_wrist_offset()
     planned = np.concatenate([advance(whole, 100, action(rate=rate)).hand for _ in range(3)])
     for length in (1, 10, 20, 50):
-        cut = carried()
+        cut = apply_wrist_offset()
         parts = [advance(cut, length, action(rate=rate)).hand for _ in range(300 // length)]
         np.testing.assert_array_equal(planned, np.concatenate(parts))
         assert seen(whole) == seen(cut)

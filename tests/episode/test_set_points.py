@@ -1,43 +1,45 @@
 import numpy as np
+import numpy.typing as npt
 from hypothesis import given
 from hypothesis import strategies as st
 
 from handover_marl.config import TIME_STEP
-from handover_marl.episode.set_points import SetPoint
+from handover_marl.episode.wrist_offset import TrackedVector, track_set_point
 
 components = st.floats(-0.5, 0.5)
 SPEED, ACCELERATION = 0.8, 5.0
 
 
-def new() -> SetPoint:
-    return SetPoint(SPEED, ACCELERATION)
+def track(*targets: tuple[npt.ArrayLike, int]) -> np.ndarray:
+    """Values while several set-points are tracked in turn."""
+    vector, parts = TrackedVector(), [np.zeros((0, 3))]
+    for set_point, steps in targets:
+        values, vector = track_set_point(vector, set_point, steps, SPEED, ACCELERATION)
+        parts.append(values)
+    return np.concatenate(parts)
 
 
 @given(st.lists(st.tuples(st.tuples(components, components, components), st.integers(1, 300)), max_size=4))
-def test_limits_hold_whatever_is_wanted(wishes: list[tuple[tuple[float, float, float], int]]) -> None:
-    point = new()
-    way = np.concatenate([np.zeros((2, 3)), *(point.approach(goal, steps) for goal, steps in wishes)])
-    velocity = np.diff(way, axis=0) / TIME_STEP
+def test_speed_and_acceleration_are_limited(targets: list[tuple[tuple[float, float, float], int]]) -> None:
+    values = np.concatenate([np.zeros((2, 3)), track(*targets)])
+    velocity = np.diff(values, axis=0) / TIME_STEP
     assert np.linalg.norm(velocity, axis=1).max(initial=0.0) <= SPEED + 1e-9
-    # Arriving snaps to the goal, which takes less than a micrometre.
+    # Arrival snaps to the goal, over less than a micrometre.
     acceleration = np.linalg.norm(np.diff(velocity, axis=0), axis=1) / TIME_STEP
     assert acceleration.max(initial=0.0) <= ACCELERATION + 1.1
 
 
 @given(st.tuples(components, components, components))
-def test_it_arrives_exactly_and_stays(goal: tuple[float, float, float]) -> None:
-    point = new()
-    way = point.approach(goal, 2500)
-    np.testing.assert_array_equal(way[-200:], np.tile(goal, (200, 1)))
+def test_the_set_point_is_reached_exactly_and_kept(goal: tuple[float, float, float]) -> None:
+    np.testing.assert_array_equal(track((goal, 2500))[-200:], np.tile(goal, (200, 1)))
 
 
-def test_it_does_not_overshoot() -> None:
-    way = new().approach([0.2, 0.0, 0.0], 1000)
-    assert way[:, 0].max() <= 0.2 + 2e-6
-    assert way[-1, 0] == 0.2
+def test_there_is_no_overshoot() -> None:
+    values = track(([0.2, 0.0, 0.0], 1000))
+    assert values[:, 0].max() <= 0.2 + 2e-6
+    assert values[-1, 0] == 0.2
 
 
-def test_how_steps_are_cut_does_not_matter() -> None:
-    whole, cut = new(), new()
-    parts = [cut.approach([0.1, -0.2, 0.05], n) for n in (1, 99, 7, 193)]
-    np.testing.assert_array_equal(whole.approach([0.1, -0.2, 0.05], 300), np.concatenate(parts))
+def test_the_number_of_steps_per_call_does_not_matter() -> None:
+    goal = [0.1, -0.2, 0.05]
+    np.testing.assert_array_equal(track((goal, 300)), track(*((goal, n) for n in (1, 99, 7, 193))))

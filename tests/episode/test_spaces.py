@@ -56,7 +56,7 @@ def test_real_numbers_are_rounded_to_float32(action: object) -> None:
     ],
 )
 def test_what_is_no_number_is_refused(action: object) -> None:
-    with pytest.raises(ActionError, match=r"the receiver's action is not numeric .*expected 9 numbers"):
+    with pytest.raises(ActionError, match=r"action of the receiver must be 9 numbers, .*, got "):
         check_receiver_action(action)
 
 
@@ -68,14 +68,14 @@ def check_giver(action: object) -> np.ndarray:
     ("check", "agent", "size"), [(check_receiver_action, "receiver", 9), (check_giver, "giver", 8)]
 )
 def test_agents_without_an_action_are_named(check: Callable[[object], object], agent: str, size: int) -> None:
-    with pytest.raises(ActionError, match=f'the {agent} is missing from the actions.*{size} numbers.*key "{agent}"'):
+    with pytest.raises(ActionError, match=f"action of the {agent} must be {size} numbers.*got None"):
         check(None)
 
 
 @pytest.mark.parametrize(
     ("action", "message"),
     [
-        (np.zeros(8), r"shape \(8,\); expected \(9,\)"),
+        (np.zeros(8), r"shape \(8,\), expected \(9,\)"),
         (np.zeros((9, 1)), r"shape \(9, 1\)"),
         ([0.0] * 8 + [float("nan")], "component 8 is nan"),
         ([1e300] + [0.0] * 8, "component 0 is inf"),
@@ -101,12 +101,12 @@ def test_what_givers_may_do_can_be_chosen() -> None:
 
 
 def test_the_parts_of_a_giver_action() -> None:
-    action = GiverAction.of(np.array([-1, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.51], dtype=np.float32))
+    action = GiverAction.from_array(np.array([-1, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.51], dtype=np.float32))
     assert action.rate == -1.0
     np.testing.assert_array_equal(action.displacement, np.float32([0.1, 0.2, 0.3]))
     np.testing.assert_array_equal(action.rotation, np.float32([0.4, 0.5, 0.6]))
     assert action.release
-    assert not GiverAction.of(np.zeros(8, dtype=np.float32)).release
+    assert not GiverAction.from_array(np.zeros(8, dtype=np.float32)).release
 
 
 def test_every_sample_is_an_action() -> None:

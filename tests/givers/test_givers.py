@@ -11,16 +11,16 @@ from handover_marl import givers
 from handover_marl.config import PandaConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.envs.constructors import parallel_env
-from handover_marl.envs.freeze import freeze
-from handover_marl.episode.clock import PolicyClock
+from handover_marl.envs.wrappers.freeze import freeze
 from handover_marl.episode.episode import Episode
+from handover_marl.episode.loop import PolicyScheduler
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.spaces import check_giver_action, giver_action_space
 from handover_marl.errors import UnknownNameError
 from handover_marl.givers import Giver
 
 START = np.array(PandaConfig().start_joints, dtype=np.float32)
-NAMES = givers.available()
+NAMES = givers.list_available()
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
 
 
@@ -53,12 +53,12 @@ def make(name: str, seed: int = 0) -> Giver:
 
 
 def rollout(name: str, seed: int, steps: int = 40) -> list[np.ndarray]:
-    episode, clock = Episode("fast"), PolicyClock(givers.make(name))
-    episode.reset(SyntheticDataset().scene(209))
+    episode, clock = Episode("fast"), PolicyScheduler(givers.make(name))
+    episode.reset(SyntheticDataset().load_scene(209))
     clock.reset(seed)
     actions = []
     for _ in range(steps):
-        action = clock.act(lambda: episode.observe_as_giver(episode.observe()), episode.steps)
+        action = clock.act(lambda: episode.observe_giver(episode.observe()), episode.steps)
         checked = check_giver_action(action, giver_action_space())
         assert giver_action_space().contains(checked)
         episode.advance(START, 100, checked)

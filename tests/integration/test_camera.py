@@ -7,21 +7,31 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from handover_marl.config import OFFICIAL, CameraConfig
+from handover_marl.config import OFFICIAL_CONFIG, CameraConfig
 from handover_marl.datasets import OfficialDataset
 from handover_marl.episode.episode import Episode
-from handover_marl.models.panda import LOWER_LIMITS, UPPER_LIMITS
-from handover_marl.sim.bullet.panda_body import Panda
-from handover_marl.sim.bullet.picture_world import PictureWorld
-from handover_marl.sim.camera.photo import Seen
-from handover_marl.sim.rays.ray_camera import RayCamera
-from handover_marl.sim.world import Snapshot
+from handover_marl.geometry.panda import LOWER_LIMITS, UPPER_LIMITS
+from handover_marl.simulation.bullet.bodies import PandaBody
+from handover_marl.simulation.bullet.rendering import SceneRenderer
+from handover_marl.simulation.camera.frames import SegmentationLabel
+from handover_marl.simulation.camera.ray_camera import RayCamera
+from handover_marl.simulation.world import JointSnapshot
 from tests.conftest import RECORDINGS
 from tests.integration.test_reference import STRIDE, read_recording
 
 NAMES = sorted(path.stem for path in Path(RECORDINGS).glob("camera/*.npz")) if RECORDINGS else ["none"]
 #: What body numbers of the recordings are seen as: ground 0, table, Panda, object, hand, nothing -1.
-SEEN = np.array([Seen.BACKGROUND, Seen.TABLE, Seen.ROBOT, Seen.TARGET, Seen.HAND, Seen.BACKGROUND], dtype=np.uint8)
+SEEN = np.array(
+    [
+        SegmentationLabel.BACKGROUND,
+        SegmentationLabel.TABLE,
+        SegmentationLabel.ROBOT,
+        SegmentationLabel.TARGET,
+        SegmentationLabel.HAND,
+        SegmentationLabel.BACKGROUND,
+    ],
+    dtype=np.uint8,
+)
 
 
 class Clouds:
@@ -42,11 +52,11 @@ def camera_dataset(real_dataset: OfficialDataset) -> OfficialDataset:
 def test_recorded_views_are_seen(name: str, recordings: Path, camera_dataset: OfficialDataset) -> None:
     expected = read_recording(recordings, f"camera/{name}")
     clouds, episode = Clouds(expected).by_frame, Episode("exact")
-    episode.reset(camera_dataset.scene(int(expected["scene_id"])))
+    episode.reset(camera_dataset.load_scene(int(expected["scene_id"])))
     assert len(clouds) > 30
     for step in range(len(expected["action"]) + 1):
         if step in clouds:
-            view = episode.look()
+            view = episode.capture_wrist_camera()
             np.testing.assert_array_equal(view.object_points, clouds[step][0], err_msg=f"object at {step}")
             np.testing.assert_array_equal(view.hand_points, clouds[step][1], err_msg=f"hand at {step}")
             if f"depth_{step}" in expected:
@@ -70,19 +80,19 @@ def test_recorded_views_are_seen(name: str, recordings: Path, camera_dataset: Of
 
 @pytest.mark.parametrize("scene_id", [4, 297])
 def test_rays_meet_what_the_engine_draws(scene_id: int, camera_dataset: OfficialDataset) -> None:
-    scene, episode = camera_dataset.scene(scene_id), Episode("exact")
+    scene, episode = camera_dataset.load_scene(scene_id), Episode("exact")
     episode.reset(scene)
-    camera = RayCamera(scene.assets, OFFICIAL.physics)
-    start = np.array(OFFICIAL.physics.panda.start_joints, dtype=np.float32)
+    camera = RayCamera(scene.assets, OFFICIAL_CONFIG.physics)
+    start = np.array(OFFICIAL_CONFIG.physics.panda.start_joints, dtype=np.float32)
     alike, either, apart = 0, 0, []
     for _ in range(5):
         episode.advance(start, 600)
-        drawn = episode.world.photograph(color=False)
-        cast = camera.photograph(episode.world.snapshot(), color=False)
-        for seen in (Seen.TARGET, Seen.HAND):
-            both = drawn.shows(seen) & cast.shows(seen)
+        drawn = episode.world.render_wrist_camera(color=False)
+        cast = camera.render_wrist_camera(episode.world.read_joint_snapshot(), color=False)
+        for seen in (SegmentationLabel.TARGET, SegmentationLabel.HAND):
+            both = drawn.compute_mask(seen) & cast.compute_mask(seen)
             alike += int(both.sum())
-            either += int((drawn.shows(seen) | cast.shows(seen)).sum())
+            either += int((drawn.compute_mask(seen) | cast.compute_mask(seen)).sum())
             apart.append(np.abs(drawn.depth - cast.depth)[both])
     assert either > 500
     assert alike >= 0.999 * either
@@ -93,17 +103,17 @@ def test_rays_meet_what_the_engine_draws(scene_id: int, camera_dataset: Official
 def test_leaving_the_cameras_body_out_changes_no_picture(
     camera_dataset: OfficialDataset, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    world = PictureWorld(camera_dataset.scene(4), OFFICIAL.physics)
+    world = SceneRenderer(camera_dataset.load_scene(4), OFFICIAL_CONFIG.physics)
     random = np.random.default_rng(0)
     robots = [random.uniform(LOWER_LIMITS, UPPER_LIMITS).astype(np.float32) for _ in range(8)]
-    moments = [Snapshot(robot, None, np.zeros((1, 6), dtype=np.float32)) for robot in robots]
-    outside = [world.draw(now, CameraConfig()) for now in moments]
-    without = [world.photograph(now, color=True) for now in moments]
+    moments = [JointSnapshot(robot, None, np.zeros((1, 6), dtype=np.float32)) for robot in robots]
+    outside = [world.render_overview(now, CameraConfig()) for now in moments]
+    without = [world.render_wrist_camera(now, color=True) for now in moments]
     for now, picture in zip(moments, outside, strict=True):
-        np.testing.assert_array_equal(world.draw(now, CameraConfig()), picture)
-    monkeypatch.setattr(Panda, "without_camera", lambda panda: nullcontext())
+        np.testing.assert_array_equal(world.render_overview(now, CameraConfig()), picture)
+    monkeypatch.setattr(PandaBody, "hide_camera_link", lambda panda: nullcontext())
     for now, photo in zip(moments, without, strict=True):
-        drawn = world.photograph(now, color=True)
+        drawn = world.render_wrist_camera(now, color=True)
         for name in ("depth", "segmentation", "rgb"):
             np.testing.assert_array_equal(getattr(drawn, name), getattr(photo, name))
     world.close()

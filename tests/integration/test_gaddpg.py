@@ -7,11 +7,10 @@ import numpy.typing as npt
 import pytest
 
 from handover_marl.datasets import OfficialDataset
+from handover_marl.episode.callbacks import EpisodeCallback
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.observations import Observation
-from handover_marl.episode.watchers import Watcher
-from handover_marl.policies.context import context_of
-from handover_marl.policies.policy import Action
+from handover_marl.policies.policy import Action, make_policy_context
 from handover_marl.receivers.gaddpg import GaddpgReceiver
 from tests.conftest import RECORDINGS
 from tests.integration.test_reference import STRIDE, read_recording
@@ -45,7 +44,7 @@ class StandIn:
 
 
 class Watched(GaddpgReceiver):
-    """Notes when it decides; solves from the joints that it is told instead of its own, if it is told any."""
+    """Notes when it decides; solves from the joints that it is given instead of its own, if it is given any."""
 
     joints: npt.NDArray[np.float64] | None = None
 
@@ -63,18 +62,18 @@ class Watched(GaddpgReceiver):
         return action
 
 
-class Joints(Watcher):
+class Joints(EpisodeCallback):
     """The robot's joints after steps 1, 11, 21, ..., and in the end."""
 
     def __init__(self) -> None:
         self.rows: list[npt.NDArray[np.float32]] = []
 
-    def stepped(self, episode: Episode) -> None:
+    def on_step(self, episode: Episode) -> None:
         if episode.steps % STRIDE == 1:
-            self.rows.append(episode.world.postures().robot)
+            self.rows.append(episode.world.read_agent_joints().robot)
 
-    def ended(self, episode: Episode) -> None:
-        self.last = episode.world.exact_joints()
+    def on_end(self, episode: Episode) -> None:
+        self.last = episode.world.read_joints_float64()
 
 
 @pytest.fixture(scope="module")
@@ -86,11 +85,11 @@ def dataset(real_dataset: OfficialDataset) -> OfficialDataset:
 def joints_elsewhere(recordings: Path, dataset: OfficialDataset) -> npt.NDArray[np.float64]:
     """Where the robot is at the end of another recording."""
     expected, episode = read_recording(recordings, f"gaddpg/{AFTER}"), Episode("exact")
-    episode.reset(dataset.scene(int(expected["scene_id"])))
+    episode.reset(dataset.load_scene(int(expected["scene_id"])))
     for action in expected["action"]:
         episode.advance(action, 1)
     assert episode.status == expected["status"]
-    joints = episode.world.exact_joints()
+    joints = episode.world.read_joints_float64()
     episode.close()
     return joints
 
@@ -99,10 +98,10 @@ def assert_plays(
     expected: dict[str, npt.NDArray[np.generic]], dataset: OfficialDataset, joints: npt.NDArray[np.float64] | None
 ) -> None:
     network = StandIn(expected)
-    receiver = Watched(context_of(dataset), network=network, wait=float(expected["wait"]))
+    receiver = Watched(make_policy_context(dataset), network=network, wait=float(expected["wait"]))
     receiver.joints = joints
-    episode, watcher = Episode("exact"), Joints()
-    actions, _ = play(episode, dataset.scene(int(expected["scene_id"])), receiver, None, watcher)
+    episode, callback = Episode("exact"), Joints()
+    actions, _ = play(episode, dataset.load_scene(int(expected["scene_id"])), receiver, None, callback)
     for points, wanted in zip(network.inputs, expected["network_input"], strict=False):
         np.testing.assert_array_equal(points, wanted)
     means = [points[:3, 6:].mean(axis=1) for points in network.inputs]
@@ -111,7 +110,7 @@ def assert_plays(
     assert receiver.decision_steps == expected["decision_steps"].tolist()
     np.testing.assert_array_equal(actions, expected["action"])
     assert int(np.argmax(actions[:, 7] == 0.0)) == expected["done_step"]
-    np.testing.assert_array_equal(watcher.rows, expected["robot_joint_position"])
+    np.testing.assert_array_equal(callback.rows, expected["robot_joint_position"])
     assert (episode.steps, episode.status) == (expected["steps"], expected["status"])
     episode.close()
 

@@ -7,11 +7,9 @@ from pathlib import Path
 import pytest
 import yaml
 
-from handover_marl.datasets.importing.hand_assets import write_hand_assets
-from handover_marl.datasets.importing.mano_model import SIDES, read_mano_model
-from handover_marl.datasets.importing.object_assets import write_object_assets
-from handover_marl.datasets.importing.table_assets import write_table_assets
-from handover_marl.models.ycb import SUBJECTS
+from handover_marl.datasets.dexycb.assets import write_hand_assets, write_object_assets, write_table_assets
+from handover_marl.datasets.dexycb.mano import SIDES, read_mano_model
+from handover_marl.geometry.ycb import SUBJECTS
 
 
 def first_betas(dex_ycb: Path, subject: str) -> list[float]:

@@ -9,14 +9,15 @@ import numpy as np
 import pytest
 
 from handover_marl import receivers
-from handover_marl.benchmarking.runner import benchmark
-from handover_marl.datasets import OfficialDataset, import_dexycb
-from handover_marl.datasets.importing.cache_writer import CACHE_FOLDER
-from handover_marl.datasets.importing.mano_model import ManoModel, read_mano_model
-from handover_marl.datasets.importing.raw_layout import RawLayout, find_sequences
-from handover_marl.datasets.importing.scene_import import Betas, find_first_betas, import_scene
+from handover_marl.datasets import OfficialDataset
+from handover_marl.datasets.dexycb import import_dexycb
+from handover_marl.datasets.dexycb.mano import ManoModel, read_mano_model
+from handover_marl.datasets.dexycb.raw_files import RawLayout, find_sequences
+from handover_marl.datasets.dexycb.scenes import BetasBySubject, find_first_betas, import_scene
+from handover_marl.datasets.scene_files import CACHE_FOLDER
 from handover_marl.episode.episode import Episode
-from handover_marl.models.ycb import SUBJECTS
+from handover_marl.evaluation.benchmark import benchmark
+from handover_marl.geometry.ycb import SUBJECTS
 from handover_marl.receivers import WAITING_JOINTS
 from tests.playing import play
 
@@ -27,7 +28,7 @@ def layout(raw_dexycb: Path) -> RawLayout:
 
 
 @pytest.fixture(scope="module")
-def first_betas(layout: RawLayout) -> Betas:
+def first_betas(layout: RawLayout) -> BetasBySubject:
     return find_first_betas(layout.sequences)
 
 
@@ -68,7 +69,7 @@ def test_nothing_is_missing(layout: RawLayout) -> None:
 def test_scenes_equal_the_original(
     subject: int,
     layout: RawLayout,
-    first_betas: Betas,
+    first_betas: BetasBySubject,
     models: dict[str, ManoModel],
     checksums: dict[str, Any],
     tmp_path: Path,
@@ -101,7 +102,7 @@ def imported(raw_dexycb: Path, real_data: Path, tmp_path_factory: pytest.TempPat
     )
     assert found.scenes == PLAYED
     assert len(found.hands) == 20
-    assert found.complete, str(found)
+    assert found.is_complete, str(found)
     return out
 
 
@@ -110,7 +111,7 @@ def test_imported_scenes_are_played(imported: Path, physics: str) -> None:
     dataset = OfficialDataset(imported)
     for scene_id in PLAYED:
         episode = Episode(physics)
-        play(episode, dataset.scene(scene_id), receivers.make("yang2021", dataset))
+        play(episode, dataset.load_scene(scene_id), receivers.make("yang2021", dataset))
         assert episode.status
         assert episode.steps > 3000
         episode.close()
@@ -124,7 +125,7 @@ def test_a_hand_from_the_import_is_the_originals(
     states = []
     for dataset in (OfficialDataset(imported), several_objects):
         episode = Episode("exact")
-        episode.reset(dataset.scene(scene_id))
+        episode.reset(dataset.load_scene(scene_id))
         episode.advance(np.array(WAITING_JOINTS, dtype=np.float32), 1000)
         states.append(episode.observe())
         episode.close()
@@ -134,4 +135,4 @@ def test_a_hand_from_the_import_is_the_originals(
 
 def test_results_say_what_was_imported(imported: Path) -> None:
     report = benchmark(setup="s0", split="train", scenes=[5, 108], data_dir=imported, physics="fast", progress=False)
-    assert report.data_label() == "DexYCB, 4 to 5 objects a scene, MANO hand"
+    assert report.data_label == "DexYCB, 4 to 5 objects a scene, MANO hand"

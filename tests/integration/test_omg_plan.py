@@ -16,7 +16,7 @@ def test_goal_set_holds_the_goal_of_the_original(real_dataset: OfficialDataset, 
     receiver = receivers.make("omg", real_dataset)
     assert isinstance(receiver, OmgReceiver)
     episode = Episode("fast")
-    episode.reset(real_dataset.scene(105))
+    episode.reset(real_dataset.load_scene(105))
     receiver.reset()
     episode.advance(receiver.act(episode.observe()), 3000)
     receiver.act(episode.observe())

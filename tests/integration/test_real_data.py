@@ -9,7 +9,7 @@ from handover_marl.datasets.splits import SETUPS, SPLIT_SIZES, SPLITS
 @pytest.mark.parametrize("setup", SETUPS)
 @pytest.mark.parametrize("split", SPLITS)
 def test_splits_have_the_official_sizes(real_dataset: OfficialDataset, setup: str, split: str) -> None:
-    assert len(real_dataset.split(setup, split)) == SPLIT_SIZES[setup, split]
+    assert len(real_dataset.list_scenes(setup, split)) == SPLIT_SIZES[setup, split]
 
 
 def test_every_scene_is_complete(real_dataset: OfficialDataset) -> None:
@@ -18,7 +18,7 @@ def test_every_scene_is_complete(real_dataset: OfficialDataset) -> None:
 
 @pytest.mark.parametrize("scene_id", [0, 128, 552, 988])
 def test_scene_motion(real_dataset: OfficialDataset, scene_id: int) -> None:
-    scene = real_dataset.scene(scene_id)
+    scene = real_dataset.load_scene(scene_id)
     assert scene.object_dof.shape == (scene.n_frames, 1, 6)
     assert scene.object_dof[:, 0, 2].min() > 0.9
     assert scene.hand_first is not None
@@ -29,6 +29,6 @@ def test_scene_motion(real_dataset: OfficialDataset, scene_id: int) -> None:
 
 def test_grasps_exist_for_all_but_the_largest_objects(real_dataset: OfficialDataset) -> None:
     for number in range(1, 20):
-        name = real_dataset.info(5 * number).target_name
-        grasps = real_dataset.grasps(name)
+        name = real_dataset.load_info(5 * number).target_name
+        grasps = real_dataset.load_grasps(name)
         assert (grasps is None) == (name == "036_wood_block"), name

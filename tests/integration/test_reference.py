@@ -31,7 +31,7 @@ def assert_same_state(episode: Episode, expected: dict[str, np.ndarray], row: in
     pairs = {
         "robot_joint_position": seen["robot_joint_position"],
         "robot_joint_velocity": seen["robot_joint_velocity"],
-        "object_dof_position": episode.world.object_dof(),
+        "object_dof_position": episode.world.read_object_joints(),
         "object_pose": seen["object_poses"][:n_objects],
         "hand_dof_position": seen["hand_dof_position"],
         "hand_link_pose": seen["gripper_pose"],
@@ -56,7 +56,7 @@ def test_several_objects_too(name: str, recordings: Path, several_objects: Offic
 def assert_replays(expected: dict[str, np.ndarray], dataset: OfficialDataset) -> None:
     """Play the recorded actions and compare every tenth state and the verdict."""
     episode = Episode("exact")
-    episode.reset(dataset.scene(int(expected["scene_id"])))
+    episode.reset(dataset.load_scene(int(expected["scene_id"])))
     for step, action in enumerate(expected["action"]):
         assert not episode.status, f"ended early, after {episode.steps} steps"
         episode.advance(action, 1)
@@ -73,7 +73,7 @@ def test_yang_receiver_takes_the_recorded_actions(name: str, recordings: Path, r
     expected = read_recording(recordings, name)
     episode = Episode("exact")
     policy = receivers.make("yang2021", real_dataset)
-    actions, times = play(episode, real_dataset.scene(int(expected["scene_id"])), policy)
+    actions, times = play(episode, real_dataset.load_scene(int(expected["scene_id"])), policy)
     np.testing.assert_array_equal(actions, expected["action"])
     assert times.shape == (len(actions),)
     episode.close()
@@ -82,13 +82,13 @@ def test_yang_receiver_takes_the_recorded_actions(name: str, recordings: Path, r
 @pytest.mark.parametrize("part", range(6))
 def test_yang_receiver_on_s0_val(recordings: Path, real_dataset: OfficialDataset, part: int) -> None:
     expected = json.loads((recordings / "yang_s0_val.json").read_text())
-    scene_ids = real_dataset.split("s0", "val")
+    scene_ids = real_dataset.list_scenes("s0", "val")
     assert sorted(expected) == sorted(map(str, scene_ids))
     episode = Episode("exact")
     policy = receivers.make("yang2021", real_dataset)
     outcomes = {}
     for scene_id in scene_ids[part::6]:
-        play(episode, real_dataset.scene(scene_id), policy)
+        play(episode, real_dataset.load_scene(scene_id), policy)
         outcomes[str(scene_id)] = (int(episode.status), episode.steps, episode.release_step or -1)
     wanted = {key: (row["status"], row["steps"], row["release"]) for key, row in expected.items()}
     assert outcomes == {key: wanted[key] for key in outcomes}

@@ -10,17 +10,16 @@ import pytest
 from handover_marl import receivers
 from handover_marl.config import PandaConfig
 from handover_marl.datasets import OfficialDataset
-from handover_marl.datasets.scene import Scene
+from handover_marl.datasets.dataset import Scene
+from handover_marl.episode.camera_observations import WristCameraConfig
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.playback import NO_DEVIATION
-from handover_marl.episode.sight import SightConfig
-from handover_marl.models.poses import compose_point
-from handover_marl.protocol.release import Release
-from handover_marl.protocol.status import EpisodeStatus
+from handover_marl.episode.giver_motion import NO_DEVIATION
+from handover_marl.episode.referee import EpisodeStatus, ReleaseReason
+from handover_marl.geometry.poses import transform_points
 from handover_marl.receivers import WAITING_JOINTS
 from handover_marl.receivers.omg import OmgReceiver
-from handover_marl.sim.bullet.fast_world import FastWorld
-from handover_marl.sim.camera.photo import Seen
+from handover_marl.simulation.bullet.fast_world import FastWorld
+from handover_marl.simulation.camera.frames import SegmentationLabel
 from tests.integration.test_reference import SEVERAL
 
 START = np.array(PandaConfig().start_joints, dtype=np.float32)
@@ -36,7 +35,7 @@ def test_the_given_object_comes_first(several_objects: OfficialDataset, scene_id
     meta = json.loads((cache / f"meta_{scene_id:03d}.json").read_text())
     with np.load(cache / f"pose_{scene_id:03d}.npz") as archive:
         recorded = archive["pose_y"]
-    scene = several_objects.scene(scene_id)
+    scene = several_objects.load_scene(scene_id)
     ids, given = meta["ycb_ids"], meta["ycb_grasp_ind"]
     assert scene.info.object_ids == (ids[given], *ids[:given], *ids[given + 1 :])
     assert len(scene.assets.objects) == len(ids)
@@ -48,7 +47,7 @@ def test_the_given_object_comes_first(several_objects: OfficialDataset, scene_id
 @pytest.mark.parametrize("physics", PHYSICS)
 @pytest.mark.parametrize("scene_id", SCENES)
 def test_all_of_them_are_observed(several_objects: OfficialDataset, scene_id: int, physics: str) -> None:
-    scene = several_objects.scene(scene_id)
+    scene = several_objects.load_scene(scene_id)
     n = len(scene.info.object_ids)
     episode = Episode(physics)
     episode.reset(scene)
@@ -64,13 +63,13 @@ def test_all_of_them_are_observed(several_objects: OfficialDataset, scene_id: in
 @pytest.mark.parametrize("physics", PHYSICS)
 def test_held_objects_pass_through_each_other(several_objects: OfficialDataset, physics: str) -> None:
     """Until one is let go, each collides with the robot alone."""
-    scene = several_objects.scene(STACK)
+    scene = several_objects.load_scene(STACK)
     still = np.repeat(scene.object_dof[:1], scene.n_frames, axis=0)
     still[:, 1:, :3] = still[:, :1, :3]
     episode = Episode(physics)
     episode.reset(replace(scene, object_dof=still))
     episode.advance(START, 500)
-    reached = episode.world.object_dof()
+    reached = episode.world.read_object_joints()
     episode.close()
     np.testing.assert_allclose(reached, still[0], atol=1e-3)
 
@@ -88,7 +87,7 @@ def stacked(scene: Scene) -> tuple[Scene, float]:
 
 @pytest.mark.parametrize("physics", PHYSICS)
 def test_an_object_that_falls_on_another_one_is_dropped(several_objects: OfficialDataset, physics: str) -> None:
-    scene, lower = stacked(several_objects.scene(STACK))
+    scene, lower = stacked(several_objects.load_scene(STACK))
     episode = Episode(physics)
     episode.reset(scene)
     episode.advance(START, scene.n_frames)
@@ -96,7 +95,7 @@ def test_an_object_that_falls_on_another_one_is_dropped(several_objects: Officia
     let_go[-1] = 1.0
     assert episode.status == EpisodeStatus.RUNNING
     episode.advance(START, 1000, let_go)
-    assert episode.release is Release.GIVEN
+    assert episode.release is ReleaseReason.VOLUNTARY
     assert episode.status == EpisodeStatus.OBJECT_DROP
     height = float(episode.observe()["object_poses"][0, 2])
     # It never came to the table: the other one stands between.
@@ -113,7 +112,7 @@ def replay(episode: Episode, actions: np.ndarray) -> None:
 
 
 def test_the_others_sleep_until_the_arm_comes(several_objects: OfficialDataset, recordings: Path) -> None:
-    scene = several_objects.scene(108)
+    scene = several_objects.load_scene(108)
     with np.load(recordings / "multi" / "multi_scene108_knock.npz") as archive:
         actions = archive["action"]
     both = [Episode(physics) for physics in PHYSICS]
@@ -123,11 +122,11 @@ def test_the_others_sleep_until_the_arm_comes(several_objects: OfficialDataset, 
         both[1].advance(action, 1)
     world = both[1].world
     assert isinstance(world, FastWorld)
-    assert not any(item.awake for item in world._objects)
+    assert not any(item.is_awake for item in world._objects)
     replay(both[0], actions)
     replay(both[1], actions[50:])
-    assert any(item.awake for item in world._objects), "the arm sweeps over the table"
-    exact, fast = (episode.world.object_dof() for episode in both)
+    assert any(item.is_awake for item in world._objects), "the arm sweeps over the table"
+    exact, fast = (episode.world.read_object_joints() for episode in both)
     moved = np.abs(exact - scene.object_dof[-1])[:, :3].max(axis=1)
     # What was pushed ends alike; tumbling boxes do not repeat to the millimetre.
     np.testing.assert_allclose(fast[moved < 1e-3], exact[moved < 1e-3], atol=1e-3)
@@ -142,7 +141,7 @@ def test_fast_physics_ends_the_recordings_alike(several_objects: OfficialDataset
     with np.load(recordings / "multi" / f"{name}.npz") as archive:
         recorded = {key: archive[key] for key in ("action", "scene_id", "steps", "status")}
     episode = Episode("fast")
-    episode.reset(several_objects.scene(int(recorded["scene_id"])))
+    episode.reset(several_objects.load_scene(int(recorded["scene_id"])))
     replay(episode, recorded["action"])
     assert episode.status == recorded["status"]
     # A fall of a third of a second ends a step or two apart.
@@ -162,13 +161,12 @@ def planned_way(dataset: OfficialDataset, scene: Scene) -> np.ndarray:
     receiver.reset()
     receiver.act(seen)
     assert receiver.plan is not None
-    arm = receiver._ready(receiver._planner).arm
-    hand = arm.chain(receiver.plan.trajectory).origins[-1].T
-    return compose_point(receiver.world_from_base, hand)
+    hand = receiver.arm.chain(receiver.plan.trajectory).origins[-1].T
+    return transform_points(receiver.world_from_base, hand)
 
 
 def test_plans_go_round_the_other_objects(several_objects: OfficialDataset) -> None:
-    scene = several_objects.scene(STACK)
+    scene = several_objects.load_scene(STACK)
     away = scene.object_dof.copy()
     away[:, 1:, :3] = (0.0, 1.2, 0.0)
     free = planned_way(several_objects, replace(scene, object_dof=away))
@@ -183,22 +181,22 @@ def test_plans_go_round_the_other_objects(several_objects: OfficialDataset) -> N
 
 
 @pytest.mark.parametrize("scene_id", [44, 108, 205])
-def test_the_wrist_camera_tells_them_apart(several_objects: OfficialDataset, scene_id: int) -> None:
+def test_the_wrist_camera_separates_them(several_objects: OfficialDataset, scene_id: int) -> None:
     """A view over the table by both renderers."""
     pytest.importorskip("embreex")
-    scene = several_objects.scene(scene_id)
+    scene = several_objects.load_scene(scene_id)
     over_the_table = np.array([0.0, -0.3, 0.0, -2.2, 0.0, 2.9, 0.785, 0.04, 0.04], dtype=np.float32)
     views = {}
     for renderer in ("bullet", "rays"):
-        episode = Episode("exact", sight=SightConfig(renderer=renderer))
+        episode = Episode("exact", wrist_camera=WristCameraConfig(renderer=renderer))
         episode.reset(scene)
         episode.advance(over_the_table, 700)
-        views[renderer] = episode.look()
+        views[renderer] = episode.capture_wrist_camera()
         episode.close()
     drawn, cast = (view.segmentation for view in views.values())
-    assert (drawn == Seen.OTHER_OBJECT).sum() > 300
+    assert (drawn == SegmentationLabel.OTHER_OBJECT).sum() > 300
     assert (drawn == cast).mean() > 0.999
-    same = (drawn == Seen.OTHER_OBJECT) & (cast == Seen.OTHER_OBJECT)
-    assert same.sum() > 0.99 * (drawn == Seen.OTHER_OBJECT).sum()
+    same = (drawn == SegmentationLabel.OTHER_OBJECT) & (cast == SegmentationLabel.OTHER_OBJECT)
+    assert same.sum() > 0.99 * (drawn == SegmentationLabel.OTHER_OBJECT).sum()
     # The cloud of the object that is given has none of their points.
-    assert len(views["bullet"].object_points) == (drawn == Seen.TARGET).sum()
+    assert len(views["bullet"].object_points) == (drawn == SegmentationLabel.TARGET).sum()

@@ -1,4 +1,4 @@
-"""Features that point to a grasp."""
+"""Features of the best reachable grasp."""
 
 from dataclasses import replace
 
@@ -7,33 +7,32 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.learning.grasp_features import CloseFeatures, GraspFeatures
-from handover_marl.learning.observing import make_features, n_features
-from handover_marl.receivers import context_of
-from handover_marl.receivers.grasp_choice import GraspChoice
+from handover_marl.learning.features import GraspFeatures, GraspProximityFeatures, make_features, n_features
+from handover_marl.receivers import make_policy_context
+from handover_marl.receivers.grasp_library import NearestGraspSelector
 from tests.givers.test_givers import seen
 
-CONTEXT = context_of(SyntheticDataset())
+CONTEXT = make_policy_context(SyntheticDataset())
 
 
 def at_the_grasp(way: float = 0.0, turn: float = 0.0) -> np.ndarray:
-    """Features with the gripper at the chosen grasp, but this far behind it (m) and turned about its axis (rad)."""
+    """Return features with the gripper `way` (m) behind the chosen grasp and turned by `turn` (rad)."""
     observation = seen(hand_keypoints=np.full((16, 3), 5.0, np.float32))
-    chosen = GraspChoice(CONTEXT).choose(observation)
+    chosen = NearestGraspSelector(CONTEXT).select(observation)
     assert chosen is not None
     turned = Rotation.from_quat(chosen[0][3:])
     place = chosen[0][:3] - turned.apply([0.0, 0.0, way])
     pose = [*place, *(turned * Rotation.from_rotvec([0.0, 0.0, turn])).as_quat()]
-    return CloseFeatures(CONTEXT)(observation | {"gripper_pose": np.float32(pose)})
+    return GraspProximityFeatures(CONTEXT)(observation | {"gripper_pose": np.float32(pose)})
 
 
 @pytest.mark.parametrize("name", ["grasp", "close"])
-def test_sizes_are_as_told(name: str) -> None:
+def test_number_of_features(name: str) -> None:
     made = make_features("receiver", name, CONTEXT)(seen())
     assert (made.shape, made.dtype) == ((n_features("receiver", name),), np.float32)
 
 
-def test_nearness_is_one_at_the_grasp_and_falls_off() -> None:
+def test_proximity_is_one_at_the_grasp_and_decays() -> None:
     np.testing.assert_allclose(at_the_grasp()[:8], [0, 0, 0, 0, 0, 0, 1, 1], atol=2e-3)
     away = at_the_grasp(way=0.03)
     np.testing.assert_allclose(away[:3], [0.0, 0.0, 0.15], atol=2e-3)
@@ -41,10 +40,10 @@ def test_nearness_is_one_at_the_grasp_and_falls_off() -> None:
     np.testing.assert_allclose(at_the_grasp(turn=0.2)[6:8], [1.0, np.exp(-1.0)], atol=5e-3)
 
 
-def test_fingers_release_and_whether_there_is_a_grasp_follow() -> None:
+def test_other_features_are_fingers_release_and_existence() -> None:
     joints = np.float32([0, 0, 0, -1, 0, 1, 0, 0.04, 0.0])
-    some = CloseFeatures(CONTEXT)(seen(robot_joint_position=joints, released=np.float32([1.0])))
+    some = GraspProximityFeatures(CONTEXT)(seen(robot_joint_position=joints, released=np.float32([1.0])))
     np.testing.assert_allclose(some[8:], [1.0, -1.0, 1.0, 1.0])
     without = replace(CONTEXT, grasps=lambda name: None)
-    np.testing.assert_array_equal(CloseFeatures(without)(seen())[[*range(8), 11]], 0.0)
+    np.testing.assert_array_equal(GraspProximityFeatures(without)(seen())[[*range(8), 11]], 0.0)
     np.testing.assert_array_equal(GraspFeatures(without).grasp(seen()), 0.0)

@@ -1,4 +1,4 @@
-"""Policies on disk: what may be loaded, and that nothing in a file runs."""
+"""Reading policy files of all kinds, without running code in them."""
 
 import contextlib
 import io
@@ -21,13 +21,12 @@ from handover_marl import givers, receivers
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.observations import Observation
 from handover_marl.errors import DataFormatError, DataNotFoundError, HandoverError, OptionError, UnsafeFileError
+from handover_marl.geometry import panda
+from handover_marl.learning.features import n_features
 from handover_marl.learning.learned_policy import LearnedPolicy
-from handover_marl.learning.network import Network
-from handover_marl.learning.observing import n_features
 from handover_marl.learning.policy_files import read_policy, write_policy
-from handover_marl.learning.policy_spec import PolicySpec
-from handover_marl.learning.training_record import TrainingRecord
-from handover_marl.models import panda
+from handover_marl.learning.policy_spec import DenseNetwork, PolicySpec
+from handover_marl.learning.training_record import Sb3TrainingRecord
 from handover_marl.policies.policy import Policy
 
 RAN = "HANDOVER_MARL_TEST_CODE_RAN"
@@ -41,18 +40,18 @@ class Evil:
 
 
 @pytest.fixture(autouse=True)
-def _nothing_ran(monkeypatch: pytest.MonkeyPatch) -> Any:
+def _no_code_ran(monkeypatch: pytest.MonkeyPatch) -> Any:
     monkeypatch.delenv(RAN, raising=False)
     yield
     assert RAN not in os.environ
     monkeypatch.delenv(RAN, raising=False)
 
 
-def network(n_inputs: int, n_outputs: int, **options: str) -> Network:
+def network(n_inputs: int, n_outputs: int, **options: str) -> DenseNetwork:
     rng = np.random.default_rng(0)
     sizes = [n_inputs, 8, n_outputs]
     weights = tuple(rng.normal(0, 0.1, (b, a)).astype(np.float32) for a, b in itertools.pairwise(sizes))
-    return Network(weights, tuple(np.zeros(len(w), np.float32) for w in weights), **options)
+    return DenseNetwork(weights, tuple(np.zeros(len(w), np.float32) for w in weights), **options)
 
 
 def offer_file(path: Path) -> Path:
@@ -60,7 +59,7 @@ def offer_file(path: Path) -> Path:
     return path
 
 
-def test_what_is_written_is_read(tmp_path: Path) -> None:
+def test_written_policy_is_read_back(tmp_path: Path) -> None:
     spec = PolicySpec("receiver", "grasp", "cartesian_delta", 0.2, "a test")
     wanted = network(n_features("receiver", "grasp"), 7, activation="relu", output="tanh")
     write_policy(tmp_path / "policy.npz", spec, wanted)
@@ -71,7 +70,7 @@ def test_what_is_written_is_read(tmp_path: Path) -> None:
     np.testing.assert_array_equal(found.function(seen), wanted(seen))
 
 
-def test_a_giver_from_a_file_is_named_by_its_content(tmp_path: Path) -> None:
+def test_label_depends_on_the_content_of_the_file(tmp_path: Path) -> None:
     first, second = offer_file(tmp_path / "policy.npz"), tmp_path / "other" / "policy.npz"
     second.parent.mkdir()
     write_policy(
@@ -88,13 +87,13 @@ def test_a_giver_from_a_file_is_named_by_its_content(tmp_path: Path) -> None:
     [
         ({"features": "smell"}, "features of the giver 'smell'; valid: giver"),
         ({"actions": "cartesian_delta"}, "action scheme of the giver"),
-        ({"actions": "deviation"}, "gives 7; features 'giver' are 39 and actions 'deviation' are 8"),
-        ({"agent": "receiver"}, "this policy is a receiver's; a giver's is wanted"),
-        ({"control_period": -1.0}, "control period of -1.0 s"),
-        ({"control_period": "soon"}, "control_period is 'soon'"),
+        ({"actions": "deviation"}, "8 outputs for actions 'deviation', got 39 and 7"),
+        ({"agent": "receiver"}, "policy must be for the giver, got one for the receiver"),
+        ({"control_period": -1.0}, "control_period must be from 0.001 to 60 s, got -1.0"),
+        ({"control_period": "soon"}, "control_period has the wrong type: 'soon'"),
     ],
 )
-def test_policies_that_do_not_fit(tmp_path: Path, change: dict[str, Any], message: str) -> None:
+def test_policies_that_do_not_fit_are_refused(tmp_path: Path, change: dict[str, Any], message: str) -> None:
     spec = PolicySpec(**({"agent": "giver", "features": "giver", "actions": "offer"} | change))
     write_policy(tmp_path / "policy.npz", spec, network(39, 7))
     with pytest.raises(HandoverError, match=message):
@@ -105,11 +104,11 @@ def test_networks_that_are_none() -> None:
     good, bias = np.zeros((3, 2), np.float32), np.zeros(3, np.float32)
     for weights, biases in (((), ()), ((good,), (bias[:2],)), ((good, good), (bias, bias)), ((good[0],), (bias,))):
         with pytest.raises(DataFormatError):
-            Network(weights, biases)
+            DenseNetwork(weights, biases)
     with pytest.raises(DataFormatError, match="not finite"):
-        Network((np.full_like(good, np.nan),), (bias,))
+        DenseNetwork((np.full_like(good, np.nan),), (bias,))
     with pytest.raises(DataFormatError, match="unknown activation 'sine'; valid: tanh"):
-        Network((good,), (bias,), activation="sine")
+        DenseNetwork((good,), (bias,), activation="sine")
 
 
 def test_files_that_are_not_there_or_of_no_known_kind(tmp_path: Path) -> None:
@@ -118,7 +117,7 @@ def test_files_that_are_not_there_or_of_no_known_kind(tmp_path: Path) -> None:
     (tmp_path / "policy.txt").write_text("hello")
     with pytest.raises(OptionError, match=r"policy files are \.npz, \.zip"):
         givers.make(f"learned:{tmp_path / 'policy.txt'}")
-    with pytest.raises(OptionError, match=r"giver 'replay:.*options are written key=value"):
+    with pytest.raises(OptionError, match=r"giver 'replay:.*must be key=value"):
         givers.make(f"replay:{tmp_path / 'policy.npz'}")
     with pytest.raises(OptionError, match="needs a policy file: learned:FILE"):
         receivers.make("learned", SyntheticDataset())
@@ -126,42 +125,42 @@ def test_files_that_are_not_there_or_of_no_known_kind(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("agent", ["giver", "receiver"])
 @pytest.mark.parametrize("name", ["learned:", "learned::control_period=0.1"])
-def test_an_empty_file_name_is_not_the_policy_in_the_box(agent: str, name: str) -> None:
+def test_empty_file_name_is_refused(agent: str, name: str) -> None:
     module = givers if agent == "giver" else receivers
-    with pytest.raises(OptionError, match=rf"{agent} '{name}' names no file; write learned:FILE"):
+    with pytest.raises(OptionError, match=rf"{agent} '{name}' must name a file; write learned:FILE"):
         module.make(name, SyntheticDataset())
-    with pytest.raises(OptionError, match="names no file"):
+    with pytest.raises(OptionError, match="must name a file"):
         module.make((name, {"control_period": 0.1}), SyntheticDataset())
 
 
-def test_policies_are_asked_as_often_as_in_training(tmp_path: Path) -> None:
+def test_control_period_is_the_one_of_training(tmp_path: Path) -> None:
     path = tmp_path / "policy.npz"
     write_policy(path, PolicySpec("giver", "giver", "offer", 0.2), network(n_features("giver", "giver"), 7))
     for name in (f"learned:{path}", f"learned:{path}:control_period=0.2"):
         assert givers.make(name).hold_time == 0.2
-    with pytest.raises(OptionError, match=r"trained at 0\.2 s a decision, not 0\.1"):
+    with pytest.raises(OptionError, match=r"must be 0\.2 as in training, got 0\.1"):
         givers.make(f"learned:{path}:control_period=0.1")
 
 
 @given(st.binary(max_size=300))
-def test_noise_is_no_policy(tmp_path_factory: pytest.TempPathFactory, content: bytes) -> None:
+def test_random_bytes_are_refused(tmp_path_factory: pytest.TempPathFactory, content: bytes) -> None:
     path = tmp_path_factory.mktemp("noise") / "policy.npz"
     path.write_bytes(content)
     with pytest.raises(DataFormatError):
         read_policy(path, "giver")
 
 
-def test_a_file_cut_in_half(tmp_path: Path) -> None:
+def test_truncated_file_is_refused(tmp_path: Path) -> None:
     path = offer_file(tmp_path / "policy.npz")
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-    with pytest.raises(DataFormatError, match="no policy file of handover_marl"):
+    with pytest.raises(DataFormatError, match="not a policy file of handover_marl"):
         read_policy(path, "giver")
 
 
-def test_pickles_in_our_files_are_not_opened(tmp_path: Path) -> None:
+def test_pickles_in_npz_files_are_not_loaded(tmp_path: Path) -> None:
     path = tmp_path / "policy.npz"
     np.savez(path, about=np.array([Evil()], dtype=object))
-    with pytest.raises(DataFormatError, match="no policy file"):
+    with pytest.raises(DataFormatError, match="not a policy file"):
         givers.make(f"learned:{path}", trust=True)
 
 
@@ -172,7 +171,7 @@ def zipped(path: Path, weights: bytes, data: bytes = b"{}") -> Path:
     return path
 
 
-def test_foreign_pickles_in_place_of_weights(tmp_path: Path) -> None:
+def test_pickles_in_place_of_weights_are_refused(tmp_path: Path) -> None:
     torch = pytest.importorskip("torch", reason="needs the extra `train`")
     stream = io.BytesIO()
     torch.save({"action_net.weight": Evil()}, stream)
@@ -181,7 +180,7 @@ def test_foreign_pickles_in_place_of_weights(tmp_path: Path) -> None:
             givers.make(f"learned:{zipped(tmp_path / 'policy.zip', content)}", trust=True)
 
 
-def test_pickles_in_the_description_are_left_alone(tmp_path: Path) -> None:
+def test_pickles_in_the_json_are_not_loaded(tmp_path: Path) -> None:
     """Stable-Baselines3 keeps Python objects as pickles in its JSON; loading the weights does not need them."""
     sb3 = pytest.importorskip("stable_baselines3", reason="needs the extra `train`")
     env = gymnasium.make("HandoverMARL/Giver-v0", partner="hold", dataset="synthetic", physics="fast")
@@ -210,7 +209,7 @@ def view(name: str, **options: Any) -> gymnasium.Env[Any, Any]:
     )
 
 
-def made(path: Path, agent: str, **options: Any) -> Policy:
+def make_policy(path: Path, agent: str, **options: Any) -> Policy:
     name, module = f"learned:{path}", givers if agent == "giver" else receivers
     return module.make((name, options) if options else name, SyntheticDataset())
 
@@ -238,7 +237,7 @@ def test_stable_baselines_policies_act_as_they_do_there(tmp_path: Path, kind: st
         for parameter in model.policy.parameters():
             parameter.data *= scale
         model.save(tmp_path / "policy.zip")
-        policy = made(tmp_path / "policy.zip", name.lower())
+        policy = make_policy(tmp_path / "policy.zip", name.lower())
         assert isinstance(policy, LearnedPolicy)
         assert policy.hold_time == 0.1
         policy.reset()
@@ -255,41 +254,41 @@ def test_stable_baselines_policies_act_as_they_do_there(tmp_path: Path, kind: st
     env.close()
 
 
-def test_the_control_period_of_training_is_kept(tmp_path: Path) -> None:
+def test_recorded_control_period_is_used(tmp_path: Path) -> None:
     path = trained(tmp_path / "slow.zip", view("Receiver", control_period=0.5))
-    assert made(path, "receiver").hold_time == 0.5
-    assert made(path, "receiver", control_period=0.5).hold_time == 0.5
-    with pytest.raises(OptionError, match=r"trained at 0\.5 s a decision, not 0\.1"):
-        made(path, "receiver", control_period=0.1)
+    assert make_policy(path, "receiver").hold_time == 0.5
+    assert make_policy(path, "receiver", control_period=0.5).hold_time == 0.5
+    with pytest.raises(OptionError, match=r"must be 0\.5 as in training, got 0\.1"):
+        make_policy(path, "receiver", control_period=0.1)
 
 
-def test_files_that_do_not_tell_their_control_period_want_to_be_told(tmp_path: Path) -> None:
+def test_missing_control_period_must_be_passed(tmp_path: Path) -> None:
     path = trained(tmp_path / "old.zip", view("Receiver"))
     with zipfile.ZipFile(path) as archive:
         about, weights = json.loads(archive.read("data")), archive.read("policy.pth")
     del about["action_space"]["control_period"]
     zipped(path, weights, json.dumps(about).encode())
-    with pytest.raises(OptionError, match=r"does not say how often .*learned:.*:control_period=0\.1"):
-        made(path, "receiver")
-    assert made(path, "receiver", control_period=0.3).hold_time == 0.3
+    with pytest.raises(OptionError, match=r"does not record the control period .*learned:.*:control_period=0\.1"):
+        make_policy(path, "receiver")
+    assert make_policy(path, "receiver", control_period=0.3).hold_time == 0.3
     for period in (0, -0.1, 100.0, True, "soon", float("nan")):
-        with pytest.raises(OptionError, match="control_period="):
-            made(path, "receiver", control_period=period)
+        with pytest.raises(OptionError, match="control_period must be"):
+            make_policy(path, "receiver", control_period=period)
     del about["action_space"]
     zipped(path, weights, json.dumps(about).encode())
-    with pytest.raises(DataFormatError, match="does not say what its actions were"):
-        made(path, "receiver", control_period=0.1)
+    with pytest.raises(DataFormatError, match="does not record the action bounds"):
+        make_policy(path, "receiver", control_period=0.1)
 
 
 @pytest.mark.parametrize("name", ["Giver", "Receiver"])
 def test_rescaled_actions_are_refused(tmp_path: Path, name: str) -> None:
     env = gymnasium.wrappers.RescaleAction(view(name), -1.0, 1.0)
     path = trained(tmp_path / "scaled.zip", env)
-    with pytest.raises(DataFormatError, match=r"trained on actions from \[-1\.0, .*without RescaleAction"):
-        made(path, name.lower())
+    with pytest.raises(DataFormatError, match=r"got \[-1\.0, .*without RescaleAction"):
+        make_policy(path, name.lower())
 
 
-def normalised(name: str = "Receiver", flat: bool = False, **options: Any) -> Any:
+def normalized(name: str = "Receiver", flat: bool = False, **options: Any) -> Any:
     vec_env = pytest.importorskip("stable_baselines3.common.vec_env", reason="needs the extra `train`")
 
     def make() -> gymnasium.Env[Any, Any]:
@@ -299,56 +298,54 @@ def normalised(name: str = "Receiver", flat: bool = False, **options: Any) -> An
 
 
 @pytest.mark.parametrize("name", ["Giver", "Receiver"])
-def test_normalised_observations_are_refused(tmp_path: Path, name: str) -> None:
-    path = trained(tmp_path / "normalised.zip", normalised(name))
-    with pytest.raises(DataFormatError, match=r"normalised observations \(VecNormalize\)"):
-        made(path, name.lower())
+def test_normalized_observations_are_refused(tmp_path: Path, name: str) -> None:
+    path = trained(tmp_path / "normalized.zip", normalized(name))
+    with pytest.raises(DataFormatError, match=r"normalized observations \(VecNormalize\)"):
+        make_policy(path, name.lower())
 
 
 @pytest.mark.parametrize(("beyond", "plain"), [(0.0698, True), (0.2, False)])
-def test_an_arm_at_its_stops_is_not_taken_for_a_normalised_one(beyond: float, plain: bool) -> None:
+def test_joints_at_their_stops_count_as_raw(beyond: float, plain: bool) -> None:
     """Thrown at its limits, a joint comes to rest 4 degrees beyond them, where the robot's stops are."""
     space = gymnasium.spaces.Box(-1.0, 1.0, (9,))
     joints = np.array([[*panda.UPPER_LIMITS[:7], 0.0, 0.0]]) + beyond
-    record = TrainingRecord(space.low, space.high, None, False, {"robot_joint_position": joints})
-    with contextlib.nullcontext() if plain else pytest.raises(DataFormatError, match="normalised"):
+    record = Sb3TrainingRecord(space.low, space.high, None, False, {"robot_joint_position": joints})
+    with contextlib.nullcontext() if plain else pytest.raises(DataFormatError, match="normalized"):
         record.check(Path("policy.zip"), "receiver", space)
 
 
-def test_normalised_rewards_do_no_harm(tmp_path: Path) -> None:
-    made(trained(tmp_path / "policy.zip", normalised(norm_obs=False)), "receiver")
+def test_normalized_rewards_are_accepted(tmp_path: Path) -> None:
+    make_policy(trained(tmp_path / "policy.zip", normalized(norm_obs=False)), "receiver")
 
 
 @pytest.mark.parametrize(
     ("policy", "options"),
     [("MlpPolicy", {"flat": True}), ("MultiInputPolicy", {"norm_obs_keys": ["robot_joint_position"]})],
 )
-def test_normalised_observations_of_other_shapes_are_refused(
-    tmp_path: Path, policy: str, options: dict[str, Any]
-) -> None:
-    path = trained(tmp_path / "normalised.zip", normalised(**options), policy)
-    with pytest.raises(DataFormatError, match="normalised observations"):
-        made(path, "receiver")
+def test_other_normalized_observations_are_refused(tmp_path: Path, policy: str, options: dict[str, Any]) -> None:
+    path = trained(tmp_path / "normalized.zip", normalized(**options), policy)
+    with pytest.raises(DataFormatError, match="normalized observations"):
+        make_policy(path, "receiver")
 
 
-def test_flat_observations_are_the_same_observations(tmp_path: Path) -> None:
+def test_policies_of_flat_observations_act_as_in_stable_baselines(tmp_path: Path) -> None:
     env = view("Receiver")
     path = trained(tmp_path / "flat.zip", gymnasium.wrappers.FlattenObservation(view("Receiver")), "MlpPolicy")
     sb3 = pytest.importorskip("stable_baselines3", reason="needs the extra `train`")
     model = sb3.PPO.load(path, device="cpu")
     seen, _ = env.reset(seed=0)
     expected, _ = model.predict(gymnasium.spaces.flatten(env.observation_space, seen), deterministic=True)
-    policy = made(path, "receiver")
+    policy = make_policy(path, "receiver")
     policy.reset()
     np.testing.assert_allclose(policy.act(seen), expected, atol=2e-5)
     env.close()
 
 
-def test_policies_that_squash_by_themselves_are_refused(tmp_path: Path) -> None:
+def test_policies_with_gsde_are_refused(tmp_path: Path) -> None:
     options = {"use_sde": True, "policy_kwargs": {"net_arch": [8], "squash_output": True}}
     path = trained(tmp_path / "squashed.zip", view("Receiver"), **options)
     with pytest.raises(DataFormatError, match="gSDE"):
-        made(path, "receiver")
+        make_policy(path, "receiver")
 
 
 @pytest.mark.parametrize(
@@ -366,16 +363,16 @@ def test_activations(tmp_path: Path, name: str, known: bool) -> None:
     kwargs = {"net_arch": [8], "activation_fn": getattr(torch.nn, name)}
     path = trained(tmp_path / "policy.zip", view("Receiver"), policy_kwargs=kwargs)
     if known:
-        made(path, "receiver")
+        make_policy(path, "receiver")
     else:
-        with pytest.raises(DataFormatError, match="only Tanh and ReLU are supported"):
-            made(path, "receiver")
+        with pytest.raises(DataFormatError, match="activation must be Tanh or ReLU"):
+            make_policy(path, "receiver")
 
 
-def test_what_another_agent_learned_is_refused(tmp_path: Path) -> None:
+def test_policy_of_the_other_agent_is_refused(tmp_path: Path) -> None:
     path = trained(tmp_path / "giver.zip", view("Giver"))
-    with pytest.raises(DataFormatError, match="a receiver's takes"):
-        made(path, "receiver")
+    with pytest.raises(DataFormatError, match="a receiver's policy must have"):
+        make_policy(path, "receiver")
 
 
 def scripted(path: Path, n_inputs: int, n_outputs: int) -> Path:
@@ -385,13 +382,13 @@ def scripted(path: Path, n_inputs: int, n_outputs: int) -> Path:
     return path
 
 
-def test_torch_script_is_code_and_wants_trust(tmp_path: Path) -> None:
+def test_torch_script_needs_trust(tmp_path: Path) -> None:
     path = scripted(tmp_path / "policy.pt", n_features("giver", "flat_giver"), 8)
     with pytest.raises(UnsafeFileError, match="is code; pass trust=True"):
         givers.make(f"learned:{path}")
     env = handover_marl.parallel_env(dataset="synthetic", physics="fast")
     seen: Observation = env.reset(seed=0)[0]["giver"]
-    with pytest.raises(OptionError, match="does not say how often"):
+    with pytest.raises(OptionError, match="does not record the control period"):
         givers.make(f"learned:{path}", trust=True)
     policy = givers.make(f"learned:{path}:control_period=0.2", trust=True)
     policy.reset()
@@ -400,12 +397,12 @@ def test_torch_script_is_code_and_wants_trust(tmp_path: Path) -> None:
     env.close()
 
 
-def test_torch_script_of_other_spaces(tmp_path: Path) -> None:
+def test_torch_script_of_other_spaces_is_refused(tmp_path: Path) -> None:
     n_inputs = n_features("giver", "flat_giver")
-    with pytest.raises(DataFormatError, match=f"takes the {n_inputs} numbers"):
+    with pytest.raises(DataFormatError, match=f"giver's {n_inputs} inputs"):
         givers.make(f"learned:{scripted(tmp_path / 'a.pt', 5, 8)}", trust=True)
-    with pytest.raises(DataFormatError, match=r"gives \(1, 9\)"):
+    with pytest.raises(DataFormatError, match=r"got \(1, 9\)"):
         givers.make(f"learned:{scripted(tmp_path / 'b.pt', n_inputs, 9)}", trust=True)
     (tmp_path / "c.pt").write_bytes(b"no torch script")
-    with pytest.raises(DataFormatError, match="no TorchScript policy"):
+    with pytest.raises(DataFormatError, match="not a TorchScript policy"):
         givers.make(f"learned:{tmp_path / 'c.pt'}", trust=True)

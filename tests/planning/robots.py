@@ -1,18 +1,18 @@
-"""The synthetic scenes' Panda, for tests of planning."""
+"""Panda of the synthetic scenes, for tests of planning."""
 
 import numpy as np
 
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.models.arm import Arm
-from handover_marl.models.kinematic_tree import read_tree
-from handover_marl.models.panda import LOWER_LIMITS, UPPER_LIMITS, WAITING_JOINTS
+from handover_marl.geometry.arm import ArmKinematics
+from handover_marl.geometry.kinematic_tree import read_tree
+from handover_marl.geometry.panda import LOWER_LIMITS, UPPER_LIMITS, WAITING_JOINTS
 
 TREE = read_tree(SyntheticDataset().panda_urdf)
-ARM = Arm(TREE)
+ARM = ArmKinematics(TREE)
 START = np.array(WAITING_JOINTS[:7])
 LIMITS = np.array(LOWER_LIMITS[:7]) + 0.2, np.array(UPPER_LIMITS[:7]) - 0.2
 
 
 def random_joints(seed: int, count: int) -> np.ndarray:
-    """(count, 7) within the limits."""
+    """Return random joints (count, 7) within the limits."""
     return np.random.default_rng(seed).uniform(*LIMITS, (count, 7))

@@ -1,25 +1,45 @@
+"""Hashes of the library's files, of an author's package, and of weights."""
+
+import subprocess
 import sys
-from pathlib import Path
-from types import ModuleType
+import time
 
-import pytest
-
-from handover_marl.policies.source_hash import source_hash
+from handover_marl.policies.source_hash import hash_library, hash_packages, hash_policy
 from handover_marl.receivers import Receiver
+from handover_marl.receivers.hold import HoldReceiver
 
 
-def test_stubs_that_only_look_like_packages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    stub = ModuleType("stub_package")
-    stub.__path__ = 0  # type: ignore[assignment]
-    monkeypatch.setitem(sys.modules, "stub_package", stub)
-    (tmp_path / "with_a_stub.py").write_text(
-        "from stub_package import part\n"
-        "from handover_marl.receivers import Receiver\n"
-        "class Mine(Receiver):\n    name = 'mine'\n"
+class Mine(HoldReceiver):
+    name = "mine"
+
+
+def test_parts() -> None:
+    parts = hash_policy(HoldReceiver).split(".")
+    assert parts[0] == hash_library()
+    assert len(parts) == 2
+    assert all(len(part) == 8 for part in parts)
+    with_weights = hash_policy(HoldReceiver, weights=b"1").split(".")
+    assert with_weights[:2] == parts
+    assert hash_policy(HoldReceiver, weights=b"2") != hash_policy(HoldReceiver, weights=b"1")
+    assert hash_policy(HoldReceiver, state=b"1").split(".")[1] != parts[1]
+
+
+def test_packages_of_authors() -> None:
+    assert hash_packages(HoldReceiver) == hash_packages(Receiver)
+    assert hash_packages(Mine) != hash_packages(HoldReceiver)
+
+
+def test_hashing_imports_nothing_and_is_quick() -> None:
+    """Simulators are imported only by the runs that use them."""
+    code = (
+        "import sys, handover_marl.policies.source_hash as source_hash\n"
+        "before = set(sys.modules)\n"
+        "source_hash.hash_library()\n"
+        "print(sorted(name for name in set(sys.modules) - before if name.startswith(('handover_marl', 'mujoco'))))\n"
     )
-    monkeypatch.syspath_prepend(str(tmp_path))
-    stub.part = None  # type: ignore[attr-defined]
-    from with_a_stub import Mine  # type: ignore[import-not-found]
-
-    assert issubclass(Mine, Receiver)
-    assert len(source_hash(Mine)) == 8
+    finished = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert finished.stdout.strip() == "[]"
+    hash_library.cache_clear()
+    started = time.perf_counter()
+    hash_library()
+    assert time.perf_counter() - started < 1.0

@@ -1,4 +1,4 @@
-"""The planner as a receiver."""
+"""Tests of the OMG receiver."""
 
 import logging
 from pathlib import Path
@@ -10,25 +10,25 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from handover_marl import parallel_env, receivers
-from handover_marl.benchmarking.runner import benchmark
 from handover_marl.datasets import Dataset
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.episode.clock import PolicyClock
 from handover_marl.episode.episode import Episode
+from handover_marl.episode.loop import PolicyScheduler
 from handover_marl.episode.observations import Observation
 from handover_marl.errors import OptionError, ResetNeededError
-from handover_marl.models.motion_frames import motion_frames
-from handover_marl.models.panda import HAND_LINK
-from handover_marl.models.poses import compose_point
-from handover_marl.pictures.plan_picture import render_plan
+from handover_marl.evaluation.benchmark import benchmark
+from handover_marl.evaluation.rendering.plan import render_plan
+from handover_marl.geometry.link_trajectory import compute_link_trajectory
+from handover_marl.geometry.panda import HAND_LINK
+from handover_marl.geometry.poses import transform_points
 from handover_marl.receivers import WAITING_JOINTS
-from handover_marl.receivers.omg import OmgReceiver, _steady
+from handover_marl.receivers.omg import OmgReceiver, round_poses
 
 SCENE = 5
 DATA = SyntheticDataset()
 
 
-def omg(name: str = "omg", dataset: Dataset = DATA) -> OmgReceiver:
+def make_omg(name: str = "omg", dataset: Dataset = DATA) -> OmgReceiver:
     receiver = receivers.make(name, dataset)
     assert isinstance(receiver, OmgReceiver)
     receiver.reset()
@@ -36,47 +36,47 @@ def omg(name: str = "omg", dataset: Dataset = DATA) -> OmgReceiver:
 
 
 @pytest.fixture(scope="module")
-def offered() -> Observation:
-    """What there is to see when it is time to plan."""
+def handover_observation() -> Observation:
+    """Return the observation at the time of planning."""
     episode = Episode("fast")
-    episode.reset(DATA.scene(SCENE))
+    episode.reset(DATA.load_scene(SCENE))
     episode.advance(np.array(WAITING_JOINTS, dtype=np.float32), 3000)
     observation = episode.observe()
     episode.close()
     return observation
 
 
-def at(observation: Observation, milliseconds: int) -> Observation:
+def observe_at(observation: Observation, milliseconds: int) -> Observation:
     return {**observation, "time": np.array([milliseconds / 1000.0], dtype=np.float32)}
 
 
-def test_commands_in_their_time(offered: Observation) -> None:
-    receiver = omg()
-    np.testing.assert_array_equal(receiver.act(at(offered, 0)), np.float32(WAITING_JOINTS))
+def test_timing_of_commands(handover_observation: Observation) -> None:
+    receiver = make_omg()
+    np.testing.assert_array_equal(receiver.act(observe_at(handover_observation, 0)), np.float32(WAITING_JOINTS))
     assert receiver.hold_time == 3.0
     assert receiver.plan is None
-    first = receiver.act(at(offered, 3000))
+    first = receiver.act(observe_at(handover_observation, 3000))
     plan = receiver.plan
     assert plan is not None
     assert receiver.hold_time == 0.13
     np.testing.assert_array_equal(first, np.float32([*plan.trajectory[0], 0.04, 0.04]))
-    np.testing.assert_array_equal(receiver.act(at(offered, 3129)), first)
+    np.testing.assert_array_equal(receiver.act(observe_at(handover_observation, 3129)), first)
     for number in (1, 17, 29):
-        action = receiver.act(at(offered, 3000 + 130 * number))
+        action = receiver.act(observe_at(handover_observation, 3000 + 130 * number))
         np.testing.assert_array_equal(action, np.float32([*plan.trajectory[number], 0.04, 0.04]))
-    closed = receiver.act(at(offered, 6900))
+    closed = receiver.act(observe_at(handover_observation, 6900))
     np.testing.assert_array_equal(closed, np.float32([*plan.trajectory[29], 0.0, 0.0]))
     assert receiver.hold_time == 0.5
-    receiver.act(at(offered, 7400))
+    receiver.act(observe_at(handover_observation, 7400))
     assert receiver.hold_time == 0.13
-    last = receiver.act(at(offered, 12_000))
+    last = receiver.act(observe_at(handover_observation, 12_000))
     assert receiver.hold_time == float("inf")
     assert last[7:].tolist() == [0.0, 0.0]
 
 
-def test_the_plan_leads_from_the_start_to_the_chosen_goal(offered: Observation) -> None:
-    receiver = omg()
-    receiver.act(at(offered, 3000))
+def test_plan_ends_at_the_selected_goal(handover_observation: Observation) -> None:
+    receiver = make_omg()
+    receiver.act(observe_at(handover_observation, 3000))
     plan = receiver.plan
     assert plan is not None
     assert plan.trajectory.shape == (30, 7)
@@ -85,63 +85,69 @@ def test_the_plan_leads_from_the_start_to_the_chosen_goal(offered: Observation) 
     assert steps.max() < 0.5
 
 
-def test_it_means_to_go_where_the_plan_leads(offered: Observation) -> None:
-    receiver = omg()
-    assert receiver.intention is None
-    receiver.act(at(offered, 3000))
-    plan, meant = receiver.plan, receiver.intention
+def test_planned_goal_is_the_path_of_the_hand(handover_observation: Observation) -> None:
+    receiver = make_omg()
+    assert receiver.planned_goal is None
+    receiver.act(observe_at(handover_observation, 3000))
+    plan, goal_poses = receiver.plan, receiver.planned_goal
     assert plan is not None
-    assert meant is not None
+    assert goal_poses is not None
     joints = np.concatenate([plan.trajectory, np.full((30, 2), 0.04)], axis=1)
-    frames = motion_frames(DATA.scene(SCENE).assets.panda, joints, receiver.world_from_base)
-    np.testing.assert_allclose(meant[:, :3], frames.path(HAND_LINK), atol=1e-6)
-    ahead = compose_point(meant[-1], np.array([0.0, 0.0, 0.1]))
-    assert np.linalg.norm(ahead - offered["object_poses"][0, :3]) < 0.15
-    receiver.act(at(offered, 7400))
-    assert receiver.intention is None
+    frames = compute_link_trajectory(DATA.load_scene(SCENE).assets.panda, joints, receiver.world_from_base)
+    np.testing.assert_allclose(goal_poses[:, :3], frames.get_positions(HAND_LINK), atol=1e-6)
+    ahead = transform_points(goal_poses[-1], np.array([0.0, 0.0, 0.1]))
+    assert np.linalg.norm(ahead - handover_observation["object_poses"][0, :3]) < 0.15
+    receiver.act(observe_at(handover_observation, 7400))
+    assert receiver.planned_goal is None
 
 
-def test_the_way_to_the_goal_is_straight(offered: Observation) -> None:
-    receiver = omg()
-    receiver.act(at(offered, 3000))
-    actions = [receiver.act(at(offered, 7400 + 130 * number)) for number in range(40)]
-    way = np.array([action[:7] for action in actions], dtype=np.float64)
-    points = compose_point(receiver.world_from_base, receiver.arm.chain(way).origins[-1].T)
-    # The observation stays as it is, so the line begins where the hand is at 3 s.
-    start, goal = offered["gripper_pose"][:3].astype(np.float64), np.array(receiver.context.protocol.goal_center)
+def test_retreat_is_straight(handover_observation: Observation) -> None:
+    receiver = make_omg()
+    receiver.act(observe_at(handover_observation, 3000))
+    actions = [receiver.act(observe_at(handover_observation, 7400 + 130 * number)) for number in range(40)]
+    path = np.array([action[:7] for action in actions], dtype=np.float64)
+    points = transform_points(receiver.world_from_base, receiver.arm.chain(path).origins[-1].T)
+    # The observation does not change, so the line starts at the hand's position at 3 s.
+    start, goal = (
+        handover_observation["gripper_pose"][:3].astype(np.float64),
+        np.array(receiver.context.protocol.goal_center),
+    )
     length = float(np.linalg.norm(goal - start))
     along = (points - start) @ (goal - start) / length
-    aside = np.linalg.norm(points - start - along[:, None] * (goal - start) / length, axis=1)
-    assert aside.max() < 2e-3
+    lateral = np.linalg.norm(points - start - along[:, None] * (goal - start) / length, axis=1)
+    assert lateral.max() < 2e-3
     count = int(np.ceil(length / 0.03))
     np.testing.assert_allclose(along[:count], length * np.arange(1, count + 1) / count, atol=2e-3)
     np.testing.assert_allclose(points[count:], np.tile(goal, (40 - count, 1)), atol=2e-3)
 
 
-def test_the_same_plan_each_time_and_for_any_control_period(offered: Observation) -> None:
-    receiver, again = omg(), omg()
-    first, second = receiver.act(at(offered, 3000)), again.act(at(offered, 3000))
+def test_plans_are_deterministic(handover_observation: Observation) -> None:
+    receiver, again = make_omg(), make_omg()
+    first, second = (
+        receiver.act(observe_at(handover_observation, 3000)),
+        again.act(observe_at(handover_observation, 3000)),
+    )
     np.testing.assert_array_equal(first, second)
     assert receiver.plan is not None
     assert again.plan is not None
     np.testing.assert_array_equal(receiver.plan.trajectory, again.plan.trajectory)
     receiver.reset()
-    receiver.act(at(offered, 3000))
+    receiver.act(observe_at(handover_observation, 3000))
     np.testing.assert_array_equal(receiver.plan.trajectory, again.plan.trajectory)
 
 
-def test_asked_more_often_it_commands_the_same() -> None:
+def test_commands_do_not_depend_on_the_call_period() -> None:
     commands = []
     for period in (None, 1, 2, 5, 10):
-        episode, receiver = Episode("fast"), omg()
-        episode.reset(DATA.scene(SCENE))
-        clock = PolicyClock(receiver)
-        clock.reset(None)
+        episode, receiver = Episode("fast"), make_omg()
+        episode.reset(DATA.load_scene(SCENE))
+        scheduler = PolicyScheduler(receiver)
+        scheduler.reset(None)
         actions = []
         while not episode.status:
-            seen, now = episode.observe(), episode.steps
-            action = clock.ask(seen, now) if period is None else receiver.act(seen)
-            count = min(clock.due, 13_000) - now if period is None else period
+            observation, now = episode.observe(), episode.steps
+            action = scheduler.decide(observation, now) if period is None else receiver.act(observation)
+            count = min(scheduler.due, 13_000) - now if period is None else period
             episode.advance(action, count)
             actions += [action] * (episode.steps - now)
         commands.append((int(episode.status), np.array(actions)))
@@ -152,14 +158,14 @@ def test_asked_more_often_it_commands_the_same() -> None:
 
 
 @pytest.mark.parametrize("physics", ["fast", "exact"])
-def test_plays_in_both_physics_and_counts_planning(physics: str) -> None:
+def test_fast_and_exact_physics(physics: str) -> None:
     report = benchmark("s0", "train", "omg", scenes=[SCENE], dataset="synthetic", physics=physics, progress=False)
     (episode,) = report.episodes
-    assert episode.plan_time > 0.01
+    assert episode.plan_time_s > 0.01
     assert episode.steps > 3000
 
 
-def test_any_number_of_workers() -> None:
+def test_results_do_not_depend_on_workers() -> None:
     scenes = [5, 6, 25]
     one, two = (
         benchmark(
@@ -177,10 +183,10 @@ def test_any_number_of_workers() -> None:
     assert [(e.status, e.steps) for e in one.episodes] == [(e.status, e.steps) for e in two.episodes]
 
 
-def test_in_a_parallel_environment() -> None:
+def test_parallel_environment() -> None:
     env = parallel_env(setup="s0", split="train", dataset="synthetic", physics="fast", control_period=0.01)
     observations, _ = env.reset(seed=0, options={"scene_id": SCENE})
-    receiver = omg()
+    receiver = make_omg()
     while env.agents and observations["receiver"]["time"][0] < 3.5:
         action = receiver.act(observations["receiver"])
         observations, *_ = env.step({"receiver": action, "giver": np.zeros(8, dtype=np.float32)})
@@ -188,39 +194,39 @@ def test_in_a_parallel_environment() -> None:
     env.close()
 
 
-def test_out_of_reach_it_stays_and_says_why(offered: Observation, caplog: pytest.LogCaptureFixture) -> None:
-    far = offered["object_poses"].copy()
+def test_unreachable_object_is_logged(handover_observation: Observation, caplog: pytest.LogCaptureFixture) -> None:
+    far = handover_observation["object_poses"].copy()
     far[0, :3] += [0.0, 3.0, 0.0]
-    receiver = omg()
+    receiver = make_omg()
     with caplog.at_level(logging.WARNING):
-        action = receiver.act({**at(offered, 3000), "object_poses": far})
+        action = receiver.act({**observe_at(handover_observation, 3000), "object_poses": far})
     np.testing.assert_array_equal(action, np.float32(WAITING_JOINTS))
     assert receiver.hold_time == float("inf")
-    name = DATA.info(SCENE).target_name
+    name = DATA.load_info(SCENE).target_name
     assert name in caplog.text
     assert "reached" in caplog.text
-    np.testing.assert_array_equal(receiver.act(at(offered, 9000)), np.float32(WAITING_JOINTS))
+    np.testing.assert_array_equal(receiver.act(observe_at(handover_observation, 9000)), np.float32(WAITING_JOINTS))
 
 
-def test_without_grasps_it_stays_and_says_why(offered: Observation, caplog: pytest.LogCaptureFixture) -> None:
-    classes = offered["object_classes"].copy()
+def test_missing_grasps_are_logged(handover_observation: Observation, caplog: pytest.LogCaptureFixture) -> None:
+    classes = handover_observation["object_classes"].copy()
     classes[0] = 1
-    receiver = omg()
+    receiver = make_omg()
     with caplog.at_level(logging.WARNING):
-        action = receiver.act({**at(offered, 3000), "object_classes": classes})
+        action = receiver.act({**observe_at(handover_observation, 3000), "object_classes": classes})
     np.testing.assert_array_equal(action, np.float32(WAITING_JOINTS))
     assert "002_master_chef_can" in caplog.text
 
 
-def test_without_its_libraries_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_libraries(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("handover_marl.receivers.omg.importlib.util.find_spec", lambda name: None)
     with pytest.raises(OptionError, match=r"handover-marl\[planning\]"):
         receivers.make("omg", DATA)
 
 
-def test_asked_before_reset(offered: Observation) -> None:
+def test_act_before_reset(handover_observation: Observation) -> None:
     with pytest.raises(ResetNeededError, match="reset"):
-        receivers.make("omg", DATA).act(at(offered, 3000))
+        receivers.make("omg", DATA).act(observe_at(handover_observation, 3000))
 
 
 def test_picture_of_a_plan(tmp_path: Path) -> None:
@@ -230,18 +236,20 @@ def test_picture_of_a_plan(tmp_path: Path) -> None:
     assert path.read_bytes().startswith(b"\x89PNG")
     with pytest.raises(OptionError, match="png"):
         render_plan(SCENE, tmp_path / "plan.gif")
-    with pytest.raises(OptionError, match="plans nothing"):
+    with pytest.raises(OptionError, match="motion planner"):
         render_plan(SCENE, tmp_path / "plan.png", receiver="hold", dataset="synthetic")
 
 
 @given(st.integers(0, 10_000))
-def test_plans_do_not_hang_on_the_last_bit_of_a_pose(seed: int) -> None:
+def test_rounded_poses_ignore_the_last_bits(seed: int) -> None:
     rng = np.random.default_rng(seed)
     poses = np.concatenate([rng.normal(size=(3, 3)), Rotation.random(3, rng).as_quat()], axis=1)
-    steady = _steady(poses)
-    np.testing.assert_allclose(steady[:, :3], poses[:, :3], atol=1e-5)
-    np.testing.assert_allclose(np.abs(np.einsum("ij,ij->i", steady[:, 3:], poses[:, 3:])), 1.0, atol=1e-8)
-    # In the middle of a step, so that a last bit cannot lead over its edge.
+    rounded = round_poses(poses)
+    np.testing.assert_allclose(rounded[:, :3], poses[:, :3], atol=1e-5)
+    np.testing.assert_allclose(np.abs(np.einsum("ij,ij->i", rounded[:, 3:], poses[:, 3:])), 1.0, atol=1e-8)
+    # In the middle of a rounding interval, so that the last bit makes no difference.
     middle = 1e-5 * np.round(poses / 1e-5)
-    np.testing.assert_array_equal(_steady(middle + 1e-9), _steady(middle))
-    np.testing.assert_array_equal(_steady(np.concatenate([middle[:, :3], -middle[:, 3:]], axis=1)), _steady(middle))
+    np.testing.assert_array_equal(round_poses(middle + 1e-9), round_poses(middle))
+    np.testing.assert_array_equal(
+        round_poses(np.concatenate([middle[:, :3], -middle[:, 3:]], axis=1)), round_poses(middle)
+    )

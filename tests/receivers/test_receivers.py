@@ -15,15 +15,15 @@ from tests.fake_layout import FakeScene, write_scene
 
 
 def test_names() -> None:
-    assert {"hold", "yang2021"} <= set(receivers.available())
-    assert "replay" in givers.available()
+    assert {"hold", "yang2021"} <= set(receivers.list_available())
+    assert "replay" in givers.list_available()
 
 
 def test_unknown_names(fake_data: Path) -> None:
     known = "gaddpg, hold, learned, omg, omg_hand_aware, omg_unchecked_last, random, reactive, vision, yang2021"
     with pytest.raises(UnknownNameError, match=f"receiver 'yang'; valid: {known}"):
         receivers.make("yang", OfficialDataset(fake_data))
-    with pytest.raises(OptionError, match="a giver is a name, a class or an instance of a policy, not 3"):
+    with pytest.raises(OptionError, match="giver must be a name, a class or an instance of a policy, got 3"):
         givers.make(3)  # type: ignore[arg-type]
 
 
@@ -38,7 +38,7 @@ def test_unknown_names(fake_data: Path) -> None:
 def test_entry_points_that_lead_nowhere(monkeypatch: pytest.MonkeyPatch, value: str, message: str) -> None:
     point = EntryPoint("mine", value, registry.GROUPS["receiver"])
     monkeypatch.setattr(registry, "entry_points", EntryPoints([point]).select)
-    assert receivers.available() == ("mine",)
+    assert receivers.list_available() == ("mine",)
     with pytest.raises(OptionError, match=f"'mine'.*{message}"):
         receivers.make("mine", SyntheticDataset())
 
@@ -48,7 +48,7 @@ def play(
 ) -> tuple[Episode, list[np.ndarray], Receiver]:
     policy = receivers.make(name, dataset)
     episode = Episode("exact")
-    episode.reset(dataset.scene(scene_id))
+    episode.reset(dataset.load_scene(scene_id))
     policy.reset()
     actions = []
     while episode.steps < until and not episode.status:
@@ -68,13 +68,13 @@ def test_yang_waits_then_goes_to_the_standoff_of_a_grasp(fake_data: Path) -> Non
     np.testing.assert_array_equal(actions[0], np.float32(WAITING_JOINTS))
     assert all(action.shape == (9,) and action.dtype == np.float32 for action in actions)
     target = episode.observe()["object_poses"][0, :3]
-    episode.world._panda.place(actions[-1].tolist())
+    episode.world._loaded_workcell.panda.reset_joints(actions[-1].tolist())
     # All grasps come from the robot's side, 0.1 m before the object; standoffs are 0.2 m farther.
     np.testing.assert_allclose(episode.observe()["gripper_pose"][:3], target - [0.0, 0.3, 0.0], atol=2e-3)
     np.testing.assert_allclose(actions[-1][7:], 0.04, rtol=1e-6)
     assert policy.hold_time == 0.1
-    assert policy.intention is not None
-    np.testing.assert_allclose(policy.intention[:, :3], target - [[0.0, 0.3, 0.0], [0.0, 0.1, 0.0]], atol=2e-3)
+    assert policy.planned_goal is not None
+    np.testing.assert_allclose(policy.planned_goal[:, :3], target - [[0.0, 0.3, 0.0], [0.0, 0.1, 0.0]], atol=2e-3)
 
 
 def test_yang_holds_still_without_grasps(own_data: Path) -> None:
@@ -95,7 +95,7 @@ def test_yang_repeats_itself(fake_data: Path) -> None:
 def test_yang_needs_a_reset(fake_data: Path) -> None:
     policy = receivers.make("yang2021", OfficialDataset(fake_data))
     episode = Episode("exact")
-    episode.reset(OfficialDataset(fake_data).scene(9))
+    episode.reset(OfficialDataset(fake_data).load_scene(9))
     observation = {**episode.observe(), "time": np.array([3.0], dtype=np.float32)}
     with pytest.raises(ResetNeededError, match="yang2021"):
         policy.act(observation)

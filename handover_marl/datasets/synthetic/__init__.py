@@ -1,11 +1,11 @@
-"""A thousand generated handovers, free of any licence, shaped like DexYCB's.
+"""1000 generated handovers that are calibrated on statistics of DexYCB and free of any license.
 
-A scene is a pure function of its number and `VERSION`: who gives what with which hand (`casting`), how the object
-lies and is held and offered (`staging`), what else stands on the table (`clutter`), and when and along which way
-everything moves (`motion`). Distributions are calibrated on aggregate figures of DexYCB (`calibration`).
+A scene is a pure function of its number and of `VERSION`. `assign_subjects` chooses subject, object
+and hand; `object_placement` the poses on the table and at the handover, and the grasp;
+`handover_motion` the timing and the paths; `clutter` the other objects on the table.
 """
 
-from handover_marl.datasets.synthetic.draws import VERSION
-from handover_marl.datasets.synthetic.synthetic_dataset import SyntheticDataset
+from handover_marl.datasets.synthetic.dataset import SyntheticDataset
+from handover_marl.datasets.synthetic.random_stream import VERSION
 
 __all__ = ["VERSION", "SyntheticDataset"]

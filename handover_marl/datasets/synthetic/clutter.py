@@ -1,31 +1,37 @@
-"""The other objects on the table: two to four that neither the hand nor the given object passes through."""
+"""Two to four other objects on the table, clear of the hand and the handed-over object."""
 
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.assets.hand_model import HandModel
+from handover_marl.assets.hand_model import HandGeometry
 from handover_marl.datasets.synthetic import calibration
-from handover_marl.datasets.synthetic.draws import Draws
-from handover_marl.datasets.synthetic.handing_over import KeyMotion
-from handover_marl.datasets.synthetic.outlines import hull_corners
-from handover_marl.datasets.synthetic.staging import OBJECT_CLEARANCE, laid
-from handover_marl.models.ycb import CLASS_NAMES, SCENE_CLASSES
+from handover_marl.datasets.synthetic.handover_motion import KeyframeMotion
+from handover_marl.datasets.synthetic.object_placement import OBJECT_CLEARANCE, compute_hull_corners, resting_rotation
+from handover_marl.datasets.synthetic.random_stream import RandomStream
+from handover_marl.geometry.ycb import CLASS_NAMES, SCENE_CLASSES
 
 Array = npt.NDArray[np.float64]
 
-#: Distance (m) kept from the moving points; they are joints of a hand about 2 cm thick and corners of an object.
-GAP = 0.025
+#: Smallest distance (m) to the joints of the hand, which is about 2 cm thick, and to the corners of
+#: the handed-over object.
+CLUTTER_CLEARANCE = 0.025
 
-# Where things stand on the table: the part of it that people use.
-_X, _Y = (0.15, 0.95), (0.02, 0.55)
-_TRIES = 200
+# Range (m) of the objects' centers in the table's frame.
+_X_RANGE, _Y_RANGE = (0.15, 0.95), (0.02, 0.55)
+_MAX_TRIES = 200
 
 
 @dataclass(frozen=True, eq=False)
-class StandingObject:
-    """An object that stays where it is: class number, position (3) (m) and rotation matrix (3, 3)."""
+class ClutterObject:
+    """Object that stays on the table during the handover.
+
+    Attributes:
+        class_id: YCB class number.
+        position: (3,) position in the table's frame (m).
+        rotation: (3, 3) rotation matrix in the table's frame.
+    """
 
     class_id: int
     position: Array
@@ -34,7 +40,7 @@ class StandingObject:
 
 @dataclass(frozen=True)
 class _Cylinder:
-    """Upright cylinder around an object: centre (x, y), radius, height (m)."""
+    """Upright bounding cylinder of an object: center (x, y), radius and height (m)."""
 
     x: float
     y: float
@@ -42,50 +48,61 @@ class _Cylinder:
     height: float
 
 
-def draw_clutter(scene_id: int, class_id: int, motion: KeyMotion, model: HandModel) -> tuple[StandingObject, ...]:
-    """Draw and place the other objects of a scene."""
-    draws = Draws(scene_id, "clutter")
-    wanted = 2 + draws.integer(3)
-    points = _swept_points(class_id, motion, model)
-    placed: list[StandingObject] = []
-    taken: list[_Cylinder] = []
+def draw_clutter(
+    scene_id: int, class_id: int, motion: KeyframeMotion, model: HandGeometry
+) -> tuple[ClutterObject, ...]:
+    """Draw the objects on the table that are not handed over in a scene.
+
+    Args:
+        scene_id: Scene number, the seed of all draws.
+        class_id: YCB class number of the handed-over object.
+        motion: Keyframes of the handed-over object and of the hand.
+        model: Geometry of the subject's hand.
+    """
+    random = RandomStream(scene_id, "clutter")
+    count = 2 + random.integer(3)
+    points = _compute_swept_points(class_id, motion, model)
+    placed: list[ClutterObject] = []
+    cylinders: list[_Cylinder] = []
     others = [number for number in SCENE_CLASSES if number != class_id]
-    for _ in range(_TRIES):
-        if len(placed) == wanted:
+    for _ in range(_MAX_TRIES):
+        if len(placed) == count:
             break
-        number = others[draws.integer(len(others))]
-        thing, around = _drawn(draws, number)
-        if number in {one.class_id for one in placed} or not _free(around, points, taken):
+        number = others[random.integer(len(others))]
+        candidate, cylinder = _draw_object(random, number)
+        if number in {other.class_id for other in placed} or not _is_free(cylinder, points, cylinders):
             continue
-        placed.append(thing)
-        taken.append(around)
+        placed.append(candidate)
+        cylinders.append(cylinder)
     return tuple(placed)
 
 
-def _drawn(draws: Draws, class_id: int) -> tuple[StandingObject, _Cylinder]:
-    axis = draws.weighted(calibration.UP_AXES[class_id])
-    rotation = laid(axis, draws.uniform(0.0, 2.0 * np.pi))
-    corners = hull_corners(CLASS_NAMES[class_id]) @ rotation.T
+def _draw_object(random: RandomStream, class_id: int) -> tuple[ClutterObject, _Cylinder]:
+    axis = random.weighted_index(calibration.UP_AXES[class_id])
+    rotation = resting_rotation(axis, random.uniform(0.0, 2.0 * np.pi))
+    corners = compute_hull_corners(CLASS_NAMES[class_id]) @ rotation.T
     low, high = corners.min(axis=0), corners.max(axis=0)
     middle = 0.5 * (low + high)
-    x, y = draws.uniform(*_X), draws.uniform(*_Y)
+    x, y = random.uniform(*_X_RANGE), random.uniform(*_Y_RANGE)
     radius = float(np.linalg.norm(corners[:, :2] - middle[:2], axis=1).max())
     position = np.array([x - middle[0], y - middle[1], OBJECT_CLEARANCE - low[2]])
-    return StandingObject(class_id, position, rotation), _Cylinder(x, y, radius, float(high[2] - low[2]))
+    return ClutterObject(class_id, position, rotation), _Cylinder(x, y, radius, float(high[2] - low[2]))
 
 
-def _swept_points(class_id: int, motion: KeyMotion, model: HandModel) -> Array:
-    """(n, 3) where the hand's joints and the given object's corners are in all frames."""
-    corners = hull_corners(CLASS_NAMES[class_id])
+def _compute_swept_points(class_id: int, motion: KeyframeMotion, model: HandGeometry) -> Array:
+    """Return the hand's joints and the handed-over object's corners (n, 3) of all keyframes."""
+    corners = compute_hull_corners(CLASS_NAMES[class_id])
     rotation = motion.object_rotation.as_matrix()
-    given = np.einsum("tij,pj->tpi", rotation, corners) + motion.object_position[:, None]
-    shown = slice(motion.hand_first, None)
-    dof = np.concatenate([motion.base_position, motion.base_rotation.as_euler("XYZ"), motion.fingers], axis=1)[shown]
-    return np.concatenate([given.reshape(-1, 3), model.keypoints(dof).reshape(-1, 3)])
+    object_points = np.einsum("tij,pj->tpi", rotation, corners) + motion.object_position[:, None]
+    angles = motion.base_rotation.as_euler("XYZ")
+    dof = np.concatenate([motion.base_position, angles, motion.fingers], axis=1)[motion.hand_first :]
+    return np.concatenate([object_points.reshape(-1, 3), model.compute_keypoints(dof).reshape(-1, 3)])
 
 
-def _free(around: _Cylinder, points: Array, taken: list[_Cylinder]) -> bool:
-    low = points[points[:, 2] < around.height + GAP]
-    away = np.hypot(low[:, 0] - around.x, low[:, 1] - around.y) > around.radius + GAP
-    apart = all(np.hypot(one.x - around.x, one.y - around.y) > one.radius + around.radius for one in taken)
-    return bool(away.all()) and apart
+def _is_free(cylinder: _Cylinder, points: Array, others: list[_Cylinder]) -> bool:
+    low = points[points[:, 2] < cylinder.height + CLUTTER_CLEARANCE]
+    clear = np.hypot(low[:, 0] - cylinder.x, low[:, 1] - cylinder.y) > cylinder.radius + CLUTTER_CLEARANCE
+    apart = all(
+        np.hypot(other.x - cylinder.x, other.y - cylinder.y) > other.radius + cylinder.radius for other in others
+    )
+    return bool(clear.all()) and apart

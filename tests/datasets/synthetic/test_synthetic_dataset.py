@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from handover_marl.assets.hand_model import SUBJECTS
-from handover_marl.datasets.scene import Scene
+from handover_marl.datasets.dataset import Scene
 from handover_marl.datasets.splits import SETUPS, SKIPPED_OBJECTS, SPLIT_SIZES, SPLITS
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.datasets.synthetic.casting import hand_side
+from handover_marl.datasets.synthetic.assign_subjects import side_from_scene
 from handover_marl.errors import SceneError
 
 DATASET = SyntheticDataset()
@@ -32,34 +32,34 @@ def digest(scene: Scene) -> str:
 
 
 @pytest.mark.parametrize("scene_id", HASHES)
-def test_scenes_are_the_same_everywhere(scene_id: int) -> None:
-    assert digest(DATASET.scene(scene_id)) == HASHES[scene_id]
+def test_scenes_equal_their_checksums(scene_id: int) -> None:
+    assert digest(DATASET.load_scene(scene_id)) == HASHES[scene_id]
 
 
-def test_scenes_do_not_depend_on_the_order_they_are_asked_for() -> None:
-    first = digest(DATASET.scene(17))
+def test_scenes_do_not_depend_on_the_order() -> None:
+    first = digest(DATASET.load_scene(17))
     for other in range(20, 26):
-        DATASET.scene(other)
-    assert digest(SyntheticDataset().scene(17)) == first
+        DATASET.load_scene(other)
+    assert digest(SyntheticDataset().load_scene(17)) == first
 
 
 @pytest.mark.parametrize("setup", SETUPS)
 @pytest.mark.parametrize("split", SPLITS)
 def test_splits_have_the_official_sizes(setup: str, split: str) -> None:
-    assert len(DATASET.split(setup, split)) == SPLIT_SIZES[setup, split]
+    assert len(DATASET.list_scenes(setup, split)) == SPLIT_SIZES[setup, split]
 
 
 def test_sides() -> None:
-    assert all(hand_side(scene) == "right" for scene in range(1000) if scene % 5 < 2)
-    assert all(hand_side(scene) == "left" for scene in range(1000) if scene % 5 in (2, 3))
+    assert all(side_from_scene(scene) == "right" for scene in range(1000) if scene % 5 < 2)
+    assert all(side_from_scene(scene) == "left" for scene in range(1000) if scene % 5 in (2, 3))
     skipped = [scene for scene in range(4, 1000, 5) if scene // 5 % 20 in SKIPPED_OBJECTS]
-    assert 0 < sum(hand_side(scene) == "left" for scene in skipped) < len(skipped)
-    assert all(DATASET.info(scene).side == hand_side(scene) for scene in range(0, 1000, 97))
+    assert 0 < sum(side_from_scene(scene) == "left" for scene in skipped) < len(skipped)
+    assert all(DATASET.load_info(scene).side == side_from_scene(scene) for scene in range(0, 1000, 97))
 
 
 @pytest.mark.parametrize("scene_id", range(0, 1000, 83))
-def test_scenes_look_like_recordings(scene_id: int) -> None:
-    scene = DATASET.scene(scene_id)
+def test_scenes_have_the_statistics_of_recordings(scene_id: int) -> None:
+    scene = DATASET.load_scene(scene_id)
     assert (scene.n_frames - 1) % 80 == 40
     assert 65 <= (scene.n_frames - 1) / 40 <= 75
     assert scene.object_dof.dtype == scene.hand_dof.dtype == np.float32
@@ -79,11 +79,11 @@ def test_scenes_look_like_recordings(scene_id: int) -> None:
 
 @pytest.mark.parametrize("scene_id", [-1, 1000])
 def test_scene_numbers(scene_id: int) -> None:
-    for ask in (DATASET.info, DATASET.scene, DATASET.side):
+    for ask in (DATASET.load_info, DATASET.load_scene, DATASET.find_side):
         with pytest.raises(SceneError, match="0 to 999"):
             ask(scene_id)
 
 
 def test_grasps() -> None:
-    assert DATASET.grasps("003_cracker_box").shape == (100, 4, 4)
-    assert DATASET.grasps("036_wood_block") is None
+    assert DATASET.load_grasps("003_cracker_box").shape == (100, 4, 4)
+    assert DATASET.load_grasps("036_wood_block") is None

@@ -1,36 +1,37 @@
-"""The reactive receiver."""
+"""Tests of the reactive receiver."""
 
 import numpy as np
 import pytest
 
 from handover_marl import receivers
-from handover_marl.benchmarking.runner import benchmark
-from handover_marl.config import ARM_JOINTS
+from handover_marl.config import ARM_DOF
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.episode.clock import PolicyClock
 from handover_marl.episode.episode import Episode
+from handover_marl.episode.loop import PolicyScheduler
 from handover_marl.episode.observations import Observation
 from handover_marl.errors import OptionError, ResetNeededError
-from handover_marl.policies.context import context_of
+from handover_marl.evaluation.benchmark import benchmark
+from handover_marl.policies.policy import make_policy_context
 from handover_marl.receivers import WAITING_JOINTS
-from handover_marl.receivers.reactive.grasps import GraspTrials
-from handover_marl.receivers.reactive.reactive_config import ReactiveConfig, with_risk
-from handover_marl.receivers.reactive.reactive_receiver import Phase, ReactiveReceiver
-from handover_marl.sim.grasp_trial import TrialConfig
+from handover_marl.receivers.reactive.config import ReactiveConfig, apply_risk
+from handover_marl.receivers.reactive.controller import ReactivePhase
+from handover_marl.receivers.reactive.grasps import GraspPreparationConfig
+from handover_marl.receivers.reactive.receiver import ReactiveReceiver
+from handover_marl.simulation.grasp_validation import GraspValidationConfig
 from handover_marl.testing import check_receiver
 
 SCENE = 5
 DATA = SyntheticDataset()
-# Trials so short that all stand them: what they find out is tested where they are.
+# Validations that are so short that all grasps pass.
 QUICK = ReactiveConfig(
-    trials=GraspTrials(
+    preparation=GraspPreparationConfig(
         tilts=(),
-        aside=(),
-        around=(),
-        slip=1.0,
+        lateral_offsets=(),
+        release_offsets=(),
+        max_slip=1.0,
         held_time=0.15,
         free_time=0.002,
-        trial=TrialConfig(close_time=0.15, shake_time=0.002),
+        validation=GraspValidationConfig(close_time=0.15, shake_time=0.002),
     )
 )
 
@@ -40,31 +41,31 @@ def _own_cache(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.Mon
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.getbasetemp() / "cache"))
 
 
-class Quick(ReactiveReceiver):
+class QuickReceiver(ReactiveReceiver):
     name = "quick"
 
     def __init__(self, context: receivers.PolicyContext) -> None:
         super().__init__(context, config=QUICK)
 
 
-def reactive(wait: float = 0.0, risk: float = 0.5) -> ReactiveReceiver:
-    receiver = ReactiveReceiver(context_of(DATA), wait, risk, QUICK)
+def make_reactive(wait: float = 0.0, risk: float = 0.5) -> ReactiveReceiver:
+    receiver = ReactiveReceiver(make_policy_context(DATA), wait, risk, QUICK)
     receiver.reset()
     return receiver
 
 
-def at(observation: Observation, seconds: float, **changes: np.ndarray) -> Observation:
+def observe_at(observation: Observation, seconds: float, **changes: np.ndarray) -> Observation:
     return {**observation, "time": np.array([seconds], dtype=np.float32), **changes}
 
 
-def played(receiver: ReactiveReceiver, scene: int = SCENE) -> tuple[Episode, np.ndarray, list[Phase]]:
-    """An episode with the actions of its decisions and what the receiver was doing."""
-    episode, clock = Episode("fast"), PolicyClock(receiver)
-    episode.reset(DATA.scene(scene))
+def play_scene(receiver: ReactiveReceiver, scene: int = SCENE) -> tuple[Episode, np.ndarray, list[ReactivePhase]]:
+    """Return an episode with the actions and phases of all decisions."""
+    episode, clock = Episode("fast"), PolicyScheduler(receiver)
+    episode.reset(DATA.load_scene(scene))
     clock.reset(None)
     actions, phases = [], []
     while not episode.status:
-        actions.append(clock.ask(episode.observe(), episode.steps))
+        actions.append(clock.decide(episode.observe(), episode.steps))
         phases.append(receiver.phase)
         episode.advance(actions[-1], min(clock.due, 13_000) - episode.steps)
     episode.close()
@@ -72,172 +73,174 @@ def played(receiver: ReactiveReceiver, scene: int = SCENE) -> tuple[Episode, np.
 
 
 @pytest.fixture(scope="module")
-def offered() -> Observation:
-    """What there is to see when the object is held out."""
+def handover_observation() -> Observation:
+    """Return the observation while the object is held out."""
     episode = Episode("fast")
-    episode.reset(DATA.scene(SCENE))
+    episode.reset(DATA.load_scene(SCENE))
     episode.advance(np.array(WAITING_JOINTS, dtype=np.float32), 2900)
     observation = episode.observe()
     episode.close()
     return observation
 
 
-def test_keeps_what_the_benchmark_relies_on() -> None:
-    check_receiver(Quick, dataset=DATA)
+def test_satisfies_the_receiver_checks() -> None:
+    check_receiver(QuickReceiver, dataset=DATA)
 
 
 def test_takes_the_object_to_the_goal() -> None:
-    episode, actions, phases = played(reactive())
+    episode, actions, phases = play_scene(make_reactive())
     assert episode.status.label == "success"
     assert episode.steps < 5000
     order = [phase for number, phase in enumerate(phases) if number == 0 or phase is not phases[number - 1]]
-    assert order[0] is Phase.WAIT
-    assert order[-1] is Phase.RETREAT
-    assert Phase.CLOSE in order
-    closing = np.array([phase in (Phase.CLOSE, Phase.RETREAT) for phase in phases])
-    np.testing.assert_array_equal(actions[:, ARM_JOINTS:] == 0.0, np.stack([closing, closing], axis=1))
+    assert order[0] is ReactivePhase.WAIT
+    assert order[-1] is ReactivePhase.RETREAT
+    assert ReactivePhase.CLOSE in order
+    start_closing = np.array([phase in (ReactivePhase.CLOSE, ReactivePhase.RETREAT) for phase in phases])
+    np.testing.assert_array_equal(actions[:, ARM_DOF:] == 0.0, np.stack([start_closing, start_closing], axis=1))
 
 
 def test_whole_episodes_repeat() -> None:
-    receiver = reactive()
-    first, actions, _ = played(receiver)
-    again, others, _ = played(receiver)
-    fresh, third, _ = played(reactive())
+    receiver = make_reactive()
+    first, actions, _ = play_scene(receiver)
+    again, others, _ = play_scene(receiver)
+    fresh, third, _ = play_scene(make_reactive())
     assert first.steps == again.steps == fresh.steps
     np.testing.assert_array_equal(actions, others)
     np.testing.assert_array_equal(actions, third)
 
 
-def test_waits(offered: Observation) -> None:
-    receiver = reactive(wait=1.0)
+def test_waits(handover_observation: Observation) -> None:
+    receiver = make_reactive(wait=1.0)
     assert receiver.wait == 1.0
-    assert reactive().wait == 0.0
+    assert make_reactive().wait == 0.0
     joints = np.array(WAITING_JOINTS, dtype=np.float32)
     for number in range(20):
-        action = receiver.act(at(offered, 0.05 * number, robot_joint_position=joints))
+        action = receiver.act(observe_at(handover_observation, 0.05 * number, robot_joint_position=joints))
         np.testing.assert_allclose(action, joints, atol=1e-6)
-        assert receiver.phase is Phase.WAIT
+        assert receiver.phase is ReactivePhase.WAIT
 
 
-def test_targets_never_jump() -> None:
-    receiver = reactive()
+def test_targets_respect_motor_limits() -> None:
+    receiver = make_reactive()
     servo = receiver.config.servo
-    episode, _, _ = played(receiver)
+    episode, _, _ = play_scene(receiver)
     assert episode.status
     lead = 1.0 / (1.0 - 0.99**50)
-    most = lead * 0.05 * max(servo.speeds)
-    episode.reset(DATA.scene(SCENE))
+    most = lead * 0.05 * max(servo.max_joint_speeds)
+    episode.reset(DATA.load_scene(SCENE))
     receiver.reset()
-    clock = PolicyClock(receiver)
+    clock = PolicyScheduler(receiver)
     clock.reset(None)
-    before = np.zeros(ARM_JOINTS)
+    before = np.zeros(ARM_DOF)
     while not episode.status:
         observation = episode.observe()
-        action = clock.ask(observation, episode.steps)
-        ahead = action[:ARM_JOINTS] - observation["robot_joint_position"][:ARM_JOINTS]
+        action = clock.decide(observation, episode.steps)
+        ahead = action[:ARM_DOF] - observation["robot_joint_position"][:ARM_DOF]
         assert np.abs(ahead).max() < most + 1e-3
-        # The commanded velocity changes by no more than acceleration allows.
+        # The commanded velocity respects the maximum acceleration.
         change = np.abs(receiver.commanded_velocity - before).max()
-        assert change < servo.acceleration * receiver.config.period + 1e-6
+        assert change < servo.max_acceleration * receiver.config.period + 1e-6
         before = receiver.commanded_velocity.copy()
         episode.advance(action, min(clock.due, 13_000) - episode.steps)
     episode.close()
 
 
-def closing(offered: Observation) -> tuple[ReactiveReceiver, Observation]:
-    """A receiver whose fingers begin to close at 3 s, and what it then sees."""
-    receiver = reactive()
+def start_closing(handover_observation: Observation) -> tuple[ReactiveReceiver, Observation]:
+    """Return a receiver whose fingers begin to close at 3 s, and its observation then."""
+    receiver = make_reactive()
     for number in range(20):
-        receiver.act(at(offered, 2.0 + 0.05 * number))
-    choice = receiver.choice.chosen
-    assert choice is not None
-    joints = np.array([*choice.goal, 0.04, 0.04], dtype=np.float32)
-    seen = at(offered, 3.0, robot_joint_position=joints)
-    action = receiver.act(seen)
-    assert receiver.phase is Phase.CLOSE
+        receiver.act(observe_at(handover_observation, 2.0 + 0.05 * number))
+    goal = receiver.selector.chosen
+    assert goal is not None
+    joints = np.array([*goal.goal, 0.04, 0.04], dtype=np.float32)
+    observation = observe_at(handover_observation, 3.0, robot_joint_position=joints)
+    action = receiver.act(observation)
+    assert receiver.phase is ReactivePhase.CLOSE
     assert action[-1] == 0.0
-    return receiver, seen
+    return receiver, observation
 
 
-def test_opens_backs_out_and_tries_another_grasp_after_a_miss(offered: Observation) -> None:
-    receiver, seen = closing(offered)
-    missed = receiver.choice.chosen
+def test_backs_out_and_selects_another_grasp_after_a_miss(handover_observation: Observation) -> None:
+    receiver, observation = start_closing(handover_observation)
+    missed = receiver.selector.chosen
     assert missed is not None
-    empty = seen["robot_joint_position"].copy()
-    empty[ARM_JOINTS:] = 0.0
-    action = receiver.act(at(seen, 3.3, robot_joint_position=empty))
-    assert receiver.phase is Phase.CLOSE
-    action = receiver.act(at(seen, 3.4, robot_joint_position=empty))
-    assert receiver.phase is Phase.BACK
+    empty = observation["robot_joint_position"].copy()
+    empty[ARM_DOF:] = 0.0
+    action = receiver.act(observe_at(observation, 3.3, robot_joint_position=empty))
+    assert receiver.phase is ReactivePhase.CLOSE
+    action = receiver.act(observe_at(observation, 3.4, robot_joint_position=empty))
+    assert receiver.phase is ReactivePhase.BACK
     assert action[-1] == np.float32(0.04)
     now, phases = 3.4, set()
-    while now < 6.0 and receiver.phase is Phase.BACK:
+    while now < 6.0 and receiver.phase is ReactivePhase.BACK:
         now = round(now + 0.05, 3)
-        receiver.act(at(seen, now, robot_joint_position=empty))
+        receiver.act(observe_at(observation, now, robot_joint_position=empty))
         phases.add(receiver.phase)
-    assert receiver.phase in (Phase.APPROACH, Phase.REACH)
-    chosen = receiver.choice.chosen
+    assert receiver.phase in (ReactivePhase.APPROACH, ReactivePhase.REACH)
+    chosen = receiver.selector.chosen
     assert chosen is not None
     assert chosen.number != missed.number
 
 
-def test_tries_again_when_the_person_does_not_let_go(offered: Observation) -> None:
-    receiver, seen = closing(offered)
-    held = seen["robot_joint_position"].copy()
-    held[ARM_JOINTS:] = 0.02
-    receiver.act(at(seen, 3.7, robot_joint_position=held))
-    assert receiver.phase is Phase.CLOSE
-    receiver.act(at(seen, 3.9, robot_joint_position=held))
-    assert receiver.phase is Phase.BACK
+def test_backs_out_without_release(handover_observation: Observation) -> None:
+    receiver, observation = start_closing(handover_observation)
+    held = observation["robot_joint_position"].copy()
+    held[ARM_DOF:] = 0.02
+    receiver.act(observe_at(observation, 3.7, robot_joint_position=held))
+    assert receiver.phase is ReactivePhase.CLOSE
+    receiver.act(observe_at(observation, 3.9, robot_joint_position=held))
+    assert receiver.phase is ReactivePhase.BACK
 
 
-def test_retreats_once_the_person_lets_go(offered: Observation) -> None:
-    receiver, seen = closing(offered)
+def test_retreats_after_release(handover_observation: Observation) -> None:
+    receiver, observation = start_closing(handover_observation)
     free = {"released": np.ones(1, dtype=np.float32)}
-    action = receiver.act(at(seen, 3.2, **free))
-    assert receiver.phase is Phase.RETREAT
+    action = receiver.act(observe_at(observation, 3.2, **free))
+    assert receiver.phase is ReactivePhase.RETREAT
     assert action[-1] == 0.0
-    # Straight back out of the hand first.
-    hand = seen["gripper_pose"]
+    # It backs out of the hand.
+    hand = observation["gripper_pose"]
     assert np.isfinite(hand).all()
     assert np.abs(receiver.commanded_velocity).max() > 0.05
 
 
-def test_stays_without_known_grasps(offered: Observation) -> None:
-    receiver = reactive()
+def test_stays_without_known_grasps(handover_observation: Observation) -> None:
+    receiver = make_reactive()
     classes = np.zeros(5, dtype=np.float32)
     classes[0] = 1.0
     for number in range(10):
-        receiver.act(at(offered, 3.0 + 0.05 * number, object_classes=classes))
-    assert receiver.phase is Phase.WAIT
+        receiver.act(observe_at(handover_observation, 3.0 + 0.05 * number, object_classes=classes))
+    assert receiver.phase is ReactivePhase.WAIT
 
 
-def test_needs_a_reset(offered: Observation) -> None:
+def test_needs_a_reset(handover_observation: Observation) -> None:
     with pytest.raises(ResetNeededError, match="reactive"):
-        ReactiveReceiver(context_of(DATA), config=QUICK).act(offered)
+        ReactiveReceiver(make_policy_context(DATA), config=QUICK).act(handover_observation)
 
 
 @pytest.mark.parametrize("risk", [-0.1, 1.1, "half", True])
-def test_risk_is_a_share(risk: object) -> None:
+def test_invalid_risk(risk: object) -> None:
     with pytest.raises(OptionError, match="risk"):
-        with_risk(ReactiveConfig(), risk)  # type: ignore[arg-type]
+        apply_risk(ReactiveConfig(), risk)  # type: ignore[arg-type]
 
 
-def test_risk_trades_room_for_speed() -> None:
-    careful, usual, bold = (with_risk(ReactiveConfig(), risk) for risk in (0.0, 0.5, 1.0))
+def test_risk_scales_speeds_and_costs() -> None:
+    careful, usual, bold = (apply_risk(ReactiveConfig(), risk) for risk in (0.0, 0.5, 1.0))
     assert usual == ReactiveConfig()
     assert careful.approach.speed < usual.approach.speed < bold.approach.speed
-    assert careful.grasps.lack > usual.grasps.lack > bold.grasps.lack
+    assert careful.selection.clearance_cost > usual.selection.clearance_cost > bold.selection.clearance_cost
 
 
 def test_name_with_options() -> None:
     receiver = receivers.make("reactive:wait=1.5,risk=0.2", DATA)
     assert isinstance(receiver, ReactiveReceiver)
     assert receiver.wait == 1.5
-    assert receiver.config == with_risk(ReactiveConfig(), 0.2)
+    assert receiver.config == apply_risk(ReactiveConfig(), 0.2)
 
 
-def test_plays_in_exact_physics() -> None:
-    report = benchmark("s0", "train", Quick, scenes=[SCENE], dataset="synthetic", physics="exact", progress=False)
+def test_exact_physics() -> None:
+    report = benchmark(
+        "s0", "train", QuickReceiver, scenes=[SCENE], dataset="synthetic", physics="exact", progress=False
+    )
     (episode,) = report.episodes
     assert episode.steps > 1000

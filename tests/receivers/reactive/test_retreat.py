@@ -1,4 +1,4 @@
-"""Taking an object away."""
+"""Tests of the retreat."""
 
 from dataclasses import replace
 
@@ -6,60 +6,61 @@ import numpy as np
 import pytest
 
 from handover_marl.config import ProtocolConfig
-from handover_marl.models.panda import LOWER_LIMITS, UPPER_LIMITS
-from handover_marl.models.poses import rotate
-from handover_marl.planning.arm_in_world import ArmInWorld
-from handover_marl.planning.arm_servo import ArmServo
-from handover_marl.planning.gripper_room import Balls, rooms
-from handover_marl.receivers.reactive.choice import HOME
-from handover_marl.receivers.reactive.reactive_config import ReactiveConfig, RetreatConfig
-from handover_marl.receivers.reactive.retreat import Retreat
+from handover_marl.geometry.panda import LOWER_LIMITS, UPPER_LIMITS
+from handover_marl.geometry.poses import rotate_points
+from handover_marl.planning.arm_control import ArmInWorld, ArmServo
+from handover_marl.planning.clearance import Spheres, compute_grasp_clearances
+from handover_marl.receivers.reactive.config import ReactiveConfig, RetreatConfig
+from handover_marl.receivers.reactive.reachability import HOME
+from handover_marl.receivers.reactive.retreat import RetreatController
 from tests.planning.robots import ARM
 
 GOAL = np.array(ProtocolConfig().goal_center)
 BASE = np.array([0.61, -0.5, 0.875, 0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)])
 LIMITS = np.array(LOWER_LIMITS[:7]) + 0.03, np.array(UPPER_LIMITS[:7]) - 0.03
 PERIOD = 0.05
-# Before the waiting pose, to the side.
+# In front of the waiting pose, to the side.
 START = HOME + np.array([0.6, 0.5, 0.0, 0.4, 0.0, 0.0, 0.0])
 
 
-def gone(person: Balls | None = None, config: RetreatConfig | None = None, seconds: float = 2.5) -> np.ndarray:
-    """(n, 7) the hand on its way, with motors that follow at once."""
+def simulate_retreat(
+    person: Spheres | None = None, config: RetreatConfig | None = None, seconds: float = 2.5
+) -> np.ndarray:
+    """Return the hand poses (n, 7) of a retreat with ideal motors."""
     arm, servo = ArmInWorld(ARM, BASE, LIMITS), ArmServo(ReactiveConfig().servo, 0.01, 0.05, 0.001)
     joints = START.copy()
     held = np.array([[0.0, 0.0, 0.1]])
-    retreat = Retreat(arm, servo, GOAL, config or RetreatConfig(), arm.hand(joints), held, person)
+    retreat = RetreatController(arm, servo, GOAL, config or RetreatConfig(), arm.hand(joints), held, person)
     hands = [arm.hand(joints)]
     for step in range(round(seconds / PERIOD)):
-        velocity = servo.limited(retreat.velocity(PERIOD * step, joints, hands[-1]))
+        velocity = servo.limit_speed(retreat.compute_velocity(PERIOD * step, joints, hands[-1]))
         joints = np.clip(joints + PERIOD * velocity, *LIMITS)
         hands.append(arm.hand(joints))
     return np.array(hands)
 
 
-def test_goes_straight_back_first_and_then_to_the_goal() -> None:
-    hands = gone()
+def test_backs_out_straight_and_reaches_the_goal() -> None:
+    hands = simulate_retreat()
     back = hands[2, :3] - hands[0, :3]
     assert np.linalg.norm(hands[0, :3] - GOAL) > 0.2
     assert np.linalg.norm(hands[-1, :3] - GOAL) < ProtocolConfig().goal_radius
-    approach = rotate(hands[0, 3:], np.array([0.0, 0.0, 1.0]))
+    approach = rotate_points(hands[0, 3:], np.array([0.0, 0.0, 1.0]))
     assert -back @ approach > 0.7 * np.linalg.norm(back)
 
 
-def test_gets_there_though_back_is_the_wrong_way() -> None:
-    # As if it had to back out without end: only time ends that.
-    config = RetreatConfig(back=100.0)
-    assert np.linalg.norm(gone(config=config)[-1, :3] - GOAL) < ProtocolConfig().goal_radius
-    never = replace(config, back_time=1000.0, stall=1000.0)
-    assert np.linalg.norm(gone(config=never)[-1, :3] - GOAL) > ProtocolConfig().goal_radius
+def test_reaches_the_goal_after_the_backout_timeout() -> None:
+    # Only the timeout ends an infinite distance.
+    config = RetreatConfig(backout_distance=100.0)
+    assert np.linalg.norm(simulate_retreat(config=config)[-1, :3] - GOAL) < ProtocolConfig().goal_radius
+    never = replace(config, backout_timeout=1000.0, stall_timeout=1000.0)
+    assert np.linalg.norm(simulate_retreat(config=never)[-1, :3] - GOAL) > ProtocolConfig().goal_radius
 
 
-@pytest.mark.parametrize("aside", [(0.12, 0.0, 0.0), (-0.12, 0.0, 0.0), (0.0, -0.12, 0.0)])
-def test_passes_beside_the_persons_hand(aside: tuple[float, float, float]) -> None:
-    free = gone()
-    person = Balls(free[-1:, :3] + np.array(aside), np.array([0.03]))
-    assert rooms(free, person).min() < RetreatConfig().room
-    other = gone(person)
-    assert rooms(other, person).min() > RetreatConfig().room
+@pytest.mark.parametrize("offset", [(0.12, 0.0, 0.0), (-0.12, 0.0, 0.0), (0.0, -0.12, 0.0)])
+def test_path_is_clear_of_the_hand(offset: tuple[float, float, float]) -> None:
+    free = simulate_retreat()
+    person = Spheres(free[-1:, :3] + np.array(offset), np.array([0.03]))
+    assert compute_grasp_clearances(free, person).min() < RetreatConfig().desired_clearance
+    other = simulate_retreat(person)
+    assert compute_grasp_clearances(other, person).min() > RetreatConfig().desired_clearance
     assert np.linalg.norm(other[-1, :3] - GOAL) < ProtocolConfig().goal_radius

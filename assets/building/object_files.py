@@ -1,0 +1,144 @@
+"""Reader and writer of the objects' OBJ files, and of the palette image that colors them.
+
+PyBullet draws one texture per OBJ file and ignores vertex colors, so the texture coordinates of
+every face are the center of a color's cell in a small image.
+"""
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import trimesh
+
+from handover_marl.assets.object_models import COLLISION_NAME, OBJECTS_ROOT, VISUAL_NAME, find_object_urdf
+from handover_marl.geometry.obj_files import read_obj
+
+#: sRGB values by color name.
+PALETTE = {
+    "black": (38, 38, 40),
+    "blue": (38, 84, 160),
+    "brown": (110, 66, 36),
+    "cream": (240, 225, 190),
+    "navy": (28, 40, 92),
+    "olive": (120, 128, 50),
+    "orange": (226, 92, 28),
+    "red": (184, 34, 32),
+    "skin": (224, 172, 140),
+    "steel": (176, 180, 184),
+    "white": (240, 240, 236),
+    "wood": (188, 142, 92),
+    "yellow": (242, 200, 40),
+}
+_CELL = 4  # pixels; texture interpolation at the center stays inside of the cell
+
+
+def make_palette_image() -> npt.NDArray[np.uint8]:
+    """Return the image (4, 4 * n, 3) with one square cell per color, in alphabetical order."""
+    colors = np.array([PALETTE[name] for name in sorted(PALETTE)], dtype=np.uint8)
+    return np.repeat(np.repeat(colors[None], _CELL, axis=0), _CELL, axis=1)
+
+
+def write_palette(folder: Path) -> None:
+    """Write `palette.png` and the material file `palette.mtl` to a folder."""
+    from PIL import Image
+
+    # Not compressed: compressors of other versions write other bytes.
+    Image.fromarray(make_palette_image()).save(folder / "palette.png", compress_level=0)
+    (folder / "palette.mtl").write_text("newmtl palette\nKa 1 1 1\nKd 1 1 1\nmap_Kd palette.png\n", newline="\n")
+
+
+def write_visual(path: Path, colored_meshes: Iterable[tuple[str, trimesh.Trimesh]]) -> None:
+    """Write colored meshes (m) as one OBJ file next to the palette."""
+    names = sorted(PALETTE)
+    lines = ["mtllib palette.mtl", "o visual", "usemtl palette"]
+    lines += [f"vt {(index + 0.5) / len(names):.4f} 0.5" for index in range(len(names))]
+    first = 1
+    for color, mesh in colored_meshes:
+        texture = names.index(color) + 1
+        vertices, faces = _canonicalize(mesh)
+        lines += _format_vertices(vertices)
+        lines += ["f " + " ".join(f"{first + corner}/{texture}" for corner in face) for face in faces]
+        first += len(vertices)
+    path.write_text("\n".join(lines) + "\n", newline="\n")
+
+
+def write_convex_parts(path: Path, parts: Sequence[trimesh.Trimesh]) -> None:
+    """Write convex meshes (m) as the objects of one OBJ file; PyBullet makes a hull of each."""
+    lines = []
+    first = 1
+    for number, part in enumerate(parts):
+        vertices, faces = _canonicalize(part)
+        lines += [f"o convex_{number}", *_format_vertices(vertices)]
+        lines += ["f " + " ".join(str(first + corner) for corner in face) for face in faces]
+        first += len(vertices)
+    path.write_text("\n".join(lines) + "\n", newline="\n")
+
+
+def _canonicalize(mesh: trimesh.Trimesh) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.int64]]:
+    """Return rounded vertices and faces in an order that depends only on the shape."""
+    # Adding zero turns -0.0 into 0.0.
+    rounded = np.round(np.asarray(mesh.vertices, dtype=np.float64), 6) + 0.0
+    vertices, renumbered = np.unique(rounded, axis=0, return_inverse=True)
+    faces = renumbered.reshape(-1)[np.asarray(mesh.faces)]
+    whole = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+    faces = faces[whole]
+    turned = np.stack([np.roll(face, -int(np.argmin(face))) for face in faces])
+    return vertices, turned[np.lexsort(turned.T[::-1])]
+
+
+def _format_vertices(vertices: npt.NDArray[np.float64]) -> list[str]:
+    return [f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in vertices]
+
+
+def load_visual_mesh(name: str, root: Path = OBJECTS_ROOT) -> trimesh.Trimesh:
+    """Load the visual mesh (m) of an object in its frame, without colors.
+
+    Raises:
+        UnknownNameError: The class does not exist.
+        DataNotFoundError: The files are missing under `root`.
+    """
+    (mesh,) = read_parts(find_object_urdf(name, root).with_name(VISUAL_NAME))
+    return mesh
+
+
+def load_collision_parts(name: str, root: Path = OBJECTS_ROOT) -> list[trimesh.Trimesh]:
+    """Load the convex collision meshes (m) of an object in its frame.
+
+    Raises:
+        UnknownNameError: The class does not exist.
+        DataNotFoundError: The files are missing under `root`.
+    """
+    return read_parts(find_object_urdf(name, root).with_name(COLLISION_NAME))
+
+
+def load_collision_mesh(name: str, root: Path = OBJECTS_ROOT) -> trimesh.Trimesh:
+    """Load all convex collision meshes (m) of an object as one mesh; they may overlap.
+
+    Raises:
+        UnknownNameError: The class does not exist.
+        DataNotFoundError: The files are missing under `root`.
+    """
+    return merge_meshes(load_collision_parts(name, root))
+
+
+def read_parts(path: Path) -> list[trimesh.Trimesh]:
+    """Read the meshes (m) of an OBJ file, one for each of its objects.
+
+    Raises:
+        DataFormatError: The file is no OBJ file of triangles.
+    """
+    content = read_obj(path)
+    return [_extract_submesh(content.vertices, faces) for faces in content.groups]
+
+
+def merge_meshes(meshes: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:
+    """Return one mesh of the vertices and faces of all meshes."""
+    firsts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
+    faces = [mesh.faces + first for mesh, first in zip(meshes, firsts, strict=False)]
+    return trimesh.Trimesh(np.concatenate([mesh.vertices for mesh in meshes]), np.concatenate(faces), process=False)
+
+
+def _extract_submesh(points: npt.NDArray[np.float64], faces: npt.NDArray[np.int64]) -> trimesh.Trimesh:
+    used, compact = np.unique(faces, return_inverse=True)
+    return trimesh.Trimesh(points[used], compact.reshape(-1, 3), process=False)

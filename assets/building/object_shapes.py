@@ -1,0 +1,319 @@
+"""Shapes of the object models in millimetres, with the dimensions of the scanned YCB objects.
+
+Source: scans of the YCB set (Calli et al., 2015) as used by DexYCB; the profiles in
+`object_profiles.json` were measured on them and rounded. Boxes, cans and blocks are made upright at
+the origin and then placed by center and rotation vector (degrees); bottles, tools and clamps are
+made in the scan's frame.
+"""
+
+import json
+from collections.abc import Callable, Sequence
+from importlib.resources import files
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from handover_marl.assets.building.shapes import (
+    Array,
+    Piece,
+    loft,
+    make_bar,
+    make_block,
+    make_ellipse,
+    make_label,
+    make_rectangle,
+    make_span,
+    revolve_wall,
+    stack_outlines,
+    sweep_outlines,
+)
+
+#: Rows of measured profiles by name; `object_profiles.json` describes their columns.
+PROFILES: MappingProxyType[str, Any] = MappingProxyType(
+    {
+        name: profile["rows"]
+        for name, profile in json.loads((files(__package__) / "object_profiles.json").read_text()).items()
+    }
+)
+_LABEL_THICKNESS = 0.3
+
+
+def _make_labelled_box(
+    size: tuple[float, float, float], colors: tuple[str, str, str], flat_axis: int, corner: float = 1.5
+) -> tuple[Piece, ...]:
+    """Return a box with a colored panel and a stripe on its two faces across `flat_axis`."""
+    body, panel, stripe = colors
+    half = [extent / 2 for extent in size]
+    long_axis = max((axis for axis in range(3) if axis != flat_axis), key=lambda axis: size[axis])
+    pieces = [make_block(size, body, corner)]
+    for share, (start, stop), color in ((0.8, (-0.75, 0.1), panel), (0.9, (0.35, 0.75), stripe)):
+        low, high = [-share * extent for extent in half], [share * extent for extent in half]
+        low[long_axis], high[long_axis] = start * half[long_axis], stop * half[long_axis]
+        low[flat_axis], high[flat_axis] = -half[flat_axis] - _LABEL_THICKNESS, half[flat_axis] + _LABEL_THICKNESS
+        pieces.append(make_label(low, high, color))
+    return tuple(pieces)
+
+
+def _make_carton(rows: Sequence[tuple[float, float, float]], depth: float, colors: Sequence[str], cut: int) -> Piece:
+    """Return a bent carton from rows (z, lowest x, highest x); collision splits at row `cut`."""
+    outlines = [make_span((low, -depth / 2), (high, depth / 2), 1.5) for _, low, high in rows]
+    return loft(stack_outlines(outlines, [row[0] for row in rows]), colors, (cut,))
+
+
+def make_cracker_box() -> tuple[Piece, ...]:
+    """Return 003_cracker_box (mm): 71.5 x 163.5 x 213.5, 63 wide at half its height."""
+    rows = (
+        (-111.6, -35.0, 34.0), (-95.0, -36.3, 35.2), (-50.0, -35.8, 32.5), (0.0, -35.8, 29.0), (45.0, -34.8, 28.2),
+        (75.0, -34.3, 31.5), (101.9, -34.0, 32.0),
+    )  # fmt: skip
+    colors = ("red", "red", "yellow", "red", "white", "red")
+    return (_make_carton(rows, 163.5, colors, 4).transform((0, -1.7, 0)),)
+
+
+def make_sugar_box() -> tuple[Piece, ...]:
+    """Return the pieces of 004_sugar_box (mm): 42 x 92 x 176, leaning by 1.5 degrees."""
+    rows = (
+        (-92.3, -19.5, 24.7),
+        (-45.0, -20.5, 23.7),
+        (0.0, -21.2, 22.0),
+        (45.0, -21.8, 19.0),
+        (83.6, -23.0, 17.0),
+    )
+    return (_make_carton(rows, 91.5, ("yellow", "white", "yellow", "blue"), 2).transform((0, -1.4, 0), (0, 0, -2.6)),)
+
+
+def make_pudding_box() -> tuple[Piece, ...]:
+    """Return the pieces of 008_pudding_box (mm): 114.2 x 89.9 x 38.2."""
+    pieces = _make_labelled_box((114.2, 89.9, 37.6), ("brown", "cream", "white"), 2, 4.0)
+    return tuple(piece.transform((-1.4, 4.1, -3.8), (1.1, -1.4, 28.4)) for piece in pieces)
+
+
+def make_gelatin_box() -> tuple[Piece, ...]:
+    """Return the pieces of 009_gelatin_box (mm): 72.7 x 89.4 x 29.8."""
+    pieces = _make_labelled_box((72.7, 89.4, 29.2), ("red", "cream", "white"), 2)
+    return tuple(piece.transform((-1.3, 0.3, -3.9), (0.4, -0.8, 13.3)) for piece in pieces)
+
+
+def make_wood_block() -> tuple[Piece, ...]:
+    """Return the pieces of 036_wood_block (mm): 89.7 x 88.9 x 206."""
+    return (make_block((89.7, 88.9, 206.0), "wood", 4.0).transform((-1.8, 2.2, -17.5), (0.3, -0.4, -12.4)),)
+
+
+def make_foam_brick() -> tuple[Piece, ...]:
+    """Return the pieces of 061_foam_brick (mm): 51.9 x 77.4 x 51.1."""
+    return (make_block((51.9, 77.4, 51.1), "red", 2.5).transform((0.0, -0.2, 8.1), (0.2, 0.4, -0.8)),)
+
+
+def _make_can(low: float, high: float, body: float, rim: float, colors: tuple[str, str]) -> Piece:
+    """Return a can from z of its ends, radius of body and rims, and colors of label and rims."""
+    paper, metal = colors
+    heights = (low, low + 3, low + 5, high - 5, high - 3, high)
+    radii = (rim, rim, body, body, rim, rim)
+    return loft(stack_outlines([make_ellipse(r, n=40) for r in radii], heights), (metal, metal, paper, metal, metal))
+
+
+def make_master_chef_can() -> tuple[Piece, ...]:
+    """Return the pieces of 002_master_chef_can (mm): diameter 102.5, height 140.1."""
+    return (_make_can(-73.7, 66.5, 50.2, 51.3, ("blue", "white")).transform((-1.5, 0.6, 0)),)
+
+
+def make_tomato_soup_can() -> tuple[Piece, ...]:
+    """Return the pieces of 005_tomato_soup_can (mm): diameter 67.8, height 101.9."""
+    return (_make_can(-59.3, 42.6, 33.0, 33.8, ("red", "steel")).transform((-0.3, 1.8, 0)),)
+
+
+def make_tuna_fish_can() -> tuple[Piece, ...]:
+    """Return the pieces of 007_tuna_fish_can (mm): diameter 85.5, height 33.5."""
+    return (_make_can(-20.8, 12.7, 42.0, 42.8, ("blue", "steel")),)
+
+
+def make_potted_meat_can() -> tuple[Piece, ...]:
+    """Return the pieces of 010_potted_meat_can (mm): 101.6 x 57.3 x 83.4, widest at its lid."""
+    body, rim = make_rectangle(96.5, 51.5, 17.0, 6), make_rectangle(101.6, 57.3, 19.0, 6)
+    rings = stack_outlines([body, body, body, rim, rim], (-49.8, -40.0, 26.0, 31.5, 33.8))
+    return (loft(rings, ("steel", "navy", "steel", "steel"), (2,)).transform((-2.4, -0.5, 0), (0, 0, 2.6)),)
+
+
+def make_banana() -> tuple[Piece, ...]:
+    """Return the pieces of 011_banana (mm): length 197, thickness 37."""
+    path = [row[:3] for row in PROFILES["banana"]]
+    rings = sweep_outlines(path, [make_ellipse(row[3], n=20) for row in PROFILES["banana"]], (0, 0, 1))
+    colors = ("brown", *["yellow"] * (len(PROFILES["banana"]) - 3), "olive")
+    return (loft(rings, colors, (2, 3, 4, 5, 6, 7, 8, 9, 10)),)
+
+
+def _stack_downwards(outlines: list[Array], heights: list[float]) -> Array:
+    """Return rings of outlines (x, z) at heights y."""
+    return stack_outlines(outlines, heights)[..., [0, 2, 1]]
+
+
+def make_power_drill() -> tuple[Piece, ...]:
+    """Return 035_power_drill (mm): 184 x 187 x 57: barrel along x, handle towards -y."""
+    circles = stack_outlines(
+        [make_ellipse(radius, n=28) for _, radius in PROFILES["power_drill_barrel"]],
+        [x for x, _ in PROFILES["power_drill_barrel"]],
+    )
+    colors = ("black", "black", "black", "steel", *["orange"] * 4, "black")
+    barrel = loft(circles[..., [2, 0, 1]], colors, (3, 4)).transform((0, 46.8, 0))
+    outlines = [make_span((low, -half), (high, half), 8.0) for _, low, high, half in PROFILES["power_drill_handle"]]
+    rows = [row[0] for row in PROFILES["power_drill_handle"]]
+    handle = loft(_stack_downwards(outlines, rows), ("orange", "orange", "black", "orange", "black"), (1, 2, 3, 4))
+    outlines = [make_span((x0, z0), (x1, z1), 10.0) for _, x0, x1, z0, z1 in PROFILES["power_drill_battery"]]
+    battery = loft(_stack_downwards(outlines, [row[0] for row in PROFILES["power_drill_battery"]]), "black")
+    outlines = [make_span((-17.0, -7.5), (-2.0, 7.5), 3.0), make_span((-12.0, -7.5), (6.0, 7.5), 3.0)]
+    trigger = loft(_stack_downwards(outlines, [9.0, -15.0]), "red")
+    return barrel, handle, battery, trigger
+
+
+def make_scissors() -> tuple[Piece, ...]:
+    """Return 037_scissors (mm): 96 x 201.5 x 15.7, closed: two loops, and blades towards +y."""
+    pieces = []
+    for (x, y), direction, (long, short) in PROFILES["scissors_loops"]:
+        along = np.array(direction) / np.hypot(*direction)
+        angle = np.arange(16) * 2 * np.pi / 16
+        flat = np.outer(long * np.cos(angle), along) + np.outer(short * np.sin(angle), (-along[1], along[0]))
+        path = np.c_[flat + np.array([x, y]), np.zeros(16)]
+        rings = sweep_outlines(path, [make_rectangle(8.0, 14.4, 2.5, 3)] * 16, (0, 0, 1), closed=True)
+        pieces.append(loft(rings, "orange", None, closed=True))
+    pieces.append(loft(make_bar(PROFILES["scissors_left_shank"], -7.8, 7.9), "orange", None))
+    pieces.append(loft(make_bar(PROFILES["scissors_right_shank"], -7.0, 7.0), "orange", None))
+    pieces.append(loft(make_bar(PROFILES["scissors_blades"], -2.5, 2.8, 0.8), "steel", None))
+    return tuple(pieces)
+
+
+def _make_clamp(
+    halves: tuple[tuple[tuple[tuple[float, float], tuple[float, float]], ...], ...],
+    bar: tuple[float, float],
+    pivot: tuple[float, float],
+    pin: tuple[float, float],
+) -> tuple[Piece, ...]:
+    """Return a spring clamp of two bars on a pin at `pivot`; `bar` and `pin` are z ranges."""
+    colors = ("orange", "black", "black", "black", "black", "black", "black", "orange")
+    arms = [loft(make_bar(half, *bar, bevel=3.0), colors, None) for half in halves]
+    hub = loft(stack_outlines([make_ellipse(14.0), make_ellipse(14.0)], (bar[0] + 2, bar[1] - 2)), "black").transform(
+        (*pivot, 0)
+    )
+    outlines = [make_ellipse(9.5, n=24), make_ellipse(12.0, n=24), make_ellipse(12.0, n=24), make_ellipse(9.5, n=24)]
+    heights = (pin[0], pin[0] + 3, pin[1] - 3, pin[1])
+    return *arms, hub, loft(stack_outlines(outlines, heights), "orange").transform((*pivot, 0))
+
+
+def make_extra_large_clamp() -> tuple[Piece, ...]:
+    """Return the pieces of 052_extra_large_clamp (mm): 210 x 164 x 36."""
+    return _make_clamp(PROFILES["extra_large_clamp"], (-13.2, 13.6), (-3.0, 1.0), (-18.3, 17.9))
+
+
+def make_large_clamp() -> tuple[Piece, ...]:
+    """Return the pieces of 051_large_clamp (mm): 120 x 171 x 39, slightly tilted as in the scan."""
+    pieces = _make_clamp(PROFILES["large_clamp"], (-11.5, 11.5), (0.0, -2.0), (-17.6, 18.0))
+    return tuple(piece.transform(rotation_degrees=(3.0, 5.7, 0.0)) for piece in pieces)
+
+
+def make_large_marker() -> tuple[Piece, ...]:
+    """Return the pieces of 040_large_marker (mm): diameter 18.8, length 120.8."""
+    path = [(x, y, -0.3) for x, y, _ in PROFILES["marker"]]
+    outlines = [make_ellipse(radius, n=24) for *_, radius in PROFILES["marker"]]
+    body = loft(sweep_outlines(path, outlines, (0, 0, 1)), ("black", "white", "white", "black", "black"), (3,))
+    end = loft(
+        sweep_outlines([(-1.0, 56.9, -0.3), (-1.2, 62.5, -0.3)], [make_ellipse(4.6, n=24)] * 2, (0, 0, 1)), "black"
+    )
+    return body, end
+
+
+def make_mustard_bottle() -> tuple[Piece, ...]:
+    """Return 006_mustard_bottle (mm): 96 x 57.6 x 191.4, with a waist, a cap and a nozzle."""
+    body = loft(
+        stack_outlines(
+            [make_ellipse(a, b, exponent=e) for _, a, b, e in PROFILES["mustard_bottle"]],
+            [row[0] for row in PROFILES["mustard_bottle"]],
+        ),
+        ("yellow",) * 6 + ("navy",) * 2 + ("yellow",) * 3,
+        (3, 5, 7),
+    )
+    cap = loft(stack_outlines([make_ellipse(20.2)] * 2, (74.0, 88.0)), "white")
+    nozzle = loft(
+        stack_outlines([make_ellipse(13.0), make_ellipse(9.5), make_ellipse(7.0)], (87.9, 104.0, 107.5)), "white"
+    )
+    return tuple(piece.transform((-0.8, -2.4, 0), (0, 0, -21.1)) for piece in (body, cap, nozzle))
+
+
+def make_bleach_cleanser() -> tuple[Piece, ...]:
+    """Return the pieces of 021_bleach_cleanser (mm): 102.4 x 67.7 x 250.6."""
+    outlines = [make_span(row[1:3], row[3:5], exponent=3.0) for row in PROFILES["bleach_cleanser"]]
+    colors = ("white", "white", "white", "blue", "white", "white", "white", "white", "white", "white", "white")
+    body = loft(stack_outlines(outlines, [row[0] for row in PROFILES["bleach_cleanser"]]), colors, (3, 4, 5, 7, 9))
+    collar = loft(stack_outlines([make_ellipse(15.2)] * 2, (118.0, 131.5)), "blue").transform((4.1, 2.3, 0))
+    spout = loft(stack_outlines([make_ellipse(14.0)] * 2, (131.4, 138.5)), "blue").transform((4.3, 2.2, 0))
+    return body, collar, spout
+
+
+def make_bowl() -> tuple[Piece, ...]:
+    """Return 024_bowl (mm): diameter 161, height 55, wall thickness 3, open at the top."""
+    wall = revolve_wall(PROFILES["bowl"], "red", n_parts=18)
+    rim = revolve_wall(((80.6, 26.5, 71.0, 26.5), (80.6, 30.0, 71.2, 30.4)), "red", n_parts=18)
+    bottom = loft(stack_outlines([make_ellipse(44.0, n=48)] * 2, (-24.5, -22.0)), "red")
+    return tuple(piece.transform((0.2, -0.9, 0)) for piece in (wall, rim, bottom))
+
+
+def make_mug() -> tuple[Piece, ...]:
+    """Return the pieces of 025_mug (mm): rim diameter 92.9, height 81.5, with an open handle."""
+    wall = revolve_wall(PROFILES["mug"], "red")
+    rim = revolve_wall(((46.4, 40.0, 37.8, 39.8), (46.4, 42.0, 38.3, 42.4)), "red")
+    floor = loft(
+        stack_outlines(
+            [make_ellipse(38.0, n=48), make_ellipse(40.8, n=48), make_ellipse(40.8, n=48)], (-39.1, -36.5, -34.0)
+        ),
+        "red",
+    )
+    path = [(x, -1.7, z) for x, z in PROFILES["mug_handle"]]
+    handle = loft(sweep_outlines(path, [make_rectangle(6.6, 14.4, 2.0)] * len(path), (0, 1, 0)), "red", None)
+    return *(piece.transform((-3.7, 0.7, 0)) for piece in (wall, rim, floor)), handle
+
+
+def make_pitcher_base() -> tuple[Piece, ...]:
+    """Return 019_pitcher_base (mm): height 242.7, with lid, spout (-x -y) and handle (+x +y)."""
+    radii, heights = (50.0, 54.0, 62.9), (-147.0, -141.0, 71.0)
+    body = loft(stack_outlines([make_ellipse(radius, n=48) for radius in radii], heights), "blue")
+    wall = revolve_wall(((62.9, 71.0, 58.5, 71.0), (66.4, 87.9, 60.5, 87.9)), "white")
+    # The lid is recessed inside of its rim, with a bar across.
+    bar = loft(
+        stack_outlines(
+            [make_rectangle(116, 24, 3), make_rectangle(112, 24, 3), make_rectangle(60, 22, 3)], (71.0, 88.0, 95.6)
+        ),
+        "white",
+    ).transform(rotation_degrees=(0, 0, 68))
+    spout_outlines = [make_span((58.0, -3.0), (60.5, 3.0), 0.8), make_span((58.0, -16.0), (80.0, 16.0), 8.0)]
+    spout = loft(stack_outlines(spout_outlines, (40.0, 88.0)), "blue").transform(rotation_degrees=(0, 0, 222.0))
+    path = [(distance, 0.0, z) for distance, z in PROFILES["pitcher_handle"]]
+    handle = loft(sweep_outlines(path, [make_rectangle(14.0, 23.0, 5.0)] * len(path), (0, 1, 0)), "blue", None)
+    handle = handle.transform(rotation_degrees=(0, 0, 44.0))
+    return tuple(piece.transform((-13.5, -13.0, 0)) for piece in (body, wall, bar, spout, handle))
+
+
+#: Function that makes the pieces of an object, by YCB class name.
+OBJECT_SHAPES: MappingProxyType[str, Callable[[], tuple[Piece, ...]]] = MappingProxyType(
+    {
+        "002_master_chef_can": make_master_chef_can,
+        "003_cracker_box": make_cracker_box,
+        "004_sugar_box": make_sugar_box,
+        "005_tomato_soup_can": make_tomato_soup_can,
+        "006_mustard_bottle": make_mustard_bottle,
+        "007_tuna_fish_can": make_tuna_fish_can,
+        "008_pudding_box": make_pudding_box,
+        "009_gelatin_box": make_gelatin_box,
+        "010_potted_meat_can": make_potted_meat_can,
+        "011_banana": make_banana,
+        "019_pitcher_base": make_pitcher_base,
+        "021_bleach_cleanser": make_bleach_cleanser,
+        "024_bowl": make_bowl,
+        "025_mug": make_mug,
+        "035_power_drill": make_power_drill,
+        "036_wood_block": make_wood_block,
+        "037_scissors": make_scissors,
+        "040_large_marker": make_large_marker,
+        "051_large_clamp": make_large_clamp,
+        "052_extra_large_clamp": make_extra_large_clamp,
+        "061_foam_brick": make_foam_brick,
+    }
+)

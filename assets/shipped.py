@@ -1,0 +1,118 @@
+"""Robot grasps, grasp validations and network weights that are part of the library.
+
+Gripper poses follow the convention of HandoverSim's grasp files: the fingers close along x, the
+hand approaches along z, and the Panda's hand link is the gripper frame rotated by -90 degrees
+about z.
+"""
+
+import functools
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.assets.object_models import DATA_ROOT
+from handover_marl.errors import DataFormatError, DataNotFoundError, UnknownNameError
+from handover_marl.geometry.ycb import CLASS_NAMES
+
+#: Path of the robot grasps, made and validated in simulation by `building/build_grasps.py`.
+GRASPS_PATH = DATA_ROOT / "grasps.npz"
+#: YCB classes that are wider than the gripper opens; neither the library nor HandoverSim has grasps.
+CLASSES_WITHOUT_GRASPS = ("002_master_chef_can", "036_wood_block")
+
+#: Path of the grasp validations, made by `building/build_trials.py`.
+VALIDATION_PATH = DATA_ROOT / "trials.npz"
+#: Result of the validation of an object's grasps, (n, 4): index of the perturbed copy, or -1 for a
+#: known grasp (in their order); number of poses in and around it that held; number of the retreat
+#: motion that held (0: none); number of release poses in which the fingers kept the object.
+ValidationRecord = npt.NDArray[np.int16]
+
+#: Path of the weights of the receiver `gaddpg`, trained on scenes that are in the training splits of
+#: all setups by `experiments/training/train_gaddpg.py`.
+GADDPG_WEIGHTS = DATA_ROOT / "gaddpg.npz"
+
+
+def find_vision_weights(setup: str) -> Path:
+    """Return the path of the weights of the receiver `vision` for an official setup.
+
+    They were trained on the training split of the setup by `experiments/training/train_vision.py`.
+    For other setups the file does not exist.
+    """
+    return DATA_ROOT / f"vision_{setup}.npz"
+
+
+def load_object_grasps(name: str, path: Path = GRASPS_PATH) -> npt.NDArray[np.float64] | None:
+    """Load the robot grasps of a YCB class.
+
+    Args:
+        name: YCB class name, e.g. "025_mug".
+        path: Grasp file.
+
+    Returns:
+        (100, 4, 4) gripper poses in the object's frame (m), or None for a class without grasps.
+
+    Raises:
+        UnknownNameError: The class does not exist.
+        DataNotFoundError: The grasp file is missing.
+        DataFormatError: The grasp file is damaged or lacks the class.
+    """
+    if name not in CLASS_NAMES.values():
+        raise UnknownNameError("object", name, CLASS_NAMES.values())
+    if name in CLASSES_WITHOUT_GRASPS:
+        return None
+    grasps = _load_grasps(path)
+    if name not in grasps:
+        raise DataFormatError(
+            f"{path}: no grasps for {name}; rebuild with `python -m handover_marl.assets.building.build_grasps`"
+        )
+    own_copy: npt.NDArray[np.float64] = grasps[name].copy()
+    return own_copy
+
+
+@functools.cache
+def _load_grasps(path: Path) -> MappingProxyType[str, npt.NDArray[np.float64]]:
+    if not path.is_file():
+        raise DataNotFoundError(
+            f"{path} is missing; make it with `python -m handover_marl.assets.building.build_grasps`"
+        )
+    grasps = {name: array.astype(np.float64) for name, array in _load_npz(path, "grasp file").items()}
+    for name, transforms in grasps.items():
+        if transforms.ndim != 3 or transforms.shape[1:] != (4, 4) or not np.isfinite(transforms).all():
+            raise DataFormatError(f"{path}: {name} must be finite numbers of shape (n, 4, 4)")
+    return MappingProxyType(grasps)
+
+
+def load_validation_record(name: str, path: Path = VALIDATION_PATH) -> ValidationRecord | None:
+    """Load a record (n, 4) of grasp validations by its name, or return None if it does not exist.
+
+    Raises:
+        DataFormatError: The file is damaged.
+    """
+    record = load_validation_records(path).get(name)
+    return None if record is None else record.copy()
+
+
+@functools.cache
+def load_validation_records(path: Path) -> MappingProxyType[str, ValidationRecord]:
+    """Load all records of grasp validations of a file by name; a missing file has none.
+
+    Raises:
+        DataFormatError: The file is damaged.
+    """
+    if not path.is_file():
+        return MappingProxyType({})
+    records = _load_npz(path, "file of grasp validations")
+    for name, record in records.items():
+        if record.dtype != np.int16 or record.ndim != 2 or record.shape[1] != 4:
+            raise DataFormatError(f"{path}: {name} must be integers of shape (n, 4); install the library again")
+    return MappingProxyType(records)
+
+
+def _load_npz(path: Path, kind: str) -> dict[str, npt.NDArray[Any]]:
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            return {name: archive[name] for name in archive.files}
+    except Exception as error:  # NumPy and zipfile raise many types on damaged files
+        raise DataFormatError(f"{path}: not a readable {kind} ({error}); install the library again") from error

@@ -1,0 +1,125 @@
+"""Compare generated scenes with DexYCB: Kolmogorov-Smirnov distances over 1,000 scenes each.
+
+    python experiments/analysis/compare_distributions.py --data-dir DIR
+
+Without a data folder only the synthetic figures are printed.
+"""
+
+import os
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import tyro
+from rich.console import Console
+from rich.progress import track
+from scipy.spatial.transform import Rotation
+from scipy.stats import ks_2samp
+from tabulate import tabulate
+
+from handover_marl.datasets import DATA_DIR_VARIABLE, Dataset, open_dataset
+from handover_marl.datasets.dataset import Scene
+from handover_marl.datasets.splits import N_SCENES
+
+Array = npt.NDArray[np.float64]
+
+KEY_STRIDE = 40
+KEY_PERIOD = 0.04
+PALM_JOINT = ".//joint[@name='joint7']/origin"
+
+QUANTITIES = {
+    "offer x (m)": True,
+    "offer y (m)": True,
+    "offer z (m)": True,
+    "start x (m)": True,
+    "start y (m)": True,
+    "object-to-wrist distance at the offer (m)": True,
+    "peak wrist speed (m/s)": True,
+    "hand onset (s)": True,
+    "duration (s)": True,
+    "tilt from start to offer (deg)": False,
+    "turn from start to offer (deg)": False,
+    "fingers towards the robot at the offer (-y)": False,
+    "left hands": False,
+}
+
+
+@dataclass(frozen=True)
+class Args:
+    """Options of the comparison of synthetic scenes with DexYCB.
+
+    Attributes:
+        data_dir: Folder in HandoverSim's layout; default: environment variable HANDOVER_MARL_DATA.
+        stride: Measure every n-th scene.
+    """
+
+    data_dir: str | None = None
+    stride: int = 1
+
+
+def main(args: Args) -> None:
+    scenes = range(0, N_SCENES, args.stride)
+    synthetic = measure_all(open_dataset("synthetic"), scenes)
+    folder = args.data_dir or os.environ.get(DATA_DIR_VARIABLE)
+    real = measure_all(open_dataset("dexycb", folder), scenes) if folder else None
+    rows = []
+    for column, (name, aimed_at) in enumerate(QUANTITIES.items()):
+        row = [name, quartiles(synthetic[:, column])]
+        if real is not None:
+            distance = ks_2samp(real[:, column], synthetic[:, column]).statistic
+            row += [quartiles(real[:, column]), f"{distance:.3f}", "at most 0.100" if aimed_at else "-"]
+        rows.append(row)
+    header = ["quantity", "synthetic: quartiles", "DexYCB: quartiles", "KS distance", "aim"]
+    print(f"{len(scenes)} synthetic scenes" + ("" if real is None else f", {len(scenes)} of DexYCB") + ".\n")
+    print(tabulate(rows, headers=header[: len(rows[0])], tablefmt="github", disable_numparse=True))
+
+
+def measure_all(dataset: Dataset, scenes: Iterable[int]) -> Array:
+    shown = track(list(scenes), dataset.name, console=Console(stderr=True))
+    return np.array([measure(dataset.load_scene(scene)) for scene in shown])
+
+
+def measure(scene: Scene) -> list[float]:
+    """Return the measured values of one scene in the order of `QUANTITIES`."""
+    assert scene.hand_first is not None
+    assert scene.hand_last is not None
+    sign = 1.0 if scene.info.side == "left" else -1.0
+    target = scene.object_dof[:, 0].astype(np.float64)
+    shown = scene.hand_dof[scene.hand_first : scene.hand_last + 1].astype(np.float64)
+    hand = Rotation.from_euler("XYZ", shown[:, 3:6])
+    wrist = shown[:, :3] + hand.apply(palm_offset(scene.assets.hand))
+    speeds = np.linalg.norm(np.diff(wrist[::KEY_STRIDE], axis=0), axis=1) / KEY_PERIOD
+    start, offer = (Rotation.from_euler("XYZ", target[frame, 3:]) for frame in (0, -1))
+    up = np.array([0.0, 0.0, 1.0])
+    tilt = np.arccos(np.clip(start.inv().apply(up) @ offer.inv().apply(up), -1.0, 1.0))
+    return [
+        *target[-1, :3],
+        *target[0, :2],
+        float(np.linalg.norm(wrist[-1] - target[scene.hand_last, :3])),
+        float(speeds.max()),
+        scene.hand_first * 0.001,
+        (scene.n_frames - 1) * 0.001,
+        float(np.degrees(tilt)),
+        float(np.degrees((offer * start.inv()).magnitude())),
+        float(-hand[-1].apply([sign, 0.0, 0.0])[1]),
+        float(scene.info.side == "left"),
+    ]
+
+
+def palm_offset(urdf: Path) -> Array:
+    """Return the wrist's position (m) in the frame of the hand's base, read from the hand's URDF."""
+    from xml.etree import ElementTree
+
+    origin = ElementTree.parse(urdf).find(PALM_JOINT)
+    assert origin is not None
+    return np.array(str(origin.get("xyz")).split(), dtype=np.float64)
+
+
+def quartiles(values: Array) -> str:
+    return " / ".join(f"{value:.3f}" for value in np.quantile(values, (0.25, 0.5, 0.75)))
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Args))

@@ -1,0 +1,155 @@
+"""Compare success rates and outcomes of receivers between the physics engines.
+
+    python experiments/analysis/physics_table.py --data-dir DIR --out runs/physics
+
+Evaluates every receiver on the same scenes with every engine, and prints success rates and the
+share of scenes with the same outcome as in exact physics. The output folder gets a result folder
+for each evaluation, from which an interrupted run continues, the table `physics.md` and a plot of
+it, `physics.png`. Receivers with camera observations use the robot `panda_camera` and the renderer
+of the engine.
+"""
+
+import io
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import tyro
+
+from handover_marl import EvaluationConfig, ExecutionConfig
+from handover_marl.episode.referee import EpisodeStatus
+from handover_marl.evaluation.agreement import Agreement
+from handover_marl.evaluation.benchmark import evaluate_pair
+from handover_marl.evaluation.config import resolve_config
+from handover_marl.evaluation.reports.report import Report
+from handover_marl.evaluation.reports.statistics import compute_wilson_interval
+from handover_marl.evaluation.reports.tables import format_percent_rate, format_table
+from handover_marl.execution.files import write_atomically
+from handover_marl.geometry.panda import PANDA_CAMERA
+from handover_marl.policies.reference import parse_policy
+from handover_marl.simulation.engines import EXACT, PHYSICS
+
+NAME = "physics"
+
+
+@dataclass(frozen=True)
+class Args:
+    """Options of the comparison of receivers between physics engines.
+
+    Attributes:
+        receivers: Names of the receivers, with options if there are any.
+        giver: Name of the giver.
+        physics: Physics engines to compare; the first must be exact.
+        setup: Official setup, s0 to s3.
+        split: Split of the setup: train or val; the test split is for final results.
+        stride: Use every n-th scene of the split.
+        data_dir: Folder in HandoverSim's layout; default: environment variable HANDOVER_MARL_DATA.
+        dataset: Dataset: dexycb, synthetic, or auto.
+        workers: Number of worker processes; default: one per core.
+        out: Folder for results, table and plot.
+    """
+
+    receivers: tuple[str, ...] = ("hold", "yang2021", "omg", "omg_hand_aware", "reactive", "vision")
+    giver: str = "replay"
+    physics: tuple[str, ...] = PHYSICS
+    setup: str = "s0"
+    split: str = "val"
+    stride: int = 1
+    data_dir: str | None = None
+    dataset: str = "auto"
+    workers: int | None = None
+    out: Path = Path("runs/physics")
+
+
+def main(args: Args) -> Path:
+    rows = {}
+    for receiver in args.receivers:
+        rows[receiver] = {physics: play(args, receiver, physics) for physics in args.physics}
+    report = text(args, rows)
+    write_atomically(args.out / f"{NAME}.md", report.encode())
+    write_atomically(args.out / f"{NAME}.png", picture(args, rows))
+    print(report)
+    return args.out / f"{NAME}.md"
+
+
+def play(args: Args, receiver: str, physics: str) -> Report:
+    """Evaluate one receiver with one physics engine."""
+    run = EvaluationConfig(
+        setup=args.setup,
+        split=args.split,
+        dataset=args.dataset,
+        data_dir=args.data_dir,
+        receiver=receiver,
+        giver=args.giver,
+        physics=physics,
+    )
+    if parse_policy("receiver", receiver).policy_class.obs_mode != "state":
+        run = replace(run, robot=PANDA_CAMERA)
+    scenes = resolve_config(run)[0].scenes or ()
+    run = replace(run, scenes=scenes[:: args.stride])
+    folder = re.sub(r"[^\w.@=,+-]", "_", f"{receiver}-{physics}")
+    return evaluate_pair(run, execution=ExecutionConfig(workers=args.workers, out=str(args.out / folder)))
+
+
+def text(args: Args, rows: dict[str, dict[str, Report]]) -> str:
+    """Return the table of success rates and agreement, with a caption, as Markdown text."""
+    cells = []
+    for receiver, reports in rows.items():
+        rates = [percent(report) for report in reports.values()]
+        alike = [agreed(reports[EXACT], reports[kind]) for kind in args.physics if kind != EXACT and EXACT in reports]
+        cells.append([receiver, *rates, *alike])
+    others = [kind for kind in args.physics if kind != EXACT] if EXACT in args.physics else []
+    header = ["receiver", *(f"{kind}, success %" for kind in args.physics), *(f"{kind} as exact %" for kind in others)]
+    some = next(report for reports in rows.values() for report in reports.values())
+    count = len(some.episodes)
+    return (
+        f"{args.setup} {args.split}, {count} episodes each, giver {args.giver}, {some.data_label}, version "
+        f"{some.metadata.version}; Wilson's 95 % intervals. As exact: episodes that end alike.\n\n"
+        f"{format_table(header, cells)}\n"
+    )
+
+
+def percent(report: Report) -> str:
+    """Return the success rate of a report as text, with its confidence interval (%)."""
+    return format_percent_rate(report.count(EpisodeStatus.SUCCESS), len(report.episodes))
+
+
+def agreed(exact: Report, other: Report) -> str:
+    """Return the share of episodes (%) with the same outcome in two reports, as text."""
+    both = Agreement(exact, other)
+    return format_percent_rate(both.n_same_outcome, len(exact.episodes))
+
+
+def picture(args: Args, rows: dict[str, dict[str, Report]]) -> bytes:
+    """Return a PNG image of the success rates of all receivers with all physics engines."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7.0, 0.6 * len(rows) + 1.4), layout="constrained")
+    axes = figure.add_subplot()
+    for place, physics in enumerate(args.physics):
+        points = [interval(reports[physics]) for reports in rows.values()]
+        rates, lows, highs = zip(*points, strict=True)
+        levels = [number + 0.2 * (place - (len(args.physics) - 1) / 2.0) for number in range(len(rows))]
+        below = [rate - low for rate, low in zip(rates, lows, strict=True)]
+        above = [high - rate for rate, high in zip(rates, highs, strict=True)]
+        axes.errorbar(rates, levels, xerr=[below, above], fmt="o", ms=4, capsize=2, label=physics)
+    axes.set_yticks(range(len(rows)), list(rows))
+    axes.invert_yaxis()
+    axes.set_xlim(0.0, 100.0)
+    count = next(len(report.episodes) for reports in rows.values() for report in reports.values())
+    axes.set_xlabel(f"success %, {args.setup} {args.split}, {count} episodes each, giver {args.giver}, 95 % intervals")
+    figure.legend(loc="outside upper right", ncols=len(args.physics), fontsize=8)
+    drawn = io.BytesIO()
+    figure.savefig(drawn, format="png", dpi=150)
+    return drawn.getvalue()
+
+
+def interval(report: Report) -> Sequence[float]:
+    """Return the success rate and the bounds of its confidence interval (%)."""
+    wins, count = report.count(EpisodeStatus.SUCCESS), len(report.episodes)
+    return [100.0 * value for value in (wins / count, *compute_wilson_interval(wins, count))]
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Args))

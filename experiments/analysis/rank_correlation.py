@@ -1,0 +1,100 @@
+"""Compare the ranking of receivers in simulation with another ranking, e.g. of a real robot.
+
+    python experiments/analysis/rank_correlation.py --real study.csv
+    python experiments/analysis/rank_correlation.py --real study.csv --simulated results/yang results/omg results/mine
+
+`study.csv` has a line for each receiver: its name and its success rate, in percent or as a
+fraction. By default, simulated rates are HandoverSim's published ones (Table II, test split of
+`--setup`), under the names in that table; with `--simulated` they are read from result folders.
+Prints both rates side by side with the rank correlations and a note on the small number of
+receivers.
+"""
+
+import csv
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+
+from handover_marl.episode.referee import EpisodeStatus
+from handover_marl.errors import OptionError
+from handover_marl.evaluation.reports.published import PUBLISHED
+from handover_marl.evaluation.reports.report_files import evaluate
+from handover_marl.evaluation.reports.statistics import compute_rank_correlation
+from handover_marl.evaluation.reports.tables import format_percent_interval, format_table
+
+
+@dataclass(frozen=True)
+class Args:
+    """Options of the rank correlation between simulation and another study.
+
+    Attributes:
+        real: File with a line `name,success` for each receiver.
+        simulated: Result folders, one per receiver; default: HandoverSim's Table II.
+        setup: Official setup, s0 to s3, of the rows in Table II.
+    """
+
+    real: str
+    simulated: tuple[str, ...] = ()
+    setup: str = "s0"
+
+
+def measured(path: Path) -> dict[str, float]:
+    """Read the success rate of every receiver from the CSV file of a study.
+
+    Raises:
+        OptionError: The file cannot be read, or a line is no name and number.
+    """
+    found: dict[str, float] = {}
+    try:
+        lines = list(csv.reader(path.read_text().splitlines()))
+    except (OSError, UnicodeDecodeError) as error:
+        raise OptionError(f"--real {path}: cannot be read ({error})") from error
+    for number, line in enumerate(lines, 1):
+        try:
+            name, value = line
+            found[name.strip()] = float(value)
+        except ValueError as error:
+            raise OptionError(f"--real {path}, line {number}: {line} is not a name and a number") from error
+    return found
+
+
+def simulated(args: Args) -> dict[str, tuple[float, str]]:
+    """Return the simulated success rate (%) and the description of its source by receiver."""
+    if not args.simulated:
+        return {row.method: (row.success, f"{row.success:.2f}") for row in PUBLISHED[args.setup]}
+    found = {}
+    for folder in args.simulated:
+        report = evaluate(folder)
+        n, count = len(report.episodes), report.count(EpisodeStatus.SUCCESS)
+        rate = 100.0 * report.success_rate
+        found[report.metadata.receiver] = (rate, f"{rate:.2f} ({format_percent_interval(count, n)}, {n} episodes)")
+    return found
+
+
+def main(args: Args) -> str:
+    """Return a table of the simulated and the measured success rates, with their rank correlations.
+
+    Raises:
+        OptionError: Fewer than three receivers are in both rankings.
+    """
+    real, other = measured(Path(args.real)), simulated(args)
+    names = [name for name in real if name in other]
+    if len(names) < 3:
+        raise OptionError(f"only {names} are in both; simulated are {sorted(other)}. Three or more are needed")
+    found = compute_rank_correlation([real[name] for name in names], [other[name][0] for name in names])
+    rows = [[name, f"{real[name]:g}", other[name][1]] for name in sorted(names, key=lambda name: -real[name])]
+    least = f"a perfect agreement of {found.n} would be {100 * found.min_p:.1f} %."
+    source = "simulated, success %" if args.simulated else f"published, {args.setup} test, success %"
+    return (
+        f"{format_table(['receiver', 'real', source], rows)}\n\n"
+        f"Spearman {found.spearman:+.2f}, Kendall {found.kendall:+.2f}, {found.n} receivers. By chance as good or "
+        f"better: {100 * found.p:.1f} % of all orders; {least}"
+    )
+
+
+if __name__ == "__main__":
+    try:
+        print(main(tyro.cli(Args)))
+    except OptionError as error:
+        raise SystemExit(f"compute_rank_correlation: {error}") from None

@@ -1,0 +1,96 @@
+"""Evaluate receivers on the same scenes and plot their outcomes.
+
+    python experiments/examples/evaluate_and_plot.py --dataset synthetic --out runs/outcomes.png
+
+Needs the extra `plot`. Bars show the share of scenes with each outcome; error bars are Wilson's
+95 % intervals.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+from matplotlib.figure import Figure
+
+import handover_marl
+
+OUTCOMES = ("success", "contact", "drop", "timeout")
+
+
+@dataclass(frozen=True)
+class Args:
+    """Arguments of the comparison of receivers.
+
+    Attributes:
+        receivers: Receivers: names with options, policy files (learned:FILE) or package:Class.
+        giver: Name of the giver.
+        out: Image file to write.
+        setup: Official setup, s0 to s3.
+        split: Split of the setup: train, val or test.
+        scenes: Scene numbers; default: all of the split.
+        dataset: Dataset: dexycb, synthetic, or auto.
+        data_dir: Folder of DexYCB in HandoverSim's layout.
+        physics: Physics engine: exact, fast or mujoco.
+        workers: Number of worker processes; default: one per core.
+    """
+
+    receivers: tuple[str, ...] = ("hold", "yang2021", "yang2021:wait=3")
+    giver: str = "replay"
+    out: Path = Path("runs/outcomes.png")
+    setup: str = "s0"
+    split: str = "val"
+    scenes: tuple[int, ...] | None = None
+    dataset: str = "auto"
+    data_dir: str | None = None
+    physics: str = "fast"
+    workers: int | None = None
+
+
+def evaluate(args: Args, receiver: str) -> handover_marl.Report:
+    return handover_marl.evaluate_pair(
+        args.giver,
+        receiver,
+        args.setup,
+        args.split,
+        scenes=args.scenes,
+        dataset=args.dataset,
+        data_dir=args.data_dir,
+        physics=args.physics,
+        workers=args.workers,
+    )
+
+
+def plot(reports: dict[str, handover_marl.Report], title: str) -> Figure:
+    figure = Figure(figsize=(8.0, 4.0), layout="constrained")
+    axes = figure.add_subplot()
+    width = 0.8 / len(reports)
+    for number, (receiver, report) in enumerate(reports.items()):
+        rates = report.to_json()["rates"]
+        shares = [100.0 * rates[outcome]["rate"] for outcome in OUTCOMES]
+        bounds = [[100.0 * bound for bound in rates[outcome]["interval_95"]] for outcome in OUTCOMES]
+        below = [share - low for share, (low, _) in zip(shares, bounds, strict=True)]
+        above = [high - share for share, (_, high) in zip(shares, bounds, strict=True)]
+        positions = [index + width * number for index in range(len(OUTCOMES))]
+        axes.bar(positions, shares, width, yerr=[below, above], capsize=3, label=receiver)
+    axes.set_xticks([index + 0.4 - width / 2 for index in range(len(OUTCOMES))], OUTCOMES)
+    axes.set_ylabel("scenes (%)")
+    axes.set_ylim(0.0, 100.0)
+    axes.set_title(title)
+    axes.legend()
+    return figure
+
+
+def main(args: Args) -> dict[str, handover_marl.Report]:
+    reports = {receiver: evaluate(args, receiver) for receiver in args.receivers}
+    for receiver, report in reports.items():
+        print(f"{receiver}\n{report}\n")
+    n_scenes = len(next(iter(reports.values())).episodes)
+    title = f"{n_scenes} scenes of {args.setup} {args.split}, giver {args.giver}, {args.physics} physics"
+    args.out.parent.mkdir(parents=True, exist_ok=True)
+    plot(reports, title).savefig(args.out, dpi=120)
+    print(args.out)
+    return reports
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Args))

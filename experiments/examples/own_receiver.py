@@ -1,0 +1,101 @@
+"""Write a receiver, check it and evaluate it with the official rules.
+
+    python experiments/examples/own_receiver.py --dataset synthetic
+
+The receiver approaches a known grasp and closes the gripper as soon as it stops getting nearer to
+the object. The script prints the official table of results.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import tyro
+
+import handover_marl
+from handover_marl.learning.schemes import make_scheme
+from handover_marl.receivers import PolicyContext, Receiver
+from handover_marl.testing import check_receiver
+
+
+@dataclass(frozen=True)
+class Args:
+    """Arguments of the evaluation of a new receiver.
+
+    Attributes:
+        setup: Official setup, s0 to s3.
+        split: Split of the setup: train, val or test.
+        scenes: Scene numbers; default: all of the split.
+        dataset: Dataset: dexycb, synthetic, or auto.
+        data_dir: Folder of DexYCB in HandoverSim's layout.
+        physics: Physics engine: exact (official results), fast or mujoco.
+        workers: Number of worker processes; default: one per core.
+    """
+
+    setup: str = "s0"
+    split: str = "val"
+    scenes: tuple[int, ...] | None = None
+    dataset: str = "auto"
+    data_dir: str | None = None
+    physics: str = "fast"
+    workers: int | None = None
+
+
+class ServoReceiver(Receiver):
+    """Receiver that servos to a known grasp and closes the gripper there.
+
+    Args:
+        context: Robot, task and known grasps of the objects.
+        tolerance: Change (m) per decision of the distance from gripper to object below which the
+            gripper has arrived.
+        max_distance: Largest distance (m) from gripper to object at which the gripper closes.
+    """
+
+    name, control_period = "servo", 0.1
+
+    def __init__(self, context: PolicyContext, tolerance: float = 0.002, max_distance: float = 0.2) -> None:
+        super().__init__(context)
+        self._tolerance, self._max_distance = tolerance, max_distance
+        # The action scheme solves the inverse kinematics and waits 2 s at the start of an episode.
+        self._scheme = make_scheme("receiver", "grasp_servo", context)
+
+    @property
+    def wait(self) -> float:
+        """Time at the start of an episode during which the robot waits (s), for tables."""
+        return self._scheme.wait
+
+    def reset(self, seed: int | None = None) -> None:
+        """Start an episode; the receiver draws no random numbers."""
+        self._scheme.reset()
+        self._last_distance, self._is_closed = np.inf, False
+
+    def act(self, observation: dict[str, Any]) -> np.ndarray:
+        """Return target positions of the seven arm joints (rad) and two fingers (m)."""
+        # Positions are in the world frame; the first object is the one to be handed over.
+        distance = np.linalg.norm(observation["gripper_pose"][:3] - observation["object_poses"][0, :3])
+        has_arrived = abs(distance - self._last_distance) < self._tolerance and distance < self._max_distance
+        self._last_distance, self._is_closed = distance, self._is_closed or bool(has_arrived)
+        # Outputs 0 to 5 would correct the approach; the last one closes the gripper.
+        self._scheme.set_outputs(np.array([0.0] * 6 + [float(self._is_closed)]))
+        return self._scheme.compute_action(observation)
+
+
+def main(args: Args) -> handover_marl.Report:
+    # The conformance test that all receivers of the library pass, on a few decisions.
+    check_receiver(ServoReceiver)
+    report = handover_marl.benchmark(
+        args.setup,
+        args.split,
+        ServoReceiver,
+        scenes=args.scenes,
+        dataset=args.dataset,
+        data_dir=args.data_dir,
+        physics=args.physics,
+        workers=args.workers,
+    )
+    print(report)
+    return report
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Args))

@@ -1,0 +1,74 @@
+"""Render a gallery of synthetic scenes: every object at its handover pose.
+
+python experiments/figures/render_gallery.py --out docs/gallery.png
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import tyro
+from PIL import Image
+from rich.console import Console
+from rich.progress import track
+
+from handover_marl.config import CameraConfig, PandaConfig
+from handover_marl.datasets import Dataset, open_dataset
+from handover_marl.episode.episode import Episode
+
+Picture = npt.NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class Args:
+    """Options of the gallery of scenes.
+
+    Attributes:
+        out: Image file to write.
+        scenes: Scene numbers; default: one scene per object, with varied hands and subjects.
+        columns: Number of images in a row.
+        size: Width of one image (pixels).
+        dataset: Dataset: dexycb, synthetic, or auto.
+        data_dir: Folder in HandoverSim's layout; default: environment variable HANDOVER_MARL_DATA.
+    """
+
+    out: Path
+    scenes: tuple[int, ...] = tuple(100 * (n % 10) + 5 * n + (n * 7) % 5 for n in range(20))
+    columns: int = 5
+    size: int = 240
+    dataset: str = "synthetic"
+    data_dir: str | None = None
+
+
+def main(args: Args) -> None:
+    dataset = open_dataset(args.dataset, args.data_dir)
+    episode = Episode()
+    pictures = [offer(episode, dataset, scene, args.size) for scene in track(args.scenes, console=Console(stderr=True))]
+    episode.close()
+    rows = [
+        np.concatenate(pictures[start : start + args.columns], axis=1)
+        for start in range(0, len(pictures), args.columns)
+    ]
+    args.out.parent.mkdir(parents=True, exist_ok=True)
+    Image.fromarray(np.concatenate(rows)).quantize(128).save(args.out, optimize=True)
+
+
+def offer(episode: Episode, dataset: Dataset, scene_id: int, size: int) -> Picture:
+    """Render the object at the end of a scene's motion, seen from the robot's side."""
+    episode.reset(dataset.load_scene(scene_id))
+    start = np.array(PandaConfig().start_joints, dtype=np.float32)
+    episode.advance(start, episode.scene.n_frames)
+    x, y, z = (float(value) for value in episode.observe()["object_poses"][0, :3])
+    camera = CameraConfig(
+        width=size,
+        height=size * 3 // 4,
+        vertical_fov=40.0,
+        position=(x + 0.42, y - 0.42, z + 0.28),
+        target=(x, y + 0.05, z - 0.02),
+    )
+    return episode.render(camera)
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Args))

@@ -1,0 +1,185 @@
+"""Measure time and memory of `handover-marl import` for a thousand recordings.
+
+    python experiments/speed/bench_import.py --dexycb DIR --mano DIR --out import.md
+
+By default a thousand recordings with the names and lengths of DexYCB's are made from the longest
+recordings of DIR, which may be few: their keyframes are repeated forwards and backwards, and every
+keyframe has a hand. With `--as-is` the recordings of DIR are imported unchanged.
+
+The peak memory is sampled over all processes together; shared pages count once.
+"""
+
+import os
+import random
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass, field
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import tyro
+import yaml
+
+from handover_marl.datasets.dexycb.raw_files import SequenceFolder, find_sequences, read_sequence_names
+from handover_marl.datasets.dexycb.raw_sequence import RawSequence, read_sequence
+from handover_marl.evaluation.reports.tables import format_table
+from handover_marl.execution.files import write_atomically
+from handover_marl.execution.machine import describe_machine
+
+#: Number of key poses -> number of DexYCB's recordings that have so many.
+LENGTHS = {66: 1, 68: 8, 70: 50, 72: 502, 74: 436, 76: 3}
+_SAMPLED = 0.2  # s
+_COMMAND = "import sys; from handover_marl.cli import main; sys.exit(main(sys.argv[1:]))"
+
+
+@dataclass(frozen=True)
+class Args:
+    """Options of the measurement of `handover-marl import`.
+
+    Attributes:
+        dexycb: Folder of raw DexYCB recordings.
+        mano: Folder with MANO's two model files.
+        workers: Number of worker processes of the import.
+        as_is: Whether to import the recordings unchanged instead of a thousand made from them.
+        longest: Number of the longest recordings from which the thousand are made.
+        work: Folder for about 600 MB of temporary files; default: the system's temporary folder.
+        seed: Random seed of the order of the recordings' lengths.
+        out: Markdown file to write; default: the table is only printed.
+    """
+
+    dexycb: str
+    mano: str
+    workers: int = 2
+    as_is: bool = False
+    longest: int = 8
+    work: str | None = None
+    seed: int = 0
+    out: str | None = None
+
+
+@dataclass
+class Peaks:
+    """Peak memory (MB) of a process and its descendants.
+
+    Attributes:
+        together: Peak memory of all processes together; shared pages count once.
+        apart: Peak memory of every process by process id, shared pages included.
+    """
+
+    together: float = 0.0
+    apart: dict[int, float] = field(default_factory=dict)
+
+    def sample(self, root: int) -> None:
+        """Update the peaks with the current memory of a process and its descendants."""
+        total = 0.0
+        for process in _tree(root):
+            try:
+                state = Path(f"/proc/{process}/status").read_text()
+                shared = Path(f"/proc/{process}/smaps_rollup").read_text()
+            except OSError:  # it has ended
+                continue
+            total += _kilobytes(shared, "Pss:") / 1000
+            self.apart[process] = max(self.apart.get(process, 0.0), _kilobytes(state, "VmHWM:") / 1000)
+        self.together = max(self.together, total)
+
+
+def main(args: Args) -> None:
+    """Make the recordings, import them, and print time and memory of the import."""
+    with tempfile.TemporaryDirectory(dir=args.work) as folder:
+        work = Path(folder)
+        raw = Path(args.dexycb) if args.as_is else work / "dex-ycb"
+        if not args.as_is:
+            repeat(Path(args.dexycb), raw, args.longest, args.seed)
+        text = measured(raw, args, work / "out")
+    print(text)
+    if args.out is not None:
+        write_atomically(Path(args.out), text)
+
+
+def repeat(source: Path, raw: Path, longest: int, seed: int) -> None:
+    """Write a raw data set of a thousand recordings with the names and lengths of DexYCB.
+
+    Args:
+        source: Folder of raw DexYCB with at least one recording.
+        raw: Folder to write; must not exist.
+        longest: Number of the longest recordings of `source` that are repeated in turn.
+        seed: Random seed of the order of the recordings' lengths.
+    """
+    found = [(sequence, read_sequence(sequence)) for sequence in find_sequences(source).sequences]
+    found = sorted(found, key=lambda pair: -len(pair[1].objects))[:longest]
+    lengths = [length for length, count in LENGTHS.items() for _ in range(count)]
+    random.Random(seed).shuffle(lengths)
+    shutil.copytree(source / "calibration", raw / "calibration")
+    names = [f"{subject}/{name}" for subject, recordings in read_sequence_names().items() for name in recordings]
+    for number, (name, length) in enumerate(zip(names, lengths, strict=True)):
+        _write(*found[number % len(found)], raw / name, length)
+
+
+def _write(sequence: SequenceFolder, recording: RawSequence, folder: Path, length: int) -> None:
+    folder.mkdir(parents=True)
+    meta = yaml.safe_load((sequence.folder / "meta.yml").read_text())
+    (folder / "meta.yml").write_text(yaml.safe_dump({**meta, "num_frames": length}, sort_keys=False))
+    shown = np.flatnonzero(recording.hand.any(axis=1))
+    frames = shown[_forth_and_back(len(shown), length)]
+    np.savez(folder / "pose.npz", pose_y=recording.objects[frames], pose_m=recording.hand[frames][:, None])
+
+
+def _forth_and_back(n: int, length: int) -> npt.NDArray[np.int64]:
+    """Return `length` indices 0, 1, ..., n - 1, n - 2, ..., 0, 1, ..., a triangle wave."""
+    phase = np.arange(length) % (2 * (n - 1))
+    return np.minimum(phase, 2 * (n - 1) - phase)
+
+
+def measured(raw: Path, args: Args, out: Path) -> str:
+    """Import recordings in a subprocess and return a table of its time and memory."""
+    options = {"--dexycb": raw, "--mano": args.mano, "--out": out, "--workers": args.workers}
+    command = [sys.executable, "-c", _COMMAND, "import", *(str(part) for option in options.items() for part in option)]
+    before, start, peaks = os.times(), time.perf_counter(), Peaks()
+    with subprocess.Popen([*command, "--no-progress"], stdout=subprocess.DEVNULL) as process:
+        while process.poll() is None:
+            peaks.sample(process.pid)
+            time.sleep(_SAMPLED)
+    wall, after = time.perf_counter() - start, os.times()
+    if process.returncode:
+        sys.exit(f"the import ended with {process.returncode}")
+    cpu = after.children_user + after.children_system - before.children_user - before.children_system
+    scenes = len(list((out / "dex-ycb-cache").glob("meta_*.json")))
+    size = sum(path.stat().st_size for path in (out / "dex-ycb-cache").iterdir()) / 1e6
+    rows: list[list[Any]] = [
+        ["scenes", scenes],
+        ["time", f"{wall:.0f} s"],
+        ["processor time", f"{cpu:.0f} s"],
+        ["written", f"{size:.0f} MB, {size / wall:.1f} MB/s"],
+        ["peak memory of all processes", f"{peaks.together:.0f} MB"],
+        [
+            "peak memory of each process",
+            ", ".join(f"{one:.0f} MB" for one in sorted(peaks.apart.values(), reverse=True)),
+        ],
+    ]
+    what = f"{raw} as it is" if args.as_is else f"the {args.longest} longest recordings of {args.dexycb}, repeated"
+    return (
+        f"# Import of raw DexYCB\n\n{date.today()}, {describe_machine()}, {args.workers} workers; {what}.\n\n"
+        f"{format_table(['', ''], rows)}\n"
+    )
+
+
+def _tree(root: int) -> list[int]:
+    try:
+        children = Path(f"/proc/{root}/task/{root}/children").read_text().split()
+    except OSError:
+        return []
+    return [root, *(process for child in children for process in _tree(int(child)))]
+
+
+def _kilobytes(text: str, name: str) -> float:
+    return next((float(line.split()[1]) for line in text.splitlines() if line.startswith(name)), 0.0)
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Args))

@@ -1,0 +1,351 @@
+"""Measure the speed of steps, episodes and resets with each physics engine.
+
+The measured environments alternate every few hundred steps in one process, so that drift of the
+machine's speed cancels; ratios are computed within one run. PyBullet's `stepSimulation` is also
+timed alone, inside an exact environment (with the simulated hand) and a fast one (without). MuJoCo
+is measured where it is installed, with a batch of environments too. Step times are CPU times; the
+batch uses one thread, so all speeds are per core.
+
+    python experiments/speed/bench_speed.py --data-dir DIR --out speed.md
+"""
+
+import multiprocessing
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import tyro
+from rich.console import Console
+from rich.progress import Progress
+from tabulate import tabulate
+
+import handover_marl
+from handover_marl import receivers
+from handover_marl.config import ARM_DOF, PandaConfig
+from handover_marl.datasets import open_dataset
+from handover_marl.envs.handover_env import HandoverEnv
+from handover_marl.envs.vector.parallel_vector_env import ParallelVectorEnv
+from handover_marl.episode.callbacks import TraceRecorder
+from handover_marl.episode.episode import Episode
+from handover_marl.episode.giver_motion import NO_DEVIATION
+from handover_marl.episode.loop import play
+from handover_marl.evaluation.config import EvaluationConfig, resolve_config
+from handover_marl.evaluation.episode_runner import SceneTask, run_episodes
+from handover_marl.execution.files import write_atomically
+from handover_marl.execution.machine import describe_machine
+from handover_marl.execution.pool import PoolConfig
+from handover_marl.simulation.engines import MUJOCO, list_available_physics
+
+REAL_TIME = 1000  # physics steps in a second
+STIR = 0.05  # rad
+PHYSICS = list_available_physics()
+
+
+@dataclass(frozen=True)
+class Args:
+    """Options of the speed measurements.
+
+    Attributes:
+        data_dir: Folder in HandoverSim's layout; default: environment variable HANDOVER_MARL_DATA.
+        dataset: Dataset: dexycb, synthetic, or auto.
+        scene: Scene number in s0 train that is simulated.
+        steps: Number of physics steps of one run; the episode must last that long.
+        control_period: Time (s) for which an action is applied.
+        turn: Number of control steps of one environment before the next one is measured.
+        repeats: Number of runs; the table gives median ratios and their range.
+        episodes: Number of scenes of s0 val for whole episodes of `yang2021`; 0 skips them.
+        workers: Numbers of worker processes to compare; empty skips this comparison.
+        vector_envs: Number of environments in a MuJoCo batch; 0 skips this measurement.
+        processes: Number of fast environments in Gymnasium's AsyncVectorEnv; 0 skips them.
+        out: Markdown file to write.
+    """
+
+    data_dir: str | None = None
+    dataset: str = "auto"
+    scene: int = 105
+    steps: int = 6000
+    control_period: float = 0.1
+    turn: int = 5
+    repeats: int = 5
+    episodes: int = 36
+    workers: tuple[int, ...] = (1, 2)
+    vector_envs: int = 256
+    processes: int = 16
+    out: Path | None = None
+
+
+@dataclass
+class Contestant:
+    """Measured environment or engine, with its CPU time (s) per environment in every run."""
+
+    label: str
+    physics: str
+    engine_only: bool = False
+    envs: int = 1
+    mixed: bool = False
+    seconds: list[float] = field(default_factory=list)
+
+
+def main(args: Args) -> None:
+    sections = [
+        f"{describe_machine()}, {date.today().isoformat()}.",
+        step_table(args),
+        reset_table(args),
+    ]
+    if args.episodes:
+        sections.append(episode_table(args))
+    if args.workers:
+        sections.append(worker_table(args))
+    if args.processes:
+        sections.append(vector_table(args))
+    text = "\n\n".join(sections)
+    print(text)
+    if args.out is not None:
+        write_atomically(args.out, f"# Speed\n\n{text}\n")
+
+
+def step_table(args: Args) -> str:
+    """Return a table of physics steps per second during small random arm motions."""
+    contestants = [
+        Contestant("exact, env.step", "exact"),
+        Contestant("fast, env.step", "fast"),
+        Contestant("stepSimulation alone, with hand", "exact", engine_only=True),
+        Contestant("stepSimulation alone, without hand", "fast", engine_only=True),
+    ]
+    if MUJOCO in PHYSICS:
+        many = [
+            Contestant(f"mujoco, batch of {args.vector_envs}", MUJOCO, envs=args.vector_envs),
+            Contestant(f"mujoco, batch of {args.vector_envs}, mixed scenes", MUJOCO, envs=args.vector_envs, mixed=True),
+        ]
+        contestants[2:2] = [Contestant("mujoco, env.step", MUJOCO), *(many if args.vector_envs else [])]
+    for _ in progress(range(args.repeats), "steps"):
+        race(args, contestants)
+    exact, fast = (np.array(contestant.seconds) for contestant in contestants[:2])
+    rows = []
+    for contestant in contestants:
+        seconds = np.array(contestant.seconds)
+        rate, ratios = args.steps / np.median(seconds), exact / seconds
+        memory = (
+            "-" if contestant.engine_only or contestant.envs > 1 else f"{single_memory_mb(args, contestant.physics)} MB"
+        )
+        rows.append(
+            [
+                contestant.label,
+                f"{rate:.0f}",
+                f"{np.median(ratios):.2f}",
+                f"{ratios.min():.2f} to {ratios.max():.2f}",
+                f"{np.median(fast / seconds):.2f}",
+                f"{rate / REAL_TIME:.1f}",
+                memory,
+            ]
+        )
+    head = ["", "steps/s", "ratio to exact", "range", "ratio to fast", "real-time factor", "peak memory"]
+    return (
+        f"Scene {args.scene}, {args.steps} steps, {args.control_period:g} s control period, each with another target "
+        f"within {STIR:g} rad of the start, {args.repeats} runs in turns, time of one core:\n\n{table(head, rows)}"
+    )
+
+
+def race(args: Args, contestants: list[Contestant]) -> None:
+    """Measure one run of all contestants, which alternate every few control steps."""
+    envs = [entrant(args, contestant) for contestant in contestants]
+    clocks = [
+        watch_engine(env) if contestant.engine_only else None for env, contestant in zip(envs, contestants, strict=True)
+    ]
+    seconds = np.zeros(len(contestants))
+    draws = [np.random.default_rng(0) for _ in envs]
+    control_steps = args.steps // round(args.control_period * REAL_TIME)
+    for first in range(0, control_steps, args.turn):
+        for number, env in enumerate(envs):
+            started = time.process_time()
+            act(env, min(args.turn, control_steps - first), draws[number])
+            seconds[number] += (time.process_time() - started) / contestants[number].envs
+    for contestant, env, clock, taken in zip(contestants, envs, clocks, seconds, strict=True):
+        contestant.seconds.append(float(taken) if clock is None else clock[0])
+        env.close()
+
+
+def entrant(args: Args, contestant: Contestant) -> HandoverEnv | ParallelVectorEnv:
+    """Create the environment, or batch of environments, that is measured."""
+    if contestant.envs == 1:
+        return make_env(args, contestant.physics)
+    envs = handover_marl.vector_env(
+        contestant.envs,
+        None,
+        threads=1,
+        data_dir=args.data_dir,
+        dataset=args.dataset,
+        control_period=args.control_period,
+        physics=contestant.physics,
+    )
+    envs.reset(seed=0, options=None if contestant.mixed else {"scene_id": args.scene})
+    return envs
+
+
+def watch_engine(env: HandoverEnv | ParallelVectorEnv) -> list[float]:
+    """Return a list whose only element accumulates the time (s) in `stepSimulation`."""
+    assert isinstance(env, HandoverEnv)
+    client: Any = env._episode.world._client
+    step, seconds = client.stepSimulation, [0.0]
+
+    def timed_step() -> None:
+        started = time.process_time()
+        step()
+        seconds[0] += time.process_time() - started
+
+    client.stepSimulation = timed_step
+    return seconds
+
+
+def reset_table(args: Args) -> str:
+    """Return a table of the time of `env.reset` with another scene in every call."""
+    envs = {physics: make_env(args, physics) for physics in PHYSICS}
+    scenes = envs["exact"].scene_ids[: 100 * 7 : 7]
+    times: dict[str, list[float]] = {physics: [] for physics in PHYSICS}
+    for scene in progress(scenes, "resets"):
+        for physics, env in envs.items():
+            started = time.perf_counter()
+            env.reset(options={"scene_id": scene})
+            times[physics].append(1000 * (time.perf_counter() - started))
+    rows = []
+    for physics, taken in times.items():
+        rows.append([physics, *(f"{value:.1f}" for value in np.percentile(taken, [50, 95]))])
+        envs[physics].close()
+    return (
+        f"`env.reset`, {len(scenes)} scenes of s0 train, each read anew from {envs['exact'].dataset.name}:\n\n"
+        + table(["", "median ms", "95 % below ms"], rows)
+    )
+
+
+def episode_table(args: Args) -> str:
+    """Return a table of the time of whole episodes with and without a trace recorder."""
+    data = open_dataset(args.dataset, args.data_dir)
+    policy = receivers.make("yang2021", data)
+    scenes = data.list_scenes("s0", "val")[: args.episodes]
+    kinds = [(physics, recorded) for physics in PHYSICS for recorded in (False, True)]
+    seconds, steps = dict.fromkeys(kinds, 0.0), dict.fromkeys(kinds, 0)
+    episodes, recorders = {kind: Episode(kind[0]) for kind in kinds}, {kind: TraceRecorder() for kind in kinds}
+    # The first round loads models, which whole splits do once.
+    for counts in (False, True):
+        for scene_id in progress(scenes, "episodes"):
+            for kind, episode in episodes.items():
+                started = time.perf_counter()
+                episode.reset(data.load_scene(scene_id))
+                play(episode, policy, callbacks=[recorders[kind]] if kind[1] else [])
+                seconds[kind] += counts * (time.perf_counter() - started)
+                steps[kind] += counts * episode.steps
+    rows = [
+        [
+            f"{physics}{', recorded' if recorded else ''}",
+            f"{seconds[physics, recorded]:.1f}",
+            f"{steps[physics, recorded] / seconds[physics, recorded]:.0f}",
+            f"{seconds['exact', False] / seconds[physics, recorded]:.2f}",
+            f"{seconds[physics, recorded] / seconds[physics, False]:.3f}",
+        ]
+        for physics, recorded in kinds
+    ]
+    head = ["", "seconds", "steps/s", "ratio to exact", "time over that without recording"]
+    return (
+        f"Whole episodes of yang2021, {len(scenes)} scenes of s0 val, reading, reset and policy included:\n\n"
+        + table(head, rows)
+    )
+
+
+def worker_table(args: Args) -> str:
+    """Return a table of the time of the same episodes by number of worker processes."""
+    rows = []
+    for physics in PHYSICS:
+        config = EvaluationConfig("s0", "val", dataset=args.dataset, data_dir=args.data_dir, physics=physics)
+        run, data = resolve_config(config)
+        tasks = [SceneTask(index, scene) for index, scene in enumerate(data.list_scenes("s0", "val"))]
+        taken = []
+        for workers in args.workers:
+            started = time.perf_counter()
+            for _ in progress(
+                run_episodes(run, tasks, PoolConfig(workers)), f"{physics}, {workers} workers", len(tasks)
+            ):
+                pass
+            taken.append(time.perf_counter() - started)
+        rows += [
+            [physics, workers, f"{seconds:.1f}", f"{taken[0] / seconds:.2f}"]
+            for workers, seconds in zip(args.workers, taken, strict=True)
+        ]
+    head = ["", "workers", "seconds", f"ratio to {args.workers[0]} worker(s)"]
+    return f"The benchmark of yang2021 on s0 val, {len(tasks)} scenes, start-up included:\n\n{table(head, rows)}"
+
+
+def vector_table(args: Args) -> str:
+    """Return a sentence on the speed of fast environments in Gymnasium's AsyncVectorEnv."""
+    envs = gymnasium.make_vec(
+        "handover_marl:HandoverMARL/Receiver-v0",
+        num_envs=args.processes,
+        vectorization_mode="async",
+        physics="fast",
+        dataset=args.dataset,
+        data_dir=args.data_dir,
+    )
+    envs.reset(seed=0)
+    actions = np.tile(np.array(PandaConfig().start_joints, dtype=np.float32), (args.processes, 1))
+    control_steps = 40
+    started = time.perf_counter()
+    for _ in range(control_steps):
+        envs.step(actions)
+    seconds = time.perf_counter() - started
+    envs.close()
+    rate = args.processes * control_steps / seconds
+    return (
+        f"{args.processes} fast environments in gymnasium's AsyncVectorEnv, 0.1 s control period, constant "
+        f"action: {rate:.0f} control steps/s, {rate * 0.1 * REAL_TIME:.0f} physics steps/s, all together."
+    )
+
+
+def make_env(args: Args, physics: str) -> HandoverEnv:
+    env = HandoverEnv(data_dir=args.data_dir, dataset=args.dataset, control_period=args.control_period, physics=physics)
+    env.reset(seed=0, options={"scene_id": args.scene})
+    return env
+
+
+def act(env: HandoverEnv | ParallelVectorEnv, control_steps: int, draw: np.random.Generator) -> None:
+    """Step with random joint targets, so that no result of an earlier step is reused."""
+    shape = (env.num_envs,) if isinstance(env, ParallelVectorEnv) else ()
+    start = np.array(PandaConfig().start_joints, dtype=np.float32)
+    for _ in range(control_steps):
+        targets = np.tile(start, (*shape, 1))
+        targets[..., :ARM_DOF] += draw.uniform(-STIR, STIR, (*shape, ARM_DOF))
+        env.step({"giver": np.tile(NO_DEVIATION, (*shape, 1)), "receiver": targets})
+
+
+def memory_of_one(args: Args, physics: str, results: Any) -> None:
+    """Put the peak resident memory (MB) of this process, with one environment, into a queue."""
+    act(make_env(args, physics), 20, np.random.default_rng(0))
+    lines = Path("/proc/self/status").read_text().splitlines()
+    results.put(next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) // 1024)
+
+
+def single_memory_mb(args: Args, physics: str) -> int:
+    """Measure the peak resident memory (MB) of a fresh process with one environment."""
+    context = multiprocessing.get_context("spawn")
+    results = context.Queue()
+    process = context.Process(target=memory_of_one, args=(args, physics, results))
+    process.start()
+    memory: int = results.get()
+    process.join()
+    return memory
+
+
+def progress(items: Iterable[Any], label: str, total: int | None = None) -> Iterable[Any]:
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+        yield from bar.track(items, total=total, description=label)
+
+
+def table(head: list[str], rows: list[list[Any]]) -> str:
+    return str(tabulate(rows, headers=head, tablefmt="github", disable_numparse=True))
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Args))

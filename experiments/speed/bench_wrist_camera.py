@@ -1,0 +1,266 @@
+"""Measure the cost of the wrist camera and the agreement of its renderers.
+
+    python experiments/speed/bench_wrist_camera.py --data-dir DIR --out sight.md
+
+Frames are rendered at times spread evenly over episodes of a receiver in fast physics. All times
+are CPU times of one process. Whole environments alternate within one run, so that drift of the
+machine's speed cancels.
+"""
+
+import multiprocessing
+import time
+from dataclasses import dataclass
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tyro
+from rich.console import Console
+from rich.progress import track
+
+from handover_marl.config import OFFICIAL_CONFIG, PANDA_DOF
+from handover_marl.datasets import Dataset, open_dataset
+from handover_marl.envs.handover_env import HandoverEnv
+from handover_marl.episode.callbacks import EpisodeCallback
+from handover_marl.episode.camera_observations import WristCamera, WristCameraConfig
+from handover_marl.episode.episode import Episode
+from handover_marl.episode.loop import play
+from handover_marl.evaluation.reports.tables import format_table
+from handover_marl.execution.files import write_atomically
+from handover_marl.execution.machine import describe_machine
+from handover_marl.policies.reference import parse_policy
+from handover_marl.simulation.camera.frames import CameraImage, SegmentationLabel
+from handover_marl.simulation.camera.ray_camera import RayCamera
+
+SETUPS = ("s0", "s1", "s2", "s3")
+SOUGHT = (SegmentationLabel.TARGET, SegmentationLabel.HAND)
+
+
+@dataclass(frozen=True)
+class Args:
+    """Options of the measurement of the wrist camera's renderers.
+
+    Attributes:
+        data_dir: Folder in HandoverSim's layout; default: environment variable HANDOVER_MARL_DATA.
+        dataset: Dataset: dexycb, synthetic, or auto.
+        robot: Robot model: panda or panda_camera.
+        scenes: Number of scenes, taken from the validation splits of all setups.
+        views: Number of rendered frames per scene.
+        receiver: Name of the receiver that moves the camera.
+        period: Time (s) between two point clouds.
+        steps: Number of control steps of an environment before the next one is measured.
+        turns: Number of measurements of each environment; 0 skips whole environments.
+        out: Markdown file to write; default: the tables are only printed.
+    """
+
+    data_dir: str | None = None
+    dataset: str = "auto"
+    robot: str = "panda_camera"
+    scenes: int = 50
+    views: int = 4
+    receiver: str = "yang2021"
+    period: float = 0.15
+    steps: int = 20
+    turns: int = 10
+    out: str | None = None
+
+
+class Decisions(EpisodeCallback):
+    """Callback that measures the time to compute point clouds at a constant period.
+
+    Attributes:
+        times: CPU time (s) of every point cloud.
+    """
+
+    def __init__(self, period: int) -> None:
+        self.times: list[float] = []
+        self._period = period
+        self._sight = WristCamera(WristCameraConfig(renderer="rays"), "fast", OFFICIAL_CONFIG.physics)
+
+    def on_reset(self, episode: Episode) -> None:
+        """Load the scene's models, so that loading is not part of the measured times."""
+        self._sight.reset(episode.scene, episode.world)
+        self._sight.observe("pointcloud", episode.world, 0)
+
+    def on_step(self, episode: Episode) -> None:
+        """Compute a point cloud and record its CPU time, if a period has passed."""
+        if episode.steps % self._period == 0:
+            on_reset = time.process_time()
+            self._sight.observe("pointcloud", episode.world, episode.steps)
+            self.times.append(time.process_time() - on_reset)
+
+
+class Views(EpisodeCallback):
+    """Callback that renders frames of one episode with both renderers.
+
+    Attributes:
+        pairs: Images of the same frame by PyBullet and by the ray caster.
+        times: CPU times (s) per frame: object and hand by the ray caster, the whole image by the
+            ray caster, and the whole image by PyBullet.
+    """
+
+    def __init__(self, moments: list[int], camera: RayCamera) -> None:
+        self.pairs: list[tuple[CameraImage, CameraImage]] = []
+        self.times: list[tuple[float, ...]] = []
+        self._moments, self._camera = set(moments), camera
+
+    def on_step(self, episode: Episode) -> None:
+        """Render the frame with both renderers at the chosen physics steps."""
+        if episode.steps not in self._moments:
+            return
+        world, now = episode.world, episode.world.read_joint_snapshot()
+        stamps = [time.process_time()]
+        self._camera.render_targets(now)
+        stamps.append(time.process_time())
+        rays = self._camera.render_wrist_camera(now, color=False)
+        stamps.append(time.process_time())
+        bullet = world.render_wrist_camera(color=False)
+        stamps.append(time.process_time())
+        self.pairs.append((bullet, rays))
+        self.times.append(tuple(np.diff(stamps).tolist()))
+
+
+def look(args: Args, data: Dataset) -> tuple[Decisions, Views]:
+    """Simulate all scenes; return the callbacks with rendered frames and CPU times."""
+    scenes = list(dict.fromkeys(scene for setup in SETUPS for scene in data.list_scenes(setup, "val")))
+    chosen = [scenes[int(place)] for place in np.linspace(0, len(scenes) - 1, min(args.scenes, len(scenes)))]
+    episode = Episode("fast")
+    robot = parse_policy("receiver", args.receiver).make(data)
+    decisions, found = (
+        Decisions(round(1000 * args.period)),
+        Views([], RayCamera(data.load_scene(0).assets, OFFICIAL_CONFIG.physics)),
+    )
+    for scene_id in track(chosen, "views", console=Console(stderr=True)):
+        scene = data.load_scene(scene_id)
+        episode.reset(scene)
+        play(episode, robot, seed=0, callbacks=[decisions])
+        moments = np.linspace(0, episode.steps, args.views + 1)[1:].astype(int).tolist()
+        views = Views(moments, RayCamera(scene.assets, OFFICIAL_CONFIG.physics))
+        episode.reset(scene)
+        play(episode, robot, seed=0, callbacks=[views])
+        found.pairs += views.pairs
+        found.times += views.times
+    episode.close()
+    return decisions, found
+
+
+def agreement_table(pairs: list[tuple[CameraImage, CameraImage]]) -> str:
+    """Return a table of the renderers' agreement in mask and depth by segmentation label."""
+    rows = []
+    for seen in SegmentationLabel:
+        shown = [(first.compute_mask(seen), second.compute_mask(seen)) for first, second in pairs]
+        either = sum(int((one | other).sum()) for one, other in shown)
+        both = sum(int((one & other).sum()) for one, other in shown)
+        if not either:
+            continue
+        apart = np.concatenate(
+            [
+                np.abs(first.depth - second.depth)[one & other]
+                for (first, second), (one, other) in zip(pairs, shown, strict=True)
+            ]
+        )
+        near = f"{100.0 * np.mean(apart <= 1e-4):.3f}"
+        spread = [f"{value:.1e}" for value in (np.median(apart), np.percentile(apart, 99), apart.max())]
+        rows.append([seen.name.lower(), either, f"{100.0 * both / either:.4f}", near, *spread])
+    header = ["seen", "pixels", "alike %", "depth within 1e-4 m %", "median m", "99 % m", "most m"]
+    return format_table(header, rows)
+
+
+def time_table(decisions: Decisions, views: Views) -> str:
+    """Return a table of the CPU times of point clouds and rendered frames."""
+    targets, whole, bullet = zip(*views.times, strict=True)
+    rows = []
+    for name, seconds in (
+        ("cloud of a decision (rays)", decisions.times),
+        ("object and hand (rays)", targets),
+        ("whole picture (rays)", whole),
+        ("whole picture (bullet)", bullet),
+    ):
+        middle, most = np.percentile(seconds, [50, 95])
+        times = [f"{1000.0 * value:.2f}" for value in (middle, most, np.mean(seconds))]
+        rows.append([name, len(seconds), *times])
+    return format_table(["224 x 224", "views", "median ms", "95 % ms", "mean ms"], rows)
+
+
+def environment(args: Args, physics: str) -> HandoverEnv:
+    """Create an environment with point clouds in its observations."""
+    common: dict[str, Any] = {
+        "data_dir": args.data_dir,
+        "dataset": args.dataset,
+        "robot": args.robot,
+        "split": "val",
+    }
+    return HandoverEnv(control_period=args.period, obs_mode="state+pointcloud", physics=physics, **common)
+
+
+def take_turn(env: HandoverEnv, steps: int) -> float:
+    """Return the CPU time (s) of some control steps at the start pose, without resets."""
+    action = {"giver": np.zeros(8, dtype=np.float32), "receiver": np.zeros(PANDA_DOF, dtype=np.float32)}
+    action["receiver"][:] = env.config.world_config.physics.panda.start_joints
+    seconds = 0.0
+    for _ in range(steps):
+        if not env.agents:
+            env.reset()
+        on_reset = time.process_time()
+        env.step(action)
+        seconds += time.process_time() - on_reset
+    return seconds
+
+
+def peak_memory(args: Args, physics: str) -> float:
+    """Return the peak memory (MiB) of this process after three episodes of one environment."""
+    env = environment(args, physics)
+    for seed in range(3):
+        env.reset(seed=seed)
+        take_turn(env, args.steps)
+    # Not getrusage, whose peak a new process takes over from the one that started it.
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) / 1024.0
+
+
+def environment_table(args: Args) -> str:
+    """Return a table of step times and peak memory of whole environments."""
+    contestants, rows = {}, []
+    for name, physics in (("exact, bullet", "exact"), ("fast, rays", "fast")):
+        with multiprocessing.get_context("spawn").Pool(1) as pool:
+            rows.append([name, f"{pool.apply(peak_memory, (args, physics)):.0f}"])
+        contestants[name] = environment(args, physics)
+        contestants[name].reset(seed=0)
+        take_turn(contestants[name], args.steps)
+    seconds: dict[str, list[float]] = {name: [] for name in contestants}
+    for _ in track(range(args.turns), "turns", console=Console(stderr=True)):
+        for name, env in contestants.items():
+            seconds[name].append(take_turn(env, args.steps))
+    ratios = np.array(seconds["exact, bullet"]) / np.array(seconds["fast, rays"])
+    for row in rows:
+        times = 1000.0 * np.array(seconds[row[0]]) / args.steps
+        row.insert(1, f"{np.median(times):.2f}")
+    rows[0].append("1")
+    rows[1].append(f"{np.median(ratios):.1f} ({ratios.min():.1f} to {ratios.max():.1f})")
+    return format_table(
+        [f"points every {args.period} s", "ms a step", "MiB of a process with one", "times as fast"], rows
+    )
+
+
+def main(args: Args) -> None:
+    """Print the tables and write them to the output file, if there is one."""
+    data = open_dataset(args.dataset, args.data_dir, args.robot)
+    decisions, found = look(args, data)
+    name = {"dexycb": "DexYCB", "synthetic": "synthetic scenes"}[data.name]
+    parts = [
+        f"{len(found.pairs)} views of {args.scenes} scenes of the validation splits, {name}, {args.robot}, receiver "
+        f"{args.receiver}, fast physics. {describe_machine()}, {date.today()}.",
+        agreement_table(found.pairs),
+        time_table(decisions, found),
+    ]
+    if args.turns:
+        parts.append(environment_table(args))
+    text = "\n\n".join(parts)
+    print(text)
+    if args.out is not None:
+        write_atomically(Path(args.out), f"# The wrist camera\n\n{text}\n")
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Args))

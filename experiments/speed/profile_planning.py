@@ -1,0 +1,151 @@
+"""Profile the planner: time, share of each package, and memory. Needs the extra `planning`.
+
+    python experiments/speed/profile_planning.py --data-dir DIR --out planning.md
+
+Plans every scene of a split in one process on one core, from the observation after the receiver's
+waiting time (fast physics). Prints planning times, the share of time in each file of the planner
+and the peak memory of the process. Each scene is planned twice: the first time includes loading the
+object's signed distance field, or computing it if it is not in the cache yet.
+"""
+
+import cProfile
+import os
+import pstats
+import resource
+import time
+from collections import defaultdict
+from dataclasses import dataclass
+from pathlib import Path
+
+for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ[name] = "1"
+
+import numpy as np  # noqa: E402  (threads are counted when it is loaded)
+import tyro  # noqa: E402
+from rich.progress import track  # noqa: E402
+
+from handover_marl import receivers  # noqa: E402
+from handover_marl.datasets import open_dataset  # noqa: E402
+from handover_marl.episode.episode import Episode  # noqa: E402
+from handover_marl.episode.observations import Observation  # noqa: E402
+from handover_marl.evaluation.reports.tables import format_table  # noqa: E402
+from handover_marl.execution.files import write_atomically  # noqa: E402
+from handover_marl.execution.machine import describe_machine  # noqa: E402
+from handover_marl.receivers.omg import OmgReceiver  # noqa: E402
+
+
+@dataclass(frozen=True)
+class Args:
+    """Options of the profile of the planner.
+
+    Attributes:
+        receiver: Name of a planning receiver: omg, omg_hand_aware or omg_unchecked_last.
+        setup: Official setup, s0 to s3.
+        split: Split of the setup: train, val or test.
+        data_dir: Folder in HandoverSim's layout; default: environment variable HANDOVER_MARL_DATA.
+        dataset: Dataset: dexycb, synthetic, or auto.
+        scenes: Number of scenes, evenly chosen from the split; default: all.
+        out: Markdown file to write; default: the table is only printed.
+    """
+
+    receiver: str = "omg"
+    setup: str = "s0"
+    split: str = "test"
+    data_dir: str | None = None
+    dataset: str = "auto"
+    scenes: int | None = None
+    out: str | None = None
+
+
+def offered(episode: Episode, receiver: OmgReceiver) -> Observation:
+    """Return the observation at the end of the receiver's waiting time, when it plans."""
+    wait = receiver.timing.wait_ms
+    episode.advance(receiver.act(episode.observe()), wait)
+    return episode.observe()
+
+
+def planning_time(receiver: OmgReceiver, observation: Observation) -> float:
+    receiver.reset()
+    start = time.perf_counter()
+    receiver.act(observation)
+    return time.perf_counter() - start
+
+
+def shares_by_package(profile: cProfile.Profile) -> list[list[str]]:
+    """Return the planner's files with their shares (%) of the time, library calls included."""
+    spent: dict[str, float] = defaultdict(float)
+    statistics = pstats.Stats(profile).stats  # type: ignore[attr-defined]
+    for (file, _, _), (_, _, own, _, callers) in statistics.items():
+        if is_ours(file):
+            spent[Path(file).name] += own
+            continue
+        for (caller, _, _), (_, _, _, cumulative) in callers.items():
+            if is_ours(caller):
+                spent[Path(caller).name] += cumulative
+    total = sum(spent.values())
+    rows = sorted(spent.items(), key=lambda item: -item[1])
+    return [[name, f"{100 * seconds / total:.1f}"] for name, seconds in rows if seconds > 0.005 * total]
+
+
+def is_ours(file: str) -> bool:
+    return "handover_marl" in file or Path(file).name == "omg.py"
+
+
+def quantiles(name: str, values: list[float], digits: int) -> list[str]:
+    return [name, *(f"{value:.{digits}f}" for value in np.quantile(values, [0.05, 0.5, 0.95, 1.0]))]
+
+
+def main(args: Args) -> None:
+    data = open_dataset(args.dataset, args.data_dir)
+    ids = data.list_scenes(args.setup, args.split)
+    chosen = ids if args.scenes is None else [ids[k] for k in np.linspace(0, len(ids) - 1, args.scenes).astype(int)]
+    receiver = receivers.make(args.receiver, data)
+    if not isinstance(receiver, OmgReceiver):
+        raise SystemExit(f"{args.receiver} does not plan")
+    receiver.reset()
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    first: list[float] = []
+    again: list[float] = []
+    steps: list[float] = []
+    goals: list[float] = []
+    profile = cProfile.Profile()
+    for scene in track(chosen, "planning"):
+        episode = Episode("fast")
+        episode.reset(data.load_scene(scene))
+        receiver.reset()
+        observation = offered(episode, receiver)
+        episode.close()
+        first.append(planning_time(receiver, observation))
+        again.append(planning_time(receiver, observation))
+        if receiver.plan is not None:
+            steps.append(receiver.plan.steps)
+            goals.append(len(receiver.plan.goals))
+        receiver.reset()
+        profile.runcall(receiver.act, observation)
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    text = "\n\n".join(
+        [
+            f"Planning of {args.receiver}: {len(first)} scenes of {args.setup} {args.split}, {data.name}, "
+            f"one core, {describe_machine()}.",
+            format_table(
+                ["", "5 %", "median", "95 %", "most"],
+                [
+                    quantiles("first time, s", first, 3),
+                    quantiles("again, s", again, 3),
+                    quantiles("goals", goals, 0),
+                    quantiles("optimisation steps", steps, 0),
+                ],
+            ),
+            f"No goal in {len(first) - len(goals)} scenes. Peak memory {peak:.0f} MB, before the first scene "
+            f"{before:.0f} MB.",
+            "Share of planning by file, with the NumPy functions it calls (cProfile):",
+        ]
+    )
+    text += "\n\n" + format_table(["", "%"], shares_by_package(profile))
+    print(text)
+    if args.out is not None:
+        write_atomically(Path(args.out), text + "\n")
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Args))

@@ -1,0 +1,100 @@
+"""Train givers and receivers alternately, each for the other's latest policy (best response).
+
+    python experiments/training/best_response.py --data-dir DIR --out runs/responses
+
+Each round trains both agents anew for the other's latest policy, with `train_giver_sb3.py` and
+`train_receiver_sb3.py` in this folder, and evaluates all givers with all receivers on the
+validation split (`crossplay.md`, `.csv` and `.png`). Needs the extras `train` and `plot`. The same
+command continues an interrupted run.
+"""
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import train_giver_sb3
+import train_receiver_sb3
+import tyro
+
+from handover_marl.datasets import open_dataset
+from handover_marl.evaluation.crossplay import crossplay
+from handover_marl.learning.training.run_folder import select_scenes_evenly
+
+
+@dataclass(frozen=True)
+class Args:
+    """Arguments of the alternating training of givers and receivers.
+
+    Attributes:
+        out: Folder with one folder per training run.
+        rounds: Number of rounds.
+        first_receiver: Name of the receiver for which the first giver is trained.
+        setup: Official setup, s0 to s3.
+        data_dir: Folder in HandoverSim's layout; default: environment variable HANDOVER_MARL_DATA.
+        dataset: Dataset: dexycb, synthetic, or auto.
+        physics: Simulation: fast or exact.
+        seed: Random seed of the first round; each round adds 1.
+        val_scenes: Number of validation scenes, evenly chosen.
+        giver: Other arguments of `train_giver_sb3.py`.
+        receiver: Other arguments of `train_receiver_sb3.py`.
+    """
+
+    out: str = "runs/responses"
+    rounds: int = 2
+    first_receiver: str = "yang2021"
+    setup: str = "s0"
+    data_dir: str | None = None
+    dataset: str = "auto"
+    physics: str = "fast"
+    seed: int = 0
+    val_scenes: int = 36
+    giver: train_giver_sb3.Args = field(default_factory=train_giver_sb3.Args)
+    receiver: train_receiver_sb3.Args = field(default_factory=train_receiver_sb3.Args)
+
+
+def main(args: Args) -> None:
+    out = Path(args.out)
+    data = open_dataset(args.dataset, args.data_dir)
+    val = select_scenes_evenly(data.list_scenes(args.setup, "val"), args.val_scenes)
+    givers, receivers = ["replay"], [args.first_receiver]
+    for number in range(1, args.rounds + 1):
+        common = {
+            "setup": args.setup,
+            "data_dir": args.data_dir,
+            "dataset": args.dataset,
+            "physics": args.physics,
+            "seed": args.seed + number - 1,
+        }
+        givers.append(
+            respond(train_giver_sb3, args.giver, out / f"giver-{number}", common | {"receiver": receivers[-1]})
+        )
+        receivers.append(
+            respond(train_receiver_sb3, args.receiver, out / f"receiver-{number}", common | {"giver": givers[-1]})
+        )
+        played = crossplay(
+            givers,
+            receivers,
+            args.setup,
+            "val",
+            scenes=val,
+            data_dir=args.data_dir,
+            dataset=args.dataset,
+            physics=args.physics,
+            out=out / "crossplay",
+        )
+        print(played)
+
+
+def respond(script: ModuleType, args: Any, folder: Path, changes: dict[str, Any]) -> str:
+    """Train an agent for the other's latest policy, unless done; return the policy's name."""
+    done = folder / "done"
+    if not done.exists():
+        # An interrupted run is resumed even before its first checkpoint.
+        script.main(replace(args, out=str(folder), resume=folder.exists(), **changes))
+        done.touch()
+    return f"learned:{folder / 'policy.npz'}"
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Args))

@@ -1,0 +1,115 @@
+"""Train a giver for a frozen receiver with Stable-Baselines3's PPO.
+
+Needs the extras `train` and `plot`.
+
+    python experiments/training/train_giver_sb3.py --data-dir DIR --out runs/giver
+
+An episode is one decision: the handover pose of the object
+(`handover_marl.learning.giver_schemes.HandoverPoseScheme`); the rest of the person's motion is
+scripted. The policy first imitates the giver `cooperative` (`--teacher ''` trains from scratch),
+then learns on nine tenths of a training split in fast physics, with evaluations on the validation
+split. The folder gets `policy.npz` (`--givers learned:runs/giver/policy.npz`), `learning_curve.csv`
+and `.png`, TensorBoard logs, and a checkpoint, from which `--resume` continues.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+import tyro
+from rich.progress import track
+from stable_baselines3 import PPO
+
+from handover_marl import givers
+from handover_marl.learning.training.arguments import PpoArgs
+from handover_marl.learning.training.environments import frozen_env_factory
+from handover_marl.learning.training.stable_baselines import (
+    EvaluationCallback,
+    load_checkpoint,
+    make_ppo,
+    make_vec_env,
+)
+from handover_marl.learning.training.training_run import TrainingRun
+
+
+@dataclass(frozen=True)
+class Args(PpoArgs):
+    """Arguments of the training of a giver for a frozen receiver.
+
+    Attributes:
+        receiver: Name of the frozen receiver.
+        teacher: Name of the giver to imitate before PPO; empty for no imitation.
+        demonstrations: Number of recorded actions of the teacher to imitate.
+        imitation_epochs: Number of epochs of the imitation.
+    """
+
+    out: str = "runs/giver"
+    features: str = "giver"
+    actions: str = "offer"
+    rewards: str = "shaped"
+    steps: int = 512
+    minutes: float = 30.0
+    time_limit: float = 6.0
+    batch_size: int = 512
+    epochs: int = 4
+    initial_std: float = 0.25
+    gae_lambda: float = 1.0
+    eval_interval: int = 512
+    receiver: str = "yang2021"
+    teacher: str = "cooperative"
+    demonstrations: int = 648
+    imitation_epochs: int = 300
+
+
+def main(args: Args) -> Path:
+    torch.set_num_threads(1)
+    run = TrainingRun(args, "train_giver_sb3", {"giver": (args.features, args.actions)}, {"receiver": args.receiver})
+    envs = make_vec_env(args, "giver", args.receiver)
+    model = make_ppo(args, envs)
+    if args.resume and run.folder.checkpoint.exists():
+        load_checkpoint(model, run.folder.checkpoint)
+        run.folder.discard_points_after(model.num_timesteps)
+    elif args.teacher:
+        error = imitate(model, args)
+        print(f"outputs differ from those of {args.teacher} by {error:.3f} (root mean square)")
+    callback = EvaluationCallback(run, "giver", args.eval_interval)
+    remaining = max(0, args.steps - model.num_timesteps)
+    model.learn(remaining, callback, reset_num_timesteps=False, progress_bar=True, log_interval=1)
+    callback.evaluate()
+    envs.close()
+    return run.folder.policy
+
+
+def imitate(model: PPO, args: Args) -> float:
+    """Fit the policy's means to the teacher's first actions; return the root mean square error."""
+    env = frozen_env_factory(args, "giver", args.receiver)()
+    teacher = givers.make(args.teacher, env.unwrapped.dataset)
+    observations, outputs = [], []
+    for episode in track(range(args.demonstrations), description=f"observing {args.teacher}"):
+        features, _ = env.reset(seed=args.seed if episode == 0 else None)
+        teacher.reset(episode)
+        observations.append(features["giver"])
+        outputs.append(env.outputs_from_action("giver", teacher.act(env.last_observation("giver"))))
+    env.close()
+    inputs, targets = torch.as_tensor(np.stack(observations)), torch.as_tensor(np.stack(outputs))
+    optimizer = torch.optim.Adam(model.policy.parameters(), lr=1e-3)
+    generator = torch.Generator().manual_seed(args.seed)
+    for _ in range(args.imitation_epochs):
+        for part in torch.randperm(args.demonstrations, generator=generator).chunk(max(1, args.demonstrations // 64)):
+            loss = (means(model, inputs[part]) - targets[part]).square().mean()
+            optimizer.zero_grad()
+            loss.backward()
+            optimizer.step()
+    with torch.no_grad():
+        return float((means(model, inputs) - targets).square().mean().sqrt())
+
+
+def means(model: PPO, inputs: torch.Tensor) -> torch.Tensor:
+    distribution: Any = model.policy.get_distribution(inputs).distribution
+    return distribution.mean
+
+
+if __name__ == "__main__":
+    print(main(tyro.cli(Args)))

@@ -1,0 +1,79 @@
+"""Train a receiver from scratch for a frozen giver with Stable-Baselines3's PPO.
+
+Needs the extras `train`, `plot` and, by default, `mujoco`; `--physics fast` needs no MuJoCo, but
+more time.
+
+    python experiments/training/train_receiver_sb3.py --data-dir DIR --out runs/receiver
+
+The policy learns when to close the gripper, and to correct the approach to a grasp
+(`handover_marl.learning.receiver_schemes.GraspServoScheme`), from the sparse reward, on nine tenths
+of a training split, with evaluations without exploration noise on the validation split. The folder
+gets `policy.npz` (`--receivers learned:runs/receiver/policy.npz`), `learning_curve.csv` and `.png`,
+TensorBoard logs, and a checkpoint, from which `--resume` continues.
+"""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+import tyro
+
+from handover_marl.learning.training.arguments import PpoArgs
+from handover_marl.learning.training.stable_baselines import (
+    EvaluationCallback,
+    load_checkpoint,
+    make_ppo,
+    make_vec_env,
+)
+from handover_marl.learning.training.training_run import TrainingRun
+
+
+@dataclass(frozen=True)
+class Args(PpoArgs):
+    """Arguments of the training of a receiver for a frozen giver.
+
+    Attributes:
+        giver: Name of the frozen giver.
+        gripper_initial_std: Initial standard deviation of the action that closes the gripper.
+    """
+
+    out: str = "runs/receiver"
+    physics: str = "mujoco"
+    features: str = "close"
+    actions: str = "grasp_servo"
+    rewards: str = "sparse"
+    control_period: float = 0.2
+    minutes: float = 24.0
+    time_limit: float = 8.0
+    initial_std: float = 0.15
+    learning_rate: float = 7e-4
+    discount: float = 0.97
+    eval_interval: int = 24_576
+    width: int = 128
+    giver: str = "cooperative"
+    gripper_initial_std: float = 0.45
+
+
+def main(args: Args) -> Path:
+    torch.set_num_threads(1)
+    run = TrainingRun(args, "train_receiver_sb3", {"receiver": (args.features, args.actions)}, {"giver": args.giver})
+    envs = make_vec_env(args, "receiver", args.giver)
+    model = make_ppo(args, envs)
+    if args.resume and run.folder.checkpoint.exists():
+        load_checkpoint(model, run.folder.checkpoint)
+        run.folder.discard_points_after(model.num_timesteps)
+    else:
+        with torch.no_grad():
+            # More exploration than in the motion: random closing succeeds now and then.
+            model.policy.log_std[-1] = math.log(args.gripper_initial_std)
+    callback = EvaluationCallback(run, "receiver", args.eval_interval)
+    remaining = max(0, args.steps - model.num_timesteps)
+    model.learn(remaining, callback, reset_num_timesteps=False, progress_bar=True, log_interval=1)
+    callback.evaluate()
+    envs.close()
+    return run.folder.policy
+
+
+if __name__ == "__main__":
+    print(main(tyro.cli(Args)))

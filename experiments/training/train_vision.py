@@ -1,0 +1,231 @@
+"""Train the grasp network of the receiver `vision`.
+
+Needs the extras `train`, `plot`, `planning` and `vision`.
+
+    python experiments/training/train_vision.py --data-dir DIR --out runs/vision
+
+Renders views of a training split from random poses of the wrist camera, validates the objects'
+grasps in simulation if that was not done yet, and trains the network to predict good grasps. In
+later rounds, views recorded while the receiver uses the trained network are added (DAgger). After
+every round the receiver is evaluated on the validation split in fast physics. The folder gets
+`vision.npz`, the best network (`--receiver vision:weights=runs/vision/vision.npz`),
+`learning_curve.csv` and `.png`, TensorBoard logs, the views, and a checkpoint, from which
+`--resume` continues.
+"""
+
+import os
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+import tyro
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from torch.utils.tensorboard import SummaryWriter
+
+from handover_marl import benchmark
+from handover_marl.datasets import open_dataset
+from handover_marl.learning.imitation.vision.training import (
+    GraspTrainer,
+    GraspTrainingConfig,
+    ViewBatches,
+    compute_grasp_metrics,
+)
+from handover_marl.learning.imitation.vision.view_files import ViewDatasetConfig, generate_views, read_views
+from handover_marl.learning.imitation.vision.views import GraspViews
+from handover_marl.learning.networks.grasp_network import GraspNetwork, GraspNetworkConfig
+from handover_marl.learning.networks.weights import write_network_weights
+from handover_marl.learning.training.learning_curve import CurvePoint
+from handover_marl.learning.training.run_folder import (
+    RunFolder,
+    describe_origin,
+    held_out_scenes,
+    read_checkpoint,
+    select_scenes_evenly,
+    training_scenes,
+    write_checkpoint,
+)
+
+WEIGHTS = "vision.npz"
+# Steps between two records of losses and of metrics, and number of held-out views for the metrics.
+LOSS_INTERVAL, METRICS_INTERVAL, N_HELD_OUT = 250, 1000, 1500
+
+
+@dataclass(frozen=True)
+class Args:
+    """Arguments of the training of the grasp network of `vision`.
+
+    Attributes:
+        out: Folder of the run.
+        setup: Official setup, s0 to s3.
+        data_dir: Folder in HandoverSim's layout; default: environment variable HANDOVER_MARL_DATA.
+        dataset: Dataset: dexycb, synthetic, or auto.
+        robot: Robot model: panda or panda_camera.
+        seed: Seed of all random numbers.
+        steps: Total number of training steps.
+        rounds: Number of DAgger rounds, evenly over the training.
+        views: Number of rendered camera views per scene in the first round.
+        round_views: Number of views per scene in a DAgger round.
+        round_stride: Use every n-th scene in a DAgger round, with another offset in each round.
+        stride: Use every n-th scene of the training split, to shorten test runs.
+        val_scenes: Number of validation scenes, evenly chosen.
+        hand: Whether points of the person's hand are an input.
+        groups: Whether predictions use groups of neighboring points, as in PointNet++.
+        auxiliary: Weight of the auxiliary losses of the object's center and displacement.
+        shared_views: Folder of the first round's views, shared by several runs; default: in `out`.
+        workers: Number of worker processes; default: one per core.
+        resume: Whether to continue the run in the folder `out`.
+    """
+
+    out: str = "runs/vision"
+    setup: str = "s0"
+    data_dir: str | None = None
+    dataset: str = "auto"
+    robot: str = "panda_camera"
+    seed: int = 0
+    steps: int = 12_000
+    rounds: int = 2
+    views: int = 80
+    round_views: int = 60
+    round_stride: int = 3
+    stride: int = 1
+    val_scenes: int = 36
+    hand: bool = True
+    groups: bool = True
+    auxiliary: float = 1.0
+    shared_views: str | None = None
+    workers: int | None = None
+    resume: bool = False
+
+
+class Training:
+    """Training run of the grasp network of `vision`.
+
+    Args:
+        args: Arguments of the training.
+    """
+
+    def __init__(self, args: Args) -> None:
+        self._args, self._workers = args, args.workers or os.cpu_count() or 1
+        self._data = open_dataset(args.dataset, args.data_dir, args.robot)
+        scenes = self._data.list_scenes(args.setup, "train")[:: args.stride]
+        self._scenes, self._held_out = training_scenes(scenes), held_out_scenes(scenes)
+        self._folder = RunFolder(Path(args.out), args, args.resume, self._data.name)
+        self._device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+        torch.manual_seed(args.seed)
+        config = GraspTrainingConfig(center=2.0 * args.auxiliary, motion=args.auxiliary)
+        groups = GraspNetworkConfig.groups if args.groups else ()
+        network = GraspNetwork(GraspNetworkConfig(hand=args.hand, groups=groups))
+        self._trainer = GraspTrainer(network, config, args.steps, args.seed, self._device)
+        self._seconds = 0.0
+        if args.resume and self._folder.checkpoint.exists():
+            read_checkpoint(self._folder.checkpoint, self._restore)
+        self._folder.discard_points_after(self._trainer.done)
+        self._writer = SummaryWriter(str(self._folder.path / "logs"), purge_step=self._trainer.done)
+
+    def run(self) -> Path:
+        """Run all rounds of training; return the path of the best network's weights."""
+        count = self._args.rounds + 1
+        ends = np.linspace(0, self._args.steps, count + 1).round().astype(int)[1:].tolist()
+        others = self._load_views(self._held_out, 0)
+        held_out = ViewBatches(GraspViews(*(a[:: -(-len(a) // N_HELD_OUT)] for a in others)), self._device)
+        views: list[GraspViews] = []
+        for number, end in enumerate(ends):
+            views.append(self._load_views(self._select_scenes(number), number))
+            if self._trainer.done >= end:
+                continue
+            joined = GraspViews(*(np.concatenate(arrays) for arrays in zip(*views, strict=True)))
+            self._train(ViewBatches(joined, self._device), held_out, end)
+            self._evaluate()
+            self._save()
+        return self._folder.path / WEIGHTS
+
+    def _select_scenes(self, number: int) -> Sequence[int]:
+        """Return the training scenes of a round."""
+        stride = self._args.round_stride
+        return self._scenes if number == 0 else self._scenes[number % stride :: stride] or self._scenes
+
+    def _load_views(self, scenes: Sequence[int], number: int) -> GraspViews:
+        """Return the views of a round; generate missing ones."""
+        args, name = self._args, f"round_{number}"
+        shared = args.shared_views if number == 0 else None
+        folder = self._folder.path / "views" / name if shared is None else Path(shared)
+        config = ViewDatasetConfig(args.dataset, args.data_dir, args.robot, args.views, args.seed)
+        if number:
+            weights = self._folder.path / f"{name}.npz"
+            config = ViewDatasetConfig(
+                args.dataset, args.data_dir, args.robot, args.round_views, args.seed, weights=str(weights)
+            )
+            if not weights.exists():
+                write_network_weights(weights, self._trainer.network, {})
+        generate_views(config, scenes, folder, self._workers)
+        return read_views(scenes, folder)
+
+    def _train(self, views: ViewBatches, held_out: ViewBatches, end: int) -> None:
+        trainer, started = self._trainer, time.perf_counter()
+        columns = (TextColumn("training"), BarColumn(), TextColumn("{task.completed}/{task.total} {task.fields[note]}"))
+        with Progress(*columns, TimeElapsedColumn(), console=Console(stderr=True)) as bar:
+            task = bar.add_task("", total=end, completed=trainer.done, note="")
+            while trainer.done < end:
+                losses = trainer.step(views)
+                bar.update(task, advance=1)
+                if trainer.done % LOSS_INTERVAL and trainer.done < end:
+                    continue
+                for name, value in losses._asdict().items():
+                    self._writer.add_scalar(f"loss/{name}", float(value), trainer.done)
+                if trainer.done % METRICS_INTERVAL and trainer.done < end:
+                    continue
+                metrics = compute_grasp_metrics(trainer.network, held_out, trainer.config)
+                for name, value in vars(metrics).items():
+                    self._writer.add_scalar(f"held out/{name}", value, trainer.done)
+                note = f"within 1 cm {metrics.within_1cm:.0%}, 2 cm {metrics.within_2cm:.0%}, {metrics.grasp:.4f} m"
+                bar.update(task, note=f"held out: {note}")
+                self._seconds, started = self._seconds + time.perf_counter() - started, time.perf_counter()
+                self._save()
+
+    def _evaluate(self) -> None:
+        """Evaluate on the validation split, and keep the network if it is the best so far."""
+        args, started = self._args, time.perf_counter()
+        latest = self._folder.path / "latest.npz"
+        card = {
+            "made by": describe_origin("train_vision", args),
+            "steps": self._trainer.done,
+            "dataset": self._data.name,
+        }
+        write_network_weights(latest, self._trainer.network, card)
+        report = benchmark(
+            args.setup,
+            "val",
+            f"vision:weights={latest}",
+            scenes=select_scenes_evenly(self._data.list_scenes(args.setup, "val"), args.val_scenes),
+            dataset=args.dataset,
+            data_dir=args.data_dir,
+            robot=args.robot,
+            physics="fast",
+            workers=self._workers,
+            progress=False,
+        )
+        self._seconds += time.perf_counter() - started
+        point = CurvePoint.from_report(report, self._trainer.done, self._seconds, "replay")
+        if not any(other.success > point.success for other in self._folder.points):
+            latest.replace(self._folder.path / WEIGHTS)
+        self._folder.add(point)
+        self._writer.add_scalar("val/success", point.success, point.steps)
+
+    def _save(self) -> None:
+        write_checkpoint(self._folder.checkpoint, {**self._trainer.state(), "seconds": self._seconds})
+
+    def _restore(self, state: dict[str, object]) -> None:
+        self._trainer.restore(state)
+        self._seconds = float(state["seconds"])  # type: ignore[arg-type]
+
+
+def main(args: Args) -> Path:
+    return Training(args).run()
+
+
+if __name__ == "__main__":
+    print(main(tyro.cli(Args)))

@@ -1,0 +1,222 @@
+"""Ablations of the receiver `vision`: retrained without each component, success in one table.
+
+    python experiments/training/vision_ablations.py --data-dir DIR --out runs/ablations
+
+Trains the complete network, and one without each component, on half of a training split with the
+same camera views. Each network is evaluated in fast physics on the validation split and on scenes
+of the training split that are not trained on; the complete one also with camera noise. The folder
+gets a run and results per variant, from which an interrupted command continues, and the table
+`ablations.md`. Needs the extras `train`, `plot`, `planning` and `vision`.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import torch
+import train_vision
+import tyro
+
+from handover_marl import CameraNoise, benchmark
+from handover_marl.datasets import open_dataset
+from handover_marl.episode.referee import EpisodeStatus
+from handover_marl.evaluation.reports.report import Report
+from handover_marl.evaluation.reports.statistics import compute_paired_difference
+from handover_marl.evaluation.reports.tables import (
+    NO_VALUE,
+    format_percent_difference,
+    format_percent_rate,
+    format_table,
+)
+from handover_marl.execution.files import write_atomically
+from handover_marl.learning.imitation.vision.training import (
+    GraspMetrics,
+    GraspTrainingConfig,
+    ViewBatches,
+    compute_grasp_metrics,
+)
+from handover_marl.learning.imitation.vision.view_files import read_views
+from handover_marl.learning.networks.grasp_network import GraspNetwork
+from handover_marl.learning.networks.weights import read_network_weights
+from handover_marl.learning.training.run_folder import held_out_scenes, select_scenes_evenly, training_scenes
+
+FULL = "everything"
+
+
+@dataclass(frozen=True)
+class Variant:
+    """Variant of the training of `vision`, or of the camera noise in its evaluation.
+
+    Attributes:
+        training: Arguments of `train_vision.py` that differ from the complete network's.
+        camera: Noise of the wrist camera in evaluation.
+    """
+
+    training: dict[str, Any] = field(default_factory=dict)
+    camera: CameraNoise | str | None = None
+
+
+VARIANTS = {
+    FULL: Variant(),
+    "hand not seen": Variant({"hand": False}),
+    "PointNet": Variant({"groups": False}),
+    "no auxiliary losses": Variant({"auxiliary": 0.0}),
+    "round of DAgger": Variant({"rounds": 1}),
+    "112 x 112 pixels": Variant(camera=CameraNoise(depth_noise_std=0.0, edge_dropout=0.0, latency=0.0, pixel_stride=2)),
+    "realsense": Variant(camera="realsense"),
+}
+
+
+@dataclass(frozen=True)
+class Args:
+    """Arguments of the ablations of `vision`.
+
+    Attributes:
+        out: Folder of all runs.
+        setup: Official setup, s0 to s3.
+        data_dir: Folder in HandoverSim's layout; default: environment variable HANDOVER_MARL_DATA.
+        dataset: Dataset: dexycb, synthetic, or auto.
+        robot: Robot model: panda or panda_camera.
+        seed: Random seed of all trainings.
+        steps: Number of training steps per variant.
+        stride: Use every n-th scene of the training split for training.
+        views: Number of rendered camera views per scene.
+        round_stride: Use every n-th training scene in a DAgger round.
+        val_scenes: Number of scenes of the validation split, evenly chosen.
+        unseen_scenes: Number of evaluated scenes of the training split that are not trained on.
+        workers: Number of worker processes; default: one per core.
+    """
+
+    out: Path = Path("runs/ablations")
+    setup: str = "s0"
+    data_dir: str | None = None
+    dataset: str = "auto"
+    robot: str = "panda_camera"
+    seed: int = 0
+    steps: int = 1500
+    stride: int = 2
+    views: int = 80
+    round_stride: int = 6
+    val_scenes: int = 36
+    unseen_scenes: int = 72
+    workers: int | None = None
+
+
+@dataclass(frozen=True)
+class Row:
+    """Results of one variant, a row of the table.
+
+    Attributes:
+        reports: Reports on the validation split and on unseen training scenes.
+        metrics: Metrics of predicted grasps on held-out views.
+    """
+
+    reports: tuple[Report, ...]
+    metrics: GraspMetrics
+
+    def successes(self) -> list[bool]:
+        """Return for every scene of both reports whether its episode succeeded."""
+        return [bool(one.status & EpisodeStatus.SUCCESS) for report in self.reports for one in report.episodes]
+
+
+def main(args: Args) -> Path:
+    rows = {}
+    for name, variant in VARIANTS.items():
+        rows[name] = evaluate_variant(args, name, variant)
+        # Rewritten after every variant, so that partial results can be read.
+        write_atomically(args.out / "ablations.md", format_page(args, rows))
+    print(format_page(args, rows))
+    return args.out / "ablations.md"
+
+
+def evaluate_variant(args: Args, name: str, variant: Variant) -> Row:
+    """Train a variant, unless its network exists, and evaluate it."""
+    trained = next(other for other, it in VARIANTS.items() if it.training == variant.training)
+    weights = train_vision.main(training_args(args, trained))
+    data = open_dataset(args.dataset, args.data_dir, args.robot)
+    whole = data.list_scenes(args.setup, "train")
+    scenes = whole[:: args.stride]
+    used = set(training_scenes(scenes))
+    val = select_scenes_evenly(data.list_scenes(args.setup, "val"), args.val_scenes)
+    unseen = select_scenes_evenly([scene for scene in whole if scene not in used], args.unseen_scenes)
+    reports = tuple(evaluate(args, name, weights, split, some) for split, some in (("val", val), ("train", unseen)))
+    views = ViewBatches(read_views(held_out_scenes(scenes), args.out / "views"), torch.device("cpu"))
+    network, _ = read_network_weights(weights, GraspNetwork)
+    return Row(reports, compute_grasp_metrics(network, views, GraspTrainingConfig()))
+
+
+def variant_folder(args: Args, name: str, part: str) -> Path:
+    """Return the subfolder `part` of a variant's folder."""
+    return args.out / name.replace(" ", "_") / part
+
+
+def training_args(args: Args, name: str) -> train_vision.Args:
+    """Return the arguments of a variant's training."""
+    full = train_vision.Args(
+        out=str(variant_folder(args, name, "training")),
+        setup=args.setup,
+        data_dir=args.data_dir,
+        dataset=args.dataset,
+        robot=args.robot,
+        seed=args.seed,
+        steps=args.steps,
+        rounds=0,
+        views=args.views,
+        round_views=args.views,
+        round_stride=args.round_stride,
+        stride=args.stride,
+        val_scenes=args.val_scenes,
+        shared_views=str(args.out / "views"),
+        workers=args.workers,
+        resume=True,
+    )
+    return replace(full, **VARIANTS[name].training)
+
+
+def evaluate(args: Args, name: str, weights: Path, split: str, scenes: Sequence[int]) -> Report:
+    """Evaluate a network on scenes in fast physics."""
+    return benchmark(
+        args.setup,
+        split,
+        f"vision:weights={weights}",
+        scenes=scenes,
+        dataset=args.dataset,
+        data_dir=args.data_dir,
+        robot=args.robot,
+        physics="fast",
+        camera_noise=VARIANTS[name].camera,
+        workers=args.workers,
+        out=variant_folder(args, name, split),
+    )
+
+
+def format_page(args: Args, rows: dict[str, Row]) -> str:
+    """Return the table of all variants with a caption, as Markdown text."""
+    full = rows[FULL]
+    cells = []
+    for name, this in rows.items():
+        gain = (
+            ""
+            if this is full
+            else format_percent_difference(compute_paired_difference(this.successes(), full.successes()))
+        )
+        rates = [
+            format_percent_rate(report.count(EpisodeStatus.SUCCESS), len(report.episodes)) for report in this.reports
+        ]
+        found = f"{100 * this.metrics.within_2cm:.0f}" if VARIANTS[name].camera is None else NO_VALUE
+        cells.append([name, *rates, gain, found])
+    header = ["training", "val, success %", "unseen, success %", "points over the first", "2 cm %"]
+    val, unseen = full.reports
+    return (
+        f"`vision` after {args.steps} steps on every {args.stride}. scene of {args.setup} train, seed {args.seed}; "
+        f"{len(val.episodes)} scenes of val and {len(unseen.episodes)} of train that no network was trained on "
+        f"(unseen), wait 0, giver replay, {val.data_label}, {args.robot}, version {val.metadata.version}; 95 % "
+        "intervals (Wilson; Agresti and Min for differences paired by scene). 2 cm: share of held-out views "
+        f"({full.metrics.views}) whose best predicted grasp is within 2 cm of a good one, rotation included.\n\n"
+        f"{format_table(header, cells)}\n"
+    )
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Args))

@@ -1,3 +1,0 @@
-"""The version, readable without importing the library."""
-
-__version__ = "0.7.0"

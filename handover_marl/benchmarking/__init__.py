@@ -1,1 +1,0 @@
-"""HandoverSim's official protocol: running it, keeping results on disk, reporting them."""

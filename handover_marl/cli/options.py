@@ -1,0 +1,112 @@
+"""Command-line options made from the fields of `EvaluationConfig` and `ExecutionConfig`."""
+
+import os
+from dataclasses import fields, replace
+from typing import Annotated, Any, Literal
+
+import tyro
+from docstring_parser import parse
+from tyro.constructors import ConstructorRegistry, StructConstructorSpec, StructFieldSpec, StructTypeInfo
+
+from handover_marl.errors import OptionError
+from handover_marl.evaluation.config import MULTI_SCENE_FIELDS, EvaluationConfig, ExecutionConfig
+
+#: Rules with which tyro builds options from configurations.
+registry = ConstructorRegistry()
+
+
+class BenchmarkArguments(EvaluationConfig):
+    """Options of `benchmark`, whose giver is fixed."""
+
+
+class CrossPlayArguments(EvaluationConfig):
+    """Options of `crossplay`, which takes lists of policies."""
+
+
+class RenderArguments(EvaluationConfig):
+    """Options of `render` that configure the scene."""
+
+
+class RenderExecutionArguments(ExecutionConfig):
+    """Options of `render` that configure the execution."""
+
+
+# Fields without an option. Other worlds than the official one can be configured only in Python.
+_HIDDEN_FIELDS: dict[type, tuple[str, ...]] = {
+    EvaluationConfig: ("world_config",),
+    BenchmarkArguments: ("world_config", "giver"),
+    CrossPlayArguments: ("world_config", "giver", "receiver"),
+    RenderArguments: ("world_config", "setup", "split", "scenes", "receiver"),
+    ExecutionConfig: (),
+    RenderExecutionArguments: MULTI_SCENE_FIELDS,
+}
+_OPTION_TYPES: dict[str, Any] = {
+    "giver": Annotated[str, tyro.conf.arg(metavar="POLICY")],
+    "receiver": Annotated[str, tyro.conf.arg(metavar="POLICY")],
+    "scenes": Annotated[str | None, tyro.conf.arg(metavar="N,N,...")],
+    # Other noise models can be configured only in Python.
+    "camera_noise": Annotated[str | None, tyro.conf.arg(metavar="CAMERA")],
+    "data_dir": Annotated[str | None, tyro.conf.arg(metavar="DIR")],
+    "out": Annotated[str | None, tyro.conf.arg(metavar="DIR")],
+    "workers": Annotated[int | None, tyro.conf.arg(metavar="N")],
+    "backend": Literal["local", "ray"],
+    "ray_address": Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT")],
+    "shard": Annotated[str | None, tyro.conf.arg(metavar="K/N")],
+    "replays": Literal["none", "failed", "all"],
+}
+
+
+@registry.struct_rule
+def _struct_spec_from_config(info: StructTypeInfo) -> StructConstructorSpec | None:
+    """Return the options of a configuration: its visible fields, with help from its docstring."""
+    if info.type not in _HIDDEN_FIELDS:
+        return None
+    config_class: Any = EvaluationConfig if issubclass(info.type, EvaluationConfig) else ExecutionConfig
+    default = info.default if isinstance(info.default, config_class) else config_class()
+    descriptions = {part.arg_name: part.description for part in parse(config_class.__doc__ or "").params}
+    visible = [part for part in fields(config_class) if part.name not in _HIDDEN_FIELDS[info.type]]
+    return StructConstructorSpec(
+        instantiate=_make_evaluation_config if config_class is EvaluationConfig else ExecutionConfig,
+        fields=tuple(
+            StructFieldSpec(
+                part.name,
+                _OPTION_TYPES.get(part.name, part.type),
+                getattr(default, part.name),
+                descriptions.get(part.name),
+            )
+            for part in visible
+        ),
+    )
+
+
+class ArgumentError(Exception):
+    """Invalid option, reported without the help text that tyro adds to other errors."""
+
+
+def _make_evaluation_config(**options: Any) -> EvaluationConfig:
+    try:
+        scenes = parse_scenes(options.pop("scenes", None))
+    except OptionError as error:
+        raise ArgumentError(str(error)) from error
+    return EvaluationConfig(scenes=None if scenes is None else tuple(scenes), **options)
+
+
+def parse_scenes(text: str | None) -> list[int] | None:
+    """Return the scene numbers of a comma-separated list; None stays None.
+
+    Raises:
+        OptionError: An entry of the list is not a number.
+    """
+    if text is None:
+        return None
+    try:
+        return [int(part) for part in text.split(",")]
+    except ValueError as error:
+        raise OptionError(f"--scenes must be numbers separated by commas, such as 209,214, got {text!r}") from error
+
+
+def expand_out_folder(execution: ExecutionConfig) -> ExecutionConfig:
+    """Return a copy of the configuration in which `~` in the output folder is expanded."""
+    if execution.out is None:
+        return execution
+    return replace(execution, out=os.path.expanduser(execution.out))  # noqa: PTH111  (stays text)

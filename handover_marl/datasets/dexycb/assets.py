@@ -1,0 +1,202 @@
+"""Writers of HandoverSim's folder `assets/`: hands from MANO, objects' URDFs and the table."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.assets.object_models import find_bullet_data
+from handover_marl.datasets.dexycb.mano import N_JOINTS, ManoModel
+from handover_marl.datasets.dexycb.urdf import build_hand_urdf, build_object_urdf
+from handover_marl.datasets.official_files import is_stand_in_file
+from handover_marl.errors import DataFormatError, ResultsError, UnknownNameError
+from handover_marl.execution.files import create_exclusively, has_content, remove_stale_temporaries, write_atomically
+from handover_marl.geometry.ycb import CLASS_NAMES, SUBJECTS
+
+Array = npt.NDArray[np.float64]
+Faces = npt.NDArray[np.int64]
+
+# Smallest skinning weight of the vertices of a link. The collision meshes at the roots of the
+# middle, little and ring finger are smaller, so that neighbouring fingers do not touch.
+_MIN_WEIGHT, _MIN_ROOT_WEIGHT = 0.2, 0.7
+_ROOT_JOINTS = (4, 7, 10)
+
+# Text in PyBullet's table.urdf, its replacement and the number of times it occurs: position and
+# size of the table top (visual and collision), then size and positions of the legs, in m.
+_TABLE_REPLACEMENTS = (
+    ("0 0 0.6", "0 0 0.9", 2),
+    ("1.5 1 0.05", "1.77 0.73 0.04", 2),
+    ("0.1 0.1 0.58", "0.1 0.1 0.88", 4),
+    ('"-0.65 -0.4 0.29"', '"-0.785 -0.265 0.44"', 1),
+    ('"-0.65 0.4 0.29"', '"-0.785 0.265 0.44"', 1),
+    ('"0.65 -0.4 0.29"', '"0.785 -0.265 0.44"', 1),
+    ('"0.65 0.4 0.29"', '"0.785 0.265 0.44"', 1),
+)
+_COPIED_TABLE_FILES = ("table.obj", "table.mtl", "table.png")
+
+
+def write_missing_files(folder: Path, files: Mapping[str, bytes], replace_stand_ins: bool = False) -> None:
+    """Write files that do not exist yet; existing files must have the same content.
+
+    Args:
+        folder: Target folder; created if it is missing.
+        files: Content by path relative to the folder.
+        replace_stand_ins: Whether to replace existing stand-in files.
+
+    Raises:
+        ResultsError: A file exists with other content, or cannot be written.
+    """
+    for parent in {(folder / name).parent for name in files}:
+        remove_stale_temporaries(parent)
+    for name, content in files.items():
+        path = folder / name
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ResultsError(f"cannot make the folder {path.parent} ({error.strerror or error})") from error
+        if replace_stand_ins and is_stand_in_file(path):
+            write_atomically(path, content)
+        create_exclusively(path, content)
+        try:
+            is_equal = has_content(path, content)
+        except OSError as error:
+            raise ResultsError(f"cannot read {path} ({error.strerror or error}); check its rights") from error
+        if not is_equal:
+            raise ResultsError(
+                f"{path} exists with other content, perhaps made from other data. It was left as it is; remove it, or "
+                "give another folder."
+            )
+
+
+def build_hand_files(model: ManoModel, betas: Sequence[float] | Array) -> dict[str, bytes]:
+    """Build the contents of the 33 files (URDF and meshes) of a subject's hand model.
+
+    Args:
+        model: MANO's model of one side.
+        betas: (10,) shape parameters of the subject.
+
+    Returns:
+        Contents by relative path: `mano.urdf` and `meshes/<visual or collision>/mesh1..16.obj`.
+
+    Raises:
+        OptionError: `betas` are not ten finite numbers within +-`MAX_ABS_BETA`.
+        DataFormatError: The model leaves a link without a triangle.
+    """
+    vertices = model.shape_vertices(betas)
+    joints = model.regress_joints(vertices)
+    files = {"mano.urdf": build_hand_urdf(joints).encode()}
+    for kind in ("visual", "collision"):
+        for joint in range(N_JOINTS):
+            weight = _MIN_ROOT_WEIGHT if kind == "collision" and joint in _ROOT_JOINTS else _MIN_WEIGHT
+            corners, faces = _extract_link_mesh(model, vertices, joint, weight)
+            files[f"meshes/{kind}/mesh{joint + 1}.obj"] = format_obj(corners - joints[joint], faces).encode()
+    return files
+
+
+def write_hand_assets(assets: Path, subject: str, model: ManoModel, betas: Sequence[float] | Array) -> Path:
+    """Write the files of a hand model to the folder `<subject>_<side>/` and return its path.
+
+    Args:
+        assets: Folder `assets/` of the data folder.
+        subject: Name of the subject, e.g. "20200709-subject-01".
+        model: MANO's model of one side.
+        betas: (10,) shape parameters; HandoverSim uses those of the subject's first scene for both
+            sides.
+
+    Raises:
+        UnknownNameError: The subject is not in DexYCB.
+        OptionError: `betas` are not ten finite numbers within +-`MAX_ABS_BETA`.
+        DataFormatError: The model leaves a link without a triangle.
+        ResultsError: A file exists with other content, or cannot be written.
+    """
+    if subject not in SUBJECTS:
+        raise UnknownNameError("subject", subject, SUBJECTS)
+    folder = assets / f"{subject}_{model.side}"
+    write_missing_files(folder, build_hand_files(model, betas))
+    return folder
+
+
+def format_obj(vertices: Array, faces: Faces) -> str:
+    """Return a mesh as Wavefront OBJ text with 6 decimals, as in the official files.
+
+    Args:
+        vertices: (v, 3) vertices (m).
+        faces: (f, 3) vertex indices, from 0.
+    """
+    lines = [f"v {x:.6f} {y:.6f} {z:.6f}\n" for x, y, z in vertices.tolist()]
+    lines += [f"f {a} {b} {c}\n" for a, b, c in (faces + 1).tolist()]
+    return "".join(lines)
+
+
+def _extract_link_mesh(model: ManoModel, vertices: Array, joint: int, min_weight: float) -> tuple[Array, Faces]:
+    """Return the vertices (v, 3) and faces (f, 3) of a joint's link, in the model's order."""
+    kept = model.weights[:, joint] > min_weight
+    faces = model.faces[kept[model.faces].all(axis=1)]
+    if not len(faces):
+        raise DataFormatError(
+            f"MANO's {model.side} hand has no triangle of joint {joint} by its weights; take the model file from the "
+            "original mano_v1_2.zip"
+        )
+    renumbered = np.cumsum(kept) - 1
+    return vertices[kept], renumbered[faces]
+
+
+def write_object_assets(assets: Path) -> None:
+    """Write `<class>/model_normalized.urdf` of the 21 YCB classes.
+
+    Args:
+        assets: Folder `assets/` of the data folder.
+
+    Raises:
+        ResultsError: A file exists with other content, or cannot be written.
+    """
+    content = build_object_urdf().encode()
+    write_missing_files(assets, {f"{name}/model_normalized.urdf": content for name in CLASS_NAMES.values()})
+
+
+def build_table_urdf(original: str) -> str:
+    """Return the text of HandoverSim's `table.urdf`, made from PyBullet's.
+
+    Raises:
+        DataFormatError: PyBullet's table is not the one that HandoverSim was made with.
+    """
+    text = original
+    for old, new, times in _TABLE_REPLACEMENTS:
+        if text.count(old) != times:
+            raise DataFormatError(
+                f"table/table.urdf in pybullet_data has {old} {text.count(old)} times instead of {times}; "
+                "install the PyBullet that this library asks for again"
+            )
+        text = text.replace(old, new)
+    return text
+
+
+def find_table_folder() -> Path:
+    """Return the folder of PyBullet's table.
+
+    Raises:
+        OptionError: PyBullet is not installed.
+    """
+    advice = "import with Python 3.10 or 3.11: the folder then serves every Python"
+    return find_bullet_data("HandoverSim's table, which is made of PyBullet's,", advice) / "table"
+
+
+def write_table_assets(assets: Path) -> None:
+    """Write the folder `table/` with HandoverSim's URDF and copies of PyBullet's mesh and texture.
+
+    Args:
+        assets: Folder `assets/` of the data folder.
+
+    Raises:
+        OptionError: PyBullet is not installed.
+        DataFormatError: PyBullet's table cannot be read, or is not the one that HandoverSim uses.
+        ResultsError: A file exists with other content, or cannot be written.
+    """
+    source = find_table_folder()
+    try:
+        original = (source / "table.urdf").read_bytes().decode()
+        copies = {name: (source / name).read_bytes() for name in _COPIED_TABLE_FILES}
+    except (OSError, UnicodeDecodeError) as error:
+        raise DataFormatError(f"{source}: cannot read PyBullet's table ({error}); install PyBullet again") from error
+    write_missing_files(assets / "table", {"table.urdf": build_table_urdf(original).encode(), **copies})

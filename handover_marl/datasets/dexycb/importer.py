@@ -1,0 +1,191 @@
+"""Import of raw DexYCB, MANO and HandoverSim's third-party archive into a data folder."""
+
+import os
+from collections.abc import Iterable, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from itertools import groupby
+from pathlib import Path
+
+from handover_marl.datasets.dexycb.assets import (
+    find_table_folder,
+    write_hand_assets,
+    write_object_assets,
+    write_table_assets,
+)
+from handover_marl.datasets.dexycb.mano import SIDES, ManoModel, check_hand_sides
+from handover_marl.datasets.dexycb.raw_files import SequenceFolder, find_sequences
+from handover_marl.datasets.dexycb.scenes import find_first_betas, import_scenes, read_hand_betas, read_mano_models
+from handover_marl.datasets.dexycb.stand_ins import ARCHIVE_NAME, InstalledFiles, install_third_party, write_stand_ins
+from handover_marl.datasets.official_files import is_stand_in_file, list_required_files
+from handover_marl.datasets.scene_files import CACHE_FOLDER
+from handover_marl.datasets.splits import N_SCENES
+from handover_marl.errors import DataNotFoundError, HandoverError, ResultsError, SceneError
+from handover_marl.execution.files import remove_stale_temporaries
+from handover_marl.execution.options import resolve_worker_count
+
+
+@dataclass(frozen=True)
+class ImportReport:
+    """Result of `import_dexycb`; `str(report)` is a summary for the terminal.
+
+    Attributes:
+        out: Path of the data folder.
+        scenes: Scene numbers that were imported or already present, in ascending order.
+        hands: Names of the hand models' folders in `assets/`.
+        faults: Messages on what could not be imported, with path, reason and advice.
+        notes: Warnings about files that were imported.
+        missing_files: Third-party files that are still missing, relative to `assets/`.
+        stand_in_files: Files that replace third-party files, relative to `assets/`.
+    """
+
+    out: Path
+    scenes: tuple[int, ...]
+    hands: tuple[str, ...]
+    faults: tuple[str, ...]
+    notes: tuple[str, ...]
+    missing_files: tuple[str, ...]
+    stand_in_files: tuple[str, ...]
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether there are neither faults nor missing files nor stand-ins."""
+        return not (self.faults or self.missing_files or self.stand_in_files)
+
+    def __str__(self) -> str:
+        lines = [f"{self.out}: {len(self.scenes)} scenes, {len(self.hands)} hands."]
+        lines += [f"not imported: {fault}" for fault in self.faults]
+        lines += [f"note: {text}" for text in self.notes]
+        if self.stand_in_files:
+            lines.append(
+                f"{len(self.stand_in_files)} files stand in for those of {ARCHIVE_NAME}, such as "
+                f"{self.stand_in_files[0]}; results on them say so. With --third-party the original ones take their "
+                "place."
+            )
+        if self.missing_files:
+            lines.append(
+                f"{len(self.missing_files)} files come from neither DexYCB nor MANO, such as {self.missing_files[0]}: "
+                f"give HandoverSim's {ARCHIVE_NAME}, or the folder that it was unpacked into, as --third-party"
+            )
+        lines.append(f"Check the folder with: handover-marl doctor --data-dir {self.out}")
+        return "\n".join(lines)
+
+
+def import_dexycb(
+    dexycb: str | os.PathLike[str],
+    mano: str | os.PathLike[str],
+    out: str | os.PathLike[str],
+    *,
+    third_party: str | os.PathLike[str] | None = None,
+    scenes: Iterable[int] | None = None,
+    workers: int | None = None,
+    progress: bool = True,
+) -> ImportReport:
+    """Import DexYCB into a data folder, equal to the output of HandoverSim's scripts to the bit.
+
+    Existing files are compared and kept, so an interrupted import can be resumed. Missing or damaged
+    recordings are reported; the others keep their official scene numbers.
+
+    Args:
+        dexycb: Folder that DexYCB's archives were expanded into.
+        mano: Folder with `MANO_RIGHT.pkl` and `MANO_LEFT.pkl`, or with both in `models/`.
+        out: Data folder to create or to complete, with `dex-ycb-cache/` and `assets/`.
+        third_party: HandoverSim's archive of meshes and grasps, or the folder that it was unpacked
+            into. Without it, substitutes (stand-ins) are made from DexYCB's `models/`: convex parts
+            by CoACD (extra `import`), the library's grasps and PyBullet's Panda.
+        scenes: Scene numbers to import; default: all.
+        workers: Number of worker processes; default: one per core.
+        progress: Whether to show a progress bar on stderr.
+
+    Raises:
+        DataNotFoundError: A folder or one of MANO's files is missing.
+        UnsafeFileError: One of MANO's files may run code, or the archive has unsafe paths.
+        DataFormatError: One of MANO's files or the archive is damaged.
+        SceneError: A scene number does not exist.
+        OptionError: `workers` is less than one, or PyBullet, which has the table, is not installed.
+        ResultsError: The data folder cannot be written, or has models made from other data.
+    """
+    n_workers = resolve_worker_count(workers)
+    find_table_folder()
+    raw, target = Path(dexycb).expanduser(), Path(out).expanduser()
+    layout = find_sequences(raw)
+    folder = _find_mano_folder(Path(mano).expanduser())
+    models = read_mano_models(folder)
+    chosen = _select_sequences(layout.sequences, scenes)
+    assets = target / "assets"
+    notes = [*layout.ignored, *check_hand_sides(models["right"], models["left"])]
+    if third_party is not None:
+        notes += _describe_unknown_files(install_third_party(Path(third_party).expanduser(), assets))
+    hands, faults = _write_models(layout.sequences, models, assets)
+    remove_stale_temporaries(target / CACHE_FOLDER)
+    imported: list[int] = []
+    betas = find_first_betas(layout.sequences)
+    try:
+        with closing(import_scenes(chosen, folder, betas, target, n_workers, progress)) as results:
+            for sequence, fault in results:
+                if fault:
+                    faults.append(fault)
+                else:
+                    imported.append(sequence.scene_id)
+    finally:
+        # Temporary files of killed or interrupted workers.
+        remove_stale_temporaries(target / CACHE_FOLDER)
+    if third_party is None:
+        faults += write_stand_ins(raw / "models", assets, n_workers, progress)
+    required = list_required_files()
+    return ImportReport(
+        out=target,
+        scenes=tuple(sorted(imported)),
+        hands=tuple(hands),
+        faults=(*layout.missing, *sorted(faults)),
+        notes=tuple(notes),
+        missing_files=tuple(path for path in required if not (assets / path).is_file()),
+        stand_in_files=tuple(path for path in required if is_stand_in_file(assets / path)),
+    )
+
+
+def _describe_unknown_files(installed: InstalledFiles) -> list[str]:
+    if not installed.unknown:
+        return []
+    return [
+        f"{len(installed.unknown)} of the {len(installed.files)} third-party files are not the known ones, such as "
+        f"{installed.unknown[0]}; results on them say so"
+    ]
+
+
+def _find_mano_folder(mano: Path) -> Path:
+    for folder in (mano, mano / "models"):
+        if (folder / "MANO_RIGHT.pkl").is_file():
+            return folder
+    raise DataNotFoundError(
+        f"{mano} holds no MANO_RIGHT.pkl, nor does its models/. Register at MANO's site, download mano_v1_2.zip and "
+        "give the folder that it was expanded into."
+    )
+
+
+def _select_sequences(sequences: Sequence[SequenceFolder], scenes: Iterable[int] | None) -> list[SequenceFolder]:
+    if scenes is None:
+        return list(sequences)
+    wanted = set(scenes)
+    foreign = sorted(wanted - set(range(N_SCENES)), key=str)
+    if foreign:
+        raise SceneError(f"scene {foreign[0]} does not exist; scenes are numbered 0 to {N_SCENES - 1}")
+    return [sequence for sequence in sequences if sequence.scene_id in wanted]
+
+
+def _write_models(
+    sequences: Sequence[SequenceFolder], models: dict[str, ManoModel], assets: Path
+) -> tuple[list[str], list[str]]:
+    """Write all models; return the names of the hands' folders, and error messages."""
+    write_object_assets(assets)
+    write_table_assets(assets)
+    hands, faults = [], []
+    for subject, recordings in groupby(sequences, lambda sequence: sequence.subject):
+        try:
+            betas = read_hand_betas(list(recordings))
+            hands += [write_hand_assets(assets, subject, models[side], betas).name for side in SIDES]
+        except ResultsError:
+            raise
+        except HandoverError as error:
+            faults.append(f"hands of {subject}: {error}")
+    return hands, faults

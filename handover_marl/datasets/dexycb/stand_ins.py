@@ -1,0 +1,247 @@
+"""HandoverSim's third-party files: installation from the archive, or stand-ins for them.
+
+The archive of HandoverSim's authors has meshes of the objects and of the Panda, and robot grasps.
+Stand-ins are made for users who only have DexYCB's own object models: convex parts by CoACD (Wei et
+al., SIGGRAPH 2022), the library's grasps, which were made for objects of the same dimensions, and
+PyBullet's Panda. Stand-in files and all results made with them are marked as such.
+"""
+
+import functools
+import io
+from collections import defaultdict
+from collections.abc import Iterable
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path, PurePosixPath
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import QhullError
+
+from handover_marl.assets.robot_model import PANDA_URDF, format_panda_urdf
+from handover_marl.assets.shipped import load_object_grasps
+from handover_marl.datasets.dexycb.assets import write_missing_files
+from handover_marl.datasets.official_files import (
+    PANDA_FILES,
+    STAND_IN,
+    FileOrigin,
+    classify_file_origin,
+    read_third_party_checksums,
+)
+from handover_marl.errors import DataFormatError
+from handover_marl.execution.archives import read_members
+from handover_marl.execution.pool import PoolConfig
+from handover_marl.execution.tasks import map_with_progress
+from handover_marl.geometry.meshes import convex_hull, extreme_points
+from handover_marl.geometry.obj_files import read_obj
+from handover_marl.geometry.panda import PANDA_CAMERA
+from handover_marl.geometry.ycb import CLASS_NAMES
+
+Array = npt.NDArray[np.float64]
+
+#: File name of HandoverSim's archive of third-party files.
+ARCHIVE_NAME: Final = "assets-3rd-party-20220511.tar.gz"
+
+_MAX_CORNERS = 64  # of a convex part, as in HandoverSim's files
+_CONCAVITY = 0.05  # CoACD's default threshold
+# Less search than CoACD's default, which takes longer for hardly better parts.
+_SEARCH_OPTIONS = {"mcts_iterations": 60, "mcts_max_depth": 2, "mcts_nodes": 15}
+_MAX_MODEL_BYTES = 100_000_000  # DexYCB's models have a few million
+_VISUAL_FILES = ("textured_simple.obj", "textured_simple.obj.mtl", "texture_map.png")
+_COLLISION_FILE = "model_normalized_convex.obj"
+_PANDA_MESH_FOLDER = "stand_in"
+
+
+@dataclass(frozen=True)
+class InstalledFiles:
+    """Third-party files that were installed.
+
+    Attributes:
+        files: Paths of the installed files, relative to `assets/`.
+        unknown: Paths of the files whose content has another checksum than the official one.
+    """
+
+    files: tuple[str, ...]
+    unknown: tuple[str, ...]
+
+
+def install_third_party(source: Path, assets: Path) -> InstalledFiles:
+    """Install third-party files; the whole source is checked before a file is written.
+
+    Args:
+        source: HandoverSim's archive, or the folder that it was unpacked into. The files may be at
+            any depth, but in one tree.
+        assets: Folder `assets/` of the data folder.
+
+    Raises:
+        DataNotFoundError: The source is missing or cannot be read.
+        UnsafeFileError: The archive has links, devices, unsafe paths or too much data.
+        DataFormatError: The source is damaged, has none of the files, or has a file twice.
+        ResultsError: A file exists with other content, or cannot be written.
+    """
+    targets = _match_paths(source, (member.path for member in read_members(source)))
+    unknown = []
+    for member in read_members(source):
+        target = targets.get(member.path)
+        if target is None:
+            continue
+        content = member.read()
+        write_missing_files(assets, {target: content}, replace_stand_ins=True)
+        if read_third_party_checksums()[target] and classify_file_origin(target, content) is not FileOrigin.ORIGINAL:
+            unknown.append(target)
+    return InstalledFiles(tuple(sorted(targets.values())), tuple(sorted(unknown)))
+
+
+def _match_paths(source: Path, paths: Iterable[PurePosixPath]) -> dict[PurePosixPath, str]:
+    """Return the path in `assets/` of every third-party file by its path in the source."""
+    wanted = read_third_party_checksums()
+    roots: defaultdict[PurePosixPath, dict[PurePosixPath, str]] = defaultdict(dict)
+    for path in paths:
+        for depth in range(len(path.parts)):
+            place = "/".join(path.parts[depth:])
+            if place in wanted:
+                if path in roots[PurePosixPath(*path.parts[:depth])]:
+                    raise DataFormatError(f"{source} holds '{path}' twice; download it again")
+                roots[PurePosixPath(*path.parts[:depth])][path] = place
+    if not roots:
+        raise DataFormatError(
+            f"{source} holds none of the files that are wanted, such as {next(iter(wanted))}; give {ARCHIVE_NAME} of "
+            "HandoverSim's authors, or the folder that it was unpacked into"
+        )
+    if len(roots) > 1:
+        first, second, *_ = (str(root) for root in roots)
+        raise DataFormatError(
+            f"{source} holds such files in '{first}' and in '{second}', so that it is not clear which to take; give "
+            "the folder with the right ones"
+        )
+    return next(iter(roots.values()))
+
+
+def write_stand_ins(models: Path, assets: Path, workers: int, progress: bool) -> list[str]:
+    """Write stand-ins for missing third-party files if DexYCB's object models exist.
+
+    Args:
+        models: DexYCB's folder of object models.
+        assets: Folder `assets/` of the data folder.
+        workers: Number of worker processes.
+        progress: Whether to show a progress bar on stderr.
+
+    Returns:
+        Error messages on stand-ins that could not be made.
+
+    Raises:
+        ResultsError: A file cannot be written.
+    """
+    if not models.is_dir():
+        return []
+    faults = _copy_models(models, assets)
+    faults += _write_convex_parts(assets, workers, progress)
+    _write_grasps(assets)
+    _write_panda(assets)
+    return faults
+
+
+def _write_convex_parts(assets: Path, workers: int, progress: bool) -> list[str]:
+    names = [
+        name
+        for name in CLASS_NAMES.values()
+        if (assets / name / _VISUAL_FILES[0]).is_file() and not (assets / name / _COLLISION_FILE).exists()
+    ]
+    if not names:
+        return []
+    if find_spec("coacd") is None:
+        return [
+            f"{len(names)} objects such as {names[0]} have no convex parts: give HandoverSim's third-party archive "
+            "(--third-party), which has the original ones, or install what cuts them (pip install "
+            "'handover-marl[import]')"
+        ]
+    write = functools.partial(_write_object_convex_parts, assets)
+    results = map_with_progress(lambda: write, names, "convex parts", PoolConfig(workers), progress)
+    return [fault for _, fault in results if fault]
+
+
+def _write_object_convex_parts(assets: Path, name: str) -> str:
+    try:
+        content = decompose_convex(assets / name / _VISUAL_FILES[0]).encode()
+        write_missing_files(assets, {f"{name}/{_COLLISION_FILE}": content})
+    except DataFormatError as error:
+        return str(error)
+    return ""
+
+
+def _copy_models(models: Path, assets: Path) -> list[str]:
+    """Copy the missing visual meshes and textures from DexYCB's models; return error messages."""
+    faults = []
+    for name in CLASS_NAMES.values():
+        for file in _VISUAL_FILES:
+            source = models / name / file
+            if not source.is_file() or (assets / name / file).exists():
+                continue
+            if source.stat().st_size > _MAX_MODEL_BYTES:
+                faults.append(f"{source} has more than {_MAX_MODEL_BYTES // 1_000_000} MB; copy it again")
+                continue
+            write_missing_files(assets, {f"{name}/{file}": source.read_bytes()})
+    return faults
+
+
+def decompose_convex(model: Path) -> str:
+    """Return an OBJ text with the convex parts of a mesh by CoACD, one OBJ object per part.
+
+    Raises:
+        DataFormatError: The file is no mesh of a solid body.
+    """
+    import coacd  # type: ignore[import-untyped]
+
+    mesh = read_obj(model)
+    coacd.set_log_level("error")
+    parts = coacd.run_coacd(coacd.Mesh(mesh.vertices, mesh.faces), threshold=_CONCAVITY, seed=0, **_SEARCH_OPTIONS)
+    if not parts:
+        raise DataFormatError(f"{model}: CoACD finds no body in it; copy DexYCB's models again")
+    texts, first = [f"# {STAND_IN}: convex parts by CoACD\n"], 1
+    for number, (points, _) in enumerate(parts):
+        try:
+            corners = _reduce_corners(np.asarray(points, dtype=np.float64))
+        except QhullError:  # a part without volume
+            continue
+        texts.append(_format_part(number, corners, first))
+        first += len(corners)
+    return "".join(texts)
+
+
+def _format_part(number: int, corners: Array, first: int) -> str:
+    lines = [f"o convex_{number}", *(f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in corners)]
+    lines += [f"f {a} {b} {c}" for a, b, c in convex_hull(corners)[1] + first]
+    return "\n".join(lines) + "\n"
+
+
+def _reduce_corners(points: Array) -> Array:
+    """Return at most 64 corners of a part's hull; CoACD's own reduction cuts off millimetres."""
+    return convex_hull(np.round(extreme_points(convex_hull(points)[0], _MAX_CORNERS), 6) + 0.0)[0]
+
+
+def _write_grasps(assets: Path) -> None:
+    """Write the library's grasps of the YCB classes without a grasp file."""
+    for name in CLASS_NAMES.values():
+        path, grasps = f"grasps/{name}.npy", load_object_grasps(name)
+        if grasps is not None and not (assets / path).exists():
+            stream = io.BytesIO()
+            np.save(stream, np.array({b"source": STAND_IN.encode(), b"transforms": grasps}), allow_pickle=True)
+            write_missing_files(assets, {path: stream.getvalue()})
+
+
+def _write_panda(assets: Path) -> None:
+    """Write PyBullet's Panda for the missing variants of the robot."""
+    missing = [robot for robot, path in PANDA_FILES.items() if not (assets / path).exists()]
+    if not missing:
+        return
+    meshes = {
+        f"franka_panda/{_PANDA_MESH_FOLDER}/{file.relative_to(PANDA_URDF.parent).as_posix()}": file.read_bytes()
+        for file in sorted((PANDA_URDF.parent / "meshes").rglob("*"))
+        if file.is_file()
+    }
+    write_missing_files(assets, meshes)
+    for robot in missing:
+        text = format_panda_urdf(f"package://{_PANDA_MESH_FOLDER}", camera=robot == PANDA_CAMERA)
+        content = f"<!-- {STAND_IN}: PyBullet's Panda -->\n{text}".encode()
+        write_missing_files(assets, {PANDA_FILES[robot]: content})

@@ -1,0 +1,136 @@
+"""Synthetic data set, generated scene by scene on demand."""
+
+from functools import cache, lru_cache
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from handover_marl.assets.hand_model import find_hand_urdf, make_hand_geometry
+from handover_marl.assets.human_grasps import load_human_grasps
+from handover_marl.assets.object_models import TABLE_URDF, find_object_urdf
+from handover_marl.assets.robot_model import PANDA_URDF, write_camera_panda_urdf
+from handover_marl.assets.shipped import load_object_grasps
+from handover_marl.datasets.dataset import TABLE_HEIGHT, Dataset, Scene, SceneAssets, SceneInfo
+from handover_marl.datasets.synthetic.assign_subjects import class_id_from_scene, side_from_scene, subject_from_scene
+from handover_marl.datasets.synthetic.clutter import ClutterObject, draw_clutter
+from handover_marl.datasets.synthetic.grasp_clearance import hand_poses_from_grasps
+from handover_marl.datasets.synthetic.handover_motion import KeyframeMotion, draw_motion
+from handover_marl.datasets.synthetic.object_placement import draw_placement, make_held_object
+from handover_marl.datasets.synthetic.random_stream import VERSION
+from handover_marl.datasets.synthetic.resampling import (
+    compute_hand_trajectory,
+    compute_object_trajectory,
+    round_to_grid,
+)
+from handover_marl.geometry.panda import PANDA
+from handover_marl.geometry.ycb import CLASS_NAMES
+
+
+class SyntheticDataset(Dataset):
+    """1000 generated handovers with the library's own models; needs no data folder.
+
+    Args:
+        robot: Variant of the Panda, one of `handover_marl.geometry.panda.ROBOTS`.
+
+    Raises:
+        UnknownNameError: `robot` is not in `ROBOTS`.
+    """
+
+    name = "synthetic"
+
+    @property
+    def panda_urdf(self) -> Path:
+        """Path of the URDF of PyBullet's Panda, with or without a camera on its hand."""
+        return PANDA_URDF if self.robot == PANDA else write_camera_panda_urdf()
+
+    def load_info(self, scene_id: int) -> SceneInfo:
+        """Generate a scene and return its description; raises `SceneError`."""
+        self.check_scene_id(scene_id)
+        return _generate_scene(scene_id)[0]
+
+    def find_side(self, scene_id: int) -> str:
+        """Return the hand of a scene's giver without generating the scene."""
+        self.check_scene_id(scene_id)
+        return side_from_scene(scene_id)
+
+    def load_scene(self, scene_id: int) -> Scene:
+        """Generate a scene with its motion in the world frame; raises `SceneError`."""
+        self.check_scene_id(scene_id)
+        info, object_dof, hand_dof, hand_first = _generate_scene(scene_id)
+        return Scene(
+            info=info,
+            dataset=self.name,
+            assets=SceneAssets(
+                table=TABLE_URDF,
+                panda=self.panda_urdf,
+                objects=tuple(find_object_urdf(name) for name in info.object_names),
+                hand=find_hand_urdf(subject_from_scene(scene_id), side_from_scene(scene_id)),
+            ),
+            object_dof=object_dof,
+            hand_dof=hand_dof,
+            hand_first=hand_first,
+            hand_last=len(hand_dof) - 1,
+        )
+
+    def find_object_urdf(self, object_name: str) -> Path:
+        """Return the path of the library's URDF of a YCB class."""
+        return find_object_urdf(object_name)
+
+    def load_grasps(self, object_name: str) -> npt.NDArray[np.float64] | None:
+        """Load the library's robot grasps (n, 4, 4) of a YCB class, or None if it has none."""
+        return load_object_grasps(object_name)
+
+    def check_scenes(self, scene_ids: tuple[int, ...]) -> None:
+        """Do nothing: all files are part of the library."""
+
+    def compute_fingerprint(self, scene_id: int) -> str:
+        """Return the version of the scene generator."""
+        return f"synthetic-{VERSION}"
+
+    def describe_models(self, scene_id: int) -> str:
+        """Return an empty note: all synthetic scenes have the library's models."""
+        return ""
+
+
+def generate_keyframes(scene_id: int) -> tuple[KeyframeMotion, tuple[ClutterObject, ...]]:
+    """Generate the keyframes of a scene at 25 Hz and its other objects, in the table's frame."""
+    subject, side = subject_from_scene(scene_id), side_from_scene(scene_id)
+    class_id = class_id_from_scene(scene_id)
+    name = CLASS_NAMES[class_id]
+    model = make_hand_geometry(subject, side)
+    held = make_held_object(class_id, name, model, load_human_grasps(name, subject, side), _load_robot_grasps(name))
+    motion = draw_motion(scene_id, draw_placement(scene_id, held, name), held, model)
+    return motion, draw_clutter(scene_id, class_id, motion, model)
+
+
+@cache
+def _load_robot_grasps(name: str) -> npt.NDArray[np.float64] | None:
+    transforms = load_object_grasps(name)
+    return None if transforms is None else hand_poses_from_grasps(transforms)
+
+
+@lru_cache(maxsize=4)
+def _generate_scene(scene_id: int) -> tuple[SceneInfo, npt.NDArray[np.float32], npt.NDArray[np.float32], int]:
+    motion, clutter = generate_keyframes(scene_id)
+    target = compute_object_trajectory(motion)
+    object_dof = np.repeat(target[:, None], 1 + len(clutter), axis=1)
+    for column, clutter_object in enumerate(clutter, start=1):
+        angles = Rotation.from_matrix(clutter_object.rotation).as_euler("XYZ")
+        object_dof[:, column] = round_to_grid([*clutter_object.position, *angles])
+    hand_dof = compute_hand_trajectory(motion)
+    hand_first = motion.hand_first * (len(hand_dof) - 1) // (len(motion.fingers) - 1)
+    object_dof[:, :, 2] += TABLE_HEIGHT
+    hand_dof[hand_first:, 2] += TABLE_HEIGHT
+    ids = (class_id_from_scene(scene_id), *(clutter_object.class_id for clutter_object in clutter))
+    subject = f"synthetic-subject-{subject_from_scene(scene_id):02d}"
+    info = SceneInfo(
+        scene_id=scene_id,
+        name=f"{subject}/scene-{scene_id:03d}",
+        subject=subject,
+        side=side_from_scene(scene_id),
+        object_ids=ids,
+        object_names=tuple(CLASS_NAMES[number] for number in ids),
+    )
+    return info, object_dof, hand_dof, hand_first

@@ -1,0 +1,291 @@
+"""Motion of the object and the hand of a synthetic handover, as keyframes at 25 Hz.
+
+The phases are reach, grasp, lift, handover and hold. Hand and object follow minimum-jerk profiles
+(Flash and Hogan, 1985) along curved paths. The recording starts during the first half of the reach,
+as in DexYCB, where the hand enters the cameras' view. All poses are in the table's frame (m, rad).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation, Slerp
+
+from handover_marl.assets.hand_model import HandGeometry
+from handover_marl.datasets.synthetic import calibration
+from handover_marl.datasets.synthetic.object_placement import (
+    JOINT_CLEARANCE,
+    OBJECT_CLEARANCE,
+    HeldObject,
+    ObjectPlacement,
+)
+from handover_marl.datasets.synthetic.random_stream import RandomStream
+
+Array = npt.NDArray[np.float64]
+
+#: Time between keyframes (s).
+KEYFRAME_PERIOD = 0.04
+
+_PEAK_SPEED_RATIO = 1.875  # of peak and mean speed of a minimum-jerk motion
+_LIFT_SPEED_RATIO = 0.95  # of the peak speeds of lift and reach
+_CLOSING_FRAMES = (5, 11)
+_HOLD_FRAMES = 3
+_MIN_REACH_LENGTH = 0.10  # m
+_MIN_LIFT_TIME = 0.4  # s
+_MAX_REACH_ROTATION = np.radians(60.0)
+_SAMPLES = np.linspace(0.0, 1.0, 101)
+
+
+@dataclass(frozen=True, eq=False)
+class KeyframeMotion:
+    """Keyframes of the handed-over object and the hand, T frames of 40 ms.
+
+    Attributes:
+        object_position: (T, 3) position of the object.
+        object_rotation: T rotations of the object.
+        base_position: (T, 3) position of the hand's base; valid from frame `hand_first` on.
+        base_rotation: T rotations of the hand's base.
+        fingers: (T, 45) finger joint angles.
+        hand_first: First frame in which the hand is visible; it remains visible to the end.
+    """
+
+    object_position: Array
+    object_rotation: Rotation
+    base_position: Array
+    base_rotation: Rotation
+    fingers: Array
+    hand_first: int
+
+
+@dataclass(frozen=True)
+class HandoverTiming:
+    """Keyframe numbers of the events of a handover, and the visible part of the reach.
+
+    Attributes:
+        n_frames: Number of keyframes.
+        onset: Frame in which the hand becomes visible.
+        grasp: Frame in which the hand reaches the object and starts to close.
+        lift: Frame in which the fingers are closed and the object leaves the table.
+        arrival: Frame in which the object reaches the handover pose.
+        onset_share: Fraction (0 to 1) of the reach's duration before the onset.
+        reach: Length (m) of the wrist's path from the onset to the grasp.
+    """
+
+    n_frames: int
+    onset: int
+    grasp: int
+    lift: int
+    arrival: int
+    onset_share: float
+    reach: float
+
+
+def draw_motion(scene_id: int, placement: ObjectPlacement, held: HeldObject, model: HandGeometry) -> KeyframeMotion:
+    """Draw the keyframes of the object and the hand in a synthetic scene.
+
+    Args:
+        scene_id: Scene number, the seed of all draws.
+        placement: Poses of the object on the table and at the handover, and the grasp.
+        held: Object with the subject's grasps.
+        model: Geometry of the subject's hand.
+    """
+    random = RandomStream(scene_id, "motion")
+    side_sign = 1.0 if held.grasps.side == "right" else -1.0
+    speed = random.draw_quantile("peak_speed")
+    handover_path = _HandoverPath(placement, held)
+    entry = np.array([random.draw_quantile(name) for name in ("entry_x", "entry_y", "entry_z")])
+    entry[0] = calibration.MIRROR_X + side_sign * (entry[0] - calibration.MIRROR_X)
+    wrist = placement.start[0] + placement.start[1] @ held.keypoints[placement.grasp, 0]
+    timing = _draw_timing(
+        RandomStream(scene_id, "timing"), speed, float(np.linalg.norm(entry - wrist)), handover_path.min_duration(speed)
+    )
+    sway = np.array([random.uniform(-0.004, 0.004) for _ in range(3)])
+    position, rotation = handover_path.sample_keyframes(timing, sway)
+    return _add_hand_motion(timing, position, rotation, entry, placement, held, model)
+
+
+def minimum_jerk(time: npt.ArrayLike) -> Array:
+    """Return the progress (0 to 1) of a minimum-jerk motion at fractions of its duration."""
+    t = np.clip(np.asarray(time, dtype=np.float64), 0.0, 1.0)
+    return t * t * t * (10.0 + t * (6.0 * t - 15.0))
+
+
+def _draw_timing(random: RandomStream, speed: float, entry_distance: float, lift_time: float) -> HandoverTiming:
+    """Draw the timing so that the wrist has the given peak speed (m/s) in the reach."""
+    counts = calibration.FRAME_COUNTS
+    n_frames = list(counts)[random.weighted_index(list(counts.values()))]
+    onset = round(random.draw_quantile("hand_onset"))
+    onset_share = random.uniform(0.05, 0.40)
+    close = _CLOSING_FRAMES[0] + random.integer(_CLOSING_FRAMES[1] - _CLOSING_FRAMES[0])
+    lift_frames = int(np.ceil(lift_time / KEYFRAME_PERIOD)) + random.integer(8)
+    latest = n_frames - 1 - _HOLD_FRAMES
+    visible_share = 1.0 - float(minimum_jerk(onset_share))
+    reach = max(entry_distance, _MIN_REACH_LENGTH)
+    frames_per_m = _PEAK_SPEED_RATIO * (1.0 - onset_share) / (visible_share * speed * KEYFRAME_PERIOD)
+    while onset + reach * frames_per_m + close + lift_frames > latest and reach > _MIN_REACH_LENGTH:
+        reach *= 0.95
+    grasp = onset + max(4, round(reach * frames_per_m))
+    # The duration in whole frames and the peak speed determine the length.
+    reach = (grasp - onset) / frames_per_m
+    spare = latest - (grasp + close + lift_frames)
+    if spare < 0:
+        lift_frames = max(8, lift_frames + spare)
+        spare = 0
+    pause = random.integer(spare + 1) // 3
+    lift = grasp + close + pause
+    return HandoverTiming(n_frames, onset, grasp, lift, min(lift + lift_frames, n_frames - 1), onset_share, reach)
+
+
+class _HandoverPath:
+    """Path of the object from the table to the handover pose: a Bezier curve that rises first.
+
+    Args:
+        placement: Poses of the object on the table and at the handover, and the grasp.
+        held: Object and the subject's grasps of it.
+    """
+
+    def __init__(self, placement: ObjectPlacement, held: HeldObject) -> None:
+        (start, start_rotation), (end, end_rotation) = placement.start, placement.handover
+        self._start, self._end = start, end
+        self._rotations = Slerp([0.0, 1.0], Rotation.from_matrix(np.stack([start_rotation, end_rotation])))
+        self._wrist = held.keypoints[placement.grasp, 0]
+        self._points = np.concatenate([held.corners, held.keypoints[placement.grasp]])
+        self._clearance = np.repeat(
+            [OBJECT_CLEARANCE, JOINT_CLEARANCE], [len(held.corners), len(held.keypoints[placement.grasp])]
+        )
+        self._rise = 0.0
+        self._rise = self._compute_rise()
+
+    def sample(self, progress: Array) -> tuple[Array, Rotation]:
+        """Return positions (n, 3) and rotations of the object at progress (n) from 0 to 1."""
+        control = np.array([self._start[0], self._start[1], max(self._start[2], self._end[2])])
+        positions = _bezier(progress, self._start, control, self._end)
+        positions[:, 2] += self._rise * (4.0 * progress * (1.0 - progress)) ** 0.5
+        return positions, self._rotations(np.clip((progress - 0.05) / 0.95, 0.0, 1.0))
+
+    def min_duration(self, speed: float) -> float:
+        """Return the shortest duration (s) of the path for a peak speed (m/s) of the wrist."""
+        position, rotation = self.sample(minimum_jerk(_SAMPLES))
+        wrist = position + rotation.apply(self._wrist)
+        fastest = float(np.linalg.norm(np.diff(wrist, axis=0), axis=1).max()) / float(_SAMPLES[1])
+        return max(fastest / (_LIFT_SPEED_RATIO * speed), _MIN_LIFT_TIME)
+
+    def sample_keyframes(self, timing: HandoverTiming, sway: Array) -> tuple[Array, Rotation]:
+        """Return positions (T, 3) and rotations of the object in all frames.
+
+        Args:
+            timing: Timing of the handover.
+            sway: (3,) largest displacement (m) while the object is held out.
+        """
+        frames = np.arange(timing.n_frames)
+        progress = minimum_jerk((frames - timing.lift) / (timing.arrival - timing.lift))
+        position, rotation = self.sample(progress)
+        rest = max(timing.n_frames - 1 - timing.arrival, 1)
+        held = np.clip((frames - timing.arrival) / rest, 0.0, 1.0)
+        position += sway * (0.5 - 0.5 * np.cos(2.0 * np.pi * held))[:, None]
+        return position, rotation
+
+    def _compute_rise(self) -> float:
+        """Return the height (m) to add in the middle of the path for clearance above the table."""
+        progress = minimum_jerk(_SAMPLES)[1:-1]
+        position, rotation = self.sample(progress)
+        heights = np.einsum("tj,pj->tp", rotation.as_matrix()[:, 2], self._points) - self._clearance
+        missing = -(position[:, 2] + heights.min(axis=1))
+        return max(0.0, float((missing / (4.0 * progress * (1.0 - progress)) ** 0.5).max()))
+
+
+def _add_hand_motion(
+    timing: HandoverTiming,
+    position: Array,
+    rotation: Rotation,
+    entry: Array,
+    placement: ObjectPlacement,
+    held: HeldObject,
+    model: HandGeometry,
+) -> KeyframeMotion:
+    """Add the hand's motion: the reach before the grasp, then rigidly attached to the object."""
+    grasps, row = held.grasps, placement.grasp
+    object_from_hand = Rotation.from_matrix(held.object_from_hand[row])
+    base_rotation = rotation * object_from_hand
+    wrist = position + rotation.apply(held.keypoints[row, 0])
+    reaching = np.arange(timing.onset, timing.grasp)
+    progress = _compute_reach_progress(timing, reaching)
+    start_rotation = Rotation.from_matrix(placement.start[1])
+    finger_direction = start_rotation.apply(grasps.finger_direction[row])
+    wrist[reaching] = _compute_reach_path(entry, wrist[timing.grasp], finger_direction, timing.reach, progress)
+    turns = _compute_reach_rotations(wrist[timing.onset], wrist[timing.grasp], finger_direction, progress)
+    rotations = base_rotation.as_quat()
+    rotations[reaching] = (turns * base_rotation[timing.grasp]).as_quat()
+    closing = minimum_jerk((np.arange(timing.n_frames) - timing.grasp) / (timing.lift - timing.grasp))[:, None]
+    fingers = (1.0 - closing) * grasps.open_angles[row] + closing * grasps.finger_angles[row]
+    base_rotation = Rotation.from_quat(rotations)
+    base = wrist - base_rotation.apply(model.palm_offset)
+    base[reaching, 2] += _compute_height_offsets(model, base, base_rotation, fingers, reaching)
+    return KeyframeMotion(position, rotation, base, base_rotation, fingers, timing.onset)
+
+
+def _compute_reach_progress(timing: HandoverTiming, frames: npt.NDArray[np.int64]) -> Array:
+    """Return the progress (0 to 1) along the visible part of the reach in some frames."""
+    time = timing.onset_share + (1.0 - timing.onset_share) * (frames - timing.onset) / (timing.grasp - timing.onset)
+    start = float(minimum_jerk(timing.onset_share))
+    progress: Array = (minimum_jerk(time) - start) / (1.0 - start)
+    return progress
+
+
+def _compute_reach_path(entry: Array, end: Array, finger_direction: Array, length: float, progress: Array) -> Array:
+    """Return wrist positions (n, 3) on a Bezier curve of given length (m).
+
+    Args:
+        entry: (3,) position that the curve comes from; its distance is adapted to the length.
+        end: (3,) end of the curve.
+        finger_direction: (3,) direction of the fingers, the curve's tangent at its end.
+        length: Length of the curve.
+        progress: (n,) fractions of the length.
+    """
+    direction = (entry - end) / max(float(np.linalg.norm(entry - end)), 1e-9)
+    bend = 0.35 * min(length, 0.4)
+
+    def curve(distance: float) -> Array:
+        middle = end - finger_direction * bend + np.array([0.0, 0.0, 0.25 * bend])
+        return _bezier(_SAMPLES, end + direction * distance, middle, end)
+
+    low, high = 0.0, 2.0 * length
+    for _ in range(40):
+        middle_distance = 0.5 * (low + high)
+        too_long = _cumulative_lengths(curve(middle_distance))[-1] > length
+        low, high = (low, middle_distance) if too_long else (middle_distance, high)
+    points = curve(low)
+    lengths = _cumulative_lengths(points)
+    return np.stack([np.interp(progress * lengths[-1], lengths, column) for column in points.T], axis=1)
+
+
+def _bezier(parameter: Array, start: Array, control: Array, end: Array) -> Array:
+    """Return the points (n, 3) of a quadratic Bezier curve at parameters (n) from 0 to 1."""
+    s = parameter[:, None]
+    return np.asarray((1 - s) ** 2 * start + 2 * s * (1 - s) * control + s**2 * end)
+
+
+def _cumulative_lengths(points: Array) -> Array:
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+
+
+def _compute_reach_rotations(start: Array, end: Array, finger_direction: Array, progress: Array) -> Rotation:
+    """Return rotations of the grasping pose that initially turn the fingers along the path."""
+    travel = (end - start) / max(float(np.linalg.norm(end - start)), 1e-9)
+    axis = np.cross(finger_direction, travel)
+    sine = float(np.linalg.norm(axis))
+    angle = min(float(np.arctan2(sine, finger_direction @ travel)), _MAX_REACH_ROTATION)
+    axis = axis / sine if sine > 1e-6 else np.array([0.0, 0.0, 1.0])
+    fading = 1.0 - minimum_jerk(progress / 0.85)
+    return Rotation.from_rotvec(fading[:, None] * angle * axis)
+
+
+def _compute_height_offsets(
+    model: HandGeometry, base: Array, rotation: Rotation, fingers: Array, frames: npt.NDArray[np.int64]
+) -> Array:
+    """Return the heights (n,) (m) to add in some frames for clearance above the table."""
+    if len(frames) == 0:
+        return np.zeros(0)
+    dof = np.concatenate([base[frames], rotation[frames].as_euler("XYZ"), fingers[frames]], axis=1)
+    lowest = model.compute_keypoints(dof)[..., 2].min(axis=1)
+    return np.asarray(np.maximum(0.0, JOINT_CLEARANCE - lowest), dtype=np.float64)

@@ -1,1 +1,0 @@
-"""Episodes as data sets: recorded while they are played, kept in Minari's layout, and read again."""

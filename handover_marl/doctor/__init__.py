@@ -1,1 +1,0 @@
-"""What is installed and what of a data folder is there, for `handover-marl doctor`."""

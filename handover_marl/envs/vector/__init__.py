@@ -1,0 +1,1 @@
+"""Vector environments: many handover environments simulated in lockstep in one process."""

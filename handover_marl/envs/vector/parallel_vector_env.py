@@ -1,0 +1,185 @@
+"""Vector environment of both agents: PettingZoo's parallel API with arrays in place of single values."""
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space, concatenate, create_empty_array, iterate
+
+from handover_marl.envs.vector.batch import EnvBatch
+from handover_marl.envs.wrappers.wrapper import ByAgent, ParallelStep
+from handover_marl.errors import ActionError, ResetNeededError
+
+BatchStep = tuple[ByAgent, ByAgent, ByAgent, ByAgent, ByAgent]
+_ResetResult = tuple[ByAgent, ByAgent]
+
+
+class ParallelVectorEnv:
+    """Vector environment of both agents, made by `handover_marl.vector_env(..., agent=None)`.
+
+    The API is PettingZoo's parallel API, with arrays (n, ...) of n environments in the dictionaries by
+    agent. Environments are reset as Gymnasium specifies: "next_step" ignores the actions after an
+    episode's end and returns the first observations of the next episode with rewards of 0; "same_step"
+    returns these observations with the last rewards, the last observations in
+    `infos[agent]["final_obs"]` (n,), the last infos in `["final_info"]` (n,) and a mask of both in
+    `["_final_obs"]` (n,); "disabled" leaves resets to the caller.
+
+    Args:
+        batch: Environments that are simulated in lockstep.
+        autoreset: Time of the reset after an episode's end.
+
+    Attributes:
+        num_envs: Number of environments.
+        possible_agents: Names of the agents; both act in all environments at all times.
+        metadata: Metadata of a single environment, and `autoreset_mode`.
+    """
+
+    def __init__(self, batch: EnvBatch, autoreset: AutoresetMode) -> None:
+        self._batch, self._autoreset = batch, autoreset
+        self.num_envs = len(batch.envs)
+        first = batch.envs[0]
+        self.possible_agents: list[str] = list(first.possible_agents)
+        self.metadata: dict[str, Any] = {**first.metadata, "autoreset_mode": autoreset}
+        self._ended = np.ones(self.num_envs, dtype=bool)
+        self._is_running = False
+
+    @property
+    def agents(self) -> list[str]:
+        """Names of the acting agents; empty before the first reset."""
+        return self.possible_agents if self._is_running else []
+
+    def single_observation_space(self, agent: str) -> spaces.Space[Any]:
+        """Return an agent's observation space in one environment."""
+        return self._batch.envs[0].observation_space(agent)
+
+    def single_action_space(self, agent: str) -> spaces.Box:
+        """Return an agent's action space in one environment."""
+        return self._batch.envs[0].action_space(agent)
+
+    def observation_space(self, agent: str) -> spaces.Space[Any]:
+        """Return an agent's observation space, batched over all n environments."""
+        return batch_space(self.single_observation_space(agent), self.num_envs)
+
+    def action_space(self, agent: str) -> spaces.Space[Any]:
+        """Return an agent's action space, batched over all n environments."""
+        return batch_space(self.single_action_space(agent), self.num_envs)
+
+    def reset(
+        self, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[ByAgent, ByAgent]:
+        """Start an episode in every environment.
+
+        Args:
+            seed: Environment k gets `seed + k`; or one seed for each.
+            options: Options of every single environment: `{"scene_id": n}`.
+
+        Raises:
+            OptionError: The number of seeds is not the number of environments.
+        """
+        seeds = self._batch.spread_seeds(seed)
+        self._is_running = False
+        results = self._batch.run_together(
+            [functools.partial(env.reset, one, options) for env, one in zip(self._batch.envs, seeds, strict=True)]
+        )
+        self._is_running, self._ended = True, np.zeros(self.num_envs, dtype=bool)
+        return self._stack_observations([first for first, _ in results]), self._stack_infos([two for _, two in results])
+
+    def step(self, actions: ByAgent) -> BatchStep:
+        """Step every environment with the actions of both agents.
+
+        Args:
+            actions: Actions (n, ...) by agent.
+
+        Returns:
+            Observations, rewards, terminations, truncations and infos by agent.
+
+        Raises:
+            ActionError: An agent's actions are missing or malformed.
+            ResetNeededError: There was no reset, or an episode has ended and autoreset is "disabled".
+        """
+        if not self._is_running:
+            raise ResetNeededError("no episode is running; call reset() before step()")
+        rows = self._split_actions(actions)
+        self._is_running = False
+        outcomes = self._batch.run_together(
+            [
+                self._make_task(index, {agent: row[index] for agent, row in rows.items()})
+                for index in range(self.num_envs)
+            ]
+        )
+        self._is_running = True
+        results = [result for result, _ in outcomes]
+        self._ended = np.array([_has_ended(result) for result in results])
+        observations = [result[0] if reset is None else reset[0] for result, reset in outcomes]
+        infos = self._stack_infos([result[4] if reset is None else reset[1] for result, reset in outcomes])
+        if self._autoreset is AutoresetMode.SAME_STEP and self._ended.any():
+            self._add_final(infos, results)
+            self._ended = np.zeros(self.num_envs, dtype=bool)
+        rewards, terminations, truncations = (
+            {agent: np.array([result[part][agent] for result in results]) for agent in self.possible_agents}
+            for part in (1, 2, 3)
+        )
+        return self._stack_observations(observations), rewards, terminations, truncations, infos
+
+    def close(self) -> None:
+        """Free the simulations of all environments."""
+        self._is_running = False
+        self._batch.close()
+
+    def _make_task(self, index: int, actions: ByAgent) -> Callable[[], tuple[ParallelStep, _ResetResult | None]]:
+        env, agents = self._batch.envs[index], self.possible_agents
+        if self._ended[index] and self._autoreset is AutoresetMode.NEXT_STEP:
+
+            def reset() -> tuple[ParallelStep, None]:
+                observations, infos = env.reset()
+                no = dict.fromkeys(agents, False)
+                return (observations, dict.fromkeys(agents, 0.0), no, no, infos), None
+
+            return reset
+
+        def act() -> tuple[ParallelStep, _ResetResult | None]:
+            result: ParallelStep = env.step(actions)
+            resets = _has_ended(result) and self._autoreset is AutoresetMode.SAME_STEP
+            return result, env.reset() if resets else None
+
+        return act
+
+    def _split_actions(self, actions: ByAgent) -> dict[str, list[npt.NDArray[Any]]]:
+        if not isinstance(actions, dict) or actions.keys() != set(self.possible_agents):
+            raise ActionError(f"actions must be a dict of arrays for {' and '.join(self.possible_agents)}")
+        rows = {}
+        for agent, values in actions.items():
+            shape = (self.num_envs, *self.single_action_space(agent).shape)
+            if np.shape(values) != shape:
+                raise ActionError(f"actions of the {agent} must have shape {shape}, got {np.shape(values)}")
+            rows[agent] = list(iterate(self.action_space(agent), np.asarray(values)))
+        return rows
+
+    def _add_final(self, infos: ByAgent, results: list[ParallelStep]) -> None:
+        for agent in self.possible_agents:
+            final_obs, final_info = (np.full(self.num_envs, None, dtype=object) for _ in range(2))
+            for index in np.flatnonzero(self._ended):
+                final_obs[index], final_info[index] = results[index][0][agent], results[index][4][agent]
+            infos[agent] |= {"final_obs": final_obs, "final_info": final_info, "_final_obs": self._ended.copy()}
+
+    def _stack_observations(self, observations: list[ByAgent]) -> ByAgent:
+        stacked = {}
+        for agent in self.possible_agents:
+            space = self.single_observation_space(agent)
+            buffer: Any = create_empty_array(space, n=self.num_envs)
+            stacked[agent] = concatenate(space, [one[agent] for one in observations], buffer)
+        return stacked
+
+    def _stack_infos(self, infos: list[ByAgent]) -> ByAgent:
+        return {
+            agent: {key: np.array([one[agent][key] for one in infos]) for key in infos[0][agent]}
+            for agent in self.possible_agents
+        }
+
+
+def _has_ended(result: ParallelStep) -> bool:
+    return any(result[2].values()) or any(result[3].values())

@@ -1,0 +1,1 @@
+"""Wrappers of the handover environment: freeze, encode, flatten, homogeneous."""

@@ -1,0 +1,251 @@
+"""Wrapper with feature vectors as observations and outputs in [-1, 1] as actions, for neural networks."""
+
+from collections.abc import Mapping
+from typing import Any, Literal, overload
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+from gymnasium.utils import EzPickle
+
+from handover_marl.envs.arguments import GIVER, RECEIVER
+from handover_marl.envs.handover_env import HandoverEnv
+from handover_marl.envs.wrappers.wrapper import (
+    Api,
+    ByAgent,
+    ParallelStep,
+    ParallelWrapper,
+    SingleAgentEnv,
+    convert_api,
+)
+from handover_marl.episode.observations import Observation
+from handover_marl.episode.spaces import check_vector
+from handover_marl.errors import OptionError, ResetNeededError
+from handover_marl.learning.features import make_features, n_features
+from handover_marl.learning.giver_schemes import GiverScheme
+from handover_marl.learning.schemes import make_scheme, scheme_size
+
+Vector = npt.NDArray[np.float32]
+
+DEFAULT_FEATURES = {GIVER: "giver", RECEIVER: "receiver"}
+DEFAULT_SCHEMES = {GIVER: "deviation", RECEIVER: "cartesian_delta"}
+# Episodes in a row that may end before an action scheme needs outputs.
+_MAX_EPISODES = 100
+
+
+class EncodedEnv(ParallelWrapper):
+    """Wrapper whose observations are feature vectors and whose actions are network outputs.
+
+    An action scheme decodes an agent's outputs into its actions.
+
+    With one agent a step lasts until the action scheme needs outputs again, mostly one control
+    period; rewards are summed over the step, and an episode that needs no outputs is played to its
+    end and followed by another episode. With two agents a step is one control period, and an action
+    scheme that needs no outputs keeps its last outputs. Made by `encode`.
+
+    Args:
+        env: Environment to encode.
+        features: Name of the features, by agent.
+        schemes: Name of the action scheme, by agent.
+
+    Attributes:
+        feature_names: Name of the features, by agent.
+        scheme_names: Name of the action scheme, by agent.
+
+    Raises:
+        UnknownNameError: There are no such features, or no such scheme.
+        OptionError: There is no such agent, or its observations are vectors already.
+    """
+
+    metadata: dict[str, Any] = {**HandoverEnv.metadata, "name": "handover_encoded_v0"}
+
+    def __init__(
+        self,
+        env: HandoverEnv | ParallelWrapper,
+        features: Mapping[str, str] | None = None,
+        schemes: Mapping[str, str] | None = None,
+    ) -> None:
+        super().__init__(env)
+        EzPickle.__init__(self, env, features, schemes)
+        agents = self.possible_agents
+        vectors = [agent for agent in agents if not isinstance(env.observation_space(agent), spaces.Dict)]
+        if vectors:
+            raise OptionError(f"observations of the {vectors[0]} are vectors already; encode once, before flattening")
+        self.feature_names = _complete_names("features", DEFAULT_FEATURES, features, agents)
+        self.scheme_names = _complete_names("schemes", DEFAULT_SCHEMES, schemes, agents)
+        base = self.unwrapped
+        context = base.policy_context
+        self._features = {agent: make_features(agent, self.feature_names[agent], context) for agent in agents}
+        self._schemes = {agent: make_scheme(agent, self.scheme_names[agent], context) for agent in agents}
+        self._spaces = {
+            agent: make_encoded_spaces(agent, self.feature_names[agent], self.scheme_names[agent]) for agent in agents
+        }
+        for _, outputs in self._spaces.values():
+            outputs.control_period = base.config.control_period  # type: ignore[attr-defined]
+        self._observations: dict[str, Observation] = {}
+
+    def observation_space(self, agent: str) -> spaces.Box:
+        """Return the space of the agent's feature vector."""
+        return self._spaces[agent][0]
+
+    def action_space(self, agent: str) -> spaces.Box:
+        """Return the space of the outputs that the agent's action scheme decodes."""
+        return self._spaces[agent][1]
+
+    def convert_observation(self, agent: str, observation: Observation) -> Vector:
+        """Compute the feature vector of an agent's observation."""
+        return self._features[agent](observation)
+
+    def last_observation(self, agent: str) -> Observation:
+        """Return the last observation of an agent before it was encoded.
+
+        Raises:
+            ResetNeededError: No episode has been started.
+        """
+        if agent not in self._observations:
+            raise ResetNeededError("no episode is running; call reset() first")
+        return self._observations[agent]
+
+    def outputs_from_action(self, agent: str, action: Vector) -> Vector:
+        """Return the (size,) outputs that decode closest to a giver's action, for imitation.
+
+        Raises:
+            OptionError: The agent's action scheme cannot be inverted.
+        """
+        scheme = self._schemes[agent]
+        if not isinstance(scheme, GiverScheme):
+            raise OptionError(f"action scheme {scheme.name!r} cannot imitate; use a scheme of the giver")
+        return np.asarray(scheme.outputs_from_action(action, self.last_observation(agent)), dtype=np.float32)
+
+    def reset(self, seed: int | None = None, options: ByAgent | None = None) -> tuple[ByAgent, ByAgent]:
+        """Start an episode and play it until an action scheme needs outputs.
+
+        `options={"scene_id": n}` chooses the scene.
+
+        Raises:
+            OptionError: Many episodes in a row have ended before outputs were needed.
+        """
+        for attempt in range(_MAX_EPISODES):
+            self._observations, infos = self.env.reset(seed if attempt == 0 else None, options)
+            for scheme in self._schemes.values():
+                scheme.reset()
+            while len(self.possible_agents) == 1 and self.agents and not self._needs_outputs():
+                self._observations, _, _, _, infos = self._advance()
+            if self.agents:
+                return self._convert_observations(self._observations), infos
+        raise OptionError(
+            f"no outputs of the {self.possible_agents[0]} were needed in {_MAX_EPISODES} episodes in a row; choose "
+            "another partner or action scheme"
+        )
+
+    def step(self, actions: dict[str, Any]) -> ParallelStep:
+        """Let the agents act until an action scheme needs outputs again or the episode ends.
+
+        Args:
+            actions: Outputs by agent, elements of the action spaces.
+
+        Raises:
+            ActionError: Outputs are missing or malformed.
+            ResetNeededError: No episode is running.
+        """
+        if not self.agents:
+            raise ResetNeededError("no episode is running; call reset() before step()")
+        given = actions if isinstance(actions, Mapping) else {}
+        outputs = {
+            agent: check_vector(
+                f"outputs of the {agent}", given.get(agent), self._schemes[agent].size, "within [-1, 1]"
+            )
+            for agent in self.agents
+        }
+        for agent, scheme in self._schemes.items():
+            if scheme.needs_outputs(self._observations[agent]):
+                scheme.set_outputs(outputs[agent])
+        self._observations, rewards, terminations, truncations, infos = self._advance()
+        while len(self.possible_agents) == 1 and self.agents and not self._needs_outputs():
+            before = infos
+            self._observations, more, terminations, truncations, infos = self._advance()
+            rewards = {agent: rewards[agent] + more[agent] for agent in rewards}
+            for agent, info in infos.items():
+                terms = [key for key in info if key.startswith("reward/")]
+                info.update({key: info[key] + before[agent][key] for key in terms})
+        return self._convert_observations(self._observations), rewards, terminations, truncations, infos
+
+    def _advance(self) -> ParallelStep:
+        step: ParallelStep = self.env.step(
+            {agent: scheme.compute_action(self._observations[agent]) for agent, scheme in self._schemes.items()}
+        )
+        return step
+
+    def _needs_outputs(self) -> bool:
+        return any(scheme.needs_outputs(self._observations[agent]) for agent, scheme in self._schemes.items())
+
+
+@overload
+def encode(
+    env: HandoverEnv | ParallelWrapper,
+    features: str | Mapping[str, str] | None = None,
+    schemes: str | Mapping[str, str] | None = None,
+    *,
+    api: Literal["parallel"] = "parallel",
+) -> EncodedEnv: ...
+
+
+@overload
+def encode(
+    env: HandoverEnv | ParallelWrapper,
+    features: str | Mapping[str, str] | None = None,
+    schemes: str | Mapping[str, str] | None = None,
+    *,
+    api: Literal["gymnasium"],
+) -> SingleAgentEnv: ...
+
+
+def encode(
+    env: HandoverEnv | ParallelWrapper,
+    features: str | Mapping[str, str] | None = None,
+    schemes: str | Mapping[str, str] | None = None,
+    *,
+    api: Api = "parallel",
+) -> EncodedEnv | SingleAgentEnv:
+    """Return an environment with feature vectors as observations and outputs in [-1, 1] as actions.
+
+    Args:
+        env: `handover_marl.parallel_env(...)`, or `freeze(...)` of it.
+        features: Name of the features, by agent, or of the only agent's features; default: "giver" and
+            "receiver".
+        schemes: Name of the action scheme, by agent, or of the only agent's scheme; default:
+            "deviation" and "cartesian_delta".
+        api: "parallel" for a PettingZoo environment, "gymnasium" for a Gymnasium one of one agent.
+
+    Raises:
+        UnknownNameError: There are no such features, no such scheme or API.
+        OptionError: There is no such agent, or one name is given for two agents.
+    """
+    return convert_api(EncodedEnv(env, _names_by_agent(env, features), _names_by_agent(env, schemes)), api)
+
+
+def make_encoded_spaces(agent: str, feature_name: str, scheme_name: str) -> tuple[spaces.Box, spaces.Box]:
+    """Return the spaces of an agent's features and of its outputs.
+
+    Raises:
+        UnknownNameError: There are no such features, or no such scheme.
+    """
+    features = spaces.Box(-np.inf, np.inf, (n_features(agent, feature_name),), np.float32)
+    return features, spaces.Box(-1.0, 1.0, (scheme_size(agent, scheme_name),), np.float32)
+
+
+def _names_by_agent(env: Any, names: str | Mapping[str, str] | None) -> Mapping[str, str] | None:
+    if not isinstance(names, str):
+        return names
+    if len(env.possible_agents) != 1:
+        raise OptionError(f"features and schemes must be a dict by agent for {len(env.possible_agents)} agents")
+    return {env.possible_agents[0]: names}
+
+
+def _complete_names(
+    argument: str, defaults: dict[str, str], names: Mapping[str, str] | None, agents: list[str]
+) -> dict[str, str]:
+    unknown = sorted((names or {}).keys() - set(agents))
+    if unknown:
+        raise OptionError(f"{argument} must be for {' and '.join(agents)}, got a name for {unknown[0]!r}")
+    return {agent: (names or {}).get(agent, defaults[agent]) for agent in agents}

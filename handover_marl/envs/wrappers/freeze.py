@@ -1,0 +1,163 @@
+"""Wrapper that leaves one agent to be controlled; a fixed policy acts for the other agent."""
+
+from typing import Any, Literal, overload
+
+from gymnasium.utils import EzPickle, seeding
+
+from handover_marl.envs.arguments import AGENTS, GIVER, RECEIVER
+from handover_marl.envs.handover_env import HandoverEnv
+from handover_marl.envs.wrappers.wrapper import (
+    Api,
+    ByAgent,
+    ParallelStep,
+    ParallelWrapper,
+    SingleAgentEnv,
+    convert_api,
+)
+from handover_marl.episode.loop import PolicyScheduler
+from handover_marl.episode.observations import Observation
+from handover_marl.errors import ActionError, OptionError, ResetNeededError, UnknownNameError
+from handover_marl.policies.reference import PolicyLike, parse_policy
+
+DEFAULT_PARTNERS = {RECEIVER: "replay", GIVER: "yang2021"}
+
+
+class FrozenPartnerEnv(ParallelWrapper):
+    """Parallel environment of one agent, made by `freeze`; a fixed policy acts for the other agent.
+
+    Args:
+        env: Environment with both agents, neither of them encoded.
+        agent: Live agent, "receiver" or "giver".
+        partner: Policy of the other agent; default: "replay" for a giver, "yang2021" for a receiver.
+        trust: Whether a policy file may run code.
+
+    Attributes:
+        live_agent: Agent that is controlled from outside, "receiver" or "giver".
+        partner_agent: Agent that the partner policy acts for.
+
+    Raises:
+        UnknownNameError: There is no such agent or policy.
+        OptionError: `env` does not have both agents, or the partner is encoded.
+    """
+
+    metadata: dict[str, Any] = {**HandoverEnv.metadata, "name": "handover_frozen_partner_v0"}
+
+    def __init__(
+        self,
+        env: HandoverEnv | ParallelWrapper,
+        agent: str = RECEIVER,
+        partner: PolicyLike | None = None,
+        trust: bool = False,
+    ) -> None:
+        if agent not in AGENTS:
+            raise UnknownNameError("agent", agent, AGENTS)
+        super().__init__(env, [agent])
+        EzPickle.__init__(self, env, agent, partner, trust)
+        self.live_agent = agent
+        self.partner_agent = GIVER if agent == RECEIVER else RECEIVER
+        if set(env.possible_agents) != set(AGENTS):
+            raise OptionError(f"env must have both agents, got only {' and '.join(env.possible_agents)}")
+        base = self.unwrapped
+        if env.observation_space(self.partner_agent) != base.observation_space(self.partner_agent):
+            raise OptionError(
+                f"observations of the {self.partner_agent} must not be encoded, because it is frozen to a policy; "
+                "call freeze() first, then encode()"
+            )
+        chosen = DEFAULT_PARTNERS[agent] if partner is None else partner
+        reference = parse_policy(self.partner_agent, chosen, trust)
+        self._policy = reference.make(base.dataset, base.config.world_config, base.config.setup)
+        self._scheduler = PolicyScheduler(self._policy)
+        self._steps = 0
+        self._rng, _ = seeding.np_random(None)
+
+    def reset(self, seed: int | None = None, options: ByAgent | None = None) -> tuple[ByAgent, ByAgent]:
+        """Start an episode with a new seed for the partner; return the live agent's results.
+
+        The result is that of `HandoverEnv.reset` without the partner.
+        """
+        if seed is not None:
+            self._rng, _ = seeding.np_random(seed)
+        observations, infos = self.env.reset(seed, options)
+        self._scheduler.reset(int(self._rng.integers(2**32)), self.unwrapped.object_names)
+        self._steps = 0
+        return self._select_live(observations), self._select_live(infos)
+
+    def step(self, actions: dict[str, Any]) -> ParallelStep:
+        """Let both agents act for one control period; return the live agent's results.
+
+        The result is that of `HandoverEnv.step` without the partner.
+
+        Args:
+            actions: Action of the live agent, by agent; the partner acts on its last observation.
+
+        Raises:
+            ActionError: The live agent's action is missing or malformed, or the other agent's is
+                given, too.
+            ResetNeededError: No episode is running.
+            PolicyError: The partner's policy fails.
+        """
+        if not self.agents:
+            raise ResetNeededError("no episode is running; call reset() before step()")
+        live, partner = self.live_agent, self.partner_agent
+        if not isinstance(actions, dict) or actions.keys() - {live}:
+            raise ActionError(f"actions must be a dict with one action, for the {live}")
+        partner_action = self._scheduler.act(self._observe_partner, self._steps)
+        observations, rewards, terminations, truncations, infos = self.env.step(
+            {live: actions.get(live), partner: partner_action}
+        )
+        self._steps = int(infos[partner]["steps"])
+        select = self._select_live
+        return select(observations), select(rewards), select(terminations), select(truncations), select(infos)
+
+    def _observe_partner(self) -> Observation:
+        return self.unwrapped.observe_for_policy(self.partner_agent, self._policy)
+
+    def _select_live(self, by_agent: ByAgent) -> ByAgent:
+        return {self.live_agent: by_agent[self.live_agent]}
+
+
+@overload
+def freeze(
+    env: HandoverEnv | ParallelWrapper,
+    agent: str = RECEIVER,
+    partner: PolicyLike | None = None,
+    *,
+    api: Literal["parallel"] = "parallel",
+    trust: bool = False,
+) -> FrozenPartnerEnv: ...
+
+
+@overload
+def freeze(
+    env: HandoverEnv | ParallelWrapper,
+    agent: str = RECEIVER,
+    partner: PolicyLike | None = None,
+    *,
+    api: Literal["gymnasium"],
+    trust: bool = False,
+) -> SingleAgentEnv: ...
+
+
+def freeze(
+    env: HandoverEnv | ParallelWrapper,
+    agent: str = RECEIVER,
+    partner: PolicyLike | None = None,
+    *,
+    api: Api = "parallel",
+    trust: bool = False,
+) -> FrozenPartnerEnv | SingleAgentEnv:
+    """Return an environment of one live agent; a fixed policy acts for the other agent.
+
+    Args:
+        env: `handover_marl.parallel_env(...)`, or a wrapper of it that has both agents.
+        agent: Live agent, "receiver" or "giver".
+        partner: Policy of the other agent: a name, a class or an instance; default: "replay" for a
+            giver, "yang2021" for a receiver.
+        api: "parallel" for a PettingZoo environment of one agent, "gymnasium" for a Gymnasium one.
+        trust: Whether a policy file (`learned:FILE`) may run code.
+
+    Raises:
+        UnknownNameError: There is no such agent, policy or API.
+        OptionError: `env` does not have both agents, or the partner is encoded.
+    """
+    return convert_api(FrozenPartnerEnv(env, agent, partner, trust), api)

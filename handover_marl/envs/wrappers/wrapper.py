@@ -1,0 +1,152 @@
+"""Base class of the environment's wrappers, and a Gymnasium adapter for one agent."""
+
+from collections.abc import Sequence
+from typing import Any, Literal, TypeVar, overload
+
+import gymnasium
+from gymnasium.utils import EzPickle
+from pettingzoo.utils.wrappers import BaseParallelWrapper
+
+from handover_marl.envs.handover_env import HandoverEnv
+from handover_marl.episode.camera_observations import CameraFrame
+from handover_marl.errors import OptionError, UnknownNameError
+
+ByAgent = dict[str, Any]
+ParallelStep = tuple[ByAgent, dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, float]]]
+
+
+class ParallelWrapper(BaseParallelWrapper, EzPickle):  # type: ignore[misc]
+    """Base class of wrappers of the parallel environment; subclasses override methods.
+
+    Other attributes and methods are those of the wrapped environment.
+
+    Args:
+        env: A `HandoverEnv`, or a wrapper of one.
+        agents: Agents of the wrapped environment; default: all agents of `env`.
+
+    Raises:
+        OptionError: `env` is another kind of environment.
+    """
+
+    metadata: dict[str, Any] = dict(HandoverEnv.metadata)
+
+    def __init__(self, env: "HandoverEnv | ParallelWrapper", agents: Sequence[str] | None = None) -> None:
+        if not isinstance(env, (HandoverEnv, ParallelWrapper)):
+            raise OptionError(
+                f"env must be made by handover_marl.parallel_env() or be a wrapper of it, got {type(env).__name__}"
+            )
+        super().__init__(env)
+        self.possible_agents: list[str] = list(env.possible_agents if agents is None else agents)
+        self.render_mode: str | None = env.render_mode
+        self.metadata = {**self.metadata, "render_fps": env.metadata["render_fps"]}
+
+    @property
+    def unwrapped(self) -> HandoverEnv:
+        """Innermost environment, which has two agents and no wrapper."""
+        env: HandoverEnv = self.env.unwrapped
+        return env
+
+    @property
+    def agents(self) -> list[str]:
+        """Names of the agents of the running episode; empty if no episode is running."""
+        return [agent for agent in self.env.agents if agent in self.possible_agents]
+
+    def convert_observation(self, agent: str, observation: Any) -> Any:
+        """Convert an agent's observation of the wrapped environment to this wrapper's."""
+        return observation
+
+    def reset(self, seed: int | None = None, options: ByAgent | None = None) -> tuple[ByAgent, ByAgent]:
+        """Start an episode; arguments and result as in `HandoverEnv.reset`."""
+        observations, infos = self.env.reset(seed, options)
+        return self._convert_observations(observations), infos
+
+    def step(self, actions: dict[str, Any]) -> ParallelStep:
+        """Let the agents act for one control period; arguments and result as in `HandoverEnv.step`."""
+        observations, *rest = self.env.step(actions)
+        return self._convert_observations(observations), *rest
+
+    def _convert_observations(self, observations: ByAgent) -> ByAgent:
+        return {agent: self.convert_observation(agent, value) for agent, value in observations.items()}
+
+
+class SingleAgentEnv(gymnasium.Env[Any, Any], EzPickle):
+    """Gymnasium adapter of a parallel environment with one agent, as Stable-Baselines3 needs it.
+
+    Args:
+        env: Parallel environment with one agent, as `freeze` and `encode` return it.
+
+    Raises:
+        OptionError: `env` has several agents.
+    """
+
+    metadata: dict[str, Any] = dict(HandoverEnv.metadata)
+
+    def __init__(self, env: ParallelWrapper) -> None:
+        EzPickle.__init__(self, env)
+        if len(env.possible_agents) != 1:
+            raise OptionError(
+                f"a Gymnasium environment must have one agent, got {' and '.join(env.possible_agents)}; call "
+                "freeze() first"
+            )
+        self.env = env
+        (self.agent,) = env.possible_agents
+        self.observation_space = env.observation_space(self.agent)
+        self.action_space = env.action_space(self.agent)
+        self.render_mode, self.metadata = env.render_mode, env.metadata
+
+    @property
+    def scene_ids(self) -> tuple[int, ...]:
+        """Numbers of the scenes that `reset` draws from."""
+        return self.env.unwrapped.scene_ids
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Start an episode; `options={"scene_id": n}` chooses the scene."""
+        super().reset(seed=seed)
+        observations, infos = self.env.reset(seed, options)
+        return observations[self.agent], infos[self.agent]
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Step for one control period, or until the action scheme needs outputs again."""
+        observations, rewards, terminations, truncations, infos = self.env.step({self.agent: action})
+        agent = self.agent
+        return observations[agent], rewards[agent], terminations[agent], truncations[agent], infos[agent]
+
+    def render(self) -> Any:
+        """Return an RGB image (height, width, 3) in the mode "rgb_array", else None."""
+        return self.env.render()
+
+    def capture_wrist_camera(self) -> CameraFrame:
+        """Return depth, segmentation, colours and point clouds of the wrist camera."""
+        return self.env.unwrapped.capture_wrist_camera()
+
+    def close(self) -> None:
+        """Free the simulation."""
+        self.env.close()
+
+
+Api = Literal["parallel", "gymnasium"]
+_Env = TypeVar("_Env", bound=ParallelWrapper)
+
+
+@overload
+def convert_api(env: _Env, api: Literal["parallel"]) -> _Env: ...
+
+
+@overload
+def convert_api(env: _Env, api: Api) -> _Env | SingleAgentEnv: ...
+
+
+def convert_api(env: _Env, api: Api) -> _Env | SingleAgentEnv:
+    """Convert a parallel environment to the requested API.
+
+    Args:
+        env: Parallel environment.
+        api: "parallel" returns `env` itself, "gymnasium" a Gymnasium environment of it.
+
+    Raises:
+        UnknownNameError: There is no such API.
+        OptionError: A Gymnasium environment is requested and `env` has several agents.
+    """
+    if api not in ("parallel", "gymnasium"):
+        raise UnknownNameError("api", api, ("parallel", "gymnasium"))
+    return env if api == "parallel" else SingleAgentEnv(env)

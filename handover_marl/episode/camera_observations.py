@@ -1,0 +1,297 @@
+"""Wrist camera of the robot: configuration, images and point clouds, camera observations."""
+
+from collections import deque
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+
+from handover_marl.config import ARM_DOF, PANDA_DOF, TIME_STEP, PhysicsConfig
+from handover_marl.datasets.dataset import Scene
+from handover_marl.episode.spaces import FULL_POINTCLOUD, POINTCLOUD, RGBD, check_obs_mode, get_camera_data
+from handover_marl.errors import ResetNeededError
+from handover_marl.geometry.arm import ArmKinematics
+from handover_marl.geometry.kinematic_tree import read_tree
+from handover_marl.simulation.camera.frames import (
+    HANDOVERSIM_MODEL,
+    IMAGE_SIZE,
+    CameraImage,
+    SegmentationLabel,
+    check_camera_model,
+    deproject,
+)
+from handover_marl.simulation.camera.noise import CameraNoise, apply_camera_noise, resolve_camera_noise
+from handover_marl.simulation.camera.renderers import BULLET, resolve_renderer
+from handover_marl.simulation.world import JointSnapshot, World
+
+if TYPE_CHECKING:
+    from handover_marl.simulation.camera.ray_camera import RayCamera
+
+Cloud = npt.NDArray[np.float32]
+
+#: Points of a subsampled cloud in an observation.
+N_POINTS = 1024
+
+# Random streams of one step: 0 and 1 subsample the clouds of object and hand, 2 is the noise.
+_NOISE_STREAM = 2
+
+
+def camera_observation_space(obs_mode: str) -> dict[str, spaces.Space[Any]]:
+    """Return the spaces of the wrist camera data that an observation mode includes, by key.
+
+    | data | key | shape | meaning |
+    |---|---|---|---|
+    | pointcloud | wrist_object_points | (1024, 3) float32 | points of the object to be given, hand link's frame, m |
+    | pointcloud | wrist_hand_points | (1024, 3) float32 | points of the human hand, hand link's frame, m |
+    | pointcloud | wrist_point_counts | (2,) float32 | number of pixels on object and hand |
+    | rgbd | wrist_depth | (224, 224, 1) float32 | depth along the viewing axis, m |
+    | rgbd | wrist_segmentation | (224, 224, 1) uint8 | values of `SegmentationLabel` |
+    | rgbd | wrist_rgb | (224, 224, 3) uint8 | colours |
+    | full_pointcloud | wrist_object_cloud | (50176, 3) float32 | all points of the object, in image order |
+    | full_pointcloud | wrist_hand_cloud | (50176, 3) float32 | all points of the human hand, in image order |
+    | full_pointcloud | wrist_point_counts | (2,) float32 | number of pixels on object and hand |
+    | full_pointcloud | robot_joint_position_exact | (9,) float64 | robot joints before rounding to float32 |
+
+    Clouds of more than 1024 points are subsampled without replacement, shorter ones padded with zeros; full clouds
+    are padded, too. A camera with latency shows earlier images; their points are in the hand link's present frame.
+    "full_pointcloud" is for methods that subsample themselves and need unrounded joints, as HandoverSim's scripts for
+    GA-DDPG do.
+
+    Raises:
+        UnknownNameError: There is no such observation mode.
+    """
+    check_obs_mode(obs_mode)
+    data = get_camera_data(obs_mode)
+    counts = spaces.Box(0.0, float(IMAGE_SIZE * IMAGE_SIZE), (2,), np.float32)
+    if data == POINTCLOUD:
+        cloud = spaces.Box(-np.inf, np.inf, (N_POINTS, 3), np.float32)
+        return {"wrist_object_points": cloud, "wrist_hand_points": cloud, "wrist_point_counts": counts}
+    if data == FULL_POINTCLOUD:
+        whole = spaces.Box(-np.inf, np.inf, (IMAGE_SIZE * IMAGE_SIZE, 3), np.float32)
+        joints = spaces.Box(-np.inf, np.inf, (PANDA_DOF,), np.float64)
+        return {
+            "wrist_object_cloud": whole,
+            "wrist_hand_cloud": whole,
+            "wrist_point_counts": counts,
+            "robot_joint_position_exact": joints,
+        }
+    if data == RGBD:
+        return {
+            "wrist_depth": spaces.Box(0.0, np.inf, (IMAGE_SIZE, IMAGE_SIZE, 1), np.float32),
+            "wrist_segmentation": spaces.Box(0, int(max(SegmentationLabel)), (IMAGE_SIZE, IMAGE_SIZE, 1), np.uint8),
+            "wrist_rgb": spaces.Box(0, 255, (IMAGE_SIZE, IMAGE_SIZE, 3), np.uint8),
+        }
+    return {}
+
+
+@dataclass(frozen=True)
+class WristCameraConfig:
+    """Configuration of the wrist camera.
+
+    Attributes:
+        renderer: "bullet" (PyBullet), "rays" (ray casting), or "auto": bullet in exact physics and
+            rays in other physics.
+        camera_model: Deprojection: "handoversim" repeats HandoverSim's shift by one pixel,
+            "pinhole" is exact.
+        camera_noise: Noise of the images: None (no noise), "realsense" or a `CameraNoise`.
+
+    Raises:
+        UnknownNameError: There is no such camera model or camera noise.
+        OptionError: The camera noise has a wrong type.
+    """
+
+    renderer: str = "auto"
+    camera_model: str = HANDOVERSIM_MODEL
+    camera_noise: str | CameraNoise | None = None
+
+    def __post_init__(self) -> None:
+        check_camera_model(self.camera_model)
+        resolve_camera_noise(self.camera_noise)
+
+    @property
+    def noise(self) -> CameraNoise | None:
+        """Noise model of the wrist camera; None without noise."""
+        return resolve_camera_noise(self.camera_noise)
+
+    def describe(self, obs_mode: str, physics: str) -> str:
+        """Describe renderer, camera model and noise for result files; empty without camera data."""
+        if get_camera_data(obs_mode) is None:
+            return ""
+        parts = [f"renderer {resolve_renderer(self.renderer, physics)}", f"camera model {self.camera_model}"]
+        return ", ".join(parts if self.noise is None else [*parts, repr(self.noise)])
+
+
+#: Wrist camera of the benchmark.
+BENCHMARK_CAMERA = WristCameraConfig()
+
+
+@dataclass(frozen=True, eq=False)
+class CameraFrame:
+    """Images and point clouds of the wrist camera at one step.
+
+    A camera with latency shows an earlier step; its points are in the hand link's present frame.
+
+    Attributes:
+        depth: (224, 224) float32 depth along the viewing axis (m); just under 2 m for background.
+        segmentation: (224, 224) uint8 values of `SegmentationLabel`.
+        rgb: (224, 224, 3) uint8 colours.
+        object_points: (n, 3) float32 points of the object to be given in the hand link's frame (m), in image order.
+        hand_points: (m, 3) float32 points of the human hand in the hand link's frame (m), in image order.
+    """
+
+    depth: npt.NDArray[np.float32]
+    segmentation: npt.NDArray[np.uint8]
+    rgb: npt.NDArray[np.uint8]
+    object_points: Cloud
+    hand_points: Cloud
+
+
+class WristCamera:
+    """Wrist camera in the episodes of one world; an image is rendered on request and at most once a step.
+
+    Random draws depend on the seed and the number of simulated steps only, not on earlier images.
+
+    Args:
+        config: Configuration of the camera.
+        physics: Kind of physics.
+        world_config: Poses of robot and table.
+
+    Attributes:
+        has_latency: Whether `record_snapshot` must be called every step, because images arrive late.
+
+    Raises:
+        UnknownNameError: There is no such renderer. A missing package is reported at the first image.
+    """
+
+    def __init__(self, config: WristCameraConfig, physics: str, world_config: PhysicsConfig) -> None:
+        resolve_renderer(config.renderer, physics, installed=False)
+        self._config, self._physics, self._world_config = config, physics, world_config
+        self._noise = config.noise
+        self._delay = 0 if self._noise is None else round(self._noise.latency / TIME_STEP)
+        self.has_latency = self._delay > 0
+        self._seed = 0
+        self._scene: Scene | None = None
+        self._renderer: str | None = None
+        self._ray_camera: RayCamera | None = None
+        self._history: deque[JointSnapshot] = deque(maxlen=self._delay + 1)
+        # Last image of all bodies, last image of object and human hand only, each with its step.
+        self._images: dict[bool, tuple[int, CameraImage]] = {}
+
+    def reset(self, scene: Scene, world: World) -> None:
+        """Prepare the camera for an episode of a scene; the world must be at the scene's start."""
+        if scene is not self._scene:
+            self._ray_camera = None
+        self._scene = scene
+        self._images.clear()
+        self._history.clear()
+        if self.has_latency:
+            self.record_snapshot(world)
+
+    def seed(self, seed: int) -> None:
+        """Set the seed of subsampling and noise, which is 0 by default."""
+        self._seed = seed
+        self._images.clear()
+
+    def record_snapshot(self, world: World) -> None:
+        """Record the present joint positions for images that arrive later (latency)."""
+        self._history.append(world.read_joint_snapshot())
+
+    def capture(self, world: World, steps: int) -> CameraFrame:
+        """Return images and point clouds that are available after `steps` physics steps."""
+        image = self._get_image(world, steps, is_whole=True)
+        # Whole images have colours.
+        rgb = np.array(image.rgb, dtype=np.uint8)
+        return CameraFrame(image.depth.copy(), image.segmentation.copy(), rgb, *self._compute_clouds(image, world))
+
+    def observe(self, obs_mode: str, world: World, steps: int) -> dict[str, npt.NDArray[Any]]:
+        """Return the camera data of an observation mode; see `camera_observation_space`."""
+        data = get_camera_data(obs_mode)
+        if data is None:
+            return {}
+        if data == RGBD:
+            frame = self.capture(world, steps)
+            return {
+                "wrist_depth": frame.depth[..., None],
+                "wrist_segmentation": frame.segmentation[..., None],
+                "wrist_rgb": frame.rgb,
+            }
+        clouds = self._compute_clouds(self._get_image(world, steps, is_whole=False), world)
+        counts = np.array([len(cloud) for cloud in clouds], dtype=np.float32)
+        if data == FULL_POINTCLOUD:
+            return {
+                "wrist_object_cloud": _pad_cloud(clouds[0], IMAGE_SIZE * IMAGE_SIZE),
+                "wrist_hand_cloud": _pad_cloud(clouds[1], IMAGE_SIZE * IMAGE_SIZE),
+                "wrist_point_counts": counts,
+                "robot_joint_position_exact": world.read_joints_float64(),
+            }
+        item, hand = (self._subsample(cloud, steps, stream) for stream, cloud in enumerate(clouds))
+        return {"wrist_object_points": item, "wrist_hand_points": hand, "wrist_point_counts": counts}
+
+    def _compute_clouds(self, image: CameraImage, world: World) -> list[Cloud]:
+        """Compute the point clouds of object and human hand in the robot's hand link frame."""
+        clouds = [
+            deproject(image.depth, image.compute_mask(label), self._config.camera_model)
+            for label in (SegmentationLabel.TARGET, SegmentationLabel.HAND)
+        ]
+        if not self.has_latency or self._scene is None:
+            return clouds
+        # Robots know their joint positions at the time of an image.
+        then, now = self._history[0].robot[:ARM_DOF], world.read_agent_joints().robot[:ARM_DOF]
+        if np.array_equal(then, now):
+            return clouds
+        chain = ArmKinematics(read_tree(self._scene.assets.panda)).chain(np.array([then, now], dtype=np.float64))
+        (old_origin, origin), (old_rotation, rotation) = chain.origins[-1].T, np.moveaxis(chain.rotations[-1], -1, 0)
+        return [((cloud @ old_rotation.T + old_origin - origin) @ rotation).astype(np.float32) for cloud in clouds]
+
+    def _get_image(self, world: World, steps: int, is_whole: bool) -> CameraImage:
+        """Return the image of this step, rendered if necessary.
+
+        `is_whole` renders all bodies, else only object and human hand; a whole image serves both.
+        """
+        for kind in (True,) if is_whole else (False, True):
+            known = self._images.get(kind)
+            if known is not None and known[0] == steps:
+                return known[1]
+        # Noise at edges needs the whole image.
+        image = self._render(world, color=is_whole, only_targets=not is_whole and self._noise is None)
+        if self._noise is not None:
+            image = apply_camera_noise(image, self._noise, self._rng(steps, _NOISE_STREAM))
+        self._images[is_whole] = (steps, image)
+        return image
+
+    def _render(self, world: World, color: bool, only_targets: bool) -> CameraImage:
+        if self._scene is None:
+            raise ResetNeededError("the episode has not started; call reset() first")
+        if self._renderer is None:
+            self._renderer = resolve_renderer(self._config.renderer, self._physics)
+        at = self._history[0] if self.has_latency else None
+        if self._renderer == BULLET:
+            return world.render_wrist_camera(color, at)
+        if self._ray_camera is None:
+            # Imported here: ray casting needs an extra.
+            from handover_marl.simulation.camera.ray_camera import RayCamera
+
+            self._ray_camera = RayCamera(self._scene.assets, self._world_config)
+        now = at or world.read_joint_snapshot()
+        return (
+            self._ray_camera.render_targets(now) if only_targets else self._ray_camera.render_wrist_camera(now, color)
+        )
+
+    def _subsample(self, cloud: Cloud, steps: int, stream: int) -> Cloud:
+        """Return `N_POINTS` points: a random subset in image order, or all points and zero rows."""
+        if len(cloud) > N_POINTS:
+            chosen = self._rng(steps, stream).choice(len(cloud), N_POINTS, replace=False)
+            return cloud[np.sort(chosen)]
+        return _pad_cloud(cloud, N_POINTS)
+
+    def _rng(self, steps: int, stream: int) -> np.random.Generator:
+        return np.random.default_rng((self._seed, steps, stream))
+
+
+def _pad_cloud(cloud: Cloud, rows: int) -> Cloud:
+    """Return a cloud (n, 3) with zeros appended, (rows, 3)."""
+    padded = np.zeros((rows, 3), dtype=np.float32)
+    padded[: len(cloud)] = cloud
+    return padded

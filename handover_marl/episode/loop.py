@@ -1,0 +1,200 @@
+"""Episode loop: policies act, the simulation advances, callbacks observe."""
+
+import hashlib
+import math
+import time
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.config import TIME_STEP
+from handover_marl.episode.callbacks import EpisodeCallback, PolicyDecision
+from handover_marl.episode.episode import Episode
+from handover_marl.episode.giver_motion import NO_DEVIATION
+from handover_marl.episode.observations import Observation
+from handover_marl.episode.spaces import check_giver_action, check_receiver_action, giver_action_space
+from handover_marl.errors import HandoverError, OptionError, PolicyError
+
+Action = npt.NDArray[np.float32]
+
+_FOREVER = 2**62  # physics steps
+
+
+class EpisodePolicy(Protocol):
+    """Interface of a policy in the episode loop; see `handover_marl.policies.policy.Policy`."""
+
+    @property
+    def name(self) -> str:
+        """Name of the policy."""
+
+    def prepare(self, object_names: Sequence[str]) -> None:
+        """Prepare for episodes with the objects of these YCB names."""
+
+    def reset(self, seed: int | None = None) -> None:
+        """Start an episode; `seed` seeds the policy's random generator."""
+
+    def act(self, observation: Observation) -> Action:
+        """Return the agent's action for an observation."""
+
+    @property
+    def hold_time(self) -> float:
+        """Time (s) for which the last action is held before the policy is called again."""
+
+
+class PolicyScheduler:
+    """Scheduler of one policy: calls the policy when its last action has been held long enough.
+
+    Args:
+        policy: Policy to call.
+
+    Attributes:
+        due: Physics step from which on the policy is to be called again.
+    """
+
+    def __init__(self, policy: EpisodePolicy) -> None:
+        self._policy = policy
+        self._action: Action | None = None
+        self.due = 0
+
+    def reset(self, seed: int | None, object_names: Sequence[str] = ()) -> None:
+        """Prepare the policy for an episode and start it.
+
+        Args:
+            seed: Seed of the policy.
+            object_names: YCB names of the objects, the one that is handed over first.
+
+        Raises:
+            PolicyError: The policy fails.
+        """
+        try:
+            self._policy.prepare(object_names)
+            self._policy.reset(seed)
+        except HandoverError:
+            raise
+        except (Exception, SystemExit) as error:
+            raise self._make_error("reset", error) from error
+        self._action, self.due = None, 0
+
+    def act(self, observe: Callable[[], Observation], step: int) -> Action:
+        """Return the policy's action at a physics step, new or held.
+
+        Args:
+            observe: Returns the policy's observation; called only if the policy is due.
+            step: Number of physics steps since the start.
+
+        Raises:
+            PolicyError: The policy fails.
+            OptionError: The policy's hold time is not a positive number.
+        """
+        if self._action is None or step >= self.due:
+            return self.decide(observe(), step)
+        return self._action
+
+    def decide(self, observation: Observation, step: int) -> Action:
+        """Call the policy, whether it is due or not, and return its action.
+
+        Raises:
+            PolicyError: The policy fails.
+            OptionError: The policy's hold time is not a positive number.
+        """
+        try:
+            self._action = self._policy.act(observation)
+            hold_time = self._policy.hold_time
+        except HandoverError:
+            raise
+        except (Exception, SystemExit) as error:
+            raise self._make_error(f"after {step} steps", error) from error
+        self.due = step + steps_from_hold_time(hold_time)
+        return self._action
+
+    def _make_error(self, when: str, error: BaseException) -> PolicyError:
+        return PolicyError(f"policy {self._policy.name!r} failed ({when}): {type(error).__name__}: {error}")
+
+
+def steps_from_hold_time(hold_time: float) -> int:
+    """Convert a hold time (s) to physics steps: at least 1, and 2^62 for infinity.
+
+    Raises:
+        OptionError: The hold time is not a positive number.
+    """
+    if isinstance(hold_time, (bool, str)) or not isinstance(hold_time, (int, float, np.number)) or not hold_time > 0:
+        raise OptionError(f"hold_time must be a positive number (s), got {hold_time!r}")
+    return max(1, round(hold_time / TIME_STEP)) if math.isfinite(hold_time) and hold_time < 1e9 else _FOREVER
+
+
+def play(
+    episode: Episode,
+    receiver: EpisodePolicy,
+    giver: EpisodePolicy | None = None,
+    *,
+    seed: int | None = None,
+    until: int | Callable[[], bool] | None = None,
+    callbacks: Sequence[EpisodeCallback] = (),
+) -> None:
+    """Let policies act from the start of a scene until the episode ends.
+
+    Args:
+        episode: Episode at the start of a scene, after `Episode.reset`.
+        receiver: Policy of the robot.
+        giver: Policy of the person; None replays the recording.
+        seed: Seed from which, with the scene number, the seeds of policies and camera are derived.
+        until: Largest number of physics steps, or a predicate that ends the loop; it is evaluated
+            after each decision, before the actions are applied.
+        callbacks: Callbacks, called in this order.
+
+    Raises:
+        ActionError: An action of a policy is malformed.
+        PolicyError: A policy fails.
+        OptionError: The hold time of a policy is not a positive number.
+    """
+    horizon = episode.config.protocol.horizon_steps
+    end = min(until, horizon) if isinstance(until, int) else horizon
+    scene_id, objects = episode.scene.info.scene_id, episode.scene.info.object_names
+    receiver_scheduler = PolicyScheduler(receiver)
+    giver_scheduler = None if giver is None else PolicyScheduler(giver)
+    receiver_scheduler.reset(derive_policy_seed(seed, scene_id, "receiver"), objects)
+    episode.seed_camera(derive_policy_seed(seed, scene_id, "camera"))
+    if giver_scheduler is not None:
+        giver_scheduler.reset(derive_policy_seed(seed, scene_id, "giver"), objects)
+    giver_space = giver_action_space(episode.config.giver)
+    giver_action = NO_DEVIATION
+    step_hooks = [callback.on_step for callback in callbacks]
+    for callback in callbacks:
+        callback.on_reset(episode)
+    while not episode.status and episode.steps < end:
+        now, planning_time, rendering_time = episode.steps, 0.0, 0.0
+        state = episode.observe()
+        giver_decides = giver_scheduler is not None and now >= giver_scheduler.due
+        receiver_decides = now >= receiver_scheduler.due
+        if giver_scheduler is not None and giver_decides:
+            observation = episode.observe_giver(state)
+            # Copies, so that a policy that writes into its arrays does not change the other's.
+            observation = {key: value.copy() for key, value in observation.items()}
+            giver_action = check_giver_action(giver_scheduler.decide(observation, now), giver_space)
+        if receiver_decides:
+            started = time.perf_counter()
+            observation = episode.observe_for_policy(receiver, state)
+            rendered = time.perf_counter()
+            action = receiver_scheduler.decide(observation, now)
+            planning_time = time.perf_counter() - rendered
+            rendering_time = rendered - started
+            receiver_action = check_receiver_action(action)
+        if callable(until) and until():
+            break
+        decision = PolicyDecision(
+            receiver_action, giver_action, planning_time, receiver_decides, giver_decides, rendering_time
+        )
+        for callback in callbacks:
+            callback.on_decision(episode, decision)
+        due = min(scheduler.due for scheduler in (receiver_scheduler, giver_scheduler) if scheduler is not None)
+        episode.advance(receiver_action, min(end, due) - now, giver_action, step_hooks)
+    for callback in callbacks:
+        callback.on_end(episode)
+
+
+def derive_policy_seed(seed: int | None, scene_id: int, agent: str) -> int:
+    """Derive the seed of an agent's policy in a scene, which does not disclose the scene number."""
+    digest = hashlib.sha256(f"handover_marl {seed or 0} {scene_id} {agent}".encode()).digest()
+    return int.from_bytes(digest[:4], "big")

@@ -1,0 +1,1 @@
+"""Evaluation by HandoverSim's official protocol: simulation, result folders and reports."""

@@ -1,0 +1,265 @@
+"""Configuration of evaluations (scenes, policies, simulation) and of their execution.
+
+Public functions and the command line take `EvaluationConfig` and `ExecutionConfig`, either as
+objects or as keyword arguments.
+"""
+
+import os
+from collections.abc import Iterable
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+from typing_extensions import TypedDict
+
+from handover_marl.config import OFFICIAL_CONFIG, WorldConfig
+from handover_marl.datasets import Dataset, open_dataset
+from handover_marl.datasets.splits import check_setup_and_split, choose_scenes
+from handover_marl.episode.camera_observations import WristCameraConfig
+from handover_marl.episode.spaces import get_camera_data
+from handover_marl.errors import OptionError
+from handover_marl.execution.pool import LOCAL, PoolConfig
+from handover_marl.geometry.panda import PANDA
+from handover_marl.policies.reference import PolicyLike, PolicyReference, parse_policy
+from handover_marl.simulation.camera.frames import HANDOVERSIM_MODEL
+from handover_marl.simulation.camera.noise import CameraNoise
+from handover_marl.simulation.camera.renderers import resolve_renderer
+from handover_marl.simulation.engines import check_physics
+
+#: Name of the giver of official results, which replays the recording.
+REPLAY = "replay"
+#: Choices of the episodes that get a replay page.
+REPLAYS_NONE, REPLAYS_FAILED, REPLAYS_ALL = "none", "failed", "all"
+REPLAY_CHOICES = (REPLAYS_NONE, REPLAYS_FAILED, REPLAYS_ALL)
+#: Fields of `ExecutionConfig` that do not apply to a single scene.
+MULTI_SCENE_FIELDS = ("workers", "backend", "ray_address", "shard", "out", "fresh", "replays")
+
+
+@dataclass(frozen=True)
+class EvaluationConfig:
+    """Configuration of an evaluation: scenes, policies and simulation.
+
+    Attributes:
+        setup: Official setup: s0 no unseen factor, s1 unseen subjects, s2 unseen handedness, s3 unseen objects.
+        split: Split of the setup: train, val or test.
+        scenes: Scene numbers of the split to evaluate, e.g. 209,214; default: all. Reports say if they are partial.
+        dataset: Dataset: dexycb, synthetic, or auto (dexycb if a data folder is found, else synthetic).
+        data_dir: Data folder in HandoverSim's layout; default: the environment variable HANDOVER_MARL_DATA.
+        physics: Physics: exact (official results), fast, or mujoco (another engine).
+        giver: The person's policy, e.g. replay, cooperative, learned:FILE or my_package:MyGiver.
+        receiver: The robot's policy, e.g. yang2021, omg:wait=1.5, learned:FILE or my_package:MyReceiver.
+        robot: Robot model: panda, or panda_camera with HandoverSim's depth camera on its hand, which collides too.
+        renderer: Renderer of the wrist camera: bullet, rays, or auto (bullet in exact physics, else rays).
+        camera_model: Projection of the wrist camera's point clouds: handoversim (as in the original) or pinhole.
+        camera_noise: Noise and latency of the wrist camera: default none, or realsense.
+        seed: Seed of the random draws of policies and camera.
+        world_config: World and rules; published results exist only for the default.
+    """
+
+    setup: str = "s0"
+    split: str = "test"
+    scenes: tuple[int, ...] | None = None
+    dataset: str = "auto"
+    data_dir: str | None = None
+    physics: str = "exact"
+    giver: PolicyLike = REPLAY
+    receiver: PolicyLike = "yang2021"
+    robot: str = PANDA
+    renderer: str = "auto"
+    camera_model: str = HANDOVERSIM_MODEL
+    camera_noise: str | CameraNoise | None = None
+    seed: int = 0
+    world_config: WorldConfig = OFFICIAL_CONFIG
+
+    def open_dataset(self) -> Dataset:
+        """Open the dataset of the evaluated scenes.
+
+        Raises:
+            UnknownNameError, OptionError, DataNotFoundError: The same errors as
+                `handover_marl.datasets.open_dataset`.
+        """
+        return open_dataset(self.dataset, self.data_dir, self.robot)
+
+    @property
+    def camera(self) -> WristCameraConfig:
+        """Configuration of the wrist camera.
+
+        Raises:
+            UnknownNameError, OptionError: Unknown camera model or noise.
+        """
+        return WristCameraConfig(self.renderer, self.camera_model, self.camera_noise)
+
+
+@dataclass(frozen=True)
+class ExecutionConfig:
+    """Configuration of the execution: workers and output; outcomes do not depend on it.
+
+    Attributes:
+        workers: Number of worker processes; default: one per core. Stored with planning times, which are wall clock.
+        backend: Location of the workers: local (this machine) or ray (nodes of a Ray cluster).
+        ray_address: Address of the Ray cluster; default: RAY_ADDRESS, else a local Ray instance, started if needed.
+        shard: Part of the scenes to evaluate, e.g. 3/16 for the third of 16; `merge` combines the parts' folders.
+        out: Folder for results and reports; an interrupted evaluation resumes there.
+        progress: Show a progress bar on stderr.
+        trust: Allow policy files (learned:FILE) to run code.
+        fresh: Delete the results in the output folder instead of resuming.
+        replays: Episodes with a 3D replay page: none, failed or all. Episodes that are finished already are simulated
+            again for it, and must end with the same outcome.
+    """
+
+    workers: int | None = None
+    backend: str = LOCAL
+    ray_address: str | None = None
+    shard: str | None = None
+    out: str | None = None
+    progress: bool = True
+    trust: bool = False
+    fresh: bool = False
+    replays: str = REPLAYS_NONE
+
+    @property
+    def pool(self) -> PoolConfig:
+        """Configuration of the worker pool that simulates the scenes."""
+        return PoolConfig(self.workers, self.backend, self.ray_address)
+
+    @property
+    def folder(self) -> Path | None:
+        """Path of the output folder, or None if nothing is written."""
+        return None if self.out is None else Path(self.out)
+
+    def for_subfolder(self, name: str) -> "ExecutionConfig":
+        """Return a copy of the configuration with a subfolder of its output folder."""
+        return self if self.out is None else replace(self, out=str(Path(self.out) / name))
+
+
+class EpisodeOptions(TypedDict, total=False):
+    """Keyword arguments of rendering functions: fields of the two configurations."""
+
+    dataset: str
+    data_dir: str | os.PathLike[str] | None
+    physics: str
+    robot: str
+    renderer: str
+    camera_model: str
+    camera_noise: str | CameraNoise | None
+    seed: int
+    progress: bool
+    trust: bool
+
+
+class EvaluationOptions(EpisodeOptions, total=False):
+    """Keyword arguments of evaluations: configuration fields except setup, split and policies."""
+
+    scenes: Iterable[int] | None
+    world_config: WorldConfig
+    workers: int | None
+    backend: str
+    ray_address: str | None
+    shard: str | None
+    out: str | os.PathLike[str] | None
+    fresh: bool
+    replays: str
+
+
+def build_configs(
+    setup: str | EvaluationConfig, options: Any, execution: ExecutionConfig | None = None, **arguments: Any
+) -> tuple[EvaluationConfig, ExecutionConfig]:
+    """Build the configurations of evaluation and execution from the arguments of a public function.
+
+    Args:
+        setup: Official setup, or a whole configuration, which no option may contradict.
+        options: Keyword arguments as in `EvaluationOptions`.
+        execution: Execution configuration, or None to build it from `options`.
+        arguments: Further fields of `EvaluationConfig`, ignored beside a whole configuration.
+
+    Raises:
+        TypeError: Unknown option.
+        OptionError: A configuration and one of its fields are both given, or a path is malformed.
+    """
+    evaluation_fields = {field.name for field in fields(EvaluationConfig)}
+    execution_fields = {field.name for field in fields(ExecutionConfig)}
+    unknown = sorted(options.keys() - evaluation_fields - execution_fields)
+    if unknown:
+        raise TypeError(f"unexpected keyword argument {unknown[0]!r}")
+    execution_options = {key: options[key] for key in options.keys() & execution_fields}
+    evaluation_options = {key: options[key] for key in options.keys() & evaluation_fields}
+    if isinstance(setup, EvaluationConfig):
+        _check_no_duplicates(evaluation_options, EvaluationConfig)
+        config = setup
+    else:
+        config = EvaluationConfig(setup=setup, **_normalize_options(evaluation_options | arguments))
+    if execution is None:
+        return config, ExecutionConfig(**_normalize_options(execution_options))
+    _check_no_duplicates(execution_options, ExecutionConfig)
+    return config, execution
+
+
+def resolve_config(config: EvaluationConfig, trust: bool = False) -> tuple[EvaluationConfig, Dataset]:
+    """Check the names of a configuration and resolve its scenes and policies.
+
+    Args:
+        config: Configuration whose policies and scenes may still be names or None.
+        trust: Whether policy files may run code.
+
+    Returns:
+        The resolved configuration, whose policies are `PolicyReference`s, and its dataset.
+
+    Raises:
+        UnknownNameError: Unknown setup, split, dataset, robot, physics, renderer or policy.
+        SceneError: A scene is not in the split.
+        DataNotFoundError: A file of a scene is missing.
+        OptionError: A policy does not accept its options, or the renderer is not installed.
+    """
+    check_setup_and_split(config.setup, config.split)
+    check_physics(config.physics)
+    giver = parse_policy("giver", config.giver, trust)
+    receiver = parse_policy("receiver", config.receiver, trust)
+    dataset = config.open_dataset()
+    split = dataset.list_scenes(config.setup, config.split)
+    scenes = choose_scenes(split, config.scenes, f"{config.setup} {config.split}")
+    giver = giver.resolve(dataset, config.world_config, config.setup)
+    receiver = receiver.resolve(dataset, config.world_config, config.setup)
+    resolve_renderer(config.camera.renderer, config.physics, installed=get_camera_data(receiver.obs_mode) is not None)
+    dataset.check_scenes(scenes)
+    return replace(config, dataset=dataset.name, scenes=scenes, giver=giver, receiver=receiver), dataset
+
+
+def require_policy_reference(policy: PolicyLike) -> PolicyReference:
+    """Return a policy of a resolved configuration, checked to be a `PolicyReference`.
+
+    Raises:
+        TypeError: The configuration is not resolved.
+    """
+    if not isinstance(policy, PolicyReference):
+        raise TypeError("the configuration is not resolved; call resolve_config() first")
+    return policy
+
+
+def _check_no_duplicates(options: dict[str, Any], config_class: type) -> None:
+    for name in sorted(options):
+        raise OptionError(
+            f"pass either a config or keyword arguments, not both; set {name} in the {config_class.__name__}"
+        )
+
+
+def _normalize_options(options: dict[str, Any]) -> dict[str, Any]:
+    """Convert paths to text and scenes to a tuple, so that configurations compare, hash and pickle."""
+    normalized = dict(options)
+    for key in ("data_dir", "out"):
+        if normalized.get(key) is not None:
+            normalized[key] = _normalize_path(key, normalized[key])
+    if isinstance(normalized.get("scenes"), Iterable):
+        # Other types are reported by choose_scenes, where the split is known.
+        normalized["scenes"] = tuple(normalized["scenes"])
+    return normalized
+
+
+def _normalize_path(name: str, path: Any) -> str:
+    try:
+        text = os.fspath(path)
+        text = text.decode() if isinstance(text, bytes) else text
+        if "\0" in text:
+            raise ValueError("the path has a zero byte")
+        return str(Path(text).expanduser())
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise OptionError(f"{name} must be a path, got {path!r} ({error})") from error

@@ -1,0 +1,104 @@
+"""Recorder of demonstrations: observations and actions at every decision of an episode."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.episode.callbacks import PolicyDecision
+from handover_marl.episode.episode import Episode
+from handover_marl.episode.observations import Observation, select_receiver_observation
+from handover_marl.episode.referee import EpisodeStatus
+from handover_marl.episode.spaces import GIVER_ACTION_SIZE, STATE
+from handover_marl.evaluation.config import EvaluationConfig
+from handover_marl.evaluation.demonstrations.demonstration import Demonstration, EpisodeMetadata
+from handover_marl.evaluation.demonstrations.episode_groups import encode_episode
+from handover_marl.evaluation.results.episode_result import EpisodeResult
+from handover_marl.evaluation.writers import EpisodeRecorder
+
+
+@dataclass(frozen=True)
+class RecordingConfig:
+    """Configuration of the recording of demonstrations.
+
+    Attributes:
+        obs_mode: Observation mode of the recorded observations, whatever that of the receiver; see
+        `handover_marl.episode.spaces.OBS_MODES`.
+        successes_only: Whether only successful episodes are recorded.
+    """
+
+    obs_mode: str = STATE
+    successes_only: bool = False
+
+    def includes(self, status: EpisodeStatus) -> bool:
+        """Return whether an episode with this outcome is recorded."""
+        return status == EpisodeStatus.SUCCESS or not self.successes_only
+
+    def describe(self, config: EvaluationConfig) -> str:
+        """Describe the recording in text that is part of the identity of the result folder."""
+        camera = config.camera.describe(self.obs_mode, config.physics)
+        return f"demonstrations, obs_mode {self.obs_mode}{f', {camera}' if camera else ''}"
+
+
+class DemonstrationRecorder(EpisodeRecorder):
+    """Recorder of observations and actions at every decision, encoded as an HDF5 file.
+
+    Args:
+        recording: Observation mode, and choice of the episodes to record.
+        config: Resolved configuration of the evaluation.
+    """
+
+    def __init__(self, recording: RecordingConfig, config: EvaluationConfig) -> None:
+        self._recording, self._config = recording, config
+        self._observations: list[Observation] = []
+        self._steps: list[int] = []
+        self._actions: list[npt.NDArray[np.float32]] = []
+        self._giver_steps: list[int] = []
+        self._giver_actions: list[npt.NDArray[np.float32]] = []
+
+    def on_reset(self, episode: Episode) -> None:
+        """Discard the recording of the previous episode."""
+        for recorded in (self._observations, self._steps, self._actions, self._giver_steps, self._giver_actions):
+            recorded.clear()
+
+    def on_decision(self, episode: Episode, decision: PolicyDecision) -> None:
+        """Record the observation and the actions of a decision."""
+        if decision.receiver_decided:
+            self._record_observation(episode)
+            self._actions.append(decision.receiver_action.copy())
+        if decision.giver_decided:
+            self._giver_steps.append(episode.steps)
+            self._giver_actions.append(decision.giver_action.copy())
+
+    def on_end(self, episode: Episode) -> None:
+        """Record the observation at the end of the episode."""
+        if self._recording.includes(episode.status):
+            self._record_observation(episode)
+
+    def encode(self, result: EpisodeResult) -> bytes:
+        """Return the content of the episode's HDF5 file; empty if it is not to be recorded."""
+        return encode_episode(self._build(result)) if self._recording.includes(result.status) else b""
+
+    def _record_observation(self, episode: Episode) -> None:
+        obs_mode = self._recording.obs_mode
+        state = {name: value.copy() for name, value in episode.observe().items()}
+        self._observations.append(select_receiver_observation(state, episode.observe_camera(obs_mode), obs_mode))
+        self._steps.append(episode.steps)
+
+    def _build(self, result: EpisodeResult) -> Demonstration:
+        is_last = np.arange(len(self._actions)) == len(self._actions) - 1
+        observations = {
+            name: np.stack([observation[name] for observation in self._observations]) for name in self._observations[0]
+        }
+        return Demonstration(
+            observations=observations,
+            actions=np.stack(self._actions),
+            rewards=(is_last & result.success).astype(np.float64),
+            # As in the environments, contact or drop in the step of the time limit sets both.
+            terminations=is_last & bool(result.status & ~EpisodeStatus.TIMEOUT),
+            truncations=is_last & bool(result.status & EpisodeStatus.TIMEOUT),
+            steps=np.array(self._steps, dtype=np.int64),
+            giver_steps=np.array(self._giver_steps, dtype=np.int64),
+            giver_actions=np.array(self._giver_actions, dtype=np.float32).reshape(-1, GIVER_ACTION_SIZE),
+            metadata=EpisodeMetadata.from_result(result, self._config),
+        )

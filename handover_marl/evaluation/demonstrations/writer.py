@@ -1,0 +1,173 @@
+"""Writer of demonstrations in a result folder.
+
+There is one file per episode during the recording, and one data set after it:
+
+```
+config.yaml, 000.npz, ..., report.json, report.md   results, as of every evaluation
+episodes/000.hdf5, ...                              episodes that are not in the data set yet
+data/main_data.hdf5, data/metadata.json             data set in Minari's layout
+```
+"""
+
+import contextlib
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+from handover_marl.episode.observations import receiver_observation_space
+from handover_marl.episode.spaces import receiver_action_space
+from handover_marl.errors import ResultsError
+from handover_marl.evaluation.config import EvaluationConfig
+from handover_marl.evaluation.demonstrations.demonstration import EpisodeMetadata
+from handover_marl.evaluation.demonstrations.episode_groups import SINGLE_EPISODE_GROUP, read_episode_metadata
+from handover_marl.evaluation.demonstrations.files import EpisodeLocation, assemble_data_set, open_hdf5
+from handover_marl.evaluation.demonstrations.join import write_metadata
+from handover_marl.evaluation.demonstrations.minari_layout import (
+    DATA_FOLDER,
+    MAIN_FILE,
+    METADATA_FILE,
+    format_group_name,
+)
+from handover_marl.evaluation.demonstrations.recorder import DemonstrationRecorder, RecordingConfig
+from handover_marl.evaluation.results.episode_result import EpisodeResult
+from handover_marl.evaluation.results.result_folder import read_results
+from handover_marl.evaluation.writers import EpisodeRecorder, EpisodeWriter
+from handover_marl.execution.files import (
+    exclusive_lock,
+    remove_stale_temporaries,
+    shorten_text,
+    write_atomically,
+)
+from handover_marl.policies.policy import Policy
+
+_EPISODES_FOLDER = "episodes"
+_EPISODE_FILE = re.compile(r"[0-9]{3}\.hdf5")
+
+
+@contextlib.contextmanager
+def open_demonstration_writer(
+    folder: Path, config: EvaluationConfig, recording: RecordingConfig, fresh: bool
+) -> Iterator["DemonstrationWriter"]:
+    """Open the writer of a data set in a result folder, locked against other processes.
+
+    Args:
+        folder: Result folder of the evaluation.
+        config: Resolved configuration of the evaluation.
+        recording: Observation mode, and choice of the episodes to record.
+        fresh: Whether to delete the recordings of an earlier run first.
+
+    Raises:
+        ResultsError: The data set in the folder is damaged, another process records in this folder, or
+            it cannot be written.
+    """
+    data, episodes = folder / DATA_FOLDER, folder / _EPISODES_FOLDER
+    with contextlib.ExitStack() as stack:
+        try:
+            for subfolder in (data, episodes):
+                subfolder.mkdir(exist_ok=True)
+            # The process that assembles a data set deletes single episodes; no other may write them meanwhile.
+            stack.enter_context(exclusive_lock(data))
+            for subfolder in (data, episodes):
+                remove_stale_temporaries(subfolder)
+            if fresh:
+                for name in (METADATA_FILE, MAIN_FILE):
+                    (data / name).unlink(missing_ok=True)
+                _delete_episode_files(episodes)
+        except OSError as error:
+            raise ResultsError(f"cannot use {folder} for demonstrations: {error.strerror or error}") from error
+        yield DemonstrationWriter(folder, config, recording)
+
+
+class DemonstrationWriter(EpisodeWriter):
+    """Writer of one HDF5 file per recorded episode, and of the data set made of these files.
+
+    Opened by `open_demonstration_writer`.
+
+    Args:
+        folder: Result folder of the evaluation, with its subfolders for data.
+        config: Resolved configuration of the evaluation.
+        recording: Observation mode, and choice of the episodes to record.
+
+    Raises:
+        ResultsError: The data set in the folder is damaged.
+    """
+
+    def __init__(self, folder: Path, config: EvaluationConfig, recording: RecordingConfig) -> None:
+        self._folder, self._config, self._recording = folder, config, recording
+        self._data_set = folder / DATA_FOLDER / MAIN_FILE
+        self._assembled_groups = _read_groups(self._data_set)
+
+    def create_recorder(self, config: EvaluationConfig, receiver: Policy) -> EpisodeRecorder:
+        """Create the recorder of demonstrations in one worker process."""
+        return DemonstrationRecorder(self._recording, config)
+
+    def contains(self, result: EpisodeResult) -> bool:
+        """Return whether the episode is recorded already, or is not to be recorded."""
+        return not self._recording.includes(result.status) or self._find_episode(result) is not None
+
+    def write(self, result: EpisodeResult, content: bytes) -> None:
+        """Write the HDF5 file of a recorded episode.
+
+        Raises:
+            ResultsError: The file cannot be written.
+        """
+        if content:
+            write_atomically(self._get_episode_path(result), content)
+
+    def assemble(self) -> None:
+        """Write the data set of all recorded episodes in the split's order; delete single files.
+
+        Raises:
+            ResultsError: A file in the folder is damaged, or the folder cannot be written.
+        """
+        results = read_results(self._folder)
+        locations = {
+            result: location
+            for result in results
+            if self._recording.includes(result.status) and (location := self._find_episode(result))
+        }
+        assembled = [
+            EpisodeLocation(self._data_set, format_group_name(number)) for number in range(len(self._assembled_groups))
+        ]
+        if list(locations.values()) != assembled or not self._data_set.exists():
+            assemble_data_set(self._data_set, list(locations.values()))
+        self._assembled_groups = _read_groups(self._data_set)
+        observation_space = receiver_observation_space(self._recording.obs_mode)
+        write_metadata(self._folder, observation_space, receiver_action_space(), results, locations)
+        # Single files that cannot be deleted do no harm: their episodes are in the data set.
+        with contextlib.suppress(OSError):
+            _delete_episode_files(self._folder / _EPISODES_FOLDER)
+            (self._folder / _EPISODES_FOLDER).rmdir()
+
+    def _get_episode_path(self, result: EpisodeResult) -> Path:
+        return self._folder / _EPISODES_FOLDER / f"{result.index:03d}.hdf5"
+
+    def _find_episode(self, result: EpisodeResult) -> EpisodeLocation | None:
+        """Return the location of an episode's recording; None if it does not exist."""
+        metadata, path = EpisodeMetadata.from_result(result, self._config), self._get_episode_path(result)
+        # h5py raises errors of many types on damaged files; such episodes are simulated again.
+        with contextlib.suppress(Exception), open_hdf5(path, "r") as file:
+            if read_episode_metadata(file[SINGLE_EPISODE_GROUP]) == metadata:
+                return EpisodeLocation(path, SINGLE_EPISODE_GROUP)
+        group = self._assembled_groups.get(metadata)
+        return None if group is None else EpisodeLocation(self._data_set, group)
+
+
+def _read_groups(path: Path) -> dict[EpisodeMetadata, str]:
+    """Read the group names of an existing data set, by metadata of the episode."""
+    if not path.exists():
+        return {}
+    try:
+        with open_hdf5(path, "r") as file:
+            return {read_episode_metadata(file[name]): name for name in map(format_group_name, range(len(file)))}
+    except Exception as error:  # h5py raises errors of many types on damaged files
+        raise ResultsError(
+            f"{path} is damaged or no data set of this library ({shorten_text(error)}); remove it and run again to "
+            "record its episodes again, or choose another folder"
+        ) from error
+
+
+def _delete_episode_files(folder: Path) -> None:
+    for path in folder.iterdir():
+        if _EPISODE_FILE.fullmatch(path.name):
+            path.unlink()

@@ -1,0 +1,201 @@
+"""Simulation of the scenes of an evaluation, in this process or in worker processes.
+
+Nodes of a Ray cluster share no files with the main machine. The configuration, the policies' code
+and their files are sent to the nodes; the library, its dependencies and the DexYCB data must be
+installed there. Library and data are compared with the main machine's before a simulation.
+"""
+
+import contextlib
+import functools
+from collections.abc import Callable, Generator, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from platform import node
+from tempfile import TemporaryDirectory
+
+from handover_marl.datasets.location import DATA_FOLDER_ADVICE, DataLocation, check_scene_fingerprint
+from handover_marl.episode.callbacks import ActionRecorder, EpisodeCallback, TraceRecorder
+from handover_marl.episode.episode import Episode
+from handover_marl.episode.loop import play
+from handover_marl.episode.metrics import compute_fluency
+from handover_marl.errors import ActionError, DataNotFoundError, HandoverError, OptionError, PolicyError
+from handover_marl.evaluation.config import REPLAY, EvaluationConfig, require_policy_reference
+from handover_marl.evaluation.results.episode_result import EpisodeResult
+from handover_marl.evaluation.writers import EpisodeWriter
+from handover_marl.execution.machine import describe_machine
+from handover_marl.execution.pool import PoolConfig
+from handover_marl.execution.tasks import open_pool
+from handover_marl.policies.bundle import PolicyBundle
+
+
+@dataclass(frozen=True)
+class SceneTask:
+    """Task of a worker: one scene to simulate.
+
+    Attributes:
+        index: Position of the scene in its split.
+        scene_id: Scene number.
+        fingerprint: Hash of the scene's data on the main machine, compared before simulation; empty
+            skips the comparison.
+    """
+
+    index: int
+    scene_id: int
+    fingerprint: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class FinishedEpisode:
+    """Outcome and recordings of one simulated scene.
+
+    Attributes:
+        task: Task that was run, which identifies the scene.
+        result: Outcome of the episode.
+        contents: Content of each writer's file, in the order of the writers.
+    """
+
+    task: SceneTask
+    result: EpisodeResult
+    contents: tuple[bytes, ...] = ()
+
+
+class EpisodeRunner:
+    """Simulator of single scenes of an evaluation, in this process.
+
+    Args:
+        config: Resolved configuration.
+        parallelism: Number and location of the workers as text, stored beside timings.
+        writers: Writers whose recorders observe each episode.
+
+    Attributes:
+        receiver: Policy of the receiver.
+    """
+
+    def __init__(self, config: EvaluationConfig, parallelism: str, writers: Sequence[EpisodeWriter] = ()) -> None:
+        self._config, self._machine = config, f"{describe_machine()}, {parallelism}"
+        self._dataset = config.open_dataset()
+        giver, receiver = require_policy_reference(config.giver), require_policy_reference(config.receiver)
+        self.receiver = receiver.make(self._dataset, config.world_config, config.setup)
+        # The replayed giver needs no policy object: it cannot fail and takes no time.
+        is_replay = giver.name == REPLAY
+        self._giver = None if is_replay else giver.make(self._dataset, config.world_config, config.setup)
+        self._episode = Episode(config.physics, config.world_config, wrist_camera=config.camera)
+        self._trace_recorder, self._action_recorder = TraceRecorder(), ActionRecorder()
+        self._recorders = [writer.create_recorder(config, self.receiver) for writer in writers]
+
+    def run(self, task: SceneTask) -> FinishedEpisode:
+        """Simulate the scene of a task until its episode ends.
+
+        Raises:
+            HandoverError: The scene cannot be simulated, its data differ from the main machine's,
+                or a policy fails.
+        """
+        scene = self._dataset.load_scene(task.scene_id)
+        fingerprint = self._dataset.compute_fingerprint(task.scene_id)
+        check_scene_fingerprint(task.scene_id, fingerprint, task.fingerprint)
+        self._episode.reset(scene)
+        callbacks: list[EpisodeCallback] = [self._trace_recorder, self._action_recorder, *self._recorders]
+        try:
+            play(self._episode, self.receiver, self._giver, seed=self._config.seed, callbacks=callbacks)
+        except (ActionError, OptionError, PolicyError) as error:
+            raise self._add_context(error, task) from error
+        info = scene.info
+        result = EpisodeResult(
+            index=task.index,
+            status=self._episode.status,
+            steps=self._episode.steps,
+            plan_time_s=float(self._action_recorder.times.sum()),
+            scene_id=task.scene_id,
+            release_step=self._episode.release_step,
+            object_name=info.target_name,
+            subject=info.subject,
+            side=info.side,
+            n_objects=len(info.object_ids),
+            models=self._dataset.describe_models(task.scene_id) or None,
+            fingerprint=fingerprint,
+            machine=self._machine,
+            fluency=compute_fluency(self._trace_recorder.trace),
+        )
+        return FinishedEpisode(task, result, tuple(recorder.encode(result) for recorder in self._recorders))
+
+    def close(self) -> None:
+        """Free the memory and the physics client of the simulation."""
+        self._episode.close()
+        self._trace_recorder.close()
+
+    def _add_context(self, error: HandoverError, task: SceneTask) -> HandoverError:
+        policies = f"receiver {self.receiver.name!r}"
+        if self._giver is not None:
+            policies += f" and giver {self._giver.name!r}"
+        return type(error)(f"{policies} in scene {task.scene_id}: {error}")
+
+
+def run_episodes(
+    config: EvaluationConfig,
+    tasks: Sequence[SceneTask],
+    pool_config: PoolConfig,
+    writers: tuple[EpisodeWriter, ...] = (),
+) -> Generator[tuple[int, FinishedEpisode], None, None]:
+    """Simulate scenes in workers; yield each episode as soon as it is finished.
+
+    Args:
+        config: Resolved configuration.
+        tasks: Scenes to simulate.
+        pool_config: Number and kind of workers; one local worker is this process.
+        writers: Writers whose recorders observe the episodes.
+
+    Returns:
+        Generator of pairs (index of the task, episode); closing it ends the workers.
+
+    Raises:
+        WorkerError: Two workers died over the same scene, or the cluster cannot be used.
+        HandoverError: Error of the library in a worker, raised again with its type.
+    """
+    # Without tasks there is no need to connect to a cluster.
+    pool = open_pool(pool_config if tasks else PoolConfig(workers=1))
+    parallelism = " ".join(filter(None, (f"{min(pool.n_workers, len(tasks))} at a time", pool.location)))
+    open_runner: Callable[[], contextlib.AbstractContextManager[Callable[[SceneTask], FinishedEpisode]]]
+    if pool.is_remote:
+        bundles = tuple(
+            PolicyBundle.pack(require_policy_reference(getattr(config, agent))) for agent in ("giver", "receiver")
+        )
+        location = DataLocation.from_data_dir(config.data_dir)
+        open_runner = functools.partial(_open_remote_runner, config, location, bundles, parallelism, writers)
+    else:
+        open_runner = functools.partial(_open_runner, config, parallelism, writers)
+    return pool.map_unordered(open_runner, tasks, _describe_task)
+
+
+def _describe_task(task: SceneTask) -> str:
+    return f"simulating scene {task.scene_id}"
+
+
+@contextlib.contextmanager
+def _open_runner(
+    config: EvaluationConfig, parallelism: str, writers: tuple[EpisodeWriter, ...]
+) -> Iterator[Callable[[SceneTask], FinishedEpisode]]:
+    runner = EpisodeRunner(config, parallelism, writers)
+    try:
+        yield runner.run
+    finally:
+        runner.close()
+
+
+@contextlib.contextmanager
+def _open_remote_runner(
+    config: EvaluationConfig,
+    location: DataLocation,
+    bundles: tuple[PolicyBundle, ...],
+    parallelism: str,
+    writers: tuple[EpisodeWriter, ...],
+) -> Iterator[Callable[[SceneTask], FinishedEpisode]]:
+    """Open a runner on a machine with other files: unpack policies and find the data folder."""
+    with TemporaryDirectory() as folder:
+        policies = {bundle.reference.agent: bundle.unpack(Path(folder)) for bundle in bundles}
+        local = replace(config, data_dir=location.resolve(), **policies)  # type: ignore[arg-type]
+        try:
+            local.open_dataset()
+        except DataNotFoundError as error:
+            raise DataNotFoundError(f"on node {node()}: {error} {DATA_FOLDER_ADVICE}") from error
+        with _open_runner(local, parallelism, writers) as run:
+            yield run

@@ -1,0 +1,239 @@
+"""Merge of the result folders of all shards into the folder of the whole evaluation."""
+
+import itertools
+import os
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+from handover_marl.errors import OptionError, ResultsError
+from handover_marl.evaluation.agreement import AGREEMENT_FILE, Agreement, write_agreement
+from handover_marl.evaluation.crossplay import (
+    CROSSPLAY_CSV,
+    CrossPlay,
+    format_pair_folder,
+    read_crossplay_pairs,
+    write_crossplay,
+)
+from handover_marl.evaluation.demonstrations.join import join_data_sets
+from handover_marl.evaluation.demonstrations.minari_layout import DATA_FOLDER
+from handover_marl.evaluation.demonstrations.reader import Demonstrations
+from handover_marl.evaluation.reports.report import Report
+from handover_marl.evaluation.reports.report_files import evaluate, write_report
+from handover_marl.evaluation.results.episode_result import EpisodeResult
+from handover_marl.evaluation.results.metadata import (
+    CONFIG_FILE,
+    ResultMetadata,
+    format_merged_config,
+    read_result_metadata,
+)
+from handover_marl.evaluation.results.result_folder import (
+    find_replays,
+    get_replay_path,
+    get_result_path,
+    prepare_result_folder,
+    read_results,
+)
+from handover_marl.evaluation.shards import RunShard
+from handover_marl.execution.files import write_atomically
+from handover_marl.simulation.engines import EXACT, PHYSICS
+
+_MAX_LISTED = 8  # missing scenes that an error lists
+
+
+def merge(
+    folders: Sequence[str | os.PathLike[str]], out: str | os.PathLike[str]
+) -> Report | CrossPlay | Agreement | Demonstrations:
+    """Merge the result folders of all shards (`shard="3/16"`) into that of the whole evaluation.
+
+    Nothing is simulated, and nothing is written unless all shards are complete.
+
+    Args:
+        folders: Folders of the shards, in any order: of `benchmark`, `evaluate_pair`, `crossplay`,
+            `compare_physics` or `demonstrate`.
+        out: Folder to create.
+
+    Returns:
+        The result that the whole evaluation would have returned.
+
+    Raises:
+        ResultsError: The folders are not all shards of one evaluation, or `out` holds another
+            evaluation or cannot be written.
+        DataNotFoundError, DataFormatError: Demonstrations are unfinished or damaged.
+    """
+    paths, target = [Path(folder).expanduser() for folder in folders], Path(out).expanduser()
+    if not paths:
+        raise ResultsError("folders must name at least one shard, got none")
+    if target.resolve() in [path.resolve() for path in paths]:
+        raise ResultsError(f"{target} is one of the shards; choose another output folder")
+    if any((path / CONFIG_FILE).exists() for path in paths):
+        return _merge_results(paths, target)
+    if any((path / CROSSPLAY_CSV).exists() for path in paths):
+        return _merge_crossplay(paths, target)
+    if any((path / AGREEMENT_FILE).exists() for path in paths):
+        return _merge_agreement(paths, target)
+    raise ResultsError(
+        f"{paths[0]} is no finished shard: it has neither {CONFIG_FILE}, {CROSSPLAY_CSV} nor {AGREEMENT_FILE}"
+    )
+
+
+@dataclass(frozen=True)
+class ShardFolder:
+    """Results in the folder of one shard of an evaluation.
+
+    Attributes:
+        path: Path of the result folder.
+        metadata: Identity of the evaluation.
+        part: Number of the shard, and the scenes of the whole evaluation.
+        results: Results of the finished scenes, ordered by index in the split.
+    """
+
+    path: Path
+    metadata: ResultMetadata
+    part: RunShard
+    results: tuple[EpisodeResult, ...]
+
+    @classmethod
+    def read(cls, path: Path) -> "ShardFolder":
+        """Read the result folder of a shard.
+
+        Raises:
+            ResultsError: The folder is not that of a shard, or a file in it is damaged.
+        """
+        if not path.is_dir():
+            raise ResultsError(f"result folder {path} does not exist")
+        metadata = read_result_metadata(path)
+        if not metadata.shard:
+            raise ResultsError(f"{path} is not a shard: it was evaluated without --shard")
+        try:
+            part = RunShard.parse(metadata.shard)
+        except OptionError as error:
+            raise ResultsError(f"{path}: {error}") from error
+        return cls(path, metadata, part, tuple(read_results(path, allow_empty=True)))
+
+    @property
+    def name(self) -> str:
+        """Path of the folder and number of the shard, for error messages."""
+        return f"{self.path} (shard {self.part.shard})"
+
+    def describe_missing(self) -> list[str]:
+        """Describe the scenes of the shard that have no result; empty if all have one.
+
+        Raises:
+            ResultsError: The folder has a result of another shard.
+        """
+        scenes = self.part.scenes
+        expected = set(self.part.list_positions(self.metadata.setup, self.metadata.split))
+        positions = {scene: position for position, scene in enumerate(scenes or ())}
+        found = set()
+        for result in self.results:
+            # Selected scenes are identified by number: their index in the split requires the dataset.
+            position = result.index if scenes is None else positions.get(result.scene_id or 0)
+            if position not in expected:
+                raise ResultsError(f"{self.name}: {result.index:03d}.npz belongs to another shard; remove it")
+            found.add(position)
+        missing = [
+            f"{position:03d}.npz" if scenes is None else f"scene {scenes[position]}"
+            for position in sorted(expected - found)
+        ]
+        if not missing:
+            return []
+        names = ", ".join(missing[:_MAX_LISTED]) + (", ..." if len(missing) > _MAX_LISTED else "")
+        return [
+            f"{self.name} lacks {len(missing)} of {len(expected)} scenes ({names}); run its command again to resume"
+        ]
+
+
+def _read_shards(paths: Sequence[Path]) -> list[ShardFolder]:
+    """Read the folders of all shards of one evaluation and sort them by shard number.
+
+    Raises:
+        ResultsError: The folders belong to different evaluations, a shard is given twice, or shards or
+            scenes are missing.
+    """
+    folders = sorted((ShardFolder.read(path) for path in paths), key=lambda folder: folder.part.shard.number)
+    first = folders[0]
+    for folder in folders[1:]:
+        _check_same_evaluation(first, folder)
+    for one, other in itertools.pairwise(folders):
+        if one.part.shard == other.part.shard:
+            raise ResultsError(f"{one.path} and {other.path} are both shard {one.part.shard}; leave one out")
+    count, numbers = first.part.shard.count, {folder.part.shard.number for folder in folders}
+    missing = [f"shard {number}/{count}" for number in range(1, count + 1) if number not in numbers]
+    reasons = [f"{', '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing"] if missing else []
+    reasons += [line for folder in folders for line in folder.describe_missing()]
+    if reasons:
+        raise ResultsError("these are not all shards: " + "; ".join(reasons))
+    return folders
+
+
+def _write_merged(folders: Sequence[ShardFolder], out: Path) -> Report:
+    """Write results, replays and report of the whole evaluation.
+
+    Raises:
+        ResultsError: `out` holds another evaluation or cannot be written.
+    """
+    first = folders[0]
+    prepare_result_folder(out, replace(first.metadata, shard=""), format_merged_config(first.path))
+    for folder in folders:
+        for result in folder.results:
+            content = get_result_path(folder.path, result.index).read_bytes()
+            write_atomically(get_result_path(out, result.index), content)
+        for scene, replay in find_replays(folder.path).items():
+            copy = get_replay_path(out, scene)
+            copy.parent.mkdir(exist_ok=True)
+            write_atomically(copy, replay.read_bytes())
+    report = evaluate(out)
+    write_report(out, report)
+    return report
+
+
+def _merge_agreement(paths: list[Path], target: Path) -> Agreement:
+    others = [physics for physics in PHYSICS if physics != EXACT and (paths[0] / physics).is_dir()]
+    if len(others) != 1:
+        raise ResultsError(
+            f"{paths[0]} must have results in exact and one other physics, got {', '.join(others) or 'no other'}"
+        )
+    exact, other = (_read_shards([path / physics for path in paths]) for physics in (EXACT, *others))
+    agreement = Agreement(_write_merged(exact, target / EXACT), _write_merged(other, target / others[0]))
+    write_agreement(target, agreement)
+    return agreement
+
+
+def _merge_results(paths: list[Path], target: Path) -> Report | Demonstrations:
+    shards = _read_shards(paths)
+    if not any((path / DATA_FOLDER).is_dir() for path in paths):
+        return _write_merged(shards, target)
+    # All data sets are opened, and so checked, before anything is written.
+    parts = [Demonstrations(path) for path in paths]
+    _write_merged(shards, target)
+    join_data_sets(parts, target)
+    return Demonstrations(target)
+
+
+def _merge_crossplay(paths: list[Path], target: Path) -> CrossPlay:
+    pairs = read_crossplay_pairs(paths[0])
+    for path in paths[1:]:
+        if read_crossplay_pairs(path) != pairs:
+            raise ResultsError(f"{paths[0]} and {path} must have the same policies in the same order")
+    shards = {pair: _read_shards([path / format_pair_folder(pair) for path in paths]) for pair in pairs}
+    reports = {pair: _write_merged(found, target / format_pair_folder(pair)) for pair, found in shards.items()}
+    givers, receivers = (tuple(dict.fromkeys(pair[position] for pair in pairs)) for position in (0, 1))
+    result = CrossPlay(givers, receivers, reports)
+    write_crossplay(target, result)
+    return result
+
+
+def _check_same_evaluation(one: ShardFolder, other: ShardFolder) -> None:
+    first, second = (asdict(replace(folder.metadata, shard="")) for folder in (one, other))
+    different = [
+        f"{key.replace('_', ' ')} {value!r} in {one.path}, {second[key]!r} in {other.path}"
+        for key, value in first.items()
+        if value != second[key]
+    ]
+    if one.part.shard.count != other.part.shard.count:
+        different.append(f"{one.name}, {other.name}")
+    elif one.part.scenes != other.part.scenes:
+        different.append(f"different scenes were selected for {one.path} and {other.path}")
+    if different:
+        raise ResultsError(f"these are shards of different evaluations: {'; '.join(different)}")

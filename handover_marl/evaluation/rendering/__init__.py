@@ -1,0 +1,1 @@
+"""Rendering of one scene: images, films, replay pages, and plans."""

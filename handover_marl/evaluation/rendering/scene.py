@@ -1,0 +1,179 @@
+"""Rendering of a scene or an episode as an image grid, a film or a replay page."""
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from typing_extensions import Unpack
+
+from handover_marl.config import CameraConfig
+from handover_marl.datasets import Dataset
+from handover_marl.datasets.dataset import Scene
+from handover_marl.episode.callbacks import EpisodeCallback
+from handover_marl.episode.episode import Episode
+from handover_marl.episode.loop import play
+from handover_marl.errors import OptionError, UnknownNameError
+from handover_marl.evaluation.config import (
+    MULTI_SCENE_FIELDS,
+    REPLAY,
+    EpisodeOptions,
+    EvaluationConfig,
+    ExecutionConfig,
+    build_configs,
+)
+from handover_marl.evaluation.replays import format_replay_facts
+from handover_marl.execution.files import write_atomically
+from handover_marl.execution.options import forward_signature
+from handover_marl.policies.reference import PolicyLike, parse_policy
+from handover_marl.simulation.camera.renderers import check_rendering, resolve_renderer
+from handover_marl.visualization.film import (
+    FRAME_PERIOD_MS,
+    SUFFIXES,
+    FrameRecorder,
+    Picture,
+    check_output_path,
+    encode_film,
+    encode_grid,
+)
+from handover_marl.visualization.replay_page import build_replay_page
+from handover_marl.visualization.replay_recorder import ReplayRecorder
+from handover_marl.visualization.replay_scene import require_replay_extra
+from handover_marl.visualization.wrist_figure import WristCameraFigure
+
+#: Names of the views.
+VIEWS = ("outside", "wrist")
+
+_GRID_COLUMNS = {"outside": 3, "wrist": 1}
+# Duration for which a scene without a receiver is shown after the recorded motion.
+_STILL_SCENE_DURATION_MS = 500
+
+
+@forward_signature(
+    EvaluationConfig, ExecutionConfig, without=("setup", "split", "scenes", "world_config", *MULTI_SCENE_FIELDS)
+)
+def render_scene(
+    scene_id: int,
+    out: str | os.PathLike[str],
+    *,
+    receiver: PolicyLike | None = None,
+    giver: PolicyLike = REPLAY,
+    key_frames: int = 6,
+    camera: CameraConfig | None = None,
+    view: str = "outside",
+    **options: Unpack[EpisodeOptions],
+) -> Path:
+    """Render a scene, or the episode of two policies in it, to a file.
+
+    Args:
+        scene_id: Number of the scene, 0 to 999.
+        out: Output file: `.png` for a grid of key frames, `.gif` or `.mp4` for a film, `.html` for
+            a page that replays the episode in 3D.
+        receiver: The robot's policy, as in `benchmark`; None keeps the robot at rest.
+        giver: The person's policy, as in `evaluate_pair`.
+        key_frames: Number of images of a `.png`, evenly spaced from start to end of the episode.
+        camera: Pose and image size of the outside camera.
+        view: "outside", or "wrist" for the outside image beside depth, segmentation and point cloud
+            of the wrist camera.
+        options: `dataset`, `data_dir`, `physics`, `robot`, `renderer`, `camera_model`,
+            `camera_noise`, `seed`, `progress` and `trust`, see `handover_marl.EvaluationConfig`
+            and `handover_marl.ExecutionConfig`.
+
+    Returns:
+        Path of the written file.
+
+    Raises:
+        OptionError: The file's suffix is unknown, a library for it is not installed, or a size is
+            impossible.
+        ResultsError: The file cannot be written; raised before rendering.
+        UnknownNameError: The view, or another name, is unknown.
+        SceneError, DataNotFoundError, DataFormatError: As for `benchmark`.
+    """
+    path = check_output_path(out, SUFFIXES)
+    suffix = path.suffix.lower()
+    _check_view(view, path)
+    draw = _make_draw_function(view, camera or CameraConfig())
+    if isinstance(key_frames, bool) or not isinstance(key_frames, int) or key_frames < 1:
+        raise OptionError(f"key_frames must be an integer of at least 1, got {key_frames!r}")
+    policy = "hold" if receiver is None else receiver
+    config, execution = build_configs("s0", options, receiver=policy, giver=giver)
+    dataset = config.open_dataset()
+    player = _ScenePlayer(config, dataset, dataset.load_scene(scene_id), execution.trust)
+    resolve_renderer(config.renderer, config.physics, installed=view == "wrist")
+    until = player.scene.n_frames + _STILL_SCENE_DURATION_MS if receiver is None else None
+
+    def record_frames(steps: Sequence[int], with_end: bool) -> list[Picture]:
+        recorder = FrameRecorder(steps, draw, execution.progress, with_end)
+        player.play(until, [recorder])
+        return recorder.frames
+
+    if suffix == ".html":
+        content = player.build_replay_page(until, camera)
+    elif suffix == ".png":
+        # Simulated twice: the steps of the key frames are known only after the episode's end.
+        end = player.play(None, []) if until is None else until
+        steps = np.linspace(0, end, key_frames).round().astype(int).tolist()
+        content = encode_grid(record_frames(steps, False), _GRID_COLUMNS[view])
+    else:
+        horizon = until or config.world_config.protocol.horizon_steps
+        content = encode_film(record_frames(range(0, horizon, FRAME_PERIOD_MS), True), suffix)
+    player.close()
+    write_atomically(path, content)
+    return path
+
+
+def _check_view(view: str, path: Path) -> None:
+    if view not in VIEWS:
+        raise UnknownNameError("view", view, VIEWS)
+    if path.suffix.lower() != ".html":
+        check_rendering(f"drawing {path.name}")
+        return
+    require_replay_extra()
+    if view != "outside":
+        raise OptionError(f"view of a replay (.html) must be 'outside', got {view!r}")
+
+
+def _make_draw_function(view: str, camera: CameraConfig) -> Callable[[Episode], Picture]:
+    if view == "wrist":
+        return WristCameraFigure(camera).draw
+    return lambda episode: episode.render(camera)
+
+
+class _ScenePlayer:
+    """Simulation of one scene with the two policies of a configuration."""
+
+    def __init__(self, config: EvaluationConfig, dataset: Dataset, scene: Scene, trust: bool) -> None:
+        self.scene = scene
+        self._config, self._dataset = config, dataset
+        self._references = {
+            agent: parse_policy(agent, getattr(config, agent), trust) for agent in ("receiver", "giver")
+        }
+        self._receiver, self._giver = (
+            reference.make(dataset, config.world_config, config.setup) for reference in self._references.values()
+        )
+        self._episode = Episode(config.physics, config.world_config, wrist_camera=config.camera)
+
+    def play(self, until: int | None, callbacks: list[EpisodeCallback]) -> int:
+        """Simulate the scene to its end, or for `until` physics steps, and return the number of steps."""
+        self._episode.reset(self.scene)
+        seed = self._config.seed
+        play(self._episode, self._receiver, self._giver, seed=seed, until=until, callbacks=callbacks)
+        return self._episode.steps
+
+    def build_replay_page(self, until: int | None, camera: CameraConfig | None) -> bytes:
+        """Simulate the scene to its end, or for `until` steps, and return its replay page."""
+        recorder = ReplayRecorder(self._receiver)
+        self.play(until, [recorder])
+        config, dataset = self._config, self._dataset
+        resolved = {
+            agent: reference.resolve(dataset, config.world_config, config.setup)
+            for agent, reference in self._references.items()
+        }
+        config = replace(config, dataset=dataset.name, **resolved)  # type: ignore[arg-type]
+        facts = format_replay_facts(config, dataset.describe_models(self.scene.info.scene_id))
+        return build_replay_page(recorder.log, facts, camera).encode()
+
+    def close(self) -> None:
+        """Free the memory and the physics client of the simulation."""
+        self._episode.close()

@@ -1,0 +1,124 @@
+"""Replay pages of episodes in a result folder: `episodes/209.html`, an animated 3D scene each."""
+
+import html
+from pathlib import Path
+
+from handover_marl import __version__
+from handover_marl.datasets import DATASET_TITLES
+from handover_marl.errors import OptionError, ResultsError, UnknownNameError
+from handover_marl.evaluation.config import (
+    REPLAY_CHOICES,
+    REPLAYS_ALL,
+    REPLAYS_NONE,
+    EvaluationConfig,
+    ExecutionConfig,
+    require_policy_reference,
+)
+from handover_marl.evaluation.results.episode_result import EpisodeResult
+from handover_marl.evaluation.results.result_folder import get_replay_path
+from handover_marl.evaluation.writers import EpisodeRecorder, EpisodeWriter
+from handover_marl.execution.files import remove_stale_temporaries, write_atomically
+from handover_marl.policies.policy import Policy
+from handover_marl.visualization.replay_page import build_replay_page, format_episode_caption
+from handover_marl.visualization.replay_recorder import ReplayRecorder
+from handover_marl.visualization.replay_scene import require_replay_extra
+
+_HEAD_BYTES = 1000  # The caption of a page lies within its first bytes.
+
+
+def check_replay_options(execution: ExecutionConfig) -> None:
+    """Check that the requested replay pages can be written, before anything is simulated.
+
+    Raises:
+        UnknownNameError: `execution.replays` is not one of `REPLAY_CHOICES`.
+        OptionError: No output folder is given, or the extra `replay` is not installed.
+    """
+    if execution.replays not in REPLAY_CHOICES:
+        raise UnknownNameError("replays", execution.replays, REPLAY_CHOICES)
+    if execution.replays == REPLAYS_NONE:
+        return
+    if execution.folder is None:
+        raise OptionError("replays need an output folder; pass out= (--out DIR)")
+    require_replay_extra()
+
+
+def format_replay_facts(config: EvaluationConfig, models: str) -> str:
+    """Describe data, policies and simulation of a replayed episode, for its page.
+
+    Args:
+        config: Resolved configuration of the evaluation.
+        models: Description of substitutes for HandoverSim's models; empty without any.
+    """
+    receiver, giver = require_policy_reference(config.receiver), require_policy_reference(config.giver)
+    camera = config.camera.describe(receiver.obs_mode, config.physics)
+    observation = f" (obs_mode {receiver.obs_mode}, {camera})" if camera else ""
+    parts = [
+        DATASET_TITLES.get(config.dataset, config.dataset) + (f", {models}" if models else ""),
+        f"receiver {receiver.label}{observation}, giver {giver.label}",
+        f"{config.physics} physics",
+        f"robot {config.robot}",
+        f"seed {config.seed}",
+        f"handover_marl {__version__}",
+    ]
+    return "; ".join(parts)
+
+
+class ReplayWriter(EpisodeWriter):
+    """Writer of a replay page for each episode, or for each failed episode.
+
+    Args:
+        folder: Result folder of the evaluation.
+        replays: Episodes with a page, "all" or "failed".
+
+    Raises:
+        ResultsError: The folder for the pages cannot be created.
+    """
+
+    def __init__(self, folder: Path, replays: str) -> None:
+        self._folder, self._include_successes = folder, replays == REPLAYS_ALL
+        pages = get_replay_path(folder, 0).parent
+        try:
+            pages.mkdir(exist_ok=True)
+            remove_stale_temporaries(pages)
+        except OSError as error:
+            raise ResultsError(f"cannot use {folder} for replays: {error.strerror or error}") from error
+
+    def create_recorder(self, config: EvaluationConfig, receiver: Policy) -> EpisodeRecorder:
+        """Create the recorder of replays in one worker process."""
+        return _ReplayPageRecorder(config, receiver, self._include_successes)
+
+    def contains(self, result: EpisodeResult) -> bool:
+        """Return whether the page of exactly this episode exists, or is not requested."""
+        if result.success and not self._include_successes:
+            return True
+        if result.scene_id is None:
+            return False
+        caption = html.escape(format_episode_caption(result.scene_id, result.status, result.steps))
+        try:
+            with get_replay_path(self._folder, result.scene_id).open("rb") as file:
+                return caption.encode() in file.read(_HEAD_BYTES)
+        except OSError:
+            return False
+
+    def write(self, result: EpisodeResult, content: bytes) -> None:
+        """Write the replay page of an episode.
+
+        Raises:
+            ResultsError: The file cannot be written.
+        """
+        if content and result.scene_id is not None:
+            write_atomically(get_replay_path(self._folder, result.scene_id), content)
+
+
+class _ReplayPageRecorder(ReplayRecorder, EpisodeRecorder):
+    """Recorder that encodes an episode as a replay page."""
+
+    def __init__(self, config: EvaluationConfig, receiver: Policy, include_successes: bool) -> None:
+        super().__init__(receiver)
+        self._config, self._include_successes = config, include_successes
+
+    def encode(self, result: EpisodeResult) -> bytes:
+        """Return the HTML page; empty for an episode without a replay."""
+        if result.success and not self._include_successes:
+            return b""
+        return build_replay_page(self.log, format_replay_facts(self._config, result.models or "")).encode()

@@ -1,0 +1,1 @@
+"""Reports of evaluations: metrics, statistics, tables and self-contained web pages."""

@@ -1,0 +1,67 @@
+"""Reports of result folders: computed from the stored results, and written beside them."""
+
+import json
+import os
+from dataclasses import replace
+from pathlib import Path
+
+from handover_marl.datasets.splits import SPLIT_SIZES, list_split_scenes
+from handover_marl.errors import ResultsError
+from handover_marl.evaluation.reports.pages import find_replay_links, render_report_page
+from handover_marl.evaluation.reports.report import Report
+from handover_marl.evaluation.reports.report_tables import format_report_markdown
+from handover_marl.evaluation.results.episode_result import EpisodeResult
+from handover_marl.evaluation.results.metadata import read_result_metadata
+from handover_marl.evaluation.results.result_folder import read_results
+from handover_marl.execution.files import write_atomically
+from handover_marl.geometry.ycb import CLASS_NAMES, SCENE_CLASSES, SUBJECTS
+
+
+def evaluate(folder: str | os.PathLike[str]) -> Report:
+    """Compute the metrics of an official result folder, of this library or of HandoverSim.
+
+    Args:
+        folder: Result folder; nothing in it is changed.
+
+    Raises:
+        ResultsError: The folder does not exist, or one of its files is not an official result.
+    """
+    try:
+        path = Path(folder).expanduser()
+        exists = path.is_dir()
+    except (OSError, ValueError, TypeError, RuntimeError) as error:
+        raise ResultsError(f"{folder!r} is no result folder ({error})") from error
+    if not exists:
+        raise ResultsError(f"result folder {path} does not exist")
+    metadata = read_result_metadata(path)
+    setup, split = metadata.setup, metadata.split
+    size = SPLIT_SIZES[setup, split]
+    results = read_results(path)
+    if results[-1].index >= size:
+        raise ResultsError(f"{path}: {results[-1].index:03d}.npz exceeds {setup} {split}, which has {size} scenes")
+    return Report(metadata, tuple(_add_scene_info(result, setup, split) for result in results), size)
+
+
+def write_report(folder: Path, report: Report) -> None:
+    """Write a report as JSON, Markdown and web page, with links to existing replay pages.
+
+    Raises:
+        ResultsError: The folder cannot be written.
+    """
+    write_atomically(folder / "report.json", json.dumps(report.to_json(), indent=2, allow_nan=False) + "\n")
+    write_atomically(folder / "report.md", format_report_markdown(report))
+    write_atomically(folder / "report.html", render_report_page(report, find_replay_links(folder, folder)))
+
+
+def _add_scene_info(result: EpisodeResult, setup: str, split: str) -> EpisodeResult:
+    """Add scene, object and subject to a result of HandoverSim, if the index determines them."""
+    # In s2 the index of a scene depends on the hand used, which only the dataset knows.
+    if result.scene_id is not None or setup == "s2":
+        return result
+    scene_id = list_split_scenes(setup, split, lambda _: "")[result.index]
+    return replace(
+        result,
+        scene_id=scene_id,
+        object_name=CLASS_NAMES[SCENE_CLASSES[scene_id // 5 % 20]],
+        subject=SUBJECTS[scene_id // 100],
+    )

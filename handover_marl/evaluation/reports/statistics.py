@@ -1,0 +1,119 @@
+"""95 % intervals of rates and means, and the correlation of two rankings."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy import stats
+
+_N_RESAMPLES = 2000
+_MIN_RANKED, _MAX_RANKED = 3, 9  # items; the permutation test visits all orders
+
+
+def compute_wilson_interval(count: int, n: int) -> tuple[float, float]:
+    """Compute Wilson's 95 % interval of a rate (0..1).
+
+    Args:
+        count: Number of occurrences.
+        n: Number of trials.
+    """
+    interval = stats.binomtest(count, n).proportion_ci(0.95, method="wilson")
+    return float(interval.low), float(interval.high)
+
+
+def compute_mean_interval(values: Sequence[float]) -> tuple[float, float] | None:
+    """Compute the bootstrap 95 % interval of a mean (percentiles of 2,000 resamples).
+
+    The interval lies within the range of the values, so that no share exceeds one and no force is
+    negative. The generator has a fixed seed: equal values have equal intervals. Returns None for
+    fewer than two values.
+    """
+    if len(values) < 2:
+        return None
+    data = np.asarray(values, dtype=np.float64)
+    # scipy.stats.bootstrap draws the same resamples, but its percentiles are off by rounding errors.
+    means = np.random.default_rng(0).choice(data, size=(_N_RESAMPLES, len(data))).mean(axis=1)
+    low, high = np.percentile(means, [2.5, 97.5])
+    return float(low), float(high)
+
+
+def compute_paired_difference(first: Sequence[bool], second: Sequence[bool]) -> tuple[float, float, float]:
+    """Compute the difference of two rates on the same scenes, first minus second (-1..1).
+
+    The 95 % interval is that of Agresti and Min (Statistics in Medicine 24, 2005): half an episode
+    is added to each of the four kinds of pairs, so that the interval has a width even if few scenes,
+    or none, differ.
+
+    Returns:
+        Difference, lower and upper end of its interval.
+
+    Raises:
+        ValueError: The sequences are empty or differ in length.
+    """
+    pairs = [(bool(one), bool(other)) for one, other in zip(first, second, strict=True)]
+    if not pairs:
+        raise ValueError("first and second must not be empty")
+    gained = sum(one and not other for one, other in pairs)
+    lost = sum(other and not one for one, other in pairs)
+    n = len(pairs) + 2.0
+    center = (gained - lost) / n
+    half = stats.norm.ppf(0.975) * np.sqrt((gained + lost + 1.0) / n - center**2) / np.sqrt(n)
+    low, high = max(-1.0, center - half), min(1.0, center + half)
+    return (gained - lost) / len(pairs), float(low), float(high)
+
+
+@dataclass(frozen=True)
+class RankCorrelation:
+    """Correlation of two rankings of the same items, e.g. of policies.
+
+    Attributes:
+        n: Number of items.
+        spearman: Spearman's rho (-1..1).
+        kendall: Kendall's tau-b (-1..1).
+        p: One-sided p-value of Spearman's rho by an exact permutation test (0..1).
+        min_p: Smallest p-value that this number of items and ties admits (0..1).
+    """
+
+    n: int
+    spearman: float
+    kendall: float
+    p: float
+    min_p: float
+
+
+def compute_rank_correlation(first: Sequence[float], second: Sequence[float]) -> RankCorrelation:
+    """Compute rank correlations with an exact one-sided permutation test.
+
+    Raises:
+        ValueError: The sequences differ in length, have fewer than three or more than nine values,
+            or one of them has equal values only.
+    """
+    n = len(first)
+    if n != len(second) or not _MIN_RANKED <= n <= _MAX_RANKED or len(set(first)) == 1 or len(set(second)) == 1:
+        raise ValueError(
+            f"first and second must have {_MIN_RANKED} to {_MAX_RANKED} values each, not all equal, got {n} and "
+            f"{len(second)} values"
+        )
+    ranks = stats.rankdata(first), stats.rankdata(second)
+    return RankCorrelation(
+        n,
+        float(stats.spearmanr(first, second).statistic),
+        float(stats.kendalltau(first, second).statistic),
+        _compute_permutation_p(*ranks),
+        _compute_permutation_p(np.sort(ranks[0]), np.sort(ranks[1])),
+    )
+
+
+def _compute_permutation_p(first: npt.NDArray[np.float64], second: npt.NDArray[np.float64]) -> float:
+    """Compute the share of orders of the second ranking that agree with the first at least as well."""
+    centered = first - first.mean()
+
+    def covariance(permuted: npt.NDArray[np.float64], axis: int) -> Any:
+        return ((permuted - second.mean()) * centered).sum(axis=axis)
+
+    test = stats.permutation_test(
+        (second,), covariance, permutation_type="pairings", alternative="greater", n_resamples=np.inf, vectorized=True
+    )
+    return float(test.pvalue)

@@ -1,0 +1,103 @@
+"""Formatting of Markdown tables and of numbers with their 95 % intervals."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import tabulate
+
+from handover_marl.evaluation.reports.statistics import compute_mean_interval, compute_wilson_interval
+
+NO_VALUE = "-"
+_MAX_WIDTH = 100  # characters
+
+
+@dataclass(frozen=True)
+class ReportTable:
+    """Table of a report. `str(table)` is Markdown, or empty if there are no rows.
+
+    Attributes:
+        header: Column titles.
+        rows: Cells, one sequence per row.
+        split_column: Column before which the Markdown table is split in two, so that related
+            columns stay together; 0 splits only tables that are too wide.
+    """
+
+    header: Sequence[str]
+    rows: Sequence[Sequence[object]]
+    split_column: int = 0
+
+    def __str__(self) -> str:
+        if not self.rows:
+            return ""
+        parts = [slice(1, self.split_column), slice(self.split_column, None)] if self.split_column else [slice(1, None)]
+        return "\n\n".join(
+            format_table([*self.header[:1], *self.header[part]], [[*row[:1], *row[part]] for row in self.rows])
+            for part in parts
+        )
+
+
+def format_table(
+    header: Sequence[str], rows: Sequence[Sequence[object]], n_keys: int = 1, max_width: int = _MAX_WIDTH
+) -> str:
+    """Format a Markdown table; split wide tables into several with the same first columns.
+
+    Args:
+        header: Column titles.
+        rows: Cells, one sequence per row.
+        n_keys: Number of first columns that identify a row.
+        max_width: Number of characters that fit; a single column may be wider.
+    """
+    cells = [[str(cell) for cell in row] for row in (header, *rows)]
+    sizes = [max(len(row[column]) for row in cells) + 3 for column in range(len(header))]
+    key_width = sum(sizes[:n_keys]) + 1
+    parts: list[list[int]] = [[]]
+    for column in range(n_keys, len(header)):
+        width = key_width + sum(sizes[other] for other in parts[-1])
+        if parts[-1] and width + sizes[column] > max_width:
+            parts.append([])
+        parts[-1].append(column)
+    return "\n\n".join(_format_columns(cells, [*range(min(n_keys, len(header))), *part]) for part in parts)
+
+
+def format_seconds(value: float | None) -> str:
+    """Format a time (s)."""
+    return NO_VALUE if value is None else f"{value:.3f}"
+
+
+def format_percent_mean(values: Sequence[float], signed: bool = False) -> str:
+    """Format a mean in percent, with its bootstrap 95 % interval if it has one."""
+    sign, interval = "+" if signed else "", compute_mean_interval(values)
+    mean = f"{100 * sum(values) / len(values):{sign}.2f}"
+    return mean if interval is None else f"{mean} ({' to '.join(f'{100 * end:{sign}.1f}' for end in interval)})"
+
+
+def format_percent_interval(count: int, n: int) -> str:
+    """Format Wilson's 95 % interval of a rate, in percent."""
+    low, high = compute_wilson_interval(count, n)
+    return f"{100 * low:.1f} to {100 * high:.1f}"
+
+
+def format_percent_rate(count: int, n: int, digits: int = 1) -> str:
+    """Format a rate in percent with Wilson's 95 % interval."""
+    return f"{100 * count / n:.{digits}f} ({format_percent_interval(count, n)})"
+
+
+def format_percent_difference(difference: tuple[float, float, float], digits: int = 1) -> str:
+    """Format a difference of rates with its 95 % interval, in percentage points.
+
+    Args:
+        difference: Mean and interval as of `statistics.compute_paired_difference`.
+        digits: Decimal places.
+    """
+    mean, *ends = (f"{100 * value:+.{digits}f}" for value in difference)
+    return f"{mean} ({' to '.join(ends)})"
+
+
+def _format_columns(cells: Sequence[Sequence[str]], columns: Sequence[int]) -> str:
+    chosen = [[row[column] for column in columns] for row in cells]
+    # The padding that tabulate adds to titles would exceed the width.
+    padding, tabulate.MIN_PADDING = tabulate.MIN_PADDING, 0
+    try:
+        return str(tabulate.tabulate(chosen[1:], headers=chosen[0], tablefmt="github", disable_numparse=True))
+    finally:
+        tabulate.MIN_PADDING = padding

@@ -1,0 +1,1 @@
+"""Results of evaluations, and their folders on disk."""

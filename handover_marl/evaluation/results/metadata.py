@@ -1,0 +1,225 @@
+"""Identity of the evaluation in a result folder, stored in its `config.yaml`."""
+
+import hashlib
+import re
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from handover_marl import __version__
+from handover_marl.config import OFFICIAL_CONFIG, TIME_STEP, WorldConfig
+from handover_marl.datasets.splits import SETUPS, SPLITS
+from handover_marl.episode.spaces import STATE
+from handover_marl.errors import ResultsError
+from handover_marl.evaluation.config import EvaluationConfig, require_policy_reference
+from handover_marl.execution.files import read_yaml, shorten_text
+from handover_marl.execution.old_keys import upgrade_result_keys
+from handover_marl.execution.options import is_pybullet_installed
+from handover_marl.geometry.panda import PANDA, PANDA_CAMERA
+
+CONFIG_FILE = "config.yaml"
+#: Label of the official world and rules.
+OFFICIAL_WORLD = "official"
+_LIBRARY_SECTION = "HANDOVER_MARL"
+# HandoverSim's environment with the wrist camera.
+_HANDOVERSIM_CAMERA_ENV = "HandoverHandCameraPointStateEnv-v1"
+_MAX_BYTES = 64_000  # HandoverSim's own configuration files have a few thousand bytes.
+
+
+@dataclass(frozen=True)
+class ResultMetadata:
+    """Identity of an evaluation; different evaluations never share a result folder.
+
+    Attributes:
+        setup: Official setup.
+        split: Split of the setup.
+        receiver: Label of the receiver.
+        giver: Label of the giver.
+        physics: Kind of physics.
+        dataset: Name of the dataset.
+        version: Version of this library, or "HandoverSim" for folders that HandoverSim wrote.
+        receiver_hash: Hash of the receiver's code, options and file; empty if unknown.
+        giver_hash: Hash of the giver's code, options and file; empty if unknown.
+        seed: Seed of policies and camera.
+        world: "official", or a hash of a world or rules that differ from the official ones.
+        wait_s: Time that the receiver waits before it approaches (s); empty if unknown.
+        robot: Robot model, with or without the wrist camera.
+        obs_mode: Observation mode of the receiver.
+        camera: Renderer, camera model and noise of the wrist camera; empty if the receiver does not use it.
+        recorded: Recordings kept beside the results; empty if there are none.
+        shard: Part of the evaluation in this folder; empty if the evaluation has no shards.
+        missing_package: "PyBullet" if it is not installed, so that inverse kinematics, grasp
+            validation and distances were computed by the library and MuJoCo; else empty.
+    """
+
+    setup: str
+    split: str
+    receiver: str
+    giver: str
+    physics: str
+    dataset: str
+    version: str
+    receiver_hash: str = ""
+    giver_hash: str = ""
+    seed: str = "0"
+    world: str = OFFICIAL_WORLD
+    wait_s: str = ""
+    robot: str = PANDA
+    obs_mode: str = STATE
+    camera: str = ""
+    recorded: str = ""
+    shard: str = ""
+    missing_package: str = ""
+
+    @classmethod
+    def from_config(cls, config: EvaluationConfig, recorded: str = "", shard: str = "") -> "ResultMetadata":
+        """Create the identity of an evaluation from its configuration.
+
+        Args:
+            config: Resolved configuration.
+            recorded: Description of the recordings kept beside the results.
+            shard: Part of the evaluation, as text of `RunShard`.
+        """
+        giver, receiver = require_policy_reference(config.giver), require_policy_reference(config.receiver)
+        return cls(
+            setup=config.setup,
+            split=config.split,
+            receiver=receiver.label,
+            giver=giver.label,
+            physics=config.physics,
+            dataset=config.dataset,
+            version=__version__,
+            receiver_hash=receiver.code_hash,
+            giver_hash=giver.code_hash,
+            seed=str(config.seed),
+            world=format_world_label(config.world_config),
+            wait_s="" if receiver.wait is None else f"{receiver.wait:g}",
+            robot=config.robot,
+            obs_mode=receiver.obs_mode,
+            camera=config.camera.describe(receiver.obs_mode, config.physics),
+            recorded=recorded,
+            shard=shard,
+            missing_package="" if is_pybullet_installed() else "PyBullet",
+        )
+
+
+def format_world_label(config: WorldConfig) -> str:
+    """Return "official" for the official world and rules, else a hash of the configuration."""
+    if config == OFFICIAL_CONFIG:
+        return OFFICIAL_WORLD
+    return hashlib.sha256(repr(config).encode()).hexdigest()[:8]
+
+
+def format_config(metadata: ResultMetadata, config: WorldConfig) -> str:
+    """Return the content of a result folder's `config.yaml`."""
+    library: dict[str, Any] = asdict(metadata)
+    benchmark = {"SETUP": library.pop("setup"), "SPLIT": library.pop("split"), **_official_rules(config)}
+    content = {"SIM": {"TIME_STEP": TIME_STEP}, "BENCHMARK": benchmark, _LIBRARY_SECTION: library}
+    return yaml.safe_dump(content, sort_keys=False)
+
+
+def format_merged_config(path: Path) -> str:
+    """Return the content of `config.yaml` for the whole evaluation, given the folder of one shard.
+
+    Raises:
+        ResultsError: The shard's `config.yaml` cannot be read.
+    """
+    read_result_metadata(path)
+    content = _read_yaml(path / CONFIG_FILE, path)
+    library = upgrade_result_keys(content[_LIBRARY_SECTION])
+    return yaml.safe_dump({**content, _LIBRARY_SECTION: {**library, "shard": ""}}, sort_keys=False)
+
+
+def read_result_metadata(path: Path) -> ResultMetadata:
+    """Read the identity of a result folder, of this library or of HandoverSim.
+
+    Raises:
+        ResultsError: `config.yaml` cannot be read, has no official setup and split, its library
+            section is malformed, or its rules are not those that it claims.
+    """
+    config_path = path / CONFIG_FILE
+    content = _read_yaml(config_path, path)
+    try:
+        library = content.get(_LIBRARY_SECTION)
+        benchmark = content["BENCHMARK"]
+        named = {"setup": benchmark["SETUP"], "split": benchmark["SPLIT"]}
+        values = _infer_handoversim_metadata(path, content) if library is None else upgrade_result_keys(library)
+        metadata = ResultMetadata(**named, **values)
+    except Exception as error:  # the file may have any content
+        raise ResultsError(f"{config_path}: not a readable configuration ({shorten_text(error)})") from error
+    if metadata.setup not in SETUPS or metadata.split not in SPLITS:
+        setup, split = shorten_text(metadata.setup), shorten_text(metadata.split)
+        raise ResultsError(f"{config_path}: unknown setup {setup!r} or split {split!r}")
+    for key, value in asdict(metadata).items():
+        if not isinstance(value, str):
+            raise ResultsError(
+                f"{config_path}: {key} in section {_LIBRARY_SECTION} must be text, got {shorten_text(value)}"
+            )
+    _check_rules(config_path, metadata, content)
+    return metadata
+
+
+def _official_rules(config: WorldConfig) -> dict[str, Any]:
+    """Return the rules of HandoverSim's protocol under its own keys."""
+    protocol = config.protocol
+    return {
+        "GOAL_CENTER": list(protocol.goal_center),
+        "GOAL_RADIUS": protocol.goal_radius,
+        "SUCCESS_TIME_THRESH": protocol.success_steps * TIME_STEP,
+        "MAX_EPISODE_TIME": protocol.horizon_steps * TIME_STEP,
+    }
+
+
+def _check_rules(path: Path, metadata: ResultMetadata, content: Mapping[str, Any]) -> None:
+    """Check that results compared with published ones were computed under the official rules."""
+    if metadata.world != OFFICIAL_WORLD:
+        return
+    simulation = content.get("SIM", {})
+    if not isinstance(simulation, dict):
+        raise ResultsError(f"{path}: not a readable configuration (SIM is {shorten_text(simulation)})")
+    stored = {**content["BENCHMARK"], "TIME_STEP": simulation.get("TIME_STEP", TIME_STEP)}
+    for key, value in (_official_rules(OFFICIAL_CONFIG) | {"TIME_STEP": TIME_STEP}).items():
+        found = stored.get(key, value)
+        same = list(found) == value if isinstance(value, list) and isinstance(found, (list, tuple)) else found == value
+        if not same:
+            raise ResultsError(
+                f"{path}: {key} is {shorten_text(found)}, but the official rules say {value}; these are no official "
+                "results"
+            )
+
+
+def _read_yaml(config_path: Path, folder: Path) -> dict[str, Any]:
+    try:
+        content = read_yaml(config_path, _MAX_BYTES)
+    except (FileNotFoundError, NotADirectoryError) as error:
+        raise ResultsError(f"{folder} is no result folder: it has no {CONFIG_FILE}") from error
+    except OSError as error:
+        raise ResultsError(f"cannot read {config_path}: {error.strerror or error}") from error
+    except ValueError as error:
+        raise ResultsError(f"{config_path}: not a readable configuration ({error})") from error
+    if not isinstance(content, dict):
+        raise ResultsError(f"{config_path}: not a readable configuration (no sections)")
+    return content
+
+
+def _infer_handoversim_metadata(path: Path, content: Mapping[str, Any]) -> dict[str, str]:
+    """Infer the identity of a result folder that HandoverSim wrote, without the wait."""
+    has_camera = content.get("ENV", {}).get("ID", "") == _HANDOVERSIM_CAMERA_ENV
+    return {
+        "robot": PANDA_CAMERA if has_camera else PANDA,
+        "obs_mode": "state+pointcloud" if has_camera else STATE,
+        "receiver": _parse_method_name(path.resolve().name),
+        "giver": "replay",
+        "physics": "exact",
+        "dataset": "dexycb",
+        "version": "HandoverSim",
+    }
+
+
+def _parse_method_name(folder: str) -> str:
+    """Return the method in a folder name `<date>_<time>_<method>_<setup>_<split>`."""
+    match = re.fullmatch(r"[\d-]+_[\d-]+_(.+)_s[0-3]_(train|val|test)", folder)
+    return match.group(1) if match else folder

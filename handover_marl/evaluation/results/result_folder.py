@@ -1,0 +1,271 @@
+"""Official result folders: `config.yaml` and one `IDX.npz` per scene, with IDX its index in the split.
+
+Official keys: `action` (T, 9), `elapsed_time` (T,) policy time of every step (s), `elapsed_frame` = T,
+`result` the status flags. Files of this library hold the other fields of `EpisodeResult` too, which
+official readers ignore.
+"""
+
+import io
+import re
+from collections.abc import Mapping
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.config import OFFICIAL_CONFIG, WorldConfig
+from handover_marl.episode.callbacks import ActionRecorder
+from handover_marl.episode.metrics import FluencyMetrics
+from handover_marl.episode.referee import EpisodeStatus
+from handover_marl.errors import ResultsError
+from handover_marl.evaluation.config import EvaluationConfig
+from handover_marl.evaluation.results.episode_result import EpisodeResult
+from handover_marl.evaluation.results.metadata import (
+    CONFIG_FILE,
+    ResultMetadata,
+    format_config,
+    read_result_metadata,
+)
+from handover_marl.evaluation.writers import EpisodeRecorder, EpisodeWriter
+from handover_marl.execution.files import check_archive, create_exclusively, write_atomically
+from handover_marl.policies.policy import Policy
+
+#: Report files beside the results of the scenes.
+REPORT_FILES = ("report.json", "report.md", "report.html")
+_REPLAYS = "episodes"
+_RESULT_FILE = re.compile(r"([0-9]{3})\.npz")
+_MAX_BYTES = 64_000_000  # unpacked size of one scene's result
+_EXTRAS = {
+    "scene_id": int,
+    "release_step": int,
+    "object_name": str,
+    "subject": str,
+    "side": str,
+    "n_objects": int,
+    "models": str,
+    "fingerprint": str,
+    "machine": str,
+}
+_FLUENCY_PREFIX = "fluency_"
+
+
+def get_result_path(folder: Path, index: int) -> Path:
+    """Return the path of a scene's result file, given the scene's index in the split."""
+    return folder / f"{index:03d}.npz"
+
+
+def get_replay_path(folder: Path, scene_id: int) -> Path:
+    """Return the path of a scene's replay page."""
+    return folder / _REPLAYS / f"{scene_id:03d}.html"
+
+
+def find_replays(folder: Path) -> dict[int, Path]:
+    """Return the paths of the replay pages in a result folder, by scene number."""
+    paths = (folder / _REPLAYS).glob("[0-9][0-9][0-9].html")
+    return {int(path.stem): path for path in sorted(paths)}
+
+
+class ResultFolder(EpisodeWriter):
+    """Result folder of one evaluation, and the writer of its official result files.
+
+    Args:
+        path: Path of the folder; created with its parents if missing.
+        metadata: Identity of the evaluation.
+        config: World and rules of the evaluation.
+        fresh: Whether to delete the results of an earlier evaluation first.
+
+    Raises:
+        ResultsError: The folder belongs to another evaluation, holds other files, or cannot be written.
+    """
+
+    def __init__(
+        self, path: Path, metadata: ResultMetadata, config: WorldConfig = OFFICIAL_CONFIG, fresh: bool = False
+    ) -> None:
+        self.path = path
+        prepare_result_folder(path, metadata, format_config(metadata, config), fresh)
+
+    def read(self, index: int, fingerprint: str) -> EpisodeResult | None:
+        """Read the result of a scene; None if the result file is missing or damaged.
+
+        Args:
+            index: Index of the scene in the split.
+            fingerprint: Hash of the scene's present data.
+
+        Raises:
+            ResultsError: The result was computed from other data.
+        """
+        path = get_result_path(self.path, index)
+        try:
+            result = _read_result(path) if path.is_file() else None
+        except ResultsError:
+            return None
+        if result is not None and result.fingerprint != fingerprint:
+            raise ResultsError(f"{path} was computed from data that differ from the data folder; choose another folder")
+        return result
+
+    def create_recorder(self, config: EvaluationConfig, receiver: Policy) -> EpisodeRecorder:
+        """Create the recorder of actions and policy times in one worker process."""
+        return _ResultRecorder()
+
+    def contains(self, result: EpisodeResult) -> bool:
+        """Return whether the result file of an episode exists."""
+        return get_result_path(self.path, result.index).is_file()
+
+    def write(self, result: EpisodeResult, content: bytes) -> None:
+        """Write the official result file of a scene.
+
+        Raises:
+            ResultsError: The file cannot be written.
+        """
+        write_atomically(get_result_path(self.path, result.index), content)
+
+
+class _ResultRecorder(ActionRecorder, EpisodeRecorder):
+    """Recorder of actions and policy times that encodes the official result file."""
+
+    def encode(self, result: EpisodeResult) -> bytes:
+        """Return the content of the official result file (.npz)."""
+        return encode_result(result, self.actions, self.times)
+
+
+def encode_result(
+    result: EpisodeResult, actions: npt.NDArray[np.float32], elapsed_time: npt.NDArray[np.float64]
+) -> bytes:
+    """Return the content of a scene's official result file.
+
+    Args:
+        result: Outcome of the episode.
+        actions: (T, 9) action of every physics step.
+        elapsed_time: (T,) policy time at every physics step (s), zero between decisions.
+    """
+    stream = io.BytesIO()
+    arrays: dict[str, Any] = {
+        "action": actions,
+        "elapsed_time": elapsed_time,
+        "elapsed_frame": np.int64(result.steps),
+        "result": np.int64(result.status),
+        **{key: np.array(value) for key in _EXTRAS if (value := getattr(result, key)) is not None},
+        **_arrays_from_fluency(result.fluency),
+    }
+    np.savez_compressed(stream, **arrays)
+    return stream.getvalue()
+
+
+def prepare_result_folder(path: Path, metadata: ResultMetadata, config: str, fresh: bool = False) -> None:
+    """Create the result folder of an evaluation, or check that an existing one belongs to it.
+
+    Args:
+        path: Path of the folder; created with its parents if missing.
+        metadata: Identity of the evaluation.
+        config: Content of its `config.yaml`.
+        fresh: Whether to delete the results of an earlier evaluation first.
+
+    Raises:
+        ResultsError: The folder belongs to another evaluation, holds other files, or cannot be written.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        entries = [entry.name for entry in path.iterdir() if not entry.name.startswith(".")]
+        if CONFIG_FILE not in entries and entries:
+            raise ResultsError(
+                f"{path} is not empty and has no {CONFIG_FILE}, so it is no result folder; choose another one"
+            )
+        if fresh and CONFIG_FILE in entries:
+            # Other programs use files of that name; their folders must not be cleared.
+            read_result_metadata(path)
+            _clear(path, entries)
+    except ResultsError:
+        raise
+    except (OSError, ValueError) as error:
+        raise ResultsError(f"cannot use {path} as result folder: {_get_reason(error)}") from error
+    # Of several evaluations that start at once in an empty folder, one writes this and the others read it.
+    create_exclusively(path / CONFIG_FILE, config)
+    _check_same_evaluation(path, read_result_metadata(path), metadata)
+
+
+def read_results(path: Path, allow_empty: bool = False) -> list[EpisodeResult]:
+    """Read all results of a folder, ordered by index.
+
+    Raises:
+        ResultsError: A file is damaged, or the folder has no results although `allow_empty` is False.
+    """
+    try:
+        files = sorted(entry for entry in path.iterdir() if _RESULT_FILE.fullmatch(entry.name))
+    except OSError as error:
+        raise ResultsError(f"cannot read {path}: {_get_reason(error)}") from error
+    if not files and not allow_empty:
+        raise ResultsError(f"{path} has no result files (000.npz, 001.npz, ...)")
+    return [_read_result(file) for file in files]
+
+
+def _clear(path: Path, entries: list[str]) -> None:
+    for name in entries:
+        if _RESULT_FILE.fullmatch(name) or name in (CONFIG_FILE, *REPORT_FILES):
+            (path / name).unlink()
+    for replay in find_replays(path).values():
+        replay.unlink()
+
+
+def _read_result(path: Path) -> EpisodeResult:
+    try:
+        check_archive(path, _MAX_BYTES)
+        with np.load(path, allow_pickle=False) as archive:
+            status, steps = int(archive["result"]), int(archive["elapsed_frame"])
+            plan_time_s = float(np.sum(archive["elapsed_time"]))
+            extras = {key: _read_extra(key, archive[key]) for key in _EXTRAS if key in archive}
+            extras["fluency"] = _read_fluency(archive)
+    except Exception as error:  # NumPy and zipfile raise errors of many types on damaged files
+        raise ResultsError(
+            f"{path}: not a readable result file ({type(error).__name__}: {error}); delete it and run the scene again"
+        ) from error
+    if not 0 < status < 16 or (status & 1 and status != 1) or steps < 1 or not 0.0 <= plan_time_s < np.inf:
+        raise ResultsError(f"{path}: impossible result {status} after {steps} steps; run its scene again")
+    return EpisodeResult(
+        index=int(path.stem), status=EpisodeStatus(status), steps=steps, plan_time_s=plan_time_s, **extras
+    )
+
+
+def _read_extra(key: str, array: npt.NDArray[Any]) -> Any:
+    value = array.item()
+    if type(value) is not _EXTRAS[key]:
+        raise TypeError(f"{key} must be of type {_EXTRAS[key].__name__}, got {value!r}")
+    return value
+
+
+def _arrays_from_fluency(fluency: FluencyMetrics | None) -> dict[str, npt.NDArray[np.float64]]:
+    """Return one number per metric, NaN for missing ones."""
+    if fluency is None:
+        return {}
+    values = asdict(fluency).items()
+    return {
+        _FLUENCY_PREFIX + key: np.array(np.nan if value is None else value, dtype=np.float64) for key, value in values
+    }
+
+
+def _read_fluency(archive: Mapping[str, npt.NDArray[Any]]) -> FluencyMetrics | None:
+    if _FLUENCY_PREFIX + fields(FluencyMetrics)[0].name not in archive:
+        return None
+    values = {field.name: float(archive[_FLUENCY_PREFIX + field.name]) for field in fields(FluencyMetrics)}
+    if np.isinf(list(values.values())).any():
+        raise ValueError("a metric is infinite")
+    return FluencyMetrics(**{key: None if np.isnan(value) else value for key, value in values.items()})  # type: ignore[arg-type]
+
+
+def _check_same_evaluation(path: Path, found: ResultMetadata, wanted: ResultMetadata) -> None:
+    stored, current = asdict(found), asdict(wanted)
+    different = [
+        f"{key.replace('_', ' ')} {value!r} in the folder, {current[key]!r} now"
+        for key, value in stored.items()
+        if value != current[key]
+    ]
+    if different:
+        raise ResultsError(
+            f"{path} holds another evaluation ({'; '.join(different)}); choose another folder, or delete its results "
+            "with fresh=True (--fresh)"
+        )
+
+
+def _get_reason(error: Exception) -> str:
+    return str((error.strerror if isinstance(error, OSError) else None) or error)

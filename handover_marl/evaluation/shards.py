@@ -1,0 +1,92 @@
+"""Shards: division of the scenes of an evaluation among several machines, joined again by `merge`."""
+
+import hashlib
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from handover_marl.datasets.splits import SPLIT_SIZES
+from handover_marl.errors import OptionError
+
+_SHARD_PATTERN = re.compile(r"(\d{1,4})/(\d{1,4})")
+_RUN_SHARD_PATTERN = re.compile(rf"{_SHARD_PATTERN.pattern}(?: of (\d{{1,3}}(?:,\d{{1,3}})*))?")
+
+
+@dataclass(frozen=True)
+class Shard:
+    """Part of an evaluation's scenes, e.g. 3/16 for the third of 16 shards.
+
+    Scenes are distributed in a fixed pseudo-random order, so that objects, people and hands are as
+    mixed in every shard as in the whole; the sizes of two shards differ by one scene at most.
+
+    Attributes:
+        number: Number of this shard, from 1.
+        count: Number of shards.
+    """
+
+    number: int
+    count: int
+
+    @classmethod
+    def parse(cls, text: str) -> "Shard":
+        """Parse the text of a shard, such as "3/16".
+
+        Raises:
+            OptionError: The text is not of this form.
+        """
+        match = _SHARD_PATTERN.fullmatch(text) if isinstance(text, str) else None
+        if match is None or not 1 <= int(match[1]) <= int(match[2]):
+            raise OptionError(f"shard must be a number and a count, from 1/N to N/N, such as '3/16', got {text!r}")
+        return cls(int(match[1]), int(match[2]))
+
+    def __str__(self) -> str:
+        return f"{self.number}/{self.count}"
+
+    def select(self, scenes: Sequence[int]) -> tuple[int, ...]:
+        """Return the scenes of this shard among all scenes, in the same order.
+
+        Raises:
+            OptionError: There are fewer scenes than shards.
+        """
+        if len(scenes) < self.count:
+            raise OptionError(f"shard {self} needs {self.count} scenes or more, got {len(scenes)}; take fewer shards")
+        shuffled = sorted(range(len(scenes)), key=lambda position: hashlib.sha256(b"%d" % position).digest())
+        return tuple(scenes[position] for position in sorted(shuffled[self.number - 1 :: self.count]))
+
+
+@dataclass(frozen=True)
+class RunShard:
+    """Description of a sharded evaluation in result folders: shard and scenes of the whole.
+
+    Attributes:
+        shard: Number of the shard, and number of all shards.
+        scenes: Selected scenes of the whole evaluation, or None for a whole split.
+    """
+
+    shard: Shard
+    scenes: tuple[int, ...] | None = None
+
+    @classmethod
+    def parse(cls, text: str) -> "RunShard":
+        """Parse the text of a `RunShard` that `str` returned.
+
+        Raises:
+            OptionError: The text is not of this form.
+        """
+        match = _RUN_SHARD_PATTERN.fullmatch(text)
+        if match is None:
+            raise OptionError(f"shard must be such as '3/16' or '1/2 of 209,214', got {text[:80]!r}")
+        scenes = None if match[3] is None else tuple(map(int, match[3].split(",")))
+        return cls(Shard.parse(f"{match[1]}/{match[2]}"), scenes)
+
+    def __str__(self) -> str:
+        return str(self.shard) + ("" if self.scenes is None else f" of {','.join(map(str, self.scenes))}")
+
+    def list_positions(self, setup: str, split: str) -> tuple[int, ...]:
+        """Return the scenes of this shard as positions in the split or in the selected scenes.
+
+        Raises:
+            OptionError: There are fewer scenes than shards.
+        """
+        n = SPLIT_SIZES[setup, split] if self.scenes is None else len(self.scenes)
+        return self.shard.select(range(n))

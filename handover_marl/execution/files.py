@@ -1,0 +1,276 @@
+"""Atomic writing of files, locks, and bounded reading of files from untrusted sources."""
+
+import contextlib
+import fcntl
+import io
+import os
+import stat
+import tempfile
+import zipfile
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+import numpy.typing as npt
+import yaml
+
+from handover_marl.errors import ResultsError
+
+_MAX_ARCHIVE_OVERHEAD = 1_000_000  # bytes that an archive may have beyond its contents
+
+
+def write_atomically(path: Path, content: bytes | str) -> None:
+    """Write a file under a temporary name in the same folder, then rename it.
+
+    Raises:
+        ResultsError: The file cannot be written, e.g. because the disk is full. An existing file
+            stays as it was.
+    """
+    _write(path, content, Path.replace)
+
+
+@contextlib.contextmanager
+def replace_atomically(path: Path) -> Iterator[Path]:
+    """Yield the path of a temporary file, which is renamed to `path` if the block succeeds.
+
+    Use this for files that do not fit into memory.
+
+    Raises:
+        ResultsError: The file cannot be written. An existing file stays as it was.
+    """
+    with _open_temporary(path, Path.replace) as (_, temporary):
+        yield temporary
+
+
+def create_exclusively(path: Path, content: bytes | str) -> None:
+    """Write a file atomically, unless it exists already; safe if several processes do it at once.
+
+    Raises:
+        ResultsError: The file cannot be written.
+    """
+    if not os.path.lexists(path):
+        _write(path, content, _link)
+
+
+def remove_stale_temporaries(folder: Path) -> None:
+    """Remove temporary files of processes that were killed, but not of running processes.
+
+    Args:
+        folder: Folder of the temporary files; it need not exist.
+    """
+    for path in folder.glob(f".*.{'[a-z0-9_]' * 8}.part"):  # the pattern of tempfile.mkstemp
+        # A writer holds a lock on its file until it ends.
+        with contextlib.suppress(OSError), _open_read_only(path) as handle:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            path.unlink()
+
+
+@contextlib.contextmanager
+def exclusive_lock(folder: Path) -> Iterator[None]:
+    """Hold an exclusive lock on a folder during a `with` block.
+
+    On a file system without locks this has no effect.
+
+    Raises:
+        ResultsError: Another process holds the lock.
+        OSError: The folder cannot be opened.
+    """
+    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise ResultsError(
+                f"another process is writing to {folder}; wait for it, or choose another folder"
+            ) from error
+        except OSError:  # a file system without locks
+            pass
+        yield
+    finally:
+        os.close(handle)
+
+
+def has_content(path: Path, content: bytes) -> bool:
+    """Check whether a path is a regular file with exactly this content.
+
+    Raises:
+        OSError: The file cannot be read.
+    """
+    return path.is_file() and path.stat().st_size == len(content) and path.read_bytes() == content
+
+
+def check_archive(path: Path, largest: int) -> None:
+    """Check that a zip archive cannot exhaust memory when it is read.
+
+    Args:
+        path: Archive file.
+        largest: Largest allowed size after unpacking (bytes).
+
+    Raises:
+        ValueError: The file is not a regular file or not an archive, is too large, or is compressed
+            by a method that NumPy never uses.
+        OSError: The file cannot be opened.
+    """
+    state = path.stat()
+    if not stat.S_ISREG(state.st_mode):
+        raise ValueError("it is not a regular file")
+    # Checked before opening, since even the list of contents may be huge.
+    if state.st_size > largest + _MAX_ARCHIVE_OVERHEAD:
+        raise ValueError(f"it is larger than {largest // 1_000_000} MB")
+    with zipfile.ZipFile(path) as archive:
+        parts = archive.infolist()
+    if sum(part.file_size for part in parts) > largest:
+        raise ValueError(f"it unpacks to more than {largest // 1_000_000} MB")
+    if len({part.filename for part in parts}) < len(parts):
+        raise ValueError("it contains two files of the same name")
+    # With other methods Python ignores the size that the archive states.
+    if any(part.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) for part in parts):
+        raise ValueError("it is compressed by another method than deflate")
+
+
+def read_arrays(path: Path, names: tuple[str, ...], largest: int) -> dict[str, npt.NDArray[Any]]:
+    """Return arrays of an `.npz` file, by name, without unpickling objects.
+
+    Args:
+        path: The file.
+        names: Arrays that the file must contain.
+        largest: Largest allowed size after unpacking (bytes).
+
+    Raises:
+        Exception: The file is damaged; NumPy and zipfile then raise exceptions of many kinds.
+    """
+    check_archive(path, largest)
+    with np.load(path, allow_pickle=False) as archive:
+        arrays = {name: archive[name] for name in names}
+    for name, array in arrays.items():
+        if not isinstance(array, np.ndarray):  # NumPy returns unknown members as bytes
+            raise TypeError(f"{name} is not an array")
+    return arrays
+
+
+def write_arrays(path: Path, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
+    """Write arrays as an `.npz` file, atomically.
+
+    Raises:
+        ResultsError: The file cannot be written.
+    """
+    stream = io.BytesIO()
+    np.savez_compressed(stream, **arrays)  # type: ignore[arg-type]
+    write_atomically(path, stream.getvalue())
+
+
+def read_yaml(path: Path, largest: int) -> object:
+    """Return the content of a YAML file of numbers, text, lists and mappings, without aliases.
+
+    Args:
+        path: The file.
+        largest: Largest allowed size (bytes).
+
+    Raises:
+        ValueError: The file is not a regular file, is too large, or is not such YAML.
+        OSError: The file cannot be opened.
+    """
+    state = path.stat()
+    if not stat.S_ISREG(state.st_mode) or state.st_size > largest:
+        raise ValueError(f"it is not a regular file of at most {largest // 1000} kB")
+    data = path.read_bytes()
+    try:
+        return yaml.load(data.decode(), _AliasFreeLoader)
+    except Exception as error:  # PyYAML passes on errors of its constructors
+        raise ValueError(shorten_text(error)) from error
+
+
+def shorten_text(value: object) -> str:
+    """Return a value or exception as one line of at most 200 characters, for messages."""
+    try:
+        text = f"{type(value).__name__}: {value}" if isinstance(value, BaseException) else str(value)
+    except (ValueError, RecursionError):  # huge integers, containers that contain themselves
+        text = type(value).__name__
+    text = " ".join(text[:1000].split())
+    return text if len(text) <= 200 else f"{text[:200]}..."
+
+
+class _AliasFreeLoader(yaml.SafeLoader):
+    """YAML loader without aliases, with which a few lines can expand to gigabytes."""
+
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        """Return a node, see `yaml.SafeLoader`; raise an error for an alias."""
+        if self.check_event(yaml.AliasEvent):
+            raise yaml.YAMLError("aliases are not allowed")
+        return super().compose_node(parent, index)
+
+
+def _link(temporary: Path, path: Path) -> None:
+    # Unlike renaming, linking fails when the name exists.
+    with contextlib.suppress(FileExistsError):
+        try:
+            path.hardlink_to(temporary)
+        except FileExistsError:
+            raise
+        except OSError:  # a file system without links
+            path.open("xb").close()
+            # The name belongs to this process now, so renaming is safe.
+            with _delete_on_failure(path):
+                temporary.replace(path)
+            return
+    temporary.unlink()
+
+
+def _write(path: Path, content: bytes | str, put: Callable[[Path, Path], object]) -> None:
+    data = content.encode() if isinstance(content, str) else content
+    with _open_temporary(path, put) as (stream, _):
+        stream.write(data)
+
+
+@contextlib.contextmanager
+def _open_temporary(path: Path, put: Callable[[Path, Path], object]) -> Iterator[tuple[BinaryIO, Path]]:
+    """Yield stream and path of a temporary file; move it to `path` with `put` afterwards."""
+    try:
+        handle, temporary = _create_locked_temporary(path)
+        with os.fdopen(handle, "wb") as stream, _delete_on_failure(temporary):
+            yield stream, temporary
+            stream.flush()
+            os.fsync(stream.fileno())
+            temporary.chmod(0o644)
+            put(temporary, path)
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else None
+        raise ResultsError(
+            f"cannot write {path} ({reason or error}); finished scenes are kept: free space or fix the "
+            "folder, then run the same command again to resume"
+        ) from error
+
+
+def _create_locked_temporary(path: Path) -> tuple[int, Path]:
+    """Create a file in the folder of `path` and return its handle and path.
+
+    The file is locked, so that `remove_stale_temporaries` does not remove it.
+    """
+    while True:
+        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent)
+        with contextlib.suppress(OSError):  # without locks, nothing is removed either
+            fcntl.flock(handle, fcntl.LOCK_EX)
+        if os.fstat(handle).st_nlink:
+            return handle, Path(name)
+        os.close(handle)  # another process removed it before it was locked
+
+
+@contextlib.contextmanager
+def _open_read_only(path: Path) -> Iterator[int]:
+    # Without following links, and without waiting for the writer of a pipe.
+    handle = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+    try:
+        yield handle
+    finally:
+        os.close(handle)
+
+
+@contextlib.contextmanager
+def _delete_on_failure(temporary: Path) -> Iterator[None]:
+    try:
+        yield
+    except BaseException:  # also after Ctrl-C no temporary file may stay
+        with contextlib.suppress(OSError):
+            temporary.unlink()
+        raise

@@ -1,0 +1,71 @@
+"""Conversion of file keys that earlier versions of the library wrote."""
+
+import re
+from collections.abc import Mapping
+from typing import Any
+
+_CAMERA_DATA = {"points": "pointcloud", "images": "rgbd", "clouds": "full_pointcloud"}
+_CAMERA_MODELS = {"reference": "handoversim", "true": "pinhole"}
+_CAMERA_NOISE = {
+    "CameraImperfections(": "CameraNoise(",
+    "depth_noise=": "depth_noise_std=",
+    "edge_step=": "edge_threshold=",
+    "edge_drop=": "edge_dropout=",
+    "every=": "pixel_stride=",
+}
+# Keys of result folders and data sets that 0.7.0 named differently.
+_RESULT_KEYS = {
+    "receiver_code": "receiver_hash",
+    "giver_code": "giver_hash",
+    "wait": "wait_s",
+    "kept": "recorded",
+    "without": "missing_package",
+}
+_DATA_SET_KEYS = {"settings": "evaluation", "played": "simulated", "kept": "recorded"}
+# As version 0.7.0 wrote it, e.g. "sees points alone, rays, true geometry, CameraImperfections(...)".
+_SIGHT = re.compile(
+    r"sees (points|images|clouds)(?: (alone|and poses), (\w+), (reference|true) geometry(.*))?", re.DOTALL
+)
+
+
+def upgrade_result_keys(section: Mapping[str, Any]) -> dict[str, Any]:
+    """Convert the library's section of a result folder's `config.yaml` to the current keys.
+
+    Args:
+        section: The section as it was read, written by this version or by 0.7.0.
+
+    Raises:
+        ValueError: A value under an old key does not have the format of version 0.7.0.
+    """
+    upgraded = {_RESULT_KEYS.get(key, key): value for key, value in section.items()}
+    if "sight" in upgraded:
+        upgraded |= _split_sight(upgraded.pop("sight"))
+    return upgraded
+
+
+def upgrade_data_set_keys(section: Mapping[str, Any]) -> dict[str, Any]:
+    """Convert the library's section of a data set's `metadata.json` to the current keys.
+
+    Args:
+        section: The section as it was read, written by this version or by 0.7.0.
+
+    Raises:
+        ValueError: A value under an old key does not have the format of version 0.7.0.
+    """
+    upgraded = {_DATA_SET_KEYS.get(key, key): value for key, value in section.items()}
+    upgraded["evaluation"] = upgrade_result_keys(upgraded["evaluation"])
+    return upgraded
+
+
+def _split_sight(sight: Any) -> dict[str, str]:
+    if sight == "":
+        return {"obs_mode": "state", "camera": ""}
+    match = _SIGHT.fullmatch(str(sight))
+    if match is None:
+        raise ValueError(f"sight must be as version 0.7.0 wrote it, got {sight!r}")
+    data, kind, renderer, geometry, noise = match.groups()
+    for old, new in _CAMERA_NOISE.items():
+        noise = (noise or "").replace(old, new)
+    camera = "" if kind is None else f"renderer {renderer}, camera model {_CAMERA_MODELS[geometry]}{noise}"
+    mode = _CAMERA_DATA[data]
+    return {"obs_mode": mode if kind == "alone" else f"state+{mode}", "camera": camera}

@@ -1,0 +1,81 @@
+"""Function signatures and checks of options that several public functions share."""
+
+import importlib.util
+import inspect
+import os
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Any, TypeVar
+
+from handover_marl.errors import OptionError
+
+_Function = TypeVar("_Function", bound=Callable[..., Any])
+
+
+def forward_signature(
+    *sources: Callable[..., Any], without: tuple[str, ...] = (), defaults: Mapping[str, Any] = MappingProxyType({})
+) -> Callable[[_Function], _Function]:
+    """Return a decorator that replaces `**keywords` in a signature by the accepted parameters.
+
+    Help, documentation and editors then list these parameters. Calls are not affected.
+
+    Args:
+        sources: Functions or dataclasses that receive the keyword arguments.
+        without: Parameters of the sources that are not accepted.
+        defaults: Default values that differ from those of the sources.
+    """
+
+    def decorate(function: _Function) -> _Function:
+        signature = inspect.signature(function)
+        own = [part for part in signature.parameters.values() if part.kind is not part.VAR_KEYWORD]
+        excluded = {part.name for part in own} | set(without)
+        forwarded = [
+            part.replace(kind=part.KEYWORD_ONLY, default=defaults.get(part.name, part.default))
+            for source in sources
+            for part in inspect.signature(source).parameters.values()
+            if part.name not in excluded
+        ]
+        function.__signature__ = signature.replace(parameters=[*own, *forwarded])  # type: ignore[attr-defined]
+        return function
+
+    return decorate
+
+
+def count_available_cores() -> int:
+    """Return the number of processor cores that the current process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def resolve_worker_count(workers: int | None) -> int:
+    """Return the number of worker processes; None means one per core.
+
+    Raises:
+        OptionError: The number is not an integer of at least 1.
+    """
+    if workers is None:
+        return count_available_cores()
+    if isinstance(workers, bool) or not isinstance(workers, int) or workers < 1:
+        raise OptionError(f"workers must be an integer of at least 1, got {workers!r}")
+    return workers
+
+
+def is_pybullet_installed() -> bool:
+    """Check whether PyBullet is installed, which has no wheels for Python after 3.11."""
+    return importlib.util.find_spec("pybullet") is not None
+
+
+def require_pybullet(feature: str, advice: str) -> None:
+    """Check that PyBullet is installed.
+
+    Args:
+        feature: Feature that needs PyBullet, for the message.
+        advice: What to do without PyBullet, for the message.
+
+    Raises:
+        OptionError: PyBullet is not installed.
+    """
+    if not is_pybullet_installed():
+        raise OptionError(
+            f"{feature} needs PyBullet, which is not installed (it has wheels up to Python 3.11; pip "
+            f"install pybullet compiles it on later ones); {advice}"
+        )

@@ -1,0 +1,1 @@
+"""Poses, kinematics, URDF models, meshes and distance fields, without a physics engine."""

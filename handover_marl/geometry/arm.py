@@ -1,0 +1,187 @@
+"""Forward kinematics of the Panda for many configurations, and a test for unreachable poses.
+
+Arrays of `ArmKinematics` have the configurations as last axis, which is contiguous in memory:
+(3, n) points and (3, 3, n) rotations, all in the frame of the robot's base.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.errors import SimulationError
+from handover_marl.geometry.kinematic_tree import KinematicTree
+from handover_marl.geometry.panda import FINGER_LINKS, HAND_LINK, OPEN
+from handover_marl.geometry.poses import inverse_transform_points, transform_points
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class LinkFrames:
+    """Link frames of the Panda for n configurations, in the frame of the robot's base.
+
+    Attributes:
+        origins: (L, 3, n) origins of the L links (m).
+        rotations: (L, 3, 3, n) rotation matrices of the links.
+    """
+
+    origins: Array
+    rotations: Array
+
+
+class ArmKinematics:
+    """Forward kinematics and Jacobians of a Panda with a fixed finger opening.
+
+    Links are numbered along the chain: 0-6 are the arm's, 7 is the hand, 8 and 9 are the fingers.
+
+    Args:
+        tree: Kinematic tree of the Panda.
+        opening: Position of both finger joints (m).
+
+    Attributes:
+        link_names: Names of the ten links in the order of their numbers.
+        n_joints: Number of revolute joints.
+
+    Raises:
+        SimulationError: A Panda link is missing, or a joint's axis is not z.
+    """
+
+    def __init__(self, tree: KinematicTree, opening: float = OPEN) -> None:
+        names = [joint.link for joint in tree.joints]
+        missing = {HAND_LINK, *FINGER_LINKS} - set(names)
+        if missing:
+            raise SimulationError(f"the robot must be a Panda, its model has no link {sorted(missing)}; check the URDF")
+        hand = names.index(HAND_LINK)
+        revolute = tree.list_revolute_joints(hand)
+        self.link_names = [names[link] for link in revolute] + [HAND_LINK, *FINGER_LINKS]
+        self.n_joints = len(revolute)
+        for link in revolute:
+            if not np.allclose(tree.joints[link].axis, (0.0, 0.0, 1.0)):
+                raise SimulationError(f"the joint of {names[link]} must turn about its z axis; check the URDF")
+        self._segments = [
+            _fixed_transform(tree, link, before, opening)
+            for link, before in zip(revolute, [-1, *revolute], strict=False)
+        ]
+        self._hand = _fixed_transform(tree, hand, revolute[-1], opening)
+        self._fingers = [_fixed_transform(tree, names.index(finger), hand, opening) for finger in FINGER_LINKS]
+
+    def chain(self, joints: Array) -> LinkFrames:
+        """Compute frames of the seven arm links and the hand for arm joints (n, 7) in rad."""
+        count = len(joints)
+        origins = np.empty((self.n_joints + 1, 3, count))
+        rotations = np.empty((self.n_joints + 1, 3, 3, count))
+        sines, cosines = np.sin(joints.T), np.cos(joints.T)
+        origin, rotation = np.zeros((3, count)), np.repeat(np.eye(3)[..., None], count, axis=2)
+        for number, (offset, turn) in enumerate(self._segments):
+            origin = origin + offset @ rotation
+            x, y, z = np.moveaxis(turn.T @ rotation, 1, 0)
+            sine, cosine = sines[number], cosines[number]
+            rotation = np.stack([cosine * x + sine * y, cosine * y - sine * x, z], axis=1)
+            origins[number], rotations[number] = origin, rotation
+        offset, turn = self._hand
+        origins[-1], rotations[-1] = origin + offset @ rotation, turn.T @ rotation
+        return LinkFrames(origins, rotations)
+
+    def frames(self, joints: Array) -> LinkFrames:
+        """Compute frames of arm links, hand and fingers for arm joints (n, 7) in rad."""
+        chain = self.chain(joints)
+        origin, rotation = chain.origins[-1], chain.rotations[-1]
+        fingers = [(origin + offset @ rotation, turn.T @ rotation) for offset, turn in self._fingers]
+        return LinkFrames(
+            np.concatenate([chain.origins, [finger[0] for finger in fingers]]),
+            np.concatenate([chain.rotations, [finger[1] for finger in fingers]]),
+        )
+
+    def jacobian(self, chain: LinkFrames) -> Array:
+        """Compute Jacobians (6, 7, n) of the robot's hand: linear rows (m/rad), then angular."""
+        axes = chain.rotations[:-1, :, 2]
+        levers = chain.origins[-1] - chain.origins[:-1]
+        columns = np.concatenate([np.cross(axes, levers, axis=1), axes], axis=1)
+        jacobian: Array = columns.transpose(1, 0, 2)
+        return jacobian
+
+
+def transform_body_points(frames: LinkFrames, on_links: Sequence[Array]) -> Array:
+    """Transform points on the links of a robot to its base frame for n configurations.
+
+    Args:
+        frames: Frames of L links.
+        on_links: (m, 3) points in the frame of each of these links (m).
+
+    Returns:
+        (3, L * m, n) points, link by link (m).
+    """
+    moved = [
+        points @ rotation + origin[:, None]
+        for points, origin, rotation in zip(on_links, frames.origins, frames.rotations, strict=True)
+    ]
+    return np.concatenate(moved, axis=1)
+
+
+def _fixed_transform(tree: KinematicTree, link: int, ancestor: int, opening: float) -> tuple[Array, Array]:
+    """Return offset (3,) and rotation (3, 3) of a link in an ancestor link's frame.
+
+    Revolute joints are at zero, prismatic joints at the position `opening` (m).
+    """
+    offset, turn = np.zeros(3), np.eye(3)
+    while link != ancestor:
+        joint = tree.joints[link]
+        slide = opening * joint.axis if joint.kind == "prismatic" else np.zeros(3)
+        offset = joint.offset + joint.turn @ (slide + offset)
+        turn = joint.turn @ turn
+        link = joint.parent
+    return offset, turn
+
+
+class ReachabilityBound:
+    """Test for hand poses that the Panda cannot reach, by two necessary conditions.
+
+    Joint limits are ignored. The hand must not be farther from the shoulder than the arm is long.
+    For a given orientation, the wrist (origin of the last joint but one) can only be on a circle
+    around the last joint's axis, and a point of that circle must be as near to the shoulder as the
+    arm without the hand is long.
+
+    Args:
+        tree: Kinematic tree of the arm.
+        hand: Number of the hand link, which only revolute joints may carry.
+        world_from_base: (7,) pose of the robot's base, xyz (m) and quaternion xyzw.
+    """
+
+    def __init__(self, tree: KinematicTree, hand: int, world_from_base: Array) -> None:
+        center, self._arm_length = tree.compute_reach_sphere(hand)
+        self._shoulder = transform_points(world_from_base, center)
+        last, before = tree.list_revolute_joints(hand)[:-3:-1]
+        origins, rotations = (value[0] for value in tree.compute_link_frames(np.zeros((1, tree.n_dof))))
+        hand_from_base = rotations[hand].T
+        self._axis = hand_from_base @ rotations[last] @ tree.joints[last].axis
+        wrist = hand_from_base @ (origins[before] - origins[hand])
+        pivot = hand_from_base @ (origins[last] - origins[hand])
+        self._circle_center = pivot + self._axis * np.dot(wrist - pivot, self._axis)
+        self._circle_radius = float(np.linalg.norm(wrist - self._circle_center))
+        self._wrist_distance = float(np.linalg.norm(wrist))
+        self._wrist_range = tree.compute_reach_sphere(before)[1]
+
+    def is_unreachable(
+        self, position: npt.ArrayLike, orientation: npt.ArrayLike | None, distance: float, angle: float
+    ) -> bool:
+        """Return whether the robot's hand can certainly not reach a pose within tolerances.
+
+        Args:
+            position: (3,) world position of the hand (m).
+            orientation: World orientation of the hand, quaternion xyzw; None for any orientation.
+            distance: Position tolerance (m).
+            angle: Orientation tolerance (rad).
+        """
+        target = np.asarray(position, dtype=np.float64)
+        if np.linalg.norm(target - self._shoulder) > self._arm_length + distance:
+            return True
+        if orientation is None:
+            return False
+        pose = np.concatenate([target, np.asarray(orientation, dtype=np.float64)])
+        shoulder = inverse_transform_points(pose, self._shoulder) - self._circle_center
+        height = float(np.dot(shoulder, self._axis))
+        radius = float(np.linalg.norm(shoulder - height * self._axis))
+        nearest = np.hypot(height, radius - self._circle_radius)
+        return bool(nearest > self._wrist_range + distance + angle * self._wrist_distance)

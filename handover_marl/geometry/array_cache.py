@@ -1,0 +1,80 @@
+"""Cache files of arrays computed from object models, in the user's cache folder.
+
+Needs platformdirs (extra `planning`). Several processes may share the folder: files are written
+atomically, and unreadable files are computed again.
+"""
+
+import hashlib
+import logging
+import zipfile
+import zlib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.errors import HandoverError
+from handover_marl.execution.files import write_arrays
+from handover_marl.geometry.meshes import list_mesh_files
+
+Arrays = dict[str, npt.NDArray[Any]]
+
+_log = logging.getLogger(__name__)
+
+
+def cache_folder(kind: str) -> Path:
+    """Return the cache folder for one kind of files, below XDG_CACHE_HOME if it is set."""
+    import platformdirs
+
+    return Path(platformdirs.user_cache_dir("handover_marl", appauthor=False)) / kind
+
+
+def cache_path(kind: str, urdf: Path, *parameters: bytes) -> Path:
+    """Return the path of the cache file for an object model.
+
+    The file name has a hash of the object's collision shapes and of the parameters.
+
+    Args:
+        kind: Kind of cached files.
+        urdf: URDF file of the object.
+        parameters: All other inputs that the cached content depends on.
+    """
+    digest = hashlib.sha256(b"".join(parameters))
+    for path in (urdf, *list_mesh_files(urdf, "collision")):
+        digest.update(path.read_bytes())
+    return cache_folder(kind) / f"{urdf.parent.name}-{digest.hexdigest()[:16]}.npz"
+
+
+def load_cached_arrays(path: Path, names: Sequence[str], what: str) -> Arrays | None:
+    """Load arrays from a cache file; return None if the file is missing or damaged.
+
+    Args:
+        path: Cache file.
+        names: Names of the arrays.
+        what: Description of the content for a warning.
+    """
+    if not path.exists():
+        return None
+    try:
+        with np.load(path, allow_pickle=False) as content:
+            return {name: content[name] for name in names}
+    except (OSError, ValueError, KeyError, EOFError, TypeError, zipfile.BadZipFile, zlib.error) as error:
+        _log.warning("%s: damaged %s (%s); computing it again", path, what, error)
+        return None
+
+
+def save_cached_arrays(path: Path, arrays: Arrays, what: str) -> None:
+    """Write arrays to a cache file; log a warning if that fails.
+
+    Args:
+        path: Cache file.
+        arrays: Arrays by name.
+        what: Description of the content for the warning.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_arrays(path, arrays)
+    except (OSError, HandoverError):
+        _log.warning("%s %s not saved: cannot write to that folder; it is computed again each time", what, path)

@@ -1,0 +1,186 @@
+"""Signed distance fields (SDFs) on voxel grids, and a cache of the fields of object models."""
+
+import functools
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from scipy.ndimage import map_coordinates
+
+from handover_marl.geometry.array_cache import Arrays, cache_path, load_cached_arrays, save_cached_arrays
+from handover_marl.geometry.meshes import read_collision_mesh
+
+Floats = npt.NDArray[np.float32]
+Array = npt.NDArray[np.float64]
+
+#: Distance (m) outside the grid, larger than any padding of a planner.
+OUTSIDE_DISTANCE = 1.0
+#: Folder of the cached fields within the user's cache folder.
+CACHE_KIND = "distance_fields"
+#: Grid spacing of the cached fields (m).
+CELL = 0.006
+# To be changed together with the computation, so that cached fields of older versions are not used.
+_VERSION = 1
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, eq=False)
+class DistanceField:
+    """Signed distance field of a closed surface on a regular grid; negative inside.
+
+    Attributes:
+        values: (x, y, z) float32 distances at the grid's nodes (m).
+        lower: (3,) position of the first node in the surface's frame (m).
+        cell: Spacing of the nodes (m).
+    """
+
+    values: Floats
+    lower: Array
+    cell: float
+
+    def distances(self, points: Floats) -> Floats:
+        """Interpolate signed distances (n,) in m at points (3, n).
+
+        Points outside the grid get `OUTSIDE_DISTANCE`.
+        """
+        return self._interpolate(points, with_gradients=False)[0]
+
+    def distances_and_gradients(self, points: Floats) -> tuple[Floats, Floats]:
+        """Interpolate signed distances (n,) in m and their gradients (3, n) at points (3, n).
+
+        Gradients are zero outside the grid.
+        """
+        return self._interpolate(points, with_gradients=True)
+
+    def query_clamped(self, points: Array) -> Array:
+        """Interpolate signed distances (...) in m at points (..., 3).
+
+        Points outside the grid get the distance of the nearest point on the grid's border.
+        """
+        nodes = (points.reshape(-1, 3) - self.lower).T / self.cell
+        found = map_coordinates(self.values, nodes, order=1, mode="nearest", output=np.float64)
+        return np.asarray(found.reshape(points.shape[:-1]))
+
+    def compute_outward_normals(self, points: Array) -> Array:
+        """Compute unit vectors (..., 3) away from the surface at points (..., 3).
+
+        They are gradients of the distance field, by central differences.
+        """
+        h = self.cell
+        gradients = np.stack(
+            [self.query_clamped(points + h * e) - self.query_clamped(points - h * e) for e in np.eye(3)], axis=-1
+        )
+        return np.asarray(gradients / np.maximum(np.linalg.norm(gradients, axis=-1, keepdims=True), 1e-12))
+
+    def mirror(self) -> "DistanceField":
+        """Return the distance field of the surface mirrored in x."""
+        last = self.lower[0] + self.cell * (self.values.shape[0] - 1)
+        return DistanceField(self.values[::-1], np.array([-last, *self.lower[1:]]), self.cell)
+
+    def _interpolate(self, points: Floats, with_gradients: bool) -> tuple[Floats, Floats]:
+        nodes = (points - self.lower.astype(np.float32)[:, None]) / np.float32(self.cell)
+        highest = np.array(self.values.shape)[:, None] - 1
+        inside = ((nodes >= 0.0) & (nodes < highest)).all(axis=0)
+        distances = np.full(points.shape[1], OUTSIDE_DISTANCE, dtype=np.float32)
+        gradients = np.zeros(points.shape if with_gradients else (3, 0), dtype=np.float32)
+        if inside.any():
+            nodes = nodes if inside.all() else nodes[:, inside]
+            first = nodes.astype(np.int32)
+            corners = self._get_corner_values(first)
+            fraction = nodes - first
+            distances[inside] = _interpolate_trilinear(corners, fraction)
+            if with_gradients:
+                gradients[:, inside] = _differentiate_trilinear(corners, fraction) / np.float32(self.cell)
+        return distances, gradients
+
+    def _get_corner_values(self, first: npt.NDArray[np.int32]) -> Floats:
+        """Return distances (2, 2, 2, n) at the corners of n cells with lowest nodes (3, n)."""
+        _, ny, nz = self.values.shape
+        at = (first[0] * ny + first[1]) * nz + first[2]
+        steps = (np.arange(2)[:, None, None] * ny + np.arange(2)[:, None]) * nz + np.arange(2)
+        corners: Floats = self.values.reshape(-1)[steps[..., None] + at]
+        return corners
+
+
+def distance_field_from_mesh(
+    vertices: Array, faces: npt.NDArray[np.int64], margin: float, cell: float
+) -> DistanceField:
+    """Compute the signed distance field of a mesh; needs libigl (extra `planning`).
+
+    Args:
+        vertices: (v, 3) vertices (m).
+        faces: (f, 3) vertex numbers of triangles; components may overlap, and have holes.
+        margin: Distance by which the grid extends beyond the mesh (m).
+        cell: Spacing of the nodes (m).
+    """
+    import igl
+
+    def distance(points: Array) -> Array:
+        # The winding number gives the right sign for overlapping components and meshes with holes.
+        found = igl.signed_distance(points, vertices, faces, igl.SIGNED_DISTANCE_TYPE_FAST_WINDING_NUMBER)[0]
+        return np.asarray(found, dtype=np.float64)
+
+    return sample_distance_field(distance, vertices.min(axis=0) - margin, vertices.max(axis=0) + margin, cell)
+
+
+def sample_distance_field(distance: Callable[[Array], Array], lower: Array, upper: Array, cell: float) -> DistanceField:
+    """Sample a signed distance function on a grid over a box.
+
+    Args:
+        distance: Function that returns distances (n,) in m at points (n, 3).
+        lower: Lowest corner of the box (m).
+        upper: Highest corner of the box (m).
+        cell: Spacing of the nodes (m).
+    """
+    counts = np.ceil((upper - lower) / cell).astype(int) + 1
+    axes = [start + cell * np.arange(count) for start, count in zip(lower, counts, strict=True)]
+    nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    return DistanceField(distance(nodes).astype(np.float32).reshape(counts), np.array(lower), cell)
+
+
+def _interpolate_trilinear(corners: Floats, fraction: Floats) -> Floats:
+    for part in fraction:
+        corners = corners[0] + (corners[1] - corners[0]) * part
+    return corners
+
+
+def _differentiate_trilinear(corners: Floats, fraction: Floats) -> Floats:
+    gradient = []
+    for axis in range(3):
+        along = np.moveaxis(corners, axis, 0)
+        gradient.append(_interpolate_trilinear(along[1] - along[0], np.delete(fraction, axis, axis=0)))
+    return np.stack(gradient)
+
+
+def load_object_sdf(urdf: Path, margin: float) -> DistanceField:
+    """Load an object's signed distance field from the cache, or compute and cache the field.
+
+    Its surface is that of the collision shapes, in the object's frame.
+
+    Args:
+        urdf: URDF file of the object.
+        margin: Distance by which the grid extends beyond the shapes (m).
+
+    Raises:
+        DataFormatError: The URDF file or a mesh cannot be read.
+    """
+    return _load_object_sdf(urdf, urdf.stat().st_mtime_ns, margin)
+
+
+@functools.lru_cache(maxsize=32)
+def _load_object_sdf(urdf: Path, changed: int, margin: float) -> DistanceField:
+    path = cache_path(CACHE_KIND, urdf, f"{_VERSION} {CELL} {margin}".encode())
+    arrays = load_cached_arrays(path, ("values", "lower", "cell"), "distance field")
+    if arrays is not None:
+        values, lower, cell = arrays["values"], arrays["lower"], arrays["cell"]
+        if values.ndim == 3 and values.dtype == np.float32 and lower.shape == (3,) and cell.shape == ():
+            return DistanceField(values, lower, float(cell))
+        _log.warning("%s: not a distance field; computing it again", path)
+    field = distance_field_from_mesh(*read_collision_mesh(urdf), margin, CELL)
+    content: Arrays = {"values": field.values, "lower": field.lower, "cell": np.array(field.cell)}
+    save_cached_arrays(path, content, "distance field")
+    return field

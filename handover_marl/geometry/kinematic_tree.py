@@ -1,0 +1,279 @@
+"""Kinematic trees read from URDF files: forward kinematics of many configurations at once.
+
+Links are numbered as Bullet numbers them. Quaternions are xyzw.
+"""
+
+import functools
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from handover_marl.errors import SimulationError
+from handover_marl.geometry.poses import poses_from_rotations
+
+Array = npt.NDArray[np.float64]
+
+_REVOLUTE = ("revolute", "continuous")
+_PRISMATIC = ("prismatic",)
+# A point nearer to a joint axis than this is on it (m).
+_ON_AXIS_M = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class BoundingSphere:
+    """Sphere around the shapes of a link: `center` (3,) in the link's frame and `radius` (m)."""
+
+    center: Array
+    radius: float
+
+
+@dataclass(frozen=True, eq=False)
+class TreeJoint:
+    """Joint of a URDF model between a link and its parent link.
+
+    Attributes:
+        link: Name of the child link.
+        parent: Number of the parent link, -1 for the base.
+        kind: URDF joint type.
+        offset: (3,) origin of the joint in the parent's frame (m).
+        turn: (3, 3) orientation of the joint in the parent's frame.
+        axis: (3,) unit axis in the joint's frame.
+    """
+
+    link: str
+    parent: int
+    kind: str
+    offset: Array
+    turn: Array
+    axis: Array
+
+
+class KinematicTree:
+    """Kinematic tree of a URDF model; links are numbered depth first without the base link.
+
+    Attributes:
+        joints: Joints by link number; joint i connects link i to its parent link.
+        n_dof: Number of moving joints.
+    """
+
+    def __init__(self, joints: Sequence[TreeJoint]) -> None:
+        self.joints = tuple(joints)
+        is_moving = [joint.kind in (*_REVOLUTE, *_PRISMATIC) for joint in joints]
+        self.n_dof = sum(is_moving)
+        # Fixed joints read the zero that is appended to the joint positions.
+        self._dof = np.where(is_moving, np.cumsum(is_moving) - 1, self.n_dof).astype(np.int64)
+        # Reshaped for models without joints.
+        self._offsets = np.array([joint.offset for joint in joints]).reshape(-1, 3)
+        self._turns = np.array([joint.turn for joint in joints]).reshape(-1, 3, 3)
+        axes = np.array([joint.axis for joint in joints]).reshape(-1, 3)
+        is_revolute = np.array([joint.kind in _REVOLUTE for joint in joints], dtype=bool)[:, None]
+        is_prismatic = np.array([joint.kind in _PRISMATIC for joint in joints], dtype=bool)[:, None]
+        self._cross = np.cross(np.eye(3), (axes * is_revolute)[:, None, :])
+        self._cross_squared = self._cross @ self._cross
+        self._slides = (self._turns @ (axes * is_prismatic)[..., None])[..., 0]
+        parents = np.array([joint.parent for joint in joints], dtype=np.int64)
+        depths: list[int] = []
+        for parent in parents.tolist():
+            depths.append(0 if parent < 0 else depths[parent] + 1)
+        levels = [np.flatnonzero(np.array(depths) == depth) for depth in range(1, max(depths, default=0) + 1)]
+        self._levels = [(links, parents[links]) for links in levels]
+
+    def compute_link_frames(self, dof: npt.ArrayLike) -> tuple[Array, Array]:
+        """Compute the frames of all L links in the base link's frame for n configurations.
+
+        Args:
+            dof: (n, d) positions of the moving joints (rad, m).
+
+        Returns:
+            (n, L, 3) origins (m) and (n, L, 3, 3) rotation matrices.
+        """
+        values = np.asarray(dof, dtype=np.float64)
+        values = np.concatenate([values, np.zeros((len(values), 1))], axis=1)[:, self._dof]
+        sines, cosines = np.sin(values)[..., None, None], np.cos(values)[..., None, None]
+        rotations = self._turns @ (np.eye(3) + sines * self._cross + (1.0 - cosines) * self._cross_squared)
+        origins = self._offsets + values[..., None] * self._slides
+        for links, parents in self._levels:
+            carried = rotations[:, parents]
+            origins[:, links] = origins[:, parents] + (carried @ origins[:, links, :, None])[..., 0]
+            rotations[:, links] = carried @ rotations[:, links]
+        return origins, rotations
+
+    def compute_link_poses(self, dof: npt.ArrayLike, links: Sequence[int]) -> Array:
+        """Compute poses (n, len(links), 7) of links in the base frame for joints (n, d)."""
+        origins, rotations = self.compute_link_frames(dof)
+        chosen = list(links)
+        return poses_from_rotations(origins[:, chosen], rotations[:, chosen])
+
+    def list_revolute_joints(self, link: int) -> list[int]:
+        """List the child links of the revolute joints from the base to a link, in this order.
+
+        Raises:
+            ValueError: A joint on the way is prismatic.
+        """
+        path: list[int] = []
+        while link >= 0:
+            if self.joints[link].kind in _PRISMATIC:
+                raise ValueError(f"the joint of link {link} is prismatic")
+            if self.joints[link].kind in _REVOLUTE:
+                path.insert(0, link)
+            link = self.joints[link].parent
+        return path
+
+    def compute_reach_sphere(self, link: int) -> tuple[Array, float]:
+        """Compute a sphere that a link's origin cannot leave: center (3,) and radius (m).
+
+        The center is in the base link's frame; joint limits are ignored. A point on a joint's axis
+        does not move with that joint, so distances along runs of such joints are rigid; the radius
+        is the sum of the other distances.
+
+        Raises:
+            ValueError: A joint between base and link is prismatic.
+        """
+        origins, rotations = (value[0] for value in self.compute_link_frames(np.zeros((1, self.n_dof))))
+        path = self.list_revolute_joints(link)
+
+        def is_on_axis(point: Array, joint: int) -> bool:
+            axis = rotations[joint] @ self.joints[joint].axis
+            return bool(np.linalg.norm(np.cross(point - origins[joint], axis)) < _ON_AXIS_M)
+
+        while path and is_on_axis(origins[link], path[-1]):
+            path.pop()
+        while len(path) > 1 and is_on_axis(origins[path[1]], path[0]):
+            path.pop(0)
+        if not path:
+            return origins[link], 0.0
+        center = anchor = origins[path[0]]
+        radius = 0.0
+        for joint in path[1:]:
+            if not is_on_axis(anchor, joint):
+                radius += float(np.linalg.norm(origins[joint] - anchor))
+                anchor = origins[joint]
+        return center, radius + float(np.linalg.norm(origins[link] - anchor))
+
+    def compute_reach(self, link: int, spheres: Mapping[int, BoundingSphere]) -> float:
+        """Compute the largest distance (m) from a link's origin to shapes that the link carries.
+
+        These are the shapes of the link and its descendants; joints may have any position.
+
+        Args:
+            link: Number of the link.
+            spheres: Bounding spheres by link number; links without shapes have none.
+        """
+        children: dict[int, list[int]] = {}
+        for child, joint in enumerate(self.joints):
+            children.setdefault(joint.parent, []).append(child)
+        reaches: dict[int, float] = {}
+        # Children have higher numbers than their parents.
+        for number in range(len(self.joints) - 1, link - 1, -1):
+            reaches[number] = self._compute_rigid_reach(number, children, spheres, reaches)
+        return reaches[link]
+
+    def _compute_rigid_reach(
+        self,
+        link: int,
+        children: dict[int, list[int]],
+        spheres: Mapping[int, BoundingSphere],
+        reaches: dict[int, float],
+    ) -> float:
+        """Compute a link's reach (m) from the reaches of descendants that move relative to it."""
+        farthest = 0.0
+        rigid = [(link, np.zeros(3), np.eye(3))]
+        while rigid:
+            number, origin, turn = rigid.pop()
+            if number in spheres:
+                sphere = spheres[number]
+                farthest = max(farthest, float(np.linalg.norm(origin + turn @ sphere.center)) + sphere.radius)
+            for child in children.get(number, []):
+                joint = self.joints[child]
+                start = origin + turn @ joint.offset
+                if joint.kind == "fixed":
+                    rigid.append((child, start, turn @ joint.turn))
+                else:
+                    farthest = max(farthest, float(np.linalg.norm(start)) + reaches[child])
+        return farthest
+
+
+def read_tree(urdf: Path) -> KinematicTree:
+    """Read the kinematic tree of a URDF file; an unchanged file is read once.
+
+    Raises:
+        SimulationError: The file is no URDF, or has a joint type other than revolute, continuous, prismatic and fixed.
+    """
+    try:
+        return _read_tree(urdf, urdf.stat().st_mtime_ns)
+    except OSError as error:
+        raise SimulationError(f"{urdf}: cannot read this model ({error}); check the file") from error
+
+
+@functools.cache
+def _read_tree(urdf: Path, changed: int) -> KinematicTree:
+    try:
+        return KinematicTree(_read_joints(ET.parse(urdf).getroot()))
+    except (OSError, ET.ParseError, ValueError, KeyError, AttributeError) as error:
+        raise SimulationError(f"{urdf}: cannot read this model ({error}); check the file") from error
+
+
+def _read_joints(robot: ET.Element) -> list[TreeJoint]:
+    """Read all joints of a URDF model, depth first from the base link."""
+    elements = robot.findall("joint")
+    children: dict[str, list[ET.Element]] = {}
+    for element in elements:
+        children.setdefault(read_attribute(element, "parent", "link"), []).append(element)
+    not_base = {read_attribute(element, "child", "link") for element in elements}
+    (base,) = (link.attrib["name"] for link in robot.findall("link") if link.attrib["name"] not in not_base)
+    joints: list[TreeJoint] = []
+    waiting = [(element, -1) for element in reversed(children.get(base, []))]
+    while waiting:
+        if len(joints) == len(elements):
+            raise ValueError("a link has two parents")
+        element, parent = waiting.pop()
+        child = read_attribute(element, "child", "link")
+        joints.append(_read_joint(element, child, parent))
+        waiting += [(other, len(joints) - 1) for other in reversed(children.get(child, []))]
+    return joints
+
+
+def _read_joint(element: ET.Element, link: str, parent: int) -> TreeJoint:
+    kind = element.attrib["type"]
+    if kind not in (*_REVOLUTE, *_PRISMATIC, "fixed"):
+        raise ValueError(f"a {kind} joint")
+    axis = np.array(read_attribute(element, "axis", "xyz", "1 0 0").split(), dtype=np.float64)
+    length = np.linalg.norm(axis)
+    return TreeJoint(
+        link=link,
+        parent=parent,
+        kind=kind,
+        offset=np.array(read_attribute(element, "origin", "xyz", "0 0 0").split(), dtype=np.float64),
+        turn=matrix_from_rpy(read_attribute(element, "origin", "rpy", "0 0 0")),
+        axis=axis / length if length > 0.0 else axis,
+    )
+
+
+def matrix_from_rpy(rpy: str) -> Array:
+    """Convert a URDF `rpy` attribute, three angles in rad, to a rotation matrix (3, 3)."""
+    matrix: Array = Rotation.from_euler("xyz", np.array(rpy.split(), dtype=np.float64)).as_matrix()
+    return matrix
+
+
+def read_attribute(element: ET.Element, tag: str, name: str, default: str | None = None) -> str:
+    """Read an attribute of a child of an XML element, or return a default.
+
+    Args:
+        element: Parent element.
+        tag: Tag of the child.
+        name: Name of the attribute.
+        default: Value of a missing child or attribute.
+
+    Raises:
+        ValueError: The attribute is missing and there is no default.
+    """
+    found = element.find(tag)
+    value = default if found is None else found.get(name, default)
+    if value is None:
+        raise ValueError(f"<{element.tag}> without <{tag} {name}=...>")
+    return value

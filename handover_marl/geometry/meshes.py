@@ -1,0 +1,181 @@
+"""Triangle meshes of URDF shapes, and convex hulls with few vertices.
+
+OBJ files are read without trimesh; boxes, spheres and other mesh formats need it (extra `planning`).
+"""
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import ConvexHull
+
+from handover_marl.errors import DataFormatError
+from handover_marl.geometry.kinematic_tree import KinematicTree, read_tree
+from handover_marl.geometry.obj_files import read_obj
+from handover_marl.geometry.poses import transform_points
+from handover_marl.geometry.urdf import UrdfShape, read_urdf_shapes
+
+Array = npt.NDArray[np.float64]
+Faces = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class VisualMesh:
+    """Triangle mesh of the visual shapes of one link.
+
+    Attributes:
+        link: Number of the link, -1 for the base.
+        vertices: (v, 3) float32 vertices in the link's frame (m).
+        faces: (f, 3) int32 vertex numbers of triangles, counterclockwise seen from outside.
+        colors: (f, 3) float32 red, green and blue of each triangle, 0 to 1.
+    """
+
+    link: int
+    vertices: npt.NDArray[np.float32]
+    faces: npt.NDArray[np.int32]
+    colors: npt.NDArray[np.float32]
+
+
+def extreme_points(points: Array, limit: int) -> Array:
+    """Select at most `limit` of the points (n, 3), the outermost in evenly spread directions."""
+    for count in range(4 * limit, limit - 1, -1):
+        k = np.arange(count) + 0.5
+        height, turn = 1.0 - 2.0 * k / count, np.pi * (1.0 + np.sqrt(5.0)) * k
+        radius = np.sqrt(1.0 - height**2)
+        directions = np.column_stack([radius * np.cos(turn), height, radius * np.sin(turn)])
+        chosen = np.unique(np.argmax(points @ directions.T, axis=0))
+        if len(chosen) <= limit:
+            break
+    return np.asarray(points[chosen])
+
+
+def convex_hull(points: Array) -> tuple[Array, Faces]:
+    """Compute the convex hull of points (n, 3): its vertices (v, 3) and outward triangles (f, 3).
+
+    Raises:
+        scipy.spatial.QhullError: All points are in one plane.
+    """
+    hull = ConvexHull(points)
+    numbers = np.sort(hull.vertices)
+    faces = np.searchsorted(numbers, hull.simplices)
+    vertices = points[numbers]
+    normals = np.cross(vertices[faces[:, 1]] - vertices[faces[:, 0]], vertices[faces[:, 2]] - vertices[faces[:, 0]])
+    is_inward = np.einsum("fi,fi->f", normals, hull.equations[:, :3]) < 0.0
+    faces[is_inward] = faces[is_inward][:, ::-1]
+    return vertices, faces
+
+
+def list_mesh_files(urdf: Path, purpose: str) -> list[Path]:
+    """List the mesh files of the "collision" or "visual" shapes of a URDF model."""
+    return [shape.mesh for shape in read_urdf_shapes(urdf, read_tree(urdf), purpose) if shape.mesh is not None]
+
+
+def read_link_vertices(urdf: Path, purpose: str, names: list[str]) -> list[Array]:
+    """Read the mesh vertices of some links of a URDF model: (m, 3) in each link's frame (m).
+
+    Args:
+        urdf: URDF file of the model.
+        purpose: "collision" or "visual".
+        names: Names of the links.
+
+    Raises:
+        DataFormatError: A link has no shape, or a file cannot be read.
+    """
+    tree = read_tree(urdf)
+    numbers = [joint.link for joint in tree.joints]
+    shapes = read_urdf_shapes(urdf, tree, purpose)
+    vertices = []
+    for name in names:
+        own = [read_shape_mesh(shape, urdf)[0] for shape in shapes if shape.link == numbers.index(name)]
+        if not own:
+            raise DataFormatError(f"{urdf}: link {name!r} must have a {purpose} shape; check the file")
+        vertices.append(np.concatenate(own))
+    return vertices
+
+
+def read_collision_mesh(urdf: Path) -> tuple[Array, Faces]:
+    """Read a URDF model's collision shapes as one mesh: vertices (v, 3) in m, faces (f, 3).
+
+    Vertices are in the frame of the shapes' link, so the model should have shapes on one link only.
+
+    Raises:
+        DataFormatError: The model has no collision shape, or a file cannot be read.
+    """
+    shapes = read_urdf_shapes(urdf, read_tree(urdf), "collision")
+    if not shapes:
+        raise DataFormatError(f"{urdf}: the model must have a collision shape; check the file")
+    return _concatenate([read_shape_mesh(shape, urdf) for shape in shapes])
+
+
+def read_visual_meshes(urdf: Path, tree: KinematicTree, without: Collection[str] = ()) -> list[VisualMesh]:
+    """Read the visual meshes of a URDF model, one for every link with visual shapes.
+
+    Args:
+        urdf: URDF file of the model.
+        tree: Kinematic tree of the model.
+        without: Names of links to leave out.
+
+    Raises:
+        SimulationError: A shape cannot be read from the model.
+        DataFormatError: A mesh is missing or cannot be read.
+    """
+    excluded = {number for number, joint in enumerate(tree.joints) if joint.link in without}
+    shapes: dict[int, list[UrdfShape]] = {}
+    for shape in read_urdf_shapes(urdf, tree, "visual"):
+        if shape.link not in excluded:
+            shapes.setdefault(shape.link, []).append(shape)
+    return [_read_visual_mesh(urdf, link, own) for link, own in shapes.items()]
+
+
+def _read_visual_mesh(urdf: Path, link: int, shapes: Sequence[UrdfShape]) -> VisualMesh:
+    parts = [read_shape_mesh(shape, urdf) for shape in shapes]
+    vertices, faces = _concatenate(parts)
+    colors = [
+        np.tile(np.array(shape.color[:3], dtype=np.float32), (len(own), 1))
+        for shape, (_, own) in zip(shapes, parts, strict=True)
+    ]
+    return VisualMesh(link, vertices.astype(np.float32), faces.astype(np.int32), np.concatenate(colors))
+
+
+def _concatenate(parts: Sequence[tuple[Array, Faces]]) -> tuple[Array, Faces]:
+    firsts = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
+    return (
+        np.concatenate([vertices for vertices, _ in parts]),
+        np.concatenate([faces + first for (_, faces), first in zip(parts, firsts, strict=False)]),
+    )
+
+
+def read_shape_mesh(shape: UrdfShape, urdf: Path) -> tuple[Array, Faces]:
+    """Read a URDF shape as a mesh: vertices (v, 3) in the link's frame (m) and faces (f, 3).
+
+    Raises:
+        DataFormatError: The mesh file cannot be read.
+    """
+    if shape.mesh is not None and shape.mesh.suffix.lower() == ".obj":
+        mesh = read_obj(shape.mesh)
+        vertices, faces = mesh.vertices, mesh.faces
+    else:
+        vertices, faces = _load_with_trimesh(shape, urdf)
+    scale = shape.size if shape.kind == "mesh" else 1.0
+    return transform_points(shape.link_from_shape, vertices * scale), faces
+
+
+def _load_with_trimesh(shape: UrdfShape, urdf: Path) -> tuple[Array, Faces]:
+    # Imported here: most models have OBJ files only, and trimesh is an extra.
+    import trimesh
+
+    try:
+        if shape.kind == "box":
+            mesh = trimesh.creation.box(shape.size)
+        elif shape.kind == "sphere":
+            mesh = trimesh.creation.icosphere(radius=shape.size[0])
+        else:
+            mesh = trimesh.load(shape.mesh, force="mesh", process=False, skip_materials=True)
+        vertices, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64)
+    except Exception as error:  # trimesh raises many kinds of errors on damaged files
+        raise DataFormatError(f"{urdf}: cannot read its {shape.kind} {shape.mesh} ({error}); check the file") from error
+    if len(vertices) == 0 or not np.isfinite(vertices).all():
+        raise DataFormatError(f"{urdf}: its mesh {shape.mesh} is empty or not finite; check the file")
+    return vertices, faces

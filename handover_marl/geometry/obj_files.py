@@ -1,0 +1,98 @@
+"""Reader and safety check of OBJ mesh files."""
+
+import itertools
+import re
+import stat
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.errors import DataFormatError
+
+Array = npt.NDArray[np.float64]
+Faces = npt.NDArray[np.int64]
+
+# Vertex number of every corner of a face, the first of the numbers between slashes.
+_CORNERS = re.compile(r"(?:^|\s)(-?[0-9]{1,9})(?=[/\s]|$)")
+
+
+@dataclass(frozen=True, eq=False)
+class ObjMesh:
+    """Vertices and triangles of an OBJ mesh file.
+
+    Attributes:
+        vertices: (v, 3) vertices of all objects in the file (m).
+        groups: One (f, 3) array per object with the vertex numbers of its triangles; polygons are split into fans.
+    """
+
+    vertices: Array
+    groups: tuple[Faces, ...]
+
+    @property
+    def faces(self) -> Faces:
+        """Vertex numbers (f, 3) of the triangles of all objects."""
+        return np.concatenate(self.groups)
+
+
+def read_obj(path: Path) -> ObjMesh:
+    """Read vertices and triangles of an OBJ mesh file.
+
+    Raises:
+        DataFormatError: The file cannot be read, has no triangle, a vertex that is not finite, or a face with a vertex
+            number out of range.
+    """
+    vertices: list[list[float]] = []
+    groups: list[list[tuple[int, int, int]]] = [[]]
+    try:
+        for line in path.read_text(errors="replace").splitlines():
+            kind, _, rest = line.strip().partition(" ")
+            if kind == "v":
+                vertices.append([float(word) for word in rest.split()[:3]])
+            elif kind in ("o", "g") and groups[-1]:
+                groups.append([])
+            elif kind == "f":
+                corners = [_parse_corner(word, len(vertices)) for word in rest.split()]
+                groups[-1] += [(corners[0], *pair) for pair in itertools.pairwise(corners[1:])]
+        points = np.array(vertices, dtype=np.float64).reshape(-1, 3)
+        found = tuple(np.array(faces, dtype=np.int64).reshape(-1, 3) for faces in groups if faces)
+    except (OSError, ValueError, IndexError) as error:
+        raise DataFormatError(f"{path}: not an OBJ file of triangles ({error}); check the file") from error
+    if not found:
+        raise DataFormatError(f"{path}: the mesh is empty; check the file")
+    # Checked at the end: faces may precede their vertices.
+    numbers = np.concatenate(found)
+    if numbers.min() < 0 or numbers.max() >= len(points):
+        raise DataFormatError(f"{path}: a face names a corner that is not there; check the file")
+    if not np.isfinite(points).all():
+        raise DataFormatError(f"{path}: a vertex is not finite; check the file")
+    return ObjMesh(points, found)
+
+
+def check_obj(path: Path) -> None:
+    """Check quickly that PyBullet can load an OBJ file: it crashes on vertex numbers out of range.
+
+    Raises:
+        DataFormatError: The file cannot be read, or a vertex number is out of range.
+    """
+    try:
+        if not stat.S_ISREG(path.stat().st_mode):
+            raise DataFormatError(f"{path}: not a plain file; check the model")
+        lines = path.read_text(errors="replace").splitlines()
+    except OSError as error:
+        raise DataFormatError(f"{path}: cannot read this mesh ({error.strerror or error})") from error
+    count = sum(line.startswith(("v ", "v\t")) for line in lines)
+    faces = " ".join(line[2:] for line in lines if line.startswith(("f ", "f\t")))
+    corners = np.array([int(number) for number in _CORNERS.findall(faces)], dtype=np.int64)
+    if len(corners) and (corners.max() > count or corners.min() < -count or not corners.all()):
+        raise DataFormatError(f"{path}: a face names a corner that is not there; check the file")
+
+
+def _parse_corner(word: str, known: int) -> int:
+    """Parse a face's corner and return its 0-based vertex number.
+
+    OBJ files count vertices from 1, or backwards from -1, the last vertex before the face.
+    """
+    number = int(word.partition("/")[0])
+    return number - 1 if number > 0 else known + number if number < 0 else -1

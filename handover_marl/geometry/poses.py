@@ -1,0 +1,179 @@
+"""Rigid poses as arrays (..., 7): position xyz (m) and quaternion xyzw.
+
+A pose `a_from_b` maps coordinates in frame b to coordinates in frame a. Arrays are neither
+normalised nor cast: results of float32 arrays are float32, of mixed arrays float64, because the
+outcome of an episode can depend on the last bit. Euler angles are intrinsic XYZ angles in rad.
+"""
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+#: Identity pose (7,).
+IDENTITY = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+IDENTITY.flags.writeable = False
+
+
+def quaternion_multiply(left: npt.ArrayLike, right: npt.ArrayLike) -> Array:
+    """Compute the Hamilton product of quaternions (..., 4) xyzw: rotate by `right`, then `left`."""
+    ax, ay, az, aw = _components(left)
+    bx, by, bz, bw = _components(right)
+    return np.stack(
+        [
+            aw * bx + bw * ax + ay * bz - by * az,
+            aw * by + bw * ay + az * bx - bz * ax,
+            aw * bz + bw * az + ax * by - bx * ay,
+            aw * bw - ax * bx - ay * by - az * bz,
+        ],
+        axis=-1,
+    )
+
+
+def rotate_points(quaternion: npt.ArrayLike, points: npt.ArrayLike) -> Array:
+    """Rotate points (..., 3) by unit quaternions (..., 4) xyzw."""
+    return transform_points(np.concatenate([np.zeros((*np.shape(quaternion)[:-1], 3)), quaternion], axis=-1), points)
+
+
+def transform_points(a_from_b: npt.ArrayLike, points: npt.ArrayLike) -> Array:
+    """Transform points (..., 3) from frame b to frame a by poses `a_from_b` (..., 7)."""
+    tx, ty, tz, *quaternion = _components(a_from_b)
+    x, y, z, w = quaternion
+    px, py, pz = _components(points)
+    return np.stack(
+        [
+            tx + px + 2.0 * (-(y * y + z * z) * px + (x * y - w * z) * py + (w * y + x * z) * pz),
+            ty + py + 2.0 * ((w * z + x * y) * px - (x * x + z * z) * py + (y * z - w * x) * pz),
+            tz + pz + 2.0 * ((x * z - w * y) * px + (w * x + y * z) * py - (x * x + y * y) * pz),
+        ],
+        axis=-1,
+    )
+
+
+def quaternion_from_matrix(matrix: npt.ArrayLike) -> Array:
+    """Convert rotation matrices (..., 3, 3) to unit quaternions (..., 4) xyzw (Shepperd's method).
+
+    Recent SciPy versions orthogonalise the matrix first and older ones do not, which changes the eighth digit for
+    matrices stored as float32; this function gives the same bits with every SciPy version.
+    """
+    q = unnormalized_quaternion_from_matrix(matrix)
+    unit: Array = q / np.sqrt(q[..., None, :] @ q[..., :, None])[..., 0]
+    return unit
+
+
+def unnormalized_quaternion_from_matrix(matrix: npt.ArrayLike) -> Array:
+    """Convert rotation matrices (..., 3, 3) to quaternions (..., 4) xyzw without normalisation.
+
+    A quaternion is scaled by 4 times its largest entry.
+    """
+    m = np.asarray(matrix, dtype=np.float64)
+    trace = m[..., 0, 0] + m[..., 1, 1] + m[..., 2, 2]
+    largest = np.argmax(np.stack([m[..., 0, 0], m[..., 1, 1], m[..., 2, 2], trace], axis=-1), axis=-1)
+    # Row i is the quaternion times four times its entry i; the largest entry is the most accurate divisor.
+    rows = np.empty((*trace.shape, 4, 4))
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        rows[..., i, i] = 1.0 - trace + 2.0 * m[..., i, i]
+        rows[..., i, j] = rows[..., j, i] = m[..., j, i] + m[..., i, j]
+        rows[..., i, 3] = rows[..., 3, i] = m[..., k, j] - m[..., j, k]
+    rows[..., 3, 3] = 1.0 + trace
+    row: Array = np.take_along_axis(rows, largest[..., None, None], axis=-2)[..., 0, :]
+    return row
+
+
+def poses_from_matrices(matrices: npt.ArrayLike) -> Array:
+    """Convert homogeneous matrices (n, 4, 4) to poses (n, 7)."""
+    transforms = np.asarray(matrices)
+    return poses_from_rotations(transforms[:, :3, 3], transforms[:, :3, :3])
+
+
+def poses_from_rotations(positions: npt.ArrayLike, rotations: npt.ArrayLike) -> Array:
+    """Combine positions (..., 3) and rotation matrices (..., 3, 3) to poses (..., 7)."""
+    return np.concatenate([np.asarray(positions), quaternion_from_matrix(rotations)], axis=-1)
+
+
+def compose(a_from_b: npt.ArrayLike, b_from_c: npt.ArrayLike) -> Array:
+    """Return the product of the poses `a_from_b` and `b_from_c`: the pose `a_from_c` (..., 7)."""
+    outer, inner = np.asarray(a_from_b), np.asarray(b_from_c)
+    position = transform_points(outer, inner[..., :3])
+    return np.concatenate([position, quaternion_multiply(outer[..., 3:], inner[..., 3:])], axis=-1)
+
+
+def invert_pose(a_from_b: npt.ArrayLike) -> Array:
+    """Return the inverse `b_from_a` (..., 7) of a pose `a_from_b`."""
+    pose = np.asarray(a_from_b)
+    conjugate = pose[..., 3:] * np.array([-1.0, -1.0, -1.0, 1.0])
+    return np.concatenate([-rotate_points(conjugate, pose[..., :3]), conjugate], axis=-1)
+
+
+def inverse_transform_points(a_from_b: npt.ArrayLike, points: npt.ArrayLike) -> Array:
+    """Transform points (..., 3) from frame a to frame b by the inverses of poses `a_from_b`."""
+    pose = np.asarray(a_from_b, dtype=np.float64)
+    conjugate = pose[..., 3:] * np.array([-1.0, -1.0, -1.0, 1.0])
+    return rotate_points(conjugate, np.asarray(points, dtype=np.float64) - pose[..., :3])
+
+
+def rotation_angle(first: npt.ArrayLike, second: npt.ArrayLike) -> float:
+    """Return the rotation angle (rad, 0 to pi) between two unit quaternions (4,) xyzw.
+
+    A quaternion and its negative are the same rotation.
+    """
+    a, b = np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)
+    return float(np.arccos(np.clip(2.0 * np.dot(a, b) ** 2 - 1.0, -1.0, 1.0)))
+
+
+def quaternions_from_euler(angles: npt.ArrayLike) -> Array:
+    """Convert XYZ Euler angles (n, 3) in rad to unit quaternions (n, 4) xyzw.
+
+    The result equals SciPy's to the bit and is computed several times as fast.
+    """
+    half = np.asarray(angles, dtype=np.float64).T / 2.0
+    (sx, sy, sz), (cx, cy, cz) = np.sin(half), np.cos(half)
+    x, y, z, w = sx * cy, cx * sy, sx * sy, cx * cy
+    return np.stack([x * cz + y * sz, y * cz - x * sz, z * cz + w * sz, w * cz - z * sz], axis=-1)
+
+
+def unwrap_euler(angles: Array, previous: Array) -> Array:
+    """Unwrap XYZ Euler angles (n, 3): the same rotations without jumps from row to row.
+
+    Each row is the solution nearest to the row before it, in the sum of absolute differences.
+
+    Args:
+        angles: (n, 3) XYZ Euler angles (rad).
+        previous: (3,) angles before the first row (rad).
+    """
+    rows = np.empty(angles.shape)
+    done = 0
+    # Vectorized: rows with the same solution and full turns as the first row are taken at once.
+    while done < len(angles):
+        rest = angles[done:]
+        solution, turns = _select_nearest(rest[:1], previous[None])
+        guess = _euler_solutions(rest)[:, solution[0]] + 2.0 * np.pi * turns[0]
+        before = np.concatenate([previous[None], guess[:-1]])
+        nearest, nearest_turns = _select_nearest(rest, before)
+        is_right = (nearest == solution[0]) & (nearest_turns == turns[0]).all(axis=1)
+        count = len(rest) if is_right.all() else int(is_right.argmin())
+        rows[done : done + count] = guess[:count]
+        done, previous = done + count, guess[count - 1]
+    return rows
+
+
+def _euler_solutions(angles: Array) -> Array:
+    """Return both Euler solutions (n, 2, 3) of each rotation, up to multiples of 2 pi."""
+    return np.stack([angles, [np.pi, np.pi, np.pi] + angles * [1.0, -1.0, 1.0]], axis=1)
+
+
+def _select_nearest(angles: Array, previous: Array) -> tuple[npt.NDArray[np.int_], Array]:
+    """Select the Euler solution nearest to the previous angles (n, 3).
+
+    Returns its index (n,) and the full turns (n, 3) that are added to it.
+    """
+    solutions = _euler_solutions(angles)
+    turns = np.round((previous[:, None] - solutions) / (2.0 * np.pi))
+    distances = np.abs(solutions + 2.0 * np.pi * turns - previous[:, None]).sum(axis=2)
+    nearest = distances.argmin(axis=1)
+    return nearest, turns[np.arange(len(angles)), nearest]
+
+
+def _components(vectors: npt.ArrayLike) -> npt.NDArray[np.floating]:
+    return np.moveaxis(np.asarray(vectors), -1, 0)

@@ -1,0 +1,192 @@
+"""Shapes, masses, friction and joint limits of the links of a URDF model."""
+
+import functools
+import math
+import re
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.errors import SimulationError
+from handover_marl.geometry.kinematic_tree import KinematicTree, matrix_from_rpy, read_attribute
+from handover_marl.geometry.poses import poses_from_rotations
+
+Color = tuple[float, ...]
+
+# Bullet's values for links without a <contact> element.
+_FRICTION, _SPINNING_FRICTION = "0.5", "0"
+_WHITE = (1.0, 1.0, 1.0, 1.0)
+_PACKAGE = "package://"
+_MESH_NAME = re.compile(rb"""filename\s*=\s*["']([^"']+)["']""")
+
+
+@dataclass(frozen=True)
+class UrdfLink:
+    """Inertial and contact properties of one link of a URDF model.
+
+    Attributes:
+        mass: Mass in kg.
+        center: Centre of mass (x, y, z) in the link's frame (m).
+        friction: Lateral friction; Bullet multiplies the values of two touching links.
+        spinning_friction: Torsional friction: torque about the contact normal per newton of normal force (m).
+        limits: Lower and upper limit of the joint that carries the link (rad, m), or None.
+    """
+
+    mass: float = 0.0
+    center: tuple[float, ...] = (0.0, 0.0, 0.0)
+    friction: float = float(_FRICTION)
+    spinning_friction: float = 0.0
+    limits: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class UrdfShape:
+    """Collision or visual shape of a link of a URDF model.
+
+    Attributes:
+        link: Number of the link, -1 for the base.
+        kind: "mesh", "box" or "sphere".
+        size: Scale of a mesh along its axes, side lengths of a box (m), or radius of a sphere (m).
+        mesh: File of a mesh, else None.
+        link_from_shape: (7,) pose of the shape in the link's frame, xyz (m) and quaternion xyzw.
+        color: Red, green, blue and opacity, 0 to 1.
+    """
+
+    link: int
+    kind: str
+    size: tuple[float, ...]
+    mesh: Path | None
+    link_from_shape: npt.NDArray[np.float64]
+    color: Color
+
+
+def read_urdf_links(urdf: Path, tree: KinematicTree) -> list[UrdfLink]:
+    """Read the properties of all links of a URDF model by link number; the base link is last.
+
+    Args:
+        urdf: URDF file of the model.
+        tree: Kinematic tree of the model.
+
+    Raises:
+        SimulationError: A number cannot be read.
+    """
+    numbers = {joint.link: number for number, joint in enumerate(tree.joints)}
+    links = [UrdfLink()] * (len(numbers) + 1)
+    try:
+        robot = ET.parse(urdf).getroot()
+        limits = {read_attribute(joint, "child", "link"): _read_limits(joint) for joint in robot.findall("joint")}
+        for element in robot.findall("link"):
+            name = element.attrib["name"]
+            links[numbers.get(name, -1)] = _read_link(element, limits.get(name))
+    except (OSError, ET.ParseError, ValueError, KeyError) as error:
+        raise SimulationError(f"{urdf}: cannot read its links ({error!r}); check the file") from error
+    return links
+
+
+def _read_link(element: ET.Element, limits: tuple[float, float] | None) -> UrdfLink:
+    inertial, contact = element.find("inertial"), element.find("contact")
+    mass, center = "0", "0 0 0"
+    if inertial is not None:
+        mass, center = read_attribute(inertial, "mass", "value", "0"), read_attribute(inertial, "origin", "xyz", center)
+    friction, spinning = _FRICTION, _SPINNING_FRICTION
+    if contact is not None:
+        friction = read_attribute(contact, "lateral_friction", "value", friction)
+        spinning = read_attribute(contact, "spinning_friction", "value", spinning)
+    position = tuple(float(value) for value in center.split())
+    if len(position) != 3:
+        raise ValueError(f"expected 3 numbers, found {center!r}")
+    return UrdfLink(float(mass), position, float(friction), float(spinning), limits)
+
+
+def _read_limits(joint: ET.Element) -> tuple[float, float] | None:
+    if joint.attrib["type"] not in ("revolute", "prismatic") or joint.find("limit") is None:
+        return None
+    lower, upper = (float(read_attribute(joint, "limit", name, "0")) for name in ("lower", "upper"))
+    # The URDF files of human hands mark joints without limits by a lower limit above the upper one.
+    return (lower, upper) if lower <= upper else None
+
+
+def list_mesh_references(urdf: Path) -> list[tuple[str, Path]]:
+    """List name and path of every mesh file in a URDF file, even in an otherwise invalid file.
+
+    Raises:
+        OSError: The URDF file cannot be read.
+    """
+    names = [name.decode(errors="replace") for name in _MESH_NAME.findall(urdf.read_bytes())]
+    return [(name, urdf.parent / name.removeprefix(_PACKAGE)) for name in names]
+
+
+def read_urdf_shapes(urdf: Path, tree: KinematicTree, purpose: str) -> list[UrdfShape]:
+    """Read all collision or all visual shapes of a URDF model; an unchanged file is read once.
+
+    Args:
+        urdf: URDF file of the model.
+        tree: Kinematic tree of the model.
+        purpose: "collision" or "visual".
+
+    Raises:
+        SimulationError: A shape is neither mesh, box nor sphere, or an attribute is missing.
+    """
+    return list(_read_shapes(urdf, urdf.stat().st_mtime_ns if urdf.exists() else 0, tree, purpose))
+
+
+@functools.lru_cache(maxsize=256)
+def _read_shapes(urdf: Path, changed: int, tree: KinematicTree, purpose: str) -> tuple[UrdfShape, ...]:
+    robot = ET.parse(urdf).getroot()
+    numbers = {joint.link: number for number, joint in enumerate(tree.joints)}
+    try:
+        colors = {material.get("name"): _read_color(material) for material in robot.findall("material")}
+    except (ValueError, KeyError) as error:
+        raise SimulationError(f"{urdf}: cannot read a material's colour ({error!r}); check the file") from error
+    shapes = []
+    for link in robot.findall("link"):
+        for element in link.findall(purpose):
+            try:
+                color = _resolve_color(element.find("material"), colors)
+                shapes.append(_read_shape(element, numbers.get(link.attrib["name"], -1), urdf.parent, color))
+            except (ValueError, KeyError, IndexError, TypeError) as error:
+                raise SimulationError(
+                    f"{urdf}: cannot read a {purpose} shape of link {link.get('name')!r} ({error!r}); check the file"
+                ) from error
+    return tuple(shapes)
+
+
+def _read_shape(element: ET.Element, link: int, folder: Path, color: Color) -> UrdfShape:
+    geometry = element.find("geometry")
+    if geometry is None:
+        raise ValueError("no geometry")
+    shape, mesh = geometry[0], None
+    if shape.tag == "mesh":
+        size, mesh = shape.get("scale", "1 1 1"), folder / shape.attrib["filename"].removeprefix(_PACKAGE)
+    elif shape.tag == "box":
+        size = shape.attrib["size"]
+    elif shape.tag == "sphere":
+        size = shape.attrib["radius"]
+    else:
+        raise ValueError(f"<{shape.tag}> is neither mesh nor box nor sphere")
+    numbers = _parse_numbers(size, 1 if shape.tag == "sphere" else 3)
+    xyz, rpy = (read_attribute(element, "origin", name, "0 0 0") for name in ("xyz", "rpy"))
+    _parse_numbers(rpy, 3)
+    pose = poses_from_rotations(np.array(_parse_numbers(xyz, 3)), matrix_from_rpy(rpy))
+    return UrdfShape(link, shape.tag, numbers, mesh, pose, color)
+
+
+def _parse_numbers(text: str, count: int) -> tuple[float, ...]:
+    values = tuple(float(value) for value in text.split())
+    if len(values) != count or not all(math.isfinite(value) for value in values):
+        raise ValueError(f"expected {count} finite numbers, found {text!r}")
+    return values
+
+
+def _resolve_color(material: ET.Element | None, named: dict[str | None, Color | None]) -> Color:
+    if material is None:
+        return _WHITE
+    return _read_color(material) or named.get(material.get("name")) or _WHITE
+
+
+def _read_color(material: ET.Element) -> Color | None:
+    color = material.find("color")
+    return None if color is None else _parse_numbers(color.attrib["rgba"], 4)

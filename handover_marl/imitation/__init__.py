@@ -1,1 +1,0 @@
-"""Networks that see points, trained by imitation: one room for each receiver. Needs the extra `train`."""

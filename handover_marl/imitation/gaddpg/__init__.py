@@ -1,1 +1,0 @@
-"""How the network of the receiver `gaddpg` is trained: plans on static objects, imitation, DAgger."""

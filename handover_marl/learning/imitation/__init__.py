@@ -1,0 +1,1 @@
+"""Imitation learning of the networks that the receivers `gaddpg` and `vision` use."""

@@ -1,0 +1,291 @@
+"""Generation of the expert's plans and of imitation states, in parallel processes.
+
+Results do not depend on the number of processes. Plans are cached on disk, so that an interrupted
+training can be resumed.
+"""
+
+import functools
+import hashlib
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.config import OFFICIAL_CONFIG
+from handover_marl.datasets import Dataset, open_dataset
+from handover_marl.datasets.dataset import SceneAssets
+from handover_marl.datasets.location import DataLocation, check_scene_fingerprint
+from handover_marl.errors import OptionError, ResultsError
+from handover_marl.execution.files import write_arrays
+from handover_marl.execution.pool import PoolConfig
+from handover_marl.execution.tasks import open_pool
+from handover_marl.geometry.panda import PANDA_CAMERA
+from handover_marl.geometry.ycb import CLASS_NAMES, SCENE_CLASSES
+from handover_marl.learning.imitation.gaddpg.expert import ExpertPlan, GraspExpert, GraspExpertConfig, KinematicArm
+from handover_marl.learning.imitation.gaddpg.grasp_costs import GraspCostConfig, GraspCostTable
+from handover_marl.learning.imitation.gaddpg.rollouts import ImitationRolloutConfig, ImitationRollouts, StepPolicy
+from handover_marl.learning.imitation.gaddpg.scenarios import ImitationScenarioConfig, ImitationScenarios
+from handover_marl.learning.imitation.gaddpg.states import ImitationStates, concatenate_states
+from handover_marl.policies.policy import make_policy_context
+
+#: Number of plans in a file, and of scenarios in the task of a worker.
+CHUNK_SIZE = 16
+
+ExpertPlans = dict[int, ExpertPlan]
+
+_Task = TypeVar("_Task")
+_Result = TypeVar("_Result")
+
+
+@dataclass(frozen=True)
+class DataGeneratorConfig:
+    """Configuration of the generation of imitation data.
+
+    Attributes:
+        scenes: Numbers of the training scenes.
+        dataset: Dataset: dexycb, synthetic, or auto.
+        data_dir: Folder in HandoverSim's layout.
+        seed: Seed of all random numbers.
+        scenarios: Distribution of the scenarios.
+        costs: Costs of grasps.
+        expert: Choice of goals by the expert.
+        rollouts: Configuration of the rollouts.
+    """
+
+    scenes: tuple[int, ...]
+    dataset: str = "auto"
+    data_dir: str | None = None
+    seed: int = 0
+    scenarios: ImitationScenarioConfig = field(default_factory=ImitationScenarioConfig)
+    costs: GraspCostConfig = field(default_factory=GraspCostConfig)
+    expert: GraspExpertConfig = field(default_factory=GraspExpertConfig)
+    rollouts: ImitationRolloutConfig = field(default_factory=ImitationRolloutConfig)
+
+
+class RolloutTask(NamedTuple):
+    """Task of a worker: imitation rollouts of some scenarios.
+
+    Attributes:
+        numbers: Numbers of the scenarios.
+        plans: Plans of the expert in these scenarios.
+        repetition: Index of the repetition of the rollouts, which seeds the random numbers.
+    """
+
+    numbers: list[int]
+    plans: list[ExpertPlan]
+    repetition: int
+
+
+class DataGenerator:
+    """Generator of the expert's plans and of imitation states in one process.
+
+    Args:
+        config: Configuration of the data generation.
+
+    Raises:
+        HandoverError: The dataset cannot be opened.
+    """
+
+    def __init__(self, config: DataGeneratorConfig) -> None:
+        self._data, self._seed = open_dataset(config.dataset, config.data_dir, PANDA_CAMERA), config.seed
+        context = make_policy_context(self._data)
+        arm = KinematicArm(context)
+        self._scenarios = ImitationScenarios(
+            self._data, config.scenes, arm.arm, context.panda, config.seed, config.scenarios
+        )
+        self._expert = GraspExpert(context, GraspCostTable(context, config.costs), arm, config.expert)
+        scenes = {_object_name_of(scene): scene for scene in reversed(config.scenes)}
+        load_assets = functools.cache(lambda name: self._load_assets(scenes[name]))
+        self._rollouts = ImitationRollouts(
+            arm, self._expert, OFFICIAL_CONFIG.physics, load_assets, config.rollouts, config.expert
+        )
+
+    def plan(self, number: int) -> ExpertPlan | None:
+        """Return the expert's plan in a scenario by number; None if no grasp is reachable."""
+        return self._expert.plan(self._scenarios.sample(number))
+
+    def collect_states(self, task: RolloutTask, policy: StepPolicy | None) -> ImitationStates:
+        """Return the imitation states of one rollout of each scenario of a task.
+
+        Args:
+            task: Scenarios with plans.
+            policy: Network's policy, or None for rollouts of the expert.
+        """
+        scenarios = [self._scenarios.sample(number) for number in task.numbers]
+        return self._rollouts.run(scenarios, task.plans, policy, self._seed + 1_000_003 * (task.repetition + 1))
+
+    def _load_assets(self, scene_id: int) -> SceneAssets:
+        """Return the models of a scene with the handed-over object only."""
+        assets = self._data.load_scene(scene_id).assets
+        return replace(assets, objects=assets.objects[:1])
+
+
+@functools.lru_cache(maxsize=1)
+def get_data_generator(config: DataGeneratorConfig) -> DataGenerator:
+    """Return the data generator of this process, created at the first call."""
+    return DataGenerator(config)
+
+
+def list_shared_scenes(data: Dataset, setups: Sequence[str]) -> tuple[int, ...]:
+    """Return the scenes in the training splits of all given setups whose object has known grasps.
+
+    Raises:
+        OptionError: There are no such scenes.
+    """
+    common = set.intersection(*(set(data.list_scenes(setup, "train")) for setup in setups)) if setups else set[int]()
+    has_grasps = {name: data.load_grasps(name) is not None for name in {_object_name_of(scene) for scene in common}}
+    scenes = tuple(scene for scene in sorted(common) if has_grasps[_object_name_of(scene)])
+    if not scenes:
+        raise OptionError(f"setups must share training scenes with known grasps, got {list(setups)}")
+    return scenes
+
+
+def make_plans(
+    folder: Path,
+    config: DataGeneratorConfig,
+    count: int,
+    pool: PoolConfig,
+    report: Callable[[int], None] = lambda n: None,
+) -> ExpertPlans:
+    """Return the expert's plans in scenarios 0 to `count` - 1; read those that are on disk.
+
+    Scenarios without a reachable grasp are left out.
+
+    Args:
+        folder: Folder of the files.
+        config: Configuration of the data generation.
+        count: Number of scenarios.
+        pool: Worker processes.
+        report: Function that is called with the number of newly finished scenarios.
+
+    Raises:
+        ResultsError: A file is damaged or cannot be written.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    key = hashlib.sha256(repr((config.scenes, config.seed, config.scenarios, config.costs, config.expert)).encode())
+    paths = {first: folder / f"plans-{key.hexdigest()[:12]}-{first:06d}.npz" for first in range(0, count, CHUNK_SIZE)}
+    missing = [first for first, path in paths.items() if not path.exists()]
+    report(count - CHUNK_SIZE * len(missing))
+    for index, plans in _map_unordered(_plan_chunk, config, missing, pool):
+        _write_plans(paths[missing[index]], plans)
+        report(CHUNK_SIZE)
+    found: ExpertPlans = {}
+    for path in paths.values():
+        found |= _read_plans(path)
+    return {number: plan for number, plan in found.items() if number < count}
+
+
+def collect_states(
+    config: DataGeneratorConfig,
+    tasks: Sequence[RolloutTask],
+    weights: bytes | None,
+    pool: PoolConfig,
+    report: Callable[[], None] = lambda: None,
+) -> ImitationStates:
+    """Return the imitation states of all rollouts, in the order of the tasks.
+
+    Args:
+        config: Configuration of the data generation.
+        tasks: Rollouts.
+        weights: Content of the network's file of weights; None for rollouts of the expert.
+        pool: Worker processes.
+        report: Function that is called when a task is finished.
+    """
+    found: dict[int, ImitationStates] = {}
+    for index, states in _map_unordered(functools.partial(_collect_task, weights), config, tasks, pool):
+        found[index] = states
+        report()
+    return concatenate_states([found[index] for index in range(len(tasks))])
+
+
+def _plan_chunk(generator: DataGenerator, first: int) -> ExpertPlans:
+    plans = {number: generator.plan(number) for number in range(first, first + CHUNK_SIZE)}
+    return {number: plan for number, plan in plans.items() if plan is not None}
+
+
+def _collect_task(weights: bytes | None, generator: DataGenerator, task: RolloutTask) -> ImitationStates:
+    return generator.collect_states(task, None if weights is None else _load_policy(weights))
+
+
+@functools.lru_cache(maxsize=1)
+def _load_policy(weights: bytes) -> StepPolicy:
+    # Imports PyTorch, which planning does not need.
+    import torch
+
+    from handover_marl.learning.networks.gaddpg_network import GaddpgNetwork
+    from handover_marl.learning.networks.weights import read_network_weights
+
+    torch.set_num_threads(1)
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / "weights.npz"
+        file.write_bytes(weights)
+        return read_network_weights(file, GaddpgNetwork)[0].predict_steps
+
+
+def _map_unordered(
+    function: Callable[[DataGenerator, _Task], _Result],
+    config: DataGeneratorConfig,
+    tasks: Sequence[_Task],
+    pool: PoolConfig,
+) -> Iterator[tuple[int, _Result]]:
+    """Yield index and result of each task as it finishes, in this process or in workers.
+
+    Raises:
+        WorkerError: A worker died twice at the same task, or the cluster cannot be used.
+        DataFormatError: The data of another machine differ.
+    """
+    if tasks:
+        workers = open_pool(pool)
+        make_generator = functools.partial(get_data_generator, config)
+        if workers.is_remote:
+            make_generator = functools.partial(_load_remote_generator, config, *_read_fingerprints(config))
+        yield from workers.map_unordered(
+            lambda: nullcontext(functools.partial(function, make_generator())),
+            tasks,
+            lambda _: "generating plans or states",
+        )
+
+
+def _read_fingerprints(config: DataGeneratorConfig) -> tuple[DataLocation, dict[int, str]]:
+    """Return the location of the data, and a fingerprint of one scene per object class."""
+    data = open_dataset(config.dataset, config.data_dir, PANDA_CAMERA)
+    scenes = {_object_name_of(scene): scene for scene in reversed(config.scenes)}.values()
+    return DataLocation.from_data_dir(config.data_dir), {scene: data.compute_fingerprint(scene) for scene in scenes}
+
+
+def _load_remote_generator(
+    config: DataGeneratorConfig, location: DataLocation, fingerprints: dict[int, str]
+) -> DataGenerator:
+    local = replace(config, data_dir=location.resolve())
+    data = open_dataset(local.dataset, local.data_dir, PANDA_CAMERA)
+    for scene, fingerprint in fingerprints.items():
+        check_scene_fingerprint(scene, data.compute_fingerprint(scene), fingerprint)
+    return get_data_generator(local)
+
+
+def _object_name_of(scene_id: int) -> str:
+    """Return the class of the handed-over object; scenes are numbered 100 subject + 5 object + trial."""
+    return CLASS_NAMES[SCENE_CLASSES[scene_id % 100 // 5]]
+
+
+def _write_plans(path: Path, plans: ExpertPlans) -> None:
+    arrays: dict[str, npt.NDArray[Any]] = {"numbers": np.array(sorted(plans), dtype=np.int64)}
+    for number, plan in plans.items():
+        arrays |= {f"{name}_{number}": value for name, value in vars(plan).items()}
+    write_arrays(path, arrays)
+
+
+def _read_plans(path: Path) -> ExpertPlans:
+    try:
+        with np.load(path, allow_pickle=False) as content:
+            return {
+                number: ExpertPlan(*(content[f"{name}_{number}"] for name in ("goals", "costs", "trajectory")))
+                for number in content["numbers"].tolist()
+            }
+    except Exception as error:  # NumPy and zipfile raise many kinds on damaged bytes
+        raise ResultsError(f"{path}: not a file of plans ({type(error).__name__}); remove it and resume") from error

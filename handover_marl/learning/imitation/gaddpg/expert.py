@@ -1,0 +1,236 @@
+"""Expert for imitation learning: selection of the grasp to approach, and a plan to reach it.
+
+Candidates are the cheapest grasps that the arm reaches both by full inverse kinematics and by the
+receiver's own stepwise control, which stalls near singular postures. The planner `omg` (Wang et
+al., RSS 2020) chooses among the best ones and plans a trajectory of waypoints 0.15 s apart.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from handover_marl.config import ARM_DOF
+from handover_marl.geometry.distance_field import load_object_sdf
+from handover_marl.geometry.panda import OPEN
+from handover_marl.geometry.poses import compose, invert_pose
+from handover_marl.learning.imitation.gaddpg.grasp_costs import PAD_OFFSET, GraspCostTable, compute_travel_costs
+from handover_marl.learning.imitation.gaddpg.scenarios import ImitationScenario
+from handover_marl.learning.networks.approach_field import ApproachFieldConfig, compute_approach_steps
+from handover_marl.planning.arm_control import ArmInWorld
+from handover_marl.planning.inverse_kinematics import make_ik_stepper
+from handover_marl.planning.planner import Planner
+from handover_marl.planning.planner_config import ChompConfig, PlannerConfig
+from handover_marl.planning.trajectory_cost import Obstacle
+from handover_marl.policies.policy import PolicyContext
+
+Array = npt.NDArray[np.float64]
+
+# Share of the way to its target that a joint covers in one decision: 150 steps with gain 0.01.
+_SETTLED_FRACTION = 1.0 - 0.99**150
+
+
+class KinematicArm:
+    """Kinematic model of the arm with lagging motors, controlled as by the receiver `gaddpg`.
+
+    Args:
+        context: Context with the robot's model.
+
+    Raises:
+        SimulationError: The robot's model cannot be loaded.
+
+    Attributes:
+        arm: Kinematics of the arm.
+    """
+
+    def __init__(self, context: PolicyContext) -> None:
+        self.arm = ArmInWorld.for_panda(context.panda_urdf, context.panda)
+        self._stepper = make_ik_stepper(context.panda_urdf, context.panda)
+
+    def move(self, joints: Array, step: Array) -> Array:
+        """Return the arm joints (7,) after one step of the hand (rad).
+
+        Args:
+            joints: (7,) present arm joints (rad).
+            step: (6,) translation (m) and extrinsic xyz Euler angles (rad) in the hand's frame.
+        """
+        rotation = Rotation.from_euler("xyz", step[3:]).as_quat()
+        target = compose(self.arm.hand(joints), np.concatenate([step[:3], rotation]))
+        solution = self._stepper.solve_step([*joints, OPEN, OPEN], target[:3], target[3:])[:ARM_DOF]
+        return np.clip(joints + _SETTLED_FRACTION * (solution - joints), *self.arm.limits)
+
+
+@dataclass(frozen=True)
+class GraspExpertConfig:
+    """Configuration of the expert's selection of grasps.
+
+    Attributes:
+        candidates: Number of the cheapest reachable grasps whose approach is simulated.
+        planner_goals: Number of the best candidates among which the planner chooses.
+        max_decisions: Largest number of decisions of an approach.
+        tolerance: Distance from the goal at which an approach ends (m), rotation included.
+        rotation_weight: Weight of the rotation in distances between poses of the hand (m/rad).
+        miss_cost: Cost per metre of remaining distance at the end of an approach.
+        max_miss: Remaining distance above which there is no plan (m).
+        decision_cost: Cost of a decision (m).
+        max_excess_cost: Largest excess of a goal's cost over the cheapest goal's (m).
+        switch_margin: Cost by which another goal must be cheaper to replace the planner's (m).
+        standoff: Distance of the standoff from a grasp, which must be reachable too (m).
+        max_joint_change: Largest change of a joint between standoff and grasp (rad).
+        approach: Rule for the steps to a goal.
+        use_planner: Whether the planner chooses the goal; otherwise the cheapest is approached by
+            the receiver's own control.
+        planner: Configuration of the planner.
+    """
+
+    candidates: int = 24
+    planner_goals: int = 4
+    max_decisions: int = 20
+    tolerance: float = 0.015
+    rotation_weight: float = 0.05
+    miss_cost: float = 20.0
+    max_miss: float = 0.03
+    decision_cost: float = 0.02
+    max_excess_cost: float = 0.15
+    switch_margin: float = 0.03
+    standoff: float = 0.06
+    max_joint_change: float = 0.8
+    approach: ApproachFieldConfig = field(default_factory=ApproachFieldConfig)
+    use_planner: bool = True
+    planner: PlannerConfig = field(default_factory=lambda: PlannerConfig(chomp=ChompConfig(n_waypoints=20)))
+
+
+@dataclass(frozen=True, eq=False)
+class ExpertPlan:
+    """Plan of the expert in a scenario: goal grasps, and a trajectory to one of them.
+
+    Attributes:
+        goals: (g, 7) world poses of the hand link, the planner's goal first.
+        costs: (g,) costs of the goals, without the motion (m).
+        trajectory: (w, 7) arm joints of the planner (rad).
+    """
+
+    goals: Array
+    costs: Array
+    trajectory: Array
+
+    def choose_goal(self, hand: Array, config: GraspExpertConfig) -> Array:
+        """Return the goal grasp (7,) to approach from a pose (7,) of the hand."""
+        costs = self.costs + compute_travel_costs(hand, self.goals)
+        costs[0] -= config.switch_margin
+        chosen: Array = self.goals[int(np.argmin(costs))]
+        return chosen
+
+
+class GraspExpert:
+    """Planner of the motions that the network of the receiver `gaddpg` imitates.
+
+    Args:
+        context: Robot and objects.
+        table: Grasps of the objects with their costs.
+        arm: Model of the arm as the receiver `gaddpg` controls it.
+        config: Configuration of the selection of grasps.
+    """
+
+    def __init__(
+        self, context: PolicyContext, table: GraspCostTable, arm: KinematicArm, config: GraspExpertConfig
+    ) -> None:
+        self._context, self._table, self._arm, self._config = context, table, arm, config
+        panda = context.panda
+        self._world_from_base = np.array([*panda.base_position, *panda.base_orientation])
+        start = np.array(panda.start_joints[:ARM_DOF])
+        self._planner = Planner(context.panda_urdf, start, config.planner)
+
+    def plan(self, scenario: ImitationScenario) -> ExpertPlan | None:
+        """Return the expert's plan for a scenario, or None if no grasp is reachable."""
+        goals, costs = self.find_goals(scenario.object_name, scenario.object_pose, scenario.joints, scenario.occluder)
+        if not len(goals):
+            return None
+        approach = self._simulate_approach(scenario.joints, goals[0])
+        if self._distance(self._arm.arm.hand(approach[-1]), goals[0]) > self._config.max_miss:
+            return None
+        if not self._config.use_planner:
+            return ExpertPlan(goals, costs - costs.min(), np.array(approach))
+        self._planner.set_start(scenario.joints)
+        base_from_world = invert_pose(self._world_from_base)
+        padding = self._config.planner.costs.padding
+        sdf = load_object_sdf(self._context.object_urdf(scenario.object_name), padding)
+        obstacle = Obstacle(sdf, compose(base_from_world, scenario.object_pose), padding)
+        plan = self._planner.plan(compose(base_from_world, goals), [obstacle])
+        if plan is None:
+            return None
+        first = int(plan.goals.grasps[plan.chosen])
+        order = np.array([first, *(number for number in range(len(goals)) if number != first)])
+        return ExpertPlan(goals[order], costs[order] - costs.min(), plan.trajectory)
+
+    def find_goals(self, object_name: str, object_pose: Array, joints: Array, occluder: Array) -> tuple[Array, Array]:
+        """Return the best grasps to approach, cheapest first, and their costs without the motion.
+
+        Args:
+            object_name: Class of the object.
+            object_pose: (7,) world pose of the object, quaternion xyzw.
+            joints: (7,) arm joints (rad).
+            occluder: (4,) center and radius of the occluding sphere (m); radius 0 for none.
+
+        Returns:
+            (g, 7) world poses of the hand link and (g,) costs (m).
+        """
+        config, grasps = self._config, self._table.load_grasps(object_name)
+        if grasps is None:
+            return np.zeros((0, 7)), np.zeros(0)
+        world, hand = compose(object_pose, grasps.poses), self._arm.arm.hand(joints)
+        grasp_costs = self._table.compute_costs(grasps, world, hand, occluder)
+        candidates = np.flatnonzero(self._are_reachable(world, joints))
+        candidates = candidates[np.argsort(grasp_costs[candidates], kind="stable")][: config.candidates]
+        costs, best = np.full(len(world), np.inf), np.inf
+        for number in candidates:
+            # The cost of the approach is positive, so that more expensive grasps can be skipped.
+            if grasp_costs[number] < best + config.max_excess_cost:
+                costs[number] = grasp_costs[number] + self._compute_approach_cost(joints, world[number])
+                best = min(best, costs[number])
+        order = np.argsort(costs, kind="stable")[: config.planner_goals]
+        order = order[costs[order] < best + config.max_excess_cost]
+        return world[order], costs[order] - compute_travel_costs(hand, world[order])
+
+    def compute_step(self, hand: Array, goal: Array, remaining: int) -> Array:
+        """Return the step (6,) of one decision from a pose of the hand towards a goal grasp.
+
+        Args:
+            hand: (7,) present pose of the hand.
+            goal: (7,) pose to approach.
+            remaining: Number of remaining decisions.
+        """
+        step: Array = compute_approach_steps(hand[None], goal[None], np.array([remaining]), self._config.approach)[0]
+        return step
+
+    def _are_reachable(self, goals: Array, joints: Array) -> npt.NDArray[np.bool_]:
+        """Return whether the arm reaches goals (n, 7) and their standoffs in similar postures, (n,)."""
+        standoffs = compose(goals, np.array([0.0, 0.0, -self._config.standoff, 0.0, 0.0, 0.0, 1.0]))
+        before, standoff_found = self._arm.arm.solve(standoffs, np.tile(joints, (len(goals), 1)), 30)
+        after, goal_found = self._arm.arm.solve(goals, before, 15)
+        similar: npt.NDArray[np.bool_] = np.abs(after - before).max(axis=1) < self._config.max_joint_change
+        return standoff_found & goal_found & similar
+
+    def _compute_approach_cost(self, joints: Array, goal: Array) -> float:
+        """Return the cost of the simulated approach to a goal, with the remaining distance at its end."""
+        path = self._simulate_approach(joints, goal)
+        miss = max(0.0, self._distance(self._arm.arm.hand(path[-1]), goal) - self._config.tolerance)
+        return self._config.decision_cost * len(path) + self._config.miss_cost * miss
+
+    def _simulate_approach(self, joints: Array, goal: Array) -> list[Array]:
+        """Return arm joints (7,) after each decision of the receiver's approach to a goal."""
+        config, path = self._config, [joints]
+        for remaining in range(config.max_decisions, 0, -1):
+            hand = self._arm.arm.hand(path[-1])
+            if self._distance(hand, goal) < config.tolerance:
+                break
+            path.append(self._arm.move(path[-1], self.compute_step(hand, goal, remaining)))
+        return path
+
+    def _distance(self, hand: Array, goal: Array) -> float:
+        """Return the distance of the pads between two poses (7,) of the hand, rotation included (m)."""
+        relative = compose(invert_pose(goal), hand)
+        rotation = Rotation.from_quat(relative[3:])
+        pads = relative[:3] + PAD_OFFSET * (rotation.as_matrix()[:, 2] - np.array([0.0, 0.0, 1.0]))
+        return float(np.linalg.norm(pads) + self._config.rotation_weight * rotation.magnitude())

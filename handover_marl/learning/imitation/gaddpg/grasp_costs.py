@@ -1,0 +1,156 @@
+"""Grasps that are goals of the imitation expert, and their costs."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from handover_marl.config import TABLE_HEIGHT
+from handover_marl.geometry.meshes import read_collision_mesh
+from handover_marl.geometry.panda import HALF_TURN
+from handover_marl.geometry.poses import compose
+from handover_marl.planning.clearance import (
+    Spheres,
+    compute_flange_clearances,
+    compute_grasp_clearances,
+    compute_gripper_corners,
+    sample_surface_spheres,
+)
+from handover_marl.planning.goal_set import is_usable_grasp
+from handover_marl.policies.policy import PolicyContext
+from handover_marl.receivers.grasp_library import GraspLibrary
+from handover_marl.receivers.reactive.config import GraspSelectorConfig
+from handover_marl.receivers.reactive.grasp_contact import (
+    compute_hold_costs,
+    compute_pad_margins,
+    sample_surface_points,
+)
+from handover_marl.receivers.reactive.grasp_validation import validate_grasps
+from handover_marl.receivers.reactive.grasps import GraspPreparationConfig, ValidatedGrasps
+
+Array = npt.NDArray[np.float64]
+
+#: Distance of the point between the pads from the hand link's origin along its z axis (m).
+PAD_OFFSET = 0.1
+#: Cost of a rotation of the hand relative to that of the pads' travel (m/rad).
+ROTATION_COST = 0.15
+
+
+@dataclass(frozen=True)
+class GraspCostConfig:
+    """Configuration of grasp costs, in metres of travel of the gripper's pads.
+
+    Attributes:
+        validated: Whether grasps are validated and improved in simulation first (20 to 90 s per
+            object, once); otherwise the known grasps are used unchanged.
+        validation: Configuration of the validation.
+        pad_offset: Distance of the pads, whose travel counts, from the hand's origin (m).
+        rotation_cost: Cost of a rotation of the hand (m/rad).
+        hold: Costs of a loose hold, as for the receiver `reactive` (s).
+        pace: Factor that converts the costs `hold` to metres (m/s).
+        clearance: Clearance to the occluding sphere below which grasps cost more (m).
+        sweep: Length of the last straight motion, on which `clearance` is required too (m).
+        clearance_cost: Cost per metre of missing clearance.
+        table_clearance: Clearance to the table below which a grasp costs more (m).
+        table_cost: Cost of a grasp with less clearance to the table (m).
+    """
+
+    validated: bool = True
+    validation: GraspPreparationConfig = field(default_factory=GraspPreparationConfig)
+    pad_offset: float = PAD_OFFSET
+    rotation_cost: float = ROTATION_COST
+    hold: GraspSelectorConfig = field(default_factory=GraspSelectorConfig)
+    pace: float = 0.1
+    clearance: float = 0.01
+    sweep: float = 0.08
+    clearance_cost: float = 20.0
+    table_clearance: float = 0.005
+    table_cost: float = 3.0
+
+
+@dataclass(frozen=True, eq=False)
+class CostedGrasps:
+    """Grasps of one object, each in both orientations about the hand's z axis.
+
+    Attributes:
+        poses: (n, 7) poses of the hand link in the object's frame, quaternion xyzw.
+        costs: (n,) costs of a loose hold in these grasps (m).
+    """
+
+    poses: Array
+    costs: Array
+
+
+class GraspCostTable:
+    """Table of the grasps of each object class and of their costs.
+
+    Args:
+        context: Known grasps of the objects, and the robot with which they are validated.
+        config: Configuration of the costs.
+    """
+
+    def __init__(self, context: PolicyContext, config: GraspCostConfig) -> None:
+        self._context, self._config = context, config
+        self._library = GraspLibrary(context.grasps)
+        self._costed: dict[str, CostedGrasps | None] = {}
+
+    def load_grasps(self, object_name: str) -> CostedGrasps | None:
+        """Return the known grasps of an object class with costs, or None if it has no grasps.
+
+        Raises:
+            SimulationError: The object's model cannot be loaded.
+        """
+        if object_name not in self._costed:
+            self._costed[object_name] = self._load_costed_grasps(object_name)
+        return self._costed[object_name]
+
+    def compute_costs(self, grasps: CostedGrasps, world: Array, hand: Array, occluder: Array) -> Array:
+        """Return the costs (n,) of n grasps (m), with the motion to them from a pose of the hand.
+
+        Args:
+            grasps: Grasps of the object.
+            world: (n, 7) poses of these grasps in the world.
+            hand: (7,) present pose of the hand.
+            occluder: (4,) center and radius of the occluding sphere (m); radius 0 for none.
+        """
+        config = self._config
+        costs: Array = grasps.costs + compute_travel_costs(hand, world, config.pad_offset, config.rotation_cost)
+        behind = compose(world, np.array([0.0, 0.0, -config.sweep, 0.0, 0.0, 0.0, 1.0]))
+        heights = np.minimum(*(compute_gripper_corners(poses)[..., 2].min(axis=1) for poses in (world, behind)))
+        costs += config.table_cost * (heights < TABLE_HEIGHT + config.table_clearance)
+        if occluder[3] > 0.0:
+            clearances = compute_grasp_clearances(world, Spheres(occluder[None, :3], occluder[3:]), config.sweep)
+            costs += config.clearance_cost * np.maximum(0.0, config.clearance - clearances)
+        return costs
+
+    def _load_costed_grasps(self, name: str) -> CostedGrasps | None:
+        config, known = self._config, self._library.hand_poses_in_object(name)
+        if known is None:
+            return None
+        urdf = self._context.object_urdf(name)
+        validated = ValidatedGrasps(known, np.ones(len(known)))
+        if config.validated:
+            validated = validate_grasps(urdf, self._context.panda_urdf, known, config.validation)
+        vertices, faces = read_collision_mesh(urdf)
+        surface = sample_surface_spheres(vertices, faces, 150, 0.004)
+        kept = compute_flange_clearances(validated.poses, surface) > 0.0
+        kept &= is_usable_grasp(name, compose(validated.poses, np.array(HALF_TURN))) | config.validated
+        poses, success_rates = validated.poses[kept], validated.success_rates[kept]
+        if not len(poses):
+            return None
+        margins = compute_pad_margins(poses, sample_surface_points(vertices, faces, 2000))
+        costs = config.pace * compute_hold_costs(ValidatedGrasps(poses, success_rates), margins, config.hold)
+        both = np.concatenate([poses, compose(poses, np.array(HALF_TURN))])
+        return CostedGrasps(both, np.concatenate([costs, costs]))
+
+
+def compute_travel_costs(
+    hand: Array, goals: Array, pad_offset: float = PAD_OFFSET, rotation_cost: float = ROTATION_COST
+) -> Array:
+    """Return the costs (n,) of the motion from a pose (7,) of the hand to goals (n, 7) (m)."""
+    to_pads = np.array([0.0, 0.0, pad_offset, 0.0, 0.0, 0.0, 1.0])
+    distances = np.linalg.norm(compose(goals, to_pads)[:, :3] - compose(hand, to_pads)[:3], axis=1)
+    angles = (Rotation.from_quat(hand[3:]).inv() * Rotation.from_quat(goals[:, 3:])).magnitude()
+    costs: Array = distances + rotation_cost * angles
+    return costs

@@ -1,0 +1,227 @@
+"""Training of GA-DDPG's network: losses, optimizer, learning rates and averaged weights.
+
+The losses are those of GA-DDPG: the mean L1 distance of six points of the gripper between two poses.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from handover_marl.learning.imitation.gaddpg.batches import ImitationBatch
+from handover_marl.learning.imitation.gaddpg.grouped_network import evaluate_network
+from handover_marl.learning.networks.approach_field import ApproachFieldConfig
+from handover_marl.learning.networks.gaddpg_network import GaddpgNetwork
+
+# The wrist twice, and two points on each finger, in the hand link's frame (m).
+_GRIPPER_POINTS = torch.tensor(
+    [
+        [0.0, 0.0, 0.0],
+        [0.0, 0.0, 0.0],
+        [0.0, 0.053, 0.075],
+        [0.0, -0.053, 0.075],
+        [0.0, 0.053, 0.105],
+        [0.0, -0.053, 0.105],
+    ]
+)
+# The loss of actions uses points rotated by pi/2 against the Panda's fingers, as the original does.
+_QUARTER_TURNED_POINTS = _GRIPPER_POINTS[:, [1, 0, 2]]
+# A grasp rotated by pi about the hand's z axis is equivalent.
+_HALF_TURNED_POINTS = _GRIPPER_POINTS * torch.tensor([-1.0, -1.0, 1.0])
+
+
+def compute_action_losses(steps: Tensor, targets: Tensor) -> Tensor:
+    """Return the gripper distances (B,) between predicted and target steps (B, 6) (m).
+
+    A step is a translation (m) and extrinsic xyz Euler angles (rad).
+    """
+    points = _QUARTER_TURNED_POINTS.to(steps.device)
+    return _mean_l1_distance(
+        _transform_points(points, _rotations_from_euler(steps[:, 3:]), steps[:, :3]),
+        _transform_points(points, _rotations_from_euler(targets[:, 3:]), targets[:, :3]),
+    )
+
+
+def compute_goal_losses(goals: Tensor, targets: Tensor) -> Tensor:
+    """Return the gripper distances (B,) between predicted and target grasps (m).
+
+    A rotation by pi about the hand's z axis counts as no difference.
+
+    Args:
+        goals: (B, 7) outputs of the network: quaternion wxyz, then xyz (m).
+        targets: (B, 7) poses: xyz (m), then quaternion xyzw.
+    """
+    points, turned = _GRIPPER_POINTS.to(goals.device), _HALF_TURNED_POINTS.to(goals.device)
+    found = _transform_points(points, _rotations_from_quaternions(goals[:, :4]), goals[:, 4:])
+    rotations = _rotations_from_quaternions(targets[:, [6, 3, 4, 5]])
+    distances = [
+        _mean_l1_distance(found, _transform_points(either, rotations, targets[:, :3])) for either in (points, turned)
+    ]
+    return torch.minimum(*distances)
+
+
+def _mean_l1_distance(points: Tensor, others: Tensor) -> Tensor:
+    return (points - others).abs().sum(dim=-1).mean(dim=-1)
+
+
+def _transform_points(points: Tensor, rotations: Tensor, translations: Tensor) -> Tensor:
+    """Return points (6, 3) rotated by (B, 3, 3) and translated by (B, 3), as (B, 6, 3)."""
+    return points @ rotations.transpose(1, 2) + translations[:, None]
+
+
+def _rotations_from_euler(angles: Tensor) -> Tensor:
+    """Return rotation matrices (B, 3, 3) of extrinsic xyz Euler angles (B, 3)."""
+    (sa, sb, sc), (ca, cb, cc) = angles.sin().unbind(dim=1), angles.cos().unbind(dim=1)
+    rows = [
+        torch.stack([cb * cc, sb * sa * cc - ca * sc, sb * ca * cc + sa * sc], dim=1),
+        torch.stack([cb * sc, sb * sa * sc + ca * cc, sb * ca * sc - sa * cc], dim=1),
+        torch.stack([-sb, cb * sa, cb * ca], dim=1),
+    ]
+    return torch.stack(rows, dim=1)
+
+
+def _rotations_from_quaternions(quaternions: Tensor) -> Tensor:
+    """Return rotation matrices (B, 3, 3) of unit quaternions (B, 4) wxyz."""
+    w, x, y, z = quaternions.unbind(dim=1)
+    rows = [
+        torch.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], dim=1),
+        torch.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], dim=1),
+        torch.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], dim=1),
+    ]
+    return torch.stack(rows, dim=1)
+
+
+@dataclass(frozen=True)
+class GaddpgLearnerConfig:
+    """Hyperparameters of the training of GA-DDPG's network.
+
+    Attributes:
+        encoder_rate: Largest learning rate of the encoder.
+        head_rate: Largest learning rate of the head.
+        final_share: Share of the learning rates at the end of their cosine decay.
+        warmup: Number of updates in which the learning rates rise.
+        decay: Weight decay.
+        action: Weight of the loss of actions relative to that of goals.
+        half_distance: Distance of a goal at which its loss has half weight (m).
+        clip: Largest norm of the gradient.
+        averaging: Decay of the exponential average of the weights.
+        use_bfloat16: Whether matrix products are computed in bfloat16.
+    """
+
+    encoder_rate: float = 1e-3
+    head_rate: float = 6e-4
+    final_share: float = 0.01
+    warmup: int = 100
+    decay: float = 1e-4
+    action: float = 0.2
+    half_distance: float = 0.1
+    clip: float = 1.0
+    averaging: float = 0.998
+    use_bfloat16: bool = True
+
+
+class GaddpgLearner:
+    """Trainer of GA-DDPG's network, with optimizer and exponentially averaged weights.
+
+    Args:
+        updates: Number of updates of the whole training, for the learning rates.
+        seed: Seed of the initial weights.
+        device: Device to train on.
+        config: Hyperparameters.
+        approach: Rule by which the network approaches the grasps that it predicts.
+        max_steps: Number of decisions of an approach.
+
+    Attributes:
+        done: Number of updates so far.
+        averaged: Network with the averaged weights, for use after training.
+    """
+
+    def __init__(
+        self,
+        updates: int,
+        seed: int,
+        device: torch.device,
+        config: GaddpgLearnerConfig,
+        approach: ApproachFieldConfig,
+        max_steps: int | None = None,
+    ) -> None:
+        torch.manual_seed(seed)
+        self._config, self._updates, self._device = config, updates, device
+        self._network = GaddpgNetwork(approach, max_steps).to(device)
+        self.averaged = GaddpgNetwork(approach, max_steps).to(device).eval()
+        self.averaged.load_state_dict(self._network.state_dict())
+        groups = [
+            {"params": list(self._network.features.parameters()), "rate": config.encoder_rate},
+            {"params": list(self._network.policy.parameters()), "rate": config.head_rate},
+        ]
+        self._optimizer = torch.optim.AdamW(groups, lr=config.encoder_rate, weight_decay=config.decay, eps=1e-5)
+        self.done = 0
+
+    def update(self, batch: ImitationBatch) -> dict[str, float]:
+        """Update the network on a batch of states; return the losses (m)."""
+        self._network.train()
+        for group in self._optimizer.param_groups:
+            group["lr"] = group["rate"] * self._rate_share()
+        action, goal, weighted_goal = self._compute_losses(self._network, batch)
+        loss = self._config.action * action + weighted_goal
+        self._optimizer.zero_grad(set_to_none=True)
+        loss.backward()  # type: ignore[no-untyped-call]
+        torch.nn.utils.clip_grad_norm_(self._network.parameters(), self._config.clip)
+        self._optimizer.step()
+        self.done += 1
+        self._update_average()
+        return {"action": float(action.detach()), "goal": float(goal.detach())}
+
+    def evaluate(self, batch: ImitationBatch) -> dict[str, float]:
+        """Return the losses of the averaged network on a batch of states (m)."""
+        with torch.no_grad():
+            action, goal, _ = self._compute_losses(self.averaged, batch)
+        return {"action": float(action.detach()), "goal": float(goal.detach())}
+
+    def state(self) -> dict[str, Any]:
+        """Return weights, optimizer state and progress for a checkpoint."""
+        return {
+            "done": self.done,
+            "network": self._network.state_dict(),
+            "averaged": self.averaged.state_dict(),
+            "optimizer": self._optimizer.state_dict(),
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Restore weights, optimizer state and progress from a checkpoint."""
+        self._network.load_state_dict(state["network"])
+        self.averaged.load_state_dict(state["averaged"])
+        self._optimizer.load_state_dict(state["optimizer"])
+        self.done = int(state["done"])
+
+    def _compute_losses(self, network: GaddpgNetwork, batch: ImitationBatch) -> tuple[Tensor, Tensor, Tensor]:
+        """Return the mean losses of actions, of goals, and of goals weighted by their distance."""
+        moved = batch.to(self._device)
+        with torch.autocast(self._device.type, torch.bfloat16, enabled=self._config.use_bfloat16):
+            output = evaluate_network(network, moved)
+        action = compute_action_losses(output.action.float(), moved.steps).mean()
+        goals = compute_goal_losses(output.goal.float(), moved.goals)
+        # Distant goals are predicted again from nearer by.
+        distance = self._config.half_distance
+        weights = distance / (distance + moved.goals[:, :3].norm(dim=1))
+        return action, goals.mean(), (weights * goals).mean()
+
+    def _rate_share(self) -> float:
+        """Return the present share of the largest learning rates."""
+        config = self._config
+        rise = min(1.0, (self.done + 1) / max(1, config.warmup))
+        fall = 0.5 * (1.0 + math.cos(math.pi * min(1.0, self.done / max(1, self._updates))))
+        return rise * (config.final_share + (1.0 - config.final_share) * fall)
+
+    def _update_average(self) -> None:
+        # Averages over few updates at first, so that the initial weights are soon forgotten.
+        decay = min(self._config.averaging, (1.0 + self.done) / (10.0 + self.done))
+        with torch.no_grad():
+            current, averaged = self._network.state_dict(), self.averaged.state_dict()
+            for name, value in averaged.items():
+                if value.is_floating_point():
+                    value.lerp_(current[name], 1.0 - decay)
+                else:
+                    value.copy_(current[name])

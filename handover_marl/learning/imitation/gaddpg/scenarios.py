@@ -1,0 +1,191 @@
+"""Random scenarios for imitation rollouts: an object at rest, and the arm that observes it.
+
+Objects are at poses from training scenes (at the handover, on the way there, or on the table) with
+random offsets. The arm is at its start or observes the object from a random pose. Some objects are
+partly occluded by an invisible sphere in place of a hand, of which grasps keep clear.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from handover_marl.config import ARM_DOF, PandaConfig
+from handover_marl.datasets import Dataset
+from handover_marl.geometry.poses import inverse_transform_points
+from handover_marl.planning.arm_control import ArmInWorld
+
+Array = npt.NDArray[np.float64]
+
+# Distance from the initial position from which an object counts as moving (m).
+_MOVED = 0.02
+
+
+@dataclass(frozen=True)
+class ImitationScenarioConfig:
+    """Distribution of the random scenarios for imitation rollouts.
+
+    Attributes:
+        handover: Share of objects at the handover pose.
+        carried: Share of objects on the way to the handover pose; the others are on the table.
+        position_std: Standard deviation of the object's position along each axis (m).
+        rotation_std: Standard deviation of the object's rotation about each axis (rad).
+        table_range: Largest offset along the table of objects on it, which have any heading (m).
+        at_start: Share of arms at the start pose.
+        joint_std: Standard deviation of every joint for half of the arms at the start pose (rad).
+        min_distance: Shortest distance of the robot's hand from the object, at random poses (m).
+        max_distance: Largest distance of the robot's hand from the object, at random poses (m).
+        min_cosine: Smallest cosine of the angle between the directions from the object to the hand
+            and to the robot's base.
+        aim_error: Largest distance of the line of sight from the object's origin along each axis (m).
+        occluded: Share of objects that are partly occluded by a sphere.
+        radii: Smallest and largest radius of the occluding sphere (m).
+    """
+
+    handover: float = 0.65
+    carried: float = 0.15
+    position_std: float = 0.04
+    rotation_std: float = 0.2
+    table_range: float = 0.12
+    at_start: float = 0.6
+    joint_std: float = 0.04
+    min_distance: float = 0.2
+    max_distance: float = 0.5
+    min_cosine: float = 0.0
+    aim_error: float = 0.05
+    occluded: float = 0.5
+    radii: tuple[float, float] = (0.03, 0.07)
+
+
+@dataclass(frozen=True, eq=False)
+class ImitationScenario:
+    """Initial state of an imitation rollout: object, arm and occluding sphere.
+
+    Attributes:
+        number: Number of the scenario, which seeds its random numbers.
+        object_name: Class of the object.
+        dof: (6,) float32 position xyz (m) and intrinsic XYZ Euler angles (rad) of the object in the world.
+        joints: (7,) arm joints (rad).
+        occluder: (4,) center in the world and radius of the occluding sphere (m); radius 0 for none.
+    """
+
+    number: int
+    object_name: str
+    dof: npt.NDArray[np.float32]
+    joints: Array
+    occluder: Array
+
+    @property
+    def object_pose(self) -> Array:
+        """World pose (7,) of the object, quaternion xyzw."""
+        rotation = Rotation.from_euler("XYZ", self.dof[3:].astype(np.float64))
+        return np.concatenate([self.dof[:3].astype(np.float64), rotation.as_quat()])
+
+
+class ImitationScenarios:
+    """Generator of random scenarios, each determined by the seed and its number.
+
+    Args:
+        data: Dataset of the scenes.
+        scenes: Numbers of the training scenes.
+        arm: Kinematics of the robot's arm.
+        panda: Base and start pose of the robot.
+        seed: Seed of all scenarios.
+        config: Distribution of the scenarios.
+    """
+
+    def __init__(
+        self,
+        data: Dataset,
+        scenes: tuple[int, ...],
+        arm: ArmInWorld,
+        panda: PandaConfig,
+        seed: int,
+        config: ImitationScenarioConfig,
+    ) -> None:
+        self._data, self._scenes, self._arm, self._seed, self._config = data, scenes, arm, seed, config
+        self._start = np.array(panda.start_joints[:ARM_DOF])
+        self._base = np.array(panda.base_position)
+
+    def sample(self, number: int) -> ImitationScenario:
+        """Return the random scenario of a given number."""
+        config, rng = self._config, np.random.default_rng((self._seed, number))
+        scene = self._data.load_scene(self._scenes[int(rng.integers(len(self._scenes)))])
+        dof = self._sample_object_pose(scene.object_dof[:, 0], rng)
+        joints = self._sample_joints(dof[:3].astype(np.float64), rng)
+        radius = rng.uniform(*config.radii) if rng.random() < config.occluded else 0.0
+        # Off center, so that a part of the object stays visible.
+        direction = rng.standard_normal(3)
+        center = dof[:3] + direction / np.linalg.norm(direction) * rng.uniform(0.5, 1.5) * radius
+        return ImitationScenario(number, scene.info.target_name, dof, joints, np.array([*center, radius]))
+
+    def _sample_object_pose(self, path: npt.NDArray[np.float32], rng: np.random.Generator) -> npt.NDArray[np.float32]:
+        config, kind = self._config, rng.random()
+        if kind >= config.handover + config.carried:
+            return self._sample_table_pose(path[0], rng)
+        dof = path[-1]
+        if kind >= config.handover:
+            moving = np.flatnonzero(np.linalg.norm(path[:, :3] - path[0, :3], axis=1) > _MOVED)
+            dof = path[int(rng.choice(moving))] if len(moving) else dof
+        rotation = Rotation.from_rotvec(rng.normal(0.0, config.rotation_std, 3)) * Rotation.from_euler("XYZ", dof[3:])
+        position = dof[:3] + rng.normal(0.0, config.position_std, 3)
+        return np.concatenate([position, rotation.as_euler("XYZ")]).astype(np.float32)
+
+    def _sample_table_pose(self, dof: npt.NDArray[np.float32], rng: np.random.Generator) -> npt.NDArray[np.float32]:
+        rotation = Rotation.from_rotvec([0.0, 0.0, rng.uniform(-np.pi, np.pi)]) * Rotation.from_euler("XYZ", dof[3:])
+        shift = np.array([*rng.uniform(-self._config.table_range, self._config.table_range, 2), 0.0])
+        return np.concatenate([dof[:3] + shift, rotation.as_euler("XYZ")]).astype(np.float32)
+
+    def _sample_joints(self, position: Array, rng: np.random.Generator) -> Array:
+        config = self._config
+        if rng.random() >= config.at_start:
+            low, high = self._arm.limits
+            for _ in range(4):
+                goal = self._sample_viewing_pose(position, rng)
+                solutions, converged = self._arm.solve(goal[None], self._start[None], 60)
+                if converged[0]:
+                    clipped: Array = np.clip(solutions[0], low, high)
+                    return clipped
+        noise = rng.normal(0.0, config.joint_std, ARM_DOF) * (rng.random() < 0.5)
+        joints: Array = self._start + noise
+        return joints
+
+    def _sample_viewing_pose(self, target: Array, rng: np.random.Generator) -> Array:
+        """Return a pose (7,) of the hand that observes a position, nearly upright as at the start."""
+        config = self._config
+        direction = rng.standard_normal(3)
+        to_base = self._base - target
+        to_base[2] = 0.2 * np.linalg.norm(to_base[:2])
+        if direction @ to_base < config.min_cosine * np.linalg.norm(to_base):
+            direction -= 2.0 * (direction @ to_base) / (to_base @ to_base) * to_base
+        distance = rng.uniform(config.min_distance, config.max_distance)
+        position = target + direction / np.linalg.norm(direction) * distance
+        z = target + rng.uniform(-config.aim_error, config.aim_error, 3) - position
+        z /= np.linalg.norm(z)
+        x = Rotation.from_quat(self._arm.hand(self._start)[3:]).as_matrix()[:, 0]
+        x = x - (x @ z) * z
+        x /= max(float(np.linalg.norm(x)), 1e-6)
+        rotation = Rotation.from_matrix(np.stack([x, np.cross(z, x), z], axis=1))
+        rotation = rotation * Rotation.from_rotvec([0.0, 0.0, rng.normal(0.0, 0.3)])
+        return np.concatenate([position, rotation.as_quat()])
+
+
+def find_occluded_points(
+    points: npt.NDArray[np.float32], hand: Array, camera: Array, occluder: Array
+) -> npt.NDArray[np.bool_]:
+    """Return which points of a cloud are inside or behind a sphere, (n,).
+
+    Args:
+        points: (n, 3) points in the hand link's frame (m).
+        hand: (7,) world pose of the hand link, quaternion xyzw.
+        camera: (3,) position of the camera in the hand link's frame (m).
+        occluder: (4,) center in the world and radius of the sphere (m); radius 0 occludes nothing.
+    """
+    center = inverse_transform_points(hand, occluder[None, :3])[0] - camera
+    rays = points - camera
+    lengths = np.maximum((rays**2).sum(axis=1), 1e-12)
+    # Nearest point to the sphere's center on each segment from camera to point.
+    share = np.clip(rays @ center / lengths, 0.0, 1.0)
+    occluded: npt.NDArray[np.bool_] = np.linalg.norm(share[:, None] * rays - center, axis=1) < occluder[3]
+    return occluded

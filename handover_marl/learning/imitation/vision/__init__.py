@@ -1,0 +1,1 @@
+"""Training data and training of the grasp network of the receiver `vision`."""

@@ -1,0 +1,152 @@
+"""Qualities of known grasps next to a person's hand, the targets of the grasp network.
+
+The quality follows from the grasp cost of the receiver `reactive` without the terms that depend on
+the arm: whether the grasp held in simulation, how well the pads enclose the object, and the
+clearance to the hand. Next to a hand, offset copies of the grasps are candidates too.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.geometry.meshes import read_collision_mesh
+from handover_marl.planning.clearance import (
+    Spheres,
+    compute_flange_clearances,
+    compute_grasp_clearances,
+    sample_surface_spheres,
+)
+from handover_marl.policies.policy import PolicyContext
+from handover_marl.receivers.grasp_library import GraspLibrary
+from handover_marl.receivers.reactive.config import ReactiveConfig
+from handover_marl.receivers.reactive.grasp_contact import (
+    compute_hold_costs,
+    compute_pad_margins,
+    sample_surface_points,
+)
+from handover_marl.receivers.reactive.grasp_validation import validate_grasps
+from handover_marl.receivers.reactive.grasps import ValidatedGrasps, perturb_grasps
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class GraspLabelConfig:
+    """Configuration of the conversion of grasp costs into qualities.
+
+    Attributes:
+        scale: Cost at which the quality is 1/e (s).
+        min_clearance: Clearance to the hand below which the quality is 0 (m).
+        min_quality: Quality below which a grasp is not a target.
+        max_offset_grasps: Largest number of offset grasps next to a hand.
+        receiver: Configuration of the receiver whose costs are used.
+    """
+
+    scale: float = 3.0
+    min_clearance: float = 0.003
+    min_quality: float = 0.02
+    max_offset_grasps: int = 120
+    receiver: ReactiveConfig = field(default_factory=ReactiveConfig)
+
+
+@dataclass(frozen=True, eq=False)
+class LabelledGrasps:
+    """Grasps of one object with their costs, in the object's frame.
+
+    Attributes:
+        poses: (n, 7) poses of the hand link.
+        costs: (n,) costs without a hand nearby (s).
+        object_center: (3,) center of the object's bounding box (m).
+    """
+
+    poses: Array
+    costs: Array
+    object_center: Array
+
+
+class GraspLabeller:
+    """Labeller of the grasps of objects with qualities from 0 to 1.
+
+    Grasps are validated in simulation at first use.
+
+    Args:
+        context: Robot, objects and their known grasps.
+        config: Conversion of costs into qualities.
+    """
+
+    def __init__(self, context: PolicyContext, config: GraspLabelConfig = GraspLabelConfig()) -> None:
+        self._context, self.config = context, config
+        self._library = GraspLibrary(context.grasps)
+        self._labelled: dict[str, LabelledGrasps] = {}
+        self._validated: dict[str, tuple[ValidatedGrasps, Array]] = {}
+
+    def load_grasps(self, object_name: str) -> LabelledGrasps:
+        """Return the grasps of an object class with costs; empty for a class without known grasps.
+
+        Raises:
+            DataNotFoundError: Files of the object do not exist.
+            SimulationError: The object's model cannot be loaded.
+        """
+        if object_name not in self._labelled:
+            self._labelled[object_name] = self._label_grasps(object_name)
+        return self._labelled[object_name]
+
+    def grasps_beside(self, object_name: str, hand: Spheres | None, object_pose: Array) -> LabelledGrasps:
+        """Return an object's grasps, and offset copies that are clear of the person's hand.
+
+        Args:
+            object_name: Class of the object.
+            hand: Person's hand in the world, or None.
+            object_pose: (7,) pose of the object in the world, quaternion xyzw.
+        """
+        known, config = self.load_grasps(object_name), self.config.receiver
+        if hand is None or not len(known.poses):
+            return known
+        hand_in_object, standoff = hand.in_frame(object_pose), config.approach.standoff
+        validated, points = self._validated[object_name]
+        offset = perturb_grasps(validated, points, hand_in_object, standoff, config.offsets)
+        enclosed = compute_pad_margins(offset.poses, points)
+        costs = config.selection.offset_cost + compute_hold_costs(offset, enclosed, config.selection)
+        qualities = self._qualities(costs, compute_grasp_clearances(offset.poses, hand_in_object, standoff))
+        kept = np.flatnonzero(
+            (enclosed > config.selection.min_offset_pad_margin) & (qualities > self.config.min_quality)
+        )
+        kept = kept[:: max(1, -(-len(kept) // self.config.max_offset_grasps))]
+        poses, costs = np.concatenate([known.poses, offset.poses[kept]]), np.concatenate([known.costs, costs[kept]])
+        return LabelledGrasps(poses, costs, known.object_center)
+
+    def compute_qualities(self, known: LabelledGrasps, hand: Spheres | None, object_pose: Array) -> Array:
+        """Return the qualities (n,), from 0 to 1, of an object's grasps next to a hand.
+
+        Args:
+            known: Grasps of the object.
+            hand: Person's hand in the world, or None.
+            object_pose: (7,) pose of the object in the world, quaternion xyzw.
+        """
+        if hand is None or not len(known.poses):
+            return np.exp(-known.costs / self.config.scale)
+        standoff = self.config.receiver.approach.standoff
+        return self._qualities(known.costs, compute_grasp_clearances(known.poses, hand.in_frame(object_pose), standoff))
+
+    def _qualities(self, costs: Array, clearances: Array) -> Array:
+        """Return qualities (n,) for costs without a hand (n,) and clearances to a hand (n,)."""
+        config = self.config.receiver.selection
+        costs = costs + config.clearance_cost * np.maximum(0.0, config.desired_clearance - clearances)
+        return np.where(clearances < self.config.min_clearance, 0.0, np.exp(-costs / self.config.scale))
+
+    def _label_grasps(self, object_name: str) -> LabelledGrasps:
+        urdf, config = self._context.object_urdf(object_name), self.config.receiver
+        vertices, faces = read_collision_mesh(urdf)
+        center = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
+        known = self._library.hand_poses_in_object(object_name)
+        if known is None:
+            return LabelledGrasps(np.zeros((0, 7)), np.zeros(0), center)
+        found = validate_grasps(urdf, self._context.panda_urdf, known, config.preparation)
+        surface = sample_surface_spheres(vertices, faces, config.n_surface_spheres, config.surface_radius)
+        clear = compute_flange_clearances(found.poses, surface) > 0.0
+        validated = ValidatedGrasps(found.poses[clear], found.success_rates[clear])
+        points = sample_surface_points(vertices, faces, config.n_surface_points)
+        self._validated[object_name] = validated, points
+        costs = compute_hold_costs(validated, compute_pad_margins(validated.poses, points), config.selection)
+        return LabelledGrasps(validated.poses, costs, center)

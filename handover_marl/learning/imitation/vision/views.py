@@ -1,0 +1,284 @@
+"""Rendered views of objects in persons' hands with good grasps: training data of `vision`.
+
+Frames come from recordings. The camera is where receivers wait, or on the way to a grasp with
+random offsets. Views are ray cast without physics. Quaternions are xyzw.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from handover_marl.config import ARM_DOF
+from handover_marl.datasets.dataset import Scene
+from handover_marl.geometry.kinematic_tree import read_tree
+from handover_marl.geometry.panda import OPEN, WAITING_JOINTS
+from handover_marl.geometry.poses import compose, inverse_transform_points, invert_pose, transform_points
+from handover_marl.learning.imitation.vision.grasp_labels import GraspLabeller, LabelledGrasps
+from handover_marl.planning.arm_control import ArmInWorld
+from handover_marl.planning.clearance import Spheres
+from handover_marl.planning.hand_tracker import HandTracker
+from handover_marl.policies.policy import PolicyContext
+from handover_marl.receivers.reactive.reachability import FALLBACK_IK_SEEDS, IK_SEEDS
+from handover_marl.simulation.camera.frames import SegmentationLabel, deproject
+from handover_marl.simulation.camera.ray_camera import RayCamera
+from handover_marl.simulation.kinematic_paths import select_keypoint_links
+from handover_marl.simulation.world import JointSnapshot
+
+Array = npt.NDArray[np.float64]
+Half = npt.NDArray[np.float16]
+Rng = np.random.Generator
+
+_IK_ITERATIONS = 12
+
+
+@dataclass(frozen=True)
+class GraspViewConfig:
+    """Distribution and size of the rendered views for the grasp network.
+
+    Attributes:
+        objects: Number of points of the object in a view.
+        hands: Largest number of points of the person's hand.
+        grasps: Largest number of grasps in a view; the best ones are kept.
+        min_points: Number of visible object points below which a view is discarded.
+        last: Share of views at the end of a recording, where the object is held still.
+        lying: Share of views before the object is picked up.
+        waiting: Share of views from a camera near the arm's waiting pose.
+        part: Share of views from a camera between waiting pose and grasp.
+        max_distance: Largest distance of a view before a grasp (m).
+        lateral: Standard deviation of the lateral offset at the grasp (m).
+        lateral_slope: Increase of `lateral` with the distance before the grasp (m/m).
+        angle: Standard deviation of the orientation offset at the grasp (rad).
+        angle_slope: Increase of `angle` with the distance before the grasp (rad/m).
+        joints: Standard deviation of every joint at a waiting pose (rad).
+        lifted: Distance from the initial position at which an object counts as picked up (m).
+        velocity_window: Time before a frame over which the velocity is averaged (ms).
+        motion_window: Time after a frame over which the displacement is measured (ms).
+    """
+
+    objects: int = 256
+    hands: int = 64
+    grasps: int = 96
+    min_points: int = 30
+    last: float = 0.5
+    lying: float = 0.05
+    waiting: float = 0.1
+    part: float = 0.25
+    max_distance: float = 0.5
+    lateral: float = 0.015
+    lateral_slope: float = 0.25
+    angle: float = 0.1
+    angle_slope: float = 0.7
+    joints: float = 0.08
+    lifted: float = 0.03
+    velocity_window: int = 50
+    motion_window: int = 500
+
+
+class GraspViews(NamedTuple):
+    """Arrays of n views, each in the frame of the hand link at which it was rendered.
+
+    Attributes:
+        object_points: (n, N, 3) points of the object, repeated if few are visible (m).
+        hand_points: (n, M, 3) points of the person's hand, then zeros (m).
+        n_hand_points: (n,) number of points of the hand.
+        grasps: (n, K, 7) poses of the hand link at grasps, best first, then zeros.
+        quality: (n, K) qualities of the grasps from 0 to 1, then zeros.
+        object_center: (n, 3) centers of the objects (m).
+        object_velocity: (n, 3) velocities of the objects (m/s).
+        object_motion: (n, 3) displacements of the objects in the coming `motion_window` (m).
+    """
+
+    object_points: Half
+    hand_points: Half
+    n_hand_points: npt.NDArray[np.uint8]
+    grasps: Half
+    quality: Half
+    object_center: Half
+    object_velocity: Half
+    object_motion: Half
+
+
+@dataclass(frozen=True, eq=False)
+class LabelledFrame:
+    """Frame of a recording with the object's grasps and their qualities.
+
+    Attributes:
+        frame: Index of the frame.
+        object_pose: (7,) pose of the object in the world.
+        known: Known grasps of the object.
+        quality: (n,) qualities of the grasps at this frame.
+    """
+
+    frame: int
+    object_pose: Array
+    known: LabelledGrasps
+    quality: Array
+
+
+class ViewRenderer:
+    """Renderer of labelled views of scenes.
+
+    Args:
+        context: Robot, objects and their known grasps.
+        arm: Kinematics of the robot's arm.
+        labels: Grasps of the objects with their qualities.
+        config: Distribution and size of the views.
+    """
+
+    def __init__(
+        self,
+        context: PolicyContext,
+        arm: ArmInWorld,
+        labels: GraspLabeller,
+        config: GraspViewConfig = GraspViewConfig(),
+    ) -> None:
+        self._context, self._arm, self._labels, self.config = context, arm, labels, config
+
+    def render_random(self, scene: Scene, count: int, rng: Rng) -> GraspViews:
+        """Render up to `count` random views of a scene; discard those with few object points.
+
+        Raises:
+            SimulationError: A model cannot be loaded.
+            DataFormatError: A mesh of a model cannot be read.
+        """
+        frames, known = self._sample_frames(scene, count, rng).tolist(), self._load_grasps(scene)
+        labelled = {frame: self._label_frame(scene, known, frame) for frame in sorted(set(frames))}
+        poses = ((labelled[frame], self._sample_joints(labelled[frame], rng)) for frame in frames)
+        return self._render(scene, poses, rng)
+
+    def render_poses(self, scene: Scene, poses: Iterable[tuple[int, Array]], rng: Rng) -> GraspViews:
+        """Render views of a scene at given pairs of a frame and arm joints (7,) (rad)."""
+        known = self._load_grasps(scene)
+        return self._render(scene, ((self._label_frame(scene, known, frame), joints) for frame, joints in poses), rng)
+
+    def _render(self, scene: Scene, poses: Iterable[tuple[LabelledFrame, Array]], rng: Rng) -> GraspViews:
+        camera = RayCamera(scene.assets, self._context.config.physics)
+        rendered = [self._render_view(scene, camera, frame, joints, rng) for frame, joints in poses]
+        views = [view for view in rendered if view is not None]
+        config, half = self.config, np.float16
+        kinds = (half, half, np.uint8, half, half, half, half, half)
+        sizes = ((config.objects, 3), (config.hands, 3), (), (config.grasps, 7), (config.grasps,), (3,), (3,), (3,))
+        columns = list(zip(*views, strict=True)) if views else [() for _ in sizes]
+        return GraspViews(
+            *(
+                np.array(column, dtype=kind).reshape(len(views), *size)
+                for column, kind, size in zip(columns, kinds, sizes, strict=True)
+            )
+        )
+
+    def _load_grasps(self, scene: Scene) -> LabelledGrasps:
+        """Return the grasps of the object, with offset ones for its final pose in the recording."""
+        last = scene.n_frames - 1
+        return self._labels.grasps_beside(
+            scene.info.target_name, read_hand_spheres(scene, last), read_object_pose(scene, last)
+        )
+
+    def _label_frame(self, scene: Scene, known: LabelledGrasps, frame: int) -> LabelledFrame:
+        pose, hand = read_object_pose(scene, frame), read_hand_spheres(scene, frame)
+        return LabelledFrame(frame, pose, known, self._labels.compute_qualities(known, hand, pose))
+
+    def _render_view(
+        self, scene: Scene, camera: RayCamera, labelled: LabelledFrame, joints: Array, rng: Rng
+    ) -> tuple[object, ...] | None:
+        """Return the fields of `GraspViews` for one view, or None if too little of the object is visible."""
+        config, frame, known = self.config, labelled.frame, labelled.known
+        has_hand = bool(scene.is_hand_present(np.array([frame]))[0])
+        robot = np.array([*joints, OPEN, OPEN], dtype=np.float32)
+        snapshot = JointSnapshot(robot, scene.hand_dof[frame] if has_hand else None, scene.object_dof[frame])
+        image = camera.render_targets(snapshot)
+        object_points, hand_points = (
+            deproject(image.depth, image.compute_mask(label))
+            for label in (SegmentationLabel.TARGET, SegmentationLabel.HAND)
+        )
+        if len(object_points) < config.min_points:
+            return None
+        world_from_link = self._arm.hand(np.asarray(joints, dtype=np.float64))
+        hands, n_hands = np.zeros((config.hands, 3)), min(len(hand_points), config.hands)
+        hands[:n_hands] = hand_points[rng.choice(len(hand_points), n_hands, replace=False)]
+        best = np.argsort(-labelled.quality, kind="stable")[: config.grasps]
+        best = best[labelled.quality[best] > self._labels.config.min_quality]
+        grasps, quality = np.zeros((config.grasps, 7)), np.zeros(config.grasps)
+        link_from_object = compose(invert_pose(world_from_link), labelled.object_pose)
+        grasps[: len(best)] = compose(link_from_object, known.poses[best])
+        quality[: len(best)] = labelled.quality[best]
+        center = transform_points(labelled.object_pose, known.object_center)
+        center = inverse_transform_points(world_from_link, center[None])[0]
+        to_link = Rotation.from_quat(world_from_link[3:]).inv()
+        velocity, motion = (to_link.apply(vector) for vector in self._read_motion(scene, frame))
+        chosen = rng.choice(len(object_points), config.objects, replace=len(object_points) < config.objects)
+        return object_points[chosen], hands, n_hands, grasps, quality, center, velocity, motion
+
+    def _read_motion(self, scene: Scene, frame: int) -> tuple[Array, Array]:
+        """Return velocity (m/s) and coming displacement (m) of the object in the world, both (3,)."""
+        config, path = self.config, scene.object_dof[:, 0, :3].astype(np.float64)
+        before, after = max(frame - config.velocity_window, 0), min(frame + config.motion_window, len(path) - 1)
+        return (path[frame] - path[before]) / (0.001 * config.velocity_window), path[after] - path[frame]
+
+    def _sample_frames(self, scene: Scene, count: int, rng: Rng) -> npt.NDArray[np.int_]:
+        config, path = self.config, scene.object_dof[:, 0, :3]
+        picked = int(np.argmax(np.linalg.norm(path - path[0], axis=1) > config.lifted))
+        kinds = rng.random(count)
+        moving = rng.integers(picked, len(path), count)
+        lying = rng.integers(0, max(picked, 1), count)
+        frames: npt.NDArray[np.int_] = np.where(kinds < config.last, len(path) - 1, moving)
+        return np.where(kinds > 1.0 - config.lying, lying, frames)
+
+    def _sample_joints(self, labelled: LabelledFrame, rng: Rng) -> Array:
+        """Return random arm joints (7,) from which to render (rad)."""
+        config, kind = self.config, rng.random()
+        waiting = (WAITING_JOINTS, self._context.panda.start_joints)[rng.integers(2)]
+        start = np.array(waiting[:ARM_DOF]) + rng.normal(0.0, config.joints, ARM_DOF)
+        good = labelled.quality > self._labels.config.min_quality
+        if kind < config.waiting or not good.any():
+            return start
+        goal = self._sample_pose(labelled, int(rng.choice(np.flatnonzero(good))), rng)
+        seeds = np.concatenate([start[None], IK_SEEDS, FALLBACK_IK_SEEDS])
+        solutions, converged = self._arm.solve(np.tile(goal, (len(seeds), 1)), seeds, _IK_ITERATIONS)
+        if not converged.any():
+            return start
+        joints: Array = solutions[int(np.argmax(converged))]
+        return start + rng.random() * (joints - start) if kind < config.waiting + config.part else joints
+
+    def _sample_pose(self, labelled: LabelledFrame, number: int, rng: Rng) -> Array:
+        """Return a random world pose (7,) of the hand link on the way to a grasp."""
+        config = self.config
+        distance = config.max_distance * rng.random() ** 1.5
+        lateral = (config.lateral + config.lateral_slope * distance) * rng.normal(size=3) / np.sqrt(3.0)
+        angle = (config.angle + config.angle_slope * distance) * rng.normal(size=3) / np.sqrt(3.0)
+        offset = np.concatenate([lateral - [0.0, 0.0, distance], Rotation.from_rotvec(angle).as_quat()])
+        pose: Array = compose(compose(labelled.object_pose, labelled.known.poses[number]), offset)
+        return pose
+
+
+def read_object_pose(scene: Scene, frame: int) -> Array:
+    """Return the world pose (7,) of the handed-over object at a frame."""
+    dof = scene.object_dof[frame, 0].astype(np.float64)
+    return np.concatenate([dof[:3], Rotation.from_euler("XYZ", dof[3:]).as_quat()])
+
+
+def read_hand_spheres(scene: Scene, frame: int) -> Spheres | None:
+    """Return spheres that cover the recorded hand at a frame in the world, or None without a hand.
+
+    Raises:
+        SimulationError: The model of the hand cannot be read.
+    """
+    if not scene.is_hand_present(np.array([frame]))[0]:
+        return None
+    tree = read_tree(scene.assets.hand)
+    moving = [link for link, joint in enumerate(tree.joints) if joint.kind != "fixed"]
+    dof = scene.hand_dof[frame]
+    origins, _ = tree.compute_link_frames(dof[None])
+    tracker = HandTracker()
+    tracker.update(
+        0.0,
+        {
+            "hand_present": np.ones(1, dtype=np.int8),
+            "hand_keypoints": origins[0, select_keypoint_links(moving)].astype(np.float32),
+            "hand_dof_position": dof,
+        },
+    )
+    return tracker.spheres

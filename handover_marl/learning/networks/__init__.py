@@ -1,0 +1,1 @@
+"""Networks on point clouds in plain PyTorch; importing this package does not import PyTorch."""

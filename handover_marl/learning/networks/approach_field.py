@@ -1,0 +1,142 @@
+"""Approach field: the step of the robot's hand as a function of its pose relative to a grasp.
+
+Labels for imitation must follow from what a network observes. Labels from a field do: from any pose
+the field leads back to the grasp, whatever motion led to that pose.
+
+The hand first rotates and moves to a standoff, at a pace that matches the remaining decisions, and
+then moves in by a single step. GA-DDPG closes the fingers as soon as 50 of 1,024 points are between
+them at the end of a decision, and holds the commanded pose while they close: after several small
+steps the fingertips would hold the object, after a single one the grasp is where it was planned. A
+hand that arrives early would meet a person who is still lifting the object.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from handover_marl.geometry.poses import compose, invert_pose
+
+Array = npt.NDArray[np.float64]
+
+# Attribute names in weight files of version 0.7.0.
+_NAMES_0_7 = {
+    "over": "standoff_band",
+    "pads": "pad_distance",
+    "aligned": "min_error",
+    "astray": "max_error",
+    "arm": "rotation_weight",
+    "cone": "cone_slope",
+    "farthest": "max_standoff",
+    "shift": "max_translation",
+    "turn": "max_rotation",
+    "spare": "spare_steps",
+    "slowest": "min_translation",
+    "close": "near_distance",
+}
+
+
+@dataclass(frozen=True)
+class ApproachFieldConfig:
+    """Configuration of the approach field, which leads the robot's hand to a grasp.
+
+    The error of a pose is the distance of the pads' middle from the approach axis plus the weighted
+    rotation error.
+
+    Attributes:
+        standoff: Distance of the standoff from the grasp, back along the hand's z axis (m).
+        standoff_band: Width of the band beyond the standoff from which the hand may move in (m).
+        pad_distance: Distance from the hand's origin to the middle between its pads (m).
+        min_error: Error up to which the hand moves all the way in (m).
+        max_error: Error from which the hand moves to the standoff; linear in between (m).
+        rotation_weight: Weight of the rotation error (m/rad).
+        cone_slope: Additional standoff distance per metre of error beyond `max_error`.
+        max_standoff: Largest standoff distance (m).
+        max_translation: Largest translation of a step along each axis (m).
+        max_rotation: Largest rotation of a step about each axis (rad).
+        gain: Share of the remaining motion that a step covers before the hand moves in; more than 1
+            compensates for the lag of the arm.
+        spare_steps: Number of decisions that should be left at the end.
+        min_translation: Lower bound of the largest translation of a step (m).
+        near_distance: Distance below which steps may be as long as `max_translation` (m).
+    """
+
+    standoff: float = 0.055
+    standoff_band: float = 0.02
+    pad_distance: float = 0.1
+    min_error: float = 0.008
+    max_error: float = 0.018
+    rotation_weight: float = 0.05
+    cone_slope: float = 0.5
+    max_standoff: float = 0.12
+    max_translation: float = 0.06
+    max_rotation: float = np.pi / 6.0
+    gain: float = 1.0
+    spare_steps: int = 20
+    min_translation: float = 0.02
+    near_distance: float = 0.1
+
+    @classmethod
+    def from_settings(cls, settings: dict[str, Any]) -> "ApproachFieldConfig":
+        """Create the configuration from the settings in a weight file, of this version or 0.7.0."""
+        return cls(**{_NAMES_0_7.get(name, name): value for name, value in settings.items()})
+
+
+def compute_approach_steps(hands: Array, goals: Array, remaining: Array, config: ApproachFieldConfig) -> Array:
+    """Return the steps (n, 6) of n hands towards their grasps, in the frames of the hands.
+
+    Args:
+        hands: (n, 7) poses of the hand link.
+        goals: (n, 7) poses of the hand link at the grasps, in the same frame.
+        remaining: (n,) remaining decisions, including this one.
+        config: Configuration of the field.
+
+    Returns:
+        Translations (m) and Euler angles (rad) about the static axes x, y, z.
+    """
+    relative = compose(invert_pose(goals), hands)
+    rotations = Rotation.from_quat(relative[:, 3:])
+    standoffs, outside = _compute_standoffs(relative, rotations, config)
+    targets = goals.copy()
+    targets[:, :3] -= standoffs[:, None] * Rotation.from_quat(goals[:, 3:]).as_matrix()[..., 2]
+    motions = compose(invert_pose(hands), targets)
+    length = np.linalg.norm(motions[:, :3], axis=1)
+    pace = length / (np.maximum(remaining - config.spare_steps, 1.0))
+    limited_pace = np.clip(pace, config.min_translation, config.max_translation)
+    max_translation = np.where(length < config.near_distance, config.max_translation, limited_pace)
+    gain = 1.0 + (config.gain - 1.0) * outside
+    rotation_vectors = Rotation.from_quat(motions[:, 3:]).as_rotvec()
+    return _limit_steps(gain[:, None] * motions[:, :3], gain[:, None] * rotation_vectors, max_translation, config)
+
+
+def _compute_standoffs(relative: Array, rotations: Rotation, config: ApproachFieldConfig) -> tuple[Array, Array]:
+    """Return the standoff distances (n,) in m to move to, and their shares (n,), 0 to move in.
+
+    Args:
+        relative: (n, 7) poses of the hand in the frame of the grasp.
+        rotations: Rotations of these poses.
+        config: Configuration of the field.
+    """
+    pads = relative[:, :3] + config.pad_distance * rotations.as_matrix()[..., 2]
+    error = np.linalg.norm(pads[:, :2], axis=1) + config.rotation_weight * rotations.magnitude()
+    misalignment = (error - config.min_error) / (config.max_error - config.min_error)
+    # Linear within half of the band either way, since labels that jump cannot be learned.
+    distance = (-relative[:, 2] - config.standoff - 0.5 * config.standoff_band) / config.standoff_band
+    share = np.clip(np.maximum(misalignment, distance), 0.0, 1.0)
+    cone = config.cone_slope * np.maximum(0.0, error - config.max_error)
+    return share * np.minimum(config.standoff + cone, config.max_standoff), share
+
+
+def _limit_steps(
+    translations: Array, rotation_vectors: Array, max_translation: Array, config: ApproachFieldConfig
+) -> Array:
+    """Return steps (n, 6), scaled to the bounds of translation (n,) and rotation."""
+    by_translation = np.abs(translations).max(axis=1) / max_translation
+    by_rotation = np.abs(rotation_vectors).max(axis=1) / config.max_rotation
+    # Scaled together: a hand that rotates before it moves loses sight of the object.
+    share = 1.0 / np.maximum(1.0, np.maximum(by_translation, by_rotation))
+    euler = Rotation.from_rotvec(share[:, None] * rotation_vectors).as_euler("xyz")
+    clipped = np.clip(euler, -config.max_rotation, config.max_rotation)
+    return np.concatenate([share[:, None] * translations, clipped], axis=1)

@@ -1,0 +1,195 @@
+"""Network that predicts grasps, and their quality, at many points of an observed object.
+
+As in Contact-GraspNet (Sundermeyer et al., ICRA 2021), each point predicts the grasp next to it,
+and the best one is chosen: a single regression for the whole cloud would average distant grasps.
+Clouds contain the object and the person's hand, in the hand link's frame (m).
+"""
+
+import itertools
+from dataclasses import asdict, dataclass
+from typing import Any, NamedTuple, TypeVar
+
+import torch
+import torch.nn.functional as func
+from torch import Tensor, nn
+
+from handover_marl.learning.networks.point_encoders import max_pool_groups
+from handover_marl.learning.networks.weights import SavedNetwork
+
+#: Distance of the point between the pads from the hand link's origin, along its z axis (m).
+PAD_DISTANCE = 0.1
+# Factors that bring local coordinates and those in the hand link's frame to order one (1/m).
+_NEAR_SCALE, _FAR_SCALE = 20.0, 2.0
+_N_ROTATION = 6
+
+_Self = TypeVar("_Self", bound="GraspNetwork")
+
+
+@dataclass(frozen=True)
+class GraspNetworkConfig:
+    """Widths of the layers, and inputs of the grasp network.
+
+    Attributes:
+        points: Number of features of a point.
+        group: Number of features of a group of points.
+        whole: Number of features of a whole cloud.
+        grasp: Width of the layers that predict grasps.
+        hand: Whether points of the person's hand are an input.
+        groups: Numbers of points in the groups around a center, from fine to coarse; with none,
+            predictions use the point and the whole cloud only, as in PointNet.
+    """
+
+    points: int = 128
+    group: int = 128
+    whole: int = 256
+    grasp: int = 256
+    hand: bool = True
+    groups: tuple[int, ...] = (8, 32)
+
+
+class GraspOutputs(NamedTuple):
+    """Predicted grasps for B clouds at C points (centers) each, in the hand link's frame.
+
+    Attributes:
+        quality: (B, C) logits of the quality of the grasp at a center.
+        positions: (B, C, 3) points between the pads (m).
+        rotations: (B, C, 3, 3) orientations of the hand link; a rotation by pi about z is equivalent.
+        object_center: (B, 3) center of the whole object, with its unobserved parts (m).
+        object_motion: (B, 3) displacement of the object in the prediction time of the training (m).
+    """
+
+    quality: Tensor
+    positions: Tensor
+    rotations: Tensor
+    object_center: Tensor
+    object_motion: Tensor
+
+
+class PointCloudBatch(NamedTuple):
+    """Inputs of the grasp network: B clouds in the hand link's frame.
+
+    Attributes:
+        object_points: (B, N, 3) points of the object (m).
+        hand_points: (B, M, 3) points of the person's hand (m).
+        hand_mask: (B, M) whether a point of the hand is valid.
+        center_indices: (B, C) indices of the object's points at which grasps are predicted.
+        object_velocity: (B, 3) velocity of the object (m/s).
+    """
+
+    object_points: Tensor
+    hand_points: Tensor
+    hand_mask: Tensor
+    center_indices: Tensor
+    object_velocity: Tensor
+
+    def centers(self) -> Tensor:
+        """Return the points (B, C, 3) at which grasps are predicted (m)."""
+        return self.object_points.gather(1, self.center_indices[..., None].expand(-1, -1, 3))
+
+
+def _layers(*widths: int) -> nn.Sequential:
+    layers: list[nn.Module] = []
+    for before, after in itertools.pairwise(widths):
+        layers += [nn.Linear(before, after), nn.ReLU()]
+    return nn.Sequential(*layers)
+
+
+class GraspNetwork(SavedNetwork):
+    """Grasp predictor of the receiver `vision`; independent of the order and repetition of points.
+
+    Args:
+        config: Widths of the layers, and inputs.
+    """
+
+    kind = "vision"
+
+    def __init__(self, config: GraspNetworkConfig = GraspNetworkConfig()) -> None:
+        super().__init__()
+        self.config = config
+        self.points = _layers(7, 64, config.points)
+        self.whole = nn.ModuleList([_layers(config.points, config.whole) for _ in range(2)])
+        self.mixed = _layers(2 * config.whole + 3, config.whole, config.whole)
+        # Linear in positions relative to the center, so that each point is encoded only once.
+        self.inner = nn.ModuleList([nn.Linear(config.points, config.group) for _ in config.groups])
+        self.outer = nn.ModuleList([nn.Linear(3, config.group, bias=False) for _ in config.groups])
+        width = config.points + len(config.groups) * config.group + config.whole + 3
+        self.grasp = nn.Sequential(_layers(width, config.grasp, config.grasp), nn.Linear(config.grasp, 4 + _N_ROTATION))
+        self.rest = nn.Sequential(_layers(config.whole, config.grasp), nn.Linear(config.grasp, 6))
+
+    def settings(self) -> dict[str, Any]:
+        """Return the configuration in JSON types."""
+        return asdict(self.config)
+
+    @classmethod
+    def from_settings(cls: "type[_Self]", settings: dict[str, Any]) -> "_Self":
+        """Create an untrained network from its arguments, as returned by `settings`."""
+        return cls(GraspNetworkConfig(**(settings | {"groups": tuple(settings["groups"])})))
+
+    def forward(self, clouds: PointCloudBatch) -> GraspOutputs:
+        """Predict grasps and their quality at the centers of clouds."""
+        n_object = clouds.object_points.shape[1]
+        hand_mask = clouds.hand_mask if self.config.hand else torch.zeros_like(clouds.hand_mask)
+        mean = clouds.object_points.mean(dim=1, keepdim=True)
+        positions = torch.cat([clouds.object_points, clouds.hand_points], dim=1)
+        is_hand = torch.zeros_like(positions[..., :1])
+        is_hand[:, n_object:] = 1.0
+        local = _NEAR_SCALE * 0.5 * (positions - mean)
+        points = self.points(torch.cat([local, _FAR_SCALE * positions, is_hand], dim=-1))
+        mask = torch.cat([torch.ones_like(clouds.object_points[..., 0], dtype=torch.bool), hand_mask], dim=1)
+        whole = self._encode_cloud(points, mask, clouds)
+        centers = clouds.centers()
+        features = [
+            points.gather(1, clouds.center_indices[..., None].expand(-1, -1, points.shape[-1])),
+            *self._encode_groups(points, positions - mean, mask, centers - mean),
+            whole[:, None].expand(-1, centers.shape[1], -1),
+            0.5 * _NEAR_SCALE * (centers - mean),
+        ]
+        grasps = self.grasp(torch.cat(features, dim=-1)).float()
+        rest = self.rest(whole).float()
+        return GraspOutputs(
+            grasps[..., 0],
+            centers + grasps[..., 1:4] / _NEAR_SCALE,
+            rotations_from_6d(grasps[..., 4:]),
+            mean[:, 0] + rest[:, :3] / _NEAR_SCALE,
+            rest[:, 3:] / _NEAR_SCALE,
+        )
+
+    def _encode_cloud(self, points: Tensor, mask: Tensor, clouds: PointCloudBatch) -> Tensor:
+        """Return features (B, whole) of the whole cloud from features (B, N + M, points)."""
+        n_object = clouds.object_points.shape[1]
+        object_features = self.whole[0](points[:, :n_object]).max(dim=1).values
+        hand_features = (self.whole[1](points[:, n_object:]) * mask[:, n_object:, None]).max(dim=1).values
+        whole: Tensor = self.mixed(torch.cat([object_features, hand_features, clouds.object_velocity], dim=-1))
+        return whole
+
+    def _encode_groups(self, points: Tensor, positions: Tensor, mask: Tensor, centers: Tensor) -> list[Tensor]:
+        """Return features (B, C, group) of the nearest points of each center, one tensor per group size.
+
+        Args:
+            points: (B, N + M, points) features of the points.
+            positions: (B, N + M, 3) positions relative to the mean of the object's points (m).
+            mask: (B, N + M) valid points.
+            centers: (B, C, 3) positions relative to the same mean (m).
+        """
+        if not self.config.groups:
+            return []
+        with torch.no_grad():
+            distances = torch.cdist(centers, positions).masked_fill(~mask[:, None], torch.inf)
+            near = distances.topk(max(self.config.groups), dim=-1, largest=False).indices
+        features = []
+        for count, inner, outer in zip(self.config.groups, self.inner, self.outer, strict=True):
+            # Invalid points are never among the nearest, since the object has more points than a group.
+            pooled = max_pool_groups(inner(points) + outer(_NEAR_SCALE * positions), near[..., :count])
+            features.append(func.relu(pooled - outer(_NEAR_SCALE * centers)))
+        return features
+
+
+def rotations_from_6d(vectors: Tensor) -> Tensor:
+    """Return rotation matrices (..., 3, 3) from z and y axes (..., 6), orthonormalized.
+
+    See Zhou et al., "On the Continuity of Rotation Representations in Neural Networks", CVPR 2019.
+    """
+    z = func.normalize(vectors[..., :3], dim=-1)
+    y = vectors[..., 3:] - (z * vectors[..., 3:]).sum(dim=-1, keepdim=True) * z
+    y = func.normalize(y, dim=-1)
+    return torch.stack([torch.linalg.cross(y, z, dim=-1), y, z], dim=-1)

@@ -1,0 +1,209 @@
+"""Point cloud encoders: PointNet++ (Qi et al., NeurIPS 2017) and PointNet (Qi et al., CVPR 2017).
+
+Clouds have shape (B, c, N): c channels per point, of which the first three are xyz in the hand
+link's frame (m). Sampling and grouping choose the same points as the CUDA kernels of pointnet2_ops
+(Wijmans, 2018), with which published weights were trained.
+"""
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+#: Squared distance from the origin (m^2) up to which the kernels take points for padding, which is
+#: never sampled except as the first point.
+PADDING_SQUARED_NORM = 1e-3
+
+
+def sample_farthest_points(points: Tensor, count: int) -> Tensor:
+    """Sample points by farthest point sampling, beginning with the first point.
+
+    Args:
+        points: (B, N, 3) positions (m).
+        count: Number of samples; if it exceeds N, points are repeated.
+
+    Returns:
+        (B, count) long indices.
+    """
+    batch = torch.arange(len(points), device=points.device)
+    padding = (points**2).sum(dim=-1) <= PADDING_SQUARED_NORM
+    distances = torch.full(points.shape[:2], 1e10, dtype=points.dtype, device=points.device)
+    chosen = torch.zeros((len(points), count), dtype=torch.long, device=points.device)
+    for number in range(1, count):
+        last = points[batch, chosen[:, number - 1]]
+        distances = torch.minimum(distances, ((points - last[:, None]) ** 2).sum(dim=-1))
+        chosen[:, number] = distances.masked_fill(padding, -1.0).argmax(dim=1)
+    return chosen
+
+
+def query_ball(points: Tensor, centers: Tensor, radius: float, count: int) -> Tensor:
+    """Return indices of the first points, in the cloud's order, within a radius of each center.
+
+    Args:
+        points: (B, N, 3) positions (m).
+        centers: (B, M, 3) positions (m).
+        radius: Radius (m), exclusive.
+        count: Number of points per center; the first one fills missing places, or point 0 if no
+            point is within the radius.
+
+    Returns:
+        (B, M, count) long indices.
+    """
+    n_points = points.shape[1]
+    # The kernel squares the radius in single precision.
+    near = ((centers[:, :, None] - points[:, None]) ** 2).sum(dim=-1) < points.new_tensor(radius) ** 2
+    order = torch.arange(n_points, device=points.device).expand_as(near).masked_fill(~near, n_points)
+    first = order.sort(dim=-1).values[..., :count]
+    if n_points < count:
+        missing = first.new_full((*first.shape[:2], count - n_points), n_points)
+        first = torch.cat([first, missing], dim=-1)
+    return first.where(first < n_points, first[..., :1]) % n_points
+
+
+def gather_columns(values: Tensor, indices: Tensor) -> Tensor:
+    """Return the columns of values (B, C, N) at indices (B, ...), as (B, C, ...)."""
+    flat = indices.flatten(start_dim=1)[:, None].expand(-1, values.shape[1], -1)
+    return values.gather(2, flat).reshape(*values.shape[:2], *indices.shape[1:])
+
+
+def max_pool_groups(features: Tensor, groups: Tensor) -> Tensor:
+    """Return the maxima (B, G, F) of features (B, N, F) over groups (B, G, K) of indices.
+
+    Gradients flow to the maxima only, so that the tensor of all members need not be kept.
+    """
+    count, size, width = features.shape
+    offsets = size * torch.arange(count, device=groups.device)[:, None, None]
+    members = (groups + offsets).reshape(-1, groups.shape[-1])
+    rows = features.reshape(count * size, width)
+    with torch.no_grad():
+        neighbors = rows.index_select(0, members.reshape(-1)).reshape(*members.shape, width)
+        max_rows = members.gather(1, neighbors.max(dim=1).indices)
+    return rows.gather(0, max_rows).reshape(count, groups.shape[1], width)
+
+
+@dataclass(frozen=True)
+class BallGrouping:
+    """Grouping of a set abstraction: balls around farthest points.
+
+    Attributes:
+        centers: Number of farthest points.
+        radius: Radius of the balls (m).
+        neighbors: Number of points per ball.
+    """
+
+    centers: int
+    radius: float
+    neighbors: int
+
+
+#: Groupings of the two set abstractions of GA-DDPG's encoder that have one.
+GADDPG_GROUPINGS = (BallGrouping(32, 0.02, 64), BallGrouping(32, 0.04, 128))
+
+
+class SetAbstraction(nn.Module):
+    """Shared multilayer perceptron on groups of points, followed by max pooling.
+
+    Layers are named as in pointnet2_ops, so that its weights can be loaded.
+
+    Args:
+        channels: Number of input channels without the position, then the width of every layer.
+        grouping: Grouping of the points; None makes one group of all points.
+    """
+
+    def __init__(self, channels: Sequence[int], grouping: BallGrouping | None = None) -> None:
+        super().__init__()
+        self.grouping = grouping
+        widths = (channels[0] + 3, *channels[1:])
+        layers: list[nn.Module] = []
+        for before, after in itertools.pairwise(widths):
+            layers += [nn.Conv2d(before, after, kernel_size=1, bias=False), nn.BatchNorm2d(after), nn.ReLU()]
+        self.mlps = nn.ModuleList([nn.Sequential(*layers)])
+
+    def forward(self, positions: Tensor, features: Tensor) -> tuple[Tensor, Tensor]:
+        """Compute one feature vector per group of points.
+
+        Args:
+            positions: (B, N, 3) positions (m).
+            features: (B, channels[0], N) features.
+
+        Returns:
+            (B, M, 3) centers of the groups (m), the origin for one group of all points, and
+            (B, channels[-1], M) features.
+        """
+        xyz = positions.transpose(1, 2)
+        if self.grouping is None:
+            centers = positions.new_zeros((len(positions), 1, 3))
+            groups = torch.cat([xyz, features], dim=1)[:, :, None]
+        else:
+            columns = gather_columns(xyz, sample_farthest_points(positions, self.grouping.centers))
+            centers = columns.transpose(1, 2)
+            near = query_ball(positions, centers, self.grouping.radius, self.grouping.neighbors)
+            relative = gather_columns(xyz, near) - columns[..., None]
+            groups = torch.cat([relative, gather_columns(features, near)], dim=1)
+        return centers, self.mlps[0](groups).amax(dim=-1)
+
+
+class PointNetPlusPlus(nn.Module):
+    """Encoder of GA-DDPG, handover-sim2real and GenH2R: three set abstractions, two dense layers.
+
+    The result depends on which point is first, and on the order of the others only if a ball
+    contains more points than are grouped.
+
+    Args:
+        n_channels: Number of channels c, with xyz: 4 in GA-DDPG, 5 in handover-sim2real, 14 in GenH2R.
+    """
+
+    n_features = 512
+
+    def __init__(self, n_channels: int = 4) -> None:
+        super().__init__()
+        self.n_channels = n_channels
+        self.stages = nn.ModuleList(
+            [
+                SetAbstraction((n_channels, 64, 64, 128), GADDPG_GROUPINGS[0]),
+                SetAbstraction((128, 128, 128, 256), GADDPG_GROUPINGS[1]),
+                SetAbstraction((256, 256, 256, 512)),
+            ]
+        )
+        layers = (nn.Linear(512, 1024), nn.BatchNorm1d(1024), nn.ReLU(), nn.Linear(1024, 512), nn.BatchNorm1d(512))
+        self.dense = nn.Sequential(*layers, nn.ReLU())
+
+    def forward(self, cloud: Tensor) -> Tensor:
+        """Encode clouds (B, c, N) as vectors (B, 512)."""
+        positions, features = cloud[:, :3].transpose(1, 2), cloud
+        for stage in self.stages:
+            positions, features = stage(positions, features)
+        vector: Tensor = self.dense(features[..., 0])
+        return vector
+
+
+class PointNet(nn.Module):
+    """Small encoder: one shared multilayer perceptron on all points, max pooling, one dense layer.
+
+    The result depends neither on the order of the points nor on repetitions.
+
+    Args:
+        n_channels: Number of channels c, with xyz.
+        n_features: Length of the vector.
+        scale: Factor on coordinates, which brings them to order one (1/m).
+    """
+
+    def __init__(self, n_channels: int = 4, n_features: int = 256, scale: float = 10.0) -> None:
+        super().__init__()
+        self.n_channels, self.n_features = n_channels, n_features
+        factors = torch.ones(n_channels, 1)
+        factors[:3] = scale
+        self.factors: Tensor
+        self.register_buffer("factors", factors)
+        layers: list[nn.Module] = []
+        for before, after in itertools.pairwise((n_channels, 64, 128, n_features)):
+            layers += [nn.Conv1d(before, after, kernel_size=1), nn.ReLU()]
+        self.points = nn.Sequential(*layers)
+        self.dense = nn.Sequential(nn.Linear(n_features, n_features), nn.LayerNorm(n_features), nn.ReLU())
+
+    def forward(self, cloud: Tensor) -> Tensor:
+        """Encode clouds (B, c, N) as vectors (B, n_features)."""
+        vector: Tensor = self.dense(self.points(cloud * self.factors).amax(dim=-1))
+        return vector

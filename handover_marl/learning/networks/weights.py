@@ -1,0 +1,151 @@
+"""Reader and writer of network weights as small files without code.
+
+A file is a NumPy archive with one array per parameter: vectors in single precision, others in half
+precision, or, for large arrays of some networks, 8-bit integers with a scale per row (`name:scale`).
+`about` is JSON: `format`, `kind`, `settings` (arguments of the network) and `made_by` (its training).
+"""
+
+import contextlib
+import hashlib
+import io
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, ClassVar, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import nn
+
+from handover_marl.errors import DataFormatError, DataNotFoundError
+from handover_marl.execution.files import check_archive, shorten_text, write_arrays
+
+_FORMAT, _ABOUT = "handover_marl weights 1", "about"
+_MAX_BYTES = 100_000_000
+_COUNTERS = "num_batches_tracked"
+_SCALE_SUFFIX, _INT8_MAX = ":scale", 127
+_MIN_INT8_SIZE = 100_000
+
+_Network = TypeVar("_Network", bound="SavedNetwork")
+
+
+@contextlib.contextmanager
+def single_threaded_inference() -> Iterator[None]:
+    """Disable gradients and use one thread in a `with` block.
+
+    Rounding then does not depend on the number of cores.
+    """
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        with torch.inference_mode():
+            yield
+    finally:
+        torch.set_num_threads(before)
+
+
+class SavedNetwork(nn.Module):
+    """Base class of networks that can be written to a file of weights.
+
+    Attributes:
+        kind: Name of the receiver that uses the network.
+        uses_int8: Whether large arrays are stored as 8-bit integers.
+    """
+
+    kind: ClassVar[str]
+    uses_int8: ClassVar[bool] = False
+
+    def settings(self) -> dict[str, Any]:
+        """Return the arguments of the network in JSON types."""
+        return {}
+
+    @classmethod
+    def from_settings(cls: type[_Network], settings: dict[str, Any]) -> _Network:
+        """Create an untrained network from its arguments, as returned by `settings`."""
+        return cls(**settings)
+
+
+def write_network_weights(path: Path, network: SavedNetwork, provenance: Mapping[str, Any]) -> None:
+    """Write the weights of a network.
+
+    Args:
+        path: File to write (.npz).
+        network: Network to write.
+        provenance: Description of the training in JSON types, for a model card.
+
+    Raises:
+        ResultsError: The file cannot be written.
+    """
+    arrays: dict[str, npt.NDArray[Any]] = {}
+    for name, value in network.state_dict().items():
+        if not name.endswith(_COUNTERS):
+            arrays |= _encode_array(name, value.detach().cpu().numpy(), network.uses_int8)
+    about = {"format": _FORMAT, "kind": network.kind, "settings": network.settings(), "made_by": dict(provenance)}
+    write_arrays(path, {_ABOUT: np.array(json.dumps(about)), **arrays})
+
+
+def read_network_weights(path: str | Path, network_class: type[_Network]) -> tuple[_Network, str]:
+    """Read a network from a file of weights.
+
+    Args:
+        path: File of weights.
+        network_class: Class of the network in the file.
+
+    Returns:
+        The network in evaluation mode on the CPU, and a hash of the file (8 hexadecimal digits).
+
+    Raises:
+        DataNotFoundError: The file does not exist or cannot be read.
+        DataFormatError: The file is damaged or contains another network.
+    """
+    file = Path(path).expanduser()
+    try:
+        check_archive(file, _MAX_BYTES)
+        content = file.read_bytes()
+        about, arrays = _decode_archive(content)
+        if (about["format"], about["kind"]) != (_FORMAT, network_class.kind):
+            raise ValueError(f"format {about['format']!r} for {about['kind']!r}, expected {_FORMAT!r}")
+        network = network_class.from_settings(about["settings"])
+        counters = {name: value for name, value in network.state_dict().items() if name.endswith(_COUNTERS)}
+        network.load_state_dict({name: torch.from_numpy(value) for name, value in arrays.items()} | counters)
+    except OSError as error:
+        raise DataNotFoundError(
+            f"{file}: cannot read these weights ({error.strerror or error}); train some with "
+            f"experiments/training/train_{network_class.kind}.py"
+        ) from error
+    except Exception as error:  # NumPy, zipfile and PyTorch raise many kinds on damaged bytes
+        raise DataFormatError(f"{file}: not weights of {network_class.kind} ({shorten_text(error)})") from error
+    check_finite_weights(file, network)
+    return network.eval(), hashlib.sha256(content).hexdigest()[:8]
+
+
+def check_finite_weights(file: Path, module: nn.Module) -> None:
+    """Check that all parameters and buffers of a module that was read from a file are finite.
+
+    Raises:
+        DataFormatError: A number is infinite or not a number.
+    """
+    if not all(bool(torch.isfinite(value).all()) for value in module.state_dict().values()):
+        raise DataFormatError(f"{file}: weights must be finite numbers; the file is damaged")
+
+
+def _decode_archive(content: bytes) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the JSON description and the arrays in single precision."""
+    with np.load(io.BytesIO(content), allow_pickle=False) as archive:
+        about = json.loads(str(archive[_ABOUT]))
+        arrays = {name: archive[name].astype(np.float32) for name in archive.files if name != _ABOUT}
+    for name in [name for name in arrays if name.endswith(_SCALE_SUFFIX)]:
+        arrays[name.removesuffix(_SCALE_SUFFIX)] *= arrays.pop(name)
+    return about, arrays
+
+
+def _encode_array(name: str, value: npt.NDArray[Any], uses_int8: bool) -> dict[str, npt.NDArray[Any]]:
+    """Return an array in its stored precision by name, with its scale if it is quantized."""
+    if value.ndim == 1:
+        return {name: value.astype(np.float32)}
+    if not uses_int8 or value.size < _MIN_INT8_SIZE:
+        return {name: value.astype(np.float16)}
+    largest = np.abs(value).max(axis=tuple(range(1, value.ndim)), keepdims=True)
+    scale = (np.maximum(largest, np.finfo(np.float32).tiny) / _INT8_MAX).astype(np.float32)
+    return {name: np.rint(value / scale).astype(np.int8), name + _SCALE_SUFFIX: scale}

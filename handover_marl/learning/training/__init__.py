@@ -1,0 +1,1 @@
+"""Building blocks of the training scripts: arguments, environments, run folders, evaluation."""

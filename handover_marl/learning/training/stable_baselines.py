@@ -1,0 +1,153 @@
+"""Training of one agent with Stable-Baselines3's PPO. Needs the extra `train`.
+
+The module has functions for environments, policy files and checkpoints, and a callback that
+evaluates the policy.
+"""
+
+import functools
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import torch
+from stable_baselines3 import PPO
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
+from stable_baselines3.common.vec_env import SubprocVecEnv, VecEnv, VecMonitor
+
+from handover_marl.envs.wrappers.encode import EncodedEnv
+from handover_marl.envs.wrappers.wrapper import SingleAgentEnv
+from handover_marl.execution.options import count_available_cores
+from handover_marl.learning.foreign_policies import dense_network_from_state
+from handover_marl.learning.policy_spec import DenseNetwork
+from handover_marl.learning.training.arguments import PpoArgs
+from handover_marl.learning.training.batch_vec_env import BatchVecEnv
+from handover_marl.learning.training.environments import frozen_env_factory, frozen_vector_env_factory
+from handover_marl.learning.training.run_folder import read_checkpoint, write_checkpoint
+from handover_marl.learning.training.training_run import TrainingRun
+from handover_marl.simulation.engines import MUJOCO
+
+
+def make_vec_env(args: PpoArgs, agent: str, partner: str) -> VecEnv:
+    """Make `args.n_envs` seeded environments of one learning agent.
+
+    With MuJoCo each core simulates a batch of environments, otherwise each environment has a
+    process of its own. Episodes do not depend on this.
+
+    Args:
+        args: Arguments of the training.
+        agent: Agent that learns, "giver" or "receiver".
+        partner: Name of the other agent's policy.
+    """
+    envs: VecEnv
+    if args.physics == MUJOCO:
+        envs = BatchVecEnv(args.n_envs, count_available_cores(), frozen_vector_env_factory(args, agent, partner))
+    else:
+        make = functools.partial(_make_gymnasium_env, frozen_env_factory(args, agent, partner))
+        envs = SubprocVecEnv([make for _ in range(args.n_envs)])
+    envs = VecMonitor(envs)
+    envs.seed(args.seed)
+    return envs
+
+
+def _make_gymnasium_env(make: Callable[[], EncodedEnv]) -> SingleAgentEnv:
+    return SingleAgentEnv(make())
+
+
+def make_ppo(args: PpoArgs, envs: VecEnv) -> PPO:
+    """Make an untrained PPO model of Stable-Baselines3."""
+    return PPO(
+        "MlpPolicy",
+        envs,
+        learning_rate=args.learning_rate,
+        n_steps=args.batch_size // args.n_envs,
+        batch_size=128,
+        n_epochs=args.epochs,
+        gamma=args.discount,
+        gae_lambda=args.gae_lambda,
+        policy_kwargs={"net_arch": [args.width] * 2, "log_std_init": math.log(args.initial_std)},
+        tensorboard_log=str(Path(args.out) / "tensorboard"),
+        seed=args.seed,
+        device="cpu",
+    )
+
+
+def dense_network_from_model(model: BaseAlgorithm) -> DenseNetwork:
+    """Convert the deterministic policy of a PPO model to the network of a policy file.
+
+    Raises:
+        DataFormatError: The policy contains other than dense layers.
+    """
+    state = {name: value.detach().cpu().numpy() for name, value in model.policy.state_dict().items()}
+    about = {"policy_kwargs": {key: str(value) for key, value in model.policy_kwargs.items()}}
+    network, squashed = dense_network_from_state(state, about, "the trained policy")
+    return replace(network, output="tanh") if squashed else network
+
+
+def save_checkpoint(model: OnPolicyAlgorithm, path: Path) -> None:
+    """Write a checkpoint of a PPO model, from which training can be resumed."""
+    state = {
+        "parameters": model.get_parameters(),
+        "num_timesteps": model.num_timesteps,
+        "updates": model._n_updates,
+        "random": torch.get_rng_state(),
+    }
+    write_checkpoint(path, state)
+
+
+def load_checkpoint(model: OnPolicyAlgorithm, path: Path) -> None:
+    """Restore the state of a PPO model from a checkpoint.
+
+    Raises:
+        ResultsError: The file is not a checkpoint of such a model.
+    """
+
+    def restore(state: dict[str, Any]) -> None:
+        model.set_parameters(state["parameters"], exact_match=True)
+        model.num_timesteps = int(state["num_timesteps"])
+        model._n_updates = int(state["updates"])
+        torch.set_rng_state(state["random"])
+
+    read_checkpoint(path, restore)
+
+
+class EvaluationCallback(BaseCallback):
+    """Callback that evaluates the policy, writes a checkpoint, and stops when time is up.
+
+    Evaluations happen between rollouts, so that a resumed run continues exactly.
+
+    Args:
+        run: Training run with its folder and evaluations.
+        agent: Agent that learns.
+        interval: Number of decisions between evaluations.
+    """
+
+    def __init__(self, run: TrainingRun, agent: str, interval: int) -> None:
+        super().__init__()
+        self._run, self._agent, self._interval, self._next = run, agent, interval, 0
+
+    def _on_training_start(self) -> None:
+        self._next = self.num_timesteps + self._interval
+        if not self._run.folder.points:
+            self.evaluate()
+
+    def _on_step(self) -> bool:
+        return not self._run.is_out_of_time
+
+    def _on_rollout_start(self) -> None:
+        if self.num_timesteps >= self._next:
+            self._next = self.num_timesteps + self._interval
+            self.evaluate()
+
+    def evaluate(self) -> None:
+        """Write the policy file, evaluate the policy and write a checkpoint."""
+        if not isinstance(self.model, OnPolicyAlgorithm):
+            raise TypeError(f"model must be an on-policy algorithm, got {type(self.model).__name__}")
+        point = self._run.evaluate(self.num_timesteps, {self._agent: dense_network_from_model(self.model)})
+        for name in ("success", "contact", "drop", "timeout"):
+            self.logger.record(f"evaluation/{name}", getattr(point, name))
+        self.logger.dump(self.num_timesteps)
+        save_checkpoint(self.model, self._run.folder.checkpoint)

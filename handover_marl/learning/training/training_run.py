@@ -1,0 +1,106 @@
+"""Training run: folder, clock, and evaluation of the policies on the validation split."""
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+
+from handover_marl.datasets import open_dataset
+from handover_marl.evaluation.benchmark import evaluate_pair
+from handover_marl.evaluation.config import EvaluationConfig, ExecutionConfig
+from handover_marl.learning.policy_files import write_policy
+from handover_marl.learning.policy_spec import DenseNetwork, PolicySpec
+from handover_marl.learning.training.arguments import PairArgs, PpoArgs
+from handover_marl.learning.training.learning_curve import CurvePoint
+from handover_marl.learning.training.run_folder import POLICY, RunFolder, describe_origin, select_scenes_evenly
+
+
+class TrainingRun:
+    """Run of a training script with its folder, clock and evaluations.
+
+    Policies are written as `policy.npz`, or as `giver.npz` and `receiver.npz` if both agents learn.
+
+    Args:
+        args: Arguments of the training.
+        script: Name of the script, which the policy files record.
+        encodings: Names of features and action scheme of each learning agent.
+        partners: Name of the policy of each other agent.
+
+    Attributes:
+        folder: Folder of the run.
+    """
+
+    def __init__(
+        self,
+        args: PairArgs | PpoArgs,
+        script: str,
+        encodings: Mapping[str, tuple[str, str]],
+        partners: Mapping[str, str] | None = None,
+    ) -> None:
+        self._args, self._encodings, self._partners = args, encodings, dict(partners or {})
+        data = open_dataset(args.dataset, args.data_dir)
+        self.folder = RunFolder(Path(args.out), args, getattr(args, "resume", None), data.name)
+        self._origin = describe_origin(script, args)
+        val = select_scenes_evenly(data.list_scenes(args.setup, "val"), args.val_scenes)
+        self._config = EvaluationConfig(args.setup, "val", val, args.dataset, args.data_dir, args.physics)
+        self._earlier, self._started = self.folder.seconds, time.monotonic()
+        self._next_evaluation = 0
+
+    @property
+    def seconds(self) -> float:
+        """Wall-clock time of the training run, including the time before it was resumed (s)."""
+        return self._earlier + time.monotonic() - self._started
+
+    @property
+    def is_out_of_time(self) -> bool:
+        """Whether the time limit of the training run has passed."""
+        return self.seconds > 60.0 * self._args.minutes
+
+    def is_finished(self, steps: int) -> bool:
+        """Return whether the limit of decisions or of wall-clock time is reached."""
+        return steps >= self._args.steps or self.is_out_of_time
+
+    def policy_path(self, agent: str) -> Path:
+        """Return the path of an agent's policy file."""
+        return self.folder.path / (POLICY if len(self._encodings) == 1 else f"{agent}.npz")
+
+    def is_evaluation_due(self, steps: int) -> bool:
+        """Return whether an evaluation is due after a number of decisions.
+
+        Evaluations are due at the start, at every `eval_interval` and at the end.
+        """
+        if self.folder.points and self.folder.points[-1].steps == steps:
+            return False
+        return steps >= self._next_evaluation or self.is_finished(steps)
+
+    def evaluate_if_due(self, steps: int, make_networks: Callable[[], Mapping[str, DenseNetwork]]) -> bool:
+        """Evaluate the policies if an evaluation is due; return whether the training is finished.
+
+        Args:
+            steps: Number of decisions so far.
+            make_networks: Function that returns the current policy network of each learning agent.
+        """
+        if self.is_evaluation_due(steps):
+            self.evaluate(steps, make_networks())
+        return self.is_finished(steps)
+
+    def evaluate(self, steps: int, networks: Mapping[str, DenseNetwork]) -> CurvePoint:
+        """Write the policies, evaluate them on the validation scenes and extend the learning curve.
+
+        Args:
+            steps: Number of decisions so far.
+            networks: Current policy network of each learning agent.
+        """
+        interval = self._args.eval_interval
+        self._next_evaluation = steps - steps % interval + interval
+        for agent, network in networks.items():
+            spec = PolicySpec(agent, *self._encodings[agent], self._args.control_period, self._origin)
+            write_policy(self.policy_path(agent), spec, network)
+        policies = self._partners | {agent: f"learned:{self.policy_path(agent)}" for agent in networks}
+        config = replace(self._config, **policies)  # type: ignore[arg-type]
+        report = evaluate_pair(config, execution=ExecutionConfig(progress=False))
+        partner = ", ".join(self._partners.values()) or "each other"
+        point = CurvePoint.from_report(report, steps, self.seconds, partner)
+        self.folder.add(point)
+        print(point.summarize(), flush=True)
+        return point

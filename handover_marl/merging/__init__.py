@@ -1,1 +1,0 @@
-"""Putting the shards of a run together: the folder that one run would have written."""

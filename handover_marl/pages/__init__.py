@@ -1,1 +1,0 @@
-"""Web pages: one look for all of them, no script of their own, nothing loaded from elsewhere."""

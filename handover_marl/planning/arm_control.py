@@ -1,0 +1,246 @@
+"""Kinematics of an arm in the world frame, and joint velocity commands for its position motors."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from handover_marl.config import ARM_DOF, PandaConfig
+from handover_marl.geometry.arm import ArmKinematics
+from handover_marl.geometry.kinematic_tree import read_tree
+from handover_marl.geometry.panda import LOWER_LIMITS, UPPER_LIMITS
+from handover_marl.geometry.poses import compose, invert_pose, poses_from_rotations
+from handover_marl.planning.inverse_kinematics import solve_ik
+
+Array = npt.NDArray[np.float64]
+
+# Regularizes velocities near singular configurations (m^2).
+_DAMPING = 1e-3
+
+
+class ArmInWorld:
+    """Kinematics of an arm whose base has a fixed pose in the world.
+
+    Args:
+        arm: Kinematics in the base frame.
+        base: (7,) pose of the arm's base in the world, position (m) and quaternion xyzw.
+        limits: Lower and upper joint limits, (7,) each (rad).
+
+    Attributes:
+        arm: Kinematics in the base frame.
+        base: (7,) pose of the arm's base in the world, position (m) and quaternion xyzw.
+        limits: Lower and upper joint limits, (7,) each (rad).
+    """
+
+    def __init__(self, arm: ArmKinematics, base: Array, limits: tuple[Array, Array]) -> None:
+        self.arm, self.limits = arm, limits
+        self.base, self._base_from_world = base, invert_pose(base)
+        self._world_from_base_rotation = Rotation.from_quat(base[3:]).as_matrix()
+
+    @classmethod
+    def for_panda(cls, urdf: Path, panda: PandaConfig, padding: float = 0.0) -> "ArmInWorld":
+        """Create the kinematics of a Panda whose base pose is given by a configuration.
+
+        Args:
+            urdf: URDF model of the robot.
+            panda: Configuration with the world pose of the robot's base.
+            padding: Amount by which the joint limits are narrowed on each side (rad).
+
+        Raises:
+            SimulationError: The model cannot be read.
+        """
+        limits = np.array(LOWER_LIMITS[:ARM_DOF]) + padding, np.array(UPPER_LIMITS[:ARM_DOF]) - padding
+        base = np.array([*panda.base_position, *panda.base_orientation])
+        return cls(ArmKinematics(read_tree(urdf)), base, limits)
+
+    def hands(self, joints: Array) -> Array:
+        """Return the world poses (n, 7) of the hand link at configurations (n, 7) (rad)."""
+        chain = self.arm.chain(joints)
+        return compose(self.base, poses_from_rotations(chain.origins[-1].T, np.moveaxis(chain.rotations[-1], -1, 0)))
+
+    def hand(self, joints: Array) -> Array:
+        """Return the world pose (7,) of the hand link at one configuration (7,) (rad)."""
+        pose: Array = self.hands(joints[None])[0]
+        return pose
+
+    def frames(self, joints: Array) -> tuple[Array, Array]:
+        """Return the world frames of the seven moving links at configurations (n, 7) (rad).
+
+        Returns:
+            Origins (n, 7, 3) in m, and rotation matrices (n, 7, 3, 3).
+        """
+        chain = self.arm.chain(joints)
+        rotation = self._world_from_base_rotation
+        origins = chain.origins[:-1].transpose(2, 0, 1) @ rotation.T + self.base[:3]
+        return origins, rotation @ chain.rotations[:-1].transpose(3, 0, 1, 2)
+
+    def jacobian(self, joints: Array) -> Array:
+        """Return the Jacobian (6, 7) of the hand's origin at joints (7,), linear rows first."""
+        local = self.arm.jacobian(self.arm.chain(joints[None]))[..., 0]
+        rotation = self._world_from_base_rotation
+        jacobian: Array = np.concatenate([rotation @ local[:3], rotation @ local[3:]])
+        return jacobian
+
+    def point_jacobian(self, joints: Array, point: Array, link: int) -> Array:
+        """Return the (3, 7) Jacobian of a point that is fixed to a link.
+
+        Args:
+            joints: (7,) configuration (rad).
+            point: (3,) world position of the point (m).
+            link: Index of the moving link, from 0.
+        """
+        chain = self.arm.chain(joints[None])
+        rotation = self._world_from_base_rotation
+        axes = chain.rotations[:-1, :, 2, 0] @ rotation.T
+        origins = chain.origins[:-1, :, 0] @ rotation.T + self.base[:3]
+        columns = np.cross(axes, point - origins)
+        columns[link + 1 :] = 0.0
+        jacobian: Array = columns.T
+        return jacobian
+
+    def solve(
+        self, poses: Array, seeds: Array, iterations: int, tolerance: float = 1e-3
+    ) -> tuple[Array, npt.NDArray[np.bool_]]:
+        """Solve inverse kinematics for world poses of the hand link.
+
+        Args:
+            poses: (n, 7) wanted world poses, position (m) and quaternion xyzw.
+            seeds: (n, 7) configuration at which the search for each pose starts (rad).
+            iterations: Maximum number of iterations.
+            tolerance: Maximum error of each component of position (m) and rotation vector (rad).
+
+        Returns:
+            Configurations (n, 7), and whether each one reaches its pose (n,).
+        """
+        local = compose(self._base_from_world, poses)
+        rotations = Rotation.from_quat(local[:, 3:]).as_matrix()
+        return solve_ik(self.arm, local[:, :3], rotations, seeds, self.limits, tolerance, iterations)
+
+    def velocity(self, joints: Array, linear: Array, angular: Array, rotation_weight: float, period: float) -> Array:
+        """Return joint velocities (7,) in rad/s that give the robot's hand a wanted velocity.
+
+        Joints that would exceed their limit within the control period are not moved.
+
+        Args:
+            joints: (7,) present configuration (rad).
+            linear: (3,) wanted velocity of the hand's origin (m/s).
+            angular: (3,) wanted angular velocity of the hand (rad/s).
+            rotation_weight: Weight of the angular velocity relative to the linear one (m/rad).
+            period: Control period for which the velocities are commanded (s).
+        """
+        weights = np.array([1.0, 1.0, 1.0, rotation_weight, rotation_weight, rotation_weight])
+        rows = weights[:, None] * self.jacobian(joints)
+        wanted = weights * np.concatenate([linear, angular])
+        is_free = np.ones(len(joints), dtype=bool)
+        for _ in range(len(joints)):
+            moving = rows * is_free
+            velocity: Array = moving.T @ np.linalg.solve(moving @ moving.T + _DAMPING * np.eye(6), wanted)
+            after = joints + period * velocity
+            passes_lower = (after < self.limits[0]) & (velocity < 0.0)
+            is_blocked = passes_lower | ((after > self.limits[1]) & (velocity > 0.0))
+            if not (is_free & is_blocked).any():
+                return velocity
+            is_free &= ~is_blocked
+        return np.zeros(len(joints))
+
+
+@dataclass(frozen=True)
+class ServoConfig:
+    """Limits on the speeds and accelerations of the Panda's joints.
+
+    Attributes:
+        max_joint_speeds: Speed limits of the Panda's joints (rad/s).
+        speed_scale: Share of `max_joint_speeds` that is used, 0 to 1.
+        max_acceleration: Maximum acceleration of each joint (rad/s^2).
+        deceleration: Joint deceleration with which the arm stops at a goal configuration (rad/s^2).
+    """
+
+    max_joint_speeds: tuple[float, ...] = (2.175, 2.175, 2.175, 2.175, 2.61, 2.61, 2.61)
+    speed_scale: float = 1.0
+    max_acceleration: float = 20.0
+    deceleration: float = 12.0
+
+
+class ArmServo:
+    """Controller that converts joint velocities to position targets of the arm's motors.
+
+    Position motors lag behind their target; a target that leads by the same amount makes the arm
+    arrive on time.
+
+    Args:
+        config: Joint speeds and accelerations.
+        gain: Share of the position error that a motor corrects in one physics step.
+        period: Control period (s).
+        time_step: Duration of a physics step (s).
+
+    Attributes:
+        config: Joint speeds and accelerations.
+        period: Control period (s), which may be changed before each command.
+        limits: (7,) joint speed limits (rad/s).
+    """
+
+    def __init__(self, config: ServoConfig, gain: float, period: float, time_step: float) -> None:
+        self.config = config
+        self.period = period
+        self.limits = config.speed_scale * np.array(config.max_joint_speeds)
+        self._gain, self._time_step = gain, time_step
+        self._velocity = np.zeros(len(config.max_joint_speeds))
+
+    def reset(self) -> None:
+        """Set the last commanded joint velocity to zero, as at the start of an episode."""
+        self._velocity = np.zeros(len(self.config.max_joint_speeds))
+
+    @property
+    def velocity(self) -> Array:
+        """(7,) joint velocities of the last command (rad/s)."""
+        return self._velocity
+
+    def compute_goal_velocity(self, joints: Array, goal: Array) -> Array:
+        """Return joint velocities (7,) in rad/s towards a goal, slowing down to stop there.
+
+        Args:
+            joints: (7,) present configuration (rad).
+            goal: (7,) wanted configuration (rad).
+        """
+        error = goal - joints
+        # Speeds change once in a period, so braking starts half a period early.
+        half = 0.5 * self.config.deceleration * self.period
+        max_speed = float(np.sqrt(half**2 + 2.0 * self.config.deceleration * np.abs(error).max())) - half
+        wanted = error / self.period
+        fastest = float(np.abs(wanted).max())
+        if fastest > max_speed:
+            wanted = wanted * (max_speed / fastest)
+        return wanted
+
+    def limit_speed(self, velocity: Array) -> Array:
+        """Return joint velocities (7,) in rad/s scaled by one factor to obey the speed limits."""
+        excess = float((np.abs(velocity) / self.limits).max())
+        return velocity / excess if excess > 1.0 else velocity
+
+    def limit_acceleration(self, velocity: Array, acceleration: float | None = None) -> Array:
+        """Return wanted joint velocities (..., 7) clipped to what the acceleration limit allows.
+
+        Args:
+            velocity: (..., 7) wanted joint velocities (rad/s).
+            acceleration: Maximum change of a joint's speed (rad/s^2) instead of the configured one.
+        """
+        # Each joint is clipped on its own: with one common factor, a joint that reverses would make
+        # the other joints overshoot.
+        most = (acceleration or self.config.max_acceleration) * self.period
+        reached: Array = self._velocity + np.clip(velocity - self._velocity, -most, most)
+        return reached
+
+    def command(self, joints: Array, velocity: Array, acceleration: float | None = None) -> Array:
+        """Return motor position targets (7,) in rad that make the joints move at a velocity.
+
+        Args:
+            joints: (7,) present configuration (rad).
+            velocity: (7,) wanted joint velocities (rad/s).
+            acceleration: Maximum change of a joint's speed (rad/s^2) instead of the configured one.
+        """
+        self._velocity = self.limit_acceleration(velocity, acceleration)
+        lead = 1.0 / (1.0 - (1.0 - self._gain) ** (self.period / self._time_step))
+        target: Array = joints + lead * self.period * self._velocity
+        return target

@@ -1,0 +1,289 @@
+"""Clearances of the Panda's gripper and forearm, for many configurations at once.
+
+The gripper is modelled as boxes, elbow to wrist as capsules, and everything else as spheres.
+Lengths are in metres, poses are position and quaternion xyzw, and a negative clearance is the
+penetration depth.
+"""
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from handover_marl.geometry.poses import inverse_transform_points
+from handover_marl.planning.arm_control import ArmInWorld
+
+Array = npt.NDArray[np.float64]
+
+#: Boxes of the open gripper in the frame of `panda_hand`: hand body, both fingers, and the flange
+#: behind the hand. They bound HandoverSim's collision meshes, the flange's without its corners.
+GRIPPER_BOX_CENTERS = np.array([[0.0, 0.0, 0.02], [0.0, 0.0533, 0.0855], [0.0, -0.0533, 0.0855], [0.0, 0.0, -0.065]])
+GRIPPER_BOX_HALF_SIZES = np.array(
+    [[0.0316, 0.104, 0.046], [0.0105, 0.0133, 0.0271], [0.0105, 0.0133, 0.0271], [0.055, 0.055, 0.04]]
+)
+
+# Center and half size of the volume that the fingers sweep when they close.
+_CLOSING_BOX = (np.array([0.0, 0.0, 0.0855]), np.array([0.0105, 0.0666, 0.0271]))
+# Boxes that move through space on the straight approach: hand body and flange.
+_APPROACH_BOXES = (0, 3)
+_FLANGE = 3
+# Center and half size of the volume between the pads, slightly smaller than what they can press.
+_PAD_REGION = (np.array([0.0, 0.0, 0.094]), np.array([0.008, 0.04, 0.014]))
+
+#: Capsules of elbow, forearm and wrist: index of the moving link, both ends of the axis in the
+#: link's frame, and radius. They cover the convex hulls of the collision meshes of links 4 to 6 to
+#: within 1.6 cm; the forearm's hull is much wider on the side of its cover than elsewhere.
+ARM_CAPSULES = (
+    (3, (0.0, 0.0, 0.045), (-0.08, 0.07, 0.0), 0.06),
+    (3, (-0.082, 0.0, 0.0), (-0.082, 0.082, 0.0), 0.055),
+    (3, (-0.04, 0.08, 0.0), (-0.085, 0.082, 0.0), 0.053),
+    (4, (0.0, 0.0, -0.215), (0.0, 0.0, -0.005), 0.055),
+    (4, (0.0, 0.035, -0.195), (0.0, 0.08, -0.01), 0.053),
+    (4, (0.0, 0.0, -0.215), (0.0, 0.04, -0.195), 0.053),
+    (4, (0.0, 0.04, -0.04), (0.0, 0.075, 0.0), 0.053),
+    (5, (0.0, 0.0, 0.0), (0.088, 0.0, 0.0), 0.055),
+    (5, (0.02, 0.01, 0.0), (0.085, 0.032, 0.0), 0.053),
+)
+
+_LINKS = np.array([link for link, *_ in ARM_CAPSULES])
+_STARTS, _ENDS = (np.array([capsule[end] for capsule in ARM_CAPSULES]) for end in (1, 2))
+_RADII = np.array([capsule[3] for capsule in ARM_CAPSULES])
+
+_MIN_LENGTH = 1e-9
+# Grid of barycentric coordinates on which a triangle is sampled.
+_GRID = np.linspace(0.0, 1.0, 6)
+
+
+@dataclass(frozen=True, eq=False)
+class Spheres:
+    """Surface of a body approximated by spheres.
+
+    Attributes:
+        centers: (k, 3) centers of the spheres (m).
+        radii: (k,) radii of the spheres (m).
+    """
+
+    centers: Array
+    radii: Array
+
+    def in_frame(self, pose: Array) -> "Spheres":
+        """Return the spheres in another frame, whose pose (7,) in their present frame is given."""
+        return Spheres(inverse_transform_points(pose, self.centers), self.radii)
+
+
+@dataclass(frozen=True, eq=False)
+class ClosestPoints:
+    """Closest pair of points between the robot and a body approximated by spheres.
+
+    Attributes:
+        distance: Distance of the two surfaces (m), negative where they overlap.
+        point: (3,) closest point on the robot, in the world (m).
+        normal: (3,) unit vector in the world from the closest sphere to the robot.
+        sphere: Index of the closest sphere of the body.
+    """
+
+    distance: float
+    point: Array
+    normal: Array
+    sphere: int
+
+
+def sample_surface_spheres(vertices: Array, faces: npt.NDArray[np.int_], count: int, radius: float) -> Spheres:
+    """Place spheres on the surface of a mesh by farthest point sampling.
+
+    Args:
+        vertices: (v, 3) vertices (m).
+        faces: (f, 3) vertex indices.
+        count: Number of spheres.
+        radius: Radius of each sphere (m).
+    """
+    weights = np.array([(a, b, 1.0 - a - b) for a in _GRID for b in _GRID if a + b <= 1.0])
+    points = np.einsum("sk,fkc->fsc", weights, vertices[faces]).reshape(-1, 3)
+    chosen = [0]
+    distances = np.linalg.norm(points - points[0], axis=1)
+    while len(chosen) < min(count, len(points)):
+        chosen.append(int(np.argmax(distances)))
+        distances = np.minimum(distances, np.linalg.norm(points - points[chosen[-1]], axis=1))
+    return Spheres(points[chosen], np.full(len(chosen), radius))
+
+
+def compute_gripper_corners(hands: Array) -> Array:
+    """Return the corners (n, 32, 3) in m of the four boxes that bound the open gripper.
+
+    Args:
+        hands: (n, 7) poses of the hand link.
+    """
+    signs = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
+    local = (GRIPPER_BOX_CENTERS[:, None] + signs * GRIPPER_BOX_HALF_SIZES[:, None]).reshape(-1, 3)
+    rotations = Rotation.from_quat(hands[:, 3:]).as_matrix()
+    corners: Array = local @ rotations.transpose(0, 2, 1) + hands[:, None, :3]
+    return corners
+
+
+def compute_flange_clearances(hands: Array, spheres: Spheres) -> Array:
+    """Return the clearances (n,) in m between the flange behind the robot's hand and a body.
+
+    Args:
+        hands: (n, 7) poses of the hand link in the frame of the spheres.
+        spheres: Body to keep clear of.
+    """
+    local = _points_in_hands(hands, spheres.centers) - GRIPPER_BOX_CENTERS[_FLANGE]
+    clearances: Array = (_box_distances(local, GRIPPER_BOX_HALF_SIZES[_FLANGE]) - spheres.radii).min(axis=1)
+    return clearances
+
+
+def compute_open_gripper_clearances(hands: Array, spheres: Spheres) -> Array:
+    """Return the clearances (n,) in m between the open gripper with its flange and a body.
+
+    Args:
+        hands: (n, 7) poses of the hand link in the frame of the spheres.
+        spheres: Body to keep clear of.
+    """
+    local = _points_in_hands(hands, spheres.centers)
+    boxes = zip(GRIPPER_BOX_CENTERS, GRIPPER_BOX_HALF_SIZES, strict=True)
+    by_box = [(_box_distances(local - center, half) - spheres.radii).min(axis=1) for center, half in boxes]
+    clearances: Array = np.min(by_box, axis=0)
+    return clearances
+
+
+def compute_grasp_clearances(hands: Array, spheres: Spheres, sweep: float = 0.0, flange: bool = True) -> Array:
+    """Return the clearances (n,) in m between a gripper that closes at each pose and a body.
+
+    The volume between the open fingers counts as part of the gripper.
+
+    Args:
+        hands: (n, 7) poses of the hand link in the frame of the spheres.
+        spheres: Body to keep clear of, such as the hand of the person.
+        sweep: Length of the straight approach along the hand's z axis that is included (m).
+        flange: Whether the flange behind the hand is included.
+    """
+    local = _points_in_hands(hands, spheres.centers)
+    back = np.array([0.0, 0.0, 0.5 * sweep])
+    distances = _box_distances(local - _CLOSING_BOX[0], _CLOSING_BOX[1])
+    for box in _APPROACH_BOXES if flange else _APPROACH_BOXES[:1]:
+        swept = _box_distances(local - GRIPPER_BOX_CENTERS[box] + back, GRIPPER_BOX_HALF_SIZES[box] + back)
+        distances = np.minimum(distances, swept)
+    clearances: Array = (distances - spheres.radii).min(axis=1)
+    return clearances
+
+
+def count_points_between_pads(hands: Array, points: Array) -> npt.NDArray[np.int_]:
+    """Return the number (n,) of points between the finger pads of the open gripper at each pose.
+
+    Args:
+        hands: (n, 7) poses of the hand link.
+        points: (k, 3) points in the same frame (m).
+    """
+    local = _points_in_hands(hands, points)
+    counts: npt.NDArray[np.int_] = (np.abs(local - _PAD_REGION[0]) < _PAD_REGION[1]).all(axis=-1).sum(axis=1)
+    return counts
+
+
+def find_closest_points(hand: Array, spheres: Spheres) -> ClosestPoints:
+    """Return the closest points between the open gripper and a body.
+
+    Args:
+        hand: (7,) world pose of the hand link.
+        spheres: Body in the world.
+    """
+    rotation = Rotation.from_quat(hand[3:]).as_matrix()
+    local = (spheres.centers - hand[:3]) @ rotation
+    offsets = local[None] - GRIPPER_BOX_CENTERS[:, None]
+    by_box = zip(offsets, GRIPPER_BOX_HALF_SIZES, strict=True)
+    distances = np.stack([_box_distances(offset, half) for offset, half in by_box])
+    box, sphere = np.unravel_index(int(np.argmin(distances - spheres.radii)), distances.shape)
+    half = GRIPPER_BOX_HALF_SIZES[box]
+    offset = offsets[box, sphere]
+    on_box = np.clip(offset, -half, half) + GRIPPER_BOX_CENTERS[box]
+    direction = on_box - local[sphere]
+    length = float(np.linalg.norm(direction))
+    if length > _MIN_LENGTH:
+        direction = direction / length
+    else:
+        # No face of the box is a meaningful exit for a center inside it: push from the box center.
+        direction = -offset / max(float(np.linalg.norm(offset)), _MIN_LENGTH)
+    distance = float(distances[box, sphere] - spheres.radii[sphere])
+    return ClosestPoints(distance, hand[:3] + rotation @ on_box, rotation @ direction, int(sphere))
+
+
+def compute_arm_clearances(arm: ArmInWorld, joints: Array, spheres: Spheres) -> Array:
+    """Return the clearances (n,) in m between elbow, forearm and wrist of the arm and a body.
+
+    Args:
+        arm: Kinematics of the arm.
+        joints: (n, 7) configurations (rad).
+        spheres: Body in the world.
+    """
+    starts, ends = _arm_segments(arm, joints)
+    points = spheres.centers
+    axes = ends - starts
+    # Expanded scalar products avoid an array of (n, capsules, k, 3) difference vectors.
+    along = axes @ points.T - (axes * starts).sum(axis=-1)[..., None]
+    squared = (axes**2).sum(axis=-1)[..., None]
+    share = np.clip(along / np.maximum(squared, _MIN_LENGTH), 0.0, 1.0)
+    from_start = (starts**2).sum(axis=-1)[..., None] - 2.0 * (starts @ points.T) + (points.T**2).sum(axis=0)
+    distances = np.sqrt(np.maximum(from_start - share * (2.0 * along - share * squared), 0.0))
+    clearances: Array = (distances - spheres.radii - _RADII[:, None]).min(axis=(1, 2))
+    return clearances
+
+
+def compute_lowest_heights(arm: ArmInWorld, joints: Array) -> Array:
+    """Return the world z (n,) in m of the lowest point of forearm and gripper.
+
+    Args:
+        arm: Kinematics of the arm.
+        joints: (n, 7) configurations (rad).
+    """
+    starts, ends = _arm_segments(arm, joints)
+    capsules = (np.minimum(starts[..., 2], ends[..., 2]) - _RADII).min(axis=1)
+    heights: Array = np.minimum(capsules, compute_gripper_corners(arm.hands(joints))[..., 2].min(axis=1))
+    return heights
+
+
+def find_closest_arm_points(arm: ArmInWorld, joints: Array, spheres: Spheres) -> tuple[ClosestPoints, int]:
+    """Return the closest points between the arm from elbow to wrist and a body, and the link index.
+
+    Args:
+        arm: Kinematics of the arm.
+        joints: (7,) configuration (rad).
+        spheres: Body in the world.
+    """
+    starts, ends = (end[0] for end in _arm_segments(arm, joints[None]))
+    axes = (ends - starts)[:, None]
+    from_start = spheres.centers - starts[:, None]
+    along = (from_start * axes).sum(axis=-1) / np.maximum((axes**2).sum(axis=-1), _MIN_LENGTH)
+    feet = starts[:, None] + np.clip(along, 0.0, 1.0)[..., None] * axes
+    offsets = feet - spheres.centers
+    lengths = np.linalg.norm(offsets, axis=-1)
+    distances = lengths - spheres.radii - _RADII[:, None]
+    capsule, sphere = np.unravel_index(int(np.argmin(distances)), distances.shape)
+    normal = offsets[capsule, sphere] / max(float(lengths[capsule, sphere]), _MIN_LENGTH)
+    point = feet[capsule, sphere] - _RADII[capsule] * normal
+    return ClosestPoints(float(distances[capsule, sphere]), point, normal, int(sphere)), int(_LINKS[capsule])
+
+
+def _arm_segments(arm: ArmInWorld, joints: Array) -> tuple[Array, Array]:
+    """Return both ends (n, capsules, 3) of the capsules' axes in the world (m)."""
+    origins, rotations = arm.frames(joints)
+    link_origins, link_rotations = origins[:, _LINKS], rotations[:, _LINKS]
+    starts, ends = ((link_rotations @ local[..., None])[..., 0] + link_origins for local in (_STARTS, _ENDS))
+    return starts, ends
+
+
+def _points_in_hands(hands: Array, points: Array) -> Array:
+    """Return points (k, 3) in the frame of each hand (n, 7), shape (n, k, 3)."""
+    local: Array = (points[None] - hands[:, None, :3]) @ Rotation.from_quat(hands[:, 3:]).as_matrix()
+    return local
+
+
+def _box_distances(points: Array, half_size: Array) -> Array:
+    """Return the signed distances (...) of points (..., 3) to a box around the origin."""
+    beyond = np.abs(points)
+    beyond -= half_size
+    # One coordinate at a time and in place: NumPy reduces short axes slowly.
+    inside = np.minimum(np.maximum(np.maximum(beyond[..., 0], beyond[..., 1]), beyond[..., 2]), 0.0)
+    outside = np.maximum(beyond, 0.0, out=beyond)
+    distances: Array = np.sqrt(np.einsum("...i,...i->...", outside, outside)) + inside
+    return distances

@@ -1,0 +1,231 @@
+"""Collision avoidance: joint velocities that keep clear of bodies, and via points around obstacles.
+
+Velocities follow the idea of speed and separation monitoring in ISO/TS 15066, as a velocity damper
+(Faverjon and Tournassoud, 1987): clearance beyond a minimum may be used up within a given time
+and no sooner, with the other body's own motion taken into account.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.planning.arm_control import ArmInWorld
+from handover_marl.planning.clearance import (
+    Spheres,
+    compute_arm_clearances,
+    compute_lowest_heights,
+    compute_open_gripper_clearances,
+    find_closest_arm_points,
+    find_closest_points,
+)
+
+Array = npt.NDArray[np.float64]
+
+_DAMPING = 1e-4
+_N_SWEEPS = 4
+# Shares of a straight path at which clearances are checked.
+_SHARES = np.array([0.25, 0.5, 0.75, 1.0])
+# Candidate via points: offsets from the middle of the path (rad).
+_OFFSETS = np.random.default_rng(0).normal(0.0, 0.6, (50, 7))
+_BATCH_SIZE = 6
+_TOLERANCE = 1e-9  # m
+
+
+@dataclass(frozen=True)
+class SeparationConfig:
+    """Clearances that the moving robot keeps from the person, the object and the table.
+
+    Attributes:
+        hand_clearance: Minimum clearance to the person's hand (m).
+        object_clearance: Minimum clearance to the object on the way to a standoff pose (m).
+        grasp_hand_clearance: Minimum clearance to the person's hand during the final approach (m).
+        table_clearance: Minimum clearance above the table (m).
+        time_constant: Shortest time in which the robot may use up clearance beyond the minimum (s).
+        approach_time_constant: Value of `time_constant` during the final approach to a grasp (s).
+        max_evasion_speed: Maximum speed at which the robot moves away from a body whose clearance
+            is below the minimum (m/s).
+        lookahead: Time for which clearances are predicted (s), since the clearance to a body that
+            passes by quickly shrinks abruptly.
+        slack: Amount by which a predicted clearance may fall below the minimum before the robot
+            slows down (m).
+    """
+
+    hand_clearance: float = 0.03
+    object_clearance: float = 0.015
+    grasp_hand_clearance: float = 0.003
+    table_clearance: float = 0.01
+    time_constant: float = 0.15
+    approach_time_constant: float = 0.05
+    max_evasion_speed: float = 0.6
+    lookahead: float = 0.06
+    slack: float = 0.003
+
+
+@dataclass(frozen=True, eq=False)
+class MovingBody:
+    """Moving body that the robot has to keep clear of.
+
+    Attributes:
+        spheres: Spheres that approximate the body, in the world.
+        velocity: (3,) velocity of the body (m/s).
+        min_clearance: Minimum clearance between robot and body (m).
+    """
+
+    spheres: Spheres
+    velocity: Array
+    min_clearance: float
+
+
+def enforce_separation(
+    velocity: Array,
+    arm: ArmInWorld,
+    joints: Array,
+    bodies: Sequence[MovingBody],
+    config: SeparationConfig,
+    leaving: bool = False,
+) -> Array:
+    """Return the joint velocities (7,) nearest to the wanted ones that keep clear of all bodies.
+
+    Args:
+        velocity: (7,) wanted joint velocities (rad/s).
+        arm: Kinematics of the arm.
+        joints: (7,) present configuration (rad).
+        bodies: Bodies to keep clear of, the most important last.
+        config: Clearances and time constants.
+        leaving: Whether the robot only has to avoid coming closer to a body whose clearance is
+            already too small, as when it withdraws from a person's hand.
+    """
+    hand, dampers = arm.hand(joints), []
+    for body in bodies:
+        gripper = find_closest_points(hand, body.spheres)
+        for closest, link in (find_closest_arm_points(arm, joints, body.spheres), (gripper, arm.arm.n_joints)):
+            wanted = min(body.min_clearance, closest.distance) if leaving else body.min_clearance
+            retreat = min((wanted - closest.distance) / config.time_constant, config.max_evasion_speed)
+            least = retreat + float(closest.normal @ body.velocity)
+            dampers.append((closest.normal @ arm.point_jacobian(joints, closest.point, link), least))
+    # One constraint may undo what another has enforced, so all are swept several times.
+    for row, least in _N_SWEEPS * dampers:
+        rate = float(row @ velocity)
+        if rate < least:
+            velocity = velocity + row * (least - rate) / (row @ row + _DAMPING)
+    return velocity
+
+
+def select_safe_velocity(
+    wanted: Array,
+    reached: Array,
+    arm: ArmInWorld,
+    joints: Array,
+    bodies: Sequence[MovingBody],
+    table_height: float,
+    config: SeparationConfig,
+) -> Array:
+    """Return the first of several joint velocities that keeps all clearances during the lookahead.
+
+    If no candidate does so, the one (7,) with the smallest violation is returned.
+
+    Args:
+        wanted: (n, 7) candidate joint velocities, the preferred one first (rad/s).
+        reached: (n, 7) joint velocities that the motors can reach for each candidate (rad/s).
+        arm: Kinematics of the arm.
+        joints: (7,) present configuration (rad).
+        bodies: Bodies to keep clear of.
+        table_height: Height of the table's surface (m).
+        config: Clearances and lookahead.
+    """
+    line = np.concatenate([joints[None], joints + config.lookahead * reached])
+    hands, heights = arm.hands(line), compute_lowest_heights(arm, line) - table_height
+    violations = np.maximum(0.0, min(config.table_clearance, float(heights[0])) - config.slack - heights[1:])
+    for body in bodies:
+        spheres = body.spheres
+        predicted = Spheres(spheres.centers + config.lookahead * body.velocity, spheres.radii)
+        now = min(
+            float(compute_open_gripper_clearances(hands[:1], spheres)[0]),
+            float(compute_arm_clearances(arm, line[:1], spheres)[0]),
+        )
+        clearances = np.minimum(
+            compute_open_gripper_clearances(hands[1:], predicted), compute_arm_clearances(arm, line[1:], predicted)
+        )
+        violations = np.maximum(violations, min(body.min_clearance, now) - config.slack - clearances)
+    return np.asarray(wanted[int(np.argmin(violations))])
+
+
+@dataclass(frozen=True, eq=False)
+class PathObstacles:
+    """Obstacles that a path of the arm has to keep clear of.
+
+    Attributes:
+        spheres: Spheres that approximate all bodies but the table, in the world.
+        table_height: World z of the table's surface (m).
+        clearance: Wanted clearance of the robot to bodies and table (m).
+    """
+
+    spheres: Spheres
+    table_height: float
+    clearance: float
+
+
+def is_path_clear(arm: ArmInWorld, start: Array, goal: Array, obstacles: PathObstacles) -> bool:
+    """Return whether arm and open gripper keep clear of obstacles on a straight joint path.
+
+    If the start has less than the wanted clearance, the path is clear where no point of it has
+    less clearance than the start.
+
+    Args:
+        arm: Kinematics of the arm.
+        start: (7,) start of the path (rad).
+        goal: (7,) end of the path (rad).
+        obstacles: What to keep clear of.
+    """
+    path = start + _SHARES[:, None] * (goal - start)
+    return bool(_are_clear(arm, start, path[None], obstacles)[0])
+
+
+def find_via_point(
+    arm: ArmInWorld,
+    start: Array,
+    goal: Array,
+    known: Array,
+    speeds: Array,
+    obstacles: PathObstacles,
+    max_candidates: int,
+) -> Array | None:
+    """Return the via point (7,) of the fastest clear path to a configuration, or None.
+
+    The paths from start to via point and from there to the goal are straight in joint space. None
+    is returned if no candidate has two clear paths.
+
+    Args:
+        arm: Kinematics of the arm.
+        start: (7,) present configuration (rad).
+        goal: (7,) wanted configuration (rad).
+        known: (n, 7) candidates besides those around the middle of the path (rad).
+        speeds: (7,) joint speeds (rad/s).
+        obstacles: What to keep clear of.
+        max_candidates: Maximum number of candidates that are checked, the fastest ones first.
+    """
+    candidates = np.clip(np.concatenate([known, 0.5 * (start + goal) + _OFFSETS]), *arm.limits)
+    to_candidate = (np.abs(candidates - start) / speeds).max(axis=1)
+    time = to_candidate + (np.abs(candidates - goal) / speeds).max(axis=1)
+    fastest = candidates[np.argsort(time, kind="stable")[:max_candidates]]
+    shares = _SHARES[:, None, None]
+    for batch in np.split(fastest, range(_BATCH_SIZE, len(fastest), _BATCH_SIZE)):
+        paths = np.concatenate([start + shares * (batch - start), batch + shares * (goal - batch)]).swapaxes(0, 1)
+        is_clear = _are_clear(arm, start, paths, obstacles)
+        if is_clear.any():
+            return np.asarray(batch[int(np.argmax(is_clear))])
+    return None
+
+
+def _are_clear(arm: ArmInWorld, start: Array, paths: Array, obstacles: PathObstacles) -> npt.NDArray[np.bool_]:
+    """Return which (n,) of the paths (n, k, 7) keep clear, or are no closer than the start."""
+    line = np.concatenate([start[None], paths.reshape(-1, paths.shape[-1])])
+    spheres = obstacles.spheres
+    clearances = np.minimum(
+        compute_arm_clearances(arm, line, spheres), compute_open_gripper_clearances(arm.hands(line), spheres)
+    )
+    clearances = np.minimum(clearances, compute_lowest_heights(arm, line) - obstacles.table_height)
+    is_enough = clearances[1:] >= min(float(clearances[0]), obstacles.clearance) - _TOLERANCE
+    return np.asarray(is_enough.reshape(paths.shape[:2]).all(axis=1))

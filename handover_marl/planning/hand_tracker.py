@@ -1,0 +1,160 @@
+"""Geometry and motion of the person's hand, from observed keypoints.
+
+Keypoints follow MANO's order: the wrist, then three joints from the knuckle outwards of the index,
+middle, little and ring finger and of the thumb.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from handover_marl.episode.observations import Observation
+from handover_marl.planning.clearance import Spheres
+
+Array = npt.NDArray[np.float64]
+
+_WRIST, _INDEX, _LITTLE = 0, 1, 7
+_FINGERS = ((1, 2, 3), (4, 5, 6), (7, 8, 9), (10, 11, 12), (13, 14, 15))
+# Palm edges between neighbouring knuckles, and between the index finger's and the thumb's.
+_PALM_EDGES = ((1, 4), (4, 10), (10, 7), (1, 14))
+# Length of a fingertip with its pad relative to the bone before it (Buryanov and Kotiuk, 2010:
+# 0.7 to 0.9).
+_TIP_RATIO = 0.9
+_PALM_RADIUS, _THUMB_RADIUS, _FINGER_RADIUS = 0.013, 0.012, 0.0095  # m
+_SPHERES_PER_CAPSULE = 3
+# The heel of the hand is wider than the capsules that meet in the wrist (m).
+_HEEL_WIDTH, _HEEL_RADIUS = 0.02, 0.016
+_VELOCITY_TIME_CONSTANT = 0.02  # s
+
+
+@dataclass(frozen=True, eq=False)
+class Capsules:
+    """Surface of a body approximated by capsules.
+
+    Attributes:
+        starts: (k, 3) first end point of each capsule's axis (m).
+        ends: (k, 3) second end point of each capsule's axis (m).
+        radii: (k,) radii of the capsules (m).
+    """
+
+    starts: Array
+    ends: Array
+    radii: Array
+
+    def distances(self, points: Array) -> Array:
+        """Return the signed distances (n,) in m from points (n, 3) to the nearest capsule."""
+        nearest = np.full(len(points), np.inf)
+        for start, end, radius in zip(self.starts, self.ends, self.radii, strict=True):
+            axis = end - start
+            squared = float(axis @ axis)
+            along = np.clip((points - start) @ axis / squared, 0.0, 1.0) if squared > 0.0 else np.zeros(len(points))
+            offsets = points - start - along[:, None] * axis
+            nearest = np.minimum(nearest, np.sqrt(np.einsum("ij,ij->i", offsets, offsets)) - radius)
+        return nearest
+
+
+def sample_capsule_spheres(capsules: Capsules, count: int) -> Spheres:
+    """Approximate each capsule by `count` spheres, evenly spaced along its axis."""
+    shares = np.linspace(0.0, 1.0, count)[:, None, None]
+    centers = capsules.starts + shares * (capsules.ends - capsules.starts)
+    return Spheres(centers.reshape(-1, 3), np.tile(capsules.radii, count))
+
+
+def hand_capsules_from_observation(observation: Observation) -> Capsules | None:
+    """Return capsules, in the world, that approximate the person's hand, or None without a hand.
+
+    Fingertips are not observed: each one extends the bone before it, bent by the last joint.
+    """
+    if not observation["hand_present"][0]:
+        return None
+    points = observation["hand_keypoints"].astype(np.float64)
+    rotations = _link_rotations(observation["hand_dof_position"].astype(np.float64))
+    capsules = [(points[a], points[b], _PALM_RADIUS) for a, b in _PALM_EDGES]
+    for number, (knuckle, middle, last) in enumerate(_FINGERS):
+        radius = _THUMB_RADIUS if number == len(_FINGERS) - 1 else _FINGER_RADIUS
+        before, bent = rotations[last - 2], rotations[last - 1]
+        tip = points[last] + _TIP_RATIO * (bent * before.inv()).apply(points[last] - points[middle])
+        capsules += [
+            (points[_WRIST], points[knuckle], _PALM_RADIUS),
+            (points[knuckle], points[middle], radius),
+            (points[middle], points[last], radius),
+            (points[last], tip, radius),
+        ]
+    starts, ends, radii = zip(*capsules, strict=True)
+    return Capsules(np.array(starts), np.array(ends), np.array(radii))
+
+
+def _link_rotations(dof: Array) -> list[Rotation]:
+    """Return the world orientation of the link behind each of the 15 finger joints."""
+    base = Rotation.from_euler("XYZ", dof[3:6])
+    rotations: list[Rotation] = []
+    for joint, angles in enumerate(dof[6:].reshape(15, 3)):
+        before = base if joint % 3 == 0 else rotations[-1]
+        rotations.append(before * Rotation.from_euler("XYZ", angles))
+    return rotations
+
+
+class HandTracker:
+    """Tracker of the position and velocity of a person's hand during one episode.
+
+    Attributes:
+        spheres: Spheres that approximate the hand in the world, or None without a hand.
+        points: (k, 3) keypoints of the hand in the world (m), empty without a hand.
+        velocity: (3,) filtered velocity of the keypoints' mean (m/s).
+    """
+
+    def __init__(self) -> None:
+        self.spheres: Spheres | None = None
+        self.points, self.velocity = np.zeros((0, 3)), np.zeros(3)
+        self._time = 0.0
+
+    def update(self, time: float, observation: Observation) -> None:
+        """Update position and velocity of the hand from an observation at a time (s)."""
+        capsules = hand_capsules_from_observation(observation)
+        if capsules is None:
+            self.spheres, self.velocity, self.points = None, np.zeros(3), np.zeros((0, 3))
+            return
+        points = observation["hand_keypoints"].astype(np.float64)
+        if len(self.points) and time > self._time:
+            step = time - self._time
+            kept = float(np.exp(-step / _VELOCITY_TIME_CONSTANT))
+            measured = (points - self.points).mean(axis=0) / step
+            self.velocity = kept * self.velocity + (1.0 - kept) * measured
+        self._time, self.points = time, points
+        fingers = sample_capsule_spheres(capsules, _SPHERES_PER_CAPSULE)
+        across = points[_INDEX] - points[_LITTLE]
+        across = _HEEL_WIDTH * across / max(float(np.linalg.norm(across)), 1e-6)
+        heel = points[_WRIST] + np.array([-1.0, 0.0, 1.0])[:, None] * across
+        centers = np.concatenate([fingers.centers, heel])
+        self.spheres = Spheres(centers, np.append(fingers.radii, np.full(3, _HEEL_RADIUS)))
+
+    def predict_attached_pose(self, points: Array, pose: Array, ahead: float) -> Array:
+        """Return the present world pose (7,) of a frame that moves rigidly with the person's hand.
+
+        Args:
+            points: (k, 3) value of `reference_points` at the earlier time (m).
+            pose: (7,) world pose of the frame at the earlier time.
+            ahead: Additional time for which the present velocity is extrapolated (s).
+        """
+        if points.shape != self.points.shape or not len(points):
+            return pose
+        before, after = points.mean(axis=0), self.points.mean(axis=0)
+        rotation, _ = Rotation.align_vectors(self.points - after, points - before)
+        position = after + rotation.apply(pose[:3] - before) + ahead * self.velocity
+        return np.concatenate([position, (rotation * Rotation.from_quat(pose[3:])).as_quat()])
+
+    @property
+    def reference_points(self) -> Array:
+        """(k, 3) present world keypoints of the hand, for `predict_attached_pose` (m)."""
+        return self.points
+
+    @property
+    def speed(self) -> float:
+        """Filtered speed of the person's hand (m/s)."""
+        return float(np.linalg.norm(self.velocity))
+
+    def distance(self, position: Array) -> float:
+        """Return the distance (m) from a world position (3,) to the hand's nearest keypoint."""
+        return float(np.linalg.norm(self.points - position, axis=1).min()) if len(self.points) else np.inf

@@ -1,0 +1,161 @@
+"""Prediction of the pose at which a person will hold out an object, from its motion until now."""
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+Array = npt.NDArray[np.float64]
+
+_TIME_TOLERANCE = 1e-6  # s
+
+
+@dataclass(frozen=True)
+class HandoverPosePredictorConfig:
+    """Constants of the motion model that predicts where an object is handed over.
+
+    The remaining translation of an object at position p with velocity v is predicted as
+
+        velocity_horizon * v
+        + attraction * tanh(|v| / attraction_speed) * (mean_handover_position - p).
+
+    The second term moves the prediction of a moving object towards the mean handover position; it
+    is zero for an object at rest. An object that was lifted and stays within a small region hovers:
+    its velocity is extrapolated for a shorter time, without the second term.
+    `experiments/analysis/handover_pose_error.py` fits the constants.
+
+    Attributes:
+        velocity_horizon: Time for which the velocity is extrapolated (s).
+        attraction: Predicted translation of a fast object towards `mean_handover_position`, as a
+            share of its distance from there.
+        attraction_speed: Speed scale of the second term (m/s); slower objects are attracted less.
+        mean_handover_position: Mean position of objects when they are held out, world frame (m).
+        rotation_horizon: Time for which the angular velocity is extrapolated (s).
+        smoothing_time: Time constant of the velocity filter (s).
+        rest_speed: Speed below which an object counts as at rest (m/s).
+        hover_radius: Maximum distance of a hovering object from its position `hover_time` ago (m).
+        hover_time: Time for which a hovering object has stayed within `hover_radius` (s).
+        hover_min_lift: Minimum distance between the object's position `hover_time` ago and its
+            position at the start of the episode (m).
+        hover_horizon: Time for which the velocity of a hovering object is extrapolated (s).
+    """
+
+    velocity_horizon: float = 0.21
+    attraction: float = 0.61
+    attraction_speed: float = 0.3
+    mean_handover_position: tuple[float, float, float] = (0.577, 0.139, 1.239)
+    rotation_horizon: float = 0.1
+    smoothing_time: float = 0.05
+    rest_speed: float = 0.05
+    hover_radius: float = 0.08
+    hover_time: float = 0.6
+    hover_min_lift: float = 0.1
+    hover_horizon: float = 0.05
+
+
+class HandoverPosePredictor:
+    """Predictor of the pose at which an object will be handed over, from its motion in an episode.
+
+    Args:
+        config: Constants of the motion model.
+
+    Attributes:
+        config: Constants of the motion model.
+        velocity: (3,) filtered velocity of the object in the world (m/s).
+        angular_velocity: (3,) filtered angular velocity of the object in the world (rad/s).
+        latest_velocity: (3,) velocity between the last two updates, not filtered (m/s).
+        latest_angular_velocity: (3,) angular velocity between the last two updates, not filtered
+            (rad/s).
+        acceleration: (3,) rate of change of `latest_velocity` (m/s^2).
+        rest_time: Time for which the object has been at rest (s).
+        start: (3,) position of the object at the first update (m), None before that update.
+    """
+
+    def __init__(self, config: HandoverPosePredictorConfig) -> None:
+        self.config = config
+        self.velocity, self.angular_velocity, self.rest_time = np.zeros(3), np.zeros(3), 0.0
+        self.latest_velocity, self.latest_angular_velocity = np.zeros(3), np.zeros(3)
+        self.acceleration = np.zeros(3)
+        self.start: Array | None = None
+        self._step = np.inf
+        self._time, self._pose = 0.0, np.zeros(7)
+        self._history: deque[tuple[float, Array]] = deque()
+
+    def update(self, time: float, pose: Array) -> None:
+        """Update the estimated motion from the object's world pose (7,) at a time (s)."""
+        if self.start is None:
+            self.start = pose[:3].copy()
+        elif time > self._time:
+            self._update_velocities(time - self._time, pose)
+        self._time, self._pose = time, pose.copy()
+        self._history.append((time, self._pose[:3]))
+        oldest = time - self.config.hover_time + _TIME_TOLERANCE
+        while len(self._history) > 1 and self._history[1][0] < oldest:
+            self._history.popleft()
+
+    def _update_velocities(self, step: float, pose: Array) -> None:
+        """Filter the velocities after a time step (s) to a new pose (7,)."""
+        kept = float(np.exp(-step / self.config.smoothing_time))
+        rotation = (Rotation.from_quat(pose[3:]) * Rotation.from_quat(self._pose[3:]).inv()).as_rotvec()
+        before = self.latest_velocity
+        self.latest_velocity = (pose[:3] - self._pose[:3]) / step
+        self.latest_angular_velocity = rotation / step
+        self.acceleration = (self.latest_velocity - before) / (0.5 * (step + self._step))
+        self._step = step
+        self.velocity = kept * self.velocity + (1.0 - kept) * self.latest_velocity
+        self.angular_velocity = kept * self.angular_velocity + (1.0 - kept) * self.latest_angular_velocity
+        self.rest_time = self.rest_time + step if self.speed < self.config.rest_speed else 0.0
+
+    @property
+    def is_hovering(self) -> bool:
+        """Whether the object was lifted and has since stayed within a small region."""
+        if self.start is None:
+            return False
+        config, (since, position) = self.config, self._history[0]
+        lift, distance = (float(np.linalg.norm(position - other)) for other in (self.start, self._pose[:3]))
+        is_long_enough = self._time - since > config.hover_time - _TIME_TOLERANCE
+        return is_long_enough and lift > config.hover_min_lift and distance < config.hover_radius
+
+    @property
+    def speed(self) -> float:
+        """Speed of the object, from its filtered velocity (m/s)."""
+        return float(np.linalg.norm(self.velocity))
+
+    @property
+    def lift_distance(self) -> float:
+        """Distance of the object from its first position (m)."""
+        return 0.0 if self.start is None else float(np.linalg.norm(self._pose[:3] - self.start))
+
+    def predict_handover_pose(self) -> Array:
+        """Return the world pose (7,) at which the object is expected to be held out."""
+        config = self.config
+        if self.is_hovering:
+            return self.extrapolate_pose(config.hover_horizon)
+        attraction = config.attraction * np.tanh(self.speed / config.attraction_speed)
+        to_mean = np.array(config.mean_handover_position) - self._pose[:3]
+        position = self._pose[:3] + config.velocity_horizon * self.velocity + attraction * to_mean
+        return np.concatenate([position, self._rotated(config.rotation_horizon * self.angular_velocity)])
+
+    def extrapolate_pose(self, ahead: float) -> Array:
+        """Return the object's world pose (7,) after a short time (s) at its latest velocity."""
+        position = self._pose[:3] + ahead * self.latest_velocity
+        return np.concatenate([position, self._rotated(ahead * self.latest_angular_velocity)])
+
+    def predict_point_twist(self, point: Array, ahead: float) -> tuple[Array, Array]:
+        """Predict linear (m/s) and angular velocity (rad/s), (3,) each, of a point on the object.
+
+        Args:
+            point: (3,) point fixed to the object, in the world (m).
+            ahead: Length of the coming control period (s); the velocities are those in its middle.
+        """
+        since = 0.5 * (self._step + ahead) if np.isfinite(self._step) else 0.0
+        velocity = self.latest_velocity + since * self.acceleration
+        angular = self.latest_angular_velocity
+        return velocity + np.cross(angular, point - self._pose[:3]), angular
+
+    def _rotated(self, rotation: Array) -> Array:
+        """Return the present orientation, quaternion xyzw, after a world rotation vector."""
+        rotated: Array = (Rotation.from_rotvec(rotation) * Rotation.from_quat(self._pose[3:])).as_quat()
+        return rotated

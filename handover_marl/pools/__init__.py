@@ -1,1 +1,0 @@
-"""Work in several processes: in those of this machine, or on the nodes of a Ray cluster."""

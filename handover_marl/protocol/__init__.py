@@ -1,1 +1,0 @@
-"""The rules of the benchmark as small state machines over contacts. No simulator in here."""

@@ -1,1 +1,0 @@
-"""Simulated worlds: what every engine has in common, and a room for each engine."""

@@ -1,1 +1,0 @@
-"""The worlds in PyBullet: exact and fast."""

@@ -1,0 +1,1 @@
+"""Physics simulation of handover scenes: common interfaces, PyBullet, MuJoCo, wrist camera."""

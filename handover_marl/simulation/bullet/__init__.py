@@ -1,0 +1,1 @@
+"""PyBullet worlds, bodies, rendering, inverse kinematics and queries."""

@@ -1,0 +1,184 @@
+"""PyBullet bodies of a handover scene: human hand, objects, Panda robot, table and ground."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.assets.object_models import find_bullet_data
+from handover_marl.config import PANDA_DOF, TIME_STEP, HandConfig, ObjectConfig, PandaConfig, PhysicsConfig
+from handover_marl.datasets.dataset import SceneAssets
+from handover_marl.geometry.panda import CAMERA_LINK, FINGER_LINKS, HAND_FROM_CAMERA_LINK, HAND_LINK
+from handover_marl.geometry.poses import compose
+from handover_marl.geometry.ycb import SCENE_CLASSES
+from handover_marl.simulation.bullet.body import ArticulatedBody, ContactParameters, InitialState
+from handover_marl.simulation.bullet.client import BulletClient, float32_list, load_urdf
+from handover_marl.simulation.kinematic_paths import list_hand_motors, list_object_motors, select_keypoint_links
+
+#: Collision masks: the Panda collides with everything, the hand with the Panda only, a released object with all but
+#: the hand. Before its release an object collides with the Panda only, see `compute_object_mask`.
+TABLE_MASK = 1
+HAND_MASK = 2**22
+PANDA_MASK = -1
+RELEASED_MASK = -1 - HAND_MASK
+
+
+class HandBody(ArticulatedBody):
+    """Human hand in PyBullet: six joints of the wrist pose and 15 finger joints of three axes each.
+
+    Args:
+        client: Physics client.
+        urdf: Model file.
+        start: Initial positions of the 51 joints (m, rad).
+        config: Motors and contact parameters of the hand.
+    """
+
+    def __init__(self, client: BulletClient, urdf: Path, start: list[float], config: HandConfig) -> None:
+        contact = ContactParameters(config.friction, config.restitution, config.base_damping)
+        super().__init__(client, urdf, list_hand_motors(config), HAND_MASK, InitialState(start), contact)
+        self._keypoint_links = select_keypoint_links(self.joints)
+
+    def read_keypoints(self) -> npt.NDArray[np.float32]:
+        """Return the world positions (16, 3) of the hand's wrist and 15 finger joints (m), float32.
+
+        The order is MANO's: wrist, then index, middle, little, ring finger and thumb, three joints each from the
+        knuckle outwards.
+        """
+        return self.read_link_poses(self._keypoint_links)[:, :3]
+
+
+class ObjectBody(ArticulatedBody):
+    """Scene object on three prismatic and three rotary joints, moved by motors until its release.
+
+    Args:
+        client: Physics client.
+        urdf: Model file.
+        class_id: YCB class number.
+        start: Initial positions and velocities of the six joints.
+        config: Motors of the six joints.
+    """
+
+    def __init__(
+        self, client: BulletClient, urdf: Path, class_id: int, start: InitialState, config: ObjectConfig
+    ) -> None:
+        super().__init__(client, urdf, list_object_motors(config), compute_object_mask(class_id), start)
+
+    def read_pose(self) -> npt.NDArray[np.float32]:
+        """Return the world pose (7,) of the object, xyz (m) and quaternion xyzw, float32."""
+        pose: npt.NDArray[np.float32] = self.read_link_poses([self.n_links - 1])[0]
+        return pose
+
+    def release(self) -> None:
+        """Disable the object's motors, and enable its collisions with table and other objects."""
+        self.set_collision_mask(RELEASED_MASK)
+        self.disable_motors()
+
+
+def compute_object_mask(class_id: int) -> int:
+    """Return the collision mask of an object class before the release of the object.
+
+    Objects of different classes collide with the robot but not with each other.
+    """
+    return int(2 ** (SCENE_CLASSES.index(class_id) + 1))
+
+
+class PandaBody(ArticulatedBody):
+    """Franka Panda robot in PyBullet, loaded at its initial joint positions.
+
+    Args:
+        client: Physics client.
+        urdf: Model file.
+        config: Base pose, initial joint positions and motors of the robot.
+
+    Attributes:
+        hand_link: Link number of the gripper base (`panda_hand`), whose pose is the gripper pose.
+        finger_links: Link numbers of the left and the right finger.
+
+    Raises:
+        SimulationError: The model cannot be loaded, does not have nine moving joints, or has no hand or finger link.
+    """
+
+    def __init__(self, client: BulletClient, urdf: Path, config: PandaConfig) -> None:
+        self._start = float32_list(config.start_joints)
+        base = float32_list([*config.base_position, *config.base_orientation])
+        start = InitialState(self._start, base=base)
+        flags = client.URDF_USE_SELF_COLLISION
+        super().__init__(client, urdf, [config.motor] * PANDA_DOF, PANDA_MASK, start, flags=flags)
+        self.hand_link = self.get_link(HAND_LINK)
+        self.finger_links = (self.get_link(FINGER_LINKS[0]), self.get_link(FINGER_LINKS[1]))
+        self._camera_link = self.get_link(CAMERA_LINK) if CAMERA_LINK in self._link_names else None
+        self._camera_rgba: tuple[float, ...] | None = None
+
+    def read_camera_pose(self) -> npt.NDArray[np.float32]:
+        """Return the world pose (7,) of the wrist camera's link, float32: xyz (m), quaternion xyzw.
+
+        The pose is computed from the hand link if the model has no camera link.
+        """
+        if self._camera_link is not None:
+            pose: npt.NDArray[np.float32] = self.read_link_poses([self._camera_link])[0]
+            return pose
+        return compose(self.read_link_poses([self.hand_link])[0], HAND_FROM_CAMERA_LINK).astype(np.float32)
+
+    @contextmanager
+    def hide_camera_link(self) -> Iterator[None]:
+        """Hide the wrist camera's housing in images rendered inside this context."""
+        if self._camera_link is None:
+            yield
+            return
+        if self._camera_rgba is None:
+            shapes = self.client.getVisualShapeData(self.id)
+            self._camera_rgba = next(tuple(shape[7]) for shape in shapes if shape[1] == self._camera_link)
+        self._set_camera_color((*self._camera_rgba[:3], 0.0))
+        try:
+            yield
+        finally:
+            self._set_camera_color(self._camera_rgba)
+
+    def _set_camera_color(self, rgba: tuple[float, ...]) -> None:
+        self.client.changeVisualShape(self.id, self._camera_link, rgbaColor=rgba)
+
+    def park(self) -> None:
+        """Reset the robot to its start joints, without collisions until `reset_to_start`."""
+        self.reset_joints(self._start)
+        self.set_collision_mask(0)
+
+    def reset_to_start(self) -> None:
+        """Reset the robot to its state after loading.
+
+        It is at rest at its initial joint positions, without cached contacts.
+        """
+        self._target = None
+        self.reset_joints(self._start)
+        # A change of masks removes all contact pairs with their cached impulses, which would otherwise change the last
+        # bits of later states.
+        self.set_collision_mask(PANDA_MASK)
+
+
+@dataclass(frozen=True)
+class Workcell:
+    """Ground, table and Panda, which are the same in every scene.
+
+    Attributes:
+        table_id: PyBullet body number of the table.
+        panda: Panda at its initial joint positions.
+    """
+
+    table_id: int
+    panda: PandaBody
+
+
+def load_workcell(client: BulletClient, assets: SceneAssets, config: PhysicsConfig) -> Workcell:
+    """Clear a physics client and load ground, table and Panda.
+
+    Bullet is deterministic for equal sequences of calls only, so the order is fixed.
+    """
+    client.resetSimulation()
+    client.setGravity(0.0, 0.0, config.gravity)
+    client.setPhysicsEngineParameter(fixedTimeStep=TIME_STEP, numSubSteps=1, deterministicOverlappingPairs=1)
+    load_urdf(client, find_bullet_data("this", "take physics='mujoco'") / "plane_implicit.urdf")
+    start = InitialState(base=[*float32_list(config.table_position), 0.0, 0.0, 0.0, 1.0])
+    table = ArticulatedBody(client, assets.table, (), TABLE_MASK, start)
+    return Workcell(table.id, PandaBody(client, assets.panda, config.panda))

@@ -1,0 +1,221 @@
+"""Connections to PyBullet physics servers, their window, and loading of model files."""
+
+import contextlib
+import ctypes
+import functools
+import inspect
+import math
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from handover_marl.config import CameraConfig
+from handover_marl.errors import DataFormatError, SimulationError
+from handover_marl.execution.options import require_pybullet
+from handover_marl.geometry.obj_files import check_obj
+from handover_marl.geometry.urdf import list_mesh_references
+
+
+@contextlib.contextmanager
+def _silence_stderr() -> Iterator[None]:
+    """Discard the output of C code on stderr: PyBullet prints its build time at import."""
+    # Programs without a console have no sys.stderr, or one that cannot be flushed.
+    with contextlib.suppress(AttributeError, OSError, ValueError):
+        sys.stderr.flush()
+    try:
+        original = os.dup(2)
+    except OSError:
+        # A closed stderr needs no redirection.
+        yield
+        return
+    try:
+        with Path(os.devnull).open("w") as nowhere:
+            os.dup2(nowhere.fileno(), 2)
+        yield
+    finally:
+        os.dup2(original, 2)
+        os.close(original)
+
+
+# Callers check this before they import the module; here it gives a helpful error instead of an ImportError.
+require_pybullet("this", "take physics='mujoco'")
+with _silence_stderr():
+    import pybullet
+
+# Straight up or down PyBullet's window has no upward direction and stays empty (degrees).
+_MAX_PITCH = 89.9
+
+#: Class of all errors that PyBullet raises.
+pybullet_error: type[Exception] = pybullet.error
+
+
+class BulletClient:
+    """PyBullet's functions and constants, bound to one physics server.
+
+    The client disconnects when it is garbage collected. It must not be copied: both copies would close the server.
+    """
+
+    _server = -1
+
+    def __init__(self, mode: int) -> None:
+        try:
+            self._server = pybullet.connect(mode)
+        except pybullet.error as error:
+            if mode != pybullet.GUI:
+                raise SimulationError(f"PyBullet did not start a physics server ({error})") from error
+            raise SimulationError(
+                'PyBullet shows one window in a process: close the other environment with render_mode="human" first'
+            ) from error
+        if self._server < 0:
+            raise SimulationError("PyBullet did not start a physics server")
+
+    def __getattr__(self, name: str) -> Any:
+        attribute = getattr(pybullet, name)
+        if inspect.isbuiltin(attribute):
+            attribute = functools.partial(attribute, physicsClientId=self._server)
+        # Stored on the instance: each name is looked up once.
+        setattr(self, name, attribute)
+        return attribute
+
+    def close(self) -> None:
+        """Disconnect from the physics server, unless it is already disconnected."""
+        server, self._server = self._server, -1
+        if server >= 0:
+            with contextlib.suppress(pybullet.error):
+                pybullet.disconnect(physicsClientId=server)
+
+    def __del__(self) -> None:
+        self.close()
+
+
+def connect(window: bool = False) -> BulletClient:
+    """Start a physics server in this process and return its client.
+
+    Args:
+        window: Whether to show the simulation in PyBullet's window, without its side panels.
+
+    Raises:
+        SimulationError: A window was requested without a screen, or another window is open.
+    """
+    if not window:
+        return BulletClient(pybullet.DIRECT)
+    if sys.platform.startswith("linux"):
+        _require_screen()
+    client = BulletClient(pybullet.GUI)
+    client.configureDebugVisualizer(client.COV_ENABLE_GUI, 0)
+    aim_window(client, CameraConfig())
+    return client
+
+
+def _require_screen() -> None:
+    """Check that there is an X server with OpenGL; without one PyBullet ends the whole process.
+
+    Raises:
+        SimulationError: There is no such X server.
+    """
+    fault = _find_screen_fault()
+    if fault:
+        raise SimulationError(
+            f'render_mode="human" opens a window and needs a screen, but {fault}. '
+            'Use render_mode="rgb_array", or start the program under xvfb-run.'
+        )
+
+
+def _find_screen_fault() -> str:
+    """Return the reason why PyBullet cannot open a window; an empty string if it can."""
+    name = os.environ.get("DISPLAY")
+    if not name:
+        return "DISPLAY is not set"
+    try:
+        # The same file that PyBullet opens.
+        x11 = ctypes.CDLL("libX11.so.6")
+    except OSError:
+        return "libX11, the X11 client library, is not installed"
+    x11.XOpenDisplay.argtypes, x11.XOpenDisplay.restype = (ctypes.c_char_p,), ctypes.c_void_p
+    x11.XQueryExtension.argtypes = (ctypes.c_void_p, ctypes.c_char_p, *[ctypes.POINTER(ctypes.c_int)] * 3)
+    x11.XCloseDisplay.argtypes = (ctypes.c_void_p,)
+    display = x11.XOpenDisplay(os.fsencode(name))
+    if not display:
+        return f"no X server answers at DISPLAY={name}"
+    codes = [ctypes.c_int() for _ in range(3)]
+    has_opengl = x11.XQueryExtension(display, b"GLX", *map(ctypes.byref, codes))
+    x11.XCloseDisplay(display)
+    return "" if has_opengl else f"the X server at DISPLAY={name} has no OpenGL (GLX)"
+
+
+def aim_window(client: BulletClient, camera: CameraConfig) -> None:
+    """Set the viewpoint of PyBullet's window, if there is one, to that of a camera.
+
+    The window keeps its own size and field of view.
+    """
+    distance, yaw, pitch = _compute_orbit(camera)
+    client.resetDebugVisualizerCamera(distance, yaw, pitch, camera.target)
+
+
+def _compute_orbit(camera: CameraConfig) -> tuple[float, float, float]:
+    """Return distance (m), yaw and pitch (degrees) of a camera for PyBullet's window.
+
+    The angles are those of an orbit around the target: at yaw 0 the camera looks along +y, a
+    positive yaw turns it to the left, a negative pitch downwards.
+    """
+    x, y, z = (target - position for target, position in zip(camera.target, camera.position, strict=True))
+    pitch = math.degrees(math.atan2(z, math.hypot(x, y)))
+    return math.hypot(x, y, z), math.degrees(math.atan2(-x, y)), min(max(pitch, -_MAX_PITCH), _MAX_PITCH)
+
+
+@contextlib.contextmanager
+def pause_window_rendering(client: BulletClient) -> Iterator[None]:
+    """Pause rendering in PyBullet's window while this context is active."""
+    client.configureDebugVisualizer(client.COV_ENABLE_RENDERING, 0)
+    try:
+        yield
+    finally:
+        client.configureDebugVisualizer(client.COV_ENABLE_RENDERING, 1)
+
+
+def load_urdf(client: BulletClient, path: Path | str, **options: object) -> int:
+    """Load a model file and return the PyBullet body number.
+
+    Args:
+        client: Physics client.
+        path: URDF file.
+        options: Keyword arguments of PyBullet's `loadURDF`.
+
+    Raises:
+        SimulationError: PyBullet cannot load the model.
+    """
+    urdf = Path(path)
+    try:
+        _check_meshes(urdf, urdf.stat().st_mtime_ns)
+    except DataFormatError as error:
+        raise SimulationError(f"{urdf}: {error}") from error
+    except (OSError, ValueError):
+        # A missing file may still be in PyBullet's own data folder.
+        pass
+    try:
+        return int(client.loadURDF(str(path), **options))
+    except pybullet.error as error:
+        raise SimulationError(
+            f"{path}: PyBullet cannot load this model ({error}); check the file and its meshes"
+        ) from error
+
+
+@functools.lru_cache(maxsize=256)
+def _check_meshes(urdf: Path, changed: int) -> None:
+    """Check the vertex numbers in a model's OBJ files; invalid ones crash PyBullet."""
+    for _, mesh in list_mesh_references(urdf):
+        if mesh.suffix.lower() == ".obj" and mesh.exists():
+            check_obj(mesh)
+
+
+def float32_list(values: Sequence[float]) -> list[float]:
+    """Round values to float32 and return them as Python floats.
+
+    HandoverSim passes all targets, gains and poses as float32, so equal results need the same bits.
+    """
+    rounded: list[float] = np.asarray(values, dtype=np.float32).tolist()
+    return rounded

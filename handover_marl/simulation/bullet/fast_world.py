@@ -1,0 +1,222 @@
+"""PyBullet world that simulates only the bodies that can be in contact.
+
+The Panda, and every object that it could touch or that was released, are simulated as in
+`ExactWorld`. The human hand follows its reference kinematically, by the recurrence of its motors:
+by the collision masks it can touch only the Panda, and such a contact ends the episode, so its
+dynamics have no effect. Models stay loaded between scenes.
+"""
+
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.config import CameraConfig, PhysicsConfig
+from handover_marl.datasets.dataset import Scene, SceneAssets
+from handover_marl.errors import ResetNeededError
+from handover_marl.geometry.kinematic_tree import read_tree
+from handover_marl.simulation.bullet.bodies import PandaBody, Workcell, load_workcell
+from handover_marl.simulation.bullet.exact_world import BulletWorld
+from handover_marl.simulation.bullet.shapes import VisualBodies, read_bounding_spheres
+from handover_marl.simulation.bullet.sleepable_bodies import (
+    HandCollisionModel,
+    KinematicHand,
+    Sleepable,
+    SleepableObject,
+    load_hand_collision_model,
+)
+from handover_marl.simulation.camera.frames import CameraImage
+from handover_marl.simulation.contact_horizon import RobotMotionBounds
+from handover_marl.simulation.contacts import Contacts
+from handover_marl.simulation.kinematic_paths import ReferenceMotion
+from handover_marl.simulation.world import JointSnapshot
+
+_NO_CONTACTS = Contacts()
+# A body with fewer contact-free steps ahead is woken: frequent predictions cost more than its simulation.
+_MIN_FREE_STEPS = 5
+# Period at which the window shows hand and objects (steps).
+_WINDOW_PERIOD = 20
+
+
+class FastWorld(BulletWorld):
+    """PyBullet world that simulates hand and objects only while the Panda is near them.
+
+    Args:
+        config: Constants of the world.
+        window: Whether to open PyBullet's window.
+    """
+
+    def __init__(self, config: PhysicsConfig, window: bool = False) -> None:
+        super().__init__(config, window)
+        self._workcell_files: tuple[Path, Path] | None = None
+        self._motion_bounds: RobotMotionBounds | None = None
+        self._hand_models: dict[Path, HandCollisionModel] = {}
+        self._objects: list[SleepableObject] = []
+        self._hand: KinematicHand | None = None
+        self._visual_bodies = VisualBodies(self._client) if window else None
+        # Physics steps since the last reset; current row and length of the reference motion.
+        self._n_steps, self._row, self._n_rows = 0, -1, 0
+        # Sleeping bodies are safe before this row, as long as the robot has this target.
+        self._free_until, self._free_target = 0, list[float]()
+
+    def set_reference(self, motion: ReferenceMotion) -> None:
+        """Set the joint targets of hand and objects for the coming steps, one row per step."""
+        self._row, self._n_rows, self._free_until = -1, len(motion), 0
+        self._loaded_hand.set_reference(motion)
+        for number, item in enumerate(self._objects):
+            item.set_reference(motion.objects[:, number])
+
+    def step(self, robot_target: list[float]) -> None:
+        """Simulate one physics step towards nine joint targets of the Panda (rad, m)."""
+        self._row += 1
+        if self._release_pending:
+            self._release_target_object()
+        if self._row >= self._free_until or robot_target != self._free_target:
+            self._wake_reachable_bodies(robot_target)
+        self._loaded_workcell.panda.set_motor_targets(robot_target)
+        for item in self._objects:
+            item.set_motor_targets(self._row)
+        self._loaded_hand.move_bodies(self._row)
+        self._simulate()
+        self._n_steps += 1
+        if self._visual_bodies is not None and self._n_steps % _WINDOW_PERIOD == 0:
+            self._update_visual_bodies(self._visual_bodies)
+
+    def read_contacts(self, released: bool) -> Contacts:
+        """Return the contacts of the last step.
+
+        Contacts of the target object with table and other objects are read only if `released`.
+        """
+        target, *others = (item.body for item in self._objects)
+        hand = self._loaded_hand.bodies
+        if target is None and not hand:
+            return _NO_CONTACTS
+        supports = {self._loaded_workcell.table_id, *(other.id for other in others if other is not None)}
+        return self._read_contacts(hand, target, supports if released else ())
+
+    def read_object_joints(self) -> npt.NDArray[np.float32]:
+        """Return the joint positions (n, 6) of n objects: xyz (m), Euler angles (rad), float32."""
+        return np.stack([item.read_joints(self._row) for item in self._objects])
+
+    def render(self, camera: CameraConfig) -> npt.NDArray[np.uint8]:
+        """Render the current world state as an RGB image (height, width, 3), uint8."""
+        if self._visual_bodies is not None:
+            self._update_visual_bodies(self._visual_bodies)
+            return super().render(camera)
+        return self._scene_renderer.render_overview(self.read_joint_snapshot(), camera)
+
+    def render_wrist_camera(self, color: bool, at: JointSnapshot | None = None) -> CameraImage:
+        """Render an image of the wrist camera, at the current or an earlier state of the scene."""
+        return self._scene_renderer.render_wrist_camera(at or self.read_joint_snapshot(), color)
+
+    def _load_scene(self, scene: Scene, start: ReferenceMotion) -> None:
+        self._remove_scene_bodies()
+        self._scene = scene
+        panda = self._load_workcell(scene.assets).panda
+        self._reset_broad_phase(panda)
+        urdf = scene.assets.hand
+        if urdf not in self._hand_models:
+            self._hand_models[urdf] = load_hand_collision_model(self._client, urdf)
+        self._hand = KinematicHand(self._client, self._hand_models[urdf], self._config.hand, start)
+        self._objects = [
+            SleepableObject(self._client, urdf, class_id, state, self._config.objects)
+            for urdf, class_id, state in zip(scene.assets.objects, scene.info.object_ids, start.objects[0], strict=True)
+        ]
+        self._row, self._free_until = -1, 0
+        panda.reset_to_start()
+
+    def _remove_scene_bodies(self) -> None:
+        if self._visual_bodies is not None:
+            self._visual_bodies.clear()
+        if self._hand is not None:
+            self._hand.remove()
+        for item in self._objects:
+            item.remove()
+        self._objects, self._hand = [], None
+
+    def _load_workcell(self, assets: SceneAssets) -> Workcell:
+        files = (assets.table, assets.panda)
+        if self._workcell is None or files != self._workcell_files:
+            self._workcell = None
+            self._hand_models.clear()
+            self._workcell = load_workcell(self._client, assets, self._config)
+            # In the first step of a new client the Panda's contacts with itself differ by 1e-8 m from those in later
+            # steps; after this step a new world behaves like a used one.
+            self._client.stepSimulation()
+            self._workcell_files = files
+            self._motion_bounds = RobotMotionBounds(
+                read_tree(assets.panda), read_bounding_spheres(assets.panda), self._config.panda
+            )
+        return self._workcell
+
+    def _reset_broad_phase(self, panda: PandaBody) -> None:
+        """Reset Bullet's broad phase to the state of a new client, independent of earlier episodes.
+
+        The broad phase removes old pairs a few at a time, and sorts resting bodies in alternating steps; both states
+        would change the last bits of later steps. Without pairs and after an even number of steps
+        they are as in a new client.
+        """
+        panda.park()
+        for _ in range(2 + self._n_steps % 2):
+            self._client.stepSimulation()
+        self._n_steps = 0
+
+    def _wake_reachable_bodies(self, robot_target: list[float]) -> None:
+        """Wake the bodies that the Panda may reach soon, and count the safe steps of the others."""
+        row, panda = self._row, self._loaded_workcell.panda
+        self._free_target, self._free_until = robot_target, self._n_rows
+        bodies: list[Sleepable] = [self._loaded_hand, *self._objects]
+        asleep = [body for body in bodies if not body.is_awake]
+        if not asleep or self._motion_bounds is None:
+            return
+        free_steps = self._motion_bounds.count_contact_free_steps(
+            panda.read_joint_states(),
+            panda.read_link_poses(self._motion_bounds.links),
+            robot_target,
+            np.stack([body.predict_positions(row) for body in asleep], axis=1),
+            np.array([body.reach for body in asleep]),
+        ).tolist()
+        min_steps = min(_MIN_FREE_STEPS, self._n_rows - row)
+        for body, steps in zip(asleep, free_steps, strict=True):
+            if steps < min_steps:
+                body.wake(row)
+            else:
+                self._free_until = min(self._free_until, row + steps)
+
+    def _release_target_object(self) -> None:
+        # The target can fall on any object, so all must be simulated.
+        for item in self._objects:
+            item.wake(self._row)
+        if self._objects[0].body is not None:
+            self._objects[0].body.release()
+        self._release_pending = False
+
+    def _update_visual_bodies(self, visual_bodies: VisualBodies) -> None:
+        """Show the hand and the unsimulated objects in PyBullet's window."""
+        for number, item in enumerate(self._objects):
+            if item.is_awake:
+                visual_bodies.hide(number)
+            else:
+                visual_bodies.show(number, item.urdf, item.tree, item.read_joints(self._row))
+        joints, model = self._read_hand_joints(), self._loaded_hand.model
+        if joints is None:
+            visual_bodies.hide("hand")
+        else:
+            visual_bodies.show("hand", model.urdf, model.tree, joints)
+
+    def _read_object_poses(self) -> npt.NDArray[np.float32]:
+        return np.stack([item.read_pose(self._row) for item in self._objects])
+
+    def _read_hand_joints(self) -> npt.NDArray[np.float32] | None:
+        hand = self._loaded_hand
+        return hand.get_joints_float32(self._row) if hand.is_present_after(self._row) else None
+
+    def _read_hand_keypoints(self) -> npt.NDArray[np.float32] | None:
+        hand = self._loaded_hand
+        return hand.compute_keypoints(self._row) if hand.is_present_after(self._row) else None
+
+    @property
+    def _loaded_hand(self) -> KinematicHand:
+        if self._hand is None:
+            raise ResetNeededError("the world has no scene; call reset() first")
+        return self._hand

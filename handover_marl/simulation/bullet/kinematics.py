@@ -1,0 +1,141 @@
+"""Inverse kinematics of the Panda by PyBullet, each solver in its own physics client.
+
+Quaternions are xyzw.
+"""
+
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.config import ARM_DOF, PandaConfig
+from handover_marl.geometry.arm import ReachabilityBound
+from handover_marl.geometry.kinematic_tree import read_tree
+from handover_marl.geometry.panda import HAND_LINK
+from handover_marl.geometry.poses import IDENTITY, compose, invert_pose, rotation_angle
+from handover_marl.simulation.bullet.bodies import PandaBody
+from handover_marl.simulation.bullet.body import get_inertial_offset, reset_base
+from handover_marl.simulation.bullet.client import connect, load_urdf
+
+Array = npt.NDArray[np.float64]
+
+# HandoverSim's tolerances of a converged solution (m, rad), and its limit of iterations.
+_POSITION_TOLERANCE = 1e-3
+_ANGLE_TOLERANCE = 0.1
+_MAX_ROUNDS = 1000
+
+
+class BulletIKStep:
+    """Single inverse-kinematics query of the Panda by PyBullet; may not converge.
+
+    The Panda is loaded as in `ExactWorld`, so the solution is bit-equal to that of a query there
+    with the same joints. Bullet makes 20 damped least-squares steps, stops at 0.1 mm, and uses no
+    joint limits and no rest pose. Queries are independent of each other. `BulletIKSolver` repeats
+    the query until it converges.
+
+    Args:
+        urdf: Model of the Panda.
+        config: Base pose of the Panda.
+
+    Raises:
+        SimulationError: The model cannot be loaded.
+    """
+
+    def __init__(self, urdf: Path, config: PandaConfig) -> None:
+        self._client = connect()
+        self._panda = PandaBody(self._client, urdf, config)
+        self._base = (config.base_position, config.base_orientation)
+        self._base_from_world = self._client.invertTransform(*self._base)
+
+    def solve_step(self, joints: npt.ArrayLike, position: npt.ArrayLike, orientation: Array | None = None) -> Array:
+        """Return joint positions that move the hand link to a world pose, or nearer to it.
+
+        Args:
+            joints: Nine joint positions to start from (rad, m), preferably unrounded.
+            position: (3,) world position of the hand link (m).
+            orientation: (4,) world orientation; None leaves it free.
+
+        Returns:
+            (9,) joint positions (rad, m); finger positions are meaningless.
+        """
+        self._panda.reset_joints(np.asarray(joints, dtype=np.float64).tolist())
+        target = [np.asarray(part, dtype=np.float64).tolist() for part in (position, orientation) if part is not None]
+        return np.array(self._client.calculateInverseKinematics(self._panda.id, self._panda.hand_link, *target))
+
+    def to_base_frame(self, world_from_hand: npt.NDArray[np.floating]) -> Array:
+        """Transform a world pose (7,) to the robot's base frame, rounded to float32."""
+        return self._multiply(self._base_from_world, (world_from_hand[:3].tolist(), world_from_hand[3:].tolist()))
+
+    def to_world_frame(self, base_from_hand: Array) -> Array:
+        """Transform a pose (7,) from the robot's base frame to the world, rounded to float32."""
+        return self._multiply(self._base, (base_from_hand[:3].tolist(), base_from_hand[3:].tolist()))
+
+    def _multiply(self, first: tuple[object, object], second: tuple[object, object]) -> Array:
+        position, orientation = self._client.multiplyTransforms(*first, *second)
+        return np.array([*position, *orientation])
+
+
+class BulletIKSolver:
+    """Iterative inverse kinematics of the Panda by PyBullet, as in HandoverSim's baselines.
+
+    Args:
+        urdf: Model of the Panda.
+        config: Base pose of the Panda.
+    """
+
+    def __init__(self, urdf: Path, config: PandaConfig) -> None:
+        self._client = connect()
+        self._body = load_urdf(self._client, urdf)
+        # Unlike in the world the base is not fixed and its pose is not rounded: the results depend on both.
+        world_from_base = np.array([*config.base_position, *config.base_orientation])
+        reset_base(self._client, self._body, world_from_base)
+        tree = read_tree(urdf)
+        self._hand_link = [joint.link for joint in tree.joints].index(HAND_LINK)
+        hand_from_mass = get_inertial_offset(self._client, self._body, self._hand_link)
+        self._mass_from_hand = None if np.array_equal(hand_from_mass, IDENTITY) else invert_pose(hand_from_mass)
+        self._reachability = ReachabilityBound(tree, self._hand_link, world_from_base)
+
+    def solve(
+        self, start: npt.ArrayLike, position: npt.ArrayLike, orientation: npt.ArrayLike | None = None
+    ) -> Array | None:
+        """Return arm joints that move the hand link to a world pose; None if not converged.
+
+        Bullet's damped steps are repeated until the hand is within 1 mm and 0.1 rad of the target. Joint limits are
+        ignored, as in HandoverSim.
+
+        Args:
+            start: Nine joint positions to start from (rad, m); finger positions are ignored.
+            position: (3,) world position of the hand link (m).
+            orientation: (4,) world orientation; None leaves it free.
+
+        Returns:
+            (7,) arm joint positions (rad).
+        """
+        target = np.asarray(position, dtype=np.float64)
+        # The iteration would not converge either, but take minutes for an object that stays out of reach.
+        if self._reachability.is_unreachable(target, orientation, 2.0 * _POSITION_TOLERANCE, 1.1 * _ANGLE_TOLERANCE):
+            return None
+        joints = [float(value) for value in np.asarray(start)]
+        options = {} if orientation is None else {"targetOrientation": np.asarray(orientation, np.float64).tolist()}
+        self._reset_arm(joints)
+        for _ in range(_MAX_ROUNDS):
+            joints = self._client.calculateInverseKinematics(
+                self._body, self._hand_link, target.tolist(), restPoses=joints, **options
+            )
+            self._reset_arm(joints)
+            hand = self._read_hand_pose()
+            if np.linalg.norm(hand[:3] - target) < _POSITION_TOLERANCE and (
+                orientation is None or rotation_angle(hand[3:], orientation) < _ANGLE_TOLERANCE
+            ):
+                return np.array(joints[:ARM_DOF])
+        return None
+
+    def _reset_arm(self, joints: list[float]) -> None:
+        for joint in range(ARM_DOF):
+            self._client.resetJointState(self._body, joint, joints[joint])
+
+    def _read_hand_pose(self) -> Array:
+        # Items 0 and 1 are the centre of mass in double precision; Bullet rounds link frames to float32.
+        position, orientation = self._client.getLinkState(self._body, self._hand_link)[:2]
+        world_from_mass = np.array([*position, *orientation])
+        return world_from_mass if self._mass_from_hand is None else compose(world_from_mass, self._mass_from_hand)

@@ -1,0 +1,168 @@
+"""Images of overview cameras and of the wrist camera by PyBullet's software renderer.
+
+The images are the same with and without a screen or graphics driver; those of the wrist camera are bit-equal to
+HandoverSim's.
+"""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.config import CameraConfig, PhysicsConfig
+from handover_marl.datasets.dataset import Scene
+from handover_marl.geometry.poses import quaternion_multiply
+from handover_marl.simulation.bullet.bodies import HandBody, ObjectBody, PandaBody, load_workcell
+from handover_marl.simulation.bullet.body import InitialState
+from handover_marl.simulation.bullet.client import BulletClient, connect
+from handover_marl.simulation.camera.frames import (
+    FAR,
+    FIELD_OF_VIEW,
+    IMAGE_SIZE,
+    NEAR,
+    CameraImage,
+    SegmentationLabel,
+    metric_depth,
+)
+from handover_marl.simulation.world import JointSnapshot
+
+# Rotation from the renderer's view (along negative z, y up) to the camera's URDF link, with HandoverSim's rounding.
+_LINK_FROM_VIEW = np.array([-4.3297803e-17, -0.70710677, -0.70710677, 4.3297803e-17], dtype=np.float32)
+
+
+def render_overview(client: BulletClient, camera: CameraConfig) -> npt.NDArray[np.uint8]:
+    """Render an RGB image (height, width, 3), uint8, from an overview camera beside the scene."""
+    view = client.computeViewMatrix(camera.position, camera.target, (0.0, 0.0, 1.0))
+    projection = client.computeProjectionMatrixFOV(
+        camera.vertical_fov, camera.width / camera.height, camera.near, camera.far
+    )
+    width, height, pixels, _, _ = client.getCameraImage(
+        camera.width,
+        camera.height,
+        view,
+        projection,
+        shadow=1,
+        lightDirection=(0.5, -1.0, 2.0),
+        renderer=client.ER_TINY_RENDERER,
+        flags=client.ER_NO_SEGMENTATION_MASK,
+    )
+    rgba = np.asarray(pixels, dtype=np.uint8).reshape(height, width, 4)
+    rgb: npt.NDArray[np.uint8] = rgba[..., :3].copy()
+    return rgb
+
+
+def render_wrist_camera(
+    client: BulletClient, panda: PandaBody, labels: Mapping[int, SegmentationLabel], color: bool
+) -> CameraImage:
+    """Render an image of the wrist camera in the current state of a physics client.
+
+    Args:
+        client: Physics client.
+        panda: Panda with the wrist camera.
+        labels: Segmentation labels by PyBullet body number; other bodies are background.
+        color: Whether to render colours.
+    """
+    # The camera's housing is nearer than the near plane; hiding it saves most of the rendering time.
+    with panda.hide_camera_link():
+        width, height, pixels, buffer, numbers = client.getCameraImage(
+            IMAGE_SIZE,
+            IMAGE_SIZE,
+            viewMatrix=_compute_view_matrix(client, panda.read_camera_pose()),
+            projectionMatrix=client.computeProjectionMatrixFOV(FIELD_OF_VIEW, 1.0, NEAR, FAR),
+            renderer=client.ER_TINY_RENDERER,
+        )
+    shape = (height, width)
+    rgba = np.asarray(pixels, dtype=np.uint8).reshape(*shape, 4) if color else None
+    return CameraImage(
+        depth=metric_depth(np.array(buffer, dtype=np.float32).reshape(shape)),
+        segmentation=_label_pixels(np.asarray(numbers).reshape(shape), labels),
+        rgb=None if rgba is None else rgba[..., :3].copy(),
+    )
+
+
+def label_bodies(table: int, panda: int, objects: Sequence[int], hand: int | None) -> dict[int, SegmentationLabel]:
+    """Return the segmentation labels of bodies by body number; the first object is the target."""
+    labels = {
+        table: SegmentationLabel.TABLE,
+        panda: SegmentationLabel.ROBOT,
+        **dict.fromkeys(objects, SegmentationLabel.OTHER_OBJECT),
+    }
+    labels[objects[0]] = SegmentationLabel.TARGET
+    return labels if hand is None else {**labels, hand: SegmentationLabel.HAND}
+
+
+def _label_pixels(numbers: npt.NDArray[np.int32], labels: Mapping[int, SegmentationLabel]) -> npt.NDArray[np.uint8]:
+    """Replace PyBullet body numbers of pixels by segmentation labels; -1 is no body."""
+    table = np.full(max(*labels, int(numbers.max()), 0) + 2, SegmentationLabel.BACKGROUND, dtype=np.uint8)
+    for body, label in labels.items():
+        table[body] = label
+    segmentation: npt.NDArray[np.uint8] = table[numbers]
+    return segmentation
+
+
+def _compute_view_matrix(client: BulletClient, world_from_link: npt.NDArray[np.float32]) -> list[float]:
+    """Return the wrist camera's OpenGL view matrix, column by column, rounded as in HandoverSim."""
+    turn = quaternion_multiply(world_from_link[3:], _LINK_FROM_VIEW)
+    axes = np.array(client.getMatrixFromQuaternion(turn.tolist()), dtype=np.float32).reshape(3, 3)
+    x, y, z = world_from_link[:3]
+    matrix = np.eye(4, dtype=np.float32)
+    matrix[:3, :3] = axes
+    # Summed in this order; a matrix product may use fused operations, which round otherwise.
+    matrix[3, :3] = -((x * axes[0] + y * axes[1]) + z * axes[2])
+    return list(map(float, matrix.ravel()))
+
+
+class SceneRenderer:
+    """Renderer of one scene in a separate PyBullet client, for worlds of any physics engine.
+
+    Rendering in the client of a simulation would change its broad phase, and thereby the last bits of later states.
+
+    Args:
+        scene: Scene to render.
+        config: Poses of robot and table.
+
+    Attributes:
+        scene: Scene that is rendered.
+    """
+
+    def __init__(self, scene: Scene, config: PhysicsConfig) -> None:
+        self.scene = scene
+        self._client, self._config = connect(), config
+        self._workcell = load_workcell(self._client, scene.assets, config)
+        start = InitialState([0.0] * 6)
+        self._objects = [
+            ObjectBody(self._client, urdf, class_id, start, config.objects)
+            for urdf, class_id in zip(scene.assets.objects, scene.info.object_ids, strict=True)
+        ]
+        self._hand: HandBody | None = None
+
+    def render_overview(self, now: JointSnapshot, camera: CameraConfig) -> npt.NDArray[np.uint8]:
+        """Render an RGB image (height, width, 3) of the scene at given joint positions."""
+        self._set_joints(now)
+        return render_overview(self._client, camera)
+
+    def render_wrist_camera(self, now: JointSnapshot, color: bool) -> CameraImage:
+        """Render an image of the wrist camera at given joint positions of all bodies."""
+        self._set_joints(now)
+        objects = [body.id for body in self._objects]
+        hand = None if self._hand is None else self._hand.id
+        labels = label_bodies(self._workcell.table_id, self._workcell.panda.id, objects, hand)
+        return render_wrist_camera(self._client, self._workcell.panda, labels, color)
+
+    def _set_joints(self, now: JointSnapshot) -> None:
+        self._workcell.panda.reset_joints(now.robot.tolist())
+        for body, dof in zip(self._objects, now.objects.tolist(), strict=True):
+            body.reset_joints(dof)
+        if now.hand is None:
+            if self._hand is not None:
+                self._hand.remove()
+                self._hand = None
+            return
+        dof = now.hand.tolist()
+        if self._hand is None:
+            self._hand = HandBody(self._client, self.scene.assets.hand, dof, self._config.hand)
+        self._hand.reset_joints(dof)
+
+    def close(self) -> None:
+        """Disconnect from the PyBullet physics server."""
+        self._client.close()

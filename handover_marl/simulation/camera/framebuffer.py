@@ -1,0 +1,190 @@
+"""Framebuffer of the ray-casting camera: depth, segmentation labels and colours."""
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.simulation.camera.frames import (
+    EMPTY_DEPTH,
+    FAR,
+    HALF_SIZE_PX,
+    IMAGE_SIZE,
+    NEAR,
+    SAMPLE_OFFSET_PX,
+    CameraImage,
+    SegmentationLabel,
+)
+from handover_marl.simulation.camera.ray_body import PosedMeshes
+from handover_marl.simulation.camera.screen_bounds import Pixels, find_candidate_pixels, split_pixels_by_part
+
+Array = npt.NDArray[np.float32]
+
+_NO_PIXELS = np.zeros(0, dtype=np.int64)
+# Direction towards the light in the world, and brightness of faces turned away from it.
+_LIGHT, _SHADE = np.array([0.22, -0.44, 0.87]), 0.5
+_SKY, _GROUND = (255, 255, 255), (150, 150, 150)
+# View frustum: inward normals of its planes near, far and four sides, and their offsets. The sides are moved outwards,
+# since pixels are sampled up to one pixel off their centre.
+_FRUSTUM = np.array([[0, 0, 1], [0, 0, -1], [-1, 0, 1], [1, 0, 1], [0, -1, 1], [0, 1, 1]], dtype=np.float32)
+_FRUSTUM_OFFSETS = np.array([NEAR, -FAR, -0.02, -0.02, -0.02, -0.02], dtype=np.float32)
+
+
+def _compute_ray_directions() -> Array:
+    """Return the ray directions (50176, 3) of all pixels in the camera's frame, with z = 1."""
+    columns, rows = np.meshgrid(np.arange(IMAGE_SIZE), np.arange(IMAGE_SIZE))
+    right, down = columns + SAMPLE_OFFSET_PX[0] - HALF_SIZE_PX, rows + SAMPLE_OFFSET_PX[1] - HALF_SIZE_PX
+    directions = np.stack([right / HALF_SIZE_PX, down / HALF_SIZE_PX, np.ones((IMAGE_SIZE, IMAGE_SIZE))], axis=-1)
+    return directions.reshape(-1, 3).astype(np.float32)
+
+
+_RAYS = _compute_ray_directions()
+
+
+class Framebuffer:
+    """Depth, segmentation labels and colours of one wrist-camera image during ray casting.
+
+    Pixels are numbered row by row.
+
+    Args:
+        rotation: (3, 3) axes of the camera (right, down, ahead) in the world, as columns.
+        position: (3,) world position of the pinhole (m).
+        color: Whether the image has colours.
+    """
+
+    def __init__(
+        self, rotation: npt.NDArray[np.float64], position: npt.NDArray[np.float64], color: bool = False
+    ) -> None:
+        self._rotation, self._position = rotation, position
+        self._depth = np.full(IMAGE_SIZE * IMAGE_SIZE, EMPTY_DEPTH, dtype=np.float32)
+        self._labels = np.full(IMAGE_SIZE * IMAGE_SIZE, SegmentationLabel.BACKGROUND, dtype=np.uint8)
+        self._rgb = np.full((IMAGE_SIZE * IMAGE_SIZE, 3), _SKY, dtype=np.uint8) if color else None
+
+    def add_ground(self) -> None:
+        """Draw the ground plane z = 0 of the world frame."""
+        descent = _RAYS @ self._rotation[2].astype(np.float32)
+        with np.errstate(divide="ignore"):
+            depth = np.float32(-self._position[2]) / descent
+        is_hit = (depth > NEAR) & (depth < EMPTY_DEPTH)
+        self._depth[is_hit] = depth[is_hit]
+        if self._rgb is not None:
+            self._rgb[is_hit] = _GROUND
+
+    def add(self, meshes: PosedMeshes) -> Pixels:
+        """Draw a body and return the numbers of the changed pixels.
+
+        A pixel that two links changed in turn occurs twice.
+        """
+        body = meshes.body
+        rotations, origins = self._compute_link_frames(meshes)
+        sides = _FRUSTUM @ rotations
+        reach = np.maximum(sides * body.lowest[:, None], sides * body.highest[:, None]).sum(axis=-1)
+        visible = np.flatnonzero((reach + origins @ _FRUSTUM.T > _FRUSTUM_OFFSETS).all(axis=1)).tolist()
+        if not visible:
+            return _NO_PIXELS
+        points = [body.meshes[link].vertices @ rotations[link].T + origins[link] for link in visible]
+        # All links at once, since a hand has many small ones.
+        pixels = find_candidate_pixels(np.concatenate(points), body.concatenate_faces(tuple(visible)))
+        shares = [pixels] if len(visible) == 1 else split_pixels_by_part(pixels, points)
+        drawn = [
+            self._draw_link(meshes, link, (rotations[link], origins[link]), share)
+            for link, share in zip(visible, shares, strict=True)
+        ]
+        return np.concatenate(drawn)
+
+    def remove_occluded_by(self, meshes: PosedMeshes, pixels: Pixels, corners: Array) -> Pixels:
+        """Clear the pixels that a body occludes, and return the numbers of the remaining pixels.
+
+        Args:
+            meshes: The occluding body.
+            pixels: Numbers of the pixels to test.
+            corners: Corners of the frustum in front of these pixels, from `compute_frustum_corners`.
+        """
+        if not len(pixels):
+            return pixels
+        body = meshes.body
+        rotations, origins = self._compute_link_frames(meshes)
+        local = (corners - origins[:, None]) @ rotations
+        is_between = (local.max(axis=1) >= body.lowest) & (local.min(axis=1) <= body.highest)
+        for link in np.flatnonzero(is_between.all(axis=1)).tolist():
+            frame = (rotations[link], origins[link])
+            near = pixels[self._is_box_hit(pixels, frame, body.lowest[link], body.highest[link])]
+            occluded = self._draw_link(meshes, link, frame, near)
+            self._clear(occluded)
+            pixels = pixels[self._labels[pixels] != SegmentationLabel.BACKGROUND] if len(occluded) else pixels
+        return pixels
+
+    def remove_below_ground(self, pixels: Pixels) -> Pixels:
+        """Clear the pixels with points below the ground plane z = 0; return the others."""
+        heights = self._position[2] + self._depth[pixels] * (_RAYS[pixels] @ self._rotation[2])
+        is_below = heights < 0.0
+        self._clear(pixels[is_below])
+        remaining: Pixels = pixels[~is_below]
+        return remaining
+
+    def compute_frustum_corners(self, pixels: Pixels) -> Array:
+        """Return the corners (8, 3) of the view frustum that contains the points of some pixels.
+
+        The frustum extends from the near plane to the farthest point, in the camera's frame (m).
+        """
+        if not len(pixels):
+            return np.zeros((0, 3), dtype=np.float32)
+        rows, columns = np.divmod(pixels, IMAGE_SIZE)
+        corner_pixels = [
+            row * IMAGE_SIZE + column for row in (rows.min(), rows.max()) for column in (columns.min(), columns.max())
+        ]
+        rays = _RAYS[corner_pixels]
+        return np.concatenate([rays * np.float32(NEAR), rays * self._depth[pixels].max()])
+
+    def to_image(self) -> CameraImage:
+        """Return the content of the framebuffer as a wrist-camera image."""
+        shape = (IMAGE_SIZE, IMAGE_SIZE)
+        rgb = None if self._rgb is None else self._rgb.reshape(*shape, 3)
+        return CameraImage(self._depth.reshape(shape), self._labels.reshape(shape), rgb)
+
+    def _compute_link_frames(self, meshes: PosedMeshes) -> tuple[Array, Array]:
+        """Return rotations (n, 3, 3) and origins (n, 3) of a body's links in the camera frame."""
+        rotations = self._rotation.T @ meshes.rotations
+        origins = (meshes.origins - self._position) @ self._rotation
+        return rotations.astype(np.float32), origins.astype(np.float32)
+
+    def _is_box_hit(
+        self, pixels: Pixels, frame: tuple[Array, Array], lowest: Array, highest: Array
+    ) -> npt.NDArray[np.bool_]:
+        """Return for n pixels whether their rays hit a box nearer than the point drawn so far.
+
+        The box is given in a link's frame.
+        """
+        rotation, origin = frame
+        start, directions = -(origin @ rotation), _RAYS[pixels] @ rotation
+        enter, leave = np.float32(NEAR), self._depth[pixels]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            for axis in range(3):
+                one, other = ((side[axis] - start[axis]) / directions[:, axis] for side in (lowest, highest))
+                # fmin and fmax ignore the NaN of a ray that lies in a face of the box.
+                enter, leave = np.fmax(enter, np.fmin(one, other)), np.fmin(leave, np.fmax(one, other))
+        is_hit: npt.NDArray[np.bool_] = enter <= leave
+        return is_hit
+
+    def _draw_link(self, meshes: PosedMeshes, link: int, frame: tuple[Array, Array], pixels: Pixels) -> Pixels:
+        """Draw a link where it is nearest to the camera, and return the changed pixels."""
+        if not len(pixels):
+            return _NO_PIXELS
+        mesh, (rotation, origin) = meshes.body.meshes[link], frame
+        hits = mesh.cast_rays(-(origin @ rotation), _RAYS[pixels] @ rotation, NEAR, self._depth[pixels])
+        drawn = pixels[hits.ray]
+        self._depth[drawn] = hits.depth
+        self._labels[drawn] = meshes.body.label
+        if self._rgb is not None:
+            self._rgb[drawn] = _shade_faces(mesh.normals[hits.face], meshes, link, hits.face)
+        return drawn
+
+    def _clear(self, pixels: Pixels) -> None:
+        self._depth[pixels], self._labels[pixels] = EMPTY_DEPTH, SegmentationLabel.BACKGROUND
+
+
+def _shade_faces(normals: Array, meshes: PosedMeshes, link: int, faces: npt.NDArray[np.int32]) -> npt.NDArray[np.uint8]:
+    """Return the shaded colours (n, 3) of n mesh faces of a link, by face normals and light."""
+    cosine = normals @ meshes.rotations[link].T @ _LIGHT / np.maximum(np.linalg.norm(normals, axis=1), 1e-12)
+    brightness = _SHADE + (1.0 - _SHADE) * np.clip(cosine, 0.0, 1.0)
+    colors = np.rint(255.0 * meshes.body.colors[link][faces] * brightness[:, None])
+    shaded: npt.NDArray[np.uint8] = colors.astype(np.uint8)
+    return shaded

@@ -1,0 +1,111 @@
+"""Noise model of depth cameras: depth noise, missing edge pixels, low resolution, latency."""
+
+import math
+from dataclasses import dataclass, fields
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.errors import OptionError, UnknownNameError
+from handover_marl.simulation.camera.frames import EMPTY_DEPTH, CameraImage, SegmentationLabel
+
+
+@dataclass(frozen=True)
+class CameraNoise:
+    """Parameters of a depth camera's noise; the defaults approximate an Intel RealSense D435.
+
+    Attributes:
+        depth_noise_std: Standard deviation of the depth at 1 m (m). It grows with the squared depth, as for all stereo
+            cameras: depth^2 * subpixel / (focal * baseline), see Grunnet-Jepsen et al., "Subpixel linearity improvement
+            for Intel RealSense depth camera D400 series" (Intel). A D435 with images 848 pixels wide has a focal length
+            of 450 pixels and a baseline of 0.05 m; an assumed subpixel error of 0.08 gives 0.0036 m.
+        edge_threshold: Depth difference of neighbouring pixels that counts as an edge (m).
+        edge_dropout: Share of the pixels beside edges without depth, where only one of a
+            stereo camera's two imagers sees the surface. The share depends on the scene; 0.5 is an
+            assumption.
+        latency: Age of an image when it arrives (s); the assumed 0.05 s are 1.5 frames at 30 Hz.
+        pixel_stride: Step between the rows and columns that have depth: 2 simulates a camera of
+            112 x 112 pixels.
+
+    Raises:
+        OptionError: A value is out of range.
+    """
+
+    depth_noise_std: float = 0.0036
+    edge_threshold: float = 0.02
+    edge_dropout: float = 0.5
+    latency: float = 0.05
+    pixel_stride: int = 1
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.0 <= value < math.inf:
+                raise OptionError(f"{field.name} must be a finite number, 0 or more, got {value!r}")
+        for name, value in (("edge_dropout", self.edge_dropout), ("latency", self.latency)):
+            if value > 1.0:
+                raise OptionError(f"{name} must be 0 to 1, got {value}")
+        if not isinstance(self.pixel_stride, int) or self.pixel_stride < 1:
+            raise OptionError(f"pixel_stride must be an integer, 1 or more, got {self.pixel_stride!r}")
+
+
+#: Noise models by name.
+CAMERA_NOISE_MODELS = {"realsense": CameraNoise()}
+
+
+def resolve_camera_noise(camera_noise: str | CameraNoise | None) -> CameraNoise | None:
+    """Return the camera noise of a name; a `CameraNoise` or None (no noise) is returned unchanged.
+
+    Raises:
+        UnknownNameError: There is no noise model of that name.
+        OptionError: The argument has another type.
+    """
+    if camera_noise is None or isinstance(camera_noise, CameraNoise):
+        return camera_noise
+    if isinstance(camera_noise, str):
+        if camera_noise not in CAMERA_NOISE_MODELS:
+            raise UnknownNameError("camera_noise", camera_noise, CAMERA_NOISE_MODELS)
+        return CAMERA_NOISE_MODELS[camera_noise]
+    raise OptionError(
+        f"camera_noise must be a name ({', '.join(CAMERA_NOISE_MODELS)}), a CameraNoise or None, got {camera_noise!r}"
+    )
+
+
+def apply_camera_noise(image: CameraImage, noise: CameraNoise, rng: np.random.Generator) -> CameraImage:
+    """Return a copy of a noise-free wrist-camera image with depth noise and missing pixels.
+
+    Args:
+        image: Noise-free image.
+        noise: Parameters of the noise.
+        rng: Random generator; the number of its draws does not depend on the image.
+    """
+    normal = rng.standard_normal(image.depth.shape, dtype=np.float32)
+    uniform = rng.random(image.depth.shape, dtype=np.float32)
+    depth = image.depth + np.float32(noise.depth_noise_std) * image.depth**2 * normal
+    is_lost = _find_edges(image.depth, noise.edge_threshold) & (uniform < noise.edge_dropout)
+    is_sampled = np.zeros_like(is_lost)
+    is_sampled[:: noise.pixel_stride, :: noise.pixel_stride] = True
+    is_lost |= ~is_sampled
+    is_empty = is_lost | (image.depth >= EMPTY_DEPTH)
+    # Clipped below the value of background pixels, however large the noise.
+    highest = np.nextafter(EMPTY_DEPTH, np.float32(0.0))
+    return CameraImage(
+        np.where(is_empty, EMPTY_DEPTH, np.clip(depth, np.float32(0.0), highest)),
+        np.where(is_lost, np.uint8(SegmentationLabel.BACKGROUND), image.segmentation),
+        image.rgb,
+    )
+
+
+def _find_edges(depth: npt.NDArray[np.float32], threshold: float) -> npt.NDArray[np.bool_]:
+    """Return a mask of the pixels at depth edges.
+
+    The depth differs from that of one of four neighbours by more than a threshold (m).
+    """
+    is_edge = np.zeros(depth.shape, dtype=bool)
+    for axis in range(2):
+        jump = np.abs(np.diff(depth, axis=axis)) > threshold
+        first, second = [slice(None)] * 2, [slice(None)] * 2
+        first[axis], second[axis] = slice(None, -1), slice(1, None)
+        is_edge[tuple(first)] |= jump
+        is_edge[tuple(second)] |= jump
+    return is_edge

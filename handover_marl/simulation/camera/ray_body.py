@@ -1,0 +1,219 @@
+"""Visual meshes of URDF models for ray casting; needs embreex (extra `vision`)."""
+
+import functools
+from collections.abc import Collection
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from embreex.mesh_construction import TriangleMesh
+from embreex.rtcore_scene import EmbreeScene
+from scipy.spatial.transform import Rotation
+
+from handover_marl.errors import SimulationError
+from handover_marl.geometry.kinematic_tree import read_tree
+from handover_marl.geometry.meshes import read_visual_meshes
+from handover_marl.geometry.panda import CAMERA_LINK
+from handover_marl.geometry.urdf import list_mesh_references
+from handover_marl.simulation.camera.frames import SegmentationLabel
+
+Array = npt.NDArray[np.float32]
+Float64Array = npt.NDArray[np.float64]
+
+# Distance behind a back face at which a ray continues (m).
+_BACK_FACE_OFFSET = np.float32(1e-5)
+# A ray that meets more back faces than this is dropped.
+_MAX_BACK_FACES = 32
+_ORIGIN = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class RayHits:
+    """Front faces of a mesh that rays hit first, one for each of n rays that hit.
+
+    Attributes:
+        ray: (n,) numbers of the rays.
+        depth: (n,) float32 depths of the hits along the viewing axis (m).
+        face: (n,) numbers of the mesh faces.
+    """
+
+    ray: npt.NDArray[np.int64]
+    depth: Array
+    face: npt.NDArray[np.int32]
+
+
+class RayMesh:
+    """Rigid triangle mesh for ray casting, visible from outside only.
+
+    Args:
+        vertices: (v, 3) float32 vertices (m).
+        faces: (f, 3) int32 vertex numbers, counterclockwise seen from outside.
+
+    Attributes:
+        normals: (f, 3) outward normals with the length of twice the triangle's area.
+    """
+
+    def __init__(self, vertices: Array, faces: npt.NDArray[np.int32]) -> None:
+        self.vertices, self.faces = vertices, faces
+        corners = vertices[faces]
+        self.normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        self._scene = EmbreeScene()
+        TriangleMesh(self._scene, vertices, faces)
+
+    def cast_rays(self, start: Array, directions: Array, near: float, far: Array) -> RayHits:
+        """Return the first front face of the mesh that each ray hits.
+
+        Rays without a hit are left out.
+
+        Args:
+            start: (3,) common origin of all rays in the mesh's frame (m).
+            directions: (n, 3) directions in the mesh's frame; depth is in units of their length.
+            near: Depth before which hits are ignored (m).
+            far: (n,) depths behind which hits are ignored (m).
+        """
+        ray, begin = np.arange(len(directions)), np.full(len(directions), near, dtype=np.float32)
+        hits = []
+        for _ in range(_MAX_BACK_FACES + 1):
+            found = self._scene.run(start + begin[:, None] * directions, directions, dists=far - begin, output=1)
+            is_hit = found["primID"] >= 0
+            ray, directions, far = ray[is_hit], directions[is_hit], far[is_hit]
+            depth, face = begin[is_hit] + found["tfar"][is_hit], found["primID"][is_hit]
+            is_back = np.einsum("ij,ij->i", self.normals[face], directions) >= 0.0
+            hits.append((ray[~is_back], depth[~is_back], face[~is_back]))
+            if not is_back.any():
+                break
+            # Back faces are invisible: the ray continues behind them.
+            ray, directions, far = ray[is_back], directions[is_back], far[is_back]
+            begin = depth[is_back] + _BACK_FACE_OFFSET
+        rays, depths, faces = zip(*hits, strict=True)
+        return RayHits(np.concatenate(rays), np.concatenate(depths), np.concatenate(faces))
+
+
+@dataclass(frozen=True, eq=False)
+class PosedMeshes:
+    """World poses of the visual meshes of a body at given joint positions.
+
+    Attributes:
+        body: Body that the meshes belong to.
+        rotations: (n, 3, 3) rotation matrices of the links with meshes, in the world.
+        origins: (n, 3) world positions of the origins of the links with meshes (m).
+    """
+
+    body: "RayBody"
+    rotations: Float64Array
+    origins: Float64Array
+
+
+class RayBody:
+    """Visual meshes of a URDF model for ray casting, one rigid mesh per link.
+
+    Args:
+        urdf: Model file.
+        label: Segmentation label of the body's pixels.
+        base: (7,) world pose of the base link, xyz (m) and quaternion xyzw.
+        without: Names of links to leave out.
+
+    Attributes:
+        label: Segmentation label of the body's pixels.
+        names: Names of all links in the order of link numbers.
+        meshes: Meshes of the n links that have visual shapes.
+        colors: (f, 3) red, green and blue of the faces of each mesh, 0 to 1.
+        lowest: (n, 3) lower corners of the meshes' bounding boxes, in the links' frames (m).
+        highest: (n, 3) upper corners of the meshes' bounding boxes, in the links' frames (m).
+
+    Raises:
+        SimulationError, DataFormatError: The model or one of its meshes cannot be read.
+    """
+
+    def __init__(
+        self,
+        urdf: Path,
+        label: SegmentationLabel,
+        base: npt.ArrayLike = _ORIGIN,
+        without: Collection[str] = (),
+    ) -> None:
+        self._tree = read_tree(urdf)
+        self.label = label
+        self.names = [joint.link for joint in self._tree.joints]
+        pose = np.asarray(base, dtype=np.float64)
+        self._base_rotation, self._base_origin = Rotation.from_quat(pose[3:]).as_matrix(), pose[:3]
+        visual_meshes = read_visual_meshes(urdf, self._tree, without)
+        self._links = [mesh.link for mesh in visual_meshes]
+        self.meshes = [RayMesh(mesh.vertices, mesh.faces) for mesh in visual_meshes]
+        self.colors = [mesh.colors for mesh in visual_meshes]
+        self.lowest = np.array([mesh.vertices.min(axis=0) for mesh in self.meshes]).reshape(-1, 3)
+        self.highest = np.array([mesh.vertices.max(axis=0) for mesh in self.meshes]).reshape(-1, 3)
+        self._faces: dict[tuple[int, ...], npt.NDArray[np.int32]] = {}
+        self._last_frames: tuple[Array, Float64Array, Float64Array] | None = None
+
+    def pose_meshes(self, joints: Array) -> PosedMeshes:
+        """Return the body's meshes posed at joint positions (d,) (m, rad)."""
+        rotations, origins = self._compute_frames(joints)
+        return PosedMeshes(self, rotations[self._links], origins[self._links])
+
+    def concatenate_faces(self, numbers: tuple[int, ...]) -> npt.NDArray[np.int32]:
+        """Return the faces (f, 3) of several meshes of the body as one mesh.
+
+        Its vertices are the vertices of these meshes, concatenated in order.
+        """
+        if numbers not in self._faces:
+            meshes = [self.meshes[number] for number in numbers]
+            firsts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
+            parts = [mesh.faces + first for mesh, first in zip(meshes, firsts, strict=False)]
+            # Usually all meshes are visible; one entry is enough.
+            self._faces = {numbers: np.concatenate(parts)}
+        return self._faces[numbers]
+
+    def compute_link_frame(self, link: int, joints: Array) -> tuple[Float64Array, Float64Array]:
+        """Return the rotation matrix (3, 3) and origin (3,) of a link in the world frame.
+
+        Args:
+            link: Link number; -1 is the base link.
+            joints: (d,) joint positions of the model (m, rad).
+        """
+        rotations, origins = self._compute_frames(joints)
+        return rotations[link], origins[link]
+
+    def _compute_frames(self, joints: Array) -> tuple[Float64Array, Float64Array]:
+        """Return world rotations (L + 1, 3, 3) and origins (L + 1, 3) of L links and the base."""
+        # Table, resting objects and hand often have the same joints in two successive images.
+        if self._last_frames is None or not np.array_equal(joints, self._last_frames[0]):
+            origins, rotations = self._tree.compute_link_frames(joints[None])
+            self._last_frames = (
+                joints.copy(),
+                np.concatenate([self._base_rotation @ rotations[0], self._base_rotation[None]]),
+                np.concatenate([origins[0] @ self._base_rotation.T + self._base_origin, self._base_origin[None]]),
+            )
+        return self._last_frames[1:]
+
+
+def load_ray_body(urdf: Path, label: SegmentationLabel, base: tuple[float, ...] = _ORIGIN) -> RayBody:
+    """Load a model's visual meshes for ray casting; unchanged models are read once.
+
+    Args:
+        urdf: Model file.
+        label: Segmentation label of the body's pixels.
+        base: (7,) world pose of the base link, xyz (m) and quaternion xyzw.
+
+    Raises:
+        SimulationError, DataFormatError: The model or one of its meshes cannot be read.
+    """
+    try:
+        changed = urdf.stat().st_mtime_ns
+        meshes = _list_meshes(urdf, changed)
+        mesh_times = tuple(mesh.stat().st_mtime_ns if mesh.exists() else 0 for mesh in meshes)
+        return _load_ray_body(urdf, (changed, *mesh_times), label, base)
+    except OSError as error:
+        raise SimulationError(f"{urdf}: cannot read this model ({error.strerror or error}); check the file") from error
+
+
+@functools.lru_cache(maxsize=64)
+def _list_meshes(urdf: Path, changed: int) -> tuple[Path, ...]:
+    return tuple(mesh for _, mesh in list_mesh_references(urdf))
+
+
+@functools.lru_cache(maxsize=64)
+def _load_ray_body(urdf: Path, changed: tuple[int, ...], label: SegmentationLabel, base: tuple[float, ...]) -> RayBody:
+    # The camera does not see its own housing, which is nearer than the near plane.
+    return RayBody(urdf, label, base, (CAMERA_LINK,) if label is SegmentationLabel.ROBOT else ())

@@ -1,0 +1,78 @@
+"""Renderer of the wrist camera by ray casting.
+
+Rays are cast only through pixels in the screen bounds of a triangle. When only object and hand are wanted, other
+bodies are tested only against the rays that hit these two.
+"""
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.config import PhysicsConfig
+from handover_marl.datasets.dataset import SceneAssets
+from handover_marl.geometry.panda import HAND_LINK
+from handover_marl.simulation.camera.framebuffer import Framebuffer
+from handover_marl.simulation.camera.frames import CAMERA_POSITION_IN_HAND, CameraImage, SegmentationLabel
+from handover_marl.simulation.camera.ray_body import PosedMeshes, load_ray_body
+from handover_marl.simulation.world import JointSnapshot
+
+# The camera's axes (right, down, ahead) in the hand link's frame, as columns.
+_HAND_FROM_CAMERA = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+_NO_JOINTS = np.zeros(0, dtype=np.float32)
+
+
+class RayCamera:
+    """Wrist camera that renders the visual meshes of one scene by ray casting.
+
+    Args:
+        assets: Models of the scene.
+        config: Poses of robot and table.
+
+    Raises:
+        SimulationError, DataFormatError: A model or one of its meshes cannot be read.
+    """
+
+    def __init__(self, assets: SceneAssets, config: PhysicsConfig) -> None:
+        base = (*config.panda.base_position, *config.panda.base_orientation)
+        self._panda = load_ray_body(assets.panda, SegmentationLabel.ROBOT, base)
+        self._hand_link = self._panda.names.index(HAND_LINK)
+        table = (*config.table_position, 0.0, 0.0, 0.0, 1.0)
+        self._table = load_ray_body(assets.table, SegmentationLabel.TABLE, table)
+        self._target = load_ray_body(assets.objects[0], SegmentationLabel.TARGET)
+        self._others = [load_ray_body(urdf, SegmentationLabel.OTHER_OBJECT) for urdf in assets.objects[1:]]
+        self._hand = load_ray_body(assets.hand, SegmentationLabel.HAND)
+
+    def render_wrist_camera(self, now: JointSnapshot, color: bool) -> CameraImage:
+        """Render the wrist-camera image with all bodies of the scene.
+
+        Args:
+            now: Joint positions of all bodies.
+            color: Whether to render colours: those of the models' materials, without textures.
+        """
+        buffer = Framebuffer(*self._compute_camera_frame(now), color)
+        buffer.add_ground()
+        for meshes in [*self._pose_targets(now), *self._pose_occluders(now)]:
+            buffer.add(meshes)
+        return buffer.to_image()
+
+    def render_targets(self, now: JointSnapshot) -> CameraImage:
+        """Render the visible pixels of target object and human hand; all others are background."""
+        buffer = Framebuffer(*self._compute_camera_frame(now))
+        # Pixels of the object that the hand occludes appear twice, which does no harm.
+        pixels = np.concatenate([buffer.add(meshes) for meshes in self._pose_targets(now)])
+        pixels = buffer.remove_below_ground(pixels)
+        corners = buffer.compute_frustum_corners(pixels)
+        for meshes in self._pose_occluders(now):
+            pixels = buffer.remove_occluded_by(meshes, pixels, corners)
+        return buffer.to_image()
+
+    def _compute_camera_frame(self, now: JointSnapshot) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        rotation, origin = self._panda.compute_link_frame(self._hand_link, now.robot)
+        return rotation @ _HAND_FROM_CAMERA, origin + rotation @ np.array(CAMERA_POSITION_IN_HAND)
+
+    def _pose_targets(self, now: JointSnapshot) -> list[PosedMeshes]:
+        hand = [] if now.hand is None else [self._hand.pose_meshes(now.hand)]
+        return [self._target.pose_meshes(now.objects[0]), *hand]
+
+    def _pose_occluders(self, now: JointSnapshot) -> list[PosedMeshes]:
+        others = [body.pose_meshes(joints) for body, joints in zip(self._others, now.objects[1:], strict=True)]
+        return [self._panda.pose_meshes(now.robot), *others, self._table.pose_meshes(_NO_JOINTS)]

@@ -1,0 +1,96 @@
+"""Selection of the wrist camera's renderer, and scene renderers for engines without rendering."""
+
+import importlib.util
+from typing import TYPE_CHECKING
+
+from handover_marl.config import PhysicsConfig
+from handover_marl.datasets.dataset import Scene
+from handover_marl.errors import OptionError, ResetNeededError, UnknownNameError
+from handover_marl.execution.options import is_pybullet_installed, require_pybullet
+
+if TYPE_CHECKING:
+    from handover_marl.simulation.bullet.rendering import SceneRenderer
+
+BULLET, RAYS = "bullet", "rays"
+#: "bullet" is PyBullet's software renderer, bit-equal to HandoverSim's images in exact physics; "rays" is a ray caster,
+#: many times as fast; "auto" is "bullet" in exact physics and "rays" in others.
+RENDERERS = ("auto", BULLET, RAYS)
+_RAY_MODULES = ("embreex", "trimesh")
+
+
+def resolve_renderer(name: str, physics: str, installed: bool = True) -> str:
+    """Return the renderer of the wrist camera for an option: "bullet" or "rays".
+
+    Args:
+        name: Name of the renderer or "auto", one of `RENDERERS`.
+        physics: Kind of physics, one of `PHYSICS`.
+        installed: Whether to check that the renderer's packages are installed.
+
+    Raises:
+        UnknownNameError: There is no such renderer.
+        OptionError: The renderer needs a package that is not installed.
+    """
+    if name not in RENDERERS:
+        raise UnknownNameError("renderer", name, RENDERERS)
+    renderer = (BULLET if physics == "exact" else RAYS) if name == "auto" else name
+    if not installed:
+        return renderer
+    if renderer == BULLET:
+        require_pybullet("renderer 'bullet'", "take renderer='rays', for which there is the extra vision")
+    missing = [module for module in _RAY_MODULES if importlib.util.find_spec(module) is None]
+    if renderer == RAYS and missing:
+        instead = ", or take renderer='bullet', which is slower" if is_pybullet_installed() else ""
+        raise OptionError(
+            f"renderer 'rays' needs {' and '.join(missing)}: pip install 'handover-marl[vision]'{instead}"
+        )
+    return renderer
+
+
+def check_rendering(what: str = "rendering") -> None:
+    """Check that PyBullet is installed, which renders scenes.
+
+    Args:
+        what: Name of the operation for the error message.
+
+    Raises:
+        OptionError: PyBullet is not installed.
+    """
+    require_pybullet(
+        what, "a film can be a page, --out FILE.html, and the wrist camera has a ray caster, renderer='rays'"
+    )
+
+
+class SceneRendererCache:
+    """Cache of the PyBullet renderer of the current scene, created at its first image.
+
+    Args:
+        config: Poses of robot and table.
+    """
+
+    def __init__(self, config: PhysicsConfig) -> None:
+        self._config = config
+        self._renderer: SceneRenderer | None = None
+
+    def get(self, scene: Scene | None) -> "SceneRenderer":
+        """Return the renderer of a scene, created at the first call for that scene.
+
+        Raises:
+            ResetNeededError: There is no scene yet.
+            OptionError: PyBullet is not installed.
+        """
+        if scene is None:
+            raise ResetNeededError("the world has no scene; call reset() first")
+        if self._renderer is None or self._renderer.scene is not scene:
+            check_rendering()
+            # Imported here: only rendering needs PyBullet.
+            from handover_marl.simulation.bullet.rendering import SceneRenderer
+
+            self.close()
+            self._renderer = SceneRenderer(scene, self._config)
+        return self._renderer
+
+    def close(self) -> None:
+        """Disconnect from the PyBullet physics server."""
+        if self._renderer is not None:
+            self._renderer.close()
+        self._renderer = None

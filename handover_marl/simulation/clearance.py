@@ -1,0 +1,140 @@
+"""Clearance of robot and human hand: the smallest distance of their surfaces."""
+
+from abc import ABC, abstractmethod
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.config import PandaConfig
+from handover_marl.geometry.kinematic_tree import BoundingSphere
+from handover_marl.geometry.link_trajectory import LinkFrameTrajectory
+from handover_marl.geometry.poses import IDENTITY, transform_points
+
+Array = npt.NDArray[np.float64]
+
+_MAX_DISTANCE = 3.0  # m
+
+
+class DistanceQuery(ABC):
+    """Distance query between the shapes of a Panda and of a human hand, by a physics engine."""
+
+    @abstractmethod
+    def read_bounding_spheres(self, urdf: Path) -> dict[int, BoundingSphere]:
+        """Return a sphere around the collision shapes of each link; key -1 is the base link."""
+
+    @abstractmethod
+    def measure(self, hand_urdf: Path, robot: list[float], hand: list[float], max_distance: float) -> float:
+        """Measure the smallest distance of robot and human hand (m).
+
+        It is at most `max_distance`, and not above 0 if robot and hand overlap.
+
+        Args:
+            hand_urdf: Model of the human hand.
+            robot: Nine joint positions of the Panda (rad, m).
+            hand: 51 joint positions of the hand (m, rad).
+            max_distance: Distance (m) beyond which the engine need not search.
+        """
+
+    @abstractmethod
+    def close(self) -> None:
+        """Free the memory of the simulation."""
+
+
+class ClearanceMonitor:
+    """Calculator of the smallest distance between a moving Panda and a moving human hand.
+
+    Distances are between collision shapes. They are measured at few times only: spheres around the
+    links rule out most times, and bounds on the motion of the links rule out times near a measured
+    time. The distance query has a simulation of its own, so it does not change the world's state.
+
+    Args:
+        panda_urdf: Model of the robot.
+        config: Base pose of the robot.
+        distance_query: Distance query, from `simulation.engines.make_distance_query`.
+    """
+
+    def __init__(self, panda_urdf: Path, config: PandaConfig, distance_query: DistanceQuery) -> None:
+        self._query = distance_query
+        self._panda_urdf = panda_urdf
+        self._world_from_panda = np.array([*config.base_position, *config.base_orientation])
+
+    def compute_min_distance(
+        self,
+        hand_urdf: Path,
+        robot: Array,
+        hand: Array,
+        robot_frames: LinkFrameTrajectory,
+        hand_frames: LinkFrameTrajectory,
+    ) -> float:
+        """Compute the smallest distance of robot and human hand (m) over n times.
+
+        It is 0 if robot and hand overlap, and at most 3.
+
+        Args:
+            hand_urdf: Model of the human hand.
+            robot: Joint positions (n, 9) of the Panda (rad, m).
+            hand: Joint positions (n, 51) of the hand (m, rad).
+            robot_frames: Link frames of the Panda at these joint positions.
+            hand_frames: Link frames of the hand at these joint positions.
+        """
+        spheres = [
+            _MovingSpheres(self._query.read_bounding_spheres(self._panda_urdf), robot_frames, self._world_from_panda),
+            _MovingSpheres(self._query.read_bounding_spheres(hand_urdf), hand_frames, IDENTITY),
+        ]
+        bounds = _bound_distances(*spheres)
+        nearest, left = _MAX_DISTANCE, np.arange(len(bounds))
+        while len(left):
+            time = int(left[bounds[left].argmin()])
+            # A lower bound of the distance at that time, if nothing nearer than `nearest` was
+            # found.
+            found = max(0.0, self._query.measure(hand_urdf, robot[time].tolist(), hand[time].tolist(), nearest))
+            nearest = min(nearest, found)
+            left = left[(bounds[left] < nearest) & (left != time)]
+            moved = [own.bound_motion(time, left) for own in spheres]
+            bounds[left] = np.maximum(bounds[left], found - moved[0] - moved[1])
+            left = left[bounds[left] < nearest]
+        return nearest
+
+    def close(self) -> None:
+        """Free the memory of the simulation."""
+        self._query.close()
+
+
+class _MovingSpheres:
+    """Bounding spheres of the moving links of a robot or hand at n times.
+
+    Attributes:
+        centers: Centers (n, b, 3) of the b spheres in the world frame (m).
+        radii: Radii (b,) of the spheres (m).
+    """
+
+    def __init__(self, spheres: dict[int, BoundingSphere], frames: LinkFrameTrajectory, world_from_base: Array) -> None:
+        links = [link for link in spheres if link >= 0]
+        rotations = frames.rotations[:, links]
+        offsets = np.array([spheres[link].center for link in links])
+        self.radii = np.array([spheres[link].radius for link in links])
+        self.centers = frames.origins[:, links] + (rotations @ offsets[..., None])[..., 0]
+        self._rotations = rotations.reshape(*rotations.shape[:2], 9)
+        if -1 in spheres:
+            # The base does not move, but the hand may come near it.
+            count = len(self.centers)
+            center = transform_points(world_from_base, spheres[-1].center)
+            self.radii = np.append(self.radii, spheres[-1].radius)
+            self.centers = np.concatenate([self.centers, np.broadcast_to(center, (count, 1, 3))], axis=1)
+            self._rotations = np.concatenate([self._rotations, np.zeros((count, 1, 9))], axis=1)
+
+    def bound_motion(self, time: int, others: npt.NDArray[np.int_]) -> Array:
+        """Return upper bounds (k,) on the motion of all points from a time to k others (m)."""
+        shifts = np.linalg.norm(self.centers[others] - self.centers[time], axis=-1)
+        # A rotation by an angle moves a point at distance r by 2 r sin(angle / 2).
+        swings = np.linalg.norm(self._rotations[others] - self._rotations[time], axis=-1) / np.sqrt(2.0)
+        bound: Array = (shifts + self.radii * swings).max(axis=1, initial=0.0)
+        return bound
+
+
+def _bound_distances(first: _MovingSpheres, second: _MovingSpheres) -> Array:
+    """Return lower bounds (n,) on the distance between two sets of moving spheres (m)."""
+    between = np.linalg.norm(first.centers[:, :, None] - second.centers[:, None], axis=-1)
+    gaps: Array = (between - first.radii[:, None] - second.radii).min(axis=(1, 2))
+    return np.maximum(gaps, 0.0)

@@ -1,0 +1,127 @@
+"""Lower bounds on the number of steps in which the Panda cannot touch hand or objects."""
+
+from collections.abc import Mapping
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.config import TIME_STEP, PandaConfig
+from handover_marl.geometry.kinematic_tree import BoundingSphere, KinematicTree
+from handover_marl.geometry.poses import transform_points
+
+Array = npt.NDArray[np.float64]
+
+# Distance (m) of two spheres below which their bodies count as near. Bullet searches contacts
+# within 2 cm.
+_MARGIN = 0.03
+
+
+class RobotMotionBounds:
+    """Bounds on the motion of a Panda's links, from spheres around their collision shapes.
+
+    A joint moves straight to its target, by a fixed ratio of its error in every step. It first
+    continues to move while its motor is too weak to reverse the joint. So no point of the arm moves
+    farther than the sum of both distances over all joints, each times the reach of the links that
+    the joint carries.
+
+    Args:
+        tree: Kinematic tree of the robot.
+        spheres: Bounding sphere of every link that has collision shapes; -1 is the base link.
+        config: Base pose and motors of the robot.
+
+    Attributes:
+        links: Numbers of the L links that have collision shapes, without the base.
+    """
+
+    def __init__(self, tree: KinematicTree, spheres: Mapping[int, BoundingSphere], config: PandaConfig) -> None:
+        self._gain = config.motor.position_gain
+        base = [spheres[-1]] if -1 in spheres else []
+        self.links = [link for link in spheres if link >= 0]
+        self._centers = np.stack([spheres[link].center for link in self.links])
+        self._radii = np.array([spheres[link].radius for link in self.links] + [sphere.radius for sphere in base])
+        self._base_centers = transform_points(
+            np.array([*config.base_position, *config.base_orientation]),
+            np.array([sphere.center for sphere in base]).reshape(-1, 3),
+        )
+        moving = [link for link, joint in enumerate(tree.joints) if joint.kind != "fixed"]
+        # A prismatic finger joint carries nothing that rotates.
+        self._levers = np.array(
+            [1.0 if tree.joints[link].kind == "prismatic" else tree.compute_reach(link, spheres) for link in moving]
+        )
+
+    def count_contact_free_steps(
+        self,
+        joints: tuple[npt.NDArray[np.floating], npt.NDArray[np.floating]],
+        link_poses: npt.NDArray[np.floating],
+        robot_target: npt.ArrayLike,
+        centers: Array,
+        radii: Array,
+    ) -> npt.NDArray[np.int_]:
+        """Return lower bounds on the steps before the robot can touch each of m bodies.
+
+        The bounds hold for any batch (...) of worlds.
+
+        Args:
+            joints: Current positions (..., 9) and velocities (..., 9) of the robot (rad, m).
+            link_poses: Current world poses (..., L, 7) of `links`.
+            robot_target: Joint targets (..., 9) of all n coming steps (rad, m).
+            centers: Centers (..., n, m, 3) of spheres around the bodies after each step (m); inf
+                for absent bodies.
+            radii: Radii (..., m) of the spheres around the bodies (m).
+
+        Returns:
+            Step counts (..., m), at most n.
+        """
+        steps = centers.shape[-3]
+        position, velocity = joints
+        errors = np.abs(np.asarray(robot_target) - position) @ self._levers
+        speed = np.abs(velocity) @ self._levers
+        count = np.arange(1, steps + 1)
+        moved = errors[..., None] * (1.0 - (1.0 - self._gain) ** count) + speed[..., None] * TIME_STEP * count
+        robot = self.compute_sphere_centers(link_poses)
+        # Bodies are mostly so far away that one bound over all steps suffices.
+        start = centers[..., :1, :, :]
+        with np.errstate(invalid="ignore"):
+            # A body that appears or disappears is at infinity on the way: inf - inf is nan, which
+            # is not far.
+            body_moved = _norm(centers - start).max(axis=-2, keepdims=True)
+            far = self._distances(start, robot) - radii[..., None, :] - body_moved - moved[..., -1:, None] >= _MARGIN
+        if far.all():
+            return np.full(np.broadcast_shapes(moved.shape[:-1], centers.shape[:-3]) + centers.shape[-2:-1], steps)
+        near = self._distances(centers, robot) - radii[..., None, :] - moved[..., None] < _MARGIN
+        return np.asarray(np.where(near.any(axis=-2), near.argmax(axis=-2), steps))
+
+    def compute_sphere_centers(self, link_poses: npt.NDArray[np.floating]) -> Array:
+        """Return the world centers (..., b, 3) of the robot's bounding spheres (m).
+
+        Args:
+            link_poses: World poses (..., L, 7) of `links`.
+        """
+        links = transform_points(link_poses, self._centers)
+        base = np.broadcast_to(self._base_centers, (*links.shape[:-2], *self._base_centers.shape))
+        return np.concatenate([links, base], axis=-2)
+
+    def is_near(self, robot_centers: Array, centers: Array, radii: Array) -> npt.NDArray[np.bool_]:
+        """Return for each world of a batch (...) whether any of m bodies is near the robot.
+
+        Args:
+            robot_centers: Centers (..., b, 3) of the robot's spheres (m), from
+                `compute_sphere_centers`.
+            centers: Centers (..., m, 3) of spheres around the bodies (m); inf for absent bodies.
+            radii: Radii (m,) of the spheres around the bodies (m).
+        """
+        gaps = _norm(centers[..., None, :] - robot_centers[..., None, :, :]) - self._radii
+        return np.asarray((gaps.min(axis=-1) - radii < _MARGIN).any(axis=-1))
+
+    def _distances(self, points: Array, robot_centers: Array) -> Array:
+        """Return distances (..., n, m) of points (..., n, m, 3) to the nearest robot sphere (m)."""
+        gaps = _norm(points[..., None, :] - robot_centers[..., None, None, :, :]) - self._radii
+        distances: Array = gaps.min(axis=-1)
+        return distances
+
+
+def _norm(vectors: Array) -> Array:
+    """Return the lengths (...) of vectors (..., 3), faster than `np.linalg.norm`."""
+    x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
+    lengths: Array = np.sqrt(x * x + y * y + z * z)
+    return lengths

@@ -1,0 +1,107 @@
+"""Contacts of robot, hand and objects after physics steps, for the rules of the handover task."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.config import ProtocolConfig
+
+Points = npt.NDArray[np.float32]
+Flags = npt.NDArray[np.bool_]
+NO_POINTS: Points = np.zeros((0, 3), dtype=np.float32)
+
+
+class Contacts(NamedTuple):
+    """Contacts of robot, hand and objects after one physics step.
+
+    A contact counts if its normal force is above zero.
+
+    Attributes:
+        robot_touches_hand: Whether the Panda touches the human hand.
+        robot_touches_object: Whether the Panda touches the target object.
+        finger_points: Contact points (n, 3) of the left and of the right finger with the target
+            object, in the link frame of that finger (m), float32.
+        object_supported: Whether the target object touches the table or another object. Valid after
+            the release only.
+        object_height: World z of the target object's origin (m). Valid after the release, and while
+            the robot touches the object.
+        gripper_position: World position of the Panda's hand link (m). Valid after the release, and
+            while the robot touches the object.
+        robot_object_force: Sum of the normal forces between Panda and target object (N). The rules
+            of the task do not use it.
+    """
+
+    robot_touches_hand: bool = False
+    robot_touches_object: bool = False
+    finger_points: tuple[Points, Points] = (NO_POINTS, NO_POINTS)
+    object_supported: bool = False
+    object_height: float = float("inf")
+    gripper_position: tuple[float, float, float] = (float("inf"),) * 3
+    robot_object_force: float = 0.0
+
+    @property
+    def both_fingers_touch(self) -> bool:
+        """Whether both fingers of the Panda touch the target object."""
+        left, right = self.finger_points
+        return len(left) > 0 and len(right) > 0
+
+
+class ContactBatch(NamedTuple):
+    """Contacts of robot, hand and objects in k physics steps of n worlds, as arrays.
+
+    Attributes:
+        robot_touches_hand: Whether the Panda touches the human hand, (k, n).
+        robot_touches_object: Whether the Panda touches the target object, (k, n).
+        fingers_touch: Whether the left and the right finger touch the target object, (k, n, 2).
+        in_grasp_region: Whether the left and the right finger touch the target object inside their
+            grasp regions, (k, n, 2).
+        object_supported: Whether the target object touches the table or another object, (k, n).
+        object_height: World z of the target object's origin (m), (k, n).
+        gripper_position: World position of the Panda's hand link (m), (k, n, 3).
+    """
+
+    robot_touches_hand: Flags
+    robot_touches_object: Flags
+    fingers_touch: Flags
+    in_grasp_region: Flags
+    object_supported: Flags
+    object_height: npt.NDArray[np.floating]
+    gripper_position: npt.NDArray[np.floating]
+
+    @classmethod
+    def from_contacts(cls, steps: Sequence[Contacts], config: ProtocolConfig) -> "ContactBatch":
+        """Return the contacts of k steps of a single world as a batch (n = 1).
+
+        Args:
+            steps: Contacts of each step.
+            config: Bounds of the grasp region.
+        """
+        rows = [
+            (
+                step.robot_touches_hand,
+                step.robot_touches_object,
+                [len(points) > 0 for points in step.finger_points],
+                [bool(find_points_in_grasp_region(points, config).any()) for points in step.finger_points],
+                step.object_supported,
+                step.object_height,
+                step.gripper_position,
+            )
+            for step in steps
+        ]
+        return cls(*(np.array(column)[:, None] for column in zip(*rows, strict=True)))
+
+    @classmethod
+    def without_contacts(cls, steps: int, worlds: int) -> "ContactBatch":
+        """Return the contact batch of k steps of n worlds without any contact."""
+        shape, default = (steps, worlds), Contacts()
+        flags, fingers = np.zeros(shape, dtype=bool), np.zeros((*shape, 2), dtype=bool)
+        height, position = np.full(shape, default.object_height), np.full((*shape, 3), default.gripper_position)
+        return cls(flags, flags, fingers, fingers, flags, height, position)
+
+
+def find_points_in_grasp_region(points: npt.NDArray[np.float32], config: ProtocolConfig) -> Flags:
+    """Return whether points (..., 3) in a finger's frame (m) are in its grasp region."""
+    inside = (points > np.array(config.region_lower)) & (points < np.array(config.region_upper))
+    return np.asarray(inside.all(axis=-1))

@@ -1,0 +1,148 @@
+"""Physics engines by name: creation of worlds, distance queries and grasp validators."""
+
+import importlib.util
+from pathlib import Path
+
+from handover_marl.assets.robot_model import PANDA_URDF
+from handover_marl.config import PandaConfig, PhysicsConfig
+from handover_marl.errors import OptionError, UnknownNameError
+from handover_marl.execution.options import is_pybullet_installed, require_pybullet
+from handover_marl.simulation.clearance import DistanceQuery
+from handover_marl.simulation.grasp_validation import GraspValidationConfig, GraspValidator
+from handover_marl.simulation.world import World
+
+EXACT, FAST, MUJOCO = "exact", "fast", "mujoco"
+#: "exact" equals HandoverSim's PyBullet simulation bit for bit; "fast" is PyBullet without the
+#: bodies that cannot touch anything; "mujoco" is MuJoCo.
+PHYSICS = (EXACT, FAST, MUJOCO)
+
+
+def check_physics(physics: str) -> None:
+    """Check that a kind of physics exists and its engine is installed.
+
+    Raises:
+        UnknownNameError: There is no physics of that name.
+        OptionError: The engine is not installed.
+    """
+    if physics not in PHYSICS:
+        raise UnknownNameError("physics", physics, PHYSICS)
+    if physics == MUJOCO:
+        if not _is_mujoco_installed():
+            alternative = ", or take physics='fast'" if is_pybullet_installed() else ""
+            raise OptionError(
+                "physics='mujoco' needs MuJoCo 4 and Python 3.11 or later: pip install 'handover-marl[mujoco]'"
+                f"{alternative}"
+            )
+        return
+    installation = "" if _is_mujoco_installed() else ": pip install 'handover-marl[mujoco]'"
+    require_pybullet(f"physics={physics!r}", f"take physics='mujoco' (--physics mujoco){installation}")
+
+
+def list_available_physics() -> tuple[str, ...]:
+    """Return the names of the kinds of physics whose engines are installed."""
+    installed = {EXACT: is_pybullet_installed(), FAST: is_pybullet_installed(), MUJOCO: _is_mujoco_installed()}
+    return tuple(name for name in PHYSICS if installed[name])
+
+
+def make_world(physics: str, config: PhysicsConfig, window: bool = False) -> World:
+    """Create a simulated world without a scene.
+
+    Args:
+        physics: Kind of physics, one of `PHYSICS`.
+        config: Constants of the world.
+        window: Whether to show the world in a window.
+
+    Raises:
+        UnknownNameError: There is no physics of that name.
+        OptionError: The engine is not installed, or cannot open a window.
+        SimulationError: A window was requested, but there is no screen.
+    """
+    check_physics(physics)
+    # Engines are imported only when they are used: each is optional.
+    if physics == MUJOCO:
+        from handover_marl.simulation.mujoco.world import MujocoWorld
+
+        return MujocoWorld(config, window)
+    if physics == EXACT:
+        from handover_marl.simulation.bullet.exact_world import ExactWorld
+
+        return ExactWorld(config, window)
+    from handover_marl.simulation.bullet.fast_world import FastWorld
+
+    return FastWorld(config, window)
+
+
+def make_worlds(physics: str, config: PhysicsConfig, count: int, threads: int) -> list[World]:
+    """Create simulated worlds without scenes, for one process.
+
+    Args:
+        physics: Kind of physics, one of `PHYSICS`.
+        config: Constants of the worlds.
+        count: Number of worlds.
+        threads: Number of threads that will simulate them; world k belongs to thread k modulo
+            `threads`.
+
+    Raises:
+        UnknownNameError: There is no physics of that name.
+            OptionError: The engine is not installed.
+    """
+    if physics != MUJOCO:
+        return [make_world(physics, config) for _ in range(count)]
+    check_physics(physics)
+    from handover_marl.simulation.mujoco.batch import BatchSimulation
+    from handover_marl.simulation.mujoco.world import MujocoWorld
+
+    simulations = [BatchSimulation(-(-count // threads)) for _ in range(threads)]
+    return [MujocoWorld(config, simulation=simulations[number % threads]) for number in range(count)]
+
+
+def make_distance_query(panda_urdf: Path, config: PandaConfig) -> DistanceQuery:
+    """Create a query of distances between robot and hand in the installed engine.
+
+    PyBullet is preferred to MuJoCo; their distances agree to 0.5 mm.
+
+    Args:
+        panda_urdf: Model of the robot.
+        config: Base pose of the robot.
+
+    Raises:
+        SimulationError, DataFormatError: The model cannot be read.
+    """
+    if is_pybullet_installed():
+        from handover_marl.simulation.bullet.distances import BulletDistanceQuery
+
+        return BulletDistanceQuery(panda_urdf, config)
+    from handover_marl.simulation.mujoco.distances import MujocoDistanceQuery
+
+    return MujocoDistanceQuery(panda_urdf, config)
+
+
+def select_validation_engine() -> str:
+    """Return the engine for grasp validation: "bullet" if PyBullet is installed, else "mujoco"."""
+    return "bullet" if is_pybullet_installed() else "mujoco"
+
+
+def make_grasp_validator(
+    object_urdf: Path, config: GraspValidationConfig | None = None, panda_urdf: Path = PANDA_URDF
+) -> GraspValidator:
+    """Create a validator of grasps of one object in the installed physics engine.
+
+    Args:
+        object_urdf: Model of the object, on HandoverSim's chain of six joints.
+        config: Conditions of a valid grasp; None for the defaults.
+        panda_urdf: Panda that the hand is taken from.
+
+    Raises:
+        SimulationError, DataFormatError: A model cannot be read.
+    """
+    if select_validation_engine() == "bullet":
+        from handover_marl.simulation.bullet.grasp_validation import BulletGraspValidator
+
+        return BulletGraspValidator(object_urdf, config, panda_urdf)
+    from handover_marl.simulation.mujoco.grasp_validation import MujocoGraspValidator
+
+    return MujocoGraspValidator(object_urdf, config, panda_urdf)
+
+
+def _is_mujoco_installed() -> bool:
+    return importlib.util.find_spec("mujoco") is not None

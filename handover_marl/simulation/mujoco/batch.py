@@ -1,0 +1,304 @@
+"""Batched simulation of worlds in MuJoCo, with one batch for each model layout.
+
+A single world is a batch of one. The states of a world do not depend on other worlds.
+"""
+
+import heapq
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+from mujoco.batch import Batch
+
+from handover_marl.simulation.mujoco.contacts import SensorReadings
+from handover_marl.simulation.mujoco.engine import check_warnings, configure_engine
+from handover_marl.simulation.mujoco.scene_model import RobotOnlyModel, SceneModel
+from handover_marl.simulation.mujoco.sleep import RobotOnlyRollouts
+
+Array = npt.NDArray[np.float64]
+
+# Controls of a step in MuJoCo's order: actuator targets, then mocap poses.
+_CONTROLS = (mujoco.mjtState.mjSTATE_CTRL, mujoco.mjtState.mjSTATE_MOCAP_POS, mujoco.mjtState.mjSTATE_MOCAP_QUAT)
+_CONTROL_SPEC = sum(int(part) for part in _CONTROLS)
+_RECORDED = ("sensordata", "qpos")
+# Number of groups without worlds that are kept. A group takes 5 MB, and 2 ms to make.
+_MAX_EMPTY_GROUPS = 8
+
+
+class ModelGroup:
+    """Group of worlds whose MuJoCo models have the same layout, simulated as one batch.
+
+    Args:
+        scene: Scene model with the layout of the group.
+        capacity: Largest number of worlds.
+
+    Attributes:
+        scene: Scene model with the layout of the group.
+        batch: MuJoCo batch; each row is a world.
+        models: Model of each row.
+        free_rows: Heap of the numbers of the rows without a world.
+        scratch: MuJoCo data for computations without a step.
+        qpos: Joint positions of all rows; all arrays here are views of the batch's state.
+        qvel: Joint velocities of all rows.
+        forces: External forces on the bodies of all rows.
+        ctrl: Actuator targets of all rows.
+        mocap_pos: Positions of the mocap bodies of all rows (m).
+        mocap_quat: Quaternions wxyz of the mocap bodies of all rows.
+        recorded: Sensor data and positions of all rows.
+    """
+
+    def __init__(self, scene: SceneModel, capacity: int) -> None:
+        self.scene = scene
+        # One thread: further cores simulate batches of their own.
+        self.batch = Batch(scene.model, capacity, nthread=1)
+        self.models = [scene.model] * capacity
+        self.batch.set_models(self.models)
+        self.free_rows = list(range(capacity))
+        self.scratch = mujoco.MjData(scene.model)
+        bind = self.batch.bind
+        self.qpos, self.qvel, self.forces = bind("qpos"), bind("qvel"), bind("xfrc_applied")
+        self.ctrl, self.mocap_pos, self.mocap_quat = bind("ctrl"), bind("mocap_pos"), bind("mocap_quat")
+        self.recorded = [bind(name) for name in _RECORDED]
+        self._buffers: dict[str, Array] = {}
+
+    def get_record_buffers(self, worlds: int, steps: int) -> dict[str, Array]:
+        """Return reused arrays for the sensor data and positions recorded in a rollout."""
+        names = zip(_RECORDED, self.recorded, strict=True)
+        return {name: self.get_buffer(name, (worlds, steps, *one.shape[1:])) for name, one in names}
+
+    def get_buffer(self, name: str, shape: tuple[int, ...]) -> Array:
+        """Return an uninitialized array of a shape, in memory that is reused for this name."""
+        size = math.prod(shape)
+        if name not in self._buffers or self._buffers[name].size < size:
+            self._buffers[name] = np.empty(size)
+        return self._buffers[name][:size].reshape(shape)
+
+    def try_model(self, model: "mujoco.MjModel", row: int) -> bool:
+        """Set the model of a row if it has the group's layout, and return whether it has."""
+        before = self.models[row]
+        self.models[row] = model
+        try:
+            self.batch.set_models(self.models)
+        except (ValueError, mujoco.FatalError):
+            self.models[row] = before
+            return False
+        return True
+
+    def free_row(self, row: int) -> None:
+        """Mark a row as free for another world, and release its model."""
+        self.models[row] = self.scene.model
+        self.batch.set_models(self.models)
+        heapq.heappush(self.free_rows, row)
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether the group has no world."""
+        return len(self.free_rows) == len(self.models)
+
+
+class BatchSlot:
+    """Row of a batch in which a world is simulated during one episode.
+
+    Args:
+        group: Group of the row.
+        row: Number of the row in its group.
+        scene: Model of the scene.
+
+    Attributes:
+        group: Group of the row.
+        row: Number of the row in its group.
+        scene: Model of the scene.
+        released: Whether the human has released the target object.
+    """
+
+    def __init__(self, group: ModelGroup, row: int, scene: SceneModel) -> None:
+        self.group, self.row, self.scene = group, row, scene
+        self.released = False
+        # Variants that were used in this episode are held, since they are likely to be used again.
+        self._variants: dict[tuple[bool, bool], mujoco.MjModel] = {}
+
+    def select_model(self, hand: bool) -> "mujoco.MjModel":
+        """Return the variant of the scene model for the coming steps.
+
+        Args:
+            hand: Whether the hand can collide in these steps.
+        """
+        key = self.released, hand
+        if key not in self._variants:
+            self._variants[key] = self.scene.variants.select(*key)
+        return self._variants[key]
+
+    def release_object(self, gravity: float) -> None:
+        """Release the target object: it falls, and collides with table, ground and other objects.
+
+        Args:
+            gravity: Gravity along world z (m/s^2).
+        """
+        self.released = True
+        body = self.scene.objects[0]
+        self.group.forces[self.row, body, 2] = gravity * float(self.scene.model.body_mass[body])
+
+    @property
+    def qpos(self) -> Array:
+        """Writable view of the world's joint positions (q,)."""
+        found: Array = self.group.qpos[self.row]
+        return found
+
+    @property
+    def qvel(self) -> Array:
+        """Writable view of the world's joint velocities (v,)."""
+        found: Array = self.group.qvel[self.row]
+        return found
+
+    def get_controls(self) -> tuple[Array, Array, Array]:
+        """Return writable views of the world's current controls.
+
+        Returns:
+            Actuator targets (u,), mocap positions (m, 3), mocap quaternions wxyz (m, 4).
+        """
+        group, row = self.group, self.row
+        return group.ctrl[row], group.mocap_pos[row], group.mocap_quat[row]
+
+    def set_time(self, seconds: float) -> None:
+        """Set the simulation time of the world (s)."""
+        self.group.batch.bind("time")[self.row] = seconds
+
+    def step(self) -> None:
+        """Simulate one physics step of the world with its current controls.
+
+        Raises:
+            SimulationError: MuJoCo warned; the state is invalid.
+        """
+        group, rows = self.group, np.array([self.row], dtype=np.int32)
+        group.batch.step(ids=rows)
+        check_warnings(group.batch, rows)
+
+    def read_sensors(self) -> SensorReadings:
+        """Return the contact-sensor readings of the last physics step."""
+        return SensorReadings(self.scene.contact_sensors, *(array[self.row] for array in self.group.recorded))
+
+    def compute_body_poses(self) -> tuple[Array, Array]:
+        """Compute the world positions (b, 3) and quaternions wxyz (b, 4) of all bodies."""
+        scratch = self.group.scratch
+        scratch.qpos[:] = self.qpos
+        mujoco.mj_kinematics(self.scene.model, scratch)
+        return scratch.xpos, scratch.xquat
+
+
+class BatchSimulation:
+    """Simulation of up to `count` worlds in MuJoCo batches, in one thread.
+
+    Args:
+        count: Largest number of worlds.
+    """
+
+    def __init__(self, count: int) -> None:
+        configure_engine()
+        self._count = count
+        self._groups: dict[tuple[int, ...], list[ModelGroup]] = {}
+        self._robot_rollouts: dict[RobotOnlyModel, RobotOnlyRollouts] = {}
+        # Groups that were empty when last checked, in the order in which they became so.
+        self._empty_groups: list[ModelGroup] = []
+
+    def load_scene(self, scene: SceneModel, previous: BatchSlot | None = None) -> BatchSlot:
+        """Load a scene, and return its batch slot in the initial state of the model.
+
+        Args:
+            scene: Model of the scene.
+            previous: Slot of the world's previous episode, which becomes invalid.
+        """
+        if previous is not None and previous.group.try_model(scene.model, previous.row):
+            slot = BatchSlot(previous.group, previous.row, scene)
+        else:
+            if previous is not None:
+                self.free(previous)
+            group = self._find_group(scene)
+            slot = BatchSlot(group, heapq.heappop(group.free_rows), scene)
+        slot.group.batch.reset(ids=np.array([slot.row], dtype=np.int32), stage=int(mujoco.mjtStage.mjSTAGE_NONE))
+        slot.group.batch.warning[slot.row] = 0
+        return slot
+
+    def free(self, slot: BatchSlot) -> None:
+        """Free the batch row of a slot; the slot becomes invalid."""
+        group = slot.group
+        group.free_row(slot.row)
+        if group.is_empty:
+            kept = [*(one for one in self._empty_groups if one.is_empty and one is not group), group]
+            self._empty_groups, dropped = kept[-_MAX_EMPTY_GROUPS:], kept[:-_MAX_EMPTY_GROUPS]
+            for one in dropped:
+                self._groups[_get_sizes(one.scene.model)].remove(one)
+
+    def get_robot_rollouts(self, model: RobotOnlyModel) -> RobotOnlyRollouts:
+        """Return the cache of rollouts without hand and objects, shared by all worlds."""
+        if model not in self._robot_rollouts:
+            self._robot_rollouts[model] = RobotOnlyRollouts(model)
+        return self._robot_rollouts[model]
+
+    def _find_group(self, scene: SceneModel) -> ModelGroup:
+        """Return a model group with a free row that accepts the scene's model."""
+        groups = self._groups.setdefault(_get_sizes(scene.model), [])
+        for group in groups:
+            if group.free_rows and group.try_model(scene.model, group.free_rows[0]):
+                return group
+        groups.append(ModelGroup(scene, self._count))
+        return groups[-1]
+
+
+def _get_sizes(model: "mujoco.MjModel") -> tuple[int, ...]:
+    """Return the array sizes of a MuJoCo model, which are equal in all models of one layout."""
+    return model.nq, model.nv, model.nu, model.nbody, model.ngeom, model.nbvh, model.nmocap, model.nsensordata
+
+
+@dataclass(frozen=True, eq=False)
+class BatchRollout:
+    """Rollout of k physics steps of n worlds in one model group.
+
+    Valid until the group's next rollout.
+
+    Attributes:
+        slots: Batch slots of the n worlds.
+        readings: Contact-sensor readings of k steps of n worlds.
+        controls: Controls (n, k, c) of all worlds and steps.
+        before: MuJoCo states (n, s) of the worlds before the rollout.
+    """
+
+    slots: list[BatchSlot]
+    readings: SensorReadings
+    controls: Array
+    before: Array
+
+    def truncate(self, number: int, steps: int) -> None:
+        """Set a world back to its state after some steps of the rollout.
+
+        Args:
+            number: Index of the world in `slots`.
+            steps: Number of steps to keep.
+        """
+        slot = self.slots[number]
+        batch, rows = slot.group.batch, np.array([slot.row], dtype=np.int32)
+        batch.state[slot.row] = self.before[number]
+        batch.rollout(steps, self.controls[number, None, :steps], _CONTROL_SPEC, (), rows)
+
+
+def simulate_slots(slots: Sequence[BatchSlot], controls: Sequence[Array]) -> BatchRollout:
+    """Simulate k physics steps of the worlds in slots of one model group.
+
+    Args:
+        slots: Slots in the order of their rows.
+        controls: Controls (k, c) of each slot: actuator targets, mocap positions, mocap quaternions
+            wxyz.
+
+    Raises:
+        SimulationError: MuJoCo warned; the states of these worlds are invalid.
+    """
+    group, rows = slots[0].group, np.array([slot.row for slot in slots], dtype=np.int32)
+    stacked = np.stack(controls, out=group.get_buffer("controls", (len(controls), *controls[0].shape)))
+    before = group.batch.state[rows]
+    buffers = group.get_record_buffers(*stacked.shape[:2])
+    found = group.batch.rollout(stacked.shape[1], stacked, _CONTROL_SPEC, _RECORDED, rows, buffers)
+    check_warnings(group.batch, rows)
+    arrays = (found[name].swapaxes(0, 1) for name in _RECORDED)
+    return BatchRollout(list(slots), SensorReadings(group.scene.contact_sensors, *arrays), stacked, before)

@@ -1,0 +1,174 @@
+"""Collision shapes for MuJoCo: convex parts of URDF links, and link inertia as in Bullet."""
+
+import functools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from handover_marl.errors import DataFormatError
+from handover_marl.geometry.kinematic_tree import BoundingSphere, KinematicTree
+from handover_marl.geometry.obj_files import read_obj
+from handover_marl.geometry.poses import IDENTITY, transform_points
+from handover_marl.geometry.urdf import UrdfLink, UrdfShape, read_urdf_shapes
+from handover_marl.simulation.mujoco.engine import wxyz_from_xyzw
+
+Array = npt.NDArray[np.float64]
+
+# Bullet computes a link's inertia from a box that is larger than its hulls by these lengths (m) on
+# each side: the hulls' margin and twice that of the compound shape. A hull with a pose of its own
+# is in one more compound.
+_HULL_PADDING, _POSED_HULL_PADDING = 0.003, 0.001
+
+
+@dataclass(frozen=True, eq=False)
+class ConvexPart:
+    """Convex part of the collision shape of a URDF link.
+
+    Attributes:
+        kind: Type of the part: "hull", "box" or "sphere".
+        vertices: Vertices (v, 3) of a hull in the part's frame (m); (0, 3) for a box or sphere.
+        size: Side lengths of a box (m), radius of a sphere (m), empty for a hull.
+        link_from_part: Pose (7,) of the part in the link's frame.
+    """
+
+    kind: str
+    vertices: Array
+    size: tuple[float, ...]
+    link_from_part: Array
+
+    def list_extreme_points(self) -> Array:
+        """Return points (n, 3) in the part's frame (m) with the part's bounding box."""
+        if self.kind == "hull":
+            return self.vertices
+        half = np.array(self.size) / 2.0 if self.kind == "box" else np.full(3, self.size[0])
+        return np.array([-half, half])
+
+
+def load_convex_parts(shapes: Sequence[UrdfShape]) -> list[ConvexPart]:
+    """Load collision shapes as Bullet does: each object of a mesh file is one convex hull.
+
+    Raises:
+        DataFormatError: A mesh file cannot be read.
+    """
+    return [part for shape in shapes for part in _load_shape(shape, _read_mtime(shape.mesh))]
+
+
+def _read_mtime(mesh: Path | None) -> int:
+    return mesh.stat().st_mtime_ns if mesh is not None and mesh.exists() else 0
+
+
+# Many scenes share the shapes of a URDF file, and so their parts.
+@functools.lru_cache(maxsize=2048)
+def _load_shape(shape: UrdfShape, mtime: int) -> tuple[ConvexPart, ...]:
+    if shape.mesh is None:
+        return (ConvexPart(shape.kind, np.zeros((0, 3)), shape.size, shape.link_from_shape),)
+    meshes = _load_mesh_objects(shape.mesh, mtime)
+    return tuple(ConvexPart("hull", vertices * shape.size, (), shape.link_from_shape) for vertices in meshes)
+
+
+@functools.lru_cache(maxsize=512)
+def _load_mesh_objects(mesh: Path, mtime: int) -> tuple[Array, ...]:
+    """Return the distinct vertices (v, 3) of each object in a mesh file."""
+    if mesh.suffix.lower() == ".obj":
+        content = read_obj(mesh)
+        return tuple(np.unique(content.vertices[np.unique(faces)], axis=0) for faces in content.groups)
+    return (np.unique(_read_stl_vertices(mesh), axis=0),)
+
+
+def _read_stl_vertices(mesh: Path) -> Array:
+    """Return the corners (n, 3) of the triangles of a binary STL file."""
+    record = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("color", "<u2")])
+    try:
+        content = mesh.read_bytes()
+        count = int(np.frombuffer(content, "<u4", 1, 80)[0])
+        triangles = np.frombuffer(content, record, count, 84)
+    except (OSError, ValueError) as error:
+        raise DataFormatError(f"{mesh}: neither an OBJ nor a binary STL file ({error}); check the file") from error
+    return np.asarray(triangles["corners"].reshape(-1, 3), dtype=np.float64)
+
+
+def compute_box_inertia(link: UrdfLink, parts: Sequence[ConvexPart]) -> Array:
+    """Compute a link's moments of inertia (3,) as Bullet does, from its bounding box (kg m^2).
+
+    Args:
+        link: Link with its mass and center of mass.
+        parts: All collision shapes of the link.
+    """
+    lower, upper = _compute_bounds(parts, any(link.center))
+    x, y, z = (upper - lower) ** 2
+    return np.array([y + z, x + z, x + y]) * link.mass / 12.0
+
+
+def compute_bounding_spheres(urdf: Path, tree: KinematicTree) -> dict[int, BoundingSphere]:
+    """Compute a sphere around the collision shapes of each link by link number; -1 is the base.
+
+    Links without collision shapes are left out.
+
+    Raises:
+        SimulationError, DataFormatError: The model or one of its meshes cannot be read.
+    """
+    shapes = read_urdf_shapes(urdf, tree, "collision")
+    spheres = {}
+    for link in sorted({shape.link for shape in shapes}):
+        parts = load_convex_parts([shape for shape in shapes if shape.link == link])
+        lower, upper = _compute_bounds(parts, False)
+        spheres[link] = BoundingSphere((lower + upper) / 2.0, float(np.linalg.norm(upper - lower)) / 2.0)
+    return spheres
+
+
+def _compute_bounds(parts: Sequence[ConvexPart], has_offset: bool) -> tuple[Array, Array]:
+    """Return lower and upper corner of the bounding box of parts in the link's frame (m).
+
+    Args:
+        parts: Parts of one link.
+        has_offset: Whether the link's center of mass differs from its frame.
+    """
+    lowers, uppers = zip(*(_compute_part_bounds(part, has_offset) for part in parts), strict=True)
+    return np.min(lowers, axis=0), np.max(uppers, axis=0)
+
+
+@functools.lru_cache(maxsize=4096)
+def _compute_part_bounds(part: ConvexPart, has_offset: bool) -> tuple[Array, Array]:
+    """Return lower and upper corner of the box around a part's rotated box, as Bullet does."""
+    points = part.list_extreme_points()
+    padding = 0.0
+    if part.kind == "hull":
+        is_posed = has_offset or not np.array_equal(part.link_from_part, IDENTITY)
+        padding = _HULL_PADDING + (_POSED_HULL_PADDING if is_posed else 0.0)
+    lower, upper = points.min(axis=0), points.max(axis=0)
+    rotation = np.abs(Rotation.from_quat(part.link_from_part[3:]).as_matrix())
+    center = transform_points(part.link_from_part, (lower + upper) / 2.0)
+    half = rotation @ ((upper - lower) / 2.0) + padding
+    return center - half, center + half
+
+
+def add_collision_geom(spec: "mujoco.MjSpec", body: "mujoco.MjsBody", part: ConvexPart) -> "mujoco.MjsGeom":
+    """Add a convex part to a MuJoCo body as a geom without mass.
+
+    `set_inertia` sets the mass of the body.
+    """
+    geom = body.add_geom(pos=part.link_from_part[:3], quat=wxyz_from_xyzw(part.link_from_part[3:]))
+    geom.mass = 0.0
+    if part.kind == "hull":
+        mesh = spec.add_mesh(name=f"hull{len(spec.meshes)}", uservert=part.vertices.ravel())
+        # Flat hulls have no volume, which MuJoCo refuses otherwise.
+        mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+        geom.type, geom.meshname = mujoco.mjtGeom.mjGEOM_MESH, mesh.name
+    elif part.kind == "box":
+        geom.type, geom.size = mujoco.mjtGeom.mjGEOM_BOX, np.array(part.size) / 2.0
+    else:
+        geom.type, geom.size = mujoco.mjtGeom.mjGEOM_SPHERE, [part.size[0], 0.0, 0.0]
+    return geom
+
+
+def set_inertia(body: "mujoco.MjsBody", link: UrdfLink, parts: list[ConvexPart]) -> None:
+    """Set mass and inertia of a MuJoCo body to the values that Bullet gives its link."""
+    body.explicitinertial = True
+    body.mass, body.ipos = link.mass, link.center
+    if parts:
+        body.inertia = compute_box_inertia(link, parts)

@@ -1,0 +1,251 @@
+"""Contact sensors of MuJoCo models, and conversion of their data to contacts.
+
+MuJoCo's list of contacts has another length in every step and world. Sensors collect the data that
+the rules need in arrays of fixed shape inside the engine, so that the data of one or many worlds
+are read in the same way.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.config import ProtocolConfig
+from handover_marl.simulation.contacts import NO_POINTS, ContactBatch, Contacts, find_points_in_grasp_region
+
+Array = npt.NDArray[np.float64]
+
+# Number of strongest contacts recorded with the object, for each finger and for the whole robot.
+_FINGER_SLOTS, _ROBOT_SLOTS = 8, 12
+_FORCE = 1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE)
+_POINT = _FORCE | sum(
+    1 << int(field)
+    for field in (
+        mujoco.mjtConDataField.mjCONDATA_DIST,
+        mujoco.mjtConDataField.mjCONDATA_POS,
+        mujoco.mjtConDataField.mjCONDATA_NORMAL,
+    )
+)
+_STRONGEST = 2
+_AXES = (mujoco.mjtSensor.mjSENS_FRAMEXAXIS, mujoco.mjtSensor.mjSENS_FRAMEYAXIS, mujoco.mjtSensor.mjSENS_FRAMEZAXIS)
+
+
+def add_contact_sensors(
+    spec: "mujoco.MjSpec",
+    robot: str,
+    gripper: str,
+    fingers: Sequence[str],
+    target: str,
+    hand: Sequence[str],
+    supports: Sequence[str],
+) -> None:
+    """Add sensors to a MuJoCo model for the contacts and poses that the task's rules need.
+
+    Args:
+        spec: Model to extend.
+        robot: Name of the robot's base body.
+        gripper: Name of the body of the robot's hand link.
+        fingers: Names of the bodies of the left and the right finger.
+        target: Name of the target object's body.
+        hand: Names of the human hand's bodies, which collide with the robot only.
+        supports: Names of the bodies that the object can lie on.
+    """
+
+    def add(name: str, first: tuple[int, str], second: str | None, fields: int, slots: int) -> None:
+        sensor = spec.add_sensor(name=name, type=mujoco.mjtSensor.mjSENS_CONTACT)
+        sensor.objtype, sensor.objname = first
+        if second is not None:
+            sensor.reftype, sensor.refname = mujoco.mjtObj.mjOBJ_BODY, second
+        sensor.intprm[:3] = [fields, _STRONGEST, slots]
+
+    body, subtree = mujoco.mjtObj.mjOBJ_BODY, mujoco.mjtObj.mjOBJ_XBODY
+    for side, finger in zip(("left", "right"), fingers, strict=True):
+        add(f"touch/{side}", (body, finger), target, _POINT, _FINGER_SLOTS)
+    add("touch/robot", (subtree, robot), target, _FORCE, _ROBOT_SLOTS)
+    for number, name in enumerate(hand):
+        add(f"touch/hand{number}", (body, name), None, _FORCE, 1)
+    for number, name in enumerate(supports):
+        add(f"touch/support{number}", (body, name), target, _FORCE, 1)
+
+    def add_frame(name: str, of: str, axes: Sequence["mujoco.mjtSensor"]) -> None:
+        for kind in (mujoco.mjtSensor.mjSENS_FRAMEPOS, *axes):
+            sensor = spec.add_sensor(name=f"frame/{name}/{int(kind)}", type=kind)
+            sensor.objtype, sensor.objname = subtree, of
+
+    add_frame("gripper", gripper, ())
+    for side, finger in zip(("left", "right"), fingers, strict=True):
+        add_frame(side, finger, _AXES)
+
+
+class ContactReadings(NamedTuple):
+    """Contacts of robot, hand and object without contact points, in any batch (...) of worlds.
+
+    Attributes:
+        robot_touches_hand: Whether the robot touches the hand, (...).
+        robot_object_force: Sum of the normal forces between robot and target object (N), (...).
+        object_supported: Whether the target object touches the table or another object, (...).
+    """
+
+    robot_touches_hand: npt.NDArray[np.bool_]
+    robot_object_force: Array
+    object_supported: npt.NDArray[np.bool_]
+
+
+class ContactSensors:
+    """Layout of a model's contact sensors in its sensor data.
+
+    Args:
+        model: Model with contact sensors.
+        margin: Distance of each hull's surface from its vertices (m).
+        height_index: Index in `qpos` of the target object's world z.
+
+    Attributes:
+        height_index: Index in `qpos` of the target object's world z.
+    """
+
+    def __init__(self, model: "mujoco.MjModel", margin: float, height_index: int) -> None:
+        names = [model.sensor(number).name for number in range(model.nsensor)]
+
+        def list_columns(prefix: str) -> npt.NDArray[np.int_]:
+            found = [number for number, name in enumerate(names) if name.startswith(prefix)]
+            return np.concatenate(
+                [model.sensor_adr[number] + np.arange(model.sensor_dim[number]) for number in found]
+            ).astype(np.int_)
+
+        # A contact is force (3, the normal first), distance, position (3) and normal (3) from
+        # finger to object.
+        points = np.stack([list_columns("touch/left"), list_columns("touch/right")]).reshape(2, _FINGER_SLOTS, -1)
+        self._forces, self._distances = points[..., 0], points[..., 3]
+        self._positions, self._normals = points[..., 4:7], points[..., 7:10]
+        # A force has three components, the normal first.
+        self._robot, self._hand, self._supports = (
+            list_columns(f"touch/{name}")[::3] for name in ("robot", "hand", "support")
+        )
+        self._gripper = list_columns("frame/gripper")
+        self._frames = np.stack([list_columns("frame/left"), list_columns("frame/right")])
+        self._margin = margin
+        self.height_index = height_index
+
+    def read_contacts(self, data: Array) -> ContactReadings:
+        """Return the contacts of robot, hand and object from sensor data (..., n)."""
+        force = np.zeros(data.shape[:-1])
+        for slot in self._robot:
+            # Summed one by one, so that rounding does not depend on the number of worlds.
+            force = force + data[..., slot]
+        return ContactReadings(
+            robot_touches_hand=data[..., self._hand].max(axis=-1) > 0.0,
+            robot_object_force=force,
+            object_supported=data[..., self._supports].max(axis=-1) > 0.0,
+        )
+
+    def read_finger_forces(self, data: Array) -> Array:
+        """Return the fingers' normal forces (..., 2, 8) on the object (N), 0 without contact."""
+        return data[..., self._forces]
+
+    def read_gripper_position(self, data: Array) -> Array:
+        """Return the world position (..., 3) of the robot's hand link from sensor data (m)."""
+        return data[..., self._gripper]
+
+    def read_finger_frames(self, data: Array) -> tuple[Array, Array]:
+        """Return world origins (..., 2, 3) (m) and rotations (..., 2, 3, 3) of the finger links.
+
+        The rotations are matrices.
+        """
+        frames = data[..., self._frames]
+        axes = frames[..., 3:].reshape(*frames.shape[:-1], 3, 3)
+        return frames[..., :3], np.swapaxes(axes, -1, -2)
+
+    def compute_finger_points(self, data: Array, origins: Array, rotations: Array) -> Array:
+        """Compute the fingers' contact points (..., 2, 8, 3) in the fingers' frames (m).
+
+        Points without a force are invalid.
+
+        Args:
+            data: Sensor data (..., n).
+            origins: Origins (..., 2, 3) of the fingers' frames when the contacts were read (m).
+            rotations: Rotation matrices (..., 2, 3, 3) of the fingers' frames.
+        """
+        # MuJoCo places a contact in the middle between both surfaces.
+        outwards = self._margin - 0.5 * data[..., self._distances]
+        points = data[..., self._positions] + data[..., self._normals] * outwards[..., None]
+        offsets, axes = points - origins[..., None, :], rotations[..., None, :, :]
+        # Written out, so that rounding does not depend on the number of worlds.
+        return np.asarray(
+            offsets[..., 0, None] * axes[..., 0, :]
+            + offsets[..., 1, None] * axes[..., 1, :]
+            + offsets[..., 2, None] * axes[..., 2, :]
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class SensorReadings:
+    """Contact-sensor data and joint positions of one world, or of n worlds and k steps.
+
+    Attributes:
+        sensors: Layout of the sensor data.
+        data: Sensor data (s,) or (k, n, s).
+        qpos: Joint positions (q,) or (k, n, q) after the step.
+    """
+
+    sensors: ContactSensors
+    data: Array
+    qpos: Array
+
+    def compute_contacts(self, released: bool) -> Contacts:
+        """Return the contacts of one world in one physics step.
+
+        Args:
+            released: Whether the human has released the object.
+        """
+        sensors, data = self.sensors, self.data
+        readings = sensors.read_contacts(data)
+        force = float(readings.robot_object_force)
+        left, right = NO_POINTS, NO_POINTS
+        if force > 0.0:
+            forces = sensors.read_finger_forces(data)
+            points = self._compute_finger_points(data)
+            left, right = (own[pressed > 0.0] for own, pressed in zip(points, forces, strict=True))
+        x, y, z = sensors.read_gripper_position(data).tolist()
+        return Contacts(
+            robot_touches_hand=bool(readings.robot_touches_hand),
+            robot_touches_object=force > 0.0,
+            finger_points=(left, right),
+            object_supported=released and bool(readings.object_supported),
+            object_height=float(self.qpos[sensors.height_index]),
+            gripper_position=(x, y, z),
+            robot_object_force=force,
+        )
+
+    def compute_contact_batch(self, config: ProtocolConfig) -> ContactBatch:
+        """Return the contacts of n worlds in k physics steps.
+
+        Args:
+            config: Bounds of the grasp region of the fingers.
+        """
+        sensors, data = self.sensors, self.data
+        readings = sensors.read_contacts(data)
+        touching = readings.robot_object_force > 0.0
+        fingers, inside = (np.zeros((*touching.shape, 2), dtype=bool) for _ in range(2))
+        if touching.any():
+            # Points are computed in the few steps with contact only.
+            near = data[touching]
+            pressed = sensors.read_finger_forces(near) > 0.0
+            fingers[touching] = pressed.any(axis=-1)
+            in_region = find_points_in_grasp_region(self._compute_finger_points(near), config)
+            inside[touching] = (pressed & in_region).any(axis=-1)
+        return ContactBatch(
+            robot_touches_hand=readings.robot_touches_hand,
+            robot_touches_object=touching,
+            fingers_touch=fingers,
+            in_grasp_region=inside,
+            object_supported=readings.object_supported,
+            object_height=self.qpos[..., sensors.height_index],
+            gripper_position=sensors.read_gripper_position(data),
+        )
+
+    def _compute_finger_points(self, data: Array) -> npt.NDArray[np.float32]:
+        frames = self.sensors.read_finger_frames(data)
+        return self.sensors.compute_finger_points(data, *frames).astype(np.float32)

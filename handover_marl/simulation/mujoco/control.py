@@ -1,0 +1,294 @@
+"""Controllers of MuJoCo worlds: actuator targets and mocap poses of the coming steps.
+
+Row k is step k of the current reference motion; row -1 is the state before its first step.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.config import OBJECT_DOF, PhysicsConfig
+from handover_marl.geometry.kinematic_tree import read_tree
+from handover_marl.simulation.kinematic_paths import (
+    HandTrajectory,
+    ReferenceMotion,
+    select_keypoint_links,
+    set_hand_references,
+    set_object_references,
+)
+from handover_marl.simulation.mujoco.batch import BatchSlot
+from handover_marl.simulation.mujoco.engine import XYZW, HandKinematics, wxyz_from_euler
+from handover_marl.simulation.mujoco.sleep import RobotOnlyRollouts, SleepState
+
+Array = npt.NDArray[np.float64]
+
+# Position of an absent hand, out of everything's reach (m).
+_ABSENT = (0.0, 0.0, -10.0)
+
+
+class WorldController:
+    """Controller of one MuJoCo world during one episode.
+
+    Args:
+        slot: Batch slot of the world.
+        rollouts: Cache of rollouts of the robot without hand and objects.
+        hand_urdf: Model of the human hand.
+        config: Motors of all bodies, and gravity.
+        start: Reference motion of one row: the initial state of hand and objects.
+
+    Attributes:
+        slot: Batch slot of the world.
+        hand: Trajectory of the hand, valid once it has tracked the reference; see `track_hand`.
+        sleep: Sleep state of the world; None once the world is awake.
+        reference: Current reference motion.
+        row: Last simulated row of the reference motion; -1 before its first step.
+        robot_target: Nine joint targets of the robot (rad, m) for which the controls were
+            computed; None before the first computation.
+        is_tracked: Whether hand and sleeping objects have followed the current reference.
+        release_pending: Whether the target object is released in the next step.
+        controls: Computed controls (n, c) of n steps from `controls_row` on.
+        controls_row: Row of the reference motion at which `controls` starts.
+        hand_free_steps: Number of steps from `controls_row` on in which the hand cannot touch the
+            robot.
+    """
+
+    def __init__(
+        self,
+        slot: BatchSlot,
+        rollouts: RobotOnlyRollouts,
+        hand_urdf: Path,
+        config: PhysicsConfig,
+        start: ReferenceMotion,
+    ) -> None:
+        scene = slot.scene
+        self.slot, self.reference, self.row = slot, start, -1
+        tree = read_tree(hand_urdf)
+        self.hand = HandTrajectory(tree, config.hand, start)
+        self.sleep: SleepState | None = SleepState(scene, rollouts, config, start)
+        self.robot_target: list[float] | None = None
+        self.is_tracked, self.release_pending = True, False
+        self.controls, self.controls_row, self.hand_free_steps = np.zeros((0, 0)), 0, 0
+        self._gravity = config.gravity
+        self._hand_kinematics = HandKinematics(hand_urdf, scene.hand_links)
+        moving = [link for link, joint in enumerate(tree.joints) if joint.kind != "fixed"]
+        self._keypoint_kinematics = HandKinematics(hand_urdf, np.array(select_keypoint_links(moving)))
+        slot.get_controls()[1][scene.hand] = _ABSENT
+        self.set_row(-1)
+
+    @property
+    def coming_controls(self) -> Array:
+        """Computed controls (n, c) of the n remaining steps of the reference motion."""
+        return self.controls[self.row + 1 - self.controls_row :]
+
+    @property
+    def remaining_steps(self) -> int:
+        """Number of steps until the reference motion ends or the world may wake."""
+        left = len(self.reference.objects) - (self.row + 1)
+        return left if self.sleep is None else min(left, self.sleep.count_free_steps(self.row + 1))
+
+    def track_hand(self) -> HandTrajectory:
+        """Return the trajectory of the human hand under the current reference motion."""
+        track_references([self])
+        return self.hand
+
+    def compute_keypoints(self) -> npt.NDArray[np.float32]:
+        """Return the world positions (16, 3) of the human hand's wrist and finger joints (m)."""
+        positions, _ = self._keypoint_kinematics.compute_poses(self.track_hand().get_joints(self.row))
+        return positions.astype(np.float32)
+
+    def set_reference(self, motion: ReferenceMotion) -> None:
+        """Set the reference motion of hand and objects for the coming steps."""
+        # Trajectories continue from the end of the last reference.
+        track_references([self])
+        if self.sleep is not None:
+            self.sleep.advance_rows(self.row + 1)
+        self.row, self.reference, self.robot_target, self.is_tracked = -1, motion, None, False
+
+    def set_row(self, row: int) -> None:
+        """Set the last simulated row of the reference motion.
+
+        A sleeping world is set to its state after that row; row -1 is before the first step.
+        """
+        self.row = row
+        if self.sleep is not None:
+            slot, scene = self.slot, self.slot.scene
+            slot.qpos[scene.robot_qpos], slot.qvel[scene.robot_qvel] = self.sleep.get_robot_state(row)
+            slot.qpos[scene.object_qpos] = self.sleep.compute_object_poses(row).ravel()
+
+    def wake(self) -> None:
+        """Wake the world: robot and objects are simulated together from the coming step on."""
+        if self.sleep is not None:
+            self.set_row(self.row)
+            self.slot.qvel[self.slot.scene.object_qvel] = self.sleep.compute_object_velocities(self.row).ravel()
+            self.slot.set_time(self.sleep.compute_time(self.row))
+            self.sleep, self.robot_target = None, None
+
+    def wake_if_needed(self, target: list[float]) -> None:
+        """Simulate the robot of a sleeping world; wake the world if a body comes near.
+
+        Args:
+            target: Nine joint targets of the coming steps (rad, m).
+        """
+        if self.sleep is not None:
+            if self.robot_target != target:
+                self.robot_target = target
+                self.sleep.simulate_robot(self.row + 1, target, self.hand)
+            if not self.sleep.count_free_steps(self.row + 1):
+                self.wake()
+
+    def release_pending_object(self) -> None:
+        """Release the target object if its release is pending."""
+        if self.release_pending:
+            self.wake()
+            self.slot.release_object(self._gravity)
+            self.release_pending = False
+
+    def can_touch_hand(self, steps: int) -> bool:
+        """Return whether the hand can touch the robot within a number of coming steps."""
+        return self.row + 1 - self.controls_row + steps > self.hand_free_steps
+
+    def apply_coming_controls(self) -> None:
+        """Set the model and the controls of the world for the next physics step."""
+        select_model_variants([self.slot], [self.can_touch_hand(1)])
+        parts = _split_controls(self.slot, self.coming_controls[0])
+        for array, part in zip(self.slot.get_controls(), parts, strict=True):
+            array[:] = part
+
+    def place_hand(self, free_steps: int, positions: Array, quaternions: Array) -> None:
+        """Compute the mocap poses of the hand's bodies in the remaining steps.
+
+        The hand is moved far away in steps in which it cannot collide.
+
+        Args:
+            free_steps: Number of coming steps in which the hand cannot touch the robot.
+            positions: Array (n, k, 3) to write positions to (m).
+            quaternions: Array (n, k, 4) to write quaternions wxyz to.
+        """
+        positions[:free_steps] = _ABSENT
+        self.hand_free_steps = free_steps
+        if free_steps >= len(positions):
+            return
+        first, changes = self.row + 1, self.hand.find_changes()[self.row + 1 :]
+        for number in range(free_steps, len(positions)):
+            if not self.hand.is_present_after(first + number):
+                positions[number] = _ABSENT
+                free_steps += free_steps == number
+            elif number > free_steps and not changes[number]:
+                positions[number], quaternions[number] = positions[number - 1], quaternions[number - 1]
+            else:
+                poses = self._hand_kinematics.compute_poses(self.hand.get_joints(first + number))
+                positions[number], quaternions[number] = poses
+        self.hand_free_steps = free_steps
+
+
+def track_references(controllers: Sequence[WorldController]) -> None:
+    """Compute the trajectories of hands and sleeping objects under new reference motions."""
+    behind = [controller for controller in controllers if not controller.is_tracked]
+    set_hand_references([one.hand for one in behind], [one.reference for one in behind])
+    items = [
+        (item, one.reference.objects[:, number])
+        for one in behind
+        if one.sleep is not None
+        for number, item in enumerate(one.sleep.objects)
+    ]
+    set_object_references([item for item, _ in items], [targets for _, targets in items])
+    for controller in behind:
+        controller.is_tracked = True
+
+
+def select_model_variants(slots: Sequence[BatchSlot], hands: Sequence[bool]) -> None:
+    """Set the model variants of slots of one model group for the coming steps.
+
+    Args:
+        slots: Batch slots of one model group.
+        hands: Whether the hand can collide in these steps, for each slot.
+    """
+    group, changed = slots[0].group, False
+    for slot, hand in zip(slots, hands, strict=True):
+        model = slot.select_model(hand)
+        if group.models[slot.row] is not model:
+            group.models[slot.row], changed = model, True
+    if changed:
+        group.batch.set_models(group.models)
+
+
+def prepare_controls(controllers: Sequence[WorldController], robot_targets: Sequence[list[float]]) -> None:
+    """Compute the controls of each world's remaining steps after a change of targets or reference.
+
+    Args:
+        controllers: Controllers of the worlds.
+        robot_targets: Nine joint targets of each robot (rad, m).
+    """
+    track_references(controllers)
+    for controller in controllers:
+        controller.release_pending_object()
+    groups: dict[tuple[int, ...], list[tuple[WorldController, list[float]]]] = {}
+    for controller, target in zip(controllers, robot_targets, strict=True):
+        controller.wake_if_needed(target)
+        if controller.sleep is None and controller.robot_target != target:
+            controller.robot_target, controller.controls_row = target, controller.row + 1
+            model = controller.slot.scene.model
+            # Models with equally many actuators and mocap bodies have them in the same places.
+            key = (len(controller.reference.objects) - controller.controls_row, model.nu, model.nmocap)
+            groups.setdefault(key, []).append((controller, target))
+    for group in groups.values():
+        _compute_controls([controller for controller, _ in group], np.array([target for _, target in group]))
+
+
+def _compute_controls(controllers: Sequence[WorldController], targets: Array) -> None:
+    """Compute the controls of w worlds with equally many actuators, mocap bodies and steps.
+
+    Args:
+        controllers: Controllers of the worlds.
+        targets: Joint targets (w, 9) of the robots (rad, m).
+    """
+    scene = controllers[0].slot.scene
+    objects = np.stack([one.reference.objects[one.controls_row :] for one in controllers])
+    current = [np.stack(part) for part in zip(*(one.slot.get_controls() for one in controllers), strict=True)]
+    controls = np.empty((*objects.shape[:2], sum(part[0].size for part in current)))
+    actuators, positions, quaternions = _split_controls(controllers[0].slot, controls)
+    # The hand's bodies follow for each world.
+    references = scene.rotation_references
+    positions[..., references, :], quaternions[:] = current[1][:, None, references], current[2][:, None]
+    actuators[..., scene.robot_ctrl] = targets[:, None]
+    # Actuators drive objects to world positions; the target orientation is that of a mocap body.
+    object_targets = np.zeros(objects.shape)
+    object_targets[..., : OBJECT_DOF // 2] = objects[..., : OBJECT_DOF // 2]
+    actuators[..., scene.object_ctrl] = object_targets.reshape(*objects.shape[:2], -1)
+    quaternions[..., references, :] = wxyz_from_euler(objects[..., OBJECT_DOF // 2 :])
+    free_steps = _count_hand_free_steps(controllers, targets).tolist()
+    for number, (controller, free) in enumerate(zip(controllers, free_steps, strict=True)):
+        controller.controls = controls[number]
+        controller.place_hand(free, positions[number][:, scene.hand], quaternions[number][:, scene.hand])
+
+
+def _count_hand_free_steps(controllers: Sequence[WorldController], targets: Array) -> npt.NDArray[np.int_]:
+    """Return the numbers (w,) of coming steps in which each hand cannot touch its robot."""
+    slots = [controller.slot for controller in controllers]
+    scene = slots[0].scene
+    poses = [np.concatenate(slot.compute_body_poses(), axis=1)[scene.robot_only.links] for slot in slots]
+    links = np.array(poses)[..., [0, 1, 2, *(3 + place for place in XYZW)]]
+    joints = np.array([slot.qpos[scene.robot_qpos] for slot in slots])
+    velocities = np.array([slot.qvel[scene.robot_qvel] for slot in slots])
+    centers = np.array([one.hand.predict_positions(one.row + 1) for one in controllers])[:, :, None]
+    reach = np.array([[slot.scene.hand_reach] for slot in slots])
+    bounds = scene.robot_only.motion_bounds
+    return bounds.count_contact_free_steps((joints, velocities), links, targets, centers, reach)[:, 0]
+
+
+def _split_controls(slot: BatchSlot, controls: Array) -> tuple[Array, Array, Array]:
+    """Split controls into actuator targets (..., u), mocap positions and quaternions.
+
+    Returns:
+        Views: targets (..., u), positions (..., m, 3) (m), quaternions wxyz (..., m, 4).
+    """
+    targets, positions, _ = slot.get_controls()
+    u, m = len(targets), len(positions)
+    shape = controls.shape[:-1]
+    return (
+        controls[..., :u],
+        controls[..., u : u + 3 * m].reshape(*shape, m, 3),
+        controls[..., u + 3 * m :].reshape(*shape, m, 4),
+    )

@@ -1,0 +1,227 @@
+"""Compiled MuJoCo models of scenes, cached by their model files."""
+
+import functools
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.config import OBJECT_DOF, PANDA_DOF, PhysicsConfig
+from handover_marl.datasets.dataset import SceneAssets
+from handover_marl.errors import SimulationError
+from handover_marl.geometry.kinematic_tree import read_tree
+from handover_marl.geometry.panda import FINGER_LINKS, HAND_LINK
+from handover_marl.geometry.urdf import list_mesh_references
+from handover_marl.simulation.contact_horizon import RobotMotionBounds
+from handover_marl.simulation.kinematic_paths import BASE_JOINTS
+from handover_marl.simulation.mujoco.collision_shapes import compute_bounding_spheres
+from handover_marl.simulation.mujoco.contacts import ContactSensors
+from handover_marl.simulation.mujoco.distances import find_never_colliding_pairs
+from handover_marl.simulation.mujoco.engine import TUNING, ModelVariants, MujocoTuning
+from handover_marl.simulation.mujoco.scene_spec import (
+    SceneModelBuilder,
+    hand_name,
+    object_name,
+    read_object_friction,
+    rotation_reference_name,
+)
+
+Index = npt.NDArray[np.int32]
+
+# A model takes 1.2 MB and 20 ms to build. DexYCB has 400 pairs of object and hand, s0 train 360 of
+# them.
+_CACHE_SIZE = 400
+# Link of an object's chain that carries the mass and all shapes, after its six joints.
+_OBJECT_LINK = OBJECT_DOF - 1
+_Mtimes = tuple[int, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class RobotOnlyModel:
+    """Compiled MuJoCo model of ground, table and robot, without objects and hand.
+
+    Attributes:
+        model: Compiled model; only the robot's nine joints move.
+        motion_bounds: Bounds on the motion of the robot.
+        links: Body numbers (L,) of the links in `motion_bounds.links`.
+    """
+
+    model: "mujoco.MjModel"
+    motion_bounds: RobotMotionBounds
+    links: Index
+
+
+@dataclass(frozen=True, eq=False)
+class SceneModel:
+    """Compiled MuJoCo model of a scene, with the array indices of its robot, objects and hand.
+
+    A model is shared by worlds and never changed.
+
+    Attributes:
+        model: Compiled model.
+        variants: Variants of the model for a released object and for a hand out of reach.
+        contact_sensors: Layout of the contact sensors in the sensor data.
+        robot_qpos: Indices of the robot's nine joints in `qpos`.
+        robot_qvel: Indices of the robot's nine joints in `qvel`.
+        robot_ctrl: Indices of the robot's nine actuators in `ctrl`.
+        gripper: Body number of the robot's hand link.
+        fingers: Body numbers (2,) of the left and the right finger.
+        objects: Body numbers (m,) of the objects.
+        object_qpos: Indices in `qpos` of the objects' positions and quaternions wxyz, object by
+            object.
+        object_qvel: Indices in `qvel` of the objects' velocities, linear in the world frame and
+            angular in the object's frame.
+        object_ctrl: Indices in `ctrl` of the six actuators of each object: world xyz, then the
+            rotation relative to the reference.
+        rotation_references: Mocap numbers of the m bodies with the objects' target orientations.
+        hand: Mocap numbers of the k bodies of the hand.
+        hand_links: Link numbers (k,) of the bodies of the hand.
+        robot_only: Model without hand and objects, in which robot bodies have the same numbers.
+        hand_reach: Largest distance of the hand's points from the origin of its wrist joints (m).
+        object_reaches: Largest distance (m,) of each object's points from its origin (m).
+    """
+
+    model: "mujoco.MjModel"
+    variants: ModelVariants
+    contact_sensors: ContactSensors
+    robot_qpos: slice
+    robot_qvel: slice
+    robot_ctrl: slice
+    gripper: int
+    fingers: Index
+    objects: Index
+    object_qpos: slice
+    object_qvel: slice
+    object_ctrl: slice
+    rotation_references: slice
+    hand: slice
+    hand_links: Index
+    robot_only: RobotOnlyModel
+    hand_reach: float
+    object_reaches: npt.NDArray[np.float64]
+
+
+def load_scene_model(assets: SceneAssets, config: PhysicsConfig, tuning: MujocoTuning = TUNING) -> SceneModel:
+    """Compile the MuJoCo model of a scene, or return it from the cache if no file has changed.
+
+    Raises:
+        SimulationError, DataFormatError: A model or a mesh cannot be read, or MuJoCo rejects it.
+    """
+    files = (assets.table, assets.panda, *assets.objects, assets.hand)
+    try:
+        mtimes = tuple(_read_mtimes(urdf) for urdf in files)
+    except OSError as error:
+        raise SimulationError(f"{error.filename}: cannot read this model ({error.strerror or error})") from error
+    return _load(assets, mtimes, config, tuning)
+
+
+def _read_mtimes(urdf: Path) -> _Mtimes:
+    """Return the modification times of a model file and of its mesh files."""
+    own = urdf.stat().st_mtime_ns
+    return (own, *(mesh.stat().st_mtime_ns if mesh.exists() else 0 for mesh in _list_meshes(urdf, own)))
+
+
+@functools.lru_cache(maxsize=256)
+def _list_meshes(urdf: Path, mtime: int) -> tuple[Path, ...]:
+    return tuple(mesh for _, mesh in list_mesh_references(urdf))
+
+
+@functools.lru_cache(maxsize=_CACHE_SIZE)
+def _load(assets: SceneAssets, mtimes: tuple[_Mtimes, ...], config: PhysicsConfig, tuning: MujocoTuning) -> SceneModel:
+    excluded = _find_never_colliding_links(assets.panda, mtimes[1], config, tuning)
+    friction = read_object_friction(assets.objects[0])
+    built = SceneModelBuilder(config, tuning, friction)
+    built.add_workcell(assets.table, assets.panda, excluded)
+    built.add_objects_and_hand(assets.objects, assets.hand)
+    model = _compile(built, assets.objects[0].parent.name)
+    joints = [joint.link for joint in read_tree(assets.panda).joints if joint.kind != "fixed"]
+    if len(joints) != PANDA_DOF:
+        raise SimulationError(f"{assets.panda} has {len(joints)} moving joints, expected {PANDA_DOF}; check its URDF")
+    objects = [object_name(number) for number in range(len(assets.objects))]
+    hands = [model.body(hand_name(number)).id for number in range(len(built.hand_links))]
+    object_ctrl = _as_slice(model.actuator(f"{name}/{axis}").id for name in objects for axis in range(OBJECT_DOF))
+    object_qpos = _as_slice(model.joint(name).qposadr[0] + place for name in objects for place in range(7))
+    references = (rotation_reference_name(number) for number in range(len(objects)))
+    return SceneModel(
+        model=model,
+        variants=ModelVariants(model, model.body(objects[0]).id, object_ctrl.start, hands),
+        contact_sensors=ContactSensors(model, tuning.margin, object_qpos.start + 2),
+        robot_qpos=_as_slice(model.joint(name).qposadr[0] for name in joints),
+        robot_qvel=_as_slice(model.joint(name).dofadr[0] for name in joints),
+        robot_ctrl=_as_slice(model.actuator(name).id for name in joints),
+        gripper=_find_body(model, HAND_LINK, assets.panda),
+        fingers=np.array([_find_body(model, name, assets.panda) for name in FINGER_LINKS], dtype=np.int32),
+        objects=np.array([model.body(name).id for name in objects], dtype=np.int32),
+        object_qpos=object_qpos,
+        object_qvel=_as_slice(model.joint(name).dofadr[0] + place for name in objects for place in range(6)),
+        object_ctrl=object_ctrl,
+        rotation_references=_as_slice(model.body(name).mocapid[0] for name in references),
+        hand=_as_slice(model.body(number).mocapid[0] for number in hands),
+        hand_links=np.array(built.hand_links, dtype=np.int32),
+        robot_only=_load_robot_only(assets.table, assets.panda, mtimes[:2], friction, config, tuning),
+        hand_reach=_compute_reach(assets.hand, mtimes[-1], BASE_JOINTS - 1),
+        object_reaches=np.array(
+            [_compute_reach(*item, _OBJECT_LINK) for item in zip(assets.objects, mtimes[2:-1], strict=True)]
+        ),
+    )
+
+
+@functools.lru_cache(maxsize=16)
+def _find_never_colliding_links(
+    panda: Path, mtimes: _Mtimes, config: PhysicsConfig, tuning: MujocoTuning
+) -> tuple[tuple[str, str], ...]:
+    """Return the names of the pairs of robot links that never collide; takes 0.1 s."""
+    built = SceneModelBuilder(config, tuning)
+    built.add_robot(panda)
+    model = _compile(built, panda.stem)
+    return tuple((model.body(one).name, model.body(other).name) for one, other in find_never_colliding_pairs(model))
+
+
+def _compile(built: SceneModelBuilder, name: str) -> "mujoco.MjModel":
+    try:
+        return built.spec.compile()
+    except (ValueError, RuntimeError) as error:
+        raise SimulationError(f"MuJoCo refuses the model of {name} ({error})") from error
+
+
+@functools.lru_cache(maxsize=32)
+def _load_robot_only(
+    table: Path,
+    panda: Path,
+    mtimes: tuple[_Mtimes, ...],
+    friction: float,
+    config: PhysicsConfig,
+    tuning: MujocoTuning,
+) -> RobotOnlyModel:
+    tree = read_tree(panda)
+    built = SceneModelBuilder(config, tuning, friction)
+    built.add_workcell(table, panda, _find_never_colliding_links(panda, mtimes[1], config, tuning))
+    model = _compile(built, panda.stem)
+    bounds = RobotMotionBounds(tree, compute_bounding_spheres(panda, tree), config.panda)
+    links = np.array([model.body(tree.joints[link].link).id for link in bounds.links], dtype=np.int32)
+    return RobotOnlyModel(model, bounds, links)
+
+
+@functools.lru_cache(maxsize=512)
+def _compute_reach(urdf: Path, mtimes: _Mtimes, link: int) -> float:
+    """Return the largest distance of a model's points from the origin of a link (m)."""
+    tree = read_tree(urdf)
+    return tree.compute_reach(link, compute_bounding_spheres(urdf, tree))
+
+
+def _as_slice(places: Iterable[int]) -> slice:
+    """Return consecutive indices as a slice, so that arrays are read as views."""
+    found = list(places)
+    if found != list(range(found[0], found[0] + len(found))):
+        raise SimulationError(f"MuJoCo's numbers of the model's parts must be consecutive, got {found}; report this")
+    return slice(int(found[0]), int(found[-1]) + 1)
+
+
+def _find_body(model: "mujoco.MjModel", name: str, urdf: Path) -> int:
+    try:
+        return int(model.body(name).id)
+    except KeyError as error:
+        raise SimulationError(f"{urdf} has no link {name!r}; check its URDF") from error

@@ -1,0 +1,262 @@
+"""Construction of MuJoCo models: bodies, geoms, actuators and contact sensors."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from handover_marl.config import OBJECT_DOF, TIME_STEP, MotorConfig, PhysicsConfig
+from handover_marl.geometry.kinematic_tree import KinematicTree, read_tree
+from handover_marl.geometry.panda import FINGER_LINKS, HAND_LINK
+from handover_marl.geometry.poses import quaternion_from_matrix
+from handover_marl.geometry.urdf import UrdfLink, read_urdf_links, read_urdf_shapes
+from handover_marl.simulation.kinematic_paths import list_object_motors
+from handover_marl.simulation.mujoco.collision_shapes import (
+    ConvexPart,
+    add_collision_geom,
+    compute_box_inertia,
+    load_convex_parts,
+    set_inertia,
+)
+from handover_marl.simulation.mujoco.contacts import add_contact_sensors
+from handover_marl.simulation.mujoco.engine import CollisionGroup, MujocoTuning, wxyz_from_xyzw
+
+ROBOT_BASE, TABLE = "robot", "table"
+_ALL_GROUPS, _NO_GROUP = CollisionGroup(sum(CollisionGroup)), CollisionGroup(0)
+# Of two geoms in contact, the friction of the one with the higher priority counts.
+_SUPPORT_PRIORITY, _ROBOT_PRIORITY, _FINGER_PRIORITY = 1, 1, 2
+
+
+@dataclass(frozen=True)
+class _ContactParameters:
+    """Contact parameters of a MuJoCo geom.
+
+    Attributes:
+        group: Collision group of the geom.
+        collides_with: Groups that the geom collides with. One of two geoms is enough for a pair
+            to collide.
+        friction: Lateral friction coefficient.
+        torsion: Friction coefficient about the contact normal (m).
+        priority: Priority of this geom's friction.
+    """
+
+    group: CollisionGroup
+    collides_with: CollisionGroup
+    friction: float
+    torsion: float = 0.0
+    priority: int = 0
+
+
+def object_name(number: int) -> str:
+    """Return the MuJoCo body name of an object by number; number 0 is the target object."""
+    return f"object{number}"
+
+
+def rotation_reference_name(number: int) -> str:
+    """Return the name of the mocap body that holds an object's target orientation."""
+    return f"guide{number}"
+
+
+def hand_name(number: int) -> str:
+    """Return the MuJoCo body name of a part of the human hand by number."""
+    return f"hand{number}"
+
+
+class SceneModelBuilder:
+    """Builder of a scene's MuJoCo model.
+
+    The world has the bodies `robot` with the URDF's links below it, `table`, free bodies `object0`,
+    ..., and mocap bodies `hand0`, .... Actuators are named after the robot's joints and `object0/0`
+    to `object0/5` (world xyz, then three rotation components). There is no gravity, since
+    the motors compensate it exactly. A released object gets its weight as an external force.
+
+    Args:
+        config: Poses and motors of robot, table, objects and hand.
+        tuning: Engine parameters.
+        object_friction: Friction coefficient of the target object.
+
+    Attributes:
+        spec: MuJoCo specification of the model under construction.
+        hand_links: Link number of each of the human hand's bodies.
+    """
+
+    def __init__(self, config: PhysicsConfig, tuning: MujocoTuning, object_friction: float = 1.0) -> None:
+        self.spec = mujoco.MjSpec()
+        self.spec.compiler.degree = False
+        self.hand_links: list[int] = []
+        self._config, self._tuning = config, tuning
+        # Bullet multiplies both frictions of a contact, MuJoCo takes one: the object's is
+        # multiplied in beforehand.
+        self._object_friction = object_friction
+        option = self.spec.option
+        option.timestep = TIME_STEP
+        option.gravity = np.zeros(3)
+        option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+        option.impratio = self._tuning.impratio
+        # A state that is not finite must raise an error instead of a silent reset.
+        option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+        # The robot connects all moving bodies, so that there is only one constraint island to find.
+        option.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
+
+    def add_workcell(self, table: Path, panda: Path, excluded: Iterable[tuple[str, str]]) -> None:
+        """Add ground, table and robot to the model.
+
+        Args:
+            table: Model of the table.
+            panda: Model of the robot.
+            excluded: Pairs of robot links that never collide.
+
+        Raises:
+            SimulationError, DataFormatError: A model or a mesh cannot be read.
+        """
+        self._add_ground()
+        self._add_table(table)
+        self.add_robot(panda)
+        for one, other in excluded:
+            self.spec.add_exclude(bodyname1=one, bodyname2=other)
+
+    def add_objects_and_hand(self, objects: Sequence[Path], hand: Path) -> None:
+        """Add objects, human hand and contact sensors to a model with a workcell.
+
+        Args:
+            objects: Models of the objects, the target first.
+            hand: Model of the hand.
+
+        Raises:
+            SimulationError, DataFormatError: A model or a mesh cannot be read.
+        """
+        for number, urdf in enumerate(objects):
+            self._add_object(number, urdf)
+        self.hand_links = self._add_hand(hand)
+        hands = [hand_name(number) for number in range(len(self.hand_links))]
+        supports = [TABLE, *(object_name(number) for number in range(1, len(objects)))]
+        add_contact_sensors(self.spec, ROBOT_BASE, HAND_LINK, FINGER_LINKS, object_name(0), hands, supports)
+
+    def _add_ground(self) -> None:
+        ground = self.spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 1.0])
+        contact = _ContactParameters(CollisionGroup.GROUND, _NO_GROUP, 0.5, priority=_SUPPORT_PRIORITY)
+        self._set_contact_parameters(ground, contact)
+
+    def _add_table(self, urdf: Path) -> None:
+        tree = read_tree(urdf)
+        body = self.spec.worldbody.add_body(name=TABLE, pos=self._config.table_position)
+        friction = read_urdf_links(urdf, tree)[-1].friction * self._object_friction
+        contact = _ContactParameters(CollisionGroup.SUPPORT, _NO_GROUP, friction, priority=_SUPPORT_PRIORITY)
+        self._add_parts(body, load_convex_parts(read_urdf_shapes(urdf, tree, "collision")), contact)
+
+    def add_robot(self, urdf: Path) -> None:
+        """Add the robot to the model.
+
+        Raises:
+            SimulationError, DataFormatError: The model or a mesh cannot be read.
+        """
+        tree, panda = read_tree(urdf), self._config.panda
+        links, shapes = read_urdf_links(urdf, tree), read_urdf_shapes(urdf, tree, "collision")
+        orientation = wxyz_from_xyzw(panda.base_orientation)
+        base = self.spec.worldbody.add_body(name=ROBOT_BASE, pos=panda.base_position, quat=orientation)
+        bodies = {-1: base}
+        for number, joint in enumerate(tree.joints):
+            rotation = wxyz_from_xyzw(quaternion_from_matrix(joint.turn))
+            bodies[number] = bodies[joint.parent].add_body(name=joint.link, pos=joint.offset, quat=rotation)
+            if joint.parent < 0:
+                # MuJoCo excludes collisions of parent and child only if the parent moves.
+                self.spec.add_exclude(bodyname1=ROBOT_BASE, bodyname2=joint.link)
+            if joint.kind != "fixed":
+                self._add_robot_joint(bodies[number], tree, number, links[number])
+        for number, body in bodies.items():
+            parts = load_convex_parts([shape for shape in shapes if shape.link == number])
+            is_finger = number >= 0 and tree.joints[number].link in FINGER_LINKS
+            self._add_robot_link(body, links[number], parts, is_finger)
+            if number >= 0:
+                set_inertia(body, links[number], parts)
+
+    def _add_robot_link(self, body: "mujoco.MjsBody", link: UrdfLink, parts: list[ConvexPart], is_finger: bool) -> None:
+        contact = _ContactParameters(
+            CollisionGroup.ROBOT,
+            _ALL_GROUPS,
+            link.friction * self._object_friction,
+            link.spinning_friction * self._object_friction,
+            _FINGER_PRIORITY if is_finger else _ROBOT_PRIORITY,
+        )
+        self._add_parts(body, parts, contact)
+
+    def _add_robot_joint(self, body: "mujoco.MjsBody", tree: KinematicTree, number: int, link: UrdfLink) -> None:
+        tree_joint, tuning = tree.joints[number], self._tuning
+        slides = tree_joint.kind == "prismatic"
+        kind = mujoco.mjtJoint.mjJNT_SLIDE if slides else mujoco.mjtJoint.mjJNT_HINGE
+        joint = body.add_joint(name=tree_joint.link, type=kind, axis=tree_joint.axis)
+        order = len(self.spec.actuators)
+        joint.armature = tuning.finger_armature if slides else tuning.arm_armature[order]
+        damping = tuning.finger_damping if slides else tuning.arm_damping[order]
+        actuator = self._add_actuator(tree_joint.link, self._config.panda.motor, damping)
+        actuator.trntype, actuator.target = mujoco.mjtTrn.mjTRN_JOINT, tree_joint.link
+        if link.limits is not None:
+            joint.limited, joint.range = True, link.limits
+            joint.solref_limit = [tuning.contact_time, 1.0]
+            # Bullet clips motor targets to the joint limits.
+            actuator.ctrllimited, actuator.ctrlrange = True, link.limits
+
+    def _add_object(self, number: int, urdf: Path) -> None:
+        tree, name, reference = read_tree(urdf), object_name(number), rotation_reference_name(number)
+        # The last link but the base carries the mass and all shapes.
+        link = read_urdf_links(urdf, tree)[-2]
+        parts = load_convex_parts(read_urdf_shapes(urdf, tree, "collision"))
+        body = self.spec.worldbody.add_body(name=name)
+        body.add_freejoint(name=name)
+        friction = link.friction * self._object_friction
+        self._add_parts(body, parts, _ContactParameters(CollisionGroup.OBJECT, _NO_GROUP, friction))
+        set_inertia(body, link, parts)
+        body.add_site(name=name)
+        # Positions are driven relative to the world's axes, rotations relative to a mocap body.
+        self.spec.worldbody.add_site(name=f"{name}/origin")
+        self.spec.worldbody.add_body(name=reference, mocap=True).add_site(name=reference)
+        inertias = [link.mass] * 3 + compute_box_inertia(link, parts).tolist()
+        motors = list_object_motors(self._config.objects)
+        for axis in range(OBJECT_DOF):
+            damping = self._tuning.object_damping * inertias[axis] / TIME_STEP
+            actuator = self._add_actuator(f"{name}/{axis}", motors[axis], damping)
+            actuator.trntype, actuator.target = mujoco.mjtTrn.mjTRN_SITE, name
+            actuator.refsite = f"{name}/origin" if axis < OBJECT_DOF // 2 else reference
+            actuator.gear = np.eye(OBJECT_DOF)[axis]
+
+    def _add_actuator(self, name: str, motor: MotorConfig, damping: float) -> "mujoco.MjsActuator":
+        """Add an actuator that reduces a joint's position error by a fixed ratio per step."""
+        stiffness = damping * motor.position_gain / TIME_STEP
+        actuator = self.spec.add_actuator(name=name)
+        actuator.gaintype, actuator.biastype = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE
+        actuator.gainprm[0] = stiffness
+        actuator.biasprm[:3] = [0.0, -stiffness, -damping * motor.velocity_gain]
+        actuator.forcelimited, actuator.forcerange = True, [-motor.force, motor.force]
+        return actuator
+
+    def _add_hand(self, urdf: Path) -> list[int]:
+        tree = read_tree(urdf)
+        shapes = read_urdf_shapes(urdf, tree, "collision")
+        links = sorted({shape.link for shape in shapes})
+        contact = _ContactParameters(CollisionGroup.HAND, _NO_GROUP, self._config.hand.friction)
+        for number, link in enumerate(links):
+            body = self.spec.worldbody.add_body(name=hand_name(number), mocap=True)
+            self._add_parts(body, load_convex_parts([shape for shape in shapes if shape.link == link]), contact)
+        return links
+
+    def _add_parts(self, body: "mujoco.MjsBody", parts: list[ConvexPart], contact: _ContactParameters) -> None:
+        for part in parts:
+            geom = add_collision_geom(self.spec, body, part)
+            self._set_contact_parameters(geom, contact)
+            # In Bullet, boxes and spheres include their margin.
+            geom.margin = self._tuning.margin if part.kind == "hull" else 0.0
+
+    def _set_contact_parameters(self, geom: "mujoco.MjsGeom", contact: _ContactParameters) -> None:
+        geom.contype, geom.conaffinity = int(contact.group), int(contact.collides_with)
+        geom.friction, geom.condim = [contact.friction, contact.torsion, 0.0], 4 if contact.torsion else 3
+        geom.priority = contact.priority
+        geom.solref = [self._tuning.contact_time, 1.0]
+        geom.solimp[:3] = self._tuning.contact_impedance
+
+
+def read_object_friction(urdf: Path) -> float:
+    """Return the friction coefficient of an object from its URDF file."""
+    return read_urdf_links(urdf, read_tree(urdf))[-2].friction

@@ -1,0 +1,199 @@
+"""Sleeping MuJoCo worlds: while no body is near the robot, robot and objects move separately.
+
+The robot is simulated alone, and objects follow their reference as Bullet's motors would move them.
+A world sleeps from the start of a scene until a body comes near the robot or the target object is
+released. The step in which the world wakes depends on the positions of the bodies only, not on how
+steps are divided into calls.
+"""
+
+from collections import OrderedDict
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+from mujoco.batch import Batch
+from scipy.spatial.transform import Rotation
+
+from handover_marl.config import OBJECT_DOF, TIME_STEP, PhysicsConfig
+from handover_marl.simulation.kinematic_paths import HandTrajectory, ObjectTrajectory, ReferenceMotion
+from handover_marl.simulation.mujoco.engine import XYZW, check_warnings, wxyz_from_euler
+from handover_marl.simulation.mujoco.scene_model import RobotOnlyModel, SceneModel
+
+Array = npt.NDArray[np.float64]
+
+# State that determines the robot's motion, apart from its target.
+_STATE = ("qpos", "qvel", "qacc_warmstart")
+# Number of cached rollouts. One of 200 steps takes 100 kB; waiting for two seconds takes ten.
+_CACHE_SIZE = 256
+_HALF = OBJECT_DOF // 2
+
+
+@dataclass(frozen=True, eq=False)
+class RobotTrajectory:
+    """Motion of the robot in n physics steps: the state before the first and after each step.
+
+    Attributes:
+        joints: Joint positions (n + 1, 9) (rad, m).
+        velocities: Joint velocities (n + 1, 9) (rad/s, m/s).
+        warm_start: Joint accelerations (n + 1, 9) with which the constraint solver starts the next
+            step.
+        sphere_centers: Centers (n, b, 3) of the bounding spheres of the robot's links before each
+            step (m).
+    """
+
+    joints: Array
+    velocities: Array
+    warm_start: Array
+    sphere_centers: Array
+
+
+class RobotOnlyRollouts:
+    """Cache of MuJoCo rollouts of the robot without hand and objects.
+
+    Most episodes start with the same motion from the initial pose to the waiting pose. Equal states
+    and targets give bit-equal motions, so the cache does not change results.
+
+    Args:
+        model: Model of robot and table.
+    """
+
+    def __init__(self, model: RobotOnlyModel) -> None:
+        self._model = model
+        self._batch = Batch(model.model, 1, nthread=1)
+        self._state = [self._batch.bind(name) for name in _STATE]
+        self._cache: OrderedDict[tuple[bytes, int], RobotTrajectory] = OrderedDict()
+
+    def start(self, joints: npt.ArrayLike) -> RobotTrajectory:
+        """Return a trajectory without steps of a robot at rest at joint positions (9,) (rad, m)."""
+        position = np.array([joints], dtype=np.float64)
+        return RobotTrajectory(position, np.zeros(position.shape), np.zeros(position.shape), np.zeros((0, 0, 3)))
+
+    def simulate(
+        self, trajectory: RobotTrajectory, row: int, target: list[float], steps: int, elapsed: int
+    ) -> RobotTrajectory:
+        """Simulate the robot from a row of its trajectory on, and return the new trajectory.
+
+        Args:
+            trajectory: Previous motion of the robot.
+            row: Row of the previous motion to start from.
+            target: Nine joint targets of the robot (rad, m).
+            steps: Number of steps to simulate.
+            elapsed: Number of steps since the episode's start, for error messages.
+
+        Raises:
+            SimulationError: MuJoCo warned; the robot's state is invalid.
+        """
+        state = np.stack([trajectory.joints[row], trajectory.velocities[row], trajectory.warm_start[row], target])
+        key = state.tobytes(), steps
+        if key not in self._cache:
+            self._cache[key] = self._simulate(state, steps, elapsed)
+            if len(self._cache) > _CACHE_SIZE:
+                self._cache.popitem(last=False)
+        self._cache.move_to_end(key)
+        return self._cache[key]
+
+    def _simulate(self, state: Array, steps: int, elapsed: int) -> RobotTrajectory:
+        batch = self._batch
+        for array, part in zip(self._state, state[:-1], strict=True):
+            array[0] = part
+        batch.bind("time")[0], batch.warning[0] = TIME_STEP * elapsed, 0
+        controls = np.repeat(state[None, -1:], steps, axis=1)
+        found = batch.rollout(steps, controls, int(mujoco.mjtState.mjSTATE_CTRL), (*_STATE, "xpos", "xquat"))
+        check_warnings(batch, np.zeros(1, dtype=np.int32))
+        joints, velocities, warm_start = (
+            np.concatenate([first[None], found[name][0]]) for first, name in zip(state[:-1], _STATE, strict=True)
+        )
+        poses = np.concatenate([found["xpos"][0], found["xquat"][0][..., XYZW]], axis=-1)[:, self._model.links]
+        centers = self._model.motion_bounds.compute_sphere_centers(poses)
+        return RobotTrajectory(joints, velocities, warm_start, centers)
+
+
+class SleepState:
+    """Trajectories of robot and objects in a sleeping MuJoCo world.
+
+    Row k is step k of the current reference motion; row -1 is the state before its first step.
+
+    Args:
+        scene: Model of the scene.
+        rollouts: Cache of rollouts of the robot without hand and objects.
+        config: Motors of the objects, and initial joint positions of the robot.
+        start: Reference motion of one row: the initial state of the objects.
+
+    Attributes:
+        objects: Trajectories of the objects.
+    """
+
+    def __init__(
+        self, scene: SceneModel, rollouts: RobotOnlyRollouts, config: PhysicsConfig, start: ReferenceMotion
+    ) -> None:
+        self.objects = [ObjectTrajectory(config.objects, joints) for joints in start.objects[0]]
+        self._scene, self._rollouts = scene, rollouts
+        self._robot = rollouts.start(config.panda.start_joints)
+        # Row of the robot trajectory's first step, number of its steps without a body near it, and
+        # of steps before it.
+        self._first, self._free, self._elapsed = 0, 0, 0
+
+    def advance_rows(self, rows: int) -> None:
+        """Start the next reference motion after a number of rows of the current one."""
+        self._first -= rows
+
+    def simulate_robot(self, row: int, target: list[float], hand: HandTrajectory) -> None:
+        """Simulate the robot in the remaining steps; find the first step with a body near it.
+
+        Args:
+            row: First step of the reference motion to simulate.
+            target: Nine joint targets of the robot (rad, m).
+            hand: Trajectory of the human hand under the current reference motion.
+
+        Raises:
+            SimulationError: MuJoCo warned; the robot's state is invalid.
+        """
+        done = row - self._first
+        self._first, self._elapsed = row, self._elapsed + done
+        bodies: list[HandTrajectory | ObjectTrajectory] = [hand, *self.objects]
+        centers = np.stack([body.predict_positions(row) for body in bodies], axis=1)
+        self._robot = self._rollouts.simulate(self._robot, done, target, len(centers), self._elapsed)
+        radii = np.array([self._scene.hand_reach, *self._scene.object_reaches])
+        near = self._scene.robot_only.motion_bounds.is_near(self._robot.sphere_centers, centers, radii)
+        self._free = int(near.argmax()) if near.any() else len(near)
+
+    def count_free_steps(self, row: int) -> int:
+        """Return the number of steps from `row` on without a body near the robot."""
+        return self._free - (row - self._first)
+
+    def get_robot_state(self, row: int) -> tuple[Array, Array]:
+        """Return the robot's joint positions and velocities, (9,) each, after step `row`.
+
+        Positions are in rad and m, velocities in rad/s and m/s. Row -1 is the state before
+        the first step of the reference motion.
+        """
+        done = row + 1 - self._first
+        return self._robot.joints[done], self._robot.velocities[done]
+
+    def compute_object_poses(self, row: int) -> Array:
+        """Return the poses (m, 7) of m objects after step `row`: xyz (m), quaternions wxyz.
+
+        Row -1 is the state before the first step.
+        """
+        joints = np.array([item.get_joints(row) for item in self.objects])
+        return np.concatenate([joints[:, :_HALF], wxyz_from_euler(joints[:, _HALF:])], axis=1)
+
+    def compute_object_velocities(self, row: int) -> Array:
+        """Return the velocities (m, 6) of m objects after step `row` of the reference motion.
+
+        Linear velocities are in the world frame (m/s), angular ones in the object's (rad/s).
+        """
+        now, before = self.compute_object_poses(row), self.compute_object_poses(row - 1)
+        change = np.empty((len(self.objects), OBJECT_DOF))
+        change[:, :_HALF] = now[:, :_HALF] - before[:, :_HALF]
+        rotation, previous = (Rotation.from_quat(poses[:, _HALF:][:, XYZW]) for poses in (now, before))
+        change[:, _HALF:] = (previous.inv() * rotation).as_rotvec()
+        return change / TIME_STEP
+
+    def compute_time(self, row: int) -> float:
+        """Return the time since the episode's start after step `row` of the reference (s).
+
+        Row -1 is the state before the first step.
+        """
+        return TIME_STEP * (self._elapsed + row + 1 - self._first)

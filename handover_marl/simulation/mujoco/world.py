@@ -1,0 +1,221 @@
+"""World simulated by MuJoCo, with the same bodies, motors and collision masks as in PyBullet."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.config import CameraConfig, PhysicsConfig, ProtocolConfig
+from handover_marl.datasets.dataset import Scene
+from handover_marl.errors import OptionError, ResetNeededError
+from handover_marl.simulation.camera.frames import CameraImage
+from handover_marl.simulation.camera.renderers import SceneRendererCache
+from handover_marl.simulation.contacts import ContactBatch, Contacts
+from handover_marl.simulation.kinematic_paths import ReferenceMotion
+from handover_marl.simulation.mujoco.batch import (
+    BatchSimulation,
+    simulate_slots,
+)
+from handover_marl.simulation.mujoco.control import WorldController, prepare_controls, select_model_variants
+from handover_marl.simulation.mujoco.engine import bullet_xyzw_from_wxyz, chain_joints_from_poses
+from handover_marl.simulation.mujoco.scene_model import load_scene_model
+from handover_marl.simulation.mujoco.sleep import SleepState
+from handover_marl.simulation.world import (
+    AgentJoints,
+    BatchWorld,
+    JointSnapshot,
+    RolloutResult,
+    WorldState,
+)
+
+Array = npt.NDArray[np.float64]
+
+
+class MujocoWorld(BatchWorld):
+    """World simulated by MuJoCo, alone or in a batch with other worlds.
+
+    The robot is always simulated; objects are simulated once the robot is near them or near the
+    hand, or once they are released. The hand follows its reference kinematically, as in
+    `FastWorld` of PyBullet.
+
+    Args:
+        config: Constants of the world.
+        window: Must be False; only PyBullet opens a window.
+        simulation: Batch simulation shared with other worlds; None for a new one.
+
+    Raises:
+        OptionError: A window was requested.
+    """
+
+    def __init__(self, config: PhysicsConfig, window: bool = False, simulation: BatchSimulation | None = None) -> None:
+        if window:
+            raise OptionError('physics="mujoco" opens no window; use render_mode="rgb_array", or physics="fast"')
+        self._config = config
+        self._simulation = simulation or BatchSimulation(1)
+        self._controller: WorldController | None = None
+        self._scene: Scene | None = None
+        # The angles of objects' chains continue from their last values.
+        self._object_joints = np.zeros((0, 6))
+        self._scene_renderers = SceneRendererCache(config)
+
+    @property
+    def controller(self) -> WorldController:
+        """Controller of the world in the current episode.
+
+        Raises:
+            ResetNeededError: No scene has been loaded.
+        """
+        if self._controller is None:
+            raise ResetNeededError("the world is empty; call reset() first")
+        return self._controller
+
+    def reset(self, scene: Scene, start: ReferenceMotion) -> None:
+        """Load a scene and set robot, objects and hand to its start.
+
+        Args:
+            scene: Scene to load.
+            start: Reference motion of one row: joint positions of hand and objects at the start.
+        """
+        model = load_scene_model(scene.assets, self._config)
+        # A slot is invalid as soon as the next scene is loaded.
+        previous, self._controller = self._controller, None
+        slot = self._simulation.load_scene(model, None if previous is None else previous.slot)
+        rollouts = self._simulation.get_robot_rollouts(model.robot_only)
+        self._controller = WorldController(slot, rollouts, scene.assets.hand, self._config, start)
+        self._scene = scene
+        self._object_joints = start.objects[0].astype(np.float64)
+
+    def set_reference(self, motion: ReferenceMotion) -> None:
+        """Set the joint targets of hand and objects for the coming steps, one row per step."""
+        self.controller.set_reference(motion)
+
+    def step(self, robot_target: list[float]) -> None:
+        """Simulate one physics step towards nine joint targets of the Panda (rad, m)."""
+        controller = self.controller
+        prepare_controls([controller], [robot_target])
+        if controller.sleep is None:
+            controller.apply_coming_controls()
+            controller.slot.step()
+        controller.set_row(controller.row + 1)
+
+    @classmethod
+    def prepare_rollout(cls, worlds: Sequence["MujocoWorld"], robot_targets: Sequence[list[float]]) -> None:
+        """Compute the controls of worlds for the coming steps; see `BatchWorld.prepare_rollout`."""
+        prepare_controls([world.controller for world in worlds], robot_targets)
+
+    @classmethod
+    def simulate_rollout(
+        cls, worlds: Sequence["MujocoWorld"], robot_targets: Sequence[list[float]], steps: int, rules: ProtocolConfig
+    ) -> RolloutResult:
+        """Simulate several steps of worlds of one batch; see `BatchWorld.simulate_rollout`."""
+        controllers = [world.controller for world in worlds]
+        prepare_controls(controllers, robot_targets)
+        if controllers[0].sleep is not None:
+            return _skip_sleeping_steps(controllers, steps)
+        slots = [controller.slot for controller in controllers]
+        select_model_variants(slots, [controller.can_touch_hand(steps) for controller in controllers])
+        rollout = simulate_slots(slots, [controller.coming_controls[:steps] for controller in controllers])
+        for controller in controllers:
+            controller.row += steps
+
+        def truncate(number: int, taken: int) -> None:
+            rollout.truncate(number, taken)
+            controllers[number].row += taken - steps
+
+        return RolloutResult(rollout.readings.compute_contact_batch(rules), truncate)
+
+    @property
+    def batch_key(self) -> tuple[object, int]:
+        """Key of the batch that simulates this world, and the world's row in it.
+
+        Worlds with equal keys may be simulated together. Worlds whose robot is simulated alone, because
+        nothing is near it, share one key.
+        """
+        return (SleepState, 0) if self.is_asleep else (self.controller.slot.group, self.controller.slot.row)
+
+    @property
+    def is_asleep(self) -> bool:
+        """Whether the world sleeps: no body can touch the robot. Preparing rollouts may wake it."""
+        return self._controller is not None and self._controller.sleep is not None
+
+    @property
+    def max_rollout_steps(self) -> int:
+        """Largest number of steps of the next rollout, valid after `prepare_rollout`."""
+        return self.controller.remaining_steps
+
+    def release_target(self) -> None:
+        """Release the target object from the human hand, from the next step on."""
+        self.controller.release_pending = True
+
+    def read_contacts(self, released: bool) -> Contacts:
+        """Return the contacts of the last physics step; see `World.read_contacts`."""
+        if self.is_asleep:
+            return Contacts()
+        return self.controller.slot.read_sensors().compute_contacts(released)
+
+    def read_state(self) -> WorldState:
+        """Return the current state of robot, objects and human hand."""
+        controller, slot, scene = self.controller, self.controller.slot, self.controller.slot.scene
+        hand, row = controller.track_hand(), controller.row
+        positions, quaternions = slot.compute_body_poses()
+        # The gripper's pose, then the objects'.
+        poses = np.concatenate(
+            [positions[scene.gripper], quaternions[scene.gripper], slot.qpos[scene.object_qpos]]
+        ).reshape(-1, 7)
+        poses[:, 3:] = bullet_xyzw_from_wxyz(poses[:, 3:])
+        present = hand.is_present_after(row)
+        return WorldState(
+            robot_joint_position=slot.qpos[scene.robot_qpos].astype(np.float32),
+            robot_joint_velocity=slot.qvel[scene.robot_qvel].astype(np.float32),
+            gripper_pose=poses[0].astype(np.float32),
+            object_poses=poses[1:].astype(np.float32),
+            hand_dof_position=hand.get_joints_float32(row) if present else None,
+            hand_keypoints=controller.compute_keypoints() if present else None,
+        )
+
+    def read_agent_joints(self) -> AgentJoints:
+        """Return the current joint positions of robot and human hand."""
+        hand, row = self.controller.track_hand(), self.controller.row
+        robot = self.read_joints_float64().astype(np.float32)
+        return AgentJoints(robot, hand.get_joints_float32(row) if hand.is_present_after(row) else None)
+
+    def read_joints_float64(self) -> Array:
+        """Return the robot's joint positions (9,) in double precision (rad, m)."""
+        slot = self.controller.slot
+        joints: Array = slot.qpos[slot.scene.robot_qpos].copy()
+        return joints
+
+    def read_object_joints(self) -> npt.NDArray[np.float32]:
+        """Return the joint positions (n, 6) of n objects: xyz (m), Euler angles (rad), float32."""
+        slot = self.controller.slot
+        poses = slot.qpos[slot.scene.object_qpos].reshape(-1, 7)
+        self._object_joints = chain_joints_from_poses(poses, self._object_joints)
+        joints: npt.NDArray[np.float32] = self._object_joints.astype(np.float32)
+        return joints
+
+    def render(self, camera: CameraConfig) -> npt.NDArray[np.uint8]:
+        """Render the current state as an RGB image (height, width, 3), by PyBullet."""
+        return self._scene_renderers.get(self._scene).render_overview(self.read_joint_snapshot(), camera)
+
+    def render_wrist_camera(self, color: bool, at: JointSnapshot | None = None) -> CameraImage:
+        """Render an image of the wrist camera by PyBullet; see `World.render_wrist_camera`."""
+        return self._scene_renderers.get(self._scene).render_wrist_camera(at or self.read_joint_snapshot(), color)
+
+    def close(self) -> None:
+        """Free the memory of the simulation."""
+        self._scene_renderers.close()
+        if self._controller is not None:
+            self._simulation.free(self._controller.slot)
+        self._scene = self._controller = None
+
+
+def _skip_sleeping_steps(controllers: Sequence[WorldController], steps: int) -> RolloutResult:
+    """Advance sleeping worlds by some steps, and return a rollout without contacts."""
+    started = [controller.row for controller in controllers]
+
+    def truncate(number: int, taken: int) -> None:
+        controllers[number].set_row(started[number] + taken)
+
+    for number in range(len(controllers)):
+        truncate(number, steps)
+    return RolloutResult(ContactBatch.without_contacts(steps, len(controllers)), truncate)

@@ -1,0 +1,204 @@
+"""Interface of the simulated worlds: robot, hand and objects, without protocol rules."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from typing_extensions import Self
+
+from handover_marl.config import CameraConfig, ProtocolConfig
+from handover_marl.datasets.dataset import Scene
+from handover_marl.simulation.camera.frames import CameraImage
+from handover_marl.simulation.contacts import ContactBatch, Contacts
+from handover_marl.simulation.kinematic_paths import ReferenceMotion
+
+
+@dataclass(frozen=True)
+class WorldState:
+    """State of robot, objects and human hand after a physics step.
+
+    Arrays are float32, in the world frame, in m and rad; quaternions are xyzw.
+
+    Attributes:
+        robot_joint_position: Positions (9,) of the Panda's arm and finger joints.
+        robot_joint_velocity: Velocities (9,) of the Panda's arm and finger joints.
+        gripper_pose: Pose (7,) of the Panda's hand link.
+        object_poses: Poses (n, 7) of the objects, the target first.
+        hand_dof_position: Positions (51,) of the human hand's joints, or None without a hand.
+        hand_keypoints: Positions (16, 3) of the wrist and the finger-joint origins, or None without
+            a hand.
+    """
+
+    robot_joint_position: npt.NDArray[np.float32]
+    robot_joint_velocity: npt.NDArray[np.float32]
+    gripper_pose: npt.NDArray[np.float32]
+    object_poses: npt.NDArray[np.float32]
+    hand_dof_position: npt.NDArray[np.float32] | None
+    hand_keypoints: npt.NDArray[np.float32] | None
+
+
+class AgentJoints(NamedTuple):
+    """Joint positions of robot and human hand, float32 (m, rad); fast to read.
+
+    Attributes:
+        robot: Positions (9,) of the Panda's joints.
+        hand: Positions (51,) of the human hand's joints, or None without a hand.
+    """
+
+    robot: npt.NDArray[np.float32]
+    hand: npt.NDArray[np.float32] | None
+
+
+class JointSnapshot(NamedTuple):
+    """Joint positions of robot, human hand and objects at one time, float32 (m, rad).
+
+    Attributes:
+        robot: Positions (9,) of the Panda's joints.
+        hand: Positions (51,) of the human hand's joints, or None without a hand.
+        objects: Positions (n, 6) of the objects' joint chains: xyz and intrinsic XYZ Euler angles.
+    """
+
+    robot: npt.NDArray[np.float32]
+    hand: npt.NDArray[np.float32] | None
+    objects: npt.NDArray[np.float32]
+
+
+class World(ABC):
+    """Simulated table, Panda, objects and human hand, advanced in steps of 1 ms."""
+
+    @abstractmethod
+    def reset(self, scene: Scene, start: ReferenceMotion) -> None:
+        """Load a scene and set robot, objects and hand to its start.
+
+        Args:
+            scene: Scene to load.
+            start: Reference motion of one row: joint positions of hand and objects at the start.
+        """
+
+    @abstractmethod
+    def set_reference(self, motion: ReferenceMotion) -> None:
+        """Set the joint targets of hand and objects for the coming steps, one row per step."""
+
+    @abstractmethod
+    def step(self, robot_target: list[float]) -> None:
+        """Simulate one physics step of 1 ms.
+
+        At most as many steps can be simulated as the reference motion has rows.
+
+        Args:
+            robot_target: Nine joint targets of the Panda (rad, m), float32 values.
+        """
+
+    @abstractmethod
+    def read_contacts(self, released: bool) -> Contacts:
+        """Return the contacts of robot, hand and objects in the last physics step.
+
+        Args:
+            released: Whether the human has released the object; contacts with supports are read
+                only then.
+        """
+
+    @abstractmethod
+    def release_target(self) -> None:
+        """Release the target object from the human hand, from the next step on."""
+
+    @abstractmethod
+    def read_state(self) -> WorldState:
+        """Return the current state of robot, objects and human hand."""
+
+    @abstractmethod
+    def read_agent_joints(self) -> AgentJoints:
+        """Return the current joint positions of robot and human hand."""
+
+    @abstractmethod
+    def read_joints_float64(self) -> npt.NDArray[np.float64]:
+        """Return the robot's joint positions (9,) in the engine's double precision (rad, m)."""
+
+    @abstractmethod
+    def read_object_joints(self) -> npt.NDArray[np.float32]:
+        """Return the joint positions (n, 6) of n objects: xyz (m), Euler angles (rad), float32."""
+
+    def read_joint_snapshot(self) -> JointSnapshot:
+        """Return the current joint positions of robot, hand and objects."""
+        return JointSnapshot(*self.read_agent_joints(), self.read_object_joints())
+
+    @abstractmethod
+    def render(self, camera: CameraConfig) -> npt.NDArray[np.uint8]:
+        """Render the current world state as an RGB image (height, width, 3), uint8."""
+
+    @abstractmethod
+    def render_wrist_camera(self, color: bool, at: JointSnapshot | None = None) -> CameraImage:
+        """Render an image of the wrist camera with the engine's renderer.
+
+        Args:
+            color: Whether to render colors.
+            at: Earlier state of the same scene to render; None is the current state.
+        """
+
+    @abstractmethod
+    def close(self) -> None:
+        """Free the memory of the simulation."""
+
+
+class RolloutResult(NamedTuple):
+    """Contacts of k physics steps of n worlds that were simulated as one batch.
+
+    Attributes:
+        contacts: Contacts of all steps and worlds.
+        truncate: Function of a world's number and a step count (1 to k - 1): sets that world back
+            to its state after so many of the steps.
+    """
+
+    contacts: ContactBatch
+    truncate: Callable[[int, int], None]
+
+
+class BatchWorld(World):
+    """World that can simulate many steps at once, in one batch with other worlds.
+
+    A world sleeps while no body can touch the robot for some steps. Sleeping worlds form batches of
+    their own.
+    """
+
+    @property
+    def is_asleep(self) -> bool:
+        """Whether the world sleeps: no body can touch the robot. Preparing rollouts may wake it."""
+        return False
+
+    @property
+    @abstractmethod
+    def max_rollout_steps(self) -> int:
+        """Largest number of steps of the next rollout, valid after `prepare_rollout`."""
+
+    @property
+    @abstractmethod
+    def batch_key(self) -> tuple[object, int]:
+        """Key of this world's batch, shared by all its worlds, and this world's row there."""
+
+    @classmethod
+    def prepare_rollout(cls, worlds: Sequence[Self], robot_targets: Sequence[list[float]]) -> None:
+        """Compute the controls of several worlds for their coming steps.
+
+        One call for many worlds is faster than many calls.
+
+        Args:
+            worlds: Worlds of any batch keys.
+            robot_targets: Nine joint targets of each Panda (rad, m), float32 values.
+        """
+
+    @classmethod
+    @abstractmethod
+    def simulate_rollout(
+        cls, worlds: Sequence[Self], robot_targets: Sequence[list[float]], steps: int, rules: ProtocolConfig
+    ) -> RolloutResult:
+        """Simulate several steps of worlds with the same batch key.
+
+        Args:
+            worlds: Worlds in the order of their rows in the batch.
+            robot_targets: Nine joint targets of each Panda (rad, m), float32 values.
+            steps: Number of steps, at most `max_rollout_steps` of any of the worlds.
+            rules: Bounds of the grasp region of the fingers.
+        """

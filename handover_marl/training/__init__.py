@@ -1,1 +1,0 @@
-"""What the training scripts share. Needs the extras `train` and `plot`."""

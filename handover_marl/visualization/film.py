@@ -1,0 +1,133 @@
+"""Recording of frames of an episode, and their encoding as an image grid or a film."""
+
+import importlib.util
+import io
+import os
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from PIL import Image
+from rich.console import Console
+from rich.progress import Progress
+
+from handover_marl.episode.callbacks import EpisodeCallback
+from handover_marl.episode.episode import Episode
+from handover_marl.errors import OptionError, ResultsError
+
+Picture = npt.NDArray[np.uint8]
+
+# Modules that a kind of file needs beside the library's own requirements, by suffix.
+_REQUIRED_MODULES: dict[str, tuple[str, ...]] = {
+    ".png": (),
+    ".gif": (),
+    ".mp4": ("imageio", "imageio_ffmpeg"),
+    ".html": (),
+}
+#: Suffixes of all kinds of output files.
+SUFFIXES = tuple(_REQUIRED_MODULES)
+#: Simulated time between two frames of a film (ms).
+FRAME_PERIOD_MS = 80
+
+
+class FrameRecorder(EpisodeCallback):
+    """Recorder of frames of an episode at chosen steps.
+
+    Args:
+        steps: Physics steps, ascending, after which a frame is recorded.
+        draw: Function that returns a frame, a (height, width, 3) RGB image of the episode's
+            current state.
+        progress: Whether to show a progress bar on stderr.
+        with_end: Whether to record the end of the episode, too.
+
+    Attributes:
+        frames: Recorded frames.
+    """
+
+    def __init__(
+        self, steps: Sequence[int], draw: Callable[[Episode], Picture], progress: bool = False, with_end: bool = True
+    ) -> None:
+        self.frames: list[Picture] = []
+        self._steps, self._draw, self._with_end = set(steps), draw, with_end
+        self._progress = Progress(console=Console(stderr=True), disable=not progress, transient=False)
+        self._bar = self._progress.add_task("drawing", total=max(len(self._steps), 1))
+
+    def on_reset(self, episode: Episode) -> None:
+        """Record the initial state of an episode, if step 0 was chosen."""
+        self._progress.start()
+        self.on_step(episode)
+
+    def on_step(self, episode: Episode) -> None:
+        """Record a frame, if the current step was chosen."""
+        if episode.steps in self._steps:
+            self.frames.append(self._draw(episode))
+            self._progress.advance(self._bar)
+
+    def on_end(self, episode: Episode) -> None:
+        """Record the final state if requested, and close the progress bar."""
+        if self._with_end and episode.steps not in self._steps:
+            self.frames.append(self._draw(episode))
+        self._progress.update(self._bar, completed=max(len(self._steps), 1))
+        self._progress.stop()
+
+
+def check_output_path(out: str | os.PathLike[str], suffixes: Sequence[str]) -> Path:
+    """Return the path of an output file, after creating its folder and checking that it is writable.
+
+    Args:
+        out: Path of the file; `~` is expanded.
+        suffixes: Allowed suffixes, such as ".png".
+
+    Raises:
+        OptionError: The suffix is not allowed, or needs a library that is not installed.
+        ResultsError: The folder cannot be created or written to.
+    """
+    try:
+        path = Path(out).expanduser()
+    except (TypeError, RuntimeError) as error:
+        raise OptionError(f"out must be a path, got {out!r} ({error})") from error
+    suffix = path.suffix.lower()
+    if suffix not in suffixes:
+        raise OptionError(f"out must end in {', '.join(suffixes)}, got {str(path)!r}")
+    for module in _REQUIRED_MODULES.get(suffix, ()):
+        if importlib.util.find_spec(module) is None:
+            raise OptionError(f"{suffix} files need {module}: pip install 'handover-marl[render]'")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        # Permissions alone do not suffice: some file systems are read-only for everybody.
+        with tempfile.TemporaryFile(dir=path.parent):
+            pass
+    except (OSError, ValueError) as error:
+        raise ResultsError(f"cannot write {path} ({error}); choose another folder") from error
+    if path.is_dir():
+        raise ResultsError(f"cannot write {path}, which is a folder; choose another name")
+    return path
+
+
+def encode_grid(frames: list[Picture], columns: int) -> bytes:
+    """Return a PNG image with a grid of frames, row by row; empty cells are white."""
+    rows = [frames[start : start + columns] for start in range(0, len(frames), columns)]
+    blank = np.full_like(frames[0], 255)
+    width = min(columns, len(frames))
+    full = [np.concatenate([*row, *[blank] * (width - len(row))], axis=1) for row in rows]
+    stream = io.BytesIO()
+    Image.fromarray(np.concatenate(full)).save(stream, format="PNG", optimize=True)
+    return stream.getvalue()
+
+
+def encode_film(frames: list[Picture], suffix: str) -> bytes:
+    """Encode frames as a film in real time; return the content of a ".gif" or ".mp4" file."""
+    if suffix == ".gif":
+        stream = io.BytesIO()
+        first, *rest = [Image.fromarray(frame).quantize(64) for frame in frames]
+        first.save(
+            stream, format="GIF", save_all=True, append_images=rest, duration=FRAME_PERIOD_MS, loop=0, optimize=True
+        )
+        return stream.getvalue()
+    # Imported only here, because it is an optional dependency.
+    import imageio.v3 as imageio
+
+    frame_rate = 1000 / FRAME_PERIOD_MS
+    return bytes(imageio.imwrite("<bytes>", np.stack(frames), extension=".mp4", fps=frame_rate, codec="libx264"))

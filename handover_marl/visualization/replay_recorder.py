@@ -1,0 +1,176 @@
+"""Recording of an episode's states and contacts for a 3D replay."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.config import WorldConfig
+from handover_marl.datasets.dataset import Scene
+from handover_marl.episode.callbacks import EpisodeCallback, PolicyDecision
+from handover_marl.episode.episode import Episode
+from handover_marl.episode.referee import EpisodeStatus, ReleaseReason
+from handover_marl.episode.spaces import FULL_POINTCLOUD, RGBD, STATE, get_camera_data
+from handover_marl.policies.policy import Policy
+from handover_marl.simulation.contacts import Points
+from handover_marl.simulation.world import JointSnapshot
+
+Array = npt.NDArray[np.float64]
+
+#: Physics steps between two frames of a replay (40 ms).
+FRAME_STEPS = 40
+# Largest number of points of a stored cloud; more make the page large without a visible difference.
+_MAX_POINTS = 300
+
+
+@dataclass(frozen=True, eq=False)
+class ReplayFrame:
+    """State of an episode after a physics step.
+
+    Attributes:
+        step: Number of physics steps since the start.
+        snapshot: Joint positions of the robot, the objects and the person's hand.
+        finger_points: Contact points of the left and of the right finger with the object, (n, 3)
+            each in the finger's frame (m).
+        touches_object: Whether the robot has touched the object since the previous frame.
+        touches_hand: Whether the robot has touched the person since the previous frame.
+        object_offered: Whether the person holds the object.
+        released: Whether the person has released the object.
+        planned_path: (k, 7) planned world poses of the robot's hand link, xyz (m) and quaternion
+            xyzw, or None without a plan.
+    """
+
+    step: int
+    snapshot: JointSnapshot
+    finger_points: tuple[Points, Points]
+    touches_object: bool
+    touches_hand: bool
+    object_offered: bool
+    released: bool
+    planned_path: Array | None
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedCloud:
+    """Point clouds in an observation of the receiver.
+
+    Attributes:
+        step: Number of physics steps since the start.
+        snapshot: Joint positions at that step.
+        object_points: (n, 3) points on the object in the frame of the Panda's hand link (m).
+        hand_points: (m, 3) points on the person's hand, in the same frame.
+    """
+
+    step: int
+    snapshot: JointSnapshot
+    object_points: Points
+    hand_points: Points
+
+
+@dataclass(frozen=True, eq=False)
+class EpisodeLog:
+    """Recording of an episode for a replay.
+
+    Attributes:
+        scene: The episode's scene.
+        config: World and rules of the episode.
+        frames: States every `FRAME_STEPS` steps, and at the end.
+        clouds: Point clouds that the receiver observed; empty without camera observations.
+        status: Outcome of the episode.
+        release: Reason why the person released the object, or None.
+        release_step: Physics step of the release, or None.
+    """
+
+    scene: Scene
+    config: WorldConfig
+    frames: tuple[ReplayFrame, ...]
+    clouds: tuple[RecordedCloud, ...]
+    status: EpisodeStatus
+    release: ReleaseReason | None
+    release_step: int | None
+
+
+class ReplayRecorder(EpisodeCallback):
+    """Recorder of an episode's states and contacts for a replay.
+
+    Args:
+        receiver: Receiver whose plans and point clouds are recorded, or None.
+
+    Attributes:
+        log: Log of the last finished episode.
+    """
+
+    log: EpisodeLog
+
+    def __init__(self, receiver: Policy | None = None) -> None:
+        self._receiver = receiver
+        self._frames: list[ReplayFrame] = []
+        self._clouds: list[RecordedCloud] = []
+        self._touches_object = self._touches_hand = False
+
+    def on_reset(self, episode: Episode) -> None:
+        """Discard the log of the previous episode and record the initial state."""
+        self._frames, self._clouds = [], []
+        self._touches_object = self._touches_hand = False
+        self._record_frame(episode)
+
+    def on_decision(self, episode: Episode, decision: PolicyDecision) -> None:
+        """Record the point clouds that the receiver observed."""
+        obs_mode = STATE if self._receiver is None else self._receiver.obs_mode
+        if get_camera_data(obs_mode) is not None and decision.receiver_decided:
+            points = (_subsample(cloud) for cloud in _observed_clouds(episode, obs_mode))
+            self._clouds.append(RecordedCloud(episode.steps, episode.world.read_joint_snapshot(), *points))
+
+    def on_step(self, episode: Episode) -> None:
+        """Collect contacts, and record a frame every `FRAME_STEPS` steps."""
+        self._touches_object |= episode.contacts.robot_touches_object
+        self._touches_hand |= episode.contacts.robot_touches_hand
+        if episode.steps % FRAME_STEPS == 0:
+            self._record_frame(episode)
+
+    def on_end(self, episode: Episode) -> None:
+        """Record the final state and build the log of the episode."""
+        if self._frames[-1].step < episode.steps:
+            self._record_frame(episode)
+        self.log = EpisodeLog(
+            episode.scene,
+            episode.config,
+            tuple(self._frames),
+            tuple(self._clouds),
+            episode.status,
+            episode.release,
+            episode.release_step,
+        )
+
+    def _record_frame(self, episode: Episode) -> None:
+        self._frames.append(
+            ReplayFrame(
+                step=episode.steps,
+                snapshot=episode.world.read_joint_snapshot(),
+                finger_points=episode.contacts.finger_points,
+                touches_object=self._touches_object,
+                touches_hand=self._touches_hand,
+                object_offered=episode.object_offered,
+                released=episode.release is not None,
+                planned_path=None if self._receiver is None else self._receiver.planned_goal,
+            )
+        )
+        self._touches_object = self._touches_hand = False
+
+
+def _observed_clouds(episode: Episode, obs_mode: str) -> tuple[Points, Points]:
+    """Return the points of object and hand that an observation mode has now, without rendering again."""
+    data = get_camera_data(obs_mode)
+    if data == RGBD:
+        view = episode.capture_wrist_camera()
+        return view.object_points, view.hand_points
+    observation = episode.observe_camera(obs_mode)
+    kind = "cloud" if data == FULL_POINTCLOUD else "points"
+    counts = observation["wrist_point_counts"].astype(int)
+    object_count, hand_count = counts
+    return (observation[f"wrist_object_{kind}"][:object_count], observation[f"wrist_hand_{kind}"][:hand_count])
+
+
+def _subsample(cloud: Points) -> Points:
+    """Return evenly chosen points (n, 3) of a cloud, at most `_MAX_POINTS`."""
+    return np.array(cloud[:: len(cloud) // _MAX_POINTS + 1])

@@ -1,0 +1,120 @@
+"""Figure of an episode beside the wrist camera's images; needs matplotlib (extra `plot`)."""
+
+import importlib.util
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.config import CameraConfig
+from handover_marl.episode.camera_observations import CameraFrame
+from handover_marl.episode.episode import Episode
+from handover_marl.errors import OptionError
+from handover_marl.geometry.panda import GRIPPER_OUTLINE
+from handover_marl.simulation.camera.frames import EMPTY_DEPTH, FAR, SegmentationLabel
+from handover_marl.visualization.colors import LABEL_COLORS
+
+Picture = npt.NDArray[np.uint8]
+
+_DPI = 100
+# Range of the point cloud's panel ahead of the hand and to its sides (m).
+_FORWARD_EXTENT, _LATERAL_EXTENT = 0.8, 0.35
+
+
+def require_matplotlib(feature: str) -> None:
+    """Check that matplotlib is installed.
+
+    Args:
+        feature: Feature that needs matplotlib, for the message.
+
+    Raises:
+        OptionError: matplotlib is not installed.
+    """
+    if importlib.util.find_spec("matplotlib") is None:
+        raise OptionError(f"{feature} needs matplotlib: pip install 'handover-marl[plot]'")
+
+
+class WristCameraFigure:
+    """Figure of an outside view beside depth, segmentation and point cloud of the wrist camera.
+
+    Args:
+        camera: Outside camera; its image size is that of the left half of the figure, and the
+            panels of the wrist camera take the right half.
+
+    Raises:
+        OptionError: matplotlib is not installed.
+    """
+
+    def __init__(self, camera: CameraConfig) -> None:
+        require_matplotlib("view='wrist'")
+        # Imported only here, because it is an optional dependency.
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+
+        self._camera = camera
+        # Two columns of equal width, and space for titles.
+        figure = Figure(figsize=(2.0 * camera.width / _DPI, camera.height / _DPI + 0.4), dpi=_DPI, layout="constrained")
+        self._canvas = FigureCanvasAgg(figure)
+        grid = figure.add_gridspec(2, 4)
+        self._outside_axes = figure.add_subplot(grid[:, :2])
+        self._depth_axes = figure.add_subplot(grid[0, 2])
+        self._segmentation_axes = figure.add_subplot(grid[1, 2])
+        self._cloud_axes = figure.add_subplot(grid[:, 3])
+
+    def draw(self, episode: Episode) -> Picture:
+        """Draw the episode's current state; return an RGB image (height, width, 3)."""
+        frame = episode.capture_wrist_camera()
+        self._draw_outside(episode)
+        self._draw_depth(frame)
+        self._draw_segmentation(frame)
+        self._draw_cloud(frame)
+        self._canvas.draw()  # type: ignore[no-untyped-call]
+        picture: Picture = np.asarray(self._canvas.buffer_rgba())[..., :3].copy()  # type: ignore[no-untyped-call]
+        # H.264 films need an even number of pixels a side.
+        return picture[: picture.shape[0] // 2 * 2, : picture.shape[1] // 2 * 2]
+
+    def _draw_outside(self, episode: Episode) -> None:
+        axes = self._outside_axes
+        axes.clear()
+        axes.imshow(episode.render(self._camera))
+        axes.set_title(f"scene {episode.scene.info.scene_id}, {episode.steps / 1000.0:.2f} s", fontsize=9)
+        axes.set_axis_off()
+
+    def _draw_depth(self, frame: CameraFrame) -> None:
+        axes = self._depth_axes
+        axes.clear()
+        shown = np.ma.masked_greater_equal(frame.depth, EMPTY_DEPTH)
+        axes.imshow(shown, cmap="viridis_r", vmin=0.0, vmax=FAR)
+        axes.set_title(f"depth, 0 to {FAR:g} m", fontsize=9)
+        axes.set_axis_off()
+
+    def _draw_segmentation(self, frame: CameraFrame) -> None:
+        from matplotlib.colors import ListedColormap
+
+        axes = self._segmentation_axes
+        axes.clear()
+        colors = ListedColormap([LABEL_COLORS[label] for label in SegmentationLabel])
+        axes.imshow(
+            frame.segmentation, cmap=colors, vmin=-0.5, vmax=len(SegmentationLabel) - 0.5, interpolation="nearest"
+        )
+        axes.set_title("segmentation", fontsize=9)
+        axes.set_axis_off()
+
+    def _draw_cloud(self, frame: CameraFrame) -> None:
+        axes = self._cloud_axes
+        axes.clear()
+        for label, points in (
+            (SegmentationLabel.TARGET, frame.object_points),
+            (SegmentationLabel.HAND, frame.hand_points),
+        ):
+            name = "object" if label is SegmentationLabel.TARGET else "hand"
+            axes.scatter(points[:, 1], points[:, 2], s=1.0, color=LABEL_COLORS[label], label=f"{name}: {len(points)}")
+        outline = np.array(GRIPPER_OUTLINE)
+        axes.plot(outline[:, 1], outline[:, 2], color=LABEL_COLORS[SegmentationLabel.ROBOT])
+        axes.set_xlim(-_LATERAL_EXTENT, _LATERAL_EXTENT)
+        axes.set_ylim(-0.02, _FORWARD_EXTENT)
+        axes.set_aspect("equal")
+        axes.set_xlabel("y of the gripper (m)", fontsize=8)
+        axes.set_ylabel("ahead of the gripper (m)", fontsize=8)
+        axes.tick_params(labelsize=7)
+        axes.legend(loc="upper right", fontsize=8, markerscale=5.0)
+        axes.set_title("cloud from above the gripper", fontsize=9)

@@ -1,0 +1,167 @@
+"""Known grasps of objects, and selection of the grasp that is nearest to the gripper.
+
+Poses are those of the hand link, position (m) and quaternion xyzw.
+"""
+
+import functools
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.episode.observations import Observation
+from handover_marl.geometry.panda import GRIPPER_FROM_HAND, HALF_TURN
+from handover_marl.geometry.poses import (
+    compose,
+    inverse_transform_points,
+    invert_pose,
+    poses_from_matrices,
+    rotate_points,
+)
+from handover_marl.geometry.ycb import CLASS_NAMES
+from handover_marl.policies.policy import PolicyContext
+
+Array = npt.NDArray[np.float64]
+
+#: Clearance beyond which more clearance makes no difference (m).
+MAX_CLEARANCE = 0.2
+
+# Extent of the gripper along the hand link's z axis, from behind its palm to the fingertips (m).
+_BACK_Z, _TIP_Z = -0.05, 0.11
+# Entries of the observation on which the selection depends.
+_INPUTS = ("gripper_pose", "object_poses", "object_classes", "hand_present", "hand_keypoints")
+# Number of cached selections: environments that run side by side query in turns.
+_CACHE_SIZE = 256
+
+
+class GraspLibrary:
+    """Collection of the known grasps of all object classes, each read on first use.
+
+    Args:
+        grasps: Function from a class name to gripper poses (n, 4, 4) in the object's frame (m), or
+            None for a class without grasps.
+    """
+
+    def __init__(self, grasps: Callable[[str], npt.NDArray[np.float64] | None]) -> None:
+        self._grasps = grasps
+        self._grippers: dict[str, Array | None] = {}
+
+    def hand_poses_in_world(self, observation: Observation) -> Array | None:
+        """Return world poses (n, 7) of the hand link at the grasps of the object to hand over.
+
+        None is returned for an object without grasps.
+        """
+        grippers = self._gripper_poses(CLASS_NAMES[int(observation["object_classes"][0])])
+        if grippers is None:
+            return None
+        # Not by `hand_poses_in_object`: the last bits of the reference depend on this order.
+        return compose(compose(observation["object_poses"][0], grippers), np.array(GRIPPER_FROM_HAND))
+
+    def hand_poses_in_object(self, object_name: str) -> Array | None:
+        """Return poses (n, 7) of the hand link at an object class's grasps, or None without any."""
+        grippers = self._gripper_poses(object_name)
+        return None if grippers is None else compose(grippers, np.array(GRIPPER_FROM_HAND))
+
+    def _gripper_poses(self, object_name: str) -> Array | None:
+        """Return the gripper poses (n, 7) in the frame of an object class, or None."""
+        if object_name not in self._grippers:
+            matrices = self._grasps(object_name)
+            self._grippers[object_name] = None
+            if matrices is not None and len(matrices) > 0:
+                self._grippers[object_name] = poses_from_matrices(matrices)
+        return self._grippers[object_name]
+
+
+@dataclass(frozen=True, eq=False)
+class _ObjectGrasps:
+    """Grasps of an object in its frame: hand link poses (n, 7) and their z axes (n, 3)."""
+
+    poses: Array
+    axes: Array
+
+
+class NearestGraspSelector:
+    """Selector of the grasp that is nearest to the gripper and clear of the person's hand.
+
+    The cost of a grasp is the gripper's translation plus weighted rotation plus missing clearance.
+    Grasps rotated by half a turn about the approach axis are candidates too. A selection depends
+    on the observation alone and is cached, since features and action schemes of a policy query the
+    same selection.
+
+    Args:
+        context: Context of a policy, with the objects and their grasps.
+
+    Attributes:
+        rotation_weight: Weight of the gripper's rotation in the cost (m/rad).
+        desired_clearance: Desired distance of the hand's joints from the gripper's axis (m).
+        clearance_weight: Weight of the amount by which the clearance is below the desired one.
+    """
+
+    rotation_weight = 0.25
+    desired_clearance, clearance_weight = 0.09, 4.0
+
+    def __init__(self, context: PolicyContext) -> None:
+        self._library = GraspLibrary(context.grasps)
+        self._known: dict[int, _ObjectGrasps | None] = {}
+        self._cache: OrderedDict[bytes, tuple[Array, float] | None] = OrderedDict()
+
+    def select(self, observation: Observation) -> tuple[Array, float] | None:
+        """Select a grasp of the object to hand over, or return None if it has no grasps.
+
+        Returns:
+            World pose (7,) of the hand link at the grasp, which is read-only, and the distance (m)
+            of the person's hand from the gripper there.
+        """
+        key = b"".join(np.asarray(observation[name]).tobytes() for name in _INPUTS)
+        if key not in self._cache:
+            self._cache[key] = self._compute(observation)
+            if len(self._cache) > _CACHE_SIZE:
+                self._cache.popitem(last=False)
+        return self._cache[key]
+
+    def _compute(self, observation: Observation) -> tuple[Array, float] | None:
+        object_class = int(observation["object_classes"][0])
+        if object_class not in self._known:
+            self._known[object_class] = self._load(CLASS_NAMES[object_class])
+        grasps = self._known[object_class]
+        if grasps is None:
+            return None
+        # In the object's frame, so that only gripper and hand have to be transformed.
+        item, gripper = (observation[name].astype(np.float64) for name in ("object_poses", "gripper_pose"))
+        gripper = compose(invert_pose(item[0]), gripper)
+        angles = 2.0 * np.arccos(np.minimum(np.abs(grasps.poses[:, 3:] @ gripper[3:]), 1.0))
+        clearances = self._clearances(grasps, item[0], observation)
+        missing = np.maximum(0.0, self.desired_clearance - clearances)
+        distances = np.linalg.norm(grasps.poses[:, :3] - gripper[:3], axis=1)
+        best = int(np.argmin(distances + self.rotation_weight * angles + self.clearance_weight * missing))
+        selected = compose(item[0], grasps.poses[best])
+        selected.flags.writeable = False
+        return selected, float(clearances[best])
+
+    def _load(self, object_name: str) -> _ObjectGrasps | None:
+        """Return the grasps of an object class with their half turns, or None."""
+        poses = self._library.hand_poses_in_object(object_name)
+        if poses is None:
+            return None
+        poses = np.concatenate([poses, compose(poses, np.array(HALF_TURN))])
+        return _ObjectGrasps(poses, rotate_points(poses[:, 3:], np.array([0.0, 0.0, 1.0])))
+
+    def _clearances(self, grasps: _ObjectGrasps, item: Array, observation: Observation) -> Array:
+        """Return the smallest distances (n,) in m of the hand's joints to the gripper's axis."""
+        if not observation["hand_present"][0]:
+            return np.full(len(grasps.poses), MAX_CLEARANCE)
+        joints = inverse_transform_points(item, observation["hand_keypoints"])
+        offsets = joints - grasps.poses[:, None, :3]
+        along = np.clip(np.einsum("gki,gi->gk", offsets, grasps.axes), _BACK_Z, _TIP_Z)
+        across = offsets - along[..., None] * grasps.axes[:, None]
+        distances = np.sqrt(np.einsum("gki,gki->gk", across, across).min(axis=1))
+        clearances: Array = np.minimum(distances, MAX_CLEARANCE)
+        return clearances
+
+
+@functools.lru_cache(maxsize=16)
+def get_nearest_grasp_selector(context: PolicyContext) -> NearestGraspSelector:
+    """Return the grasp selector of a policy context; all callers share one selector."""
+    return NearestGraspSelector(context)

@@ -1,0 +1,242 @@
+"""State machine of a handover (wait, approach, close, back out, retreat), and its receivers' base class."""
+
+from enum import Enum
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.config import ARM_DOF, TIME_STEP
+from handover_marl.geometry.poses import transform_points
+from handover_marl.planning.arm_control import ArmInWorld, ArmServo
+from handover_marl.policies.policy import Action, PolicyContext, Receiver, milliseconds_from_wait
+from handover_marl.receivers.reactive.config import ReactiveConfig
+from handover_marl.receivers.reactive.motion import (
+    IK_ITERATIONS,
+    ROTATION_WEIGHT,
+    ApproachController,
+    MotionController,
+)
+from handover_marl.receivers.reactive.retreat import RetreatController, transform_to_hand_frame
+from handover_marl.receivers.reactive.scene_estimate import SceneEstimate
+from handover_marl.receivers.reactive.selector import GraspGoal, GraspSelector
+
+Array = npt.NDArray[np.float64]
+
+_BACKOUT_ROTATION_WEIGHT = 0.3  # m/rad
+_BACKOUT_END = 0.3  # share of the distance that may remain
+
+
+class ReactivePhase(Enum):
+    """Phase of a handover by the receiver `reactive`."""
+
+    WAIT = "wait"
+    APPROACH = "approach"
+    REACH = "reach"
+    CLOSE = "close"
+    BACK = "back"
+    RETREAT = "retreat"
+
+
+class RobotModel:
+    """Kinematics and motor control of the Panda, used by the receiver `reactive`.
+
+    Args:
+        context: Context of the policy, with the robot's model and the task.
+        config: Configuration of the receiver.
+
+    Attributes:
+        arm: Kinematics of the arm.
+        servo: Velocity control of the motors.
+        goal: (3,) goal of the hand's position (m).
+    """
+
+    def __init__(self, context: PolicyContext, config: ReactiveConfig) -> None:
+        self.arm = ArmInWorld.for_panda(context.panda_urdf, context.panda, config.limit_padding)
+        self.servo = ArmServo(config.servo, context.panda.motor.position_gain, config.period, TIME_STEP)
+        self.goal = np.array(context.protocol.goal_center)
+
+
+class HandoverController:
+    """State machine of the receiver `reactive` during one episode.
+
+    Args:
+        robot: Kinematics and motor control of the arm.
+        scene: Estimate of the scene, updated before each step.
+        selector: Grasp selector, whose candidates are set before each step.
+        wait: Time at the waiting pose (s).
+
+    Attributes:
+        phase: Present phase of the handover.
+    """
+
+    def __init__(self, robot: RobotModel, scene: SceneEstimate, selector: GraspSelector, wait: float) -> None:
+        self._robot, self._scene, self._selector, self._wait = robot, scene, selector, wait
+        self._config = scene.config
+        self._motion = MotionController(robot.arm, robot.servo, scene, scene.config.separation)
+        self._approach_controller = ApproachController(scene, self._motion, selector)
+        self.phase = ReactivePhase.WAIT
+        self._phase_start = 0.0
+        self._closing_pose, self._closing_points = np.zeros(7), np.zeros((0, 3))
+        self._backout_position = np.zeros(3)
+        self._retreat: RetreatController | None = None
+
+    @property
+    def is_grasping(self) -> bool:
+        """Whether the fingers close or hold the object."""
+        return self.phase in (ReactivePhase.CLOSE, ReactivePhase.RETREAT)
+
+    @property
+    def planned_goal(self) -> Array | None:
+        """(2, 7) world poses of the hand link at standoff and grasp; None once fingers close."""
+        chosen = self._selector.chosen
+        if chosen is None or not self._is_approaching:
+            return None
+        grasp = self._selector.grasp_pose(chosen, self._scene.object)
+        return np.stack([self._selector.standoff_pose(grasp), grasp])
+
+    def step(self) -> Action:
+        """Return the next action, nine target joint positions."""
+        config, servo = self._config, self._robot.servo
+        is_watchful = self._is_approaching and self._scene.has_motion_nearby
+        servo.period = config.near_period if is_watchful else config.period
+        if self._scene.time < self._wait:
+            return self._motion.move_home()
+        if self.phase is ReactivePhase.WAIT and len(self._selector.grasps) and self._scene.is_offered:
+            self.phase = ReactivePhase.APPROACH
+        if self._is_approaching:
+            return self._approach()
+        if self.phase is ReactivePhase.CLOSE:
+            return self._close(self._scene.has_released(self._phase_start))
+        if self.phase is ReactivePhase.BACK:
+            return self._back_out()
+        if self._retreat is not None and self.phase is ReactivePhase.RETREAT:
+            return self._carry(self._retreat)
+        return self._motion.move_home()
+
+    @property
+    def _is_approaching(self) -> bool:
+        return self.phase in (ReactivePhase.APPROACH, ReactivePhase.REACH)
+
+    def _approach(self) -> Action:
+        scene = self._scene
+        if scene.is_lost:
+            # From the waiting pose the camera sees more.
+            return self._motion.retreat_home()
+        result = self._approach_controller.step()
+        if not isinstance(result, GraspGoal):
+            self.phase = ReactivePhase.REACH if self._approach_controller.is_near else ReactivePhase.APPROACH
+            return result
+        self.phase, self._phase_start = ReactivePhase.CLOSE, scene.time
+        self._closing_pose = self._selector.grasp_pose(result, scene.object)
+        self._closing_points = scene.person.reference_points
+        return self._close(False)
+
+    def _close(self, is_released: bool) -> Action:
+        config, scene, robot = self._config.approach, self._scene, self._robot
+        if is_released:
+            self.phase = ReactivePhase.RETREAT
+            held = transform_to_hand_frame(scene.hand, scene.object, self._selector.surface.centers)
+            self._retreat = RetreatController(
+                robot.arm, robot.servo, robot.goal, self._config.retreat, scene.hand, held, scene.person.spheres
+            )
+            return self._carry(self._retreat)
+        since = scene.time - self._phase_start
+        is_empty = float(scene.fingers.max()) < config.empty_finger_position
+        if since > config.close_timeout or (since > config.empty_delay and is_empty):
+            return self._start_backing_out()
+        # Follows the person's hand rather than the object, which the fingers push.
+        period = config.close_period
+        robot.servo.period = period
+        pose = scene.person.predict_attached_pose(self._closing_points, self._closing_pose, period)
+        goal, _ = robot.arm.solve(pose[None], scene.joints[None], IK_ITERATIONS)
+        following = robot.arm.velocity(scene.joints, scene.person.velocity, np.zeros(3), ROTATION_WEIGHT, period)
+        velocity = following + config.close_gain * (goal[0] - scene.joints)
+        return self._motion.move_closed(velocity, config.close_acceleration)
+
+    def _start_backing_out(self) -> Action:
+        """Start backing out after a miss, with a higher cost of this grasp for a while."""
+        config, scene = self._config.approach, self._scene
+        self._selector.give_up(scene.time + config.failed_duration)
+        self.phase, self._phase_start = ReactivePhase.BACK, scene.time
+        self._backout_position = transform_points(scene.hand, np.array([0.0, 0.0, -config.backout_distance]))
+        return self._back_out()
+
+    def _back_out(self) -> Action:
+        config, scene, robot = self._config.approach, self._scene, self._robot
+        since = scene.time - self._phase_start
+        remaining = self._backout_position - scene.hand[:3]
+        distance = float(np.linalg.norm(remaining))
+        if distance < _BACKOUT_END * config.backout_distance or since > config.backout_timeout:
+            self.phase = ReactivePhase.APPROACH
+            return self._approach()
+        if since < config.opening_time:
+            return self._motion.move_open(np.zeros(ARM_DOF))
+        velocity = config.backout_speed * remaining / distance
+        period = robot.servo.period
+        joint_velocity = robot.arm.velocity(scene.joints, velocity, np.zeros(3), _BACKOUT_ROTATION_WEIGHT, period)
+        return self._motion.move_open(joint_velocity)
+
+    def _carry(self, retreat: RetreatController) -> Action:
+        scene = self._scene
+        if scene.has_dropped:
+            return self._start_backing_out()
+        return self._motion.carry(retreat.compute_velocity(scene.time, scene.joints, scene.hand))
+
+
+class ControllerReceiver(Receiver):
+    """Base class of receivers that act through a grasp selector and a `HandoverController`.
+
+    Args:
+        context: Robot, objects and task.
+        wait: Time at the waiting pose (s).
+        config: Configuration of grasp selection and motion.
+
+    Raises:
+        OptionError: `wait` is out of range.
+
+    Attributes:
+        config: Configuration of grasp selection and motion.
+        robot: Kinematics and motor control of the arm.
+        selector: Grasp selector.
+        controller: Controller of the present episode; None before the first `reset`.
+    """
+
+    control_period = 0.05
+
+    def __init__(self, context: PolicyContext, wait: float, config: ReactiveConfig) -> None:
+        super().__init__(context)
+        self.config = config
+        self._wait = milliseconds_from_wait(wait) / 1000.0
+        self.robot = RobotModel(context, config)
+        self.selector = GraspSelector(self.robot.arm, self.robot.servo.limits, config)
+        self.controller: HandoverController | None = None
+
+    @property
+    def wait(self) -> float:
+        """Time at the waiting pose (s)."""
+        return self._wait
+
+    @property
+    def phase(self) -> ReactivePhase:
+        """Present phase of the handover."""
+        return ReactivePhase.WAIT if self.controller is None else self.controller.phase
+
+    @property
+    def planned_goal(self) -> Array | None:
+        """(2, 7) world poses of the hand link at standoff and grasp; None once fingers close."""
+        return None if self.controller is None else self.controller.planned_goal
+
+    @property
+    def hold_time(self) -> float:
+        """Time until the next decision (s), shorter while something moves near the gripper."""
+        return self.robot.servo.period
+
+    def start_episode(self, scene: SceneEstimate) -> None:
+        """Reset selector and motor control, and create the controller of an episode.
+
+        Args:
+            scene: Estimate of the scene that the controller acts on.
+        """
+        self.robot.servo.reset()
+        self.selector.reset()
+        self.controller = HandoverController(self.robot, scene, self.selector, self._wait)

@@ -1,0 +1,96 @@
+"""Contacts of the finger pads with a grasped object.
+
+An object that is held by the very tips or edges of the fingers springs away within a few hundredths
+of a second when the person releases it, even if its grasp has passed its validation.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.geometry.poses import inverse_transform_points
+from handover_marl.planning.clearance import Spheres
+from handover_marl.receivers.reactive.config import GraspSelectorConfig
+from handover_marl.receivers.reactive.grasps import ValidatedGrasps
+
+Array = npt.NDArray[np.float64]
+
+# Extent of the fingers in the hand link's frame (m): tip and root along z, half width along x, and
+# inner side along y when they are open.
+_TIP_Z, _HALF_WIDTH, _ROOT_Z, _OPEN_Y = 0.1126, 0.0105, 0.058, 0.041
+# Depth behind the first contact up to which surface points are touched by a soft pad (m).
+_PAD_SOFTNESS = 0.0015
+
+
+@dataclass(frozen=True, eq=False)
+class GraspableObject:
+    """Grasps and surface of an object in its own frame.
+
+    Attributes:
+        grasps: Validated grasps.
+        pad_margins: (n,) distances of each grasp's contacts from the tip and edges of the finger
+            pads (m).
+        surface: Few spheres that approximate the object's surface.
+        points: (k, 3) dense points on the object's surface (m).
+    """
+
+    grasps: ValidatedGrasps
+    pad_margins: Array
+    surface: Spheres
+    points: Array
+
+
+def sample_surface_points(vertices: Array, faces: npt.NDArray[np.int_], count: int) -> Array:
+    """Return the vertices of a mesh and random points on its surface, from a fixed seed (m).
+
+    Args:
+        vertices: (v, 3) vertices (m).
+        faces: (f, 3) vertex indices.
+        count: Number of random points.
+
+    Returns:
+        (v + count, 3) points.
+    """
+    rng = np.random.default_rng(0)
+    corners = vertices[faces]
+    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    chosen = corners[rng.choice(len(faces), count, p=areas / areas.sum())]
+    points: Array = np.concatenate([vertices, np.einsum("nk,nkc->nc", rng.dirichlet(np.ones(3), count), chosen)])
+    return points
+
+
+def compute_pad_margins(poses: Array, points: Array) -> Array:
+    """Return the distances (n,) in m of grasp contacts from the tip and edges of the finger pads.
+
+    The smaller distance of the two pads is returned, 0 if a pad touches nothing. Distances from the
+    edges count twice, since fingers are narrow.
+
+    Args:
+        poses: (n, 7) poses of the hand link, in the frame of the points.
+        points: (k, 3) points on the surface (m).
+    """
+    margins = np.zeros(len(poses))
+    for number, pose in enumerate(poses):
+        local = inverse_transform_points(pose, points)
+        x, y, z = np.abs(local[:, 0]), local[:, 1], local[:, 2]
+        touched = (x < _HALF_WIDTH) & (np.abs(y) < _OPEN_Y) & (z > _ROOT_Z) & (z < _TIP_Z)
+        if touched.any():
+            inside = np.minimum(_TIP_Z - z[touched], 2.0 * (_HALF_WIDTH - x[touched]))
+            sides = (y[touched], -y[touched])
+            margins[number] = min(inside[side > side.max() - _PAD_SOFTNESS].max() for side in sides)
+    return margins
+
+
+def compute_hold_costs(grasps: ValidatedGrasps, pad_margins: Array, config: GraspSelectorConfig) -> Array:
+    """Return the costs (n,) in s of grasps, higher the less likely a grasp holds the object.
+
+    Args:
+        grasps: Grasps of an object with the outcome of their validation.
+        pad_margins: (n,) distances of the contacts from tip and edges of the pads (m).
+        config: Configuration of grasp selection, with the costs.
+    """
+    rates = grasps.success_rates
+    costs: Array = config.unstable_cost * (rates == 0.0) + config.partial_hold_cost * (1.0 - rates)
+    costs += config.fingertip_cost * np.maximum(0.0, 1.0 - pad_margins / config.desired_pad_margin)
+    return costs

@@ -1,0 +1,221 @@
+"""Validation of known grasps and their tilted copies in a simulation of the gripper alone.
+
+Each grasp is closed and shaken, moved deeper while the open gripper stays free of the object, and
+released. Records of the outcome ship for DexYCB's objects and the library's own. Those of other
+objects are kept in the user's cache folder, identified by the contents of the object's files, its
+known grasps, the robot's model, and the physics engine where that is not PyBullet.
+Poses are position (m) and quaternion xyzw.
+"""
+
+import logging
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from handover_marl.assets.shipped import ValidationRecord, load_validation_record
+from handover_marl.geometry.array_cache import cache_path, load_cached_arrays, save_cached_arrays
+from handover_marl.geometry.panda import GRIPPER_FROM_HAND
+from handover_marl.geometry.poses import compose, invert_pose
+from handover_marl.receivers.reactive.grasps import (
+    GraspPreparationConfig,
+    ValidatedGrasps,
+    advance_grasp,
+    compute_grasp_distances,
+    grasps_from_record,
+    tilt_grasps,
+)
+from handover_marl.simulation.engines import make_grasp_validator, select_validation_engine
+from handover_marl.simulation.grasp_validation import GraspValidationConfig, GraspValidator
+
+Array = npt.NDArray[np.float64]
+
+# Increased whenever the same files lead to other grasps.
+_VERSION = 3
+_KIND, _DESCRIPTION = "grasps", "record of validated grasps"
+_HAND_FROM_GRIPPER = invert_pose(np.array(GRIPPER_FROM_HAND))
+
+_log = logging.getLogger(__name__)
+
+
+def validate_grasps(
+    object_urdf: Path, panda_urdf: Path, known: Array, config: GraspPreparationConfig
+) -> ValidatedGrasps:
+    """Return an object's known grasps and their tilted copies that hold it in simulation.
+
+    Each grasp is moved along its approach axis towards the object where the gripper stays free.
+
+    Args:
+        object_urdf: URDF model of the object.
+        panda_urdf: URDF model of the robot whose fingers are used.
+        known: (n, 7) poses of the hand link at the known grasps, in the object's frame.
+        config: Configuration of copies and validation.
+
+    Raises:
+        SimulationError: A model cannot be loaded.
+    """
+    return grasps_from_record(get_validation_record(object_urdf, panda_urdf, known, config), known, config)
+
+
+def get_validation_record(
+    object_urdf: Path, panda_urdf: Path, known: Array, config: GraspPreparationConfig
+) -> ValidationRecord:
+    """Return the record (n, 4) of a validation; simulate for minutes if none is stored.
+
+    Args:
+        object_urdf: URDF model of the object.
+        panda_urdf: URDF model of the robot whose fingers are used.
+        known: (n, 7) poses of the hand link at the known grasps, in the object's frame.
+        config: Configuration of copies and validation.
+
+    Raises:
+        SimulationError: A model cannot be loaded.
+    """
+    path = validation_record_path(object_urdf, panda_urdf, known, config)
+    shipped = load_validation_record(path.stem)
+    if shipped is not None:
+        return shipped
+    shaken_path = _record_path(object_urdf, _shaking_key(config), known)
+    if not path.exists():
+        _log.warning("validating the grasps of %s, once; this takes a minute or two", object_urdf.parent.name)
+    shaken = _load_or_make(shaken_path, known, config, lambda: _shake_grasps(object_urdf, known, config))
+    return _load_or_make(path, known, config, lambda: _release_grasps(object_urdf, panda_urdf, shaken, known, config))
+
+
+def validation_record_path(object_urdf: Path, panda_urdf: Path, known: Array, config: GraspPreparationConfig) -> Path:
+    """Return the path of a validation's cache file, whose stem also names a shipped record."""
+    # The fingers of another robot have another mass and friction; the folder of its meshes has no
+    # influence on the outcome.
+    robot = re.sub(rb'filename="[^"]*/', b'filename="', panda_urdf.read_bytes())
+    return _record_path(object_urdf, _preparation_key(config), known, robot)
+
+
+def _validation_key(config: GraspValidationConfig) -> str:
+    """Return the text by which records identify a validation; shipped records depend on it."""
+    return (
+        f"TrialConfig(close_time={config.close_time}, shake_time={config.shake_time}, "
+        f"acceleration={config.acceleration}, max_shift={config.max_translation}, "
+        f"max_turn={config.max_rotation}, backoffs={config.standoff_distances})"
+    )
+
+
+def _preparation_key(config: GraspPreparationConfig) -> str:
+    """Return the text by which records identify a configuration; shipped records depend on it."""
+    return (
+        f"GraspTrials(tilts={config.tilts}, pads={config.pad_distance}, apart={config.min_distance}, "
+        f"arm={config.rotation_weight}, most={config.max_copies}, aside={config.lateral_offsets}, "
+        f"deeper={config.advances}, spare={config.min_advance_clearance}, "
+        f"held_time={config.held_time}, free_time={config.free_time}, slip={config.max_slip}, "
+        f"around={config.release_offsets}, trial={_validation_key(config.validation)})"
+    )
+
+
+def _shaking_key(config: GraspPreparationConfig) -> str:
+    """Return the text that identifies the first half of a validation, which any robot shares."""
+    return (
+        f"{config.tilts} {config.pad_distance} {config.min_distance} {config.rotation_weight} "
+        f"{config.max_copies} {config.lateral_offsets} {_validation_key(config.validation)}"
+    )
+
+
+def _record_path(object_urdf: Path, key: str, known: Array, *more: bytes) -> Path:
+    engine = "" if select_validation_engine() == "bullet" else f" {select_validation_engine()}"
+    rounded = np.round(known, 6).astype(np.float32).tobytes()
+    return cache_path(_KIND, object_urdf, f"{_VERSION}{engine} {key}".encode(), rounded, *more)
+
+
+def _load_or_make(
+    path: Path, known: Array, config: GraspPreparationConfig, make: Callable[[], ValidationRecord]
+) -> ValidationRecord:
+    """Return the record of a cache file, or make and keep it where the file has no valid one."""
+    cached = load_cached_arrays(path, ("record",), _DESCRIPTION)
+    if cached is not None:
+        try:
+            grasps_from_record(cached["record"], known, config)
+            return cached["record"].astype(np.int16)
+        except (ValueError, TypeError):
+            _log.warning("%s: no valid %s; making it again", path, _DESCRIPTION)
+    record = make()
+    save_cached_arrays(path, {"record": record}, _DESCRIPTION)
+    return record
+
+
+def _shake_grasps(object_urdf: Path, known: Array, config: GraspPreparationConfig) -> ValidationRecord:
+    """Simulate which grasps and copies are stable; the last two columns of the record stay 0."""
+    validator = make_grasp_validator(object_urdf, config.validation)
+    try:
+        rows = [(-1, _count_stable(validator, pose, config), 0, 0) for pose in known]
+        poses = known
+        for number, pose in enumerate(tilt_grasps(known, config)):
+            if len(poses) == len(known) + config.max_copies:
+                break
+            is_known = (compute_grasp_distances(pose, poses, config.rotation_weight) < config.min_distance).any()
+            if is_known or not validator.is_collision_free(_gripper_matrix(pose)):
+                continue
+            n_stable = _count_stable(validator, pose, config)
+            if n_stable:
+                poses = np.concatenate([poses, pose[None]])
+                rows.append((number, n_stable, 0, 0))
+    finally:
+        validator.close()
+    record: ValidationRecord = np.array(rows, dtype=np.int16).reshape(-1, 4)
+    return record
+
+
+def _release_grasps(
+    object_urdf: Path, panda_urdf: Path, shaken: ValidationRecord, known: Array, config: GraspPreparationConfig
+) -> ValidationRecord:
+    """Simulate how deep each grasp can go and whether it keeps the object on release."""
+    record: ValidationRecord = shaken.copy()
+    poses = grasps_from_record(shaken, known, config).poses
+    validator = make_grasp_validator(object_urdf, config.validation, panda_urdf)
+    try:
+        for row, pose in zip(record, poses, strict=True):
+            row[2] = _find_advance(validator, pose, config)
+            if row[1]:
+                deepest = advance_grasp(pose, config.advances[row[2] - 1]) if row[2] else pose
+                row[3] = _count_kept(validator, deepest, config)
+    finally:
+        validator.close()
+    return record
+
+
+def _count_stable(validator: GraspValidator, pose: Array, config: GraspPreparationConfig) -> int:
+    """Return how many shaken places a grasp passes; 0 where it fails at its own place."""
+    if not validator.is_stable(_gripper_matrix(pose)):
+        return 0
+    moved = [compose(pose, np.array([*offset, 0.0, 0.0, 0.0, 1.0])) for offset in config.lateral_offsets]
+    return 1 + sum(validator.is_stable(_gripper_matrix(other)) for other in moved)
+
+
+def _find_advance(validator: GraspValidator, pose: Array, config: GraspPreparationConfig) -> int:
+    """Return the index from 1 of the first advance without collision, 0 if all collide."""
+    for number, distance in enumerate(config.advances, start=1):
+        deeper = advance_grasp(pose, distance + config.min_advance_clearance)
+        if validator.is_collision_free(_gripper_matrix(deeper)):
+            return number
+    return 0
+
+
+def _count_kept(validator: GraspValidator, pose: Array, config: GraspPreparationConfig) -> int:
+    """Return from how many places the object is kept; 0 where the grasp's own place fails."""
+    offsets = np.array([(0.0, 0.0, 0.0), *config.release_offsets])
+    moved = compose(pose, np.concatenate([offsets, np.tile([0.0, 0.0, 0.0, 1.0], (len(offsets), 1))], axis=1))
+    kept = 0
+    for number, place in enumerate(moved):
+        slip = validator.measure_release_slip(_gripper_matrix(place), config.held_time, config.free_time)
+        if number == 0 and slip > config.max_slip:
+            return 0
+        kept += slip <= config.max_slip
+    return kept
+
+
+def _gripper_matrix(hand: Array) -> Array:
+    """Return the (4, 4) gripper pose, as grasp files define it, of a hand link pose (7,)."""
+    gripper = compose(hand, _HAND_FROM_GRIPPER)
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = Rotation.from_quat(gripper[3:]).as_matrix(), gripper[:3]
+    return matrix

@@ -1,0 +1,242 @@
+"""Motion of the receiver `reactive`: actions that keep clear of obstacles, and the approach."""
+
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.config import TABLE_HEIGHT, TIME_STEP
+from handover_marl.geometry.panda import CLOSED, OPEN
+from handover_marl.geometry.poses import IDENTITY, compose, rotation_angle, transform_points
+from handover_marl.planning.arm_control import ArmInWorld, ArmServo
+from handover_marl.planning.clearance import Spheres
+from handover_marl.planning.collision_avoidance import (
+    MovingBody,
+    SeparationConfig,
+    enforce_separation,
+    select_safe_velocity,
+)
+from handover_marl.policies.policy import Action
+from handover_marl.receivers.reactive.reachability import HOME
+from handover_marl.receivers.reactive.scene_estimate import SceneEstimate
+from handover_marl.receivers.reactive.selector import GraspGoal, GraspSelector, SelectionInput
+
+Array = npt.NDArray[np.float64]
+
+IK_ITERATIONS = 8
+#: Weight of rotations where the arm follows a moving object (m/rad).
+ROTATION_WEIGHT = 0.1
+# The remaining distance must fall below this share of its last value to count as progress.
+_PROGRESS_RATIO = 0.95
+# Speed factors that are tried where the full speed would violate a clearance.
+_SPEED_FACTORS = np.array([1.0, 0.6, 0.35, 0.2, 0.1, 0.05, 0.0])
+
+
+class MotionController:
+    """Controller that converts joint velocities to actions that keep clear of hand and object.
+
+    Args:
+        arm: Kinematics of the arm.
+        servo: Velocity control of the motors.
+        scene: Estimate of the scene.
+        config: Clearances to keep.
+
+    Attributes:
+        arm: Kinematics of the arm.
+        servo: Velocity control of the motors.
+    """
+
+    def __init__(self, arm: ArmInWorld, servo: ArmServo, scene: SceneEstimate, config: SeparationConfig) -> None:
+        self.arm, self.servo, self._scene, self._config = arm, servo, scene, config
+
+    def move_home(self) -> Action:
+        """Return the action towards the robot's waiting pose, ignoring the person's hand."""
+        return self.move_open(self._home_velocity())
+
+    def retreat_home(self) -> Action:
+        """Return the action towards the robot's waiting pose, clear of the person's hand."""
+        return self.move_open(self._separate(self._home_velocity(), self._config.hand_clearance))
+
+    def move_to(self, goal: Array, surface: Spheres) -> Action:
+        """Return the action towards arm joints (7,), clear of the person's hand and the object.
+
+        Args:
+            goal: (7,) wanted configuration (rad).
+            surface: The object's surface in its frame.
+        """
+        velocity = self.servo.limit_speed(self.servo.compute_goal_velocity(self._scene.joints, goal))
+        return self.move_open(self._separate(velocity, self._config.hand_clearance, surface=surface))
+
+    def approach(self, velocity: Array) -> Action:
+        """Return the action with joint velocities (7,) that may come close to hand and object."""
+        config = replace(self._config, time_constant=self._config.approach_time_constant)
+        return self.move_open(self._separate(velocity, config.grasp_hand_clearance, config))
+
+    def carry(self, velocity: Array) -> Action:
+        """Return the action with joint velocities (7,) that carries the object away."""
+        velocity = self.servo.limit_speed(velocity)
+        return self.move_closed(self._separate(velocity, self._config.hand_clearance, leaving=True))
+
+    def move_open(self, velocity: Array) -> Action:
+        """Return the action with joint velocities (7,) and open fingers, ignoring obstacles."""
+        return self._action(velocity, OPEN, None)
+
+    def move_closed(self, velocity: Array, acceleration: float | None = None) -> Action:
+        """Return the action with joint velocities and closing fingers, ignoring obstacles.
+
+        Args:
+            velocity: (7,) joint velocities (rad/s).
+            acceleration: Maximum joint acceleration (rad/s^2) instead of the configured one.
+        """
+        return self._action(velocity, CLOSED, acceleration)
+
+    def _home_velocity(self) -> Array:
+        return self.servo.compute_goal_velocity(self._scene.joints, HOME)
+
+    def _action(self, velocity: Array, fingers: float, acceleration: float | None) -> Action:
+        target = self.servo.command(self._scene.joints, self.servo.limit_speed(velocity), acceleration)
+        return np.array([*target, fingers, fingers], dtype=np.float32)
+
+    def _separate(
+        self,
+        velocity: Array,
+        clearance: float,
+        config: SeparationConfig | None = None,
+        surface: Spheres | None = None,
+        leaving: bool = False,
+    ) -> Array:
+        """Return the velocity (7,) that keeps clear of the hand, and of a given object surface."""
+        scene, bodies, config = self._scene, list[MovingBody](), config or self._config
+        if surface is not None:
+            item = Spheres(transform_points(scene.object, surface.centers), surface.radii)
+            bodies.append(MovingBody(item, scene.motion.latest_velocity, config.object_clearance))
+        if scene.person.spheres is not None:
+            bodies.append(MovingBody(scene.person.spheres, scene.person.velocity, clearance))
+        separated = enforce_separation(velocity, self.arm, scene.joints, bodies, config, leaving)
+        candidates = _SPEED_FACTORS[:, None] * self.servo.limit_speed(separated)
+        reached = self.servo.limit_acceleration(candidates)
+        return select_safe_velocity(candidates, reached, self.arm, scene.joints, bodies, TABLE_HEIGHT, config)
+
+
+class ApproachController:
+    """Controller that approaches selected grasps until the fingers may close.
+
+    Args:
+        scene: Estimate of the scene.
+        motion: Controller that converts joint velocities to actions.
+        selector: Grasp selector.
+
+    Attributes:
+        is_near: Whether the gripper is close enough to the grasp to move to it in a straight line.
+    """
+
+    def __init__(self, scene: SceneEstimate, motion: MotionController, selector: GraspSelector) -> None:
+        self._scene, self._motion, self._selector = scene, motion, selector
+        self._config, self._period = scene.config.approach, scene.config.period
+        self.is_near = False
+        self._selected_at = -np.inf
+        self._remaining, self._remaining_at = np.inf, 0.0
+        self._last_position, self._last_position_at = np.zeros(3), -np.inf
+
+    def step(self) -> Action | GraspGoal:
+        """Return the next action, or the grasp at which the fingers have to close now."""
+        goal = self._select_goal()
+        if goal is None:
+            self.is_near = False
+            return self._motion.retreat_home()
+        config, scene = self._config, self._scene
+        error, factor = self._selector.grasp_error(goal, scene.object, scene.hand), scene.tolerance_factor
+        # The fingers close along y and center what is between them, which tolerates more error there.
+        axial, lateral, rotation = -float(error[2]), float(np.hypot(error[0], error[1] / factor)), _angle(error)
+        max_lateral = config.straight_lateral if axial > config.commit_distance else config.commit_lateral
+        is_in_front = axial < config.standoff + config.straight_margin and lateral < max_lateral
+        self.is_near = is_in_front and rotation < config.straight_rotation
+        if not self.is_near:
+            self._check_progress(float(np.abs(goal.standoff - scene.joints).max()))
+            waypoint = goal.standoff if goal.via is None else goal.via
+            return self._motion.move_to(waypoint, self._selector.surface)
+        self._check_progress(axial + lateral)
+        is_at_grasp = abs(axial) < factor * config.axial_tolerance and lateral < factor * config.lateral_tolerance
+        is_slow = self._object_speed(error[:3]) < factor * config.close_speed
+        if is_slow and is_at_grasp and rotation < factor * config.rotation_tolerance:
+            return goal
+        return self._approach_straight(goal, self._next_depth(axial, lateral, rotation))
+
+    def _object_speed(self, position: Array) -> float:
+        """Return the object's speed (m/s), relative to the gripper for a hovering object.
+
+        Args:
+            position: (3,) position of the gripper in the frame of the grasp (m).
+        """
+        scene, before = self._scene, self._last_position
+        since = scene.time - self._last_position_at
+        self._last_position, self._last_position_at = position, scene.time
+        if scene.tolerance_factor > 1.0 and 0.0 < since < 2.0 * self._period:
+            return float(np.linalg.norm(position - before)) / since
+        return scene.motion.speed
+
+    def _select_goal(self) -> GraspGoal | None:
+        """Return the grasp to approach: the previous one while the fingers are close to it."""
+        config, scene, chosen = self._config, self._scene, self._selector.chosen
+        if chosen is not None:
+            error = self._selector.grasp_error(chosen, scene.object, scene.hand)
+            lateral = float(np.hypot(error[0], error[1]))
+            is_close = -error[2] < config.commit_distance and lateral < config.commit_lateral
+            if is_close and _angle(error) < config.commit_rotation:
+                return chosen
+        if scene.time - self._selected_at < self._period - TIME_STEP:
+            return chosen
+        self._selected_at = scene.time
+        handover_pose = scene.motion.predict_handover_pose()
+        inputs = (scene.time, scene.joints, scene.object, handover_pose, scene.person.spheres, scene.is_settled)
+        goal = self._selector.select(SelectionInput(*inputs), self.is_near)
+        if goal is None or chosen is None or goal.number != chosen.number:
+            self._remaining, self._remaining_at = np.inf, scene.time
+        return goal
+
+    def _next_depth(self, axial: float, lateral: float, rotation: float) -> float:
+        """Return the next axial distance from the grasp (m)."""
+        config, motion, factor = self._config, self._scene.motion, self._scene.tolerance_factor
+        before, speed = max(axial, 0.0), motion.speed
+        is_aligned = lateral < factor * (config.lateral_tolerance + config.lateral_funnel * before)
+        is_aligned &= rotation < factor * (config.rotation_tolerance + config.rotation_funnel * before)
+        if is_aligned and speed < (config.max_hover_speed if motion.is_hovering else config.max_object_speed):
+            period = self._motion.servo.period
+            half = 0.5 * config.deceleration * period
+            braking_speed = float(np.sqrt(half**2 + 2.0 * config.deceleration * before)) - half
+            return max(0.0, before - min(config.speed, braking_speed) * period)
+        if is_aligned and axial < config.standoff and speed < 2.0 * config.max_object_speed:
+            return before
+        is_enclosed = axial < 0.5 * config.commit_distance and lateral < config.enclosed_lateral
+        return axial if is_enclosed and factor == 1.0 else config.standoff
+
+    def _approach_straight(self, goal: GraspGoal, depth: float) -> Action:
+        """Return the action towards an axial distance (m) from a grasp of the moving object."""
+        config, scene, arm = self._config, self._scene, self._motion.arm
+        back = np.array([0.0, 0.0, -depth, 0.0, 0.0, 0.0, 1.0])
+        pose = compose(self._selector.grasp_pose(goal, scene.object), back)
+        # The seed is moved slightly towards the selected configuration: from the present one, joint
+        # limits may be in the way, and to go there at once would swing the hand aside.
+        share = depth / config.standoff
+        change = goal.goal + share * (goal.standoff - goal.goal) - scene.joints
+        scale = config.max_posture_change / max(float(np.abs(change).max()), config.max_posture_change)
+        joints, _ = arm.solve(pose[None], (scene.joints + scale * change)[None], IK_ITERATIONS)
+        velocity = config.position_gain * (joints[0] - scene.joints)
+        velocity *= min(1.0, config.max_joint_speed / max(float(np.abs(velocity).max()), 1e-9))
+        period = self._motion.servo.period
+        linear, angular = scene.motion.predict_point_twist(pose[:3], period)
+        following = arm.velocity(scene.joints, linear, angular, ROTATION_WEIGHT, period)
+        return self._motion.approach(velocity + following)
+
+    def _check_progress(self, remaining: float) -> None:
+        """Give up a grasp whose remaining distance has not decreased for too long."""
+        time = self._scene.time
+        if remaining < _PROGRESS_RATIO * self._remaining or not self._scene.is_settled:
+            self._remaining, self._remaining_at = remaining, time
+        elif time - self._remaining_at > self._config.stall_timeout:
+            self._selector.give_up(time + self._config.failed_duration)
+
+
+def _angle(pose: Array) -> float:
+    """Return the rotation angle (rad) of a pose (7,)."""
+    return rotation_angle(pose[3:], IDENTITY[3:])

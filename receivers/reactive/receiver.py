@@ -1,0 +1,96 @@
+"""Receiver `reactive`, which follows the object, changes its grasp and keeps clear of the hand."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.episode.observations import Observation
+from handover_marl.errors import ResetNeededError
+from handover_marl.geometry.meshes import read_collision_mesh
+from handover_marl.planning.clearance import sample_surface_spheres
+from handover_marl.policies.policy import Action, PolicyContext
+from handover_marl.receivers.grasp_library import GraspLibrary
+from handover_marl.receivers.reactive.config import ReactiveConfig, apply_risk
+from handover_marl.receivers.reactive.controller import ControllerReceiver
+from handover_marl.receivers.reactive.grasp_contact import GraspableObject, compute_pad_margins, sample_surface_points
+from handover_marl.receivers.reactive.grasp_validation import validate_grasps
+from handover_marl.receivers.reactive.grasps import ValidatedGrasps
+from handover_marl.receivers.reactive.scene_estimate import PoseSceneEstimate
+
+Array = npt.NDArray[np.float64]
+
+
+class ReactiveReceiver(ControllerReceiver):
+    """Receiver that moves with the person, based on the true poses of object and hand.
+
+    While the person lifts the object, the gripper moves to a standoff in front of a grasp at the
+    predicted handover pose. It approaches the grasp in a straight line relative to the moving
+    object, closes the fingers, backs out and tries again if the fingers hold nothing, and carries
+    the object to the goal once the person has released it. Decisions depend on the motion of object
+    and hand, the selected grasp, and grasps that failed.
+
+    Args:
+        context: The robot, the objects and their grasps.
+        wait: Time at the waiting pose (s).
+        risk: Trade-off between success rate (0) and speed (1).
+        config: Configuration of the receiver for a risk of 0.5.
+
+    Raises:
+        OptionError: `wait` or `risk` is out of range.
+    """
+
+    name = "reactive"
+
+    def __init__(
+        self, context: PolicyContext, wait: float = 0.0, risk: float = 0.5, config: ReactiveConfig | None = None
+    ) -> None:
+        super().__init__(context, wait, apply_risk(config or ReactiveConfig(), risk))
+        self._library = GraspLibrary(context.grasps)
+        self._objects: dict[str, GraspableObject] = {}
+        self._object_name = ""
+        self._scene: PoseSceneEstimate | None = None
+
+    @property
+    def commanded_velocity(self) -> Array:
+        """(7,) joint velocities that were commanded in the last decision (rad/s)."""
+        return self.robot.servo.velocity
+
+    def prepare(self, object_names: Sequence[str]) -> None:
+        """Validate the grasps of the first object, which is the one that is handed over."""
+        for name in object_names[:1]:
+            self._load_object(name)
+
+    def reset(self, seed: int | None = None) -> None:
+        """Start an episode; the receiver is deterministic."""
+        self._object_name = ""
+        self._scene = PoseSceneEstimate(self.robot.arm, self.config)
+        self.start_episode(self._scene)
+
+    def act(self, observation: Observation) -> Action:
+        """Return the next nine target joint positions.
+
+        Raises:
+            ResetNeededError: `reset` was not called.
+        """
+        if self._scene is None or self.controller is None:
+            raise ResetNeededError(f"receiver {self.name!r} cannot act before reset(); call reset() first")
+        self._scene.update(observation)
+        if self._scene.object_name != self._object_name:
+            self._object_name = self._scene.object_name
+            self.selector.set_object(self._load_object(self._object_name))
+        return self.controller.step()
+
+    def _load_object(self, name: str) -> GraspableObject:
+        """Return the grasps and surface of an object class, computed once."""
+        if name not in self._objects:
+            config, urdf = self.config, self.context.object_urdf(name)
+            known, grasps = self._library.hand_poses_in_object(name), ValidatedGrasps(np.zeros((0, 7)), np.zeros(0))
+            if known is not None:
+                grasps = validate_grasps(urdf, self.context.panda_urdf, known, config.preparation)
+            vertices, faces = read_collision_mesh(urdf)
+            surface = sample_surface_spheres(vertices, faces, config.n_surface_spheres, config.surface_radius)
+            points = sample_surface_points(vertices, faces, config.n_surface_points)
+            margins = compute_pad_margins(grasps.poses, points)
+            self._objects[name] = GraspableObject(grasps, margins, surface, points)
+        return self._objects[name]

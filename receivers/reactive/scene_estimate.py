@@ -1,0 +1,130 @@
+"""Estimated state of robot, object and person's hand, used by the receiver `reactive`."""
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.config import ARM_DOF
+from handover_marl.episode.observations import Observation
+from handover_marl.geometry.ycb import CLASS_NAMES
+from handover_marl.planning.arm_control import ArmInWorld
+from handover_marl.planning.hand_tracker import HandTracker
+from handover_marl.planning.handover_prediction import HandoverPosePredictor
+from handover_marl.receivers.reactive.config import ReactiveConfig
+
+Array = npt.NDArray[np.float64]
+
+
+class SceneEstimate(ABC):
+    """Estimate of the states of robot, object and person's hand during one episode.
+
+    Args:
+        arm: Kinematics of the arm.
+        config: Configuration of the receiver.
+        person: Tracker of the person's hand.
+
+    Attributes:
+        time: Time since the start of the episode (s).
+        joints: (7,) configuration of the arm (rad).
+        fingers: (2,) positions of the fingers (m).
+        hand: (7,) world pose of the robot's hand link.
+        object: (7,) world pose of the object that is handed over.
+        motion: Motion of the object and its predicted handover pose.
+        person: Tracker of the person's hand.
+        config: Configuration of the receiver.
+    """
+
+    def __init__(self, arm: ArmInWorld, config: ReactiveConfig, person: HandTracker) -> None:
+        self._arm, self.config = arm, config
+        self.time = 0.0
+        self.joints, self.fingers = np.zeros(ARM_DOF), np.zeros(2)
+        self.hand = self.object = np.zeros(7)
+        self.motion, self.person = HandoverPosePredictor(config.prediction), person
+
+    def update_robot(self, observation: Observation) -> None:
+        """Update time and state of the robot from an observation."""
+        joints = observation["robot_joint_position"].astype(np.float64)
+        self.time = round(float(observation["time"][0]), 3)
+        self.joints, self.fingers = joints[:ARM_DOF], joints[ARM_DOF:]
+        self.hand = self._arm.hand(self.joints)
+
+    @abstractmethod
+    def has_released(self, closing_since: float) -> bool:
+        """Return whether the person has released the object.
+
+        The receiver calls this method once in every decision while the fingers close.
+
+        Args:
+            closing_since: Time at which the fingers began to close (s).
+        """
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether the object has been out of sight for too long and must be searched for."""
+        return False
+
+    @property
+    def has_dropped(self) -> bool:
+        """Whether the object is known to have left the closed fingers."""
+        return False
+
+    @property
+    def is_offered(self) -> bool:
+        """Whether the person has lifted the object, or has left it at rest beside a still hand."""
+        config, person = self.config, self.person
+        if person.spheres is None:
+            return self.time > config.no_hand_start
+        if self.motion.lift_distance > config.min_lift:
+            return True
+        is_near = person.distance(self.object[:3]) < config.hand_distance
+        is_beside = is_near and person.speed < config.prediction.rest_speed
+        return is_beside and self.motion.rest_time > config.still_time and self.time > config.still_start
+
+    @property
+    def is_settled(self) -> bool:
+        """Whether the object is at rest, or is held up within a small region (hovers)."""
+        return self.motion.rest_time > self.config.settle_time or self.motion.is_hovering
+
+    @property
+    def has_motion_nearby(self) -> bool:
+        """Whether the object is near the gripper and the object or the person's hand moves."""
+        distance = float(np.linalg.norm(self.object[:3] - self.hand[:3]))
+        is_near = distance < self.config.near_distance
+        return is_near and max(self.motion.speed, self.person.speed) > self.config.near_speed
+
+    @property
+    def tolerance_factor(self) -> float:
+        """Factor on tolerances of the approach: above 1 for an object that hovers and moves."""
+        is_moving = self.motion.is_hovering and self.motion.rest_time == 0.0
+        return self.config.approach.hover_tolerance_factor if is_moving else 1.0
+
+
+class PoseSceneEstimate(SceneEstimate):
+    """Estimate of the scene that uses the true poses of object and person's hand.
+
+    Args:
+        arm: Kinematics of the arm.
+        config: Configuration of the receiver.
+
+    Attributes:
+        object_name: Class of the object that is handed over.
+    """
+
+    def __init__(self, arm: ArmInWorld, config: ReactiveConfig) -> None:
+        super().__init__(arm, config, HandTracker())
+        self.object_name = ""
+        self._is_released = False
+
+    def update(self, observation: Observation) -> None:
+        """Update robot, object and person's hand from an observation."""
+        self.update_robot(observation)
+        self.object = observation["object_poses"][0].astype(np.float64)
+        self.object_name = CLASS_NAMES[int(observation["object_classes"][0])]
+        self._is_released = bool(observation["released"][0])
+        self.motion.update(self.time, self.object)
+        self.person.update(self.time, observation)
+
+    def has_released(self, closing_since: float) -> bool:
+        """Return whether the observation says that the person has released the object."""
+        return self._is_released

@@ -1,0 +1,308 @@
+"""Selection of the grasp that the receiver `reactive` approaches, and of the path to it."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from handover_marl.config import TABLE_HEIGHT
+from handover_marl.geometry.panda import HALF_TURN
+from handover_marl.geometry.poses import compose, invert_pose, transform_points
+from handover_marl.planning.arm_control import ArmInWorld
+from handover_marl.planning.clearance import (
+    Spheres,
+    compute_flange_clearances,
+    compute_grasp_clearances,
+    compute_gripper_corners,
+)
+from handover_marl.planning.collision_avoidance import PathObstacles, find_via_point, is_path_clear
+from handover_marl.receivers.reactive.config import ReactiveConfig
+from handover_marl.receivers.reactive.grasp_contact import GraspableObject, compute_hold_costs, compute_pad_margins
+from handover_marl.receivers.reactive.grasps import ValidatedGrasps, perturb_grasps
+from handover_marl.receivers.reactive.reachability import FALLBACK_IK_SEEDS, HOME, IK_SEEDS, GraspReachability
+
+Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int_]
+
+_NO_HAND_CLEARANCE = 0.2  # m
+# Cost that no sum of other costs reaches: the grasp must not be selected (s).
+_FORBIDDEN = 100.0
+# After this many batches of candidates without a reachable one, only every tenth decision searches.
+_MAX_BATCHES, _RARE_SEARCH_PERIOD = 40, 10
+
+
+@dataclass(frozen=True, eq=False)
+class GraspGoal:
+    """Selected grasp with the arm configurations on the path to the grasp.
+
+    Attributes:
+        number: Index of the grasp among the candidates.
+        standoff: (7,) configuration of the arm at the standoff (rad).
+        goal: (7,) configuration of the arm at the grasp (rad).
+        via: (7,) via point around an obstacle on the straight joint path to the standoff (rad), or
+            None.
+    """
+
+    number: int
+    standoff: Array
+    goal: Array
+    via: Array | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class SelectionInput:
+    """State of the scene on which the selection of a grasp depends.
+
+    Attributes:
+        time: Time since the start of the episode (s).
+        joints: (7,) present configuration of the arm (rad).
+        object_pose: (7,) present pose of the object in the world.
+        handover_pose: (7,) world pose at which the object is expected to be held out.
+        hand: Spheres that approximate the person's hand in the world, or None without a hand.
+        is_settled: Whether the object is at rest, or is held up within a small region.
+    """
+
+    time: float
+    joints: Array
+    object_pose: Array
+    handover_pose: Array
+    hand: Spheres | None
+    is_settled: bool
+
+
+class GraspSelector:
+    """Selector of the cheapest reachable grasp, with hysteresis between decisions.
+
+    Args:
+        arm: Kinematics of the arm.
+        speeds: (7,) maximum joint speeds (rad/s).
+        config: Configuration of the receiver.
+
+    Attributes:
+        grasps: (n, 7) candidate poses of the hand link in the object's frame.
+        surface: Spheres that approximate the object's surface, in the object's frame.
+        chosen: Grasp that was selected last, or None.
+        failure_reason: Reason for which no grasp could be selected, empty otherwise.
+        failed: Index of each grasp that failed in this episode, and the time (s) until which it
+            the grasp has a higher cost.
+    """
+
+    def __init__(self, arm: ArmInWorld, speeds: Array, config: ReactiveConfig) -> None:
+        self._arm, self._speeds, self._config = arm, speeds, config.selection
+        self._reachability = GraspReachability(arm, speeds, config.selection, config.approach.standoff)
+        self._offsets, self._period = config.offsets, config.period
+        self._standoff_length = config.approach.standoff
+        self._home_rotation = Rotation.from_quat(arm.hand(HOME)[3:])
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all candidates and failed grasps, at the start of an episode."""
+        self.grasps, self._hold_costs = np.zeros((0, 7)), np.zeros(0)
+        self.surface, self._points = Spheres(np.zeros((1, 3)), np.zeros(1)), np.zeros((1, 3))
+        self._validated = ValidatedGrasps(np.zeros((0, 7)), np.zeros(0))
+        self.chosen: GraspGoal | None = None
+        self.failure_reason = ""
+        self.failed: dict[int, float] = {}
+        self._batch, self._relaxing_time, self._poor_time = 0, 0.0, 0.0
+        self._has_offsets = False
+
+    def set_object(self, graspable: GraspableObject) -> None:
+        """Replace the candidates by the grasps of an object, and forget failed grasps."""
+        self.reset()
+        self.surface, self._points = graspable.surface, graspable.points
+        grasps = graspable.grasps
+        is_clear = compute_flange_clearances(grasps.poses, graspable.surface) > 0.0
+        self._validated = ValidatedGrasps(grasps.poses[is_clear], grasps.success_rates[is_clear])
+        self._add(self._validated, graspable.pad_margins[is_clear], 0.0)
+
+    def set_candidates(self, poses: Array, costs: Array, surface: Spheres, chosen: int | None) -> None:
+        """Replace the candidates; the costs must include the costs of grasps that have failed.
+
+        Args:
+            poses: (n, 7) poses of the hand link in the object's frame.
+            costs: (n,) costs of the grasps (s), higher the less likely a grasp holds the object.
+            surface: Spheres that approximate the object's surface, in the object's frame.
+            chosen: Index of the grasp that was selected last, or None to forget it.
+        """
+        self.surface, self.failed = surface, {}
+        self.grasps, self._hold_costs = poses, costs
+        if self.chosen is not None:
+            self.chosen = None if chosen is None else replace(self.chosen, number=chosen)
+
+    def give_up(self, until: float) -> None:
+        """Increase the cost of the selected grasp until a time (s) and forget the selection."""
+        if self.chosen is not None:
+            self.failed[self.chosen.number] = until
+        self.chosen = None
+
+    def select(self, scene: SelectionInput, is_near: bool = False) -> GraspGoal | None:
+        """Return the grasp to approach: the previous one unless another is clearly cheaper.
+
+        Args:
+            scene: Present state of the scene.
+            is_near: Whether the gripper is in front of the previous grasp already; the cost of
+                another grasp must then be lower by a larger margin.
+        """
+        config = self._config
+        if self._poor_time > config.offset_delay and not self._has_offsets and scene.hand is not None:
+            self._add_offset_grasps(scene.hand.in_frame(scene.object_pose))
+        if self._has_offsets and self._batch > _MAX_BATCHES and self._batch % _RARE_SEARCH_PERIOD:
+            # All candidates have been examined: only another position of the hand can help.
+            self._batch += 1
+            return None
+        world = compose(scene.handover_pose, self.grasps)
+        rough = self._rough_costs(world, self._clearances(scene), scene.time)
+        numbers = self._candidates(rough)
+        if not len(numbers):
+            self._report_failure("no clearance", scene.is_settled, 1.0)
+            return None
+        # The previous solution is a seed, so that one from a fallback seed is not lost again.
+        previous = None if self.chosen is None else self.chosen.standoff
+        reach = self._reachability
+        standoffs, goals, is_reached = reach.solve(world[numbers], scene.joints, previous, self._batch > 0)
+        costs = rough[numbers] + reach.travel_times(standoffs, scene.joints)
+        costs = costs + reach.limit_margin_costs(standoffs, goals)
+        obstacles = PathObstacles(self._bodies(scene), TABLE_HEIGHT, config.path_clearance)
+        costs[~(is_reached & reach.is_arm_clear(goals, obstacles.spheres))] += _FORBIDDEN
+        old = None if self.chosen is None else int(np.flatnonzero(numbers == self.chosen.number)[0])
+        if is_near:
+            best = int(np.argmin(costs))
+        else:
+            best = self._add_path_costs(costs, standoffs, old, scene.joints, obstacles)
+        if costs[best] >= _FORBIDDEN:
+            self._batch += 1
+            self._report_failure("out of reach", scene.is_settled, config.unreachable_relaxation)
+            return None
+        if old is not None and costs[old] < min(costs[best] + self._switch_margin(is_near), _FORBIDDEN):
+            best = old
+        number = int(numbers[best])
+        self._batch, self.failure_reason = 0, ""
+        self._poor_time += self._period if self._hold_costs[number] > config.poor_hold_cost else 0.0
+        via = None if is_near else self._find_via_point(standoffs[best], scene.joints, obstacles)
+        self.chosen = GraspGoal(number, standoffs[best], goals[best], via)
+        return self.chosen
+
+    def grasp_pose(self, goal: GraspGoal, object_pose: Array) -> Array:
+        """Return the world pose (7,) of the hand link at a grasp of an object.
+
+        Args:
+            goal: Grasp of the object.
+            object_pose: (7,) world pose of the object.
+        """
+        pose: Array = compose(object_pose, self.grasps[goal.number])
+        return pose
+
+    def standoff_pose(self, grasp_pose: Array) -> Array:
+        """Return the hand link's pose (7,) at the standoff of a grasp with a given pose (7,)."""
+        return compose(grasp_pose, self._reachability.grasp_from_standoff)
+
+    def grasp_error(self, goal: GraspGoal, object_pose: Array, hand: Array) -> Array:
+        """Return the hand link's pose (7,) in the frame of a grasp.
+
+        Args:
+            goal: Grasp of the object.
+            object_pose: (7,) world pose of the object.
+            hand: (7,) world pose of the hand link.
+        """
+        pose: Array = compose(invert_pose(self.grasp_pose(goal, object_pose)), hand)
+        return pose
+
+    def _add(self, grasps: ValidatedGrasps, pad_margins: Array, cost: float) -> None:
+        """Add candidates and their copies rotated by half a turn, with an additional cost (s)."""
+        costs = cost + compute_hold_costs(grasps, pad_margins, self._config)
+        self.grasps = np.concatenate([self.grasps, grasps.poses, compose(grasps.poses, np.array(HALF_TURN))])
+        self._hold_costs = np.concatenate([self._hold_costs, costs, costs])
+
+    def _add_offset_grasps(self, hand: Spheres) -> None:
+        """Add offset grasps that are clear of a hand in the object's frame."""
+        more = perturb_grasps(self._validated, self._points, hand, self._standoff_length, self._offsets)
+        margins = compute_pad_margins(more.poses, self._points)
+        kept = margins > self._config.min_offset_pad_margin
+        offset_grasps = ValidatedGrasps(more.poses[kept], more.success_rates[kept])
+        self._add(offset_grasps, margins[kept], self._config.offset_cost)
+        self._has_offsets = True
+
+    def _report_failure(self, reason: str, is_settled: bool, relaxation: float) -> None:
+        if is_settled:
+            self._relaxing_time += relaxation * self._period
+            self._poor_time += self._period
+        self.chosen, self.failure_reason = None, reason
+
+    def _switch_margin(self, is_near: bool) -> float:
+        """Return the cost difference (s) for which the selected grasp is replaced."""
+        margin = self._config.switch_margin + (self._config.near_switch_margin if is_near else 0.0)
+        if self.chosen is not None and self.chosen.via is not None:
+            margin += self._config.blocked_path_cost
+        return margin
+
+    def _clearances(self, scene: SelectionInput) -> Array:
+        """Return the clearances (n,) in m beside the hand, which moves with the object."""
+        if scene.hand is None:
+            return np.full(len(self.grasps), _NO_HAND_CLEARANCE)
+        return compute_grasp_clearances(self.grasps, scene.hand.in_frame(scene.object_pose), self._standoff_length)
+
+    def _rough_costs(self, world: Array, clearances: Array, time: float) -> Array:
+        """Return the costs (n,) in s that need no inverse kinematics."""
+        config = self._config
+        rotations = (self._home_rotation.inv() * Rotation.from_quat(world[:, 3:])).magnitude()
+        missing = np.maximum(0.0, config.desired_clearance - clearances)
+        costs: Array = self._hold_costs + config.rotation_cost * rotations + config.clearance_cost * missing
+        relaxed = config.min_clearance - config.clearance_relaxation * self._relaxing_time
+        costs[clearances < max(config.hard_min_clearance, relaxed)] += _FORBIDDEN
+        poses = (world, compose(world, self._reachability.grasp_from_standoff))
+        heights = np.minimum(*(compute_gripper_corners(pose)[..., 2].min(axis=1) for pose in poses))
+        costs[heights < TABLE_HEIGHT + config.table_clearance] += _FORBIDDEN
+        for number, until in self.failed.items():
+            if time < until:
+                costs[number] += config.failed_cost
+        return costs
+
+    def _candidates(self, costs: Array) -> Indices:
+        """Return the cheapest grasps, the next ones while none is reachable, and the selected."""
+        order = np.argsort(costs, kind="stable")
+        order = order[costs[order] < _FORBIDDEN]
+        count = self._config.max_candidates * (self._config.offset_candidate_factor if self._has_offsets else 1)
+        numbers = np.roll(order, -self._batch * count)[:count]
+        if len(numbers) and self.chosen is not None and self.chosen.number not in numbers:
+            numbers = np.append(numbers, self.chosen.number)
+        return numbers
+
+    def _bodies(self, scene: SelectionInput) -> Spheres:
+        """Return object and hand where the object is expected to be held out."""
+        centers, radii = transform_points(scene.handover_pose, self.surface.centers), self.surface.radii
+        if scene.hand is None:
+            return Spheres(centers, radii)
+        motion = compose(scene.handover_pose, invert_pose(scene.object_pose))
+        hand = transform_points(motion, scene.hand.centers)
+        return Spheres(np.concatenate([centers, hand]), np.concatenate([radii, scene.hand.radii]))
+
+    def _add_path_costs(
+        self, costs: Array, standoffs: Array, old: int | None, joints: Array, obstacles: PathObstacles
+    ) -> int:
+        """Add the costs of blocked paths for the previous and the cheapest grasps in place.
+
+        Returns:
+            Position of the cheapest grasp.
+        """
+        checked = set[int]()
+        best = int(np.argmin(costs)) if old is None else old
+        while best not in checked and len(checked) < self._config.max_path_checks:
+            checked.add(best)
+            if not is_path_clear(self._arm, joints, standoffs[best], obstacles):
+                costs[best] += self._config.blocked_path_cost
+            best = int(np.argmin(costs))
+        return best
+
+    def _find_via_point(self, standoff: Array, joints: Array, obstacles: PathObstacles) -> Array | None:
+        """Return a via point (7,) to a standoff where the straight path is blocked, or None."""
+        if is_path_clear(self._arm, joints, standoff, obstacles):
+            return None
+        previous = None if self.chosen is None else self.chosen.via
+        if previous is not None and all(
+            is_path_clear(self._arm, start, end, obstacles) for start, end in ((joints, previous), (previous, standoff))
+        ):
+            return previous
+        known = np.concatenate([IK_SEEDS, FALLBACK_IK_SEEDS])
+        most = self._config.max_via_points
+        return find_via_point(self._arm, joints, standoff, known, self._speeds, obstacles, most)

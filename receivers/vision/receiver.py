@@ -1,0 +1,141 @@
+"""Receiver `vision`, which uses the point clouds of the wrist camera only.
+
+Perception tracks object, hand and grasp candidates that a network predicts; selection and motion
+are those of `reactive`. The receiver uses neither true poses nor object models, and infers from its
+fingers whether the person has released the object.
+"""
+
+import importlib.util
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.assets.shipped import find_vision_weights
+from handover_marl.episode.observations import Observation
+from handover_marl.episode.spaces import POINTCLOUD
+from handover_marl.errors import OptionError, ResetNeededError
+from handover_marl.policies.policy import Action, PolicyContext
+from handover_marl.receivers.reactive.config import apply_risk
+from handover_marl.receivers.reactive.controller import ControllerReceiver
+from handover_marl.receivers.vision.config import VisionConfig, make_vision_reactive_config
+from handover_marl.receivers.vision.grasp_predictor import GraspPredictor, load_grasp_predictor
+from handover_marl.receivers.vision.grasp_tracker import GraspTracker
+from handover_marl.receivers.vision.scene_estimate import PointCloudSceneEstimate
+
+Array = npt.NDArray[np.float64]
+
+
+class VisionReceiver(ControllerReceiver):
+    """Receiver that perceives object and person's hand by point clouds of the wrist camera.
+
+    Args:
+        context: The robot and the task; models and grasps of objects are not used.
+        wait: Time at the waiting pose (s).
+        risk: Trade-off between success rate (0) and speed (1).
+        weights: Weight file of a grasp network; default: the file that ships for the setup.
+        grasp_predictor: Function that predicts grasps, used instead of a weight file.
+        vision: Configuration of the perception.
+
+    Raises:
+        OptionError: `wait` or `risk` is out of range, or PyTorch is missing.
+        DataNotFoundError: The weight file does not exist.
+        DataFormatError: The weight file cannot be read.
+
+    Attributes:
+        vision: Configuration of the perception.
+    """
+
+    name = "vision"
+    file_options = ("weights",)
+    obs_mode = POINTCLOUD
+
+    def __init__(
+        self,
+        context: PolicyContext,
+        wait: float = 0.0,
+        risk: float = 0.5,
+        weights: str | None = None,
+        grasp_predictor: GraspPredictor | None = None,
+        vision: VisionConfig | None = None,
+    ) -> None:
+        super().__init__(context, wait, apply_risk(make_vision_reactive_config(), risk))
+        self.vision = vision or VisionConfig()
+        self._predictor, self._weights_hash = _make_predictor(weights, grasp_predictor, context.setup)
+        self._label = self.name if weights is None else f"{self.name}@{self._weights_hash}"
+        self._tracker: GraspTracker | None = None
+        self._scene: PointCloudSceneEstimate | None = None
+
+    @property
+    def label(self) -> str:
+        """Name of the receiver, with a hash of its weights if a weight file was given."""
+        return self._label
+
+    @property
+    def weights_hash(self) -> str:
+        """Short hash of the grasp network's weights."""
+        return self._weights_hash
+
+    def prepare(self, object_names: Sequence[str]) -> None:
+        """Do nothing; the receiver uses no models of objects."""
+
+    def reset(self, seed: int | None = None) -> None:
+        """Start an episode.
+
+        Args:
+            seed: Seed of the points that are sampled for grasp prediction.
+        """
+        self._tracker = GraspTracker(self._predictor, self.vision.tracker, seed)
+        self._scene = PointCloudSceneEstimate(self.robot.arm, self.config, self.vision, self._tracker)
+        self.start_episode(self._scene)
+
+    def act(self, observation: Observation) -> Action:
+        """Return the next nine target joint positions.
+
+        Raises:
+            ResetNeededError: `reset` was not called.
+        """
+        scene, tracker, controller = self._scene, self._tracker, self.controller
+        if scene is None or tracker is None or controller is None:
+            raise ResetNeededError(f"receiver {self.name!r} cannot act before reset(); call reset() first")
+        if controller.is_grasping:
+            # The camera cannot see what is between the fingers, and the selection is final.
+            scene.update_robot(observation)
+        else:
+            self._track_selection(tracker, scene)
+            scene.update(observation)
+            first = 0 if tracker.has_selected else None
+            self.selector.set_candidates(tracker.grasps, tracker.costs, tracker.surface, first)
+        return controller.step()
+
+    def _track_selection(self, tracker: GraspTracker, scene: PointCloudSceneEstimate) -> None:
+        """Pass selected and failed grasps of the last decision to the tracker."""
+        selector = self.selector
+        for number, until in selector.failed.items():
+            tracker.add_failed(selector.grasps[number], until)
+        tracker.set_selected(None if selector.chosen is None else selector.grasps[selector.chosen.number])
+        has_no_grasp = bool(selector.failure_reason) or not len(selector.grasps)
+        tracker.use_all = has_no_grasp and scene.is_settled
+
+
+def _make_predictor(weights: str | None, predictor: GraspPredictor | None, setup: str) -> tuple[GraspPredictor, str]:
+    """Return the grasp predictor, and the hash of its weights if it has any."""
+    if predictor is not None:
+        if weights is not None:
+            raise OptionError("receiver 'vision' takes either weights or a grasp_predictor, not both")
+        return predictor, ""
+    if importlib.util.find_spec("torch") is None:
+        raise OptionError("receiver 'vision' needs PyTorch: pip install 'handover-marl[train]'")
+    return load_grasp_predictor(weights or _shipped_weights(setup))
+
+
+def _shipped_weights(setup: str) -> Path:
+    path = find_vision_weights(setup)
+    if not path.is_file():
+        raise OptionError(
+            f"no weights of receiver 'vision' ship for setup {setup!r}: train them "
+            f"(experiments/training/train_vision.py --setup {setup}) and give weights=FILE; weights "
+            "of another setup may have been trained on scenes of this setup's test split"
+        )
+    return path

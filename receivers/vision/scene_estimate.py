@@ -1,0 +1,120 @@
+"""State of robot, object and person's hand, estimated from point clouds."""
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.episode.observations import Observation
+from handover_marl.planning.arm_control import ArmInWorld
+from handover_marl.planning.hand_tracker import HandTracker
+from handover_marl.receivers.reactive.config import ReactiveConfig
+from handover_marl.receivers.reactive.scene_estimate import SceneEstimate
+from handover_marl.receivers.vision.config import VisionConfig
+from handover_marl.receivers.vision.grasp_tracker import GraspTracker
+
+Array = npt.NDArray[np.float64]
+
+
+class PointCloudHandTracker(HandTracker):
+    """Tracker of a person's hand, which is assumed to move with the object without rotation.
+
+    The center of the hand's visible part is not used, since it also moves with the camera.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._object_position: Array | None = None
+
+    def update_from_tracker(self, tracker: GraspTracker) -> None:
+        """Update the hand's points and velocity from the tracked object."""
+        self.spheres = tracker.hand
+        self.points = np.zeros((0, 3)) if tracker.hand is None else tracker.hand.centers
+        self.velocity = tracker.velocity
+        self._object_position = tracker.position.position
+
+    def predict_attached_pose(self, points: Array, pose: Array, ahead: float) -> Array:
+        """Return the present world pose (7,) of a frame that moves with the person's hand.
+
+        Args:
+            points: (1, 3) or (0, 3) value of `reference_points` at the earlier time (m).
+            pose: (7,) world pose of the frame at the earlier time.
+            ahead: Additional time for which the present velocity is extrapolated (s).
+        """
+        if not len(points) or self._object_position is None:
+            return pose
+        position = pose[:3] + self._object_position - points[0] + ahead * self.velocity
+        return np.concatenate([position, pose[3:]])
+
+    @property
+    def reference_points(self) -> Array:
+        """(1, 3) world position of the object (m), or (0, 3) before its first view."""
+        return np.zeros((0, 3)) if self._object_position is None else self._object_position[None].copy()
+
+
+class PointCloudSceneEstimate(SceneEstimate):
+    """Estimate of the scene from the point clouds of the wrist camera.
+
+    Args:
+        arm: Kinematics of the arm.
+        config: Configuration of grasp selection and motion.
+        vision: Configuration of the perception.
+        tracker: Tracker of object, hand and grasps.
+    """
+
+    def __init__(self, arm: ArmInWorld, config: ReactiveConfig, vision: VisionConfig, tracker: GraspTracker) -> None:
+        self._person = PointCloudHandTracker()
+        super().__init__(arm, config, self._person)
+        self._vision, self._tracker = vision, tracker
+        self._last_fingers = np.zeros(2)
+        self._closing_since, self._moved_at = -np.inf, np.inf
+
+    def update(self, observation: Observation) -> None:
+        """Update robot, object and person's hand from an observation."""
+        self.update_robot(observation)
+        counts = observation["wrist_point_counts"].astype(int)
+        item, hand = (
+            observation[key][:count].astype(np.float64)
+            for key, count in zip(("wrist_object_points", "wrist_hand_points"), counts, strict=True)
+        )
+        self._tracker.update(self.time, self.hand, item, hand)
+        self._person.update_from_tracker(self._tracker)
+        if self._tracker.is_initialized:
+            self.object = self._tracker.object_pose
+            self.motion.update(self.time, self.object)
+
+    def has_released(self, closing_since: float) -> bool:
+        """Return whether the fingers show that the person has released the object.
+
+        They must have been at rest for some time, or be kept open by the object for long.
+
+        Args:
+            closing_since: Time at which the fingers began to close (s).
+        """
+        if closing_since != self._closing_since:
+            self._closing_since = self._moved_at = closing_since
+        moved = float(np.abs(self.fingers - self._last_fingers).max())
+        self._last_fingers = self.fingers
+        if moved > self._vision.finger_rest_distance or self.has_dropped:
+            self._moved_at = self.time
+        is_late = self.time - closing_since > self._vision.release_timeout
+        is_holding = float(self.fingers.max()) > self.config.approach.empty_finger_position
+        return (is_late and is_holding) or self.time - self._moved_at > self._vision.release_delay
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether the object has been out of sight for too long and must be searched for."""
+        return self._tracker.unseen_time(self.time) > self._vision.search_timeout
+
+    @property
+    def has_dropped(self) -> bool:
+        """Whether there is nothing between the fingers.
+
+        The person may have kept the object, or the fingers may have lost it.
+        """
+        return float(self.fingers.max()) < self.config.approach.empty_finger_position
+
+    @property
+    def is_offered(self) -> bool:
+        """Whether the person hands the object over, judged from the visible points."""
+        # A hand behind the object is not visible, but it holds an object that was lifted.
+        is_lifted = self.motion.lift_distance > self.config.min_lift
+        return self._tracker.is_initialized and (is_lifted or super().is_offered)

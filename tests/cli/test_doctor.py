@@ -1,0 +1,122 @@
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from handover_marl.cli import main
+from handover_marl.cli.installation import examine_installation
+from handover_marl.datasets.dexycb.assets import write_hand_assets
+from handover_marl.datasets.dexycb.mano import read_mano_model
+from handover_marl.datasets.dexycb.raw_files import read_sequence_names
+from handover_marl.datasets.folder_check import Finding, Severity, examine_data_folder, format_findings
+from handover_marl.datasets.official_files import FileOrigin, classify_hand_origin
+from handover_marl.geometry.ycb import SUBJECTS
+from tests.datasets.dexycb.mano_files import made_up_hand, official, write
+
+
+def by_name(findings: tuple[Finding, ...]) -> dict[str, Finding]:
+    return {finding.name: finding for finding in findings}
+
+
+def test_missing_files_of_a_partial_folder_are_reported(fake_data: Path) -> None:
+    found = by_name(examine_data_folder(fake_data))
+    assert found["scenes"].severity is Severity.FAULT
+    assert found["scenes"].result == "6 of 1000"
+    assert "pose_000.npz" in found["scenes"].advice
+    assert found["setup s0"].result.startswith("train 3 of 720, val 2 of 36")
+    assert found["objects in a scene"].result == "1 in 5 scenes, 3 in 1 scene"
+    assert found["grasps"].severity is Severity.FAULT
+    assert "--third-party" in found["grasps"].advice
+    assert found["URDFs"].severity is Severity.FAULT
+
+
+def test_wrong_scene_numbers_are_reported(fake_data: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "data"
+    shutil.copytree(fake_data, folder, symlinks=True)
+    assert by_name(examine_data_folder(folder))["numbers of scenes"].severity is Severity.NOTE, "made-up names"
+    for number, rank in ((5, 5), (9, 10)):
+        meta = folder / f"dex-ycb-cache/meta_{number:03d}.json"
+        name = f"{SUBJECTS[0]}/{read_sequence_names()[SUBJECTS[0]][rank]}"
+        meta.write_text(json.dumps({**json.loads(meta.read_text()), "name": name}))
+    found = by_name(examine_data_folder(folder))["numbers of scenes"]
+    assert found.severity is Severity.FAULT
+    assert found.result == "1 wrong"
+    assert "is scene 10, here 9" in found.advice
+
+
+def test_missing_folder_is_a_fault(tmp_path: Path) -> None:
+    (finding,) = examine_data_folder(tmp_path / "nothing")
+    assert finding.severity is Severity.FAULT
+
+
+@pytest.mark.parametrize("damage", ["truncated", "other numbers", "not finite", "unknown class", "no json"])
+def test_damaged_scenes_are_counted(damage: str, fake_data: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "data"
+    shutil.copytree(fake_data, folder, symlinks=True)
+    pose, meta = folder / "dex-ycb-cache/pose_009.npz", folder / "dex-ycb-cache/meta_009.json"
+    arrays = dict(np.load(pose))
+    if damage == "truncated":
+        pose.write_bytes(pose.read_bytes()[:-100])
+    elif damage == "other numbers":
+        np.savez(pose, pose_y=arrays["pose_y"][:, :, :5], pose_m=arrays["pose_m"])
+    elif damage == "not finite":
+        np.savez(pose, pose_y=arrays["pose_y"], pose_m=arrays["pose_m"] * np.nan)
+    elif damage == "unknown class":
+        meta.write_text(json.dumps({**json.loads(meta.read_text()), "ycb_ids": [19]}))
+    else:
+        meta.write_text("{")
+    assert by_name(examine_data_folder(folder))["scenes"].result == "5 of 1000"
+
+
+def test_temporary_files_of_an_import_are_reported(fake_data: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "data"
+    shutil.copytree(fake_data, folder, symlinks=True)
+    (folder / "dex-ycb-cache/.pose_010.npz.abc.part").write_bytes(b"half")
+    assert by_name(examine_data_folder(folder))["leftovers"].severity is Severity.NOTE
+
+
+def test_hand_origin(tmp_path: Path, fake_data: Path) -> None:
+    write(tmp_path / "MANO_RIGHT.pkl", official(made_up_hand(1)))
+    model = read_mano_model(tmp_path / "MANO_RIGHT.pkl", "right")
+    folder = write_hand_assets(tmp_path, SUBJECTS[0], model, [0.1] * 10)
+    assert classify_hand_origin(folder) is FileOrigin.ORIGINAL
+    mesh = folder / "meshes/collision/mesh3.obj"
+    mesh.write_text(mesh.read_text() + "v 0 0 0\n")
+    assert classify_hand_origin(folder) is FileOrigin.STAND_IN
+
+
+def test_real_data_are_complete(real_data: Path) -> None:
+    found = by_name(examine_data_folder(real_data))
+    assert not [finding for finding in found.values() if finding.severity is Severity.FAULT]
+    assert found["scenes"].result == "1000 of 1000"
+    assert found["setup s2"].result == "train 449, val 91, test 360"
+    assert found["hands"].result == "20 stand-ins"
+    assert found["numbers of scenes"].result == "1000 as in DexYCB"
+    assert found["grasps"].result == "19 equal to the known ones"
+
+
+def test_text_fits_a_terminal() -> None:
+    text = format_findings([Finding("a thing", "word " * 50, Severity.FAULT, "/a/long/path" * 4 + " do this " * 20)])
+    assert max(len(line) for line in text.splitlines()) <= 100
+    assert text.startswith("fault a thing")
+
+
+def test_installation() -> None:
+    found = by_name(examine_installation())
+    assert found["packages"].severity is Severity.GOOD
+    assert "numpy" in found["packages"].result
+    assert {"extra train", "extra planning", "extra import"} <= set(found)
+
+
+def test_command_and_exit_status(
+    fake_data: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("HANDOVER_MARL_DATA", raising=False)
+    assert main(["doctor"]) == 0
+    assert "synthetic scenes" in capsys.readouterr().out
+    assert main(["doctor", "--data-dir", str(fake_data), "--no-progress"]) == 1
+    assert "6 of 1000" in capsys.readouterr().out
+    monkeypatch.setenv("HANDOVER_MARL_DATA", str(fake_data / "nothing"))
+    assert main(["doctor"]) == 1

@@ -1,0 +1,132 @@
+"""A small raw DexYCB on disk and a hand model, invented, for tests to read and to spoil."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import scipy.sparse
+import yaml
+from scipy.spatial.transform import Rotation
+
+from handover_marl.datasets.dexycb.mano import ManoModel
+from handover_marl.datasets.dexycb.raw_files import SequenceFolder
+from handover_marl.geometry.ycb import SUBJECTS
+from tests.datasets.dexycb.mano_files import made_up_hand, official
+
+EXTRINSICS = "20200702_151821"
+N_KEYS = 6
+
+
+def random_rotations(n: int, seed: int) -> Rotation:
+    """Rotations, none likelier than another."""
+    return Rotation.from_quat(np.random.default_rng(seed).normal(size=(n, 4)))
+
+
+def tag_pose(seed: int = 0) -> np.ndarray:
+    """(3, 4) pose of a tag."""
+    turn = random_rotations(1, seed).as_matrix()[0]
+    return np.concatenate([turn, [[0.3], [-0.2], [0.9]]], axis=1)
+
+
+def object_poses(n_keyframes: int = N_KEYS, n_objects: int = 1, seed: int = 0) -> np.ndarray:
+    """(n_keyframes, n_objects, 7) float32 key poses: every object turns slowly and goes straight."""
+    time = np.linspace(0.0, 1.0, n_keyframes)[:, None]
+    poses = []
+    for number in range(n_objects):
+        start = random_rotations(1, seed + number)
+        quaternions = (start * Rotation.from_rotvec(time * [0.3, -0.2, 0.5])).as_quat()
+        poses.append(np.concatenate([quaternions, [0.1 * number, 0.2, 0.6] + time * [0.1, 0.0, 0.2]], axis=1))
+    return np.stack(poses, axis=1).astype(np.float32)
+
+
+def hand_poses(n_keyframes: int = N_KEYS, first: int = 0, last: int | None = None, seed: int = 0) -> np.ndarray:
+    """(n_keyframes, 51) float32 key poses, zero before `first` and after `last`."""
+    rng = np.random.default_rng(seed)
+    time = np.linspace(0.0, 1.0, n_keyframes)[:, None]
+    poses = (rng.normal(size=51) + time * rng.normal(scale=0.2, size=51)).astype(np.float32)
+    poses[:first] = 0.0
+    poses[n_keyframes if last is None else last + 1 :] = 0.0
+    return poses
+
+
+def hand_model(side: str = "right", seed: int = 0) -> ManoModel:
+    """A hand of the right sizes that looks like nothing."""
+    rng = np.random.default_rng(seed)
+    vertices = rng.normal(scale=0.05, size=(778, 3))
+    regressor = np.where(rng.random((16, 778)) < 0.02, rng.random((16, 778)), 0.0)
+    return ManoModel(
+        side=side,
+        v_template=vertices,
+        shapedirs=rng.normal(scale=0.002, size=(778, 3, 10)),
+        j_regressor=scipy.sparse.csc_matrix(regressor),
+        weights=np.full((778, 16), 1.0 / 16.0),
+        faces=np.zeros((1538, 3), dtype=np.int64),
+        parents=np.array([-1, *range(15)], dtype=np.int64),
+        hands_components=rng.normal(scale=0.3, size=(45, 45)),
+        hands_mean=rng.normal(scale=0.1, size=45),
+    )
+
+
+@dataclass
+class RawScene:
+    """A recording as it will lie on disk; change it, then `write` it."""
+
+    subject: int = 0
+    name: str = "20200709_141754"
+    side: str = "right"
+    betas: list[float] = field(default_factory=lambda: [0.1 * number for number in range(10)])
+    meta: dict[str, object] = field(default_factory=dict)
+    objects: np.ndarray = field(default_factory=lambda: object_poses(n_objects=2))
+    hand: np.ndarray = field(default_factory=hand_poses)
+    extrinsics: str = EXTRINSICS
+    mano: str = ""  # which calibration of the hand; empty: the person's and the side's
+
+    def write(self, raw: Path, scene_id: int = 0) -> SequenceFolder:
+        """Its files below a raw folder."""
+        subject = SUBJECTS[self.subject]
+        mano = self.mano or f"20200709_140042_{subject[9:]}_{self.side}"
+        folder = raw / subject / self.name
+        meta = {
+            "serials": ["1", "2"],
+            "num_frames": len(self.objects),
+            "extrinsics": self.extrinsics,
+            "ycb_ids": [2, 5],
+            "ycb_grasp_ind": 1,
+            "mano_sides": [self.side],
+            "mano_calib": [mano],
+            **self.meta,
+        }
+        write_yaml(folder / "meta.yml", {key: value for key, value in meta.items() if value is not None})
+        np.savez(folder / "pose.npz", pose_y=self.objects, pose_m=self.hand[:, None])
+        write_yaml(mano_file(raw, mano), {"betas": self.betas})
+        write_yaml(
+            extrinsics_file(raw, self.extrinsics),
+            {"extrinsics": {"apriltag": tag_pose().ravel().tolist()}, "master": "1"},
+        )
+        return SequenceFolder(scene_id, f"{subject}/{self.name}", folder)
+
+
+def extrinsics_file(raw: Path, extrinsics: str = EXTRINSICS) -> Path:
+    return raw / "calibration" / f"extrinsics_{extrinsics}" / "extrinsics.yml"
+
+
+def mano_file(raw: Path, mano: str = "20200709_140042_subject-01_right") -> Path:
+    return raw / "calibration" / f"mano_{mano}" / "mano.yml"
+
+
+def write_yaml(path: Path, content: object) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(yaml.safe_dump(content, sort_keys=False))
+
+
+def write_mano(folder: Path) -> Path:
+    """MANO_RIGHT.pkl and MANO_LEFT.pkl of two made-up hands; the folder."""
+    folder.mkdir(parents=True)
+    for seed, side in enumerate(("RIGHT", "LEFT")):
+        (folder / f"MANO_{side}.pkl").write_bytes(official(made_up_hand(seed)))
+    return folder
+
+
+def all_files(folder: Path) -> dict[str, bytes]:
+    """Content of all files below a folder, also hidden ones, by path relative to it."""
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}

@@ -1,0 +1,200 @@
+import os
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import numpy as np
+import pybullet_data
+import pytest
+from scipy.sparse import csc_matrix
+
+from handover_marl.datasets.dexycb import assets as table_assets
+from handover_marl.datasets.dexycb.assets import (
+    build_hand_files,
+    build_table_urdf,
+    format_obj,
+    write_hand_assets,
+    write_missing_files,
+    write_object_assets,
+    write_table_assets,
+)
+from handover_marl.datasets.dexycb.mano import PARENTS, ManoModel
+from handover_marl.datasets.dexycb.urdf import build_hand_urdf, build_object_urdf, format_numbers
+from handover_marl.errors import DataFormatError, OptionError, ResultsError, UnknownNameError
+from handover_marl.geometry.obj_files import read_obj
+from handover_marl.geometry.ycb import CLASS_NAMES
+from tests.datasets.dexycb.mano_files import made_up_hand
+
+SUBJECT = "20200709-subject-01"
+BETAS = np.linspace(-1.0, 1.0, 10)
+
+
+def hand(weights: np.ndarray | None = None, side: str = "right") -> ManoModel:
+    content = made_up_hand()
+    return ManoModel(
+        side=side,
+        v_template=content["v_template"],
+        shapedirs=content["shapedirs"],
+        j_regressor=csc_matrix(content["J_regressor"]),
+        weights=content["weights"] if weights is None else weights,
+        faces=content["f"].astype(np.int64),
+        parents=np.array(PARENTS),
+        hands_components=content["hands_components"],
+        hands_mean=content["hands_mean"],
+    )
+
+
+def numbers(text: str | None) -> list[float]:
+    assert text is not None
+    return [float(word) for word in text.split()]
+
+
+@pytest.mark.parametrize(
+    ("values", "text"),
+    [
+        ((0.0, -1000.0, 3.0), "0 -1000 3"),
+        ((0.5,), "0.5" + "0" * 63),
+        ((1.0, 0.1), "1." + "0" * 64 + " 0.1000000000000000055511151231257827021181583404541015625000000000"),
+        ((-0.0,), "-0"),
+    ],
+)
+def test_format_numbers(values: tuple[float, ...], text: str) -> None:
+    assert format_numbers(*values) == text
+
+
+def test_format_obj() -> None:
+    vertices = np.array([[-0.0, 1e-7, 0.1234565], [-1e-9, 2.0, 3.0], [1.0, 1.0, 1.0]])
+    assert format_obj(vertices, np.array([[0, 2, 1]])) == (
+        "v -0.000000 0.000000 0.123456\nv -0.000000 2.000000 3.000000\nv 1.000000 1.000000 1.000000\nf 1 3 2\n"
+    )
+
+
+def test_links_and_joints_of_the_hand() -> None:
+    rng = np.random.default_rng(0)
+    joints = rng.uniform(-0.1, 0.1, (16, 3))
+    robot = ET.fromstring(build_hand_urdf(joints))
+    links, found = robot.findall("link"), robot.findall("joint")
+    assert [link.get("name") for link in links] == [f"link{number}" for number in range(53)]
+    assert [joint.get("name") for joint in found] == [f"joint{number}" for number in range(1, 53)]
+    kinds = ["prismatic"] * 3 + ["continuous"] * 3 + ["fixed"] + ["revolute"] * 45
+    assert [joint.get("type") for joint in found] == kinds
+
+    # Every body ends up where its joint is.
+    place = {"link0": np.zeros(3)}
+    for joint in found:
+        parent, child, origin = joint.find("parent"), joint.find("child"), joint.find("origin")
+        assert parent is not None and child is not None and origin is not None  # noqa: PT018
+        place[str(child.get("link"))] = place[str(parent.get("link"))] + numbers(origin.get("xyz"))
+    bodies = [link for link in links if link.find("visual") is not None]
+    assert [link.get("name") for link in bodies] == [f"link{7 + 3 * joint}" for joint in range(16)]
+    for joint_number, body in enumerate(bodies):
+        np.testing.assert_allclose(place[str(body.get("name"))], joints[joint_number], atol=1e-15)
+        meshes = [str(mesh.get("filename")) for mesh in body.iter("mesh")]
+        assert meshes == [f"meshes/{kind}/mesh{joint_number + 1}.obj" for kind in ("visual", "collision")]
+    masses = [numbers(mass.get("value"))[0] for mass in robot.iter("mass")]
+    assert [mass for mass in masses if mass] == [0.2] + [0.02] * 15
+
+
+def test_meshes_of_a_hand(tmp_path: Path) -> None:
+    weights = made_up_hand()["weights"] * 0.5
+    for joint in (4, 7, 10):
+        mine = np.flatnonzero(weights[:, joint])
+        weights[mine[:10], joint] = 0.71
+    model = hand(weights)
+    folder = write_hand_assets(tmp_path, SUBJECT, model, BETAS)
+    assert folder == tmp_path / f"{SUBJECT}_right"
+    vertices = model.shape_vertices(BETAS)
+    joints = model.regress_joints(vertices)
+    for joint in range(16):
+        seen = read_obj(folder / f"meshes/visual/mesh{joint + 1}.obj")
+        touched = read_obj(folder / f"meshes/collision/mesh{joint + 1}.obj")
+        expected = vertices[weights[:, joint] > 0.2] - joints[joint]
+        np.testing.assert_allclose(seen.vertices, expected, atol=1e-6)
+        if joint in (4, 7, 10):
+            np.testing.assert_array_equal(touched.vertices, seen.vertices[:10])
+        else:
+            np.testing.assert_array_equal(touched.vertices, seen.vertices)
+        kept = np.flatnonzero(weights[:, joint] > 0.2)
+        wanted = [face for face in model.faces.tolist() if set(face) <= set(kept.tolist())]
+        np.testing.assert_array_equal(kept[seen.faces], wanted)
+
+
+def test_unknown_sides_and_subjects(tmp_path: Path) -> None:
+    write_hand_assets(tmp_path, SUBJECT, hand(side="left"), BETAS)
+    assert [path.name for path in tmp_path.iterdir()] == [f"{SUBJECT}_left"]
+    assert len([path for path in tmp_path.rglob("*") if path.is_file()]) == 33
+    with pytest.raises(UnknownNameError, match=r"\.\./x"):
+        write_hand_assets(tmp_path, "../x", hand(), BETAS)
+    with pytest.raises(OptionError, match="betas"):
+        build_hand_files(hand(), [0.0])
+
+
+def test_link_without_triangles(tmp_path: Path) -> None:
+    weights = made_up_hand()["weights"]
+    weights[:, 5] = 0.0
+    with pytest.raises(DataFormatError, match=r"right hand has no triangle of joint 5"):
+        write_hand_assets(tmp_path, SUBJECT, hand(weights), BETAS)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_object_urdfs(tmp_path: Path) -> None:
+    write_object_assets(tmp_path)
+    files = [path for path in tmp_path.rglob("*") if path.is_file()]
+    assert sorted(path.parent.name for path in files) == sorted(CLASS_NAMES.values())
+    assert {path.read_text() for path in files} == {build_object_urdf()}
+    robot = ET.fromstring(build_object_urdf())
+    assert len(robot.findall("link")) == 7
+    assert [mesh.get("filename") for mesh in robot.iter("mesh")] == [
+        "textured_simple.obj",
+        "model_normalized_convex.obj",
+    ]
+
+
+def test_table_files(tmp_path: Path) -> None:
+    write_table_assets(tmp_path)
+    source = Path(pybullet_data.getDataPath()) / "table"
+    for name in ("table.obj", "table.mtl", "table.png"):
+        path = tmp_path / "table" / name
+        assert not path.is_symlink()
+        assert path.read_bytes() == (source / name).read_bytes()
+    robot = ET.parse(tmp_path / "table" / "table.urdf").getroot()
+    top = robot.find("link/collision/geometry/box")
+    assert top is not None
+    assert top.get("size") == "1.77 0.73 0.04"
+    legs = [str(origin.get("xyz")) for origin in robot.findall("link/visual/origin")][1:]
+    assert [numbers(leg) for leg in legs] == [[x, y, 0.44] for x in (-0.785, 0.785) for y in (-0.265, 0.265)]
+
+
+def test_changed_table_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    original = (Path(pybullet_data.getDataPath()) / "table" / "table.urdf").read_text()
+    with pytest.raises(DataFormatError, match=r"1\.5 1 0\.05 1 times instead of 2"):
+        build_table_urdf(original.replace("1.5 1 0.05", "1.5 1 0.06", 1))
+    monkeypatch.setattr(table_assets, "find_table_folder", lambda: tmp_path / "none")
+    with pytest.raises(DataFormatError, match="install PyBullet again"):
+        write_table_assets(tmp_path)
+
+
+def test_existing_files_are_compared(tmp_path: Path) -> None:
+    write_missing_files(tmp_path, {"a/b.txt": b"same", "c.txt": b"other"})
+    before = (tmp_path / "a/b.txt").stat().st_mtime_ns
+    write_missing_files(tmp_path, {"a/b.txt": b"same", "d.txt": b"new"})
+    assert (tmp_path / "a/b.txt").stat().st_mtime_ns == before
+    with pytest.raises(ResultsError, match=r"c\.txt exists with other content"):
+        write_missing_files(tmp_path, {"c.txt": b"mine"})
+    assert (tmp_path / "c.txt").read_bytes() == b"other"
+    assert sorted(path.name for path in tmp_path.rglob("*")) == ["a", "b.txt", "c.txt", "d.txt"]
+
+
+def test_folders_and_links_in_the_place_of_files(tmp_path: Path) -> None:
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "file").touch()
+    (tmp_path / "dangling").symlink_to(tmp_path / "nothing")
+    (tmp_path / "linked").symlink_to(tmp_path / "file")
+    os.mkfifo(tmp_path / "pipe")
+    for name in ("folder", "dangling", "pipe"):
+        with pytest.raises(ResultsError, match=f"{name} exists"):
+            write_missing_files(tmp_path, {name: b"x"})
+    with pytest.raises(ResultsError, match="cannot make the folder"):
+        write_missing_files(tmp_path, {"file/below": b"x"})
+    # HandoverSim's own scripts leave links, which are good if they lead to the same content.
+    write_missing_files(tmp_path, {"linked": b""})
+    assert (tmp_path / "linked").is_symlink()

@@ -1,0 +1,95 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from handover_marl.datasets.dexycb.motion import (
+    compute_finger_poses,
+    compute_hand_trajectory,
+    compute_object_trajectory,
+    find_hand_span,
+)
+from handover_marl.datasets.dexycb.rotations import STRIDE, KeyframeSpan, TagFrame
+from tests.datasets.dexycb.raw_files import hand_model, hand_poses, object_poses, tag_pose
+
+
+@settings(max_examples=50, deadline=None)
+@given(seed=st.integers(0, 10_000))
+def test_keyframes_in_the_tag_frame(seed: int) -> None:
+    poses, pose = object_poses(6, seed=seed)[:, 0], tag_pose(seed)
+    found = compute_object_trajectory(poses, TagFrame.from_extrinsics(pose))
+    assert found.shape == (201, 6)
+    assert found.dtype == np.float32
+    keys = found[::STRIDE].astype(np.float64)
+    np.testing.assert_allclose(keys[:, :3], (poses[:, 4:] - pose[:, 3]) @ pose[:, :3], atol=1e-5)
+    expected = Rotation.from_matrix(pose[:, :3]).inv() * Rotation.from_quat(poses[:, :4])
+    assert (Rotation.from_euler("XYZ", keys[:, 3:]) * expected.inv()).magnitude().max() < 1e-5
+
+
+def test_object_angles_are_unwrapped() -> None:
+    poses = object_poses(12)[:, 0]
+    tag = TagFrame.from_extrinsics(np.eye(3, 4))
+    poses[:, :4] = Rotation.from_rotvec(np.linspace(0.0, 7.0, 12)[:, None] * [0.0, 0.0, 1.0]).as_quat()
+    found = compute_object_trajectory(poses, tag)
+    np.testing.assert_allclose(found[[0, -1], 5], [0.0, 7.0], atol=1e-5)
+
+
+MODEL = hand_model()
+WRIST = MODEL.locate_wrist([0.5] * 10)
+
+
+def trajectory(poses: np.ndarray, seed: int = 0, base: np.ndarray = WRIST) -> np.ndarray:
+    return compute_hand_trajectory(poses, TagFrame.from_extrinsics(tag_pose(seed)), MODEL, WRIST, base)
+
+
+@pytest.mark.parametrize(("first", "last"), [(0, 9), (3, 9), (0, 6), (2, 5)])
+def test_frames_without_a_hand_are_zero(first: int, last: int) -> None:
+    found = trajectory(hand_poses(10, first, last))
+    assert found.shape == (361, 51)
+    assert found.dtype == np.float32
+    np.testing.assert_array_equal(np.flatnonzero(found.any(axis=1)), np.arange(first * STRIDE, last * STRIDE + 1))
+    assert find_hand_span(hand_poses(10, first, last)) == KeyframeSpan(first, last)
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 10_000))
+def test_wrist_position_is_the_recorded_one(seed: int) -> None:
+    """MANO turns about the wrist, the articulated hand about its origin; both must put the wrist in one place."""
+    poses, pose = hand_poses(6, seed=seed), tag_pose(seed)
+    found = trajectory(poses, seed)[::STRIDE].astype(np.float64)
+    base = Rotation.from_euler("XYZ", found[:, 3:6])
+    recorded = (poses[:, 48:].astype(np.float64) + WRIST - pose[:, 3]) @ pose[:, :3]
+    np.testing.assert_allclose(found[:, :3] + base.apply(WRIST), recorded, atol=2e-5)
+    turned = Rotation.from_matrix(pose[:, :3]).inv() * Rotation.from_rotvec(poses[:, :3])
+    assert (base * turned.inv()).magnitude().max() < 1e-5
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 10_000))
+def test_finger_rotations_are_the_recorded_ones(seed: int) -> None:
+    poses = hand_poses(6, seed=seed)
+    vectors = poses[:, 3:48] @ MODEL.hands_components + MODEL.hands_mean
+    np.testing.assert_allclose(compute_finger_poses(MODEL, poses[:, 3:48]), vectors, atol=1e-4)
+    found = trajectory(poses)[::STRIDE, 6:].reshape(-1, 3)
+    expected = Rotation.from_rotvec(vectors.reshape(-1, 3))
+    assert (Rotation.from_euler("XYZ", found) * expected.inv()).magnitude().max() < 1e-3
+
+
+def test_base_angles_are_unwrapped() -> None:
+    poses = hand_poses(12)
+    start, pose = Rotation.from_matrix(tag_pose()[:, :3]), np.linspace(0.0, 7.0, 12)[:, None]
+    poses[:, :3] = (start * Rotation.from_rotvec(pose * [1.0, 0.0, 0.0])).as_rotvec()
+    found = trajectory(poses)
+    assert found[-1, 3] - found[0, 3] == pytest.approx(7.0, abs=1e-4)
+    assert np.abs(np.diff(found[:, 3:6], axis=0)).max() < 0.02
+
+
+def test_other_base_joint_changes_the_base_position_only() -> None:
+    poses = hand_poses(6)
+    shift = np.array([0.1, 0.0, 0.2])
+    usual, other = trajectory(poses), trajectory(poses, base=WRIST + shift)
+    np.testing.assert_array_equal(usual[:, 3:], other[:, 3:])
+    keys = Rotation.from_euler("XYZ", usual[::STRIDE, 3:6])
+    moved = other[::STRIDE, :3] - usual[::STRIDE, :3]
+    np.testing.assert_allclose(moved, shift - keys.apply(shift), atol=1e-5)

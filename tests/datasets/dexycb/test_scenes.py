@@ -1,0 +1,236 @@
+import json
+import pickle
+import shutil
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from handover_marl.datasets.dexycb.motion import compute_hand_trajectory, compute_object_trajectory
+from handover_marl.datasets.dexycb.raw_files import read_sequence_names
+from handover_marl.datasets.dexycb.rotations import TagFrame
+from handover_marl.datasets.dexycb.scenes import (
+    CachedScene,
+    find_first_betas,
+    import_scene,
+    read_hand_betas,
+    write_scene,
+)
+from handover_marl.datasets.scene_files import CACHE_FOLDER
+from handover_marl.errors import DataFormatError, DataNotFoundError, ResultsError
+from tests.datasets.dexycb.raw_files import RawScene, hand_model, hand_poses, mano_file, object_poses, tag_pose
+
+META = {
+    "name": "20200709-subject-01/20200709_141754",
+    "ycb_ids": [2, 5],
+    "ycb_grasp_ind": 1,
+    "mano_sides": ["right"],
+    "mano_betas": [[0.1] * 10],
+}
+
+
+def scene(number: int = 7) -> CachedScene:
+    # Neither is in C order.
+    pose_y = np.asfortranarray(np.arange(5 * 2 * 6, dtype=np.float32).reshape(5, 2, 6))
+    pose_m = np.zeros((5, 1, 102), dtype=np.float32)[:, :, ::2]
+    return CachedScene(number, META, pose_y, pose_m)
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def test_files_of_a_scene(tmp_path: Path) -> None:
+    write_scene(scene(), tmp_path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["meta_007.json", "pose_007.npz"]
+    text = (tmp_path / "meta_007.json").read_text()
+    assert text == json.dumps(META)
+    assert text.startswith('{"name": "20200709-subject-01/20200709_141754", "ycb_ids": [2, 5], "ycb_grasp_ind": 1, ')
+    with np.load(tmp_path / "pose_007.npz", allow_pickle=False) as archive:
+        assert archive.files == ["pose_y", "pose_m"]
+        for name in archive.files:
+            assert archive[name].flags.c_contiguous
+            np.testing.assert_array_equal(archive[name], getattr(scene(), name))
+    assert b"'fortran_order': False" in _unpacked(tmp_path / "pose_007.npz")
+
+
+def _unpacked(path: Path) -> bytes:
+    with zipfile.ZipFile(path) as archive:
+        assert {part.compress_type for part in archive.infolist()} == {zipfile.ZIP_DEFLATED}
+        return archive.read("pose_y.npy")[:128]
+
+
+def test_equal_files_are_kept(tmp_path: Path) -> None:
+    write_scene(scene(), tmp_path)
+    # Another program's archive of the same arrays.
+    with (tmp_path / "pose_007.npz").open("wb") as stream:
+        np.savez(stream, pose_m=scene().pose_m, pose_y=scene().pose_y)
+    before = contents(tmp_path)
+    write_scene(scene(), tmp_path)
+    assert contents(tmp_path) == before
+
+
+def test_incomplete_scene_is_completed(tmp_path: Path) -> None:
+    write_scene(scene(), tmp_path)
+    before = contents(tmp_path)
+    for name in before:
+        (tmp_path / name).unlink()
+        write_scene(scene(), tmp_path)
+        assert sorted(contents(tmp_path)) == sorted(before)
+
+
+@pytest.mark.parametrize("change", [np.float32(1e-45), np.float32(-0.0)])
+def test_different_motion_is_not_overwritten(tmp_path: Path, change: np.float32) -> None:
+    write_scene(scene(), tmp_path)
+    other = scene()
+    other.pose_m[4, 0, 3] = change
+    before = contents(tmp_path)
+    with pytest.raises(DataFormatError, match=r"pose_007\.npz exists, but differs.*remove it"):
+        write_scene(other, tmp_path)
+    assert contents(tmp_path) == before
+
+
+def test_different_meta_is_not_overwritten(tmp_path: Path) -> None:
+    write_scene(scene(), tmp_path)
+    (tmp_path / "meta_007.json").write_text(json.dumps(META) + "\n")
+    with pytest.raises(DataFormatError, match=r"meta_007\.json exists"):
+        write_scene(scene(), tmp_path)
+
+
+@pytest.mark.parametrize("name", ["meta_007.json", "pose_007.npz"])
+def test_other_files_are_kept(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).mkdir()
+    with pytest.raises(DataFormatError, match=f"{name} exists"):
+        write_scene(scene(), tmp_path)
+    (tmp_path / name).rmdir()
+    (tmp_path / name).write_bytes(b"PK")
+    with pytest.raises(DataFormatError, match=f"{name} exists"):
+        write_scene(scene(), tmp_path)
+
+
+@pytest.mark.parametrize(
+    "arrays", [{"pose_y": scene().pose_y}, {"pose_y": scene().pose_y[:4], "pose_m": scene().pose_m}]
+)
+def test_missing_and_different_arrays(tmp_path: Path, arrays: dict[str, np.ndarray]) -> None:
+    np.savez(tmp_path / "pose_007.npz", **arrays)
+    with pytest.raises(DataFormatError, match=r"pose_007\.npz exists"):
+        write_scene(scene(), tmp_path)
+
+
+def test_missing_folder(tmp_path: Path) -> None:
+    (tmp_path / "cache").mkdir()
+    shutil.rmtree(tmp_path / "cache")
+    with pytest.raises(ResultsError, match="cannot write"):
+        write_scene(scene(), tmp_path / "cache")
+
+
+MODELS = {side: hand_model(side, seed) for seed, side in enumerate(("right", "left"))}
+SUBJECT = "20200709-subject-01"
+
+
+def test_scene_in_the_cache(tmp_path: Path) -> None:
+    objects = object_poses(10, 3)
+    raw = RawScene(objects=objects, hand=hand_poses(10, 2, 8), side="left", meta={"ycb_ids": [9, 2, 5]})
+    sequence = raw.write(tmp_path / "raw", scene_id=42)
+    import_scene(sequence, MODELS, find_first_betas([sequence]), tmp_path / "out")
+    cache = tmp_path / "out" / CACHE_FOLDER
+    assert json.loads((cache / "meta_042.json").read_text()) == {
+        "name": f"{SUBJECT}/20200709_141754",
+        "ycb_ids": [9, 2, 5],
+        "ycb_grasp_ind": 1,
+        "mano_sides": ["left"],
+        "mano_betas": [raw.betas],
+    }
+    with np.load(cache / "pose_042.npz") as archive:
+        pose_y, pose_m = archive["pose_y"], archive["pose_m"]
+    tag = TagFrame.from_extrinsics(tag_pose())
+    np.testing.assert_array_equal(
+        pose_y, np.stack([compute_object_trajectory(objects[:, k], tag) for k in range(3)], axis=1)
+    )
+    assert pose_m.shape == (361, 1, 51)
+    np.testing.assert_array_equal(np.flatnonzero(pose_m.any(axis=(1, 2)))[[0, -1]], [80, 320])
+
+
+def test_imports_are_equal_in_a_worker_process(tmp_path: Path) -> None:
+    sequence = RawScene().write(tmp_path / "raw")
+    betas = find_first_betas([sequence])
+    import_scene(sequence, MODELS, betas, tmp_path / "out")
+    import_scene(sequence, MODELS, betas, tmp_path / "out")
+    again = pickle.loads(pickle.dumps((sequence, MODELS, betas)))
+    import_scene(*again, tmp_path / "out")
+
+
+def test_base_joint_is_from_the_first_recording(tmp_path: Path) -> None:
+    raw = tmp_path / "raw"
+    scenes = [
+        RawScene(name="20200709_100000", betas=[0.1] * 10, meta={"mano_calib": ["one"]}),
+        RawScene(name="20200709_110000", betas=[0.3] * 10, meta={"mano_calib": ["three"]}),
+        RawScene(name="20200709_120000", side="left", betas=[0.2] * 10, meta={"mano_calib": ["two"]}),
+        RawScene(name="20200709_100000", subject=1, betas=[0.4] * 10, meta={"mano_calib": ["four"]}),
+    ]
+    sequences = [scene.write(raw, number) for number, scene in enumerate(scenes)]
+    for scene, name in zip(scenes, ("one", "three", "two", "four"), strict=True):
+        folder = raw / "calibration" / f"mano_{name}"
+        folder.mkdir()
+        (folder / "mano.yml").write_text(json.dumps({"betas": scene.betas}))
+    first = find_first_betas(sequences)
+    assert {key: value[0] for key, value in first.items()} == {
+        (SUBJECT, "right"): 0.1,
+        (SUBJECT, "left"): 0.2,
+        ("20200813-subject-02", "right"): 0.4,
+    }
+    model, tag = MODELS["right"], TagFrame.from_extrinsics(tag_pose())
+    base = model.locate_wrist([0.1] * 10)
+    for number, own in ((0, 0.1), (1, 0.3)):
+        import_scene(sequences[number], MODELS, first, tmp_path / "out")
+        with np.load(tmp_path / "out" / CACHE_FOLDER / f"pose_{number:03d}.npz") as archive:
+            expected = compute_hand_trajectory(hand_poses(), tag, model, model.locate_wrist([own] * 10), base)
+            np.testing.assert_array_equal(archive["pose_m"][:, 0], expected)
+    # One that cannot be read is passed over.
+    (sequences[0].folder / "meta.yml").write_text("[]")
+    (raw / "calibration" / "mano_four" / "mano.yml").unlink()
+    assert {key: value[0] for key, value in find_first_betas(sequences).items()} == {
+        (SUBJECT, "right"): 0.3,
+        (SUBJECT, "left"): 0.2,
+    }
+
+
+def test_hand_shape_is_from_the_first_recording(tmp_path: Path) -> None:
+    names = read_sequence_names()[SUBJECT][:3]
+    known = [
+        RawScene(name=name, betas=[0.1 * rank] * 10, mano=f"hand{rank}").write(tmp_path, rank)
+        for rank, name in enumerate(names)
+    ]
+    assert read_hand_betas(known) == (0.0,) * 10
+    # In DexYCB all of a person's are equal, so another will do.
+    assert read_hand_betas(known[1:]) == (0.1,) * 10
+    mano_file(tmp_path, "hand0").write_text("betas: [1.0]")
+    mano_file(tmp_path, "hand1").unlink()
+    assert read_hand_betas(known) == (0.2,) * 10
+    with pytest.raises(DataFormatError, match="expected 10 numbers"):
+        read_hand_betas(known[:2])
+    # Of other data nothing is known.
+    others = [RawScene(name=f"20200709_00000{rank}").write(tmp_path, rank) for rank in range(2)]
+    assert len(read_hand_betas(others)) == 10
+    with pytest.raises(DataNotFoundError, match=f"{SUBJECT} lacks its first recording, which has the hand.s shape"):
+        read_hand_betas(others[1:])
+    (others[0].folder / "meta.yml").unlink()
+    with pytest.raises(DataNotFoundError, match=r"000000/meta\.yml is missing"):
+        read_hand_betas(others)
+
+
+def test_failed_scene_writes_nothing(tmp_path: Path) -> None:
+    sequence = RawScene(hand=hand_poses(6, 3)).write(tmp_path / "raw")
+    with pytest.raises(DataFormatError, match="frames with a hand"):
+        import_scene(sequence, MODELS, {}, tmp_path / "out")
+    (sequence.folder / "meta.yml").unlink()
+    with pytest.raises(DataNotFoundError, match=r"meta\.yml"):
+        import_scene(sequence, MODELS, {}, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_invalid_output_folder(tmp_path: Path) -> None:
+    (tmp_path / "out").touch()
+    with pytest.raises(ResultsError, match=r"cannot make the folder .*out"):
+        import_scene(RawScene().write(tmp_path / "raw"), MODELS, {}, tmp_path / "out")

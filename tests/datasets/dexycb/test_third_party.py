@@ -1,0 +1,170 @@
+"""The third-party archive's files: where they go, and what stands in for them."""
+
+import hashlib
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from handover_marl import receivers
+from handover_marl.assets.object_models import find_object_urdf
+from handover_marl.assets.shipped import load_object_grasps
+from handover_marl.datasets import OfficialDataset, official_files
+from handover_marl.datasets.dexycb.assets import write_object_assets
+from handover_marl.datasets.dexycb.stand_ins import decompose_convex, install_third_party, write_stand_ins
+from handover_marl.datasets.grasp_files import load_grasps
+from handover_marl.datasets.official_files import (
+    PANDA_FILES,
+    FileOrigin,
+    classify_file_origin,
+    is_stand_in_file,
+    list_required_files,
+    read_third_party_checksums,
+)
+from handover_marl.episode.episode import Episode
+from handover_marl.errors import DataFormatError, ResultsError, UnsafeFileError
+from handover_marl.geometry.obj_files import read_obj
+from handover_marl.geometry.urdf import list_mesh_references
+from tests.execution.test_archives import link, tar
+from tests.fake_layout import FakeScene, write_layout
+from tests.playing import play
+
+FILES = {
+    "003_cracker_box/textured_simple.obj": b"v 0 0 0\n",
+    "003_cracker_box/texture_map.png": b"png",
+    "grasps/003_cracker_box.npy": b"grasps",
+    "franka_panda/meshes/visual/link1.obj": b"v 1 1 1\n",
+}
+
+
+def test_required_files() -> None:
+    needed = list_required_files()
+    assert len([path for path in needed if path.endswith("model_normalized_convex.obj")]) == 21
+    assert len([path for path in needed if path.startswith("grasps/")]) == 19
+    assert set(PANDA_FILES.values()) <= set(needed)
+    assert not [path for path in needed if path.endswith((".png", ".mtl"))]
+    sums = [known for known in read_third_party_checksums().values() if known]
+    assert all(len(known) == 64 and int(known, 16) >= 0 for known in sums)
+
+
+@pytest.mark.parametrize("root", ["", "assets/", "./handover/data/assets/"])
+def test_files_are_installed(root: str, tmp_path: Path) -> None:
+    entries = {f"{root}{path}": content for path, content in FILES.items()} | {"LICENSE": b"", "x/y/z.obj": b""}
+    placed = install_third_party(tar(tmp_path / "a.tar.gz", "w:gz", entries), tmp_path / "assets")
+    assert set(placed.files) == set(FILES)
+    assert placed.unknown == ("grasps/003_cracker_box.npy",), "the one whose sum is known"
+    found = {str(path.relative_to(tmp_path / "assets")): path.read_bytes() for path in walk(tmp_path / "assets")}
+    assert found == FILES
+
+
+def walk(folder: Path) -> list[Path]:
+    return [path for path in folder.rglob("*") if path.is_file()]
+
+
+def test_source_is_checked_before_writing(tmp_path: Path) -> None:
+    entries = {f"assets/{path}": content for path, content in FILES.items()}
+    bad = tar(tmp_path / "a.tar.gz", "w:gz", entries, link("assets/zzz", b"2", "/etc/passwd"))
+    with pytest.raises(UnsafeFileError):
+        install_third_party(bad, tmp_path / "assets")
+    assert not (tmp_path / "assets").exists()
+    assert not (tmp_path / "zzz").is_symlink()
+
+
+def test_existing_third_party_files_are_kept(tmp_path: Path) -> None:
+    install_third_party(tar(tmp_path / "a.tar", "w", FILES), tmp_path / "assets")
+    install_third_party(tar(tmp_path / "a.tar", "w", FILES), tmp_path / "assets")
+    (tmp_path / "assets/003_cracker_box/textured_simple.obj").write_bytes(b"mine")
+    with pytest.raises(ResultsError, match="other content"):
+        install_third_party(tar(tmp_path / "a.tar", "w", FILES), tmp_path / "assets")
+    assert (tmp_path / "assets/003_cracker_box/textured_simple.obj").read_bytes() == b"mine"
+
+
+def test_ambiguous_archives_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(DataFormatError, match="none of the files"):
+        install_third_party(tar(tmp_path / "a.tar", "w", {"README": b""}), tmp_path / "assets")
+    both = {f"old/{path}": b"old" for path in FILES} | {f"new/{path}": b"new" for path in FILES}
+    with pytest.raises(DataFormatError, match="'old' and in 'new'"):
+        install_third_party(tar(tmp_path / "a.tar", "w", both), tmp_path / "assets")
+    assert not (tmp_path / "assets").exists()
+
+
+def test_file_origins(monkeypatch: pytest.MonkeyPatch) -> None:
+    path = "grasps/003_cracker_box.npy"
+    known = {path: hashlib.sha256(b"the original").hexdigest()}
+    monkeypatch.setattr(official_files, "read_third_party_checksums", lambda: known)
+    assert classify_file_origin(path, b"the original") is FileOrigin.ORIGINAL
+    assert classify_file_origin(path, b"another") is FileOrigin.UNKNOWN
+    assert classify_file_origin(path, f"# {official_files.STAND_IN}".encode()) is FileOrigin.STAND_IN
+    assert classify_file_origin("foreign", b"the original") is FileOrigin.UNKNOWN
+
+
+@pytest.fixture(scope="module")
+def stood_in(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """`assets/` with what stands in where DexYCB has models of two objects."""
+    folder = tmp_path_factory.mktemp("stood_in")
+    for name in ("003_cracker_box", "061_foam_brick"):
+        (folder / "models" / name).mkdir(parents=True)
+        shutil.copy(
+            find_object_urdf(name).parent / "model_normalized_convex.obj",
+            folder / "models" / name / "textured_simple.obj",
+        )
+    (folder / "models" / "025_mug").mkdir()
+    (folder / "models" / "025_mug" / "textured_simple.obj").write_text("no mesh")
+    faults = write_stand_ins(folder / "models", folder / "assets", workers=1, progress=False)
+    assert len(faults) == 1
+    assert "025_mug" in faults[0]
+    return folder / "assets"
+
+
+def test_convex_parts_fill_the_model(stood_in: Path) -> None:
+    parts = read_obj(stood_in / "003_cracker_box/model_normalized_convex.obj")
+    whole = read_obj(stood_in / "003_cracker_box/textured_simple.obj")
+    assert np.abs(parts.vertices.min(axis=0) - whole.vertices.min(axis=0)).max() < 0.005
+    assert np.abs(parts.vertices.max(axis=0) - whole.vertices.max(axis=0)).max() < 0.005
+    assert all(len(np.unique(group)) <= 64 for group in parts.groups)
+    assert (
+        decompose_convex(stood_in / "003_cracker_box/textured_simple.obj")
+        == (stood_in / "003_cracker_box/model_normalized_convex.obj").read_text()
+    ), "the same again"
+
+
+def test_stand_ins_are_marked(stood_in: Path) -> None:
+    reported = [path for path in list_required_files() if is_stand_in_file(stood_in / path)]
+    assert len(reported) == 2 + 19 + 2
+    assert not is_stand_in_file(stood_in / "003_cracker_box/textured_simple.obj"), "that is DexYCB's own"
+    grasps = load_grasps(stood_in / "grasps/025_mug.npy")
+    np.testing.assert_array_equal(grasps, load_object_grasps("025_mug"))
+    for path in PANDA_FILES.values():
+        meshes = list_mesh_references(stood_in / path)
+        assert meshes
+        assert all(mesh.is_file() for _, mesh in meshes)
+
+
+def test_originals_replace_stand_ins(stood_in: Path, tmp_path: Path) -> None:
+    assets = tmp_path / "assets"
+    shutil.copytree(stood_in, assets)
+    install_third_party(tar(tmp_path / "a.tar", "w", {"assets/grasps/025_mug.npy": b"original"}), assets)
+    assert (assets / "grasps/025_mug.npy").read_bytes() == b"original"
+    # And the other way round nothing happens.
+    write_stand_ins(tmp_path, assets, workers=1, progress=False)
+    assert (assets / "grasps/025_mug.npy").read_bytes() == b"original"
+
+
+@pytest.mark.parametrize("robot", ["panda", "panda_camera"])
+def test_scene_of_stand_ins_is_marked_in_results(stood_in: Path, tmp_path: Path, robot: str) -> None:
+    folder = write_layout(tmp_path / "data", (FakeScene(5),))
+    for name in ("franka_panda", "grasps", "003_cracker_box"):
+        shutil.rmtree(folder / "assets" / name)
+    shutil.copytree(stood_in, folder / "assets", dirs_exist_ok=True)
+    write_object_assets(folder / "assets")
+    dataset = OfficialDataset(folder, robot)
+    scene = dataset.load_scene(5)
+    assert (
+        dataset.describe_models(5) == "hand of unknown origin, stand-in convex parts, stand-in grasps, stand-in Panda"
+    )
+    receiver = receivers.make("yang2021", dataset)
+    episode = Episode("exact")
+    play(episode, scene, receiver)
+    assert episode.steps > 3000
+    episode.close()

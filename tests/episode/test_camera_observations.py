@@ -1,0 +1,680 @@
+"""Camera observations: independent of earlier images, and rendered on request only."""
+
+import re
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from gymnasium import spaces
+
+from handover_marl.config import OFFICIAL_CONFIG, PandaConfig
+from handover_marl.datasets import open_dataset
+from handover_marl.datasets.dataset import Scene
+from handover_marl.episode.camera_observations import (
+    CameraFrame,
+    WristCamera,
+    WristCameraConfig,
+    camera_observation_space,
+)
+from handover_marl.episode.episode import Episode
+from handover_marl.episode.loop import play
+from handover_marl.episode.spaces import (
+    FULL_POINTCLOUD,
+    OBS_MODES,
+    POINTCLOUD,
+    RGBD,
+    STATE,
+    check_obs_mode,
+    get_camera_data,
+    has_state,
+)
+from handover_marl.errors import OptionError, ResetNeededError, UnknownNameError
+from handover_marl.geometry.poses import transform_points
+from handover_marl.policies.policy import Policy
+from handover_marl.simulation.bullet.fast_world import FastWorld
+from handover_marl.simulation.camera.frames import (
+    EMPTY_DEPTH,
+    HANDOVERSIM_MODEL,
+    PINHOLE_MODEL,
+    CameraImage,
+    SegmentationLabel,
+    deproject,
+)
+from handover_marl.simulation.camera.noise import CameraNoise
+from handover_marl.simulation.camera.ray_camera import RayCamera
+from handover_marl.simulation.world import World
+
+Observation = dict[str, npt.NDArray[Any]]
+
+DATA = open_dataset("synthetic", robot="panda_camera")
+SCENE, OTHER = DATA.load_scene(9), DATA.load_scene(14)
+GOAL = np.array(PandaConfig().start_joints, dtype=np.float32)
+GOAL[:7] += [0.1, 0.3, 0.05, 0.2, 0.1, 0.3, 0.2]
+#: More than 1024 pixels show the object, and some the hand.
+STEPS = 2000
+OBJECT, HAND, COUNTS = "wrist_object_points", "wrist_hand_points", "wrist_point_counts"
+PERFECT = CameraNoise(depth_noise_std=0.0, edge_dropout=0.0, latency=0.0)
+NOISY = CameraNoise(latency=0.0)
+
+
+@pytest.fixture(scope="module")
+def world() -> Iterator[World]:
+    """A moment of a scene; looking changes nothing of it."""
+    episode = Episode("fast")
+    episode.reset(SCENE)
+    episode.advance(GOAL, STEPS)
+    yield episode.world
+    episode.close()
+
+
+def make_wrist_camera(world: World, seed: int = 0, **options: Any) -> WristCamera:
+    """In an episode of its own, as far as it knows."""
+    wrist_camera = WristCamera(WristCameraConfig(**{"renderer": "rays", **options}), "fast", OFFICIAL_CONFIG.physics)
+    wrist_camera.reset(SCENE, world)
+    wrist_camera.seed(seed)
+    return wrist_camera
+
+
+def assert_same(first: Observation, second: Observation) -> None:
+    assert first.keys() == second.keys()
+    for key, value in first.items():
+        np.testing.assert_array_equal(value, second[key], err_msg=key)
+
+
+def as_dict(view: CameraFrame) -> Observation:
+    return dict(vars(view))
+
+
+def places_in(rows: npt.NDArray[np.float32], cloud: npt.NDArray[np.float32]) -> list[int]:
+    """Where rows are in a cloud, all of whose points are different."""
+    where = {row.tobytes(): place for place, row in enumerate(cloud)}
+    assert len(where) == len(cloud)
+    return [where[row.tobytes()] for row in rows]
+
+
+# -------------------------------------------------------------------------------------------------- names and spaces
+
+
+@pytest.mark.parametrize("wrong", ["", "State", "depth", "pointcloud+state", "points"])
+def test_unknown_observation_modes_are_refused(wrong: str) -> None:
+    for check in (check_obs_mode, camera_observation_space):
+        with pytest.raises(
+            UnknownNameError, match=f"unknown obs_mode '{re.escape(wrong)}'; valid: state, state\\+point"
+        ):
+            check(wrong)
+
+
+def test_parts_of_observation_modes() -> None:
+    assert [(has_state(mode), get_camera_data(mode)) for mode in OBS_MODES] == [
+        (True, None),
+        (True, POINTCLOUD),
+        (False, POINTCLOUD),
+        (True, RGBD),
+        (False, RGBD),
+        (True, FULL_POINTCLOUD),
+        (False, FULL_POINTCLOUD),
+    ]
+
+
+def test_spaces_are_as_documented() -> None:
+    assert camera_observation_space(STATE) == {}
+    points, images, clouds = (camera_observation_space(mode) for mode in (POINTCLOUD, RGBD, FULL_POINTCLOUD))
+    shapes = {key: (space.shape, space.dtype) for key, space in {**points, **images, **clouds}.items()}
+    assert list(points) == [OBJECT, HAND, COUNTS]
+    assert shapes == {
+        OBJECT: ((1024, 3), np.float32),
+        HAND: ((1024, 3), np.float32),
+        COUNTS: ((2,), np.float32),
+        "wrist_depth": ((224, 224, 1), np.float32),
+        "wrist_segmentation": ((224, 224, 1), np.uint8),
+        "wrist_rgb": ((224, 224, 3), np.uint8),
+        "wrist_object_cloud": ((224 * 224, 3), np.float32),
+        "wrist_hand_cloud": ((224 * 224, 3), np.float32),
+        "robot_joint_position_exact": ((9,), np.float64),
+    }
+    for key, high in ((COUNTS, 224 * 224), ("wrist_segmentation", 5), ("wrist_rgb", 255)):
+        space = {**points, **images}[key]
+        assert isinstance(space, spaces.Box)
+        assert (space.low.min(), space.high.max()) == (0, high)
+
+
+@pytest.mark.parametrize("obs_mode", OBS_MODES)
+@pytest.mark.parametrize("camera", [None, "realsense"])
+@pytest.mark.parametrize("renderer", ["rays", "bullet"])
+def test_observations_are_elements_of_their_space(
+    world: World, obs_mode: str, camera: str | None, renderer: str
+) -> None:
+    seen = make_wrist_camera(world, renderer=renderer, camera_noise=camera).observe(obs_mode, world, STEPS)
+    space = spaces.Dict(camera_observation_space(obs_mode))
+    assert list(seen) == list(camera_observation_space(obs_mode))
+    assert space.contains(seen)
+    for key, value in seen.items():
+        assert (value.shape, value.dtype) == (space[key].shape, space[key].dtype)
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "message"),
+    [
+        ({"camera_model": "exact"}, UnknownNameError, "unknown camera_model 'exact'; valid: handoversim, pinhole"),
+        ({"camera_noise": "kinect"}, UnknownNameError, "unknown camera_noise 'kinect'; valid: realsense"),
+        ({"camera_noise": 0.1}, OptionError, r"camera_noise must be .*0\.1"),
+        ({"camera_noise": True}, OptionError, "camera_noise must be .*True"),
+    ],
+)
+def test_wrong_choices_are_refused(options: dict[str, Any], error: type[Exception], message: str) -> None:
+    with pytest.raises(error, match=message):
+        WristCameraConfig(**options)
+
+
+def test_results_have_a_label_of_the_camera() -> None:
+    config = WristCameraConfig(camera_model=PINHOLE_MODEL)
+    assert config.describe("state", "fast") == ""
+    assert config.describe("state+pointcloud", "fast") == "renderer rays, camera model pinhole"
+    assert config.describe("rgbd", "exact") == "renderer bullet, camera model pinhole"
+    described = WristCameraConfig(renderer="bullet", camera_noise="realsense").describe("pointcloud", "fast")
+    assert described == f"renderer bullet, camera model handoversim, {CameraNoise()!r}"
+
+
+# ------------------------------------------------------------------------------------------------ points and images
+
+
+@pytest.mark.parametrize("camera_model", [HANDOVERSIM_MODEL, PINHOLE_MODEL])
+def test_clouds_and_images_of_a_frame_agree(world: World, camera_model: str) -> None:
+    """Points are those of depth and segmentation, row by row."""
+    view = make_wrist_camera(world, camera_model=camera_model).capture(world, STEPS)
+    expected = RayCamera(SCENE.assets, OFFICIAL_CONFIG.physics).render_wrist_camera(
+        world.read_joint_snapshot(), color=True
+    )
+    np.testing.assert_array_equal(view.depth, expected.depth)
+    np.testing.assert_array_equal(view.segmentation, expected.segmentation)
+    np.testing.assert_array_equal(view.rgb, expected.rgb)
+    for points, seen in ((view.object_points, SegmentationLabel.TARGET), (view.hand_points, SegmentationLabel.HAND)):
+        shown = view.segmentation == seen
+        assert points.dtype == np.float32
+        assert len(points) == shown.sum() > 50
+        np.testing.assert_array_equal(points, deproject(view.depth, shown, camera_model))
+
+
+@pytest.mark.parametrize("camera", [None, NOISY])
+def test_clouds_are_subsampled_or_padded(world: World, camera: CameraNoise | None) -> None:
+    wrist_camera = make_wrist_camera(world, camera_noise=camera)
+    seen, view = wrist_camera.observe(POINTCLOUD, world, STEPS), wrist_camera.capture(world, STEPS)
+    assert seen[COUNTS].tolist() == [len(view.object_points), len(view.hand_points)]
+    assert seen[COUNTS].tolist() == [
+        (view.segmentation == kind).sum() for kind in (SegmentationLabel.TARGET, SegmentationLabel.HAND)
+    ]
+    places = places_in(seen[OBJECT], view.object_points)
+    assert len(view.object_points) > 1100
+    assert len(set(places)) == 1024, "without replacement"
+    assert places == sorted(places), "in their order"
+    # Of all the picture, not of its first rows.
+    assert places[0] < 30
+    assert places[-1] > len(view.object_points) - 30
+    count = len(view.hand_points)
+    assert 50 < count < 1024
+    np.testing.assert_array_equal(seen[HAND][:count], view.hand_points)
+    assert not seen[HAND][count:].any()
+
+
+@pytest.mark.parametrize("camera", [None, NOISY])
+def test_full_clouds_have_all_points(world: World, camera: CameraNoise | None) -> None:
+    wrist_camera = make_wrist_camera(world, camera_noise=camera)
+    seen, view = wrist_camera.observe(FULL_POINTCLOUD, world, STEPS), wrist_camera.capture(world, STEPS)
+    assert seen[COUNTS].tolist() == [len(view.object_points), len(view.hand_points)]
+    for key, points in (("wrist_object_cloud", view.object_points), ("wrist_hand_cloud", view.hand_points)):
+        assert len(points) > 50
+        np.testing.assert_array_equal(seen[key][: len(points)], points)
+        assert not seen[key][len(points) :].any()
+
+
+@pytest.mark.parametrize("physics", ["exact", "fast"])
+def test_float64_joints_round_to_the_observed_ones(physics: str) -> None:
+    episode = Episode(physics, wrist_camera=WristCameraConfig(renderer="bullet"))
+    episode.reset(SCENE)
+    episode.advance(np.array([0.3, *OFFICIAL_CONFIG.physics.panda.start_joints[1:]], dtype=np.float32), 100)
+    exact = episode.observe_camera(FULL_POINTCLOUD)["robot_joint_position_exact"]
+    np.testing.assert_array_equal(exact.astype(np.float32), episode.observe()["robot_joint_position"])
+    assert (exact != exact.astype(np.float32)).any()
+    episode.close()
+
+
+def test_image_observations_equal_the_camera_frame(world: World) -> None:
+    wrist_camera = make_wrist_camera(world)
+    seen, view = wrist_camera.observe(RGBD, world, STEPS), wrist_camera.capture(world, STEPS)
+    np.testing.assert_array_equal(seen["wrist_depth"][..., 0], view.depth)
+    np.testing.assert_array_equal(seen["wrist_segmentation"][..., 0], view.segmentation)
+    np.testing.assert_array_equal(seen["wrist_rgb"], view.rgb)
+    assert wrist_camera.observe(STATE, world, STEPS) == {}
+
+
+def make_image(item: int, hand: int) -> CameraImage:
+    """Return an image with given numbers of object and hand pixels, whose depths are all different."""
+    segmentation = np.zeros(224 * 224, dtype=np.uint8)
+    segmentation[1 : 2 * item : 2] = SegmentationLabel.TARGET
+    segmentation[2 * item + 2 : 2 * (item + hand) + 2 : 2] = SegmentationLabel.HAND
+    depth = np.linspace(0.1, 1.9, 224 * 224, dtype=np.float32)
+    return CameraImage(depth.reshape(224, 224), segmentation.reshape(224, 224), np.zeros((224, 224, 3), np.uint8))
+
+
+@pytest.mark.parametrize(("item", "hand"), [(0, 0), (1, 1023), (1024, 1025), (1025, 1024), (20_000, 5000)])
+def test_point_counts_near_1024(monkeypatch: pytest.MonkeyPatch, world: World, item: int, hand: int) -> None:
+    monkeypatch.setattr(WristCamera, "_render", lambda *_, **__: make_image(item, hand))
+    wrist_camera = make_wrist_camera(world)
+    seen, view = wrist_camera.observe(POINTCLOUD, world, STEPS), wrist_camera.capture(world, STEPS)
+    assert seen[COUNTS].tolist() == [item, hand]
+    for key, cloud in ((OBJECT, view.object_points), (HAND, view.hand_points)):
+        kept = min(len(cloud), 1024)
+        places = places_in(seen[key][:kept], cloud)
+        assert places == sorted(set(places))
+        assert (places == list(range(len(cloud)))) == (len(cloud) <= 1024)
+        assert not seen[key][kept:].any()
+
+
+def test_object_and_hand_are_subsampled_independently(monkeypatch: pytest.MonkeyPatch, world: World) -> None:
+    monkeypatch.setattr(WristCamera, "_render", lambda *_, **__: make_image(3000, 3000))
+    wrist_camera = make_wrist_camera(world)
+    seen, view = wrist_camera.observe(POINTCLOUD, world, STEPS), wrist_camera.capture(world, STEPS)
+    first, second = places_in(seen[OBJECT], view.object_points), places_in(seen[HAND], view.hand_points)
+    assert first != second
+    # Every part of a cloud has its share.
+    for places in (first, second):
+        shares = np.histogram(places, bins=10, range=(0, 3000))[0]
+        assert shares.min() > 60
+        assert shares.max() < 145
+
+
+# ------------------------------------------------------------------------------------- whoever looked, and how often
+
+
+LOOKS: list[Callable[[WristCamera, World], object]] = [
+    lambda wrist_camera, world: None,
+    lambda wrist_camera, world: wrist_camera.capture(world, STEPS),
+    lambda wrist_camera, world: wrist_camera.observe(POINTCLOUD, world, STEPS),
+    lambda wrist_camera, world: wrist_camera.observe(RGBD, world, STEPS),
+    lambda wrist_camera, world: wrist_camera.capture(world, STEPS - 1),
+    lambda wrist_camera, world: wrist_camera.observe(POINTCLOUD, world, STEPS - 1),
+]
+
+
+@pytest.mark.parametrize("camera", [None, NOISY])
+@pytest.mark.parametrize("renderer", ["rays", "bullet"])
+def test_observations_do_not_depend_on_earlier_images(world: World, renderer: str, camera: CameraNoise | None) -> None:
+    """To the bit, although points alone are drawn otherwise than whole pictures."""
+    expected = make_wrist_camera(world, 3, renderer=renderer, camera_noise=camera)
+    points = expected.observe(POINTCLOUD, world, STEPS)
+    view = as_dict(expected.capture(world, STEPS))
+    for look in LOOKS:
+        wrist_camera = make_wrist_camera(world, 3, renderer=renderer, camera_noise=camera)
+        look(wrist_camera, world)
+        assert_same(wrist_camera.observe(POINTCLOUD, world, STEPS), points)
+        assert_same(as_dict(wrist_camera.capture(world, STEPS)), view)
+        assert_same(wrist_camera.observe(POINTCLOUD, world, STEPS), points)
+
+
+@pytest.mark.parametrize("camera", [None, NOISY])
+def test_draws_repeat_from_seed_and_step(world: World, camera: CameraNoise | None) -> None:
+    def drawn(seed: int, steps: int) -> npt.NDArray[np.float32]:
+        return make_wrist_camera(world, seed, camera_noise=camera).observe(POINTCLOUD, world, steps)[OBJECT]
+
+    np.testing.assert_array_equal(drawn(1, STEPS), drawn(1, STEPS))
+    for other in (drawn(2, STEPS), drawn(1, STEPS + 1), drawn(STEPS, 1)):
+        assert (drawn(1, STEPS) != other).any()
+    wrist_camera = make_wrist_camera(world, 0, camera_noise=camera)
+    first = wrist_camera.observe(POINTCLOUD, world, STEPS)
+    for seed in (1, 2, 1):
+        wrist_camera.seed(seed)
+        np.testing.assert_array_equal(wrist_camera.observe(POINTCLOUD, world, STEPS)[OBJECT], drawn(seed, STEPS))
+    wrist_camera.seed(0)
+    assert_same(wrist_camera.observe(POINTCLOUD, world, STEPS), first)
+    unseeded = WristCamera(WristCameraConfig(renderer="rays", camera_noise=camera), "fast", OFFICIAL_CONFIG.physics)
+    unseeded.reset(SCENE, world)
+    assert_same(unseeded.observe(POINTCLOUD, world, STEPS), first)
+
+
+@pytest.mark.parametrize("camera", [None, NOISY])
+def test_arrays_may_be_written_to(world: World, camera: CameraNoise | None) -> None:
+    wrist_camera, fresh = (make_wrist_camera(world, camera_noise=camera) for _ in range(2))
+    for look in (
+        lambda of: of.observe(POINTCLOUD, world, STEPS),
+        lambda of: of.observe(RGBD, world, STEPS),
+        lambda of: as_dict(of.capture(world, STEPS)),
+    ):
+        seen = look(wrist_camera)
+        for value in seen.values():
+            value[...] = 7
+        assert_same(look(wrist_camera), look(fresh))
+        assert_same(look(wrist_camera), look(fresh))
+
+
+def test_two_clouds_are_two_arrays(world: World) -> None:
+    seen = make_wrist_camera(world).observe(POINTCLOUD, world, STEPS)
+    seen[OBJECT][...] = 7.0
+    assert seen[HAND].max() < 7.0
+
+
+# ------------------------------------------------------------------------------------------------- what is drawn when
+
+
+class Drawings:
+    """Counts what is asked of ray casters and of worlds."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.count = dict.fromkeys(["made", "whole", "targets", "engine"], 0)
+        for owner, name, kind in (
+            (RayCamera, "__init__", "made"),
+            (RayCamera, "render_wrist_camera", "whole"),
+            (RayCamera, "render_targets", "targets"),
+            (FastWorld, "render_wrist_camera", "engine"),
+        ):
+            monkeypatch.setattr(owner, name, self._counted(getattr(owner, name), kind))
+
+    def _counted(self, call: Callable[..., Any], kind: str) -> Callable[..., Any]:
+        def counted(*args: Any, **options: Any) -> Any:
+            self.count[kind] += 1
+            return call(*args, **options)
+
+        return counted
+
+    def taken(self) -> tuple[int, ...]:
+        return tuple(self.count.values())
+
+
+@pytest.fixture
+def drawings(monkeypatch: pytest.MonkeyPatch) -> Drawings:
+    return Drawings(monkeypatch)
+
+
+class Looker(Policy):
+    """Receiver with an observation every 50 ms in a given mode."""
+
+    name, hold_time = "looker", 0.05
+
+    def __init__(self, **wishes: str) -> None:
+        vars(self).update(wishes)
+        self.seen: list[Observation] = []
+
+    def reset(self, seed: int | None = None) -> None:
+        self.seen.clear()
+
+    def act(self, observation: Observation) -> npt.NDArray[np.float32]:
+        self.seen.append({key: value for key, value in observation.items() if key.startswith("wrist_")})
+        return GOAL
+
+
+@pytest.mark.parametrize("camera", [None, "realsense"])
+@pytest.mark.parametrize("wishes", [{}, {"obs_mode": "state"}])
+def test_state_observations_render_nothing(drawings: Drawings, camera: str | None, wishes: dict[str, str]) -> None:
+    episode, looker = Episode("fast", wrist_camera=WristCameraConfig(camera_noise=camera)), Looker(**wishes)
+    episode.reset(SCENE)
+    play(episode, looker, until=200)
+    assert looker.seen == [{}] * 4
+    assert drawings.taken() == (0, 0, 0, 0)
+    episode.close()
+
+
+@pytest.mark.parametrize(
+    ("obs_mode", "camera", "expected"),
+    [
+        (POINTCLOUD, None, (1, 0, 4, 0)),
+        (RGBD, None, (1, 4, 0, 0)),
+        (FULL_POINTCLOUD, None, (1, 0, 4, 0)),
+        # Edges are those of whole pictures.
+        (POINTCLOUD, NOISY, (1, 4, 0, 0)),
+    ],
+)
+def test_one_image_is_rendered_per_decision(
+    drawings: Drawings, obs_mode: str, camera: CameraNoise | None, expected: tuple[int, ...]
+) -> None:
+    episode, looker = Episode("fast", wrist_camera=WristCameraConfig(camera_noise=camera)), Looker(obs_mode=obs_mode)
+    episode.reset(SCENE)
+    play(episode, looker, until=200)
+    keys = [key for key in camera_observation_space(obs_mode) if key.startswith("wrist")]
+    assert [list(seen) for seen in looker.seen] == [keys] * 4
+    assert drawings.taken() == expected
+    # Seen by the seed of the episode, as anybody sees it now who looks again.
+    assert_same(episode.observe_camera(obs_mode), episode.observe_camera(obs_mode))
+    episode.close()
+
+
+def test_a_step_is_rendered_once(world: World, drawings: Drawings) -> None:
+    wrist_camera = make_wrist_camera(world)
+    assert drawings.taken() == (0, 0, 0, 0)
+    for _ in range(3):
+        wrist_camera.observe(POINTCLOUD, world, STEPS)
+    assert drawings.taken() == (1, 0, 1, 0)
+    for _ in range(3):
+        wrist_camera.capture(world, STEPS)
+        wrist_camera.observe(RGBD, world, STEPS)
+        wrist_camera.observe(POINTCLOUD, world, STEPS)
+    assert drawings.taken() == (1, 1, 1, 0)
+    wrist_camera.capture(world, STEPS + 1)
+    wrist_camera.observe(POINTCLOUD, world, STEPS + 1)
+    assert drawings.taken() == (1, 2, 1, 0)
+    wrist_camera.reset(SCENE, world)
+    wrist_camera.observe(POINTCLOUD, world, STEPS + 1)
+    assert drawings.taken() == (1, 2, 2, 0), "models are kept as long as the scene stays"
+    make_wrist_camera(world, renderer="bullet").observe(POINTCLOUD, world, STEPS)
+    assert drawings.taken() == (1, 2, 2, 1)
+
+
+@pytest.mark.parametrize("camera", [None, "realsense"])
+@pytest.mark.parametrize("physics", ["exact", "fast"])
+def test_scenes_are_independent(physics: str, camera: str | None) -> None:
+    """The first step of one scene and of another have the same number."""
+    config = WristCameraConfig(renderer="rays", camera_noise=camera)
+    used, fresh = Episode(physics, wrist_camera=config), {}
+    for number, scene in enumerate((SCENE, OTHER, SCENE)):
+        used.reset(scene)
+        used.seed_camera(5)
+        name = scene.info.name
+        seen = {**used.observe_camera(POINTCLOUD), **as_dict(used.capture_wrist_camera())}
+        if number < 2:
+            fresh[name] = seen
+        else:
+            assert_same(seen, fresh[name])
+        used.advance(GOAL, 60)
+        used.capture_wrist_camera()
+    first, second = fresh.values()
+    assert (first["depth"] != second["depth"]).any()
+    assert first[COUNTS].tolist() != second[COUNTS].tolist()
+    used.close()
+
+
+def test_there_is_no_image_before_reset(world: World) -> None:
+    episode = Episode("fast")
+    for look in (episode.capture_wrist_camera, lambda: episode.observe_camera(POINTCLOUD)):
+        with pytest.raises(ResetNeededError):
+            look()
+    wrist_camera = WristCamera(WristCameraConfig(), "fast", OFFICIAL_CONFIG.physics)
+    assert wrist_camera.observe(STATE, world, 0) == {}
+    with pytest.raises(ResetNeededError):
+        wrist_camera.observe(POINTCLOUD, world, 0)
+
+
+# -------------------------------------------------------------------------------------------------- cameras' faults
+
+
+def test_the_noise_preset(world: World) -> None:
+    preset, own = (
+        make_wrist_camera(world, 4, camera_noise=camera).observe(RGBD, world, STEPS)
+        for camera in ("realsense", CameraNoise(0.0036, 0.02, 0.5, 0.05))
+    )
+    assert_same(preset, own)
+    assert WristCameraConfig(camera_noise="realsense").noise == CameraNoise()
+
+
+def test_a_camera_without_faults_is_perfect(world: World) -> None:
+    for renderer in ("rays", "bullet"):
+        perfect = make_wrist_camera(world, 1, renderer=renderer)
+        flawless = make_wrist_camera(world, 1, renderer=renderer, camera_noise=PERFECT)
+        assert not flawless.has_latency
+        assert_same(flawless.observe(POINTCLOUD, world, STEPS), perfect.observe(POINTCLOUD, world, STEPS))
+        assert_same(as_dict(flawless.capture(world, STEPS)), as_dict(perfect.capture(world, STEPS)))
+
+
+def beside_edges(depth: npt.NDArray[np.float32]) -> npt.NDArray[np.bool_]:
+    framed = np.pad(depth, 1, mode="edge")
+    neighbours = (framed[:-2, 1:-1], framed[2:, 1:-1], framed[1:-1, :-2], framed[1:-1, 2:])
+    return np.array(np.any([np.abs(other - depth) > 0.02 for other in neighbours], axis=0))
+
+
+def test_noise_and_dropout_match_the_configuration(world: World) -> None:
+    perfect = make_wrist_camera(world).capture(world, STEPS)
+    views = [make_wrist_camera(world, seed, camera_noise=NOISY).capture(world, STEPS) for seed in (1, 1, 2)]
+    assert_same(as_dict(views[0]), as_dict(views[1]))
+    assert (views[0].depth != views[2].depth).mean() > 0.3
+    there, edges = perfect.depth < EMPTY_DEPTH, beside_edges(perfect.depth)
+    lost = there & (views[0].depth == EMPTY_DEPTH)
+    assert not (lost & ~edges).any()
+    assert lost.sum() == pytest.approx(0.5 * (there & edges).sum(), rel=0.1)
+    assert not views[0].segmentation[lost].any()
+    np.testing.assert_array_equal(views[0].segmentation[~lost], perfect.segmentation[~lost])
+    np.testing.assert_array_equal(views[0].rgb, perfect.rgb)
+    kept = there & ~lost
+    apart = (views[0].depth - perfect.depth)[kept] / perfect.depth[kept] ** 2
+    assert apart.std() == pytest.approx(0.0036, rel=0.03)
+    # As much for what is near as for what is far.
+    near = perfect.depth[kept] < np.median(perfect.depth[kept])
+    assert apart[near].std() == pytest.approx(apart[~near].std(), rel=0.1)
+
+
+def test_noisy_clouds_equal_deprojected_noisy_images(world: World) -> None:
+    wrist_camera = make_wrist_camera(world, 2, camera_noise=NOISY, camera_model=PINHOLE_MODEL)
+    view, perfect = (
+        wrist_camera.capture(world, STEPS),
+        make_wrist_camera(world, camera_model=PINHOLE_MODEL).capture(world, STEPS),
+    )
+    np.testing.assert_array_equal(
+        view.object_points, deproject(view.depth, view.segmentation == SegmentationLabel.TARGET, PINHOLE_MODEL)
+    )
+    assert len(view.object_points) < len(perfect.object_points)
+    assert wrist_camera.observe(POINTCLOUD, world, STEPS)[COUNTS].tolist() == [
+        len(view.object_points),
+        len(view.hand_points),
+    ]
+
+
+class Diary:
+    """What a perfect camera saw at every step."""
+
+    def __init__(self, episode: Episode, renderer: str, physics: str, scene: Scene) -> None:
+        self._sight = WristCamera(WristCameraConfig(renderer=renderer), physics, OFFICIAL_CONFIG.physics)
+        self._sight.reset(scene, episode.world)
+        self.views = {0: self._sight.capture(episode.world, 0)}
+        self.links = {0: episode.observe()["gripper_pose"]}
+        self.wanted: set[int] = set()
+
+    def __call__(self, episode: Episode) -> None:
+        if episode.steps in self.wanted:
+            self.views[episode.steps] = self._sight.capture(episode.world, episode.steps)
+            self.links[episode.steps] = episode.observe()["gripper_pose"]
+
+    def assert_arrived(self, episode: Episode, step: int) -> None:
+        """What is seen now is what was to be seen then: the same pictures, and points at the same places."""
+        arrived, then = as_dict(episode.capture_wrist_camera()), as_dict(self.views[step])
+        now = episode.observe()["gripper_pose"]
+        for name in ("object_points", "hand_points"):
+            seen, was = arrived.pop(name), then.pop(name)
+            assert seen.dtype == np.float32
+            if (now == self.links[step]).all():
+                np.testing.assert_array_equal(seen, was)
+            places, before = transform_points(now, seen), transform_points(self.links[step], was)
+            np.testing.assert_allclose(places, before, rtol=0.0, atol=5e-6)
+        assert_same(arrived, then)
+
+
+def late(latency: float) -> CameraNoise:
+    return CameraNoise(depth_noise_std=0.0, edge_dropout=0.0, latency=latency)
+
+
+@pytest.mark.parametrize("latency", [0.001, 0.05, 0.13])
+@pytest.mark.parametrize("chunk", [50, 7])
+def test_late_images_are_those_of_earlier_steps(latency: float, chunk: int) -> None:
+    delay = round(1000 * latency)
+    episode = Episode("fast", wrist_camera=WristCameraConfig(renderer="rays", camera_noise=late(latency)))
+    for scene in (SCENE, OTHER):
+        # Nothing of the scene before is left.
+        episode.reset(scene)
+        diary = Diary(episode, "rays", "fast", scene)
+        diary.assert_arrived(episode, 0)
+        ends = [min(10, delay), delay, delay + 1, 180, 287]
+        diary.wanted = {end - delay + more for end in ends for more in (-1, 0, 1)}
+        for end in ends:
+            while episode.steps < end:
+                episode.advance(GOAL, min(chunk, end - episode.steps), on_step=[diary])
+            arrived = episode.capture_wrist_camera()
+            diary.assert_arrived(episode, max(0, end - delay))
+            if end > delay:
+                assert (arrived.depth != diary.views[end - delay - 1].depth).any()
+            counts = episode.observe_camera(POINTCLOUD)[COUNTS].tolist()
+            assert counts == [len(arrived.object_points), len(arrived.hand_points)]
+    episode.close()
+
+
+@pytest.mark.parametrize("renderer", ["rays", "bullet"])
+def test_late_images_of_exact_physics_are_those_of_earlier_steps(renderer: str) -> None:
+    """With and without a hand, which comes after 0.4 s; the engine draws the past in a server of its own."""
+    episode = Episode("exact", wrist_camera=WristCameraConfig(renderer=renderer, camera_noise=late(0.1)))
+    episode.reset(OTHER)
+    diary = Diary(episode, renderer, "exact", OTHER)
+    diary.wanted = {350, 450}
+    for end in (450, 550):
+        episode.advance(GOAL, end - episode.steps, on_step=[diary])
+        arrived, then = episode.capture_wrist_camera(), diary.views[end - 100]
+        assert bool(len(arrived.hand_points)) == (end == 550)
+        assert (arrived.segmentation != then.segmentation).mean() < 1e-3
+        assert (np.abs(arrived.depth - then.depth) > 1e-4).mean() < 1e-3
+        if renderer == "rays":
+            diary.assert_arrived(episode, end - 100)
+    episode.close()
+
+
+def test_only_cameras_with_latency_record_snapshots() -> None:
+    for camera, has_latency in (
+        (None, False),
+        (PERFECT, False),
+        (NOISY, False),
+        (late(0.001), True),
+        ("realsense", True),
+    ):
+        assert (
+            WristCamera(WristCameraConfig(camera_noise=camera), "fast", OFFICIAL_CONFIG.physics).has_latency
+            == has_latency
+        )
+
+
+def test_late_clouds_do_not_depend_on_earlier_images() -> None:
+    seen: list[list[Observation]] = []
+    for nosy in (False, True):
+        episode = Episode("fast", wrist_camera=WristCameraConfig(camera_noise="realsense"))
+        episode.reset(SCENE)
+        episode.seed_camera(3)
+        seen.append([])
+        for _ in range(4):
+            episode.advance(GOAL, 30)
+            if nosy:
+                episode.capture_wrist_camera()
+                episode.observe_camera(RGBD)
+            seen[-1].append(episode.observe_camera(POINTCLOUD))
+        episode.close()
+    for calm, watched in zip(*seen, strict=True):
+        assert_same(calm, watched)
+
+
+def test_noise_follows_the_seed_of_the_episode() -> None:
+    """Points are drawn anew in every episode and are the same in the same one."""
+    episode, clouds = Episode("fast"), []
+    for seed in (0, 1, 0):
+        looker = Looker(obs_mode=f"state+{POINTCLOUD}")
+        episode.reset(SCENE)
+        episode.advance(GOAL, STEPS)
+        play(episode, looker, seed=seed, until=STEPS + 100)
+        assert min(seen[COUNTS][0] for seen in looker.seen) > 1024
+        clouds.append(looker.seen)
+    for first, other, again in zip(*clouds, strict=True):
+        assert_same(first, again)
+        assert (first[OBJECT] != other[OBJECT]).any()
+        np.testing.assert_array_equal(first[COUNTS], other[COUNTS])
+    episode.close()

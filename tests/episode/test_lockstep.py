@@ -1,0 +1,138 @@
+"""Rules on arrays give the same states as the referee step by step."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from handover_marl.config import ProtocolConfig
+from handover_marl.episode.lockstep import RefereeStateBatch, judge_steps
+from handover_marl.episode.referee import EpisodeStatus, Referee, RefereeState, ReleaseReason
+from handover_marl.simulation.contacts import NO_POINTS, ContactBatch, Contacts
+from tests.learning.training.scripts import script
+
+#: Short periods, so that few steps lead to releases and ends.
+RULES = ProtocolConfig(release_steps=4, success_steps=3, horizon_steps=40)
+INSIDE = np.array([[0.0, 0.0, 0.03]], dtype=np.float32)
+OUTSIDE = np.array([[0.02, 0.0, 0.03]], dtype=np.float32)
+
+POINTS = st.sampled_from([NO_POINTS, INSIDE, OUTSIDE, np.concatenate([OUTSIDE, INSIDE])])
+STEP = st.builds(
+    Contacts,
+    robot_touches_hand=st.sampled_from([False] * 30 + [True]),
+    robot_touches_object=st.sampled_from([True, True, True, False]),
+    finger_points=st.tuples(POINTS, POINTS),
+    object_supported=st.sampled_from([False] * 8 + [True]),
+    object_height=st.sampled_from([1.2, 1.2, 1.2, 0.9]),
+    gripper_position=st.sampled_from([RULES.goal_center, RULES.goal_center, (0.0, 0.0, 0.0)]),
+)
+
+
+@st.composite
+def streams(draw: st.DrawFn) -> list[list[Contacts]]:
+    """Draw the contacts of some episodes; steps are repeated so that conditions hold for several steps."""
+    length = draw(st.integers(1, 60))
+    episodes = []
+    for _ in range(draw(st.integers(1, 4))):
+        steps: list[Contacts] = []
+        while len(steps) < length:
+            steps += [consistent(draw(STEP))] * draw(st.integers(1, 9))
+        episodes.append(steps[:length])
+    return episodes
+
+
+def consistent(step: Contacts) -> Contacts:
+    """Remove finger points of steps in which the robot does not touch the object."""
+    return step if step.robot_touches_object else step._replace(finger_points=(NO_POINTS, NO_POINTS))
+
+
+def arrays(episodes: list[list[Contacts]]) -> ContactBatch:
+    """Return the same contacts as arrays (k, n)."""
+    columns = zip(*(ContactBatch.from_contacts(steps, RULES) for steps in episodes), strict=True)
+    return ContactBatch(*(np.concatenate(column, axis=1) for column in columns))
+
+
+def step_by_step(referee: Referee, steps: list[Contacts]) -> tuple[int, RefereeState]:
+    """Return the index of the step with the first release or end, or of the last step, and the state after it."""
+    held = not referee.released
+    for number, step in enumerate(steps):
+        if referee.update(step) or (held and referee.released):
+            return number, referee.get_state()
+    return len(steps) - 1, referee.get_state()
+
+
+def without_final_count(last: int, state: RefereeState) -> tuple[int, RefereeState]:
+    """Clear the goal count of an episode that has ended, which no rule uses any more."""
+    return last, state._replace(goal_steps=0) if state.status else state
+
+
+@settings(max_examples=100, deadline=None)
+@given(streams(), st.integers(1, 60), st.booleans())
+def test_arrays_give_the_states_of_the_referee(
+    episodes: list[list[Contacts]], chunk: int, releases_voluntarily: bool
+) -> None:
+    referees = [Referee(RULES) for _ in episodes]
+    restored = [Referee(RULES) for _ in episodes]
+    if releases_voluntarily:
+        referees[0].release_voluntarily()
+        restored[0].release_voluntarily()
+    start = [0] * len(episodes)
+    while running := [
+        number for number, steps in enumerate(episodes) if start[number] < len(steps) and not referees[number].status
+    ]:
+        length = min(chunk, *(len(episodes[number]) - start[number] for number in running))
+        parts = [episodes[number][start[number] : start[number] + length] for number in running]
+        before = RefereeStateBatch.from_states([restored[number].get_state() for number in running])
+        last, states = judge_steps(before, arrays(parts), RULES)
+        for place, number in enumerate(running):
+            expected = step_by_step(referees[number], parts[place])
+            found = last[place], states.select(place)
+            assert without_final_count(*found) == without_final_count(*expected)
+            restored[number].restore(states.select(place))
+            assert restored[number].status == referees[number].status
+            assert restored[number].release == referees[number].release
+            assert restored[number].release_step == referees[number].release_step
+            assert restored[number].released == referees[number].released
+            start[number] += int(last[place]) + 1
+
+
+@pytest.mark.parametrize("status", [EpisodeStatus.SUCCESS, EpisodeStatus.TIMEOUT])
+def test_whole_episodes_end(status: EpisodeStatus) -> None:
+    holds = Contacts(
+        robot_touches_object=True, finger_points=(INSIDE, INSIDE), object_height=1.2, gripper_position=RULES.goal_center
+    )
+    steps = [holds if status is EpisodeStatus.SUCCESS else Contacts()] * 50
+    referee = Referee(RULES)
+    last, states = judge_steps(RefereeStateBatch.from_states([referee.get_state()]), arrays([steps]), RULES)
+    if status is EpisodeStatus.SUCCESS:
+        assert (last[0], states.release[0], states.status[0]) == (
+            3,
+            tuple(ReleaseReason).index(ReleaseReason.ACTIVE),
+            0,
+        )
+        last, states = judge_steps(states, arrays([steps[4:]]), RULES)
+        # The step of the release counts for the goal as well.
+        assert states.steps[0] == 4 + RULES.success_steps - 1
+    assert EpisodeStatus(int(states.status[0])) == status
+
+
+def test_the_script_compares_whole_episodes(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    check = script("check_array_rules", monkeypatch)
+    args = check.Args(dataset="synthetic", episodes=3, together=2, receiver="yang2021", workers=1)
+    check.main(args)
+    output = capsys.readouterr().out
+    assert "synthetic, s0 train, 3 episodes (3 replay)" in output
+    assert " times, 0 differences" in output
+
+    def late(before: RefereeStateBatch, seen: ContactBatch, rules: ProtocolConfig) -> object:
+        """Release one step too late."""
+        return judge_steps(before, seen, dataclasses.replace(rules, release_steps=rules.release_steps + 1))
+
+    monkeypatch.setattr(check, "judge_steps", late)
+    with pytest.raises(SystemExit):
+        check.main(dataclasses.replace(args, episodes=1, segments=(50,)))
+    assert "not RefereeState(" in capsys.readouterr().out

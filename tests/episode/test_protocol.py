@@ -1,0 +1,158 @@
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from handover_marl.config import ProtocolConfig
+from handover_marl.episode.referee import EpisodeStatus, Referee, ReleaseReason
+from handover_marl.simulation.contacts import NO_POINTS, Contacts
+
+CONFIG = ProtocolConfig()
+INSIDE = np.array([[0.0, 0.0, 0.03]], dtype=np.float32)
+OUTSIDE = np.array([[0.02, 0.0, 0.03]], dtype=np.float32)
+
+GRASP = Contacts(robot_touches_object=True, finger_points=(INSIDE, INSIDE))
+PUSH = Contacts(robot_touches_object=True)
+ONE_FINGER = Contacts(robot_touches_object=True, finger_points=(INSIDE, NO_POINTS))
+NOTHING = Contacts()
+AT_GOAL = GRASP._replace(gripper_position=CONFIG.goal_center, object_height=1.25)
+
+
+def releases(sequence: list[Contacts]) -> list[ReleaseReason | None]:
+    """Reason of the release in each step; counters go on after a release."""
+    referee, reasons = Referee(CONFIG), []
+    for contacts in sequence:
+        referee.update(contacts)
+        reasons.append(referee.release)
+        if referee.released:
+            referee.restore(referee.get_state()._replace(release=-1, release_step=-1))
+    return reasons
+
+
+@pytest.mark.parametrize(("contacts", "kind"), [(GRASP, ReleaseReason.ACTIVE), (PUSH, ReleaseReason.PASSIVE)])
+def test_release_after_exactly_a_hundred_steps(contacts: Contacts, kind: ReleaseReason) -> None:
+    assert releases([contacts] * 100) == [None] * 99 + [kind]
+
+
+@pytest.mark.parametrize("breaker", [NOTHING, ONE_FINGER])
+@pytest.mark.parametrize("contacts", [GRASP, PUSH])
+def test_an_interruption_starts_the_count_anew(contacts: Contacts, breaker: Contacts) -> None:
+    assert releases([contacts] * 99 + [breaker] + [contacts] * 99) == [None] * 199
+
+
+def test_one_finger_never_releases() -> None:
+    assert releases([ONE_FINGER] * 500) == [None] * 500
+
+
+def test_fingers_outside_the_region_push() -> None:
+    outside = Contacts(robot_touches_object=True, finger_points=(OUTSIDE, OUTSIDE))
+    assert releases([outside] * 100)[-1] is ReleaseReason.PASSIVE
+
+
+@pytest.mark.parametrize(
+    "point", [(0.011, 0, 0.03), (-0.011, 0, 0.03), (0, 0.009, 0.03), (0, -0.009, 0.03), (0, 0, 0), (0, 0, 0.055)]
+)
+def test_the_region_is_open(point: tuple[float, float, float]) -> None:
+    edge = np.array([point], dtype=np.float64)
+    contacts = Contacts(robot_touches_object=True, finger_points=(edge, edge))
+    assert releases([contacts] * 100)[-1] is ReleaseReason.PASSIVE
+    nudged = edge * 0.999 + np.array([[0, 0, 0.03]]) * 0.001
+    contacts = Contacts(robot_touches_object=True, finger_points=(nudged, nudged))
+    assert releases([contacts] * 100)[-1] is ReleaseReason.ACTIVE
+
+
+@given(st.lists(st.sampled_from([GRASP, PUSH, ONE_FINGER, NOTHING]), max_size=300))
+def test_release_means_an_unbroken_run(sequence: list[Contacts]) -> None:
+    for end, kind in enumerate(releases(sequence)):
+        wanted = {ReleaseReason.ACTIVE: GRASP, ReleaseReason.PASSIVE: PUSH}
+        run = sequence[end - 99 : end + 1] if end >= 99 else []
+        expected = next((k for k, c in wanted.items() if len(run) == 100 and all(x is c for x in run)), None)
+        assert kind is expected
+
+
+def statuses(sequence: list[Contacts], released: bool = True) -> list[EpisodeStatus]:
+    referee = make_referee(released)
+    return [referee.update(contacts) for contacts in sequence]
+
+
+def make_referee(released: bool, steps: int = 0) -> Referee:
+    """Referee of an episode that has run for some steps; without a release, none is possible."""
+    config = CONFIG if released else dataclasses.replace(CONFIG, release_steps=10**9)
+    referee = Referee(config)
+    state = referee.get_state()._replace(steps=steps)
+    referee.restore(state._replace(release=0, release_step=1) if released else state)
+    return referee
+
+
+def test_success_needs_a_hundred_steps_at_the_goal() -> None:
+    assert statuses([AT_GOAL] * 100) == [EpisodeStatus.RUNNING] * 99 + [EpisodeStatus.SUCCESS]
+    assert EpisodeStatus.SUCCESS not in statuses([AT_GOAL] * 99 + [GRASP] + [AT_GOAL] * 99)
+    assert EpisodeStatus.SUCCESS not in statuses([AT_GOAL] * 200, released=False)
+
+
+def test_the_goal_is_an_open_ball() -> None:
+    x, y, z = CONFIG.goal_center
+    on_edge = AT_GOAL._replace(gripper_position=(x + 0.1500001, y, z))
+    within = AT_GOAL._replace(gripper_position=(x + 0.1499, y, z))
+    assert statuses([on_edge] * 100)[-1] is EpisodeStatus.RUNNING
+    assert statuses([within] * 100)[-1] is EpisodeStatus.SUCCESS
+
+
+def test_human_contact_counts_at_any_time() -> None:
+    touch = Contacts(robot_touches_hand=True)
+    assert statuses([touch], released=False) == [EpisodeStatus.HUMAN_CONTACT]
+    assert statuses([touch], released=True) == [EpisodeStatus.HUMAN_CONTACT]
+
+
+@pytest.mark.parametrize(
+    ("contacts", "dropped"),
+    [
+        (Contacts(object_supported=True, object_height=1.0), True),
+        (Contacts(object_height=0.919), True),
+        (Contacts(object_height=0.93), False),
+        (ONE_FINGER._replace(object_supported=True, object_height=1.0), True),
+        (GRASP._replace(object_supported=True, object_height=0.5), False),
+    ],
+)
+def test_drop(contacts: Contacts, dropped: bool) -> None:
+    assert statuses([contacts]) == [EpisodeStatus.OBJECT_DROP if dropped else EpisodeStatus.RUNNING]
+    assert statuses([contacts], released=False) == [EpisodeStatus.RUNNING]
+
+
+def test_failures_combine_and_exclude_success() -> None:
+    both = Contacts(robot_touches_hand=True, object_height=0.5)
+    assert statuses([both]) == [EpisodeStatus.HUMAN_CONTACT | EpisodeStatus.OBJECT_DROP]
+    assert statuses([AT_GOAL] * 99 + [AT_GOAL._replace(robot_touches_hand=True)])[-1] is EpisodeStatus.HUMAN_CONTACT
+
+
+def test_timeout_only_without_success() -> None:
+    horizon = CONFIG.horizon_steps
+    referee = make_referee(False, horizon - 2)
+    assert referee.update(NOTHING) is EpisodeStatus.RUNNING
+    assert referee.update(NOTHING) is EpisodeStatus.TIMEOUT
+    contact = make_referee(False, horizon - 1).update(Contacts(robot_touches_hand=True))
+    assert contact == EpisodeStatus.HUMAN_CONTACT | EpisodeStatus.TIMEOUT
+    referee = make_referee(True, horizon - 100)
+    for _ in range(99):
+        referee.update(AT_GOAL)
+    assert referee.update(AT_GOAL) is EpisodeStatus.SUCCESS
+
+
+def test_labels() -> None:
+    assert EpisodeStatus(0).label == "running"
+    assert EpisodeStatus(6).label == "contact+drop"
+
+
+def test_referee_reports_the_release_step() -> None:
+    referee = Referee(CONFIG)
+    for _ in range(10):
+        referee.update(NOTHING)
+    for _ in range(100):
+        assert referee.release_step is None
+        referee.update(GRASP)
+    assert referee.release_step == 110
+    assert referee.release is ReleaseReason.ACTIVE
+    referee.update(PUSH)
+    assert referee.release_step == 110

@@ -1,0 +1,328 @@
+import importlib.util
+import itertools
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from handover_marl import givers, receivers
+from handover_marl.cli import main
+from handover_marl.config import CameraConfig
+from handover_marl.datasets.synthetic import SyntheticDataset
+from handover_marl.episode.callbacks import EpisodeCallback
+from handover_marl.episode.episode import Episode
+from handover_marl.episode.loop import play
+from handover_marl.errors import HandoverError, OptionError, ResultsError, SceneError, UnknownNameError
+from handover_marl.evaluation.rendering import scene as scene_rendering
+from handover_marl.evaluation.rendering.scene import render_scene
+from handover_marl.policies.policy import PolicyContext
+from handover_marl.receivers.hold import HoldReceiver
+from handover_marl.visualization import film as film_module
+
+CAMERA = CameraConfig(width=96, height=72)
+
+
+def draw(out: Path, **options: Any) -> Path:
+    return render_scene(209, out, **{"dataset": "synthetic", "camera": CAMERA, "progress": False, **options})
+
+
+def pictures(sheet: Path) -> list[np.ndarray]:
+    """The pictures of a sheet, without the white ones that fill it up."""
+    with Image.open(sheet) as image:
+        pixels = np.asarray(image)
+    rows, columns = pixels.shape[0] // CAMERA.height, pixels.shape[1] // CAMERA.width
+    assert pixels.shape == (rows * CAMERA.height, columns * CAMERA.width, 3)
+    cells = [part for row in np.split(pixels, rows) for part in np.split(row, columns, axis=1)]
+    shown = [not (part == 255).all() for part in cells]
+    assert shown == sorted(shown, reverse=True)
+    return [part for part, there in zip(cells, shown, strict=True) if there]
+
+
+@pytest.fixture
+def drawn_after(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """The steps after which pictures are taken."""
+    steps, render = [], Episode.render
+
+    def noted(episode: Episode, camera: CameraConfig) -> Any:
+        steps.append(episode.steps)
+        return render(episode, camera)
+
+    monkeypatch.setattr(Episode, "render", noted)
+    return steps
+
+
+def test_key_frames(tmp_path: Path) -> None:
+    with Image.open(draw(tmp_path / "new" / "sheet.png", key_frames=4)) as sheet:
+        pixels = np.asarray(sheet)
+    assert pixels.shape == (2 * 72, 3 * 96, 3)
+    first, second = pixels[:72, :96], pixels[72:, :96]
+    assert first.std() > 20
+    assert (first != second).any(axis=2).mean() > 0.003
+    assert (pixels[72:, 96:] == 255).all()
+
+
+@pytest.mark.parametrize("key_frames", [6, 7, 4, 3, 2, 1])
+def test_number_of_key_frames(tmp_path: Path, drawn_after: list[int], key_frames: int) -> None:
+    path = draw(tmp_path / "sheet.png", key_frames=key_frames, physics="fast")
+    assert len(pictures(path)) == key_frames
+    end = SyntheticDataset().load_scene(209).n_frames + 500
+    if key_frames > 1:
+        assert drawn_after == np.linspace(0, end, key_frames).round().astype(int).tolist()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "players",
+    [
+        {"receiver": "yang2021", "physics": "fast"},
+        {"receiver": "yang2021", "giver": "noisy", "physics": "fast", "seed": 5},
+        {"receiver": "random", "giver": "noisy", "physics": "exact"},
+        # Policies that draw, and hit whatever they can.
+        *({"receiver": "random", "giver": "noisy", "physics": "fast", "seed": seed} for seed in range(3)),
+    ],
+)
+def test_key_frames_span_the_episode(
+    tmp_path: Path, drawn_after: list[int], monkeypatch: pytest.MonkeyPatch, players: dict[str, Any]
+) -> None:
+    steps, advance = [], Episode.advance
+
+    def noted(episode: Episode, *arguments: Any) -> None:
+        advance(episode, *arguments)
+        steps.append(episode.steps)
+
+    monkeypatch.setattr(Episode, "advance", noted)
+    path = draw(tmp_path / "sheet.png", **players)
+    shown = pictures(path)
+    assert len(shown) == len(drawn_after) == 6
+    assert drawn_after == np.linspace(0, max(steps), 6).round().astype(int).tolist()
+    assert all((first != second).any() for first, second in itertools.pairwise(shown))
+
+
+class Joints(EpisodeCallback):
+    def on_reset(self, episode: Episode) -> None:
+        self.rows: list[np.ndarray] = []
+
+    def on_step(self, episode: Episode) -> None:
+        self.rows.append(episode.world.read_agent_joints().robot)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("physics", ["fast", "exact"])
+@pytest.mark.parametrize("scene_id", [209, 214])
+def test_rendering_does_not_change_the_episode(scene_id: int, physics: str) -> None:
+    """To the bit, whenever pictures are taken, and though this robot hits itself and the table."""
+    dataset = SyntheticDataset()
+    players = receivers.make("random", dataset), givers.make("noisy", dataset)
+    ends = []
+    for times in ([], [0, 295, 589, 884, 1178, 1473], range(0, 13_000, 333), range(0, 13_000, 80)):
+        episode, joints = Episode(physics), Joints()
+        episode.reset(dataset.load_scene(scene_id))
+        play(
+            episode,
+            *players,
+            seed=0,
+            callbacks=[joints, film_module.FrameRecorder(times, lambda now: now.render(CAMERA))],
+        )
+        ends.append((episode.status, episode.steps, np.array(joints.rows)))
+        episode.close()
+    for number, (*end, rows) in enumerate(ends[1:], start=1):
+        shorter = min(len(rows), len(ends[0][-1]))
+        different = np.flatnonzero((rows[:shorter] != ends[0][-1][:shorter]).any(axis=1))
+        assert not len(different), f"film {number} shows another episode from step {different[0] + 1} on"
+        assert end == list(ends[0][:-1])
+
+
+@pytest.mark.parametrize("name", ["sheet.PNG", "film.GIF", "film.gif", "sheet.Png"])
+def test_suffixes_in_upper_case(tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    for module in (film_module, scene_rendering):
+        monkeypatch.setattr(module, "FRAME_PERIOD_MS", 800)
+    path = draw(tmp_path / name, key_frames=2, physics="fast")
+    assert path.name == name
+    with Image.open(path) as image:
+        assert image.format == path.suffix[1:].upper()
+    assert [entry.name for entry in tmp_path.iterdir()] == [name]
+
+
+@pytest.mark.parametrize("suffix", [".gif", ".mp4"])
+def test_films(tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    if suffix == ".mp4":
+        pytest.importorskip("imageio_ffmpeg", reason="needs the extra `render`")
+    for module in (film_module, scene_rendering):
+        monkeypatch.setattr(module, "FRAME_PERIOD_MS", 800)
+    path = draw(tmp_path / f"film{suffix}")
+    head = path.read_bytes()[:12]
+    assert head.startswith(b"GIF89a") if suffix == ".gif" else head[4:8] == b"ftyp"
+    if suffix == ".gif":
+        with Image.open(path) as film:
+            assert film.n_frames >= 3
+            assert film.size == (96, 72)
+
+
+@pytest.mark.slow
+def test_episode_ends(tmp_path: Path) -> None:
+    path = draw(tmp_path / "episode.png", receiver="yang2021", key_frames=4)
+    with Image.open(path) as sheet:
+        pixels = np.asarray(sheet)
+    assert (pixels[:72, :96] != pixels[:72, 96:192]).any(axis=2).mean() > 0.02
+
+
+@pytest.mark.parametrize(
+    ("out", "options", "error"),
+    [
+        ("x.bmp", {}, OptionError),
+        ("x", {}, OptionError),
+        ("x.png", {"key_frames": 0}, OptionError),
+        ("x.png", {"receiver": "nobody"}, UnknownNameError),
+    ],
+)
+def test_bad_options(tmp_path: Path, out: str, options: dict[str, object], error: type[HandoverError]) -> None:
+    with pytest.raises(error):
+        draw(tmp_path / out, **options)
+    assert not list(tmp_path.iterdir())
+
+
+IMPOSSIBLE = [
+    {"width": -1},
+    {"width": 0},
+    {"width": 100_000},
+    {"height": -1},
+    {"height": 100_000},
+    {"width": 640.5},
+    {"vertical_fov": 0.0},
+    {"vertical_fov": 180.0},
+    {"near": 0.0},
+    {"far": 0.1},
+    {"far": float("nan")},
+    {"position": (float("inf"), 0.0, 0.0)},
+    {"position": CAMERA.target},
+]
+
+
+@pytest.mark.parametrize("changes", IMPOSSIBLE)
+def test_impossible_cameras(tmp_path: Path, changes: dict[str, Any]) -> None:
+    """The renderer would end the process."""
+    with pytest.raises(OptionError):
+        draw(tmp_path / "x.png", camera=replace(CAMERA, **changes))
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("side", ["--width", "--height"])
+@pytest.mark.parametrize("size", ["-1", "0", "100000", "8193"])
+@pytest.mark.parametrize("plan", [[], ["--plan"]])
+def test_impossible_sizes(
+    tmp_path: Path, side: str, size: str, plan: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ["render", "--scene", "209", "--dataset", "synthetic", "--out", str(tmp_path / "x.png"), *plan]
+    assert main([*command, side, size]) == 2
+    error = capsys.readouterr().err
+    assert f"{side[2:]} must be" in error
+    assert f"got {size}" in error
+    assert not list(tmp_path.iterdir())
+
+
+def refuse_to_draw(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise AssertionError("it is noticed too late")
+
+    for name in ("reset", "advance", "render"):
+        monkeypatch.setattr(Episode, name, fail)
+
+
+@pytest.mark.parametrize("out", ["file/x.png", "folder.png", "file/deeper/x.gif", "/proc/x.png", "/proc/none/x.png"])
+def test_invalid_output_paths_are_reported_before_rendering(
+    tmp_path: Path, out: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").write_text("")
+    (tmp_path / "folder.png").mkdir()
+    refuse_to_draw(monkeypatch)
+    with pytest.raises(ResultsError, match="cannot write"):
+        draw(tmp_path / out)
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["file", "folder.png"]
+
+
+def test_read_only_folder_is_reported_before_rendering(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """For root there are no such folders."""
+    folder = tmp_path / "locked"
+    folder.mkdir()
+    folder.chmod(0o555)
+    try:
+        (folder / "probe").touch()
+    except OSError:
+        refuse_to_draw(monkeypatch)
+        with pytest.raises(ResultsError, match="cannot write"):
+            draw(folder / "x.png")
+    else:
+        pytest.skip("this user may write everywhere")
+    finally:
+        folder.chmod(0o755)
+
+
+def test_any_giver(tmp_path: Path) -> None:
+    options: dict[str, Any] = {"key_frames": 4, "physics": "fast"}
+    shown = {
+        giver: pictures(draw(tmp_path / f"{giver}.png", giver=giver, **options))
+        for giver in ("replay", "cooperative", "hesitant")
+    }
+    plain = pictures(draw(tmp_path / "plain.png", **options))
+    np.testing.assert_array_equal(plain, shown["replay"])
+    for other in ("cooperative", "hesitant"):
+        np.testing.assert_array_equal(shown[other][0], plain[0])
+        assert any(
+            (first != second).any(axis=2).mean() > 0.001 for first, second in zip(shown[other], plain, strict=True)
+        )
+    with pytest.raises(UnknownNameError, match="giver 'nobody'"):
+        draw(tmp_path / "x.png", giver="nobody")
+    with pytest.raises(OptionError, match="giver"):
+        draw(tmp_path / "x.png", giver=HoldReceiver)
+
+
+class Asking(HoldReceiver):
+    """Wants to know whether it is trusted."""
+
+    name = "asking"
+    answers: list[bool] = []
+
+    def __init__(self, context: PolicyContext, trust: bool) -> None:
+        super().__init__(context)
+        self.answers.append(trust)
+
+
+@pytest.mark.parametrize("trust", [True, False])
+def test_code_in_policy_files_needs_trust(tmp_path: Path, trust: bool) -> None:
+    Asking.answers.clear()
+    draw(tmp_path / "x.png", giver="hurried", receiver=Asking, trust=trust, physics="fast")
+    assert Asking.answers == [trust]
+
+
+def test_trust_on_the_command_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    calls: list[dict[str, Any]] = []
+    monkeypatch.setattr(scene_rendering, "render_scene", lambda *_, **options: calls.append(options))
+    command = ["render", "--scene", "209", "--dataset", "synthetic", "--out", str(tmp_path / "x.png")]
+    assert main([*command, "--giver", "hesitant", "--trust", "--seed", "4"]) == 0
+    assert main(command) == 0
+    assert [(options["giver"], options["trust"], options["seed"]) for options in calls] == [
+        ("hesitant", True, 4),
+        ("replay", False, 0),
+    ]
+
+
+def test_missing_libraries(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(OptionError, match=r"\.mp4 files need imageio: pip install 'handover-marl\[render\]'"):
+        draw(tmp_path / "x.mp4")
+
+
+def test_scene_numbers(tmp_path: Path) -> None:
+    with pytest.raises(SceneError):
+        render_scene(1000, tmp_path / "x.png", dataset="synthetic", progress=False)
+
+
+def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    command = ["render", "--scene", "33", "--dataset", "synthetic", "--out", str(tmp_path / "x.png")]
+    assert main([*command, "--key-frames", "1", "--width", "64", "--height", "48"]) == 0
+    assert capsys.readouterr().out.strip() == str(tmp_path / "x.png")
+    assert main([*command[:-1], str(tmp_path / "x.tiff")]) == 2
+    assert ".tiff" in capsys.readouterr().err

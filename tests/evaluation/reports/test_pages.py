@@ -1,0 +1,80 @@
+from pathlib import Path
+
+import pytest
+
+from handover_marl.cli import main
+from handover_marl.evaluation.reports.pages import find_replay_links, render_report_page
+from handover_marl.evaluation.reports.report import Report
+from tests.evaluation.reports.test_report import SETTINGS, episode, report
+from tests.evaluation.test_comparison import folder
+from tests.visualization.outside import dangling, outside, references
+
+
+def test_outcomes_with_intervals_and_replay_links() -> None:
+    made = render_report_page(report(1, 1, 2, 2 | 4, 8), {214: "episodes/214.html", 219: "episodes/219.html"})
+    assert outside(made) == dangling(made) == []
+    # Two of five; both kinds of an episode that failed twice over lead to it.
+    for word in ("11.8 to 76.9", "5 of 144 scenes (partial)", "2 of 5 episodes have a replay"):
+        assert word in made
+    links = references(made)
+    assert {"#success", "#contact", "#drop", "#timeout"} <= set(links)
+    assert links.count("episodes/214.html") == 1
+    assert links.count("episodes/219.html") == 2
+    assert "--replays failed" not in made
+
+
+def test_settings_and_published_rows_are_shown() -> None:
+    made = render_report_page(report(1, 2))
+    for word in (
+        "mine",
+        "replay",
+        "exact",
+        "0.1.0",
+        "DexYCB, 1 object a scene",
+        "published: Yang et al.",
+        "--replays failed",
+    ):
+        assert word in made
+
+
+def test_names_are_escaped() -> None:
+    made = render_report_page(
+        report(1, 2, receiver="<img src=https://example.org>", obs_mode="pointcloud", camera="a & b")
+    )
+    assert outside(made) == []
+    assert "&lt;img src=https://example.org&gt;" in made
+
+
+def test_page_of_36_scenes_is_small() -> None:
+    episodes = tuple(episode(index, 1 + index % 2) for index in range(36))
+    made = render_report_page(
+        Report(SETTINGS, episodes, 36), {204 + 5 * index: f"episodes/{index}.html" for index in range(36)}
+    )
+    assert len(made.encode()) < 60_000
+
+
+def test_replay_links_are_relative_to_the_page(tmp_path: Path) -> None:
+    results = folder(tmp_path / "run", "mine", {0: 1, 1: 2})
+    (results / "episodes").mkdir()
+    for name in ("009.html", "001.html", "notes.html"):
+        (results / "episodes" / name).write_text("")
+    assert find_replay_links(results, results) == {1: "episodes/001.html", 9: "episodes/009.html"}
+    assert find_replay_links(results, tmp_path) == {1: "run/episodes/001.html", 9: "run/episodes/009.html"}
+
+
+def test_commands_write_pages(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    one, other = (folder(tmp_path / name, name, {0: 1, 1: status}) for name, status in (("one", 1), ("other", 4)))
+    (other / "episodes").mkdir()
+    (other / "episodes" / "001.html").write_text("")
+    assert main(["evaluate", str(other), "--out", str(tmp_path / "report.html")]) == 0
+    assert "| other " in capsys.readouterr().out
+    assert "other/episodes/001.html" in references((tmp_path / "report.html").read_text())
+    assert main(["compare", str(one), str(other), "--out", str(tmp_path / "new" / "both.html")]) == 0
+    both = (tmp_path / "new" / "both.html").read_text()
+    assert outside(both) == []
+    assert "../other/episodes/001.html" in references(both)
+    assert "+50.00 (" in both
+    assert main(["compare", str(one), str(one), "--out", str(tmp_path / "same.html")]) == 0
+    assert "Every scene has the same outcome" in (tmp_path / "same.html").read_text()
+    assert main(["compare", str(one), str(other), "--out", str(tmp_path / "both.pdf")]) == 2
+    assert ".html" in capsys.readouterr().err

@@ -1,0 +1,123 @@
+import json
+
+import pytest
+
+from handover_marl.episode.referee import EpisodeStatus
+from handover_marl.evaluation.reports.published import PUBLISHED, SOURCES
+from handover_marl.evaluation.reports.report import Report
+from handover_marl.evaluation.results.episode_result import EpisodeResult
+from handover_marl.evaluation.results.metadata import ResultMetadata
+
+SETTINGS = ResultMetadata("s0", "test", "mine", "replay", "exact", "dexycb", "0.1.0")
+
+
+def episode(index: int, status: int, steps: int = 5000, plan: float = 0.1, **extras: object) -> EpisodeResult:
+    named = {"scene_id": 204 + 5 * index, "object_name": "003_cracker_box", "n_objects": 1, "machine": "a machine"}
+    return EpisodeResult(index, EpisodeStatus(status), steps, plan, **{**named, **extras})
+
+
+def report(*statuses: int, **settings: str) -> Report:
+    episodes = tuple(episode(index, status) for index, status in enumerate(statuses))
+    return Report(ResultMetadata(**{**SETTINGS.__dict__, **settings}), episodes, 144)
+
+
+def cells(text: str, start: str, *titles: str) -> list[str]:
+    """Cells of a row of the official table, which is printed in two parts."""
+    found: dict[str, str] = {}
+    header: list[str] = []
+    for line in text.splitlines():
+        row = [cell.strip() for cell in line.split("|")]
+        if "success %" in row or "exec s" in row:
+            header = row
+        elif line.startswith(f"| {start}") and len(row) == len(header):
+            found |= dict(zip(header, row, strict=True))
+    return [found[title] for title in titles]
+
+
+def test_official_metrics() -> None:
+    episodes = (
+        episode(0, 1, 4000, 0.2),
+        episode(1, 1, 6000, 0.4),
+        episode(2, 2, 100, 9.0),
+        episode(3, 2 | 4, 200, 9.0),
+        episode(4, 8, 13000, 9.0),
+    )
+    found = Report(SETTINGS, episodes, 144)
+    assert (found.success_rate, found.contact_rate, found.drop_rate, found.timeout_rate) == (0.4, 0.4, 0.2, 0.2)
+    assert found.time_exec == pytest.approx(5.0)
+    assert found.time_plan == pytest.approx(0.3)
+    assert found.time_total == pytest.approx(5.3)
+
+
+def test_no_success_prints_dashes_and_json_has_null() -> None:
+    found = report(2, 4, 8)
+    assert found.time_exec is found.time_plan is found.time_total is None
+    titles = ("success %", "exec s", "plan s", "total s")
+    assert cells(str(found), "mine", *titles) == ["0.00 (0/3)", "-", "-", "-"]
+    assert "nan" not in str(found).lower()
+    assert json.loads(json.dumps(found.to_json(), allow_nan=False))["times"]["exec"]["mean"] is None
+
+
+def test_text_describes_the_evaluation() -> None:
+    text = str(report(1, 2))
+    for word in ("s0 test", "2 of 144 scenes (partial)", "mine", "replay", "exact", "DexYCB, 1 object a scene"):
+        assert word in text
+    assert "published: Yang et al." in text
+    assert "a machine" in text
+
+
+@pytest.mark.parametrize("settings", [{"split": "val"}, {"dataset": "synthetic"}, {"physics": "fast"}])
+def test_published_rows_only_with_comparable_results(settings: dict[str, str]) -> None:
+    assert "published:" not in str(report(1, 2, **settings))
+
+
+def test_breakdown_by_object() -> None:
+    episodes = (episode(0, 1), episode(1, 2, object_name="025_mug"), episode(2, 4, object_name="025_mug"))
+    lines = str(Report(SETTINGS, episodes, 144)).splitlines()
+    mug = next(line for line in lines if "025_mug" in line)
+    assert [cell.strip() for cell in mug.split("|")[2:7]] == ["2", "0", "1", "1", "0"]
+
+
+def test_average_success_rewards_speed() -> None:
+    episodes = (episode(0, 1, 2600), episode(1, 1, 13000), episode(2, 2, 100), episode(3, 8, 13000))
+    found = Report(SETTINGS, episodes, 144)
+    assert found.average_success == pytest.approx((0.8 + 0.0) / 4)
+    assert found.to_json()["average_success"]["mean"] == found.average_success  # type: ignore[index]
+
+
+def test_average_success_of_published_rows() -> None:
+    yang = next(row for row in PUBLISHED["s0"] if row.method == "Yang et al.")
+    assert yang.average_success == pytest.approx(40.4, abs=0.05)
+    steps = [round(1000.0 * yang.time_exec)] * 93
+    episodes = tuple(episode(index, 1, time) for index, time in enumerate(steps))
+    episodes += tuple(episode(index, 2) for index in range(93, 144))
+    assert 100.0 * Report(SETTINGS, episodes, 144).average_success == pytest.approx(yang.average_success, abs=0.01)
+
+
+def test_tables_show_average_success_and_wait() -> None:
+    text = str(report(1, 2, wait_s="1.5"))
+    assert "Receiver mine (wait 1.5 s), giver replay" in text
+    titles = ("AS %", "wait s")
+    assert cells(text, "mine", *titles) == ["30.77", "1.5"]
+    assert cells(text, "95 % interval", *titles) == ["0.0 to 61.5", "-"]
+    assert cells(text, "published: GA-DDPG w/o hold", *titles) == ["23.60", "0"]
+    assert cells(text, "published: handover-sim2real", "wait s") == ["1.5"]
+    assert cells(str(report(1, 2)), "mine", "wait s") == ["-"]
+
+
+def test_tables_fit_a_terminal_of_100_columns() -> None:
+    names = ("omg_hand_aware", "vision@0123abcd", "learned:best_response_7")
+    for name in names:
+        text = str(report(*([1] * 138), 2, 4, 8, 1, 1, 1, receiver=name))
+        rows = [line for line in text.splitlines() if line.startswith("|")]
+        assert len(rows) > 10
+        assert max(map(len, rows)) <= 100
+
+
+def test_every_published_row_has_its_wait_and_source() -> None:
+    for rows in PUBLISHED.values():
+        for row in rows:
+            assert 0.0 <= row.wait_s <= 3.0
+            assert row.source in SOURCES
+            total = row.success + row.contact + row.drop + row.timeout
+            assert total == pytest.approx(100.0, abs=0.03)

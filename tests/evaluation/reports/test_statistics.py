@@ -1,0 +1,99 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from handover_marl.evaluation.reports.statistics import (
+    compute_mean_interval,
+    compute_paired_difference,
+    compute_rank_correlation,
+    compute_wilson_interval,
+)
+
+
+def test_wilson_against_known_values() -> None:
+    # Newcombe (1998), Table I: 81/263 and 0/20.
+    np.testing.assert_allclose(compute_wilson_interval(81, 263), (0.2553, 0.3662), atol=5e-5)
+    np.testing.assert_allclose(compute_wilson_interval(0, 20), (0.0, 0.1611), atol=5e-5)
+
+
+@given(st.integers(1, 500).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n))))
+def test_wilson_interval_contains_the_rate(count_and_n: tuple[int, int]) -> None:
+    count, n = count_and_n
+    low, high = compute_wilson_interval(count, n)
+    assert 0.0 <= low <= count / n <= high <= 1.0
+    assert low < high
+
+
+def test_mean_interval() -> None:
+    # Of the 27 resamples of three values one, more than 2.5 %, has the lowest mean and one the highest.
+    assert compute_mean_interval([1.0, 2.0, 3.0]) == (1.0, 3.0)
+    assert compute_mean_interval([2.0, 2.0]) == (2.0, 2.0)
+    assert compute_mean_interval([1.0]) is None
+    assert compute_mean_interval([]) is None
+
+
+def test_mean_interval_of_many_values_is_the_normal_one() -> None:
+    values = np.random.default_rng(1).normal(5.0, 2.0, 400)
+    interval = compute_mean_interval(values.tolist())
+    half = 1.96 * values.std(ddof=1) / np.sqrt(len(values))
+    np.testing.assert_allclose(interval, (values.mean() - half, values.mean() + half), atol=0.1 * half)
+
+
+@given(st.lists(st.floats(0.0, 1e6), min_size=2, max_size=30))
+def test_mean_interval_lies_within_the_values_and_contains_their_mean(values: list[float]) -> None:
+    interval = compute_mean_interval(values)
+    assert interval is not None
+    low, high = interval
+    slack = 1e-9 * max(values)
+    assert min(values) - slack <= low <= high <= max(values) + slack
+    assert low - slack <= np.mean(values) <= high + slack
+    assert compute_mean_interval(values) == interval, "the same values have the same interval"
+
+
+def test_paired_differences_against_a_worked_example() -> None:
+    """Agresti, Categorical Data Analysis: 150 of 1600 approved first and not later, 86 the other way round."""
+    first = [True] * 794 + [True] * 150 + [False] * 86 + [False] * 570
+    second = [True] * 794 + [False] * 150 + [True] * 86 + [False] * 570
+    mean, low, high = compute_paired_difference(first, second)
+    assert mean == pytest.approx(0.04)
+    assert (low, high) == (pytest.approx(0.021, abs=1e-3), pytest.approx(0.059, abs=1e-3))
+
+
+@given(st.lists(st.tuples(st.booleans(), st.booleans()), min_size=1, max_size=200))
+def test_paired_differences_contain_their_mean_and_are_antisymmetric(pairs: list[tuple[bool, bool]]) -> None:
+    first, second = zip(*pairs, strict=True)
+    mean, low, high = compute_paired_difference(first, second)
+    assert -1.0 <= low < high <= 1.0
+    assert low - 1e-9 <= mean <= high + 1e-9
+    assert compute_paired_difference(second, first) == pytest.approx((-mean, -high, -low))
+
+
+def test_paired_differences_need_pairs() -> None:
+    with pytest.raises(ValueError, match="zip"):
+        compute_paired_difference([True], [True, False])
+    with pytest.raises(ValueError, match="must not be empty"):
+        compute_paired_difference([], [])
+
+
+def test_rank_correlation_of_four_items() -> None:
+    # Of the 24 orders of four things one has a rho of 1, and three more one of 0.8.
+    alike = compute_rank_correlation([1.0, 2.0, 3.0, 4.0], [10.0, 20.0, 30.0, 40.0])
+    assert (alike.spearman, alike.kendall, alike.p) == pytest.approx((1.0, 1.0, 1 / 24))
+    swapped = compute_rank_correlation([1.0, 2.0, 3.0, 4.0], [10.0, 30.0, 20.0, 40.0])
+    assert (swapped.spearman, swapped.kendall, swapped.p) == pytest.approx((0.8, 4 / 6, 4 / 24))
+    assert swapped.min_p == alike.p
+    assert compute_rank_correlation([1.0, 2.0, 3.0], [3.0, 2.0, 1.0]).p == 1.0
+
+
+@given(st.lists(st.integers(0, 5), min_size=3, max_size=6).filter(lambda values: len(set(values)) > 1))
+def test_rank_correlation_with_ties_is_between_its_bounds(values: list[int]) -> None:
+    found = compute_rank_correlation(values, values)
+    assert found.spearman == pytest.approx(1.0)
+    assert found.p == found.min_p > 0.0
+
+
+@pytest.mark.parametrize(("first", "second"), [([1, 2], [1, 2]), ([1, 2, 3], [1, 2]), ([1, 1, 1], [1, 2, 3])])
+def test_rank_correlation_of_too_few_items(first: list[float], second: list[float]) -> None:
+    with pytest.raises(ValueError, match="must have 3 to 9 values"):
+        compute_rank_correlation(first, second)

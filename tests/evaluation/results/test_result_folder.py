@@ -1,0 +1,238 @@
+import os
+import random
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from handover_marl.episode.referee import EpisodeStatus
+from handover_marl.errors import ResultsError
+from handover_marl.evaluation.reports.report_files import evaluate
+from handover_marl.evaluation.results.episode_result import EpisodeResult
+from handover_marl.evaluation.results.metadata import ResultMetadata, read_result_metadata
+from handover_marl.evaluation.results.result_folder import ResultFolder, encode_result, read_results
+from tests.evaluation.deadline import ends_within
+
+SETTINGS = ResultMetadata("s0", "test", "hold", "replay", "exact", "dexycb", "1.0")
+RESULT = EpisodeResult(
+    index=0,
+    status=EpisodeStatus.TIMEOUT,
+    steps=50,
+    plan_time_s=0.5,
+    scene_id=9,
+    object_name="003_cracker_box",
+    subject="20200709-subject-01",
+    side="right",
+    n_objects=1,
+    fingerprint="abc",
+    machine="m",
+)
+
+
+CONTENT = encode_result(RESULT, np.zeros((50, 9), np.float32), np.full(50, 0.01))
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> ResultFolder:
+    """A folder with one result."""
+    made = ResultFolder(tmp_path, SETTINGS)
+    made.write(RESULT, CONTENT)
+    return made
+
+
+def test_results_are_read_as_written(folder: ResultFolder) -> None:
+    assert read_result_metadata(folder.path) == SETTINGS
+    [result] = read_results(folder.path)
+    assert result.plan_time_s == pytest.approx(0.5)
+    assert result == folder.read(0, "abc")
+    assert {**vars(result), "plan_time_s": 0.5} == vars(RESULT)
+    assert folder.read(1, "abc") is None
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"machine": 3},
+        {"object_name": np.array(["a", "b"])},
+        {"subject": 1.5},
+        {"side": np.array(b"right")},
+        {"fingerprint": False},
+        {"scene_id": "abc"},
+        {"scene_id": np.array([1, 2])},
+        {"n_objects": 1.0},
+        {"release_step": True},
+        {"elapsed_time": np.array(["a"])},
+        {"elapsed_time": np.full(50, -1.0)},
+        {"elapsed_time": np.full(50, np.nan)},
+    ],
+)
+def test_values_of_another_type_are_refused(folder: ResultFolder, changes: dict[str, Any]) -> None:
+    path = folder.path / "000.npz"
+    with np.load(path) as archive:
+        content = dict(archive)
+    np.savez(path, **{**content, **changes})
+    with pytest.raises(ResultsError, match=r"000\.npz"):
+        read_results(folder.path)
+    assert folder.read(0, "abc") is None
+
+
+def test_files_of_another_kind_count_as_unfinished(folder: ResultFolder) -> None:
+    path = folder.path / "000.npz"
+    whole = path.read_bytes()
+    with path.open("wb") as stream:
+        np.save(stream, np.zeros(3))
+    with pytest.raises(ResultsError, match=r"000\.npz: not a readable result file"):
+        read_results(folder.path)
+    assert folder.read(0, "abc") is None
+    # The central directory's flag for encrypted entries.
+    start = whole.rindex(b"PK\x01\x02", 0, whole.rindex(b"result.npy"))
+    path.write_bytes(whole[: start + 8] + b"\x01" + whole[start + 9 :])
+    assert folder.read(0, "abc") is None
+
+
+def test_flipped_bytes_in_result_files(folder: ResultFolder) -> None:
+    path, rng = folder.path / "000.npz", random.Random(0)
+    whole = path.read_bytes()
+    refused = 0
+    for _ in range(600):
+        spoilt = bytearray(whole)
+        for _ in range(rng.choice((1, 1, 2, 8))):
+            spoilt[rng.randrange(len(spoilt))] = rng.randrange(256)
+        path.write_bytes(spoilt)
+        try:
+            read_results(folder.path)
+        except ResultsError:
+            refused += 1
+    assert refused > 200
+
+
+def test_named_pipes_are_not_opened_as_results(folder: ResultFolder) -> None:
+    """Nobody writes into them, so that whoever opens one waits for ever."""
+    path = folder.path / "000.npz"
+    path.unlink()
+    os.mkfifo(path)
+    with ends_within(5.0):
+        with pytest.raises(ResultsError, match=r"000\.npz: not a readable result file .*not a regular file"):
+            evaluate(folder.path)
+        assert ResultFolder(folder.path, SETTINGS).read(0, "abc") is None
+        # Its scene is then run again.
+        folder.write(RESULT, CONTENT)
+        assert len(evaluate(folder.path).episodes) == 1
+
+
+def test_archives_that_unpack_to_too_much_are_refused(folder: ResultFolder) -> None:
+    path = folder.path / "000.npz"
+    with np.load(path) as archive:
+        content = dict(archive)
+    np.savez_compressed(path, **{**content, "elapsed_time": np.zeros(20_000_000)})
+    assert path.stat().st_size < 1_000_000
+    with ends_within(5.0), pytest.raises(ResultsError, match=r"000\.npz: not a readable result file .*unpacks"):
+        evaluate(folder.path)
+    assert folder.read(0, "abc") is None
+
+
+OTHERS = [replace(SETTINGS, receiver="other"), replace(SETTINGS, seed="1"), replace(SETTINGS, receiver_hash="12345678")]
+
+
+@pytest.mark.parametrize("other", OTHERS)
+def test_a_folder_belongs_to_its_first_evaluation(tmp_path: Path, other: ResultMetadata) -> None:
+    ResultFolder(tmp_path / "out", SETTINGS)
+    with pytest.raises(ResultsError, match=r"holds another evaluation .*fresh=True"):
+        ResultFolder(tmp_path / "out", other)
+    assert read_result_metadata(tmp_path / "out") == SETTINGS
+    ResultFolder(tmp_path / "out", SETTINGS)
+
+
+@pytest.mark.parametrize("links", [True, False])
+@pytest.mark.parametrize("other", OTHERS)
+def test_a_concurrent_evaluation_that_writes_first_wins(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, other: ResultMetadata, links: bool
+) -> None:
+    """It takes the folder just before this one puts its configuration in place."""
+    sync, came = os.fsync, []
+
+    def sync_and_be_overtaken(handle: int) -> None:
+        if not came:
+            came.append(handle)
+            ResultFolder(tmp_path, other)
+        sync(handle)
+
+    def refuse(*_: object) -> None:
+        raise PermissionError(1, "no links on this file system")
+
+    monkeypatch.setattr(os, "fsync", sync_and_be_overtaken)
+    if not links:
+        monkeypatch.setattr(Path, "hardlink_to", refuse)
+    with pytest.raises(ResultsError, match="holds another evaluation"):
+        ResultFolder(tmp_path, SETTINGS)
+    assert read_result_metadata(tmp_path) == other
+    assert [path.name for path in tmp_path.iterdir()] == ["config.yaml"]
+
+
+def test_of_concurrent_evaluations_exactly_one_gets_the_folder(tmp_path: Path) -> None:
+    settings = [replace(SETTINGS, receiver=f"receiver_{number}") for number in range(8)]
+    for turn in range(25):
+        path = tmp_path / f"{turn}"
+        outcomes = all_at_once(path, settings)
+        won = [mine for mine, error in zip(settings, outcomes, strict=True) if error is None]
+        assert won == [read_result_metadata(path)]
+        assert all(error is None or "holds another evaluation" in str(error) for error in outcomes)
+        assert [entry.name for entry in path.iterdir()] == ["config.yaml"]
+
+
+def test_concurrent_runs_of_the_same_evaluation_share_a_folder(tmp_path: Path) -> None:
+    assert all_at_once(tmp_path / "out", [SETTINGS] * 8) == [None] * 8
+    assert read_result_metadata(tmp_path / "out") == SETTINGS
+
+
+def all_at_once(path: Path, settings: list[ResultMetadata]) -> list[ResultsError | None]:
+    """Why each run was refused that wanted the folder, or None."""
+    start = threading.Barrier(len(settings))
+
+    def begin(mine: ResultMetadata) -> ResultsError | None:
+        start.wait()
+        try:
+            ResultFolder(path, mine)
+        except ResultsError as error:
+            return error
+        return None
+
+    with ThreadPoolExecutor(len(settings)) as pool:
+        return list(pool.map(begin, settings))
+
+
+@pytest.mark.parametrize("settings", [SETTINGS, *OTHERS])
+def test_fresh_deletes_only_results(folder: ResultFolder, settings: ResultMetadata) -> None:
+    path = folder.path
+    for name in ("report.json", "report.md", "012.npz"):
+        (path / name).write_text("old")
+    others = ["agreement.md", "thesis.tex", "0000.npz", "policy.npz", "12.npz", ".hidden", "x001.npz", "001.npz.bak"]
+    for name in others:
+        (path / name).write_text("precious")
+    (path / "exact").mkdir()
+    (path / "exact" / "000.npz").write_text("precious")
+    ResultFolder(path, settings, fresh=True)
+    assert read_result_metadata(path) == settings
+    assert sorted(entry.name for entry in path.iterdir()) == sorted([*others, "config.yaml", "exact"])
+    assert all((path / name).read_text() == "precious" for name in others)
+    assert (path / "exact" / "000.npz").read_text() == "precious"
+
+
+@pytest.mark.parametrize("content", ["model: resnet\nlearning_rate: 0.1\n", "BENCHMARK: 3", "[1, 2]", "x: ["])
+def test_fresh_leaves_foreign_folders_unchanged(tmp_path: Path, content: str) -> None:
+    """Many programs have a `config.yaml`."""
+    (tmp_path / "config.yaml").write_text(content)
+    (tmp_path / "000.npz").write_text("precious")
+    for fresh in (False, True):
+        with pytest.raises(ResultsError, match=r"config\.yaml"):
+            ResultFolder(tmp_path, SETTINGS, fresh=fresh)
+        assert (tmp_path / "config.yaml").read_text() == content
+        assert (tmp_path / "000.npz").read_text() == "precious"
+    (tmp_path / "config.yaml").unlink()
+    with pytest.raises(ResultsError, match="is no result folder"):
+        ResultFolder(tmp_path, SETTINGS, fresh=True)
+    assert (tmp_path / "000.npz").read_text() == "precious"

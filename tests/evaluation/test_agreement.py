@@ -1,0 +1,84 @@
+from pathlib import Path
+
+import pytest
+
+from handover_marl.cli import main
+from handover_marl.episode.referee import EpisodeStatus
+from handover_marl.errors import SceneError, UnknownNameError
+from handover_marl.evaluation.agreement import Agreement, compare_physics
+from handover_marl.evaluation.reports.report import Report
+from handover_marl.evaluation.results.episode_result import EpisodeResult
+from handover_marl.evaluation.results.metadata import ResultMetadata
+
+SUCCESS, CONTACT, DROP = EpisodeStatus.SUCCESS, EpisodeStatus.HUMAN_CONTACT, EpisodeStatus.OBJECT_DROP
+
+
+def report(physics: str, ends: list[tuple[EpisodeStatus, int]]) -> Report:
+    settings = ResultMetadata("s0", "val", "mine", "replay", physics, "dexycb", "0")
+    episodes = tuple(
+        EpisodeResult(index, status, steps, 0.0, scene_id=100 + index, object_name="024_bowl", n_objects=1)
+        for index, (status, steps) in enumerate(ends)
+    )
+    return Report(settings, episodes, len(ends))
+
+
+@pytest.fixture
+def example() -> Agreement:
+    exact = report("exact", [(SUCCESS, 4000), (CONTACT, 3500), (DROP, 4100), (SUCCESS, 4200)])
+    fast = report("fast", [(SUCCESS, 4003), (CONTACT, 3500), (SUCCESS, 4900), (SUCCESS, 4199)])
+    return Agreement(exact, fast)
+
+
+def test_counts(example: Agreement) -> None:
+    assert example.n_same_outcome == 3
+    assert example.rate == 0.75
+    assert example.step_differences == [3, 0, -1]
+    assert example.confusion == {("success", "success"): 2, ("contact", "contact"): 1, ("drop", "success"): 1}
+
+
+def test_text_of_an_agreement(example: Agreement) -> None:
+    text = str(example)
+    assert "3 of 4 scenes: 75.00 % (95 % interval 30.1 to 95.4)" in text
+    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines() if "|" in line]
+    assert ["exact: drop", "0", "0", "1"] in rows
+    assert ["success", "50.00", "75.00", "+25.00"] in rows
+    assert ["102", "024_bowl", "drop", "4100", "-", "success", "4900", "-"] in rows
+    assert not any(row[0] in ("100", "101", "103") for row in rows), "agreeing scenes are not listed"
+    assert "differ by 1 in the median" in text
+    assert "3 at most" in text
+
+
+def test_command(fake_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out"
+    command = [
+        "agreement",
+        "--receiver",
+        "hold",
+        "--scenes",
+        "9,14",
+        "--data-dir",
+        str(fake_data),
+        "--out",
+        str(out),
+    ]
+    assert main([*command, "--workers", "1"]) == 0
+    assert "2 of 2 scenes: 100.00 %" in capsys.readouterr().out
+    assert (out / "agreement.md").read_text().startswith("# Exact and fast physics")
+    assert {path.name for path in (out / "fast").glob("*.npz")} == {path.name for path in (out / "exact").glob("*.npz")}
+
+
+def test_scenes_of_other_splits_are_refused(fake_data: Path) -> None:
+    with pytest.raises(SceneError, match="105"):
+        compare_physics(scenes=[105], data_dir=fake_data)
+
+
+def test_any_physics_but_exact_can_be_compared(fake_data: Path) -> None:
+    with pytest.raises(UnknownNameError, match="valid: fast, mujoco"):
+        compare_physics(scenes=[9], data_dir=fake_data, against="exact")
+
+
+def test_tables_name_the_other_physics() -> None:
+    text = str(Agreement(report("exact", [(SUCCESS, 4000)]), report("mujoco", [(DROP, 4100)])))
+    assert "Exact and mujoco physics agree on the outcome of 0 of 1 scenes" in text
+    assert "mujoco: drop" in text
+    assert "fast" not in text

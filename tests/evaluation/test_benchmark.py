@@ -1,0 +1,391 @@
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+import handover_marl
+from handover_marl import EvaluationConfig, ExecutionConfig
+from handover_marl.config import OFFICIAL_CONFIG, GiverConfig, PhysicsConfig, ProtocolConfig, WorldConfig
+from handover_marl.errors import (
+    ActionError,
+    DataNotFoundError,
+    OptionError,
+    PolicyError,
+    ResultsError,
+    SceneError,
+    UnknownNameError,
+)
+from handover_marl.evaluation import episode_runner
+from handover_marl.evaluation.reports.report_files import evaluate
+from handover_marl.givers import Giver
+from handover_marl.givers.noisy import NoisyGiver
+from handover_marl.receivers import Receiver
+from tests.evaluation.quick import HORIZON, SCENES, SHORT, QuickReceiver, run, untimed
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        SHORT,
+        WorldConfig(protocol=ProtocolConfig(goal_radius=9.0)),
+        WorldConfig(physics=PhysicsConfig(gravity=-1.6)),
+        WorldConfig(giver=GiverConfig(speed=8.0)),
+    ],
+)
+def test_the_official_benchmark_has_the_official_rules(fake_data: Path, tmp_path: Path, changed: WorldConfig) -> None:
+    options: dict[str, Any] = {"data_dir": fake_data, "scenes": SCENES, "progress": False}
+    with pytest.raises(OptionError, match=r"official world and rules.*evaluate_pair"):
+        handover_marl.benchmark("s0", "val", QuickReceiver, world_config=changed, out=tmp_path / "out", **options)
+    whole = EvaluationConfig(
+        split="val", data_dir=str(fake_data), scenes=SCENES, receiver=QuickReceiver, world_config=changed
+    )
+    with pytest.raises(OptionError, match=r"official world and rules.*evaluate_pair"):
+        handover_marl.benchmark(whole, execution=ExecutionConfig(out=str(tmp_path / "out")))
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_official_benchmark_has_the_official_giver(fake_data: Path) -> None:
+    with pytest.raises(OptionError, match=r"official giver is 'replay'.*evaluate_pair"):
+        handover_marl.benchmark(EvaluationConfig(split="val", data_dir=str(fake_data), giver="noisy"))
+
+
+def test_the_official_rules_are_those_of_a_default_pair(fake_data: Path, tmp_path: Path) -> None:
+    """`evaluate_pair` with the official giver and the official configuration is the benchmark."""
+    official = handover_marl.benchmark(
+        "s0", "val", QuickReceiver, data_dir=fake_data, scenes=[9], workers=1, progress=False, out=tmp_path / "one"
+    )
+    assert official.episodes[0].steps == 13_000
+    again = run(fake_data, tmp_path / "one", scenes=[9], world_config=OFFICIAL_CONFIG)
+    assert again.n_resumed == 1
+    assert untimed(again) == untimed(official)
+    assert "official ones" not in str(again)
+
+
+def test_other_rules_are_reported(fake_data: Path, tmp_path: Path) -> None:
+    report = run(fake_data, tmp_path)
+    assert "World or rules are not the official ones" in str(report)
+    with pytest.raises(ResultsError, match=r"another evaluation .*world"):
+        run(fake_data, tmp_path, world_config=OFFICIAL_CONFIG)
+    other = WorldConfig(protocol=ProtocolConfig(horizon_steps=HORIZON, goal_radius=0.2))
+    with pytest.raises(ResultsError, match=r"another evaluation .*world"):
+        run(fake_data, tmp_path, world_config=other)
+
+
+def test_a_config_equals_its_fields_as_options(fake_data: Path, tmp_path: Path) -> None:
+    fields: dict[str, Any] = {"split": "val", "scenes": SCENES, "receiver": QuickReceiver, "world_config": SHORT}
+    described = handover_marl.evaluate_pair(
+        EvaluationConfig(data_dir=str(fake_data), **fields),
+        execution=ExecutionConfig(workers=1, progress=False, out=str(tmp_path)),
+    )
+    again = run(fake_data, tmp_path)
+    assert again.n_resumed == 2
+    assert again.metadata == described.metadata
+    assert untimed(again) == untimed(described)
+    with pytest.raises(OptionError, match="pass either a config or keyword arguments"):
+        handover_marl.evaluate_pair(EvaluationConfig(data_dir=str(fake_data), **fields), scenes=[9])
+    with pytest.raises(OptionError, match="pass either a config or keyword arguments"):
+        handover_marl.benchmark(execution=ExecutionConfig(), workers=1)
+    with pytest.raises(TypeError, match="unexpected keyword argument 'colour'"):
+        handover_marl.benchmark(colour="red")  # type: ignore[call-arg]
+
+
+def test_results_are_official_files(fake_data: Path, tmp_path: Path) -> None:
+    report = run(fake_data, tmp_path / "out")
+    assert [episode.scene_id for episode in report.episodes] == [9, 14]
+    assert all(episode.status.label == "timeout" and episode.steps == HORIZON for episode in report.episodes)
+    with np.load(tmp_path / "out" / "001.npz") as file:
+        assert file["action"].shape == (HORIZON, 9)
+        assert file["elapsed_time"].shape == (HORIZON,)
+        assert np.count_nonzero(file["elapsed_time"]) == 2
+        assert (file["elapsed_frame"], file["result"], file["scene_id"]) == (HORIZON, 8, 14)
+        np.testing.assert_array_equal(file["action"][:1000], file["action"][:1].repeat(1000, axis=0))
+    config = yaml.safe_load((tmp_path / "out" / "config.yaml").read_text())
+    assert config["BENCHMARK"]["SETUP"] == "s0"
+    assert config["BENCHMARK"]["SPLIT"] == "val"
+    assert json.loads((tmp_path / "out" / "report.json").read_text())["rates"]["timeout"]["rate"] == 1.0
+    assert "| 14 " in (tmp_path / "out" / "report.md").read_text()
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
+        *("000.npz", "001.npz", "config.yaml", "report.html", "report.json", "report.md"),
+    ]
+
+
+def test_evaluation_recomputes_the_same_report(fake_data: Path, tmp_path: Path) -> None:
+    report = run(fake_data, tmp_path)
+    again = evaluate(tmp_path)
+    assert str(again) == str(report)
+    assert again.to_json() == report.to_json()
+
+
+@pytest.mark.parametrize("scenes", [np.array([14, 9]), (n for n in (9, 14, 9)), [np.int64(9), 14]])
+def test_scenes_of_any_integer_type(fake_data: Path, tmp_path: Path, scenes: Any) -> None:
+    report = run(fake_data, tmp_path, scenes=scenes)
+    assert [episode.scene_id for episode in report.episodes] == [9, 14]
+    assert (tmp_path / "report.json").exists()
+
+
+def test_an_interrupted_evaluation_resumes(fake_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    played = []
+    play = episode_runner.play
+
+    def noted(episode: Any, *players: Any, **options: Any) -> None:
+        played.append(episode.scene.info.scene_id)
+        play(episode, *players, **options)
+
+    def play_once(*players: Any, **options: Any) -> None:
+        if played:
+            raise KeyboardInterrupt
+        noted(*players, **options)
+
+    monkeypatch.setattr(episode_runner, "play", play_once)
+    with pytest.raises(KeyboardInterrupt):
+        run(fake_data, tmp_path)
+    assert played == [9]
+    assert not (tmp_path / "report.json").exists()
+    monkeypatch.setattr(episode_runner, "play", noted)
+    resumed = run(fake_data, tmp_path)
+    assert played == [9, 14]
+    assert untimed(resumed) == untimed(run(fake_data))
+    assert resumed.n_resumed == 1
+    assert "1 of the 2 episodes come from an earlier run." in str(resumed)
+    assert json.loads((tmp_path / "report.json").read_text())["n_resumed"] == 1
+
+
+def test_reports_count_resumed_episodes(fake_data: Path, tmp_path: Path) -> None:
+    first = run(fake_data, tmp_path, scenes=[14])
+    assert first.n_resumed == 0
+    assert "earlier run" not in str(first)
+    assert first.to_json()["n_resumed"] == 0
+    for n_resumed in (1, 2):
+        report = run(fake_data, tmp_path)
+        assert report.n_resumed == report.to_json()["n_resumed"] == n_resumed
+        assert f"{n_resumed} of the 2 episodes come from an earlier run." in str(report)
+        assert f"{n_resumed} of the 2 episodes come from an earlier run." in (tmp_path / "report.md").read_text()
+
+
+@pytest.mark.parametrize("damage", [b"", b"PK", None])
+def test_truncated_results_are_simulated_again(fake_data: Path, tmp_path: Path, damage: bytes | None) -> None:
+    report = run(fake_data, tmp_path)
+    path = tmp_path / "001.npz"
+    path.write_bytes(path.read_bytes()[:-50] if damage is None else damage)
+    (tmp_path / ".000.npz.xyz.part").write_bytes(b"left over")
+    with pytest.raises(ResultsError, match=r"001\.npz.*run"):
+        evaluate(tmp_path)
+    assert untimed(run(fake_data, tmp_path)) == untimed(report)
+    evaluate(tmp_path)
+
+
+def test_folders_of_another_evaluation_are_unchanged(fake_data: Path, own_data: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    run(fake_data, out, scenes=[9])
+    before = {path.name: path.read_bytes() for path in out.iterdir()}
+    with pytest.raises(
+        ResultsError, match=r"another evaluation \(receiver 'quick' in the folder, 'hold' now; receiver hash "
+    ):
+        run(fake_data, out, receiver="hold", scenes=[9])
+    meta = own_data / "dex-ycb-cache" / "meta_009.json"
+    meta.write_text(meta.read_text() + " ")
+    with pytest.raises(ResultsError, match=r"000\.npz was computed from data that differ"):
+        run(own_data, out, scenes=[9])
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "thesis.tex").write_text("precious")
+    with pytest.raises(ResultsError, match="no result folder"):
+        run(fake_data, tmp_path / "full")
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ResultsError, match="cannot use"):
+        run(fake_data, tmp_path / "file")
+    assert before == {path.name: path.read_bytes() for path in out.iterdir()}
+
+
+def test_a_full_disk_loses_nothing(fake_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write = os.fsync
+    calls = []
+
+    def full_after_two(handle: int) -> None:
+        calls.append(handle)
+        if len(calls) > 2:
+            raise OSError(28, "No space left on device")
+        write(handle)
+
+    monkeypatch.setattr(os, "fsync", full_after_two)
+    with pytest.raises(ResultsError, match=r"001\.npz.*No space left.*same command"):
+        run(fake_data, tmp_path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["000.npz", "config.yaml"]
+    monkeypatch.setattr(os, "fsync", write)
+    assert len(run(fake_data, tmp_path).episodes) == 2
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "message"),
+    [
+        ({"setup": "s5"}, UnknownNameError, "setup 's5'; valid: s0, s1, s2, s3"),
+        ({"split": "dev"}, UnknownNameError, "split 'dev'"),
+        ({"receiver": "nobody"}, UnknownNameError, "receiver 'nobody'; valid: gaddpg, hold, learned, omg"),
+        ({"scenes": [9, 10]}, SceneError, "scene 10 is not in s0 val"),
+        ({"scenes": []}, SceneError, "scenes must not be empty"),
+        ({"scenes": 9}, SceneError, "must be scene numbers"),
+        ({"scenes": "9"}, SceneError, "must be scene numbers"),
+        ({"scenes": None}, DataNotFoundError, "meta_019"),
+        ({"scenes": [19]}, DataNotFoundError, "meta_019"),
+    ],
+)
+def test_errors_leave_no_output(
+    fake_data: Path, tmp_path: Path, options: dict[str, Any], error: type[Exception], message: str
+) -> None:
+    with pytest.raises(error, match=message):
+        run(fake_data, tmp_path / "out", **options)
+    assert not (tmp_path / "out").exists()
+
+
+class NotFinite(QuickReceiver):
+    def act(self, observation: dict[str, np.ndarray]) -> np.ndarray:
+        return np.full(9, np.nan)
+
+
+class NeverHeld(QuickReceiver):
+    @property
+    def hold_time(self) -> float:
+        return 0.0
+
+
+def test_malformed_actions_of_receivers(fake_data: Path, tmp_path: Path) -> None:
+    with pytest.raises(ActionError, match=r"'quick' in scene 9: .*not finite"):
+        run(fake_data, tmp_path / "out", receiver=NotFinite)
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["config.yaml"]
+    with pytest.raises(OptionError, match="'quick' in scene 9: hold_time"):
+        run(fake_data, receiver=NeverHeld)
+
+
+class FailsToAct(QuickReceiver):
+    name = "fails_to_act"
+
+    def act(self, observation: dict[str, np.ndarray]) -> np.ndarray:
+        raise KeyError("nonsense")
+
+
+class FailsToReset(QuickReceiver):
+    name = "fails_to_reset"
+
+    def reset(self, seed: int | None = None) -> None:
+        raise ZeroDivisionError("nonsense")
+
+
+class FailsToHold(QuickReceiver):
+    name = "fails_to_hold"
+
+    @property
+    def hold_time(self) -> float:
+        raise RuntimeError("nonsense")
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+@pytest.mark.parametrize(
+    ("receiver", "kind"), [(FailsToAct, "KeyError"), (FailsToReset, "ZeroDivisionError"), (FailsToHold, "RuntimeError")]
+)
+def test_errors_of_a_receiver_are_reported_with_its_name(
+    fake_data: Path, tmp_path: Path, receiver: type[Receiver], kind: str, workers: int
+) -> None:
+    name = receiver.name
+    with pytest.raises(PolicyError, match=rf"(?s)receiver '{name}' in scene (9|14): .*{name}.*{kind}.*nonsense"):
+        run(fake_data, tmp_path / "out", receiver=receiver, workers=workers)
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["config.yaml"]
+
+
+class FailsToBeMade(QuickReceiver):
+    name = "fails_to_be_made"
+
+    def __init__(self, context: object) -> None:
+        raise KeyError("nonsense")
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_failing_constructors_leave_no_output(fake_data: Path, tmp_path: Path, workers: int) -> None:
+    with pytest.raises(PolicyError, match=r"receiver 'FailsToBeMade' cannot be made .*KeyError.*nonsense"):
+        run(fake_data, tmp_path / "out", receiver=FailsToBeMade, workers=workers)
+    assert not (tmp_path / "out").exists()
+
+
+class FailingGiver(Giver):
+    name = "failing"
+
+    def reset(self, seed: int | None = None) -> None:
+        """Nothing to forget."""
+
+    def act(self, observation: dict[str, np.ndarray]) -> np.ndarray:
+        raise LookupError("nonsense")
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_errors_of_a_giver_are_reported_with_its_name(fake_data: Path, workers: int) -> None:
+    with pytest.raises(PolicyError, match=r"(?s)giver 'failing' in scene (9|14): .*'failing'.*LookupError.*nonsense"):
+        run(fake_data, giver=FailingGiver, workers=workers)
+
+
+@pytest.mark.parametrize(
+    ("action", "message"),
+    [
+        (np.full(8, np.nan), "action of the giver must be 8 numbers.*not finite"),
+        (np.zeros(9), r"action of the giver must be 8 numbers.*got shape \(9,\)"),
+        ("wave", "action of the giver must be 8 numbers.*got str"),
+        (None, "action of the giver must be 8 numbers.*got None"),
+    ],
+)
+def test_malformed_actions_of_givers(
+    fake_data: Path, monkeypatch: pytest.MonkeyPatch, action: object, message: str
+) -> None:
+    monkeypatch.setattr(NoisyGiver, "act", lambda self, seen: action)
+    with pytest.raises(ActionError, match=f"'quick' and giver 'noisy' in scene 9: .*{message}"):
+        run(fake_data, giver="noisy")
+
+
+def official_folder(folder: Path, n: int = 144, **changes: Any) -> Path:
+    """A folder as the original code writes it."""
+    folder.mkdir()
+    config = {"BENCHMARK": {"SETUP": "s0", "SPLIT": "test"}, "SIM": {"TIME_STEP": 0.001}}
+    (folder / "config.yaml").write_text(yaml.safe_dump(config))
+    for index in range(n):
+        content = {
+            "action": np.zeros((5000 + index, 9)),
+            "elapsed_time": np.full(5000 + index, 1e-5),
+            "elapsed_frame": 5000 + index,
+            "result": (1, 2, 4, 8)[index % 4],
+        }
+        np.savez_compressed(folder / f"{index:03d}.npz", **{**content, **changes})
+    return folder
+
+
+def test_folders_of_the_original_code(tmp_path: Path) -> None:
+    report = evaluate(official_folder(tmp_path / "2022-02-28_12-40-26_omg-planner_s0_test"))
+    assert report.metadata.receiver == "omg-planner"
+    assert not report.is_partial
+    assert report.success_rate == 0.25
+    assert report.time_exec == pytest.approx((5000 + 5140) / 2 / 1000)
+    assert report.episodes[0].scene_id == 209
+    assert report.episodes[0].object_name == "003_cracker_box"
+    assert "published: OMG Planner" in str(report)
+
+
+@pytest.mark.parametrize(
+    "changes", [{"result": 0}, {"result": 3}, {"result": 16}, {"elapsed_frame": 0}, {"result": np.array([1, 2])}]
+)
+def test_impossible_results_are_refused(tmp_path: Path, changes: dict[str, Any]) -> None:
+    with pytest.raises(ResultsError, match=r"000\.npz"):
+        evaluate(official_folder(tmp_path / "run", 3, **changes))
+
+
+def test_folders_that_are_no_result_folders(tmp_path: Path) -> None:
+    for make, message in (
+        (lambda path: None, "does not exist"),
+        (lambda path: path.mkdir(), "has no config.yaml"),
+        (lambda path: (path / "config.yaml").write_text("BENCHMARK: 3"), "not a readable configuration"),
+        (lambda path: (path / "config.yaml").write_text("!!python/object/apply:os.system [ls]"), "not a readable"),
+        (lambda path: (path / "config.yaml").write_text("BENCHMARK: {SETUP: s9, SPLIT: test}"), "unknown setup"),
+        (lambda path: (path / "config.yaml").write_text("BENCHMARK: {SETUP: s0, SPLIT: val}"), "no result files"),
+        (lambda path: (path / "036.npz").write_bytes(b""), "036"),
+    ):
+        make(tmp_path / "run")
+        with pytest.raises(ResultsError, match=message):
+            evaluate(tmp_path / "run")

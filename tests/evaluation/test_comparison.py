@@ -1,0 +1,61 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import handover_marl
+from handover_marl.cli import main
+from handover_marl.episode.referee import EpisodeStatus
+from handover_marl.errors import ResultsError
+from handover_marl.evaluation.results.episode_result import EpisodeResult
+from handover_marl.evaluation.results.metadata import ResultMetadata
+from handover_marl.evaluation.results.result_folder import ResultFolder, encode_result
+
+
+def folder(path: Path, receiver: str, outcomes: dict[int, int], fingerprint: str = "data", split: str = "test") -> Path:
+    made = ResultFolder(path, ResultMetadata("s0", split, receiver, "replay", "exact", "dexycb", "1"))
+    for index, status in outcomes.items():
+        result = EpisodeResult(index, EpisodeStatus(status), 100 + index, 0.0, scene_id=index, fingerprint=fingerprint)
+        content = encode_result(result, np.zeros((result.steps, 9), np.float32), np.zeros(result.steps))
+        made.write(result, content)
+    return path
+
+
+def test_common_scenes_are_paired(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    one = folder(tmp_path / "one", "mine", {0: 1, 1: 1, 2: 2, 5: 1})
+    other = folder(tmp_path / "other", "theirs", {0: 1, 1: 4, 2: 2, 7: 1})
+    found = handover_marl.compare(one, other)
+    assert [(a.index, b.index) for a, b in found.pairs] == [(0, 0), (1, 1), (2, 2)]
+    mean, low, high = found.compute_difference()
+    assert mean == pytest.approx(1 / 3)
+    assert low < mean < high
+    assert main(["compare", str(one), str(other)]) == 0
+    text = capsys.readouterr().out
+    assert "Receiver mine" in text
+    assert "3 scenes that both folders have" in text
+    (speed,) = [line for line in text.splitlines() if line.startswith("| AS")]
+    # Successes of 100 and 101 steps of 13,000, beside one of 100.
+    assert [cell.split()[0] for cell in speed.strip("| ").split(" | ")] == ["AS", "66.15", "33.08", "+33.07"]
+    (changed,) = [line for line in text.splitlines() if "| success | 101" in line]
+    assert [cell.strip() for cell in changed.strip("|").split("|")] == [
+        "1",
+        "-",
+        "success",
+        "101",
+        "-",
+        "drop",
+        "101",
+        "-",
+    ]
+
+
+def test_incomparable_folders_are_refused(tmp_path: Path) -> None:
+    one = folder(tmp_path / "one", "mine", {0: 1})
+    with pytest.raises(ResultsError, match="different data"):
+        handover_marl.compare(one, folder(tmp_path / "two", "mine", {0: 1}, fingerprint="other"))
+    with pytest.raises(ResultsError, match="must have the same split"):
+        handover_marl.compare(one, folder(tmp_path / "three", "mine", {0: 1}, split="val"))
+    with pytest.raises(ResultsError, match="no scene in common"):
+        handover_marl.compare(one, folder(tmp_path / "four", "mine", {3: 1}))
+    with pytest.raises(ResultsError, match="does not exist"):
+        handover_marl.compare(one, tmp_path / "five")

@@ -1,0 +1,66 @@
+import csv
+import io
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+import handover_marl
+from handover_marl.cli import main
+from handover_marl.episode.referee import EpisodeStatus
+from handover_marl.errors import OptionError, UnknownNameError
+
+SCENES = "9,14"
+
+
+def test_command_writes_tables_and_a_picture(
+    fake_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "cross"
+    command = ["crossplay", "--givers", "replay, hesitant", "--receivers", "hold", "--scenes", SCENES]
+    command += ["--data-dir", str(fake_data), "--physics", "fast", "--workers", "1", "--out", str(out)]
+    assert main(command) == 0
+    text = capsys.readouterr().out
+    assert "Cross-play on s0 val, 2 of 6 scenes" in text or "Cross-play on s0 val, 2 of 36 scenes" in text
+    assert "fast physics" in text
+    assert (out / "crossplay.md").read_text().startswith("# Cross-play")
+    rows = list(csv.DictReader(io.StringIO((out / "crossplay.csv").read_text())))
+    assert [(row["giver"], row["receiver"], row["episodes"]) for row in rows] == [
+        ("replay", "hold", "2"),
+        ("hesitant", "hold", "2"),
+    ]
+    assert rows[0]["timeout"] == "1.000000"
+    with Image.open(out / "crossplay.png") as picture:
+        assert picture.width > 300
+    assert (out / "hesitant-hold" / "000.npz").is_file()
+
+
+def test_unknown_names_are_reported_before_the_first_scene(fake_data: Path, tmp_path: Path) -> None:
+    with pytest.raises(UnknownNameError, match="receiver 'nobody'"):
+        handover_marl.crossplay(["replay"], ["hold", "nobody"], data_dir=fake_data, out=tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+    with pytest.raises(OptionError, match="at least one"):
+        handover_marl.crossplay([], ["hold"], data_dir=fake_data)
+
+
+@pytest.mark.slow
+def test_receivers_are_compared_scene_by_scene(fake_data: Path) -> None:
+    played = handover_marl.crossplay(
+        ["replay"],
+        ["hold", "yang2021"],
+        scenes=[9, 14],
+        data_dir=fake_data,
+        physics="fast",
+        workers=1,
+        progress=False,
+    )
+    episodes = [played.reports["replay", name].episodes for name in ("yang2021", "hold")]
+    for flag in (EpisodeStatus.SUCCESS, EpisodeStatus.TIMEOUT):
+        mean, low, high = played.compute_gain(("replay", "yang2021"), ("replay", "hold"), flag)
+        first, second = ([bool(episode.status & flag) for episode in part] for part in episodes)
+        assert mean == pytest.approx((sum(first) - sum(second)) / 2)
+        assert low <= mean <= high
+    text = str(played)
+    assert "success over the other, points (95 %, paired by scene)" in text
+    rows = [[cell.strip() for cell in line.split("|")] for line in text.splitlines()]
+    assert any(row[1:4] == ["replay", "yang2021", "hold"] for row in rows)

@@ -1,0 +1,35 @@
+"""How synthetic scenes end, to the step; `python -m tests.benchmarking.golden` writes the table anew."""
+
+import json
+
+import pytest
+
+from tests.evaluation.golden import EXACT, FILE, N_FAST, outcomes, text
+
+EXPECTED = json.loads(FILE.read_text())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("physics", ["fast", "exact"])
+def test_synthetic_scenes_end_as_recorded(physics: str) -> None:
+    """Regenerate the file with `python -m tests.benchmarking.golden` if outcomes are meant to change."""
+    found = outcomes(physics)
+    changed = {
+        scene: (EXPECTED[physics].get(scene), outcome)
+        for scene, outcome in found.items()
+        if EXPECTED[physics].get(scene) != outcome
+    }
+    assert not changed
+    assert found == EXPECTED[physics]
+
+
+def test_the_recorded_outcomes_vary() -> None:
+    """Scenes that end in several ways, some of them after the person let go."""
+    assert FILE.read_text() == text(EXPECTED)
+    assert (len(EXPECTED["fast"]), len(EXPECTED["exact"])) == (N_FAST, len(EXACT))
+    assert EXPECTED["exact"].keys() <= EXPECTED["fast"].keys()
+    for physics, least in (("fast", 3), ("exact", 2)):
+        labels, steps, releases = zip(*EXPECTED[physics].values(), strict=True)
+        assert len({*labels}) >= least
+        assert len({*steps}) > len(steps) // 2
+        assert any(release is not None for release in releases)

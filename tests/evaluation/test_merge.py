@@ -1,0 +1,219 @@
+"""The folder of all shards is the folder of one run, to the byte where times stand still."""
+
+import shutil
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+import yaml
+
+import handover_marl
+from handover_marl.cli import main
+from handover_marl.episode import loop as play
+from handover_marl.errors import DataNotFoundError, OptionError, ResultsError
+from handover_marl.evaluation.results.result_folder import read_results
+from tests.evaluation import quick
+from tests.evaluation.quick import SHORT, QuickReceiver
+
+#: A small split, and how it is played in next to no time.
+SPLIT = {"setup": "s0", "split": "val", "dataset": "synthetic", "physics": "fast", "world_config": SHORT}
+OPTIONS: dict[str, Any] = {**SPLIT, "receiver": QuickReceiver, "workers": 1, "progress": False}
+SCENES = (9, 14, 19, 24, 29)
+
+
+@pytest.fixture(autouse=True)
+def _times_stand_still(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(play, "time", SimpleNamespace(perf_counter=lambda: 0.0))
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    paths = sorted(path for path in folder.rglob("*") if path.is_file())
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
+
+
+def shards(folder: Path, count: int, **options: Any) -> list[Path]:
+    """The folders of all shards of a pair's run."""
+    for number in range(1, count + 1):
+        out = folder / str(number)
+        handover_marl.evaluate_pair("noisy", out=out, shard=f"{number}/{count}", **{**OPTIONS, **options})
+    return [folder / str(number) for number in range(1, count + 1)]
+
+
+@pytest.fixture(scope="module")
+def three(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Three shards of chosen scenes; do not write to them."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(play, "time", SimpleNamespace(perf_counter=lambda: 0.0))
+        return shards(tmp_path_factory.mktemp("three"), 3, scenes=SCENES)
+
+
+def test_the_merged_folder_is_that_of_one_run(three: list[Path], tmp_path: Path) -> None:
+    whole = handover_marl.evaluate_pair("noisy", out=tmp_path / "whole", scenes=SCENES, **OPTIONS)
+    merged = handover_marl.merge([three[2], three[0], three[1]], tmp_path / "merged")
+    assert contents(tmp_path / "merged") == contents(tmp_path / "whole")
+    assert str(merged) == str(whole)
+    assert len(contents(tmp_path / "merged")) == 4 + len(SCENES)
+    # And it goes on as that folder would.
+    more = handover_marl.evaluate_pair("noisy", out=tmp_path / "merged", scenes=SCENES, **OPTIONS)
+    assert more.n_resumed == len(SCENES)
+
+
+def test_folders_store_their_shard(three: list[Path]) -> None:
+    reported = yaml.safe_load((three[1] / "config.yaml").read_text())["HANDOVER_MARL"]["shard"]
+    assert reported == "2/3 of 9,14,19,24,29"
+    assert "(partial, shard 2/3)" in (three[1] / "report.md").read_text()
+    found = sorted(result.scene_id or 0 for folder in three for result in read_results(folder))
+    assert found == list(SCENES)
+    with pytest.raises(ResultsError, match=r"another evaluation \(shard '2/3 of 9,14,19,24,29' in the folder, '1/3 of"):
+        handover_marl.evaluate_pair("noisy", out=three[1], scenes=SCENES, shard="1/3", **OPTIONS)
+
+
+@pytest.mark.slow
+def test_a_whole_split(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """By the command line, with its own names; the last shard is interrupted at first."""
+    command = ["pair", "--setup", "s0", "--split", "val", "--dataset", "synthetic", "--physics", "fast"]
+    command += ["--receiver", "hold", "--workers", "1", "--no-progress"]
+    assert main([*command, "--out", str(tmp_path / "whole")]) == 0
+    whole = capsys.readouterr().out.rpartition("\nReport: ")[0]
+    folders = [str(tmp_path / str(number)) for number in (1, 2)]
+    for number, folder in enumerate(folders, 1):
+        assert main([*command, "--shard", f"{number}/2", "--out", folder]) == 0
+    capsys.readouterr()
+    gone = sorted(Path(folders[1]).glob("*.npz"))[3]
+    gone.rename(tmp_path / "aside")
+    assert main(["merge", *folders, "--out", str(tmp_path / "merged")]) == 2
+    assert f"2 (shard 2/2) lacks 1 of 18 scenes ({gone.name})" in capsys.readouterr().err
+    (tmp_path / "aside").rename(gone)
+    assert main(["merge", *folders, "--out", str(tmp_path / "merged")]) == 0
+    assert capsys.readouterr().out.rpartition("\nResults: ")[0] == whole
+    assert contents(tmp_path / "merged") == contents(tmp_path / "whole")
+
+
+def test_missing_scenes_are_reported_and_nothing_is_written(three: list[Path], tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    with pytest.raises(ResultsError, match=r"not all shards: shard 2/3 is missing$"):
+        handover_marl.merge([three[0], three[2]], out)
+    with pytest.raises(ResultsError, match=r"shard 2/3, shard 3/3 are missing$"):
+        handover_marl.merge([three[0]], out)
+    half = tmp_path / "half"
+    shutil.copytree(three[0], half)
+    lost = next(half.glob("*.npz"))
+    scene = next(result.scene_id for result in read_results(half) if f"{result.index:03d}" == lost.stem)
+    lost.unlink()
+    with pytest.raises(ResultsError, match=rf"half \(shard 1/3\) lacks 1 of 2 scenes \(scene {scene}\)"):
+        handover_marl.merge([half, *three[1:]], out)
+    for path in half.glob("*.npz"):
+        path.unlink()
+    with pytest.raises(ResultsError, match=r"shard 3/3 is missing; .*lacks 2 of 2 scenes"):
+        handover_marl.merge([half, three[1]], out)
+    assert not out.exists()
+
+
+def test_folders_of_different_evaluations_are_refused(three: list[Path], tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    twice = shutil.copytree(three[1], tmp_path / "twice")
+    with pytest.raises(ResultsError, match=r"are both shard 2/3; leave one out"):
+        handover_marl.merge([*three, twice], out)
+    foreign = shutil.copytree(three[1], tmp_path / "foreign")
+    stranger = next(three[0].glob("*.npz"))
+    shutil.copy(stranger, foreign)
+    with pytest.raises(ResultsError, match=rf"foreign \(shard 2/3\): {stranger.name} belongs to another shard"):
+        handover_marl.merge([three[0], foreign, three[2]], out)
+    for change, reported in (
+        ({"seed": 1}, r"different evaluations: seed '0' in .*, '1' in"),
+        ({"receiver": "hold"}, r"different evaluations: receiver 'quick' in .*; receiver hash"),
+        ({"scenes": [9, 14, 19, 24]}, r"different scenes were selected"),
+        ({"shard": "2/2"}, r"1 \(shard 1/3\), .*other.*\(shard 2/2\)"),
+    ):
+        other = tmp_path / f"other {sorted(change)}"
+        options = {**OPTIONS, "scenes": SCENES, "shard": "2/3", **change}
+        handover_marl.evaluate_pair("noisy", out=other, **options)
+        with pytest.raises(ResultsError, match=reported):
+            handover_marl.merge([three[0], other, three[2]], out)
+    whole = tmp_path / "whole"
+    handover_marl.evaluate_pair("noisy", out=whole, scenes=SCENES, **OPTIONS)
+    for paths, reported in (
+        ([whole], "is not a shard: it was evaluated without --shard"),
+        ([tmp_path / "nowhere"], "is no finished shard"),
+        ([three[0], tmp_path / "nowhere"], "nowhere does not exist"),
+        ([], "must name at least one shard"),
+        ([*three, out], "out does not exist"),
+    ):
+        with pytest.raises(ResultsError, match=reported):
+            handover_marl.merge(paths, tmp_path / "elsewhere")
+    with pytest.raises(ResultsError, match="is one of the shards"):
+        handover_marl.merge(three, three[0])
+    with pytest.raises(ResultsError, match="holds another evaluation"):
+        handover_marl.merge(three, tmp_path / "other ['seed']")
+    assert not out.exists()
+
+
+def test_malformed_shards(fake_data: Path, tmp_path: Path) -> None:
+    for shard, reported in (
+        ("4/3", "must be a number and a count"),
+        ("1/3", "needs 3 scenes or more, got 2; take fewer shards"),
+    ):
+        with pytest.raises(OptionError, match=reported):
+            quick.run(fake_data, tmp_path / "out", shard=shard)
+    assert not (tmp_path / "out").exists()
+
+
+def test_cross_play(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    options = {**OPTIONS, "scenes": SCENES[:2]}
+    del options["receiver"]
+    played = (["replay", "noisy"], ["hold", QuickReceiver])
+    whole = handover_marl.crossplay(*played, out=tmp_path / "whole", **options)
+    parts = [tmp_path / "1", tmp_path / "2"]
+    for number, part in enumerate(parts, 1):
+        handover_marl.crossplay(*played, out=part, shard=f"{number}/2", **options)
+    merged = handover_marl.merge(parts, tmp_path / "merged")
+    assert str(merged) == str(whole)
+    assert contents(tmp_path / "merged") == contents(tmp_path / "whole")
+    (parts[1] / "crossplay.csv").unlink()
+    with pytest.raises(ResultsError, match=r"crossplay\.csv does not exist: the cross-play is not finished"):
+        handover_marl.merge(parts, tmp_path / "again")
+
+
+def test_agreement(tmp_path: Path) -> None:
+    options = {**OPTIONS, "scenes": SCENES[:2]}
+    del options["physics"]
+    whole = handover_marl.compare_physics(out=tmp_path / "whole", **options)
+    parts = [tmp_path / "1", tmp_path / "2"]
+    for number, part in enumerate(parts, 1):
+        handover_marl.compare_physics(out=part, shard=f"{number}/2", **options)
+    assert str(handover_marl.merge(parts, tmp_path / "merged")) == str(whole)
+    assert contents(tmp_path / "merged") == contents(tmp_path / "whole")
+
+
+def test_demonstrations(tmp_path: Path) -> None:
+    pytest.importorskip("h5py")
+    from tests.evaluation.demonstrations.recording import assert_same, record
+
+    scenes = (5, 105, 205)
+    whole = record(None, tmp_path / "whole", scenes=scenes, giver="noisy")
+    parts = [tmp_path / "1", tmp_path / "2"]
+    for number, part in enumerate(parts, 1):
+        record(None, part, scenes=scenes, giver="noisy", shard=f"{number}/2")
+    merged = handover_marl.merge(parts, tmp_path / "merged")
+    assert isinstance(merged, handover_marl.Demonstrations)
+    assert str(merged).replace("merged", "whole") == str(whole)
+    for one, other in zip(merged, whole, strict=True):
+        assert_same(one, other)
+    assert contents(tmp_path / "merged") == contents(tmp_path / "whole")
+    (parts[0] / "data" / "metadata.json").unlink()
+    with pytest.raises(DataNotFoundError, match="not finished"):
+        handover_marl.merge(parts, tmp_path / "again")
+    assert not (tmp_path / "again").exists()
+
+
+def test_replays_are_merged(three: list[Path], tmp_path: Path) -> None:
+    pytest.importorskip("viser")
+    pytest.importorskip("fast_simplification")
+    options = {**OPTIONS, "scenes": SCENES[:2], "replays": "all"}
+    handover_marl.evaluate_pair("noisy", out=tmp_path / "whole", **options)
+    handover_marl.merge(shards(tmp_path, 2, scenes=SCENES[:2], replays="all"), tmp_path / "merged")
+    found = contents(tmp_path / "merged")
+    assert found == contents(tmp_path / "whole")
+    assert {"episodes/009.html", "episodes/014.html"} <= set(found)

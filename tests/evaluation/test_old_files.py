@@ -1,0 +1,96 @@
+"""Files that version 0.7.0 wrote stay readable."""
+
+from pathlib import Path
+
+import pytest
+
+import handover_marl
+from handover_marl.evaluation.crossplay import read_crossplay_pairs
+from handover_marl.evaluation.demonstrations.reader import Demonstrations
+from handover_marl.evaluation.merge import merge
+from handover_marl.evaluation.results.metadata import read_result_metadata
+from handover_marl.policies.reference import parse_policy
+
+OLD = Path(__file__).parents[1] / "data" / "v0_7_0"
+
+
+@pytest.mark.parametrize(
+    ("folder", "outcomes"),
+    [
+        ("benchmark", ["success", "success"]),
+        ("pair", ["success", "success"]),
+        ("vision", ["success"]),
+        ("agreement/exact", ["timeout"]),
+        ("agreement/fast", ["timeout"]),
+        ("crossplay/replay-yang2021", ["drop", "contact"]),
+    ],
+)
+def test_result_folders_are_evaluated(folder: str, outcomes: list[str]) -> None:
+    report = handover_marl.evaluate(OLD / folder)
+    assert [episode.status.label for episode in report.episodes] == outcomes
+    assert report.metadata.version == "0.7.0"
+    assert all(episode.fluency is not None for episode in report.episodes)
+
+
+def test_identity_of_a_result_folder() -> None:
+    metadata = read_result_metadata(OLD / "benchmark")
+    assert (metadata.receiver_hash, metadata.giver_hash) == ("93ba94f9", "d7b5edc9")
+    assert (metadata.wait_s, metadata.obs_mode, metadata.camera) == ("3", "state", "")
+    assert (metadata.recorded, metadata.missing_package) == ("", "")
+
+
+def test_camera_of_a_result_folder() -> None:
+    metadata = read_result_metadata(OLD / "vision")
+    assert metadata.obs_mode == "pointcloud"
+    assert metadata.camera.startswith("renderer rays, camera model handoversim, ")
+    assert "depth_noise_std=0.0036" in metadata.camera
+
+
+def test_old_and_new_folders_are_compared(tmp_path: Path) -> None:
+    comparison = handover_marl.compare(OLD / "benchmark", OLD / "benchmark")
+    assert comparison.changes == []
+
+
+def test_pairs_of_a_cross_play() -> None:
+    assert read_crossplay_pairs(OLD / "crossplay") == [
+        ("replay", "hold"),
+        ("replay", "yang2021"),
+        ("cooperative", "hold"),
+        ("cooperative", "yang2021"),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("folder", "scenes", "keys"),
+    [
+        ("demonstrations_state", [5, 6], {"object_poses", "hand_keypoints"}),
+        ("demonstrations_points", [5], {"wrist_object_points", "wrist_point_counts"}),
+        ("demonstrations_merged", [5, 6], {"object_poses"}),
+    ],
+)
+def test_demonstrations_are_read(folder: str, scenes: list[int], keys: set[str]) -> None:
+    pytest.importorskip("h5py")
+    demonstrations = Demonstrations(OLD / folder)
+    assert [metadata.scene_id for metadata in demonstrations.read_metadata()] == scenes
+    assert demonstrations.evaluation.receiver_hash == "93ba94f9"
+    assert keys <= set(demonstrations.observation_space.spaces)
+    for demonstration in demonstrations:
+        assert set(demonstration.observations) == set(demonstrations.observation_space.spaces)
+        assert demonstration.actions.shape == (len(demonstration), 9)
+    observations, actions = demonstrations.read_transitions()
+    assert all(len(values) == len(actions) for values in observations.values())
+
+
+def test_shards_are_merged(tmp_path: Path) -> None:
+    pytest.importorskip("h5py")
+    merged = merge([OLD / "shards" / "1", OLD / "shards" / "2"], tmp_path)
+    assert isinstance(merged, Demonstrations)
+    assert [metadata.scene_id for metadata in merged.read_metadata()] == [5, 6]
+    old = (OLD / "demonstrations_merged" / "data" / "main_data.hdf5").read_bytes()
+    assert (tmp_path / "data" / "main_data.hdf5").read_bytes() == old
+
+
+@pytest.mark.parametrize("agent", ["giver", "receiver"])
+def test_policy_files_are_loaded(agent: str) -> None:
+    policy = parse_policy(agent, f"learned:{OLD / 'policies' / agent}.npz").make()
+    assert policy.label.startswith(f"learned:{agent}@")

@@ -1,0 +1,101 @@
+"""Replays of a benchmark's episodes."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from handover_marl.errors import OptionError, ResultsError, UnknownNameError
+from handover_marl.evaluation import episode_runner
+from handover_marl.evaluation.config import ExecutionConfig
+from handover_marl.evaluation.replays import ReplayWriter, check_replay_options
+from handover_marl.evaluation.results.metadata import read_result_metadata
+from handover_marl.evaluation.results.result_folder import ResultFolder, encode_result, read_results
+from tests.evaluation.quick import HORIZON, SHORT, run, untimed
+from tests.evaluation.reports.test_report import episode
+from tests.visualization.outside import outside, references
+
+pytest.importorskip("viser", reason="needs the extra `replay`")
+pytest.importorskip("fast_simplification", reason="needs the extra `replay`")
+
+
+@pytest.fixture
+def played(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """The scenes that are played."""
+    scenes, play = [], episode_runner.play
+
+    def noted(episode: Any, *players: Any, **options: Any) -> None:
+        scenes.append(episode.scene.info.scene_id)
+        play(episode, *players, **options)
+
+    monkeypatch.setattr(episode_runner, "play", noted)
+    return scenes
+
+
+def replays(folder: Path) -> list[str]:
+    return sorted(path.name for path in (folder / "episodes").iterdir())
+
+
+def test_failed_episodes_of_a_finished_run_are_simulated_again_once(
+    fake_data: Path, tmp_path: Path, played: list[int]
+) -> None:
+    plain = run(fake_data, tmp_path)
+    assert "--replays failed" in (tmp_path / "report.html").read_text()
+    with_replays = run(fake_data, tmp_path, replays="failed")
+    assert untimed(with_replays) == untimed(plain)
+    assert played == [9, 14, 9, 14]
+    assert replays(tmp_path) == ["009.html", "014.html"]
+    links = references((tmp_path / "report.html").read_text())
+    assert "#timeout" in links
+    assert {"episodes/009.html", "episodes/014.html"} <= set(links)
+    for name in replays(tmp_path):
+        page = (tmp_path / "episodes" / name).read_text()
+        assert f"scene {int(name[:3])}, timeout, {HORIZON} steps" in page[:1000]
+        assert outside(page) == []
+        assert len(page.encode()) < 3_000_000
+    (tmp_path / "episodes" / "009.html").unlink()
+    (tmp_path / "episodes" / "014.html").write_text("<!doctype html>scene 14, contact, 99 steps")
+    run(fake_data, tmp_path, replays="failed")
+    assert run(fake_data, tmp_path, replays="failed").n_resumed == 2
+    assert played == [9, 14] * 3
+    assert "timeout" in (tmp_path / "episodes" / "014.html").read_text()[:1000]
+    # A fresh run deletes the replays.
+    run(fake_data, tmp_path, scenes=[9], fresh=True)
+    assert replays(tmp_path) == []
+
+
+def test_another_outcome_on_replay_is_an_error(fake_data: Path, tmp_path: Path) -> None:
+    run(fake_data, tmp_path, scenes=[9])
+    (result,) = read_results(tmp_path)
+    folder = ResultFolder(tmp_path, read_result_metadata(tmp_path), SHORT)
+    with np.load(tmp_path / "000.npz") as archive:
+        actions, times = archive["action"][:-1], archive["elapsed_time"][:-1]
+    changed = replace(result, steps=HORIZON - 1)
+    folder.write(changed, encode_result(changed, actions, times))
+    before = (tmp_path / "000.npz").read_bytes()
+    with pytest.raises(
+        ResultsError, match=rf"replaying scene 9 gave another outcome .*{HORIZON - 1} steps.*{HORIZON} steps"
+    ):
+        run(fake_data, tmp_path, scenes=[9], replays="failed")
+    assert (tmp_path / "000.npz").read_bytes() == before
+    assert replays(tmp_path) == []
+
+
+@pytest.mark.slow
+def test_workers_record_replays(fake_data: Path, tmp_path: Path) -> None:
+    run(fake_data, tmp_path, replays="all", workers=2)
+    assert replays(tmp_path) == ["009.html", "014.html"]
+
+
+def test_replays_of_failed_or_all_episodes(tmp_path: Path) -> None:
+    for wanted, success_is_there in (("failed", True), ("all", False)):
+        writer = ReplayWriter(tmp_path, wanted)
+        assert writer.contains(episode(0, 1)) is success_is_there
+        assert writer.contains(episode(0, 4)) is False
+    check_replay_options(ExecutionConfig(out=str(tmp_path)))
+    with pytest.raises(UnknownNameError, match="replays 'some'"):
+        check_replay_options(ExecutionConfig(out=str(tmp_path), replays="some"))
+    with pytest.raises(OptionError, match="need an output folder"):
+        check_replay_options(ExecutionConfig(replays="failed"))

@@ -1,0 +1,199 @@
+"""A folder goes on with the code that its results were made with, and with no other."""
+
+import importlib
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from handover_marl.errors import ResultsError
+from handover_marl.receivers import Receiver
+from tests.evaluation.quick import QuickReceiver, run, untimed
+
+MINE = """
+import numpy as np
+from handover_marl.receivers import Receiver
+{imports}
+
+class Mine(Receiver):
+    name = "mine"
+    control_period = 1.0
+
+    def __init__(self, context, more=0.0):
+        super().__init__(context)
+        self.more = more
+
+    def reset(self, seed=None):
+        pass
+
+    def act(self, observation):
+        return observation["robot_joint_position"] + np.float32({shift} + self.more)
+"""
+
+Write = Callable[..., type[Receiver]]
+
+
+@pytest.fixture
+def write(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Write]:
+    """Writes files into a folder of one's own code and imports what they define, as a new session would."""
+    home = tmp_path / "code"
+    home.mkdir()
+    monkeypatch.syspath_prepend(home)
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+
+    def forget() -> None:
+        for name in [name for name, module in sys.modules.items() if str(home) in str(getattr(module, "__file__", ""))]:
+            del sys.modules[name]
+        importlib.invalidate_caches()
+
+    def written(module: str = "robots_of_mine", **files: str) -> type[Receiver]:
+        forget()
+        for name, text in files.items():
+            path = home / f"{name.replace('__in__', '/')}.py"
+            path.parent.mkdir(exist_ok=True)
+            path.write_text(text)
+        kind: type[Receiver] = importlib.import_module(module).Mine
+        return kind
+
+    yield written
+    forget()
+
+
+def mine(shift: object = "0.0", imports: str = "") -> str:
+    return MINE.format(shift=shift, imports=imports)
+
+
+def goes_on(fake_data: Path, out: Path, receiver: Any) -> None:
+    """A second run takes over what is there."""
+    assert run(fake_data, out, receiver=receiver, scenes=[9]).n_resumed == 1
+
+
+def is_refused(fake_data: Path, out: Path, receiver: Any, what: str = "receiver hash") -> None:
+    reported = rf"holds another evaluation \({what}.*choose another folder, or delete its results with fresh=True"
+    with pytest.raises(ResultsError, match=reported):
+        run(fake_data, out, receiver=receiver, scenes=[9])
+
+
+@pytest.mark.parametrize("by_name", [False, True])
+def test_changed_code_cannot_resume(fake_data: Path, tmp_path: Path, write: Write, by_name: bool) -> None:
+    out = tmp_path / "out"
+
+    def play(kind: type[Receiver], **options: Any) -> Any:
+        return run(fake_data, out, receiver="robots_of_mine:Mine" if by_name else kind, **options)
+
+    play(write(robots_of_mine=mine(0.0)), scenes=[14])
+    (out / "notes.txt").write_text("precious")
+    assert play(write(robots_of_mine=mine(0.0))).n_resumed == 1
+    changed = write(robots_of_mine=mine(0.01))
+    before = {path.name: path.read_bytes() for path in out.iterdir()}
+    with pytest.raises(
+        ResultsError, match=r"another evaluation \(receiver hash '[\w.]+' in the folder, '[\w.]+' now\).*fresh=True"
+    ):
+        play(changed)
+    assert before == {path.name: path.read_bytes() for path in out.iterdir()}
+    anew = play(changed, fresh=True, scenes=[9])
+    assert anew.n_resumed == 0
+    assert sorted(path.name for path in out.iterdir()) == [
+        *("000.npz", "config.yaml", "notes.txt", "report.html", "report.json", "report.md")
+    ]
+    assert (out / "notes.txt").read_text() == "precious"
+    again = play(changed)
+    assert again.n_resumed == 1
+    with np.load(out / "000.npz") as first, np.load(out / "001.npz") as second:
+        np.testing.assert_array_equal(first["action"][0], second["action"][0])
+        assert first["action"][0, 0] == np.float32(0.01)
+
+
+@pytest.mark.parametrize(
+    ("imports", "shift"),
+    [
+        ("from helpers_of_mine import SHIFT", "SHIFT"),
+        ("import helpers_of_mine", "helpers_of_mine.SHIFT"),
+        ("from helpers_of_mine import shift", "shift()"),
+    ],
+)
+@pytest.mark.parametrize("package", [False, True])
+def test_imported_code_is_hashed(
+    fake_data: Path, tmp_path: Path, write: Write, imports: str, shift: str, package: bool
+) -> None:
+    """From its own folder or package; all of them are what one changes while one develops a receiver."""
+    where = "mine__in__" if package else ""
+    imports = imports.replace("from helpers_of_mine", "from mine.helpers_of_mine") if package else imports
+    imports = imports.replace("import helpers_of_mine", "from mine import helpers_of_mine") if package else imports
+
+    def written(value: float) -> type[Receiver]:
+        files = {f"{where}robots_of_mine": mine(shift, imports)}
+        files[f"{where}helpers_of_mine"] = f"SHIFT = {value}\n\ndef shift():\n    return {value}\n"
+        files |= {"mine__in____init__": ""} if package else {}
+        return write("mine.robots_of_mine" if package else "robots_of_mine", **files)
+
+    run(fake_data, tmp_path / "out", receiver=written(0.0), scenes=[9])
+    goes_on(fake_data, tmp_path / "out", written(0.0))
+    is_refused(fake_data, tmp_path / "out", written(0.01))
+
+
+def test_base_classes_are_hashed(fake_data: Path, tmp_path: Path, write: Write) -> None:
+    child = "from bases_of_mine import Mine as Base\n\nclass Mine(Base):\n    pass\n"
+    run(
+        fake_data,
+        tmp_path / "out",
+        receiver=write(bases_of_mine=mine(0.0), robots_of_mine=child),
+        scenes=[9],
+    )
+    goes_on(fake_data, tmp_path / "out", write(bases_of_mine=mine(0.0), robots_of_mine=child))
+    is_refused(fake_data, tmp_path / "out", write(bases_of_mine=mine(0.01), robots_of_mine=child))
+
+
+def test_options_are_part_of_the_identity(fake_data: Path, tmp_path: Path, write: Write) -> None:
+    kind = write(robots_of_mine=mine())
+    run(fake_data, tmp_path / "out", receiver=(kind, {"more": 0.01}), scenes=[9])
+    goes_on(fake_data, tmp_path / "out", "robots_of_mine:Mine:more=0.01")
+    for other in (kind, (kind, {"more": 0.02}), "robots_of_mine:Mine"):
+        is_refused(fake_data, tmp_path / "out", other, "receiver 'mine:more=0.01' in the folder")
+
+
+class WithState(QuickReceiver):
+    def __init__(self, shift: float) -> None:
+        self.shift = shift
+
+
+def test_state_of_an_instance_is_hashed(fake_data: Path, tmp_path: Path) -> None:
+    first = run(fake_data, tmp_path / "out", receiver=WithState(0.0), scenes=[9])
+    goes_on(fake_data, tmp_path / "out", WithState(0.0))
+    is_refused(fake_data, tmp_path / "out", WithState(0.01))
+    anew = run(fake_data, tmp_path / "out", receiver=WithState(0.01), scenes=[9], fresh=True)
+    assert (first.n_resumed, anew.n_resumed) == (0, 0)
+    assert untimed(first) == untimed(anew)
+
+
+SCRIPT = """
+import sys
+import handover_marl
+from handover_marl.config import ProtocolConfig, WorldConfig
+{mine}
+config = WorldConfig(protocol=ProtocolConfig(horizon_steps=700))
+try:
+    report = handover_marl.evaluate_pair(
+        "replay", Mine, split="val", scenes=[9], data_dir=sys.argv[1], out=sys.argv[2], world_config=config, workers=1,
+        progress=False,
+    )
+    print("earlier", report.n_resumed)
+except handover_marl.errors.ResultsError as error:
+    print("refused", error)
+"""
+
+
+@pytest.mark.slow
+def test_code_of_a_script_is_hashed(fake_data: Path, tmp_path: Path) -> None:
+    said = []
+    for shift in (0.0, 0.0, 0.01):
+        (tmp_path / "script.py").write_text(SCRIPT.format(mine=mine(shift)))
+        command = [sys.executable, str(tmp_path / "script.py"), str(fake_data), str(tmp_path / "out")]
+        said.append(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
+    assert said[0].strip() == "earlier 0"
+    assert said[1].strip() == "earlier 1"
+    assert "another evaluation (receiver hash" in said[2]

@@ -1,0 +1,299 @@
+import contextlib
+import functools
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from handover_marl.errors import DataFormatError, OptionError, PolicyError, WorkerError
+from handover_marl.geometry.ycb import SCENE_CLASSES
+from handover_marl.receivers import Receiver
+from tests.evaluation import quick
+from tests.evaluation.quick import QuickReceiver
+
+
+def run(data: Path, n_workers: int | None, **options: Any) -> list[tuple[Any, ...]]:
+    report = quick.run(data, **{"workers": n_workers, "receiver": "hold", **options})
+    return [(e.index, e.scene_id, e.status, e.steps, e.release_step, e.fingerprint, e.fluency) for e in report.episodes]
+
+
+def files(folder: Path) -> dict[str, dict[str, np.ndarray]]:
+    """What the results of a folder hold, but for how long it took and where."""
+    found = {}
+    for path in sorted(folder.glob("*.npz")):
+        with np.load(path) as archive:
+            found[path.name] = {key: archive[key] for key in archive if key not in ("elapsed_time", "machine")}
+    return found
+
+
+@pytest.mark.parametrize("n_workers", [0, -1, 1.5, "two", True])
+def test_invalid_numbers_of_workers(fake_data: Path, tmp_path: Path, n_workers: Any) -> None:
+    with pytest.raises(OptionError, match="workers"):
+        run(fake_data, n_workers, out=tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+def test_results_are_independent_of_workers(fake_data: Path, tmp_path: Path) -> None:
+    killed = tmp_path / "killed"
+
+    class KillsOnce(QuickReceiver):
+        def act(self, observation: dict[str, np.ndarray]) -> np.ndarray:
+            if not killed.exists():
+                killed.touch()
+                os.kill(os.getpid(), signal.SIGKILL)
+            return super().act(observation)
+
+    with pytest.warns(RuntimeWarning, match="a worker process died .* while simulating scene (9|14)"):
+        interrupted = run(fake_data, 2, receiver=KillsOnce)
+    assert killed.exists()
+    assert interrupted == run(fake_data, 1, receiver=KillsOnce) == run(fake_data, 2, receiver=KillsOnce)
+
+
+@pytest.mark.slow
+def test_random_policies_are_independent_of_workers(fake_data: Path, tmp_path: Path) -> None:
+    """Nor does it matter which scenes are played before in the same process."""
+    drawing: dict[str, Any] = {"receiver": "random", "giver": "noisy", "physics": "fast"}
+    run(fake_data, 1, out=tmp_path / "one", **drawing)
+    run(fake_data, 2, out=tmp_path / "two", **drawing)
+    run(fake_data, 1, out=tmp_path / "apart", **drawing, scenes=[14])
+    run(fake_data, 2, out=tmp_path / "apart", **drawing, scenes=[9])
+    alone = files(tmp_path / "one")
+    assert list(alone) == ["000.npz", "001.npz"]
+    for name in ("two", "apart"):
+        others = files(tmp_path / name)
+        assert list(others) == list(alone)
+        for scene, expected in alone.items():
+            assert others[scene].keys() == expected.keys()
+            for key, value in expected.items():
+                np.testing.assert_array_equal(others[scene][key], value, err_msg=f"{name} {scene} {key}")
+    # Both have drawn, and draw otherwise with another seed, in another scene and as another agent.
+    first, second = (scene["action"][::100] for scene in alone.values())
+    assert len(np.unique(first, axis=0)) == len(first) == 13
+    assert not (first == second).any()
+    run(fake_data, 2, out=tmp_path / "other", **drawing, seed=1)
+    run(fake_data, 2, out=tmp_path / "still", **{**drawing, "giver": "replay"})
+    for scene, expected in alone.items():
+        assert not (files(tmp_path / "other")[scene]["action"] == expected["action"]).any()
+        paths = [files(tmp_path / name)[scene]["fluency_giver_path"] for name in ("one", "other", "still")]
+        assert len(set(map(float, paths))) == 3
+
+
+def test_import_path_of_workers(fake_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "numpy.py").write_text("raise SystemExit('not the real one')")
+    monkeypatch.chdir(tmp_path)
+    assert run(fake_data, 2) == run(fake_data, 1)
+
+
+@pytest.mark.filterwarnings("ignore:a worker process died")
+def test_scene_that_kills_every_worker(fake_data: Path, tmp_path: Path) -> None:
+    class KillsInScene14(QuickReceiver):
+        def act(self, observation: dict[str, np.ndarray]) -> np.ndarray:
+            if observation["object_classes"][0] == SCENE_CLASSES[14 // 5] and not (tmp_path / "mended").exists():
+                os.kill(os.getpid(), signal.SIGKILL)
+            return super().act(observation)
+
+    with pytest.raises(WorkerError, match="died twice while simulating scene 14"):
+        run(fake_data, 2, out=tmp_path / "out", receiver=KillsInScene14)
+    (tmp_path / "mended").touch()
+    assert len(run(fake_data, 1, out=tmp_path / "out", receiver=KillsInScene14)) == 2
+
+
+def test_errors_of_workers_are_raised_here(own_data: Path) -> None:
+    path = own_data / "dex-ycb-cache" / "pose_014.npz"
+    path.write_bytes(path.read_bytes()[:1000])
+    with pytest.raises(DataFormatError, match="pose_014"):
+        run(own_data, 2)
+
+
+def test_ctrl_c_leaves_no_process(tmp_path: Path) -> None:
+    # 36 scenes of 13 s each: it cannot end by itself in time.
+    command = [sys.executable, "-m", "handover_marl.cli", "benchmark", "--split", "val", "--receiver", "hold"]
+    command += ["--dataset", "synthetic", "--out", str(tmp_path / "out"), "--workers", "2"]
+    # Tests that run in the background may ignore Ctrl-C, which children inherit.
+    listen = functools.partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, preexec_fn=listen)
+    while not (tmp_path / "out" / "config.yaml").exists():
+        time.sleep(0.05)
+    time.sleep(1.5)
+    children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+    assert len(children) >= 2
+    process.send_signal(signal.SIGINT)
+    started = time.monotonic()
+    assert process.wait(10) == 130
+    assert time.monotonic() - started < 2.0
+    assert "resumes from here" in str(process.stderr and process.stderr.read())
+    assert waited_for(lambda: all(ended(int(child)) for child in children), 2.0)
+
+
+class QuitsActing(QuickReceiver):
+    name = "quits"
+
+    def act(self, observation: dict[str, np.ndarray]) -> np.ndarray:
+        sys.exit(3)
+
+
+class QuitsResetting(QuickReceiver):
+    name = "quits"
+
+    def reset(self, seed: int | None = None) -> None:
+        sys.exit(3)
+
+
+class QuitsHolding(QuickReceiver):
+    name = "quits"
+
+    @property
+    def hold_time(self) -> float:
+        sys.exit(3)
+
+
+class QuitsWhenMade(QuickReceiver):
+    name = "quits"
+
+    def __init__(self, context: object) -> None:
+        sys.exit(3)
+
+
+@pytest.mark.parametrize("n_workers", [1, 2])
+@pytest.mark.parametrize("receiver", [QuitsActing, QuitsResetting, QuitsHolding])
+def test_receiver_that_exits(fake_data: Path, tmp_path: Path, receiver: type[Receiver], n_workers: int) -> None:
+    with pytest.raises(PolicyError, match=r"(?s)receiver 'quits' in scene (9|14): .*SystemExit: 3"):
+        run(fake_data, n_workers, receiver=receiver, out=tmp_path / "out")
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["config.yaml"]
+
+
+@pytest.mark.parametrize("n_workers", [1, 2])
+def test_receiver_whose_constructor_exits(fake_data: Path, n_workers: int) -> None:
+    with pytest.raises(PolicyError, match=r"receiver 'QuitsWhenMade' cannot be made.*SystemExit: 3"):
+        run(fake_data, n_workers, receiver=QuitsWhenMade)
+
+
+SLEEPING = """
+import os, sys, time
+from pathlib import Path
+import handover_marl
+from handover_marl.receivers import Receiver
+
+class Sleeping(Receiver):
+    name = "sleeping"
+
+    def reset(self, seed=None):
+        pass
+
+    def act(self, observation):
+        Path(folder, str(os.getpid())).touch()
+        time.sleep(60)
+
+folder = sys.argv[2]
+handover_marl.benchmark("s0", "val", Sleeping, data_dir=sys.argv[1], scenes=[9, 14], workers=2, progress=False)
+"""
+
+
+def ended(process: int) -> bool:
+    """Whether a process is gone, though perhaps nobody has asked for its exit status yet."""
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] in "ZX"
+    except OSError:
+        return True
+
+
+def waited_for(condition: Any, seconds: float) -> bool:
+    deadline = time.monotonic() + seconds
+    while not condition():
+        if time.monotonic() > deadline:
+            return False
+        time.sleep(0.02)
+    return True
+
+
+@pytest.mark.slow
+def test_workers_end_with_a_killed_parent(fake_data: Path, tmp_path: Path) -> None:
+    """In the middle of a scene, and though their policy sleeps."""
+    (tmp_path / "script.py").write_text(SLEEPING)
+    (tmp_path / "awake").mkdir()
+    command = [sys.executable, str(tmp_path / "script.py"), str(fake_data), str(tmp_path / "awake")]
+    process = subprocess.Popen(command)
+    try:
+        assert waited_for(lambda: len(list((tmp_path / "awake").iterdir())) == 2, 60.0)
+        children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+        assert {path.name for path in (tmp_path / "awake").iterdir()} <= set(children)
+        assert not any(ended(int(child)) for child in children)
+        process.kill()
+        process.wait()
+        assert waited_for(lambda: all(ended(int(child)) for child in children), 2.0)
+    finally:
+        process.kill()
+        process.wait()
+        for path in (tmp_path / "awake").iterdir():
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(int(path.name), signal.SIGKILL)
+
+
+SCRIPT = """
+import sys
+import numpy as np
+import handover_marl
+from handover_marl.config import ProtocolConfig, WorldConfig
+from handover_marl.givers import Giver, make_giver_action
+from handover_marl.receivers import Receiver
+
+print("once")
+SHIFT = 0.01
+
+def shifted(joints):
+    return joints + np.float32(SHIFT)
+
+class Base(Receiver):
+    control_period = 0.3
+
+    def reset(self, seed=None):
+        self.asked = 0
+
+class Mine(Base):
+    name = "mine"
+
+    def act(self, observation):
+        self.asked += 1
+        return shifted(np.float32(self.context.panda.start_joints) - self.asked * np.float32(0.01))
+
+class MyGiver(Giver):
+    name = "mine"
+
+    def reset(self, seed=None):
+        pass
+
+    def act(self, observation):
+        return make_giver_action(displacement=(0.0, 0.0, SHIFT))
+
+config = WorldConfig(protocol=ProtocolConfig(horizon_steps=700))
+for workers in (1, 2):
+    report = handover_marl.evaluate_pair(
+        MyGiver, Mine, split="val", scenes=[9, 14], data_dir=sys.argv[1], world_config=config, physics="fast",
+        workers=workers, progress=False, out=f"{sys.argv[2]}/{workers}",
+    )
+    print("report", [(e.scene_id, e.status.label, e.steps, e.release_step, e.fluency) for e in report.episodes])
+"""
+
+
+@pytest.mark.slow
+def test_script_policies_in_workers(fake_data: Path, tmp_path: Path) -> None:
+    """The script needs no guard, and is not run again in them."""
+    (tmp_path / "script.py").write_text(SCRIPT)
+    command = [sys.executable, str(tmp_path / "script.py"), str(fake_data), str(tmp_path / "out")]
+    finished = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert finished.returncode == 0, finished.stderr
+    once, alone, together = finished.stdout.splitlines()
+    assert once == "once"
+    assert alone == together
+    assert alone.count("'timeout', 700") == 2
+    for name, expected in files(tmp_path / "out" / "1").items():
+        for key, value in expected.items():
+            np.testing.assert_array_equal(files(tmp_path / "out" / "2")[name][key], value, err_msg=key)
+        assert len(np.unique(expected["action"], axis=0)) == 3

@@ -1,0 +1,259 @@
+import os
+import subprocess
+import sys
+import tempfile
+import warnings
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from handover_marl.errors import ResultsError
+from handover_marl.execution.files import (
+    check_archive,
+    create_exclusively,
+    read_arrays,
+    remove_stale_temporaries,
+    replace_atomically,
+    write_atomically,
+)
+from tests.evaluation.deadline import ends_within
+
+WRITERS = [write_atomically, create_exclusively]
+Write = Callable[[Path, bytes | str], None]
+
+
+def test_write_atomically(tmp_path: Path) -> None:
+    path = tmp_path / "a.txt"
+    write_atomically(path, "first")
+    write_atomically(path, b"second")
+    assert path.read_bytes() == b"second"
+    assert path.stat().st_mode & 0o777 == 0o644
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize(
+    ("failure", "seen"),
+    [(KeyboardInterrupt, KeyboardInterrupt), (MemoryError, MemoryError), (OSError, ResultsError)],
+)
+def test_failed_write_keeps_the_existing_file(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    failure: type[BaseException],
+    seen: type[BaseException],
+) -> None:
+    path = tmp_path / "a.txt"
+    path.write_text("before")
+
+    def fail(handle: int) -> None:
+        raise failure
+
+    monkeypatch.setattr(os, "fsync", fail)
+    with pytest.raises(seen):
+        write_atomically(path, "after")
+    assert list(tmp_path.iterdir()) == [path]
+    assert path.read_text() == "before"
+
+
+@pytest.mark.parametrize("failure", [KeyboardInterrupt, OSError])
+def test_failed_creation_leaves_no_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, failure: type[BaseException]
+) -> None:
+    def fail(handle: int) -> None:
+        raise failure
+
+    monkeypatch.setattr(os, "fsync", fail)
+    with pytest.raises((KeyboardInterrupt, ResultsError)):
+        create_exclusively(tmp_path / "a.txt", "text")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("write", WRITERS)
+def test_missing_folder(tmp_path: Path, write: Write) -> None:
+    with pytest.raises(ResultsError, match=r"cannot write .*a\.txt"):
+        write(tmp_path / "none" / "a.txt", "text")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.fixture(params=[True, False], ids=["links", "no links"])
+def links(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> bool:
+    """With and without hard links on the file system."""
+
+    def refuse(*_: object) -> None:
+        raise PermissionError(1, "Operation not permitted")
+
+    if not request.param:
+        monkeypatch.setattr(Path, "hardlink_to", refuse)
+    return bool(request.param)
+
+
+@pytest.mark.usefixtures("links")
+def test_create_exclusively_keeps_existing_files(tmp_path: Path) -> None:
+    path = tmp_path / "a.txt"
+    create_exclusively(path, "first")
+    assert path.read_text() == "first"
+    assert path.stat().st_mode & 0o777 == 0o644
+    create_exclusively(path, "second")
+    assert path.read_text() == "first"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.usefixtures("links")
+def test_create_exclusively_is_atomic(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, sync = tmp_path / "a.txt", os.fsync
+
+    def sync_late(handle: int) -> None:
+        sync(handle)
+        path.write_text("another's")
+
+    monkeypatch.setattr(os, "fsync", sync_late)
+    create_exclusively(path, "mine")
+    assert path.read_text() == "another's"
+    assert list(tmp_path.iterdir()) == [path]
+    # Whereas this one replaces.
+    write_atomically(path, "mine")
+    assert path.read_text() == "mine"
+
+
+def test_valid_archives(tmp_path: Path) -> None:
+    path = tmp_path / "a.npz"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("one", b"0" * 600)
+        archive.writestr("two", b"0" * 401)
+    check_archive(path, 1001)
+    with pytest.raises(ValueError, match="unpacks to more than"):
+        check_archive(path, 1000)
+    path.write_bytes(b"PK")
+    with pytest.raises(zipfile.BadZipFile):
+        check_archive(path, 1000)
+    os.mkfifo(tmp_path / "pipe.npz")
+    for other in (tmp_path / "pipe.npz", tmp_path):
+        with ends_within(5.0), pytest.raises(ValueError, match="not a regular file"):
+            check_archive(other, 1000)
+
+
+def zipped(path: Path, members: list[tuple[str, bytes]], method: int = zipfile.ZIP_DEFLATED) -> Path:
+    with zipfile.ZipFile(path, "w", method) as archive, warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # two members of one name
+        for name, data in members:
+            archive.writestr(name, data)
+    return path
+
+
+@pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+def test_archives_with_other_compression(tmp_path: Path, method: int) -> None:
+    path = zipped(tmp_path / "a.npz", [("one", bytes(100))], method)
+    with pytest.raises(ValueError, match="another method than deflate"):
+        check_archive(path, 1000)
+
+
+def test_archives_with_duplicate_or_large_members(tmp_path: Path) -> None:
+    path = zipped(tmp_path / "a.npz", [("one", b"1"), ("one", b"2")])
+    with pytest.raises(ValueError, match="two files of the same name"):
+        check_archive(path, 1000)
+    many = zipped(tmp_path / "many.npz", [(f"{number}", b"") for number in range(20_000)])
+    with pytest.raises(ValueError, match="larger than 0 MB"):
+        check_archive(many, 1000)
+
+
+def test_members_that_are_not_arrays(tmp_path: Path) -> None:
+    path = zipped(tmp_path / "a.npz", [("one.npy", b"text")])
+    with pytest.raises(TypeError, match="one is not an array"):
+        read_arrays(path, ("one",), 1000)
+    np.savez(path, one=np.arange(3))
+    np.testing.assert_array_equal(read_arrays(path, ("one",), 1000)["one"], [0, 1, 2])
+
+
+_KILLED = """
+import os, pathlib, signal, sys
+from handover_marl.execution import files
+os.fsync = lambda _: os.kill(os.getpid(), signal.SIGKILL)
+files.create_exclusively(pathlib.Path(sys.argv[1]), "text")
+"""
+
+
+def test_temporary_files_of_killed_writers_are_removed(tmp_path: Path) -> None:
+    path = tmp_path / "a.txt"
+    subprocess.run([sys.executable, "-c", _KILLED, str(path)], check=False)
+    assert [name.suffix for name in tmp_path.iterdir()] == [".part"]
+    others = [tmp_path / name for name in ("a.part", ".a.part", ".a.txt.part", "b.txt", ".a.txt.long-name.part")]
+    for other in others:
+        other.write_text("mine")
+    (tmp_path / ".a.txt.abcdefgh.part").mkdir()
+    os.mkfifo(tmp_path / ".b.txt.abcdefgh.part")
+    (tmp_path / ".c.txt.abcdefgh.part").symlink_to(tmp_path / "b.txt")
+    with ends_within(5.0):
+        remove_stale_temporaries(tmp_path)
+    assert sorted(name for name in tmp_path.iterdir() if name.is_file() and not name.is_symlink()) == sorted(others)
+    assert (tmp_path / "b.txt").read_text() == "mine"
+    remove_stale_temporaries(tmp_path / "nowhere")
+
+
+@pytest.mark.parametrize("write", WRITERS)
+def test_temporary_files_in_use_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, write: Write) -> None:
+    sync, seen = os.fsync, []
+
+    def sync_late(handle: int) -> None:
+        sync(handle)
+        remove_stale_temporaries(tmp_path)
+        seen.extend(tmp_path.iterdir())
+
+    monkeypatch.setattr(os, "fsync", sync_late)
+    write(tmp_path / "a.txt", "text")
+    assert len(seen) == 1
+    assert [path.read_text() for path in tmp_path.iterdir()] == ["text"]
+
+
+def _fill_half(path: Path, error: BaseException) -> None:
+    with replace_atomically(path) as temporary:
+        temporary.write_text("half")
+        assert path.read_text() == "before"
+        remove_stale_temporaries(path.parent)
+        assert temporary.exists()
+        raise error
+
+
+def test_replace_atomically(tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    for error in (KeyboardInterrupt(), ValueError("no"), OSError("disk full")):
+        path.write_text("before")
+        with pytest.raises((type(error), ResultsError)):
+            _fill_half(path, error)
+        assert [entry.name for entry in tmp_path.iterdir()] == ["file"]
+        assert path.read_text() == "before"
+    with replace_atomically(path) as temporary:
+        temporary.write_text("after")
+    assert path.read_text() == "after"
+    assert path.stat().st_mode & 0o777 == 0o644
+    with pytest.raises(ResultsError, match="cannot write"), replace_atomically(tmp_path / "nowhere" / "file"):
+        pass
+
+
+def test_temporary_file_removed_before_it_is_locked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    make, made = tempfile.mkstemp, []
+
+    def make_and_lose(**where: object) -> tuple[int, str]:
+        handle, name = make(**where)  # type: ignore[call-overload]
+        made.append(name)
+        if len(made) == 1:
+            remove_stale_temporaries(tmp_path)
+            assert not Path(name).exists()
+        return handle, name
+
+    monkeypatch.setattr(tempfile, "mkstemp", make_and_lose)
+    create_exclusively(tmp_path / "a.txt", "text")
+    assert [path.read_text() for path in tmp_path.iterdir()] == ["text"]
+    assert len(made) == 2
+
+
+def test_failed_creation_on_a_file_system_without_links(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise PermissionError(1, "Operation not permitted")
+
+    monkeypatch.setattr(Path, "hardlink_to", refuse)
+    monkeypatch.setattr(Path, "replace", refuse)
+    with pytest.raises(ResultsError):
+        create_exclusively(tmp_path / "a.txt", "text")
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,25 @@
+"""Nodes with other versions of the packages that results depend on are refused."""
+
+import pytest
+
+from handover_marl.errors import WorkerError
+from handover_marl.execution.ray_pool import check_versions, installed_versions
+
+
+def test_equal_versions() -> None:
+    check_versions(installed_versions(), installed_versions())
+
+
+@pytest.mark.parametrize("name", ["handover_marl", "numpy", "scipy", "pybullet"])
+@pytest.mark.parametrize("there", ["0.0.1", "none"])
+def test_other_versions(name: str, there: str) -> None:
+    with pytest.raises(WorkerError, match=f"node .* has other versions \\({name} {there} there, .* here\\)"):
+        check_versions(installed_versions(), {**installed_versions(), name: there})
+
+
+def test_mujoco_may_be_missing_but_not_differ() -> None:
+    check_versions(installed_versions(), {**installed_versions(), "mujoco": "none"})
+    if installed_versions()["mujoco"] == "none":
+        pytest.skip("needs the extra `mujoco`")
+    with pytest.raises(WorkerError, match=r"mujoco 3\.9\.0 there"):
+        check_versions(installed_versions(), {**installed_versions(), "mujoco": "3.9.0"})

@@ -1,0 +1,137 @@
+"""Tasks in this process and in worker processes of this machine, and invalid configurations."""
+
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable
+from contextlib import contextmanager, nullcontext
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from handover_marl.errors import OptionError, ResultsError, UnknownNameError, WorkerError
+from handover_marl.execution import pool as pool_module
+from handover_marl.execution.pool import PoolConfig
+from handover_marl.execution.tasks import map_with_progress, open_pool
+
+
+def run(function: Callable[[Any], Any], tasks: list[Any], workers: int = 2) -> dict[Any, Any]:
+    return dict(map_with_progress(lambda: function, tasks, "numbers", PoolConfig(workers), progress=False))
+
+
+def open_worker(events: list[str]) -> Callable[[], Any]:
+    @contextmanager
+    def prepare() -> Any:
+        events.append("opened")
+        yield lambda task: (os.getpid(), 10 * task)
+        events.append("closed")
+
+    return prepare
+
+
+def test_one_worker_is_this_process() -> None:
+    events: list[str] = []
+    found = list(open_pool(PoolConfig(1)).map_unordered(open_worker(events), [1, 2, 3]))
+    assert found == [(index, (os.getpid(), 10 * index + 10)) for index in range(3)]
+    assert events == ["opened", "closed"]
+    assert list(open_pool(PoolConfig(2)).map_unordered(open_worker(events), [])) == []
+    assert len(events) == 2
+
+
+def test_worker_processes_run_local_functions() -> None:
+    """Functions within functions cannot be imported by another process."""
+    found = sorted(open_pool(PoolConfig(2)).map_unordered(open_worker([]), [1, 2, 3, 4]))
+    assert [result for _, (_, result) in found] == [10, 20, 30, 40]
+    processes = {process for _, (process, _) in found}
+    assert 1 <= len(processes) <= 2
+    assert os.getpid() not in processes
+
+
+def test_results_come_with_their_tasks() -> None:
+    assert run(str.upper, ["a", "b", "c"]) == {"a": "A", "b": "B", "c": "C"}
+
+
+def raise_error(kind: type[Exception]) -> Callable[[int], None]:
+    def work(task: int) -> None:
+        raise kind("nonsense")
+
+    return work
+
+
+def test_errors_of_tasks_are_raised_here() -> None:
+    with pytest.raises(ResultsError, match=r"^nonsense$"):
+        run(raise_error(ResultsError), [1, 2])
+    with pytest.raises(WorkerError, match=r"(?s)^numbers: [12]: KeyError: 'nonsense'.*in work"):
+        run(raise_error(KeyError), [1, 2])
+    with pytest.raises(KeyError):
+        run(raise_error(KeyError), [1, 2], workers=1)
+
+
+def test_results_that_cannot_be_pickled() -> None:
+    with pytest.raises(WorkerError, match=r"result cannot be pickled .*lock"):
+        run(lambda _: threading.Lock(), [1, 2])
+
+
+def kill_this_process() -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_a_killed_worker_is_replaced(tmp_path: Path) -> None:
+    killed = tmp_path / "killed"
+
+    def work(task: int) -> int:
+        if task == 3 and not killed.exists():
+            killed.touch()
+            kill_this_process()
+        return task
+
+    with pytest.warns(RuntimeWarning, match=r"died \(exit code .*-9\)\) while .*numbers: 3.*; retrying"):
+        assert run(work, [1, 2, 3, 4, 5]) == {task: task for task in range(1, 6)}
+
+
+@pytest.mark.filterwarnings("ignore:a worker process died")
+def test_a_task_that_kills_its_worker_twice() -> None:
+    """The task beside it, whose worker ends too, is not blamed."""
+
+    def work(task: int) -> int:
+        time.sleep(0.2)
+        if task == 2:
+            kill_this_process()
+        return task
+
+    with pytest.raises(WorkerError, match=r"died twice while numbers: 2 \(exit code .*-9\)\)"):
+        run(work, [1, 2, 3])
+
+
+@pytest.mark.filterwarnings("ignore:a worker process died")
+def test_a_worker_that_dies_while_it_starts() -> None:
+    with pytest.raises(WorkerError, match="died twice while numbers: "):
+        dict(map_with_progress(kill_this_process, [1, 2], "numbers", PoolConfig(2), progress=False))  # type: ignore[arg-type]
+
+
+def test_closing_ends_running_tasks() -> None:
+    def work(task: int) -> int:
+        time.sleep(60.0 * task)
+        return os.getpid()
+
+    results = open_pool(PoolConfig(2)).map_unordered(lambda: nullcontext(work), [0, 1, 1])
+    started = time.monotonic()
+    _, process = next(results)
+    results.close()
+    assert time.monotonic() - started < 20.0
+    with pytest.raises(ProcessLookupError):
+        os.kill(process, 0)
+
+
+def test_invalid_configurations(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(UnknownNameError, match="unknown backend 'slurm'; valid: local, ray"):
+        open_pool(PoolConfig(backend="slurm"))
+    with pytest.raises(OptionError, match=r"workers must be .* got 0"):
+        open_pool(PoolConfig(0))
+    with pytest.raises(OptionError, match=r"ray_address must be .* got 'here:1' with backend 'local'"):
+        open_pool(PoolConfig(address="here:1"))
+    monkeypatch.setattr(pool_module.importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(OptionError, match=r"needs Ray: pip install 'handover-marl\[ray\]'"):
+        open_pool(PoolConfig(backend="ray"))

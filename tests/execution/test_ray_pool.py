@@ -1,0 +1,262 @@
+"""A real cluster of several nodes on this machine: the same files as without it, whatever happens to its nodes."""
+
+import inspect
+import os
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import handover_marl
+from handover_marl.config import ProtocolConfig, WorldConfig
+from handover_marl.datasets import DATA_DIR_VARIABLE
+from handover_marl.errors import DataFormatError, DataNotFoundError, PolicyError, WorkerError
+from handover_marl.evaluation.progress import BenchmarkProgress
+from handover_marl.execution import ray_pool
+from handover_marl.receivers import Receiver
+from tests.evaluation.test_workers import files
+from tests.fake_layout import write_layout
+
+ray = pytest.importorskip("ray", reason="needs the extra `ray`")
+cluster_utils = pytest.importorskip("ray.cluster_utils")
+services = pytest.importorskip("ray._private.services")
+raylet = pytest.importorskip("ray._raylet")
+pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore")]
+
+SCENES = (9, 14, 19, 24, 29, 34)
+HORIZON = 600
+PATIENCE = 200  # s
+#: On nodes where this names a file, a scene that has begun does not end.
+STUCK_VARIABLE = "HANDOVER_MARL_TEST_STUCK"
+OPTIONS: dict[str, Any] = {
+    **{"setup": "s0", "split": "val", "dataset": "synthetic", "physics": "fast", "scenes": SCENES, "progress": False},
+    **{"world_config": WorldConfig(protocol=ProtocolConfig(horizon_steps=HORIZON)), "giver": "noisy"},
+}
+
+
+def swaying() -> type[Receiver]:
+    """A receiver that no other process could import, as one that was typed into a notebook."""
+
+    class Swaying(Receiver):
+        name = "swaying"
+        control_period = 0.05
+
+        def reset(self, seed: int | None = None) -> None:
+            self.rng = np.random.default_rng(seed)
+            if stuck := os.environ.get(STUCK_VARIABLE):
+                Path(stuck).touch()
+                time.sleep(PATIENCE)
+
+        def act(self, observation: dict[str, np.ndarray]) -> np.ndarray:
+            return observation["robot_joint_position"] + 0.05 * self.rng.normal(size=9).astype(np.float32)
+
+    return Swaying
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[Any]:
+    """A head that does nothing; nodes come with the tests. This process is connected to it."""
+    patience = {"worker_register_timeout_seconds": PATIENCE, "agent_register_timeout_ms": 1000 * PATIENCE}
+    patience |= {"health_check_failure_threshold": 50}
+    head = {"num_cpus": 0, "include_dashboard": False, "no_monitor": True, "_system_config": patience, **light()}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(services, "start_raylet", without_waiting(services.start_raylet))
+        patch.setattr(services, "get_node", patiently(services.get_node))
+        made = cluster_utils.Cluster(initialize_head=True, head_node_args=head)
+        try:
+            yield made
+        finally:
+            ray.shutdown()
+            made.shutdown()
+
+
+def light() -> dict[str, Any]:
+    """A node without what is not needed; its helper gets a free port, since Ray waits but briefly for what it finds."""
+    with socket.socket() as one:
+        one.bind(("", 0))
+        return {"include_log_monitor": False, "runtime_env_agent_port": one.getsockname()[1]}
+
+
+def without_waiting(start: Callable[..., Any]) -> Callable[..., Any]:
+    """Ray waits 15 s for a node's other helper to say on which ports it serves, which is to say that it does not.
+
+    Where other tests have the cores this is not enough.
+    """
+
+    def started(*args: Any, **kwargs: Any) -> Any:
+        message = inspect.signature(start).bind(*args, **kwargs).arguments
+        for service in ("DASHBOARD_AGENT_LISTEN_PORT_NAME", "METRICS_AGENT_PORT_NAME", "METRICS_EXPORT_PORT_NAME"):
+            raylet.persist_port(message["session_dir"], message["node_id"], getattr(raylet, service), -1)
+        return start(*args, **kwargs)
+
+    return started
+
+
+def patiently(ask: Callable[..., Any]) -> Callable[..., Any]:
+    """Likewise the 30 s that Ray waits for the node itself."""
+
+    def asked(*args: Any, **kwargs: Any) -> Any:
+        until = time.monotonic() + PATIENCE
+        while True:
+            try:
+                return ask(*args, **kwargs)
+            except RuntimeError:
+                if time.monotonic() > until:
+                    raise
+                time.sleep(0.5)
+
+    return asked
+
+
+def add_node(cluster: Any, **options: Any) -> Any:
+    """A node of one core."""
+    return cluster.add_node(num_cpus=1, **light(), **options)
+
+
+@pytest.fixture(scope="module")
+def nodes(cluster: Any) -> Iterator[list[Any]]:
+    """Two nodes of one core."""
+    yield [add_node(cluster) for _ in range(2)]
+    for node in list(cluster.worker_nodes):
+        cluster.remove_node(node)
+
+
+def play(cluster: Any, out: Path | None = None, **options: Any) -> handover_marl.Report:
+    named = {**OPTIONS, "receiver": swaying(), "backend": "ray", "ray_address": cluster.address, "out": out, **options}
+    return handover_marl.evaluate_pair(**named)
+
+
+@pytest.fixture(scope="module")
+def alone(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What this machine makes without a cluster."""
+    out = tmp_path_factory.mktemp("alone") / "out"
+    handover_marl.evaluate_pair(**{**OPTIONS, "receiver": swaying(), "workers": 1, "out": out})
+    return out
+
+
+def assert_same(one: Path, other: Path) -> None:
+    """Equal but for times."""
+    assert sorted(path.name for path in one.iterdir()) == sorted(path.name for path in other.iterdir())
+    assert (one / "config.yaml").read_bytes() == (other / "config.yaml").read_bytes()
+    first, second = files(one), files(other)
+    for name, arrays in first.items():
+        assert arrays.keys() == second[name].keys()
+        for key, array in arrays.items():
+            np.testing.assert_array_equal(second[name][key], array, err_msg=f"{name} {key}", strict=True)
+
+
+def test_nodes_that_join_later(cluster: Any, alone: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """More workers are wanted than there are cores, at first none."""
+    wait, added = ray_pool._wait_for_one, []
+
+    def wait_and_add(references: list[Any]) -> Any:
+        if not added:
+            assert not ray.wait(references, timeout=0.1)[0]
+            added.append(add_node(cluster))
+        return wait(references)
+
+    monkeypatch.setattr(ray_pool, "_wait_for_one", wait_and_add)
+    try:
+        play(cluster, tmp_path / "out", workers=3)
+        assert_same(tmp_path / "out", alone)
+    finally:
+        cluster.remove_node(added[0])
+
+
+def test_data_folders_of_nodes(
+    cluster: Any, fake_data: Path, own_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Named by their environment; other data than here are refused, and so are none."""
+    monkeypatch.setenv(DATA_DIR_VARIABLE, str(fake_data))
+    options = {"dataset": "dexycb", "scenes": [9, 14], "receiver": "hold"}
+    for folder, error, message in (
+        (write_layout(tmp_path / "copy"), None, ""),
+        (own_data, DataFormatError, "scene 9 on .* differs from the requested one .*every node needs the same"),
+        (tmp_path / "nowhere", DataNotFoundError, f"on node .*nowhere.*or named by {DATA_DIR_VARIABLE}"),
+    ):
+        if folder == own_data:
+            meta = own_data / "dex-ycb-cache" / "meta_009.json"
+            meta.write_text(meta.read_text() + " ")
+        node = add_node(cluster, env_vars={DATA_DIR_VARIABLE: str(folder)})
+        try:
+            if error is None:
+                play(cluster, tmp_path / "out", **options)
+                assert len(files(tmp_path / "out")) == 2
+            else:
+                with pytest.raises(error, match=message):
+                    play(cluster, **options)
+        finally:
+            cluster.remove_node(node)
+
+
+def test_scene_that_kills_its_worker_twice(cluster: Any, nodes: list[Any], tmp_path: Path) -> None:
+    class Deadly(swaying()):  # type: ignore[misc]
+        def act(self, observation: dict[str, np.ndarray]) -> np.ndarray:
+            if observation["object_classes"][0] == 5:  # the mustard bottle, which is given in scene 24
+                os._exit(3)
+            return super().act(observation)
+
+    with pytest.raises(WorkerError, match="a worker process died twice while simulating scene 24 "):
+        play(cluster, tmp_path / "out", receiver=Deadly)
+    finished = [path.name for path in (tmp_path / "out").glob("*.npz")]
+    assert "003.npz" not in finished
+    assert len(ray.nodes()) >= 3
+
+
+def test_errors_of_policies_are_raised_here(cluster: Any, nodes: list[Any]) -> None:
+    class Failing(swaying()):  # type: ignore[misc]
+        def act(self, observation: dict[str, np.ndarray]) -> np.ndarray:
+            raise KeyError("nonsense")
+
+    with pytest.raises(PolicyError, match=r"(?s)receiver 'swaying' .*in scene \d+: .*KeyError.*nonsense"):
+        play(cluster, receiver=Failing)
+
+
+def test_demonstrations_are_the_same(cluster: Any, nodes: list[Any], tmp_path: Path) -> None:
+    pytest.importorskip("h5py")
+    from tests.evaluation.demonstrations.recording import contents, record
+
+    record(None, tmp_path / "local", giver="noisy")
+    record(None, tmp_path / "ray", giver="noisy", backend="ray", ray_address=cluster.address, workers=2)
+    assert contents(tmp_path / "ray") == contents(tmp_path / "local")
+
+
+def test_interruption_frees_the_cores(cluster: Any, nodes: list[Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    def stopped(*_: Any, **__: Any) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(BenchmarkProgress, "add", stopped)
+        with pytest.raises(KeyboardInterrupt):
+            play(cluster, progress=True)
+    until = time.monotonic() + 30.0
+    while ray.available_resources().get("CPU", 0.0) < 2.0:
+        assert time.monotonic() < until
+        time.sleep(0.1)
+
+
+def test_results_are_the_same_if_a_node_dies(cluster: Any, nodes: list[Any], alone: Path, tmp_path: Path) -> None:
+    """One where a scene is being simulated, as the file shows that it leaves."""
+    playing = tmp_path / "playing"
+    doomed = add_node(cluster, env_vars={STUCK_VARIABLE: str(playing)})
+
+    def kill_when_playing() -> None:
+        until = time.monotonic() + PATIENCE
+        while not playing.exists() and time.monotonic() < until:
+            time.sleep(0.1)
+        cluster.remove_node(doomed, allow_graceful=False)
+
+    killer = threading.Thread(target=kill_when_playing)
+    killer.start()
+    try:
+        report = play(cluster, tmp_path / "out")
+    finally:
+        killer.join()
+    assert playing.exists()
+    assert "3 at a time on a Ray cluster" in str(report.episodes[0].machine)
+    assert_same(tmp_path / "out", alone)

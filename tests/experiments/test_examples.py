@@ -1,0 +1,57 @@
+"""Examples for copying run at a small size."""
+
+from pathlib import Path
+
+import pytest
+
+from handover_marl import receivers
+from handover_marl.datasets.synthetic import SyntheticDataset
+from tests.learning.training.scripts import EXPERIMENTS, script
+
+SCENES = SyntheticDataset().list_scenes("s0", "val")[:1]
+MAX_LINES = 120
+
+
+def test_examples_are_short() -> None:
+    examples = sorted((EXPERIMENTS / "examples").glob("*.py"))
+    assert len(examples) == 5
+    for path in examples:
+        assert len(path.read_text().splitlines()) <= MAX_LINES, path.name
+
+
+def test_own_receiver(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    example = script("own_receiver", monkeypatch)
+    report = example.main(example.Args(dataset="synthetic", scenes=SCENES, workers=1))
+    assert [episode.scene_id for episode in report.episodes] == list(SCENES)
+    assert "success" in capsys.readouterr().out
+
+
+def test_own_giver(monkeypatch: pytest.MonkeyPatch) -> None:
+    example = script("own_giver", monkeypatch)
+    args = example.Args(receiver="hold", dataset="synthetic", scenes=SCENES, workers=1)
+    assert set(example.main(args)) == {"replay", "meeting"}
+
+
+def test_ppo_vector_env(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("torch", reason="needs the extra `train`")
+    pytest.importorskip("mujoco", reason="needs the extra `mujoco`")
+    example = script("ppo_vector_env", monkeypatch)
+    path = tmp_path / "ppo.npz"
+    assert len(example.main(example.Args(path, dataset="synthetic", num_envs=2, rollout=4, updates=2))) == 2
+    assert receivers.make(f"learned:{path}", SyntheticDataset()).hold_time == 0.2
+
+
+def test_pettingzoo_two_learners(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("torch", reason="needs the extra `train`")
+    example = script("pettingzoo_two_learners", monkeypatch)
+    learners = example.main(example.Args(dataset="synthetic", episodes=2, batch=1, max_cycles=3))
+    assert set(learners) == {"giver", "receiver"}
+
+
+def test_evaluate_and_plot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("matplotlib", reason="needs the extra `plot`")
+    example = script("evaluate_and_plot", monkeypatch)
+    out = tmp_path / "outcomes.png"
+    reports = example.main(example.Args(("hold", "yang2021"), out=out, dataset="synthetic", scenes=SCENES, workers=1))
+    assert [len(report.episodes) for report in reports.values()] == [1, 1]
+    assert out.read_bytes().startswith(b"\x89PNG")

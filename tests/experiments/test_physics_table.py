@@ -1,0 +1,26 @@
+"""The table of receivers in all kinds of physics, on two generated scenes."""
+
+from pathlib import Path
+
+import pytest
+
+from tests.learning.training.scripts import script
+
+
+def test_the_table_lists_the_evaluated_scenes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("matplotlib", reason="needs the extra `plot`")
+    make = script("physics_table", monkeypatch)
+    args = make.Args(
+        receivers=("hold",),
+        giver="hurried",
+        physics=("exact", "fast"),
+        stride=18,
+        dataset="synthetic",
+        workers=1,
+        out=tmp_path / "out",
+    )
+    reported = make.main(args).read_text()
+    assert "s0 val, 2 episodes each, giver hurried, synthetic scenes" in reported
+    assert "| hold     | 0.0 (0.0 to 65.8) | 0.0 (0.0 to 65.8) | 100.0 (34.2 to 100.0) |" in reported
+    assert (tmp_path / "out" / "physics.png").stat().st_size > 5_000
+    assert {path.name for path in (tmp_path / "out").iterdir()} >= {"hold-exact", "hold-fast"}

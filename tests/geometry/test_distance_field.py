@@ -1,0 +1,168 @@
+"""Signed distance fields and their cache."""
+
+import logging
+import multiprocessing
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from handover_marl.assets.object_models import find_object_urdf
+from handover_marl.errors import DataFormatError
+from handover_marl.geometry import distance_field as field_module
+from handover_marl.geometry.array_cache import cache_folder
+from handover_marl.geometry.distance_field import (
+    CACHE_KIND,
+    OUTSIDE_DISTANCE,
+    DistanceField,
+    load_object_sdf,
+    sample_distance_field,
+)
+from handover_marl.geometry.meshes import read_collision_mesh
+from handover_marl.planning.trajectory_cost import proximity_cost, proximity_cost_gradient
+
+RADIUS, REACH = 0.05, 0.2
+MARGIN = 0.1
+
+
+def ball() -> DistanceField:
+    corner = np.full(3, REACH)
+    return sample_distance_field(lambda points: np.linalg.norm(points, axis=1) - RADIUS, -corner, corner, 0.005)
+
+
+BALL = ball()
+places = st.lists(st.floats(-0.19, 0.19), min_size=3, max_size=3).map(np.array)
+
+
+@given(places)
+def test_distances_and_slopes_of_a_ball(place: np.ndarray) -> None:
+    points = place[:, None].astype(np.float32)
+    distance, slope = BALL.distances_and_gradients(points)
+    length = np.linalg.norm(place)
+    assert distance[0] == pytest.approx(length - RADIUS, abs=2e-3)
+    assert BALL.distances(points)[0] == distance[0]
+    if length > 0.02:
+        np.testing.assert_allclose(slope[:, 0], place / length, atol=0.15)
+
+
+@given(places)
+def test_gradients_are_derivatives_of_the_interpolation(place: np.ndarray) -> None:
+    # Within one cell, away from its faces, where the slope jumps.
+    cells = (place + REACH) / 0.005
+    place = (np.floor(cells) + 0.5) * 0.005 - REACH
+    small = 1e-3
+    _, slope = BALL.distances_and_gradients(place[:, None].astype(np.float32))
+    for axis in range(3):
+        step = small * np.eye(3)[axis]
+        ends = np.stack([place - step, place + step], axis=1).astype(np.float32)
+        below, above = BALL.distances(ends)
+        assert slope[axis, 0] == pytest.approx((above - below) / (2 * small), abs=2e-3)
+
+
+def test_distance_outside_the_grid() -> None:
+    points = np.array([[0.3, 0.0, 0.0], [0.0, -0.21, 0.0], [0.0, 0.0, 0.1]], dtype=np.float32).T
+    distance, slope = BALL.distances_and_gradients(points)
+    assert distance[:2].tolist() == [OUTSIDE_DISTANCE, OUTSIDE_DISTANCE]
+    assert distance[2] < OUTSIDE_DISTANCE
+    assert not slope[:, :2].any()
+
+
+@given(st.floats(-0.1, 0.3), st.floats(0.05, 0.2))
+def test_cost_falls_to_nothing_and_its_derivative_is_right(distance: float, padding: float) -> None:
+    small = 1e-5
+    around = np.array([distance - small, distance, distance + small])
+    below, here, above = proximity_cost(around, padding)
+    assert here >= 0.0
+    assert (here == 0.0) == (distance >= padding)
+    assert proximity_cost_gradient(around, padding)[1] == pytest.approx((above - below) / (2 * small), abs=1e-3)
+
+
+@pytest.fixture
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    field_module._load_object_sdf.cache_clear()
+    return cache_folder(CACHE_KIND)
+
+
+def test_field_of_a_box(cache: Path, fake_data: Path) -> None:
+    urdf = next((fake_data / "assets").glob("*/model_normalized.urdf"))
+    vertices, _ = read_collision_mesh(urdf)
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    points = np.random.default_rng(0).uniform(low - 0.08, high + 0.08, (200, 3))
+    outside = np.maximum(np.maximum(low - points, points - high), 0.0)
+    inside = np.minimum(points - low, high - points).min(axis=1)
+    wanted = np.where(inside > 0.0, -inside, np.linalg.norm(outside, axis=1))
+    # Between the grid's nodes edges come out rounded.
+    np.testing.assert_allclose(load_object_sdf(urdf, MARGIN).distances(points.T.astype(np.float32)), wanted, atol=3e-3)
+
+
+def test_a_truncated_cache_file_is_computed_again(cache: Path, caplog: pytest.LogCaptureFixture) -> None:
+    urdf = find_object_urdf("040_large_marker")
+    first = load_object_sdf(urdf, MARGIN)
+    (kept,) = cache.iterdir()
+    whole = kept.read_bytes()
+    for spoiled in (whole[: len(whole) // 2], b"", b"no field"):
+        kept.write_bytes(spoiled)
+        field_module._load_object_sdf.cache_clear()
+        with caplog.at_level(logging.WARNING):
+            again = load_object_sdf(urdf, MARGIN)
+        assert kept.name in caplog.text
+        np.testing.assert_array_equal(again.values, first.values)
+        assert kept.read_bytes() == whole
+        caplog.clear()
+
+
+def test_only_the_matching_cache_file_is_read(cache: Path) -> None:
+    urdf = find_object_urdf("040_large_marker")
+    first = load_object_sdf(urdf, MARGIN)
+    (kept,) = cache.iterdir()
+    np.savez_compressed(kept, values=first.values + 1.0, lower=first.lower, cell=first.cell)
+    field_module._load_object_sdf.cache_clear()
+    np.testing.assert_array_equal(load_object_sdf(urdf, MARGIN).values, first.values + 1.0)
+    assert load_object_sdf(urdf, MARGIN / 2).values.shape < first.values.shape
+    assert len(list(cache.iterdir())) == 2
+
+
+def test_another_mesh_gives_another_field(cache: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "own" / "040_large_marker"
+    shutil.copytree(find_object_urdf("040_large_marker").parent, folder)
+    load_object_sdf(folder / "model_normalized.urdf", MARGIN)
+    mesh = folder / "model_normalized_convex.obj"
+    mesh.write_text(mesh.read_text().replace("v 0.0", "v 0.1", 1))
+    field_module._load_object_sdf.cache_clear()
+    load_object_sdf(folder / "model_normalized.urdf", MARGIN)
+    assert len(list(cache.iterdir())) == 2
+
+
+def test_processes_share_the_folder(cache: Path) -> None:
+    urdf = find_object_urdf("040_large_marker")
+    with multiprocessing.get_context("spawn").Pool(2) as pool:
+        sums = pool.starmap(_sum, [(urdf, MARGIN)] * 4)
+    assert len(set(sums)) == 1
+    assert [path.suffix for path in cache.iterdir()] == [".npz"]
+
+
+def _sum(urdf: Path, margin: float) -> float:
+    return float(load_object_sdf(urdf, margin).values.sum())
+
+
+def test_fields_are_computed_without_a_cache_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    blocked = tmp_path / "file"
+    blocked.write_text("")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(blocked))
+    field_module._load_object_sdf.cache_clear()
+    assert load_object_sdf(find_object_urdf("040_large_marker"), MARGIN).values.min() < 0.0
+    assert "not saved" in caplog.text
+
+
+def test_a_damaged_mesh_is_reported(own_data: Path, cache: Path) -> None:
+    folder = own_data / "assets" / "own"
+    shutil.copytree(find_object_urdf("040_large_marker").parent, folder)
+    (folder / "model_normalized_convex.obj").write_text("v 1 2\nf a b c\n")
+    with pytest.raises(DataFormatError, match="model_normalized_convex"):
+        load_object_sdf(folder / "model_normalized.urdf", MARGIN)

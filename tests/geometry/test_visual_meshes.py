@@ -1,0 +1,207 @@
+"""Visual meshes of URDF models."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from handover_marl.assets.object_models import OBJECTS_ROOT
+from handover_marl.datasets import open_dataset
+from handover_marl.errors import DataFormatError, SimulationError
+from handover_marl.geometry.kinematic_tree import read_tree
+from handover_marl.geometry.meshes import VisualMesh, read_visual_meshes
+from handover_marl.geometry.panda import CAMERA_LINK
+from handover_marl.simulation.bullet.client import connect, load_urdf
+from tests.assets.ycb_bounds import YCB_BOUNDS
+
+ASSETS = open_dataset("synthetic", robot="panda_camera").load_scene(9).assets
+JOINT = '<joint name="j{0}" type="fixed"><parent link="l0"/><child link="l{0}"/><origin xyz="5 5 5"/></joint>'
+TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+
+
+def read(urdf: Path, *without: str) -> list[VisualMesh]:
+    return read_visual_meshes(urdf, read_tree(urdf), without)
+
+
+def write(folder: Path, *links: str) -> Path:
+    """A model of links, all of them fixed to the first."""
+    parts = [f'<link name="l{number}">{shapes}</link>' for number, shapes in enumerate(links)]
+    joints = [JOINT.format(number) for number in range(1, len(links))]
+    path = folder / "model.urdf"
+    path.write_text(f'<robot name="r">{"".join(parts + joints)}</robot>')
+    return path
+
+
+def visual(shape: str, xyz: str = "0 0 0", rpy: str = "0 0 0", color: str = "") -> str:
+    material = f'<material name="m{color}"><color rgba="{color} 1"/></material>' if color else ""
+    return f'<visual><origin xyz="{xyz}" rpy="{rpy}"/><geometry>{shape}</geometry>{material}</visual>'
+
+
+def box(x: float = 1.0, y: float = 1.0, z: float = 1.0) -> str:
+    return f'<box size="{x} {y} {z}"/>'
+
+
+def volume(mesh: VisualMesh) -> float:
+    """Positive if faces are counterclockwise seen from outside."""
+    return float(np.linalg.det(mesh.vertices[mesh.faces].astype(np.float64)).sum() / 6.0)
+
+
+def check_form(mesh: VisualMesh) -> None:
+    assert (mesh.vertices.dtype, mesh.faces.dtype, mesh.colors.dtype) == (np.float32, np.int32, np.float32)
+    assert mesh.vertices.shape[1:] == mesh.faces.shape[1:] == mesh.colors.shape[1:] == (3,)
+    assert len(mesh.faces) == len(mesh.colors) > 0
+    assert 0 <= mesh.faces.min() <= mesh.faces.max() < len(mesh.vertices)
+    assert (mesh.colors >= 0.0).all()
+    assert (mesh.colors <= 1.0).all()
+
+
+@pytest.mark.parametrize("urdf", [ASSETS.table, ASSETS.panda, ASSETS.hand, *ASSETS.objects], ids=lambda path: path.stem)
+def test_every_visible_link_has_one_mesh(urdf: Path) -> None:
+    """The same links as Bullet says, turned outside."""
+    meshes, client = read(urdf), connect()
+    body = load_urdf(client, urdf)
+    for mesh in meshes:
+        check_form(mesh)
+        assert volume(mesh) > 0.0
+    assert len({mesh.link for mesh in meshes}) == len(meshes)
+    assert {mesh.link for mesh in meshes} == {shape[1] for shape in client.getVisualShapeData(body)}
+
+
+@pytest.mark.parametrize("name", sorted(YCB_BOUNDS))
+def test_objects_are_as_large_as_real_ones(name: str) -> None:
+    (mesh,) = read(OBJECTS_ROOT / name / "model_normalized.urdf")
+    bounds = np.stack([mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)])
+    np.testing.assert_allclose(bounds, YCB_BOUNDS[name], rtol=0, atol=0.003)
+    assert mesh.link == 5
+
+
+def test_links_are_left_out_by_name() -> None:
+    names = [joint.link for joint in read_tree(ASSETS.panda).joints]
+    every, some = read(ASSETS.panda), read(ASSETS.panda, CAMERA_LINK, "no_such_link")
+    shown = [names[mesh.link] if mesh.link >= 0 else None for mesh in every]
+    assert CAMERA_LINK in shown
+    assert None in shown, "the base shows something too"
+    left = [mesh for mesh in every if mesh.link != names.index(CAMERA_LINK)]
+    assert [mesh.link for mesh in some] == [mesh.link for mesh in left]
+    for one, other in zip(some, left, strict=True):
+        np.testing.assert_array_equal(one.vertices, other.vertices)
+
+
+def test_shapes_of_one_link_become_one_mesh(tmp_path: Path) -> None:
+    """Each with its own place, corners and colour."""
+    shapes = [
+        visual(box(), "3 0 0", color="1 0 0"),
+        visual(box(0.5), "-3 0 0", color="0 0.5 1"),
+        visual(box(), "0 9 0"),
+    ]
+    (mesh,) = read(write(tmp_path, "".join(shapes)))
+    check_form(mesh)
+    assert mesh.link == -1
+    assert (len(mesh.vertices), len(mesh.faces)) == (24, 36)
+    middles = np.rint(mesh.vertices[mesh.faces].mean(axis=1) / 3.0).astype(int)
+    np.testing.assert_array_equal(middles[:, :2], np.repeat([[1, 0], [-1, 0], [0, 3]], 12, axis=0))
+    np.testing.assert_array_equal(mesh.colors, np.repeat([[1, 0, 0], [0, 0.5, 1], [1, 1, 1]], 12, axis=0))
+    assert volume(mesh) == pytest.approx(2.5, rel=1e-6)
+
+
+def test_invisible_links_have_no_mesh(tmp_path: Path) -> None:
+    collision = f"<collision><geometry>{box()}</geometry></collision>"
+    urdf = write(tmp_path, collision, visual(box()), "", visual(box(2.0)) + collision)
+    meshes = read(urdf)
+    assert [mesh.link for mesh in meshes] == [0, 2]
+    # In the links' own frames.
+    for mesh, half in zip(meshes, (0.5, 1.0), strict=True):
+        assert np.abs(mesh.vertices[:, 0]).max() == half
+    assert [mesh.link for mesh in read(urdf, "l1")] == [2]
+    assert not read(write(tmp_path, collision))
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_shapes_are_where_their_origin_puts_them(tmp_path_factory: pytest.TempPathFactory, seed: int) -> None:
+    rng, folder = np.random.default_rng(seed), tmp_path_factory.mktemp("mesh")
+    shift, angles, scale = rng.uniform(-1, 1, 3), rng.uniform(-np.pi, np.pi, 3), rng.uniform(0.1, 3.0, 3)
+    (folder / "mesh.obj").write_text(TETRAHEDRON)
+
+    def words(values: npt.NDArray[np.float64]) -> str:
+        return " ".join(map(repr, values.tolist()))
+
+    shape = visual(f'<mesh filename="mesh.obj" scale="{words(scale)}"/>', words(shift), words(angles))
+    (mesh,) = read(write(folder, shape))
+    corners = np.vstack([np.zeros(3), np.diag(scale)])
+    # URDF turns about fixed axes.
+    expected = Rotation.from_euler("xyz", angles).apply(corners) + shift
+    np.testing.assert_allclose(mesh.vertices, expected, atol=1e-6)
+    assert mesh.faces.tolist() == [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]
+    assert volume(mesh) == pytest.approx(scale.prod() / 6.0, rel=1e-4)
+
+
+def test_spheres_and_boxes_have_their_size(tmp_path: Path) -> None:
+    (ball,) = read(write(tmp_path, visual('<sphere radius="0.2"/>')))
+    np.testing.assert_allclose(np.linalg.norm(ball.vertices, axis=1), 0.2, rtol=1e-6)
+    assert volume(ball) == pytest.approx(4 / 3 * np.pi * 0.2**3, rel=0.03)
+    (brick,) = read(write(tmp_path, visual(box(0.2, 0.4, 0.6))))
+    np.testing.assert_allclose(np.ptp(brick.vertices, axis=0), [0.2, 0.4, 0.6], rtol=1e-6)
+
+
+def test_materials_may_be_named(tmp_path: Path) -> None:
+    named = '<material name="blue"><color rgba="0 0 1 1"/></material>'
+    urdf = write(tmp_path, visual(box()).replace("</visual>", '<material name="blue"/></visual>'))
+    urdf.write_text(urdf.read_text().replace('<robot name="r">', f'<robot name="r">{named}'))
+    np.testing.assert_array_equal(read(urdf)[0].colors, [[0.0, 0.0, 1.0]] * 12)
+
+
+def test_missing_meshes_are_reported(tmp_path: Path) -> None:
+    source = ASSETS.objects[0].parent
+    shutil.copytree(source, tmp_path / source.name)
+    (tmp_path / source.name / "textured_simple.obj").unlink()
+    with pytest.raises(DataFormatError, match=rf"{source.name}/textured_simple\.obj: .*No such file"):
+        read(tmp_path / source.name / "model_normalized.urdf")
+
+
+@pytest.mark.parametrize("name", ["mesh.obj", "mesh.stl", "mesh.dae"])
+@pytest.mark.parametrize("content", [b"", b"solid nothing\nendsolid nothing\n", b"\x00\xff" * 60, b"<COLLADA/>"])
+def test_broken_meshes_are_reported(tmp_path: Path, name: str, content: bytes) -> None:
+    (tmp_path / name).write_bytes(content)
+    urdf = write(tmp_path, visual(box()), visual(f'<mesh filename="{name}"/>'))
+    with pytest.raises(DataFormatError, match=name.replace(".", r"\.")):
+        read(urdf)
+
+
+@pytest.mark.parametrize(
+    "shape",
+    ["", '<cylinder radius="1" length="1"/>', "<mesh/>", "<box/>", '<box size="1 one 1"/>', "<sphere/>"],
+)
+def test_unreadable_shapes_are_reported(tmp_path: Path, shape: str) -> None:
+    with pytest.raises(SimulationError, match=r"model\.urdf: cannot read a visual shape of link 'l1'"):
+        read(write(tmp_path, visual(box()), visual(shape)))
+
+
+@pytest.mark.parametrize("shape", ['<box size="1 1"/>', '<box size=""/>', '<sphere radius=""/>'])
+def test_incomplete_sizes_are_reported(tmp_path: Path, shape: str) -> None:
+    with pytest.raises((SimulationError, DataFormatError), match=r"model\.urdf"):
+        read(write(tmp_path, visual(shape)))
+
+
+@pytest.mark.parametrize(
+    "shapes",
+    [
+        visual('<mesh filename="mesh.obj" scale="1 1"/>'),
+        visual('<mesh filename="mesh.obj" scale="1 1 1 1"/>'),
+        visual('<mesh filename="mesh.obj" scale="nan 1 1"/>'),
+        visual(box(), "0 0"),
+        visual(box(), "nan 0 0"),
+        visual(box(), color="red"),
+        visual(box(), color="1"),
+        visual(box()).replace("</visual>", '<material name="m"><color/></material></visual>'),
+    ],
+)
+def test_faults_that_bullet_ignores_are_reported(tmp_path: Path, shapes: str) -> None:
+    (tmp_path / "mesh.obj").write_text(TETRAHEDRON)
+    with pytest.raises((SimulationError, DataFormatError), match=r"model\.urdf"):
+        read(write(tmp_path, shapes))

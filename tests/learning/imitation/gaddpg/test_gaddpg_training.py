@@ -1,0 +1,83 @@
+"""Training of GA-DDPG's network on a few synthetic scenes: interrupted, resumed, deployed."""
+
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("torch", reason="needs the extra `train`")
+pytest.importorskip("matplotlib", reason="needs the extra `plot`")
+pytest.importorskip("igl", reason="needs the extra `planning`")
+pytest.importorskip("embreex", reason="needs the extra `vision`")
+
+from handover_marl.datasets.synthetic import SyntheticDataset
+from handover_marl.errors import OptionError, ResultsError
+from handover_marl.learning.imitation.gaddpg.data_generation import (
+    DataGenerator,
+    DataGeneratorConfig,
+    RolloutTask,
+    list_shared_scenes,
+)
+from handover_marl.learning.imitation.gaddpg.expert import GraspExpertConfig
+from handover_marl.learning.imitation.gaddpg.grasp_costs import GraspCostConfig
+from handover_marl.receivers import make
+from tests.learning.training.scripts import script, steps_of
+
+# Without validation of grasps and without the planner, which take minutes at first use.
+QUICK: dict[str, Any] = {
+    "dataset": "synthetic",
+    "scenarios": 4,
+    "rounds": 2,
+    "episodes": 1,
+    "updates": 4,
+    "batch_size": 4,
+    "val_scenes": 1,
+    "workers": 1,
+    "costs": GraspCostConfig(validated=False),
+    "expert": GraspExpertConfig(use_planner=False, candidates=3),
+}
+
+
+@pytest.fixture
+def train(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    return script("train_gaddpg", monkeypatch)
+
+
+def test_interrupted_run_is_resumed(tmp_path: Path, train: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+    args = {**QUICK, "out": str(tmp_path / "run")}
+    # Few scenes, because each one is generated when it is loaded.
+    monkeypatch.setattr(train, "list_shared_scenes", lambda data, setups: (11, 12))
+    with monkeypatch.context() as patched:
+        patched.setattr(train.Training, "is_out_of_time", lambda training: training._round == 1)
+        train.main(train.Args(**args))
+    assert steps_of(tmp_path / "run") == ["steps", "2"]
+    with pytest.raises(ResultsError, match="holds a run; pass --resume"):
+        train.main(train.Args(**args))
+    policy = train.main(train.Args(**args, resume=True))
+    assert steps_of(tmp_path / "run") == ["steps", "2", "4"]
+    receiver = make(("gaddpg", {"weights": str(policy)}), SyntheticDataset(robot="panda_camera"))
+    assert receiver.label.startswith("gaddpg@own weights ")
+
+
+def test_states_depend_on_the_seed_only() -> None:
+    scenes = list_shared_scenes(SyntheticDataset(robot="panda_camera"), ("s0", "s3"))[:2]
+    generator = DataGenerator(DataGeneratorConfig(scenes, "synthetic", costs=QUICK["costs"], expert=QUICK["expert"]))
+    plans = {number: plan for number in range(3) if (plan := generator.plan(number)) is not None}
+    both, other = (
+        generator.collect_states(RolloutTask(list(plans), list(plans.values()), repetition), None)
+        for repetition in (0, 1)
+    )
+    single = [generator.collect_states(RolloutTask([number], [plan], 0), None) for number, plan in plans.items()]
+    assert sum(map(len, single)) == len(both)
+    np.testing.assert_array_equal(np.sort(both.remaining), np.sort(np.concatenate([one.remaining for one in single])))
+    assert set(both.remaining.tolist()) <= set(range(1, 21))
+    assert len(other) != len(both) or not np.array_equal(other.goals, both.goals)
+
+
+def test_numbers_out_of_range_are_refused(tmp_path: Path, train: ModuleType) -> None:
+    with pytest.raises(OptionError, match="rounds must be at least 1, got 0"):
+        train.main(train.Args(**{**QUICK, "rounds": 0, "out": str(tmp_path)}))
+    with pytest.raises(OptionError, match="setups"):
+        list_shared_scenes(SyntheticDataset(), ())

@@ -1,0 +1,133 @@
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+from handover_marl.datasets import open_dataset
+from handover_marl.errors import DataNotFoundError, ResultsError
+from handover_marl.learning.imitation.vision.grasp_labels import GraspLabelConfig, GraspLabeller
+from handover_marl.learning.imitation.vision.view_files import ViewDatasetConfig, generate_views, read_views, view_file
+from handover_marl.learning.imitation.vision.views import (
+    GraspViewConfig,
+    GraspViews,
+    ViewRenderer,
+    read_hand_spheres,
+    read_object_pose,
+)
+from handover_marl.learning.networks.grasp_losses import find_enclosed_centers, grasp_targets_from_poses
+from handover_marl.planning.arm_control import ArmInWorld
+from handover_marl.policies.policy import PolicyContext, make_policy_context
+from handover_marl.receivers.reactive.config import ReactiveConfig
+from handover_marl.receivers.reactive.grasps import GraspPreparationConfig
+
+pytest.importorskip("embreex")
+DATA = open_dataset("synthetic")
+SCENE = DATA.load_scene(9)
+# Known grasps only, tried from their places alone: what is tested here is not how well they hold.
+QUICK = GraspLabelConfig(
+    receiver=ReactiveConfig(
+        preparation=GraspPreparationConfig(tilts=(), lateral_offsets=(), release_offsets=(), advances=())
+    )
+)
+
+
+@pytest.fixture(scope="module")
+def context() -> PolicyContext:
+    return make_policy_context(DATA)
+
+
+@pytest.fixture(scope="module")
+def labels(context: PolicyContext) -> GraspLabeller:
+    return GraspLabeller(context, QUICK)
+
+
+@pytest.fixture(scope="module")
+def maker(context: PolicyContext, labels: GraspLabeller) -> ViewRenderer:
+    return ViewRenderer(
+        context,
+        ArmInWorld.for_panda(context.panda_urdf, context.panda),
+        labels,
+        GraspViewConfig(objects=64, hands=32, grasps=24),
+    )
+
+
+@pytest.fixture(scope="module")
+def views(maker: ViewRenderer) -> GraspViews:
+    return maker.render_random(SCENE, 30, np.random.default_rng(0))
+
+
+def test_views_contain_object_and_hand(views: GraspViews) -> None:
+    count = len(views.object_points)
+    assert count > 20
+    assert [array.shape[1:] for array in views] == [(64, 3), (32, 3), (), (24, 7), (24,), (3,), (3,), (3,)]
+    # Nothing nearer than the near plane is seen, and what is seen is about where the object is.
+    assert (views.object_points[..., 2] > 0.07).all()
+    away = np.linalg.norm(views.object_points.astype(float) - views.object_center[:, None].astype(float), axis=-1)
+    assert away.max() < 0.3
+    assert (views.n_hand_points > 0).mean() > 0.5
+
+
+def test_grasps_enclose_the_object(views: GraspViews) -> None:
+    assert (views.quality[:, 0] > 0.1).mean() > 0.5
+    assert (np.diff(views.quality.astype(float), axis=1) <= 0.0).all()
+    grasps, quality = (torch.from_numpy(array.astype(np.float32)) for array in (views.grasps, views.quality))
+    centers = torch.from_numpy(views.object_points.astype(np.float32))
+    some = find_enclosed_centers(centers, grasp_targets_from_poses(grasps, quality)).flatten(1).any(dim=1)
+    assert some[quality[:, 0] > 0.1].float().mean() > 0.8
+
+
+def test_motion_is_the_recorded_one(maker: ViewRenderer, context: PolicyContext) -> None:
+    path = SCENE.object_dof[:, 0, :3].astype(float)
+    frame = int(np.argmax(np.linalg.norm(path[500:] - path[:-500], axis=1)))
+    joints = np.array(context.panda.start_joints[:7])
+    seen = maker.render_poses(SCENE, [(frame, joints)], np.random.default_rng(0))
+    assert len(seen.object_points) == 1
+    turn = Rotation.from_quat(ArmInWorld.for_panda(context.panda_urdf, context.panda).hand(joints)[3:])
+    np.testing.assert_allclose(turn.apply(seen.object_motion[0]), path[frame + 500] - path[frame], atol=2e-3)
+    np.testing.assert_allclose(turn.apply(seen.object_velocity[0]), (path[frame] - path[frame - 50]) / 0.05, atol=2e-2)
+
+
+def test_hand_lowers_the_quality_of_grasps(labels: GraspLabeller) -> None:
+    last = SCENE.n_frames - 1
+    pose, hand = read_object_pose(SCENE, last), read_hand_spheres(SCENE, last)
+    assert hand is not None
+    known = labels.load_grasps(SCENE.info.target_name)
+    alone, beside = labels.compute_qualities(known, None, pose), labels.compute_qualities(known, hand, pose)
+    assert (beside <= alone + 1e-12).all()
+    assert (beside < alone).any()
+    assert read_hand_spheres(SCENE, 0) is None or SCENE.hand_first == 0
+
+
+def test_offset_grasps_are_clear_of_the_hand_and_cost_more(labels: GraspLabeller) -> None:
+    last = SCENE.n_frames - 1
+    pose, hand = read_object_pose(SCENE, last), read_hand_spheres(SCENE, last)
+    known = labels.load_grasps(SCENE.info.target_name)
+    more = labels.grasps_beside(SCENE.info.target_name, hand, pose)
+    count, added = len(known.poses), len(more.poses) - len(known.poses)
+    assert 0 < added <= labels.config.max_offset_grasps
+    np.testing.assert_array_equal(more.poses[:count], known.poses)
+    assert (more.costs[count:] >= labels.config.receiver.selection.offset_cost).all()
+    assert (labels.compute_qualities(more, hand, pose)[count:] > labels.config.min_quality).all()
+
+
+def test_files_do_not_depend_on_workers_and_are_kept(tmp_path: Path) -> None:
+    source = ViewDatasetConfig(
+        "synthetic", count=3, config=GraspViewConfig(objects=16, hands=8, grasps=4), labels=QUICK
+    )
+    scenes = (9, 14)
+    for workers in (1, 2):
+        generate_views(source, scenes, tmp_path / str(workers), workers, progress=False)
+    one, two = (read_views(scenes, tmp_path / str(workers)) for workers in (1, 2))
+    for first, second in zip(one, two, strict=True):
+        np.testing.assert_array_equal(first, second)
+    kept = view_file(tmp_path / "1", 9)
+    before = kept.stat().st_mtime_ns
+    generate_views(source, scenes, tmp_path / "1", 1, progress=False)
+    assert kept.stat().st_mtime_ns == before
+    with pytest.raises(ResultsError, match="another configuration"):
+        generate_views(replace(source, seed=1), scenes, tmp_path / "1", 1, progress=False)
+    with pytest.raises(DataNotFoundError, match="no views"):
+        read_views((), tmp_path)

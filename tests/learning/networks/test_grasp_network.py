@@ -1,0 +1,156 @@
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+from handover_marl.learning.networks.grasp_losses import (
+    GraspTargets,
+    compute_grasp_distances,
+    compute_grasp_losses,
+    find_enclosed_centers,
+    grasp_targets_from_poses,
+)
+from handover_marl.learning.networks.grasp_network import (
+    PAD_DISTANCE,
+    GraspNetwork,
+    GraspNetworkConfig,
+    GraspOutputs,
+    PointCloudBatch,
+    rotations_from_6d,
+)
+
+SMALL = GraspNetworkConfig(points=16, group=16, whole=16, grasp=16)
+
+
+def some_views(count: int = 3, seed: int = 0) -> PointCloudBatch:
+    draw = torch.Generator().manual_seed(seed)
+    return PointCloudBatch(
+        0.05 * torch.randn(count, 64, 3, generator=draw) + torch.tensor([0.0, 0.0, 0.4]),
+        0.05 * torch.randn(count, 16, 3, generator=draw) + torch.tensor([0.0, 0.1, 0.4]),
+        torch.arange(16) < torch.tensor([[16], [5], [0]])[:count],
+        torch.stack([torch.randperm(64, generator=draw)[:10] for _ in range(count)]),
+        torch.zeros(count, 3),
+    )
+
+
+def network(config: GraspNetworkConfig = SMALL) -> GraspNetwork:
+    torch.manual_seed(0)
+    return GraspNetwork(config).eval()
+
+
+def predict(net: GraspNetwork, views: PointCloudBatch) -> GraspOutputs:
+    with torch.inference_mode():
+        return net(views)
+
+
+def random_poses(count: int, seed: int = 0) -> torch.Tensor:
+    rng = np.random.default_rng(seed)
+    poses = np.concatenate([rng.normal(0.0, 0.1, (count, 3)), Rotation.random(count, rng).as_quat()], axis=1)
+    return torch.from_numpy(poses.astype(np.float32))
+
+
+def test_shapes() -> None:
+    found = predict(network(), some_views())
+    assert found.quality.shape == (3, 10)
+    assert found.positions.shape == (3, 10, 3)
+    assert found.rotations.shape == (3, 10, 3, 3)
+    assert found.object_center.shape == found.object_motion.shape == (3, 3)
+
+
+def test_order_of_points_does_not_matter() -> None:
+    views, net = some_views(), network()
+    order, hands = torch.randperm(64), torch.arange(15, -1, -1)
+    moved = PointCloudBatch(
+        views.object_points[:, order],
+        views.hand_points[:, hands],
+        views.hand_mask[:, hands],
+        torch.argsort(order)[views.center_indices],
+        views.object_velocity,
+    )
+    for one, other in zip(predict(net, views), predict(net, moved), strict=True):
+        torch.testing.assert_close(one, other, atol=1e-5, rtol=1e-4)
+
+
+def test_points_of_the_hand_that_do_not_count_do_not_matter() -> None:
+    views, net = some_views(), network()
+    hands = torch.where(views.hand_mask[..., None], views.hand_points, torch.tensor(7.0))
+    for one, other in zip(predict(net, views), predict(net, views._replace(hand_points=hands)), strict=True):
+        torch.testing.assert_close(one, other)
+    shown = predict(net, views._replace(hand_points=views.hand_points + 0.1))
+    assert not torch.allclose(shown.quality[0], predict(net, views).quality[0])
+
+
+def test_who_does_not_see_hands_does_not_see_them() -> None:
+    views, net = some_views(), network(GraspNetworkConfig(16, 16, 16, 16, hand=False))
+    for one, other in zip(
+        predict(net, views), predict(net, views._replace(hand_points=views.hand_points + 0.1)), strict=True
+    ):
+        torch.testing.assert_close(one, other)
+
+
+def test_turns_are_rotations() -> None:
+    turns = rotations_from_6d(torch.randn(50, 6, generator=torch.Generator().manual_seed(0)))
+    torch.testing.assert_close(turns @ turns.mT, torch.eye(3).expand(50, 3, 3), atol=1e-5, rtol=0.0)
+    torch.testing.assert_close(torch.linalg.det(turns), torch.ones(50))
+
+
+def test_poses_become_grasps() -> None:
+    poses = random_poses(20)
+    good = grasp_targets_from_poses(poses[None], torch.ones(1, 20))
+    turns = Rotation.from_quat(poses[:, 3:].numpy()).as_matrix()
+    np.testing.assert_allclose(good.rotations[0].numpy(), turns, atol=1e-5)
+    np.testing.assert_allclose(
+        good.positions[0].numpy(), poses[:, :3].numpy() + PAD_DISTANCE * turns[:, :, 2], atol=1e-6
+    )
+
+
+def grasps_at(good: GraspTargets) -> GraspOutputs:
+    nothing = torch.zeros(1, 3)
+    return GraspOutputs(torch.zeros(good.quality.shape), good.positions, good.rotations, nothing, nothing)
+
+
+def test_half_a_turn_is_no_distance_and_a_quarter_is() -> None:
+    poses = random_poses(5)
+    good = grasp_targets_from_poses(poses[None], torch.ones(1, 5))
+    for angle, away in ((np.pi, 0.0), (np.pi / 2, 2.0 * 0.04 * 2.0**0.5 / 3.0)):
+        turn = torch.from_numpy(Rotation.from_rotvec([0.0, 0.0, angle]).as_matrix().astype(np.float32))
+        turned = grasps_at(GraspTargets(good.positions, good.rotations @ turn, good.quality))
+        found = torch.diagonal(compute_grasp_distances(turned, good)[0])
+        torch.testing.assert_close(found, torch.full((5,), away), atol=1e-5, rtol=1e-4)
+
+
+def test_points_between_the_pads_belong_to_a_grasp() -> None:
+    good = grasp_targets_from_poses(torch.tensor([[[0.0, 0.0, 0.3, 0.0, 0.0, 0.0, 1.0]]]), torch.ones(1, 1))
+    centers = torch.tensor([[[0.0, 0.0, 0.4], [0.0, 0.03, 0.4], [0.0, 0.06, 0.4], [0.03, 0.0, 0.4], [0.0, 0.0, 0.3]]])
+    assert find_enclosed_centers(centers, good)[0, :, 0].tolist() == [True, True, False, False, False]
+    nothing = GraspTargets(good.positions, good.rotations, torch.zeros(1, 1))
+    assert not find_enclosed_centers(centers, nothing).any()
+
+
+def test_losses_are_least_for_what_is_good() -> None:
+    good = grasp_targets_from_poses(random_poses(4)[None], torch.tensor([[1.0, 0.8, 0.6, 0.0]]))
+    sure = torch.logit(good.quality.clamp(1e-4, 1.0 - 1e-4))
+    right = grasps_at(good)._replace(quality=sure)
+    wrong = right._replace(positions=right.positions + 0.02, quality=-sure)
+    nothing = torch.zeros(1, 3)
+    best, worse = (compute_grasp_losses(found, good.positions, good, nothing, nothing) for found in (right, wrong))
+    assert best.grasp == pytest.approx(0.0, abs=1e-6)
+    assert worse.grasp == pytest.approx(0.02 * 3.0**0.5, rel=1e-3)
+    assert best.quality < worse.quality
+    assert best.object_center == best.object_motion == 0.0
+
+
+def test_it_learns() -> None:
+    views, net = some_views(), network().train()
+    poses = torch.cat([views.object_points[:, :20], random_poses(60)[:, 3:].reshape(3, 20, 4)], dim=-1)
+    good, nothing = grasp_targets_from_poses(poses, torch.ones(3, 20)), torch.zeros(3, 3)
+    centers = views.object_points.gather(1, views.center_indices[..., None].expand(-1, -1, 3))
+    optimizer, values = torch.optim.Adam(net.parameters(), 3e-3), []
+    for _ in range(60):
+        found = compute_grasp_losses(net(views), centers, good, nothing, nothing)
+        loss = 10.0 * found.grasp + found.quality + found.object_center + found.object_motion
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        values.append(float(loss.detach()))
+    assert values[-1] < 0.5 * values[0]

@@ -1,0 +1,93 @@
+"""Batches of environments for Stable-Baselines3 equal single environments."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco", reason="needs the extra `mujoco`")
+pytest.importorskip("stable_baselines3.common.vec_env", reason="needs the extra `train`")
+
+from stable_baselines3.common.vec_env import DummyVecEnv
+
+import handover_marl
+from handover_marl.envs.vector.vector_env import HandoverVectorEnv
+from handover_marl.errors import PolicyError, WorkerError
+from handover_marl.learning.training.batch_vec_env import BatchVecEnv
+from tests.failing import Failing
+
+COUNT = 3
+OPTIONS: dict[str, Any] = {
+    **{"setup": "s0", "split": "train", "dataset": "synthetic", "physics": "mujoco"},
+    **{"control_period": 0.13, "max_cycles": 7},
+}
+
+
+def batch(count: int) -> HandoverVectorEnv:
+    return handover_marl.vector_env(
+        count, "giver", "hold", features="giver", schemes="deviation", autoreset="same_step", threads=1, **OPTIONS
+    )
+
+
+def failing(count: int) -> HandoverVectorEnv:
+    return handover_marl.vector_env(
+        count, "giver", Failing, features="giver", schemes="deviation", autoreset="same_step", threads=1, **OPTIONS
+    )
+
+
+def impossible(count: int) -> HandoverVectorEnv:
+    raise WorkerError("there is no space")
+
+
+def alone() -> Any:
+    live = handover_marl.freeze(handover_marl.parallel_env(**OPTIONS), "giver", "hold")
+    return handover_marl.encode(live, api="gymnasium")
+
+
+def rollout(envs: Any, steps: int = 20) -> list[Any]:
+    envs.seed(5)
+    rng, said = np.random.default_rng(0), [envs.reset()]
+    for _ in range(steps):
+        seen, rewards, ended, infos = envs.step(rng.uniform(-1, 1, (COUNT, *envs.action_space.shape)))
+        said += [seen, rewards, ended, [info if over else {} for info, over in zip(infos, ended, strict=True)]]
+    envs.close()
+    return said
+
+
+@pytest.mark.parametrize("processes", [1, 2])
+def test_batches_equal_single_environments(processes: int) -> None:
+    expected = rollout(DummyVecEnv([alone] * COUNT))
+    found = rollout(BatchVecEnv(COUNT, processes, batch))
+    assert sum(int(ended.sum()) for ended in expected[3::4]) > COUNT
+    for one, other in zip(found, expected, strict=True):
+        if isinstance(one, list):
+            for mine, theirs in zip(one, other, strict=True):
+                assert mine.keys() == theirs.keys()
+                for key, value in mine.items():
+                    np.testing.assert_array_equal(value, theirs[key], err_msg=key)
+        else:
+            np.testing.assert_array_equal(one, other)
+
+
+def test_errors_of_processes_are_raised() -> None:
+    envs = BatchVecEnv(COUNT, 2, failing)
+    envs.reset()
+    still = np.zeros((COUNT, *envs.action_space.shape))
+    envs.step(still)
+    envs.step(still)
+    with pytest.raises(PolicyError, match="nonsense"):
+        envs.step(still)
+    envs.close()
+    with pytest.raises(WorkerError, match="no space"):
+        BatchVecEnv(COUNT, 2, impossible)
+
+
+def test_dead_processes_are_reported() -> None:
+    envs = BatchVecEnv(COUNT, 2, batch)
+    envs.reset()
+    envs._processes[1].terminate()
+    envs._processes[1].join()
+    with pytest.raises(WorkerError, match=r"process 1 .* died"):
+        envs.step(np.zeros((COUNT, *envs.action_space.shape)))
+    envs.close()
+    envs.close()

@@ -1,0 +1,227 @@
+"""Training scripts on a few steps of synthetic scenes."""
+
+import functools
+import pickle
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from handover_marl import benchmark, givers, receivers
+from handover_marl.datasets import DATA_DIR_VARIABLE
+from handover_marl.datasets.synthetic import SyntheticDataset
+from handover_marl.errors import ResultsError
+from handover_marl.learning.imitation.vision.grasp_labels import GraspLabelConfig
+from handover_marl.learning.imitation.vision.view_files import ViewDatasetConfig, generate_views
+from handover_marl.learning.networks.grasp_network import GraspNetwork, GraspNetworkConfig
+from handover_marl.learning.networks.weights import write_network_weights
+from handover_marl.learning.training.run_folder import RunFolder, held_out_scenes
+from handover_marl.receivers.reactive.config import ReactiveConfig
+from handover_marl.receivers.reactive.grasps import GraspPreparationConfig
+from tests.learning.training.evil import Evil
+from tests.learning.training.scripts import files, script, steps_of
+
+pytest.importorskip("stable_baselines3", reason="needs the extra `train`")
+pytestmark = pytest.mark.filterwarnings("ignore::UserWarning", "ignore::DeprecationWarning")
+
+
+GIVER: dict[str, Any] = {
+    "receiver": "hold",
+    "dataset": "synthetic",
+    "envs": 1,
+    "batch_size": 4,
+    "demonstrations": 4,
+    "imitation_epochs": 2,
+    "eval_interval": 4,
+    "val_scenes": 2,
+    "time_limit": 3.0,
+}
+RECEIVER: dict[str, Any] = {
+    "dataset": "synthetic",
+    "physics": "fast",
+    "envs": 1,
+    "eval_interval": 16,
+    "val_scenes": 2,
+    "time_limit": 3.0,
+    "batch_size": 8,
+}
+MADE = {
+    "arguments.json",
+    "policy.npz",
+    "checkpoint.pt",
+    "learning_curve.csv",
+    "learning_curve.png",
+    "tensorboard",
+}
+
+
+def test_train_giver(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    train = script("train_giver_sb3", monkeypatch)
+    args = {**GIVER, "out": str(tmp_path / "run")}
+    train.main(train.Args(**args, steps=4))
+    assert files(tmp_path / "run") >= MADE
+    assert steps_of(tmp_path / "run") == ["steps", "0", "4"]
+    givers.make(f"learned:{tmp_path / 'run' / 'policy.npz'}")
+    with pytest.raises(ResultsError, match="holds a run; pass --resume"):
+        train.main(train.Args(**args, steps=8))
+    with pytest.raises(ResultsError, match=r"other arguments \(seed\)"):
+        train.main(train.Args(**args, steps=8, seed=5, resume=True))
+    train.main(train.Args(**args, steps=8, resume=True))
+    assert steps_of(tmp_path / "run") == ["steps", "0", "4", "8"]
+
+
+@pytest.mark.parametrize("physics", ["fast", "mujoco"])
+def test_train_receiver(physics: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    if physics == "mujoco":
+        pytest.importorskip("mujoco", reason="needs the extra `mujoco`")
+    train = script("train_receiver_sb3", monkeypatch)
+    args = {**RECEIVER, "out": str(tmp_path / "run"), "physics": physics}
+    train.main(train.Args(**args, steps=16))
+    assert files(tmp_path / "run") >= MADE
+    train.main(train.Args(**args, steps=24, resume=True))
+    receivers.make(f"learned:{tmp_path / 'run' / 'policy.npz'}", SyntheticDataset())
+
+
+def test_train_both(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("mujoco", reason="needs the extra `mujoco`")
+    train = script("train_both_ippo", monkeypatch)
+    args = {
+        "out": str(tmp_path / "run"),
+        "dataset": "synthetic",
+        "envs": 2,
+        "batch_size": 20,
+        "minibatch_size": 10,
+        "eval_interval": 20,
+        "val_scenes": 2,
+        "time_limit": 1.5,
+        "epochs": 1,
+    }
+    train.main(train.Args(**args, steps=20))
+    assert (MADE | {"giver.npz", "receiver.npz"}) - {"policy.npz"} <= files(tmp_path / "run")
+    train.main(train.Args(**args, steps=40, resume=True))
+    assert steps_of(tmp_path / "run") == ["steps", "0", "20", "40"]
+
+
+def test_best_responses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    respond = script("best_response", monkeypatch)
+    args = respond.Args(
+        out=str(tmp_path / "run"),
+        rounds=1,
+        first_receiver="hold",
+        dataset="synthetic",
+        val_scenes=2,
+        giver=respond.train_giver_sb3.Args(**GIVER, steps=4),
+        receiver=respond.train_receiver_sb3.Args(**RECEIVER, steps=16),
+    )
+    respond.main(args)
+    table = (tmp_path / "run" / "crossplay" / "crossplay.csv").read_text().splitlines()
+    assert len(table) == 1 + 2 * 2
+
+
+class StoppedError(Exception):
+    """Interruption of a run."""
+
+
+def test_best_responses_resume_runs_without_a_checkpoint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    vec_env = pytest.importorskip("stable_baselines3.common.vec_env", reason="needs the extra `train`")
+    monkeypatch.setattr("handover_marl.learning.training.stable_baselines.SubprocVecEnv", vec_env.DummyVecEnv)
+    respond = script("best_response", monkeypatch)
+    folder, trainer = tmp_path / "giver-1", respond.train_giver_sb3
+    few = {"receiver": "yang2021", "demonstrations": 1, "val_scenes": 1, "time_limit": 2.5}
+    args, changes = trainer.Args(**GIVER | few, steps=4), {"receiver": "hold"}
+
+    def stop(*_: object, **__: object) -> None:
+        raise StoppedError
+
+    for where in ("stable_baselines.SubprocVecEnv", "training_run.evaluate_pair", "stable_baselines.save_checkpoint"):
+        with monkeypatch.context() as patched:
+            patched.setattr(f"handover_marl.learning.training.{where}", stop)
+            with pytest.raises(StoppedError):
+                respond.respond(trainer, args, folder, changes)
+        assert "arguments.json" in files(folder)
+        assert not {"checkpoint.pt", "done"} & files(folder)
+    assert respond.respond(trainer, args, folder, changes) == f"learned:{folder / 'policy.npz'}"
+    assert files(folder) >= MADE | {"done"}
+    assert steps_of(folder) == ["steps", "0", "4"]
+    monkeypatch.setattr(trainer, "main", stop)
+    assert respond.respond(trainer, args, folder, changes) == f"learned:{folder / 'policy.npz'}"
+
+
+@pytest.mark.parametrize("name", ["train_giver_sb3", "train_receiver_sb3", "train_both_ippo"])
+def test_runs_are_not_resumed_on_another_dataset(
+    tmp_path: Path, fake_data: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    """The dataset "auto" depends on an environment variable."""
+    train = script(name, monkeypatch)
+    args = train.Args(out=str(tmp_path / "run"), resume=True)
+    RunFolder(tmp_path / "run", args, False, "synthetic")
+    monkeypatch.setenv(DATA_DIR_VARIABLE, str(fake_data))
+    with pytest.raises(ResultsError, match=r"other arguments \(dataset\)"):
+        train.main(args)
+
+
+def test_checkpoints_do_not_run_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("mujoco", reason="needs the extra `mujoco`")
+    train = script("train_both_ippo", monkeypatch)
+    args = train.Args(out=str(tmp_path / "run"), dataset="synthetic", envs=1, batch_size=4, val_scenes=1, resume=True)
+    folder = RunFolder(tmp_path / "run", args, False, "synthetic")
+    folder.checkpoint.write_bytes(pickle.dumps(Evil(tmp_path / "ran")))
+    with pytest.raises(ResultsError, match="not a checkpoint of this run"):
+        train.main(args)
+    assert not (tmp_path / "ran").exists()
+
+
+def test_train_vision(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("embreex")
+    train = script("train_vision", monkeypatch)
+    trials = GraspPreparationConfig(tilts=(), lateral_offsets=(), release_offsets=(), advances=())
+    labels = GraspLabelConfig(receiver=ReactiveConfig(preparation=trials))
+    monkeypatch.setattr(train, "ViewDatasetConfig", functools.partial(ViewDatasetConfig, labels=labels))
+    few = {"dataset": "synthetic", "steps": 4, "rounds": 1, "views": 4, "round_views": 2, "stride": 400, "workers": 1}
+    out = tmp_path / "run"
+    weights = train.main(train.Args(out=str(out), val_scenes=1, **few))
+    assert files(out) >= {"vision.npz", "checkpoint.pt", "learning_curve.csv", "learning_curve.png", "round_1.npz"}
+    assert weights == out / "vision.npz"
+    assert steps_of(out) == ["steps", "2", "4"]
+    assert receivers.make(f"vision:weights={weights}", SyntheticDataset()).label.startswith("vision@")
+    with pytest.raises(ResultsError, match="--resume"):
+        train.main(train.Args(out=str(out), val_scenes=1, **few))
+    train.main(train.Args(out=str(out), val_scenes=1, resume=True, **few))
+    assert steps_of(out) == ["steps", "2", "4"]
+
+
+def test_vision_ablations(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("embreex")
+    ablate = script("vision_ablations", monkeypatch)
+    names = (ablate.FULL, "hand not seen", "112 x 112 pixels")
+    monkeypatch.setattr(ablate, "VARIANTS", {name: ablate.VARIANTS[name] for name in names})
+    trained, cameras = [], []
+
+    def train(args: Any) -> Path:
+        trained.append(args)
+        source = ViewDatasetConfig(args.dataset, args.data_dir, args.robot, args.views, args.seed)
+        held_out = held_out_scenes(SyntheticDataset().list_scenes(args.setup, "train")[:: args.stride])
+        generate_views(source, held_out, Path(args.shared_views), workers=1, progress=False)
+        weights = Path(args.out) / "vision.npz"
+        weights.parent.mkdir(parents=True, exist_ok=True)
+        write_network_weights(weights, GraspNetwork(GraspNetworkConfig(hand=args.hand)), {})
+        return weights
+
+    def hold(setup: str, split: str, receiver: str, camera_noise: Any, **how: Any) -> Any:
+        cameras.append(camera_noise)
+        return benchmark(setup, split, "hold", **how)
+
+    monkeypatch.setattr(ablate.train_vision, "main", train)
+    monkeypatch.setattr(ablate, "benchmark", hold)
+    few = {"views": 4, "stride": 400, "val_scenes": 1, "unseen_scenes": 1, "workers": 1}
+    page = ablate.main(ablate.Args(out=tmp_path, dataset="synthetic", **few)).read_text()
+    assert "1 scenes of val and 1 of train that no network was trained on (unseen)" in page
+    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in page.splitlines() if line.startswith("| ")]
+    assert [row[0] for row in rows[1:]] == list(names)
+    assert rows[3][3:] == ["+0.0 (-49.0 to +49.0)", "-"], "no receiver succeeds, and a camera changes no network"
+    assert [(args.hand, Path(args.out).parent.name) for args in trained] == [
+        (True, "everything"),
+        (False, "hand_not_seen"),
+        (True, "everything"),
+    ]
+    assert [camera and camera.pixel_stride for camera in cameras] == [None] * 4 + [2] * 2

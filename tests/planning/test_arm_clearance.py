@@ -1,0 +1,69 @@
+"""Tests of the capsules of elbow, forearm and wrist."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial import ConvexHull
+
+from handover_marl.datasets.synthetic import SyntheticDataset
+from handover_marl.geometry.meshes import read_link_vertices
+from handover_marl.planning.arm_control import ArmInWorld
+from handover_marl.planning.clearance import ARM_CAPSULES, Spheres, compute_arm_clearances, find_closest_arm_points
+from tests.planning.robots import ARM, LIMITS, START, random_joints
+
+IN_WORLD = ArmInWorld(ARM, np.array([0.61, -0.5, 0.875, 0.0, 0.0, 0.7071068, 0.7071068]), LIMITS)
+URDF: Path = SyntheticDataset().panda_urdf
+
+
+def sample_hull(vertices: np.ndarray, count: int) -> np.ndarray:
+    """Return random points (count, 3) on the convex hull of a link."""
+    rng = np.random.default_rng(0)
+    corners = vertices[ConvexHull(vertices).simplices]
+    chosen = corners[rng.integers(len(corners), size=count)]
+    return np.einsum("nk,nkc->nc", rng.dirichlet(np.ones(3), count), chosen)
+
+
+@pytest.mark.parametrize("link", sorted({link for link, *_ in ARM_CAPSULES}))
+def test_capsules_cover_the_collision_meshes(link: int) -> None:
+    """The engine collides with the hulls of the collision meshes."""
+    (vertices,) = read_link_vertices(URDF, "collision", [ARM.link_names[link]])
+    origins, rotations = IN_WORLD.frames(START[None])
+    points = sample_hull(vertices, 400) @ rotations[0, link].T + origins[0, link]
+    clearances = [
+        compute_arm_clearances(IN_WORLD, START[None], Spheres(point[None], np.zeros(1)))[0] for point in points
+    ]
+    assert max(clearances) < 0.016
+    assert np.median(clearances) > -0.06
+
+
+@given(st.integers(0, 10_000))
+def test_closest_point_matches_the_clearance(seed: int) -> None:
+    joints = random_joints(seed, 3)
+    rng = np.random.default_rng(seed)
+    spheres = Spheres(rng.uniform(-0.5, 1.5, (5, 3)), rng.uniform(0.0, 0.05, 5))
+    many = compute_arm_clearances(IN_WORLD, joints, spheres)
+    for one, distance in zip(joints, many, strict=True):
+        closest, link = find_closest_arm_points(IN_WORLD, one, spheres)
+        assert closest.distance == pytest.approx(distance, abs=1e-7)
+        # The point is on the capsule's surface, and the normal points to the sphere's.
+        back = closest.point - closest.distance * closest.normal
+        assert np.linalg.norm(back - spheres.centers[closest.sphere]) == pytest.approx(
+            spheres.radii[closest.sphere], abs=1e-9
+        )
+        assert link in {capsule[0] for capsule in ARM_CAPSULES}
+
+
+@given(st.integers(0, 10_000))
+def test_link_frames(seed: int) -> None:
+    joints = random_joints(seed, 2)
+    origins, rotations = IN_WORLD.frames(joints)
+    np.testing.assert_allclose(origins[:, 6] + 0.107 * rotations[:, 6, :, 2], IN_WORLD.hands(joints)[:, :3], atol=1e-6)
+    np.testing.assert_allclose(
+        rotations @ rotations.swapaxes(-1, -2), np.broadcast_to(np.eye(3), rotations.shape), atol=1e-12
+    )
+    # Offset of the elbow in the frame of the upper arm, from the Panda's data sheet.
+    elbow = np.einsum("nij,ni->nj", rotations[:, 2], origins[:, 3] - origins[:, 2])
+    np.testing.assert_allclose(elbow, [[0.0825, 0.0, 0.0]] * 2, atol=1e-9)

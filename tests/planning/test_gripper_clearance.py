@@ -1,0 +1,126 @@
+"""Tests of gripper clearances."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from handover_marl.geometry.poses import compose, transform_points
+from handover_marl.planning.clearance import (
+    GRIPPER_BOX_CENTERS,
+    GRIPPER_BOX_HALF_SIZES,
+    Spheres,
+    compute_grasp_clearances,
+    compute_gripper_corners,
+    find_closest_points,
+    sample_surface_spheres,
+)
+from handover_marl.planning.hand_tracker import Capsules, sample_capsule_spheres
+
+HERE = np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]])
+CUBE = np.array([[x, y, z] for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 1.0)])
+CUBE_FACES = np.array(
+    [
+        *((0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1)),
+        *((2, 3, 7), (2, 7, 6), (0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3)),
+    ]
+)
+
+positions = st.lists(st.floats(-0.25, 0.25), min_size=3, max_size=3).map(np.array)
+rotations = st.lists(st.floats(-3.0, 3.0), min_size=3, max_size=3).map(np.array)
+
+
+def sphere(position: np.ndarray, radius: float = 0.01) -> Spheres:
+    return Spheres(np.asarray(position, dtype=np.float64)[None], np.array([radius]))
+
+
+def pose(position: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+    return np.concatenate([position, Rotation.from_rotvec(rotation).as_quat()])
+
+
+@pytest.mark.parametrize(
+    ("position", "sweep", "clearance"),
+    [
+        ((0.0, 0.0, 0.2), 0.0, 0.0774),  # before the closed fingers
+        ((0.0, 0.0, 0.1), 0.0, -0.0205),  # between the pads, where fingers will close
+        ((0.0, 0.154, 0.02), 0.0, 0.04),  # beside the hand's body
+        ((0.1, 0.0, -0.065), 0.0, 0.035),  # beside the flange
+        ((0.0, 0.09, -0.2), 0.0, 0.09),  # behind it all
+        ((0.0, 0.09, -0.2), 0.1, 0.025),  # where the flange comes from
+    ],
+)
+def test_grasp_clearance(position: tuple[float, ...], sweep: float, clearance: float) -> None:
+    found = compute_grasp_clearances(HERE, sphere(np.array(position)), sweep)[0]
+    assert found == pytest.approx(clearance, abs=2e-3)
+
+
+@given(positions, positions, rotations)
+def test_clearance_is_invariant_to_the_frame(
+    position: np.ndarray, translation: np.ndarray, rotation: np.ndarray
+) -> None:
+    moved = pose(translation, rotation)
+    at_home = compute_grasp_clearances(HERE, sphere(position))[0]
+    assert compute_grasp_clearances(moved[None], sphere(transform_points(moved, position)))[0] == pytest.approx(
+        at_home, abs=1e-9
+    )
+
+
+@given(positions, rotations)
+def test_closest_points_match_the_clearance(position: np.ndarray, rotation: np.ndarray) -> None:
+    hand = pose(np.array([0.3, -0.1, 0.2]), rotation)
+    point = transform_points(hand, position)
+    closest = find_closest_points(hand, sphere(point))
+    beyond = np.abs(position - GRIPPER_BOX_CENTERS) - GRIPPER_BOX_HALF_SIZES
+    distances = np.linalg.norm(np.maximum(beyond, 0.0), axis=1)
+    if distances.min() > 1e-3:
+        assert closest.distance == pytest.approx(distances.min() - 0.01, abs=1e-9)
+        assert np.linalg.norm(closest.point - point) == pytest.approx(closest.distance + 0.01, abs=1e-9)
+        # Moving along the normal increases the distance by at most the same amount.
+        moved = compose(np.array([*(0.02 * closest.normal), 0.0, 0.0, 0.0, 1.0]), hand)
+        assert find_closest_points(moved, sphere(point)).distance <= closest.distance + 0.02 + 1e-9
+        assert np.dot(closest.normal, closest.point - point) == pytest.approx(closest.distance + 0.01, abs=1e-9)
+    assert np.linalg.norm(closest.normal) == pytest.approx(1.0)
+
+
+def test_index_of_the_closest_sphere() -> None:
+    spheres = Spheres(np.array([[0.0, 0.0, 0.4], [0.0, 0.2, 0.02], [0.0, 0.0, 0.3]]), np.array([0.01, 0.01, 0.01]))
+    closest = find_closest_points(HERE[0], spheres)
+    assert closest.sphere == 1
+    assert closest.distance == pytest.approx(0.086)
+    np.testing.assert_allclose(closest.normal, [0.0, -1.0, 0.0])
+
+
+def test_gripper_corners() -> None:
+    lower, upper = (
+        (GRIPPER_BOX_CENTERS - GRIPPER_BOX_HALF_SIZES).min(axis=0),
+        (GRIPPER_BOX_CENTERS + GRIPPER_BOX_HALF_SIZES).max(axis=0),
+    )
+    found = compute_gripper_corners(np.stack([HERE[0], np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])]))
+    assert found.shape == (2, 32, 3)
+    np.testing.assert_allclose(found[0].min(axis=0), lower)
+    np.testing.assert_allclose(found[0].max(axis=0), upper)
+    np.testing.assert_allclose(found[1], found[0] + [1.0, 0.0, 0.0])
+
+
+def test_capsule_spheres_cover_the_axis() -> None:
+    capsules = Capsules(np.zeros((2, 3)), np.array([[0.0, 0.0, 0.2], [0.2, 0.0, 0.0]]), np.array([0.01, 0.02]))
+    spheres = sample_capsule_spheres(capsules, 3)
+    assert sorted(map(tuple, spheres.centers[spheres.radii == 0.02])) == [
+        (0.0, 0.0, 0.0),
+        (0.1, 0.0, 0.0),
+        (0.2, 0.0, 0.0),
+    ]
+    assert len(spheres.centers) == 6
+
+
+def test_surface_spheres_cover_the_surface() -> None:
+    spheres = sample_surface_spheres(CUBE, CUBE_FACES, 60, 0.05)
+    on_face = np.isclose(spheres.centers, 0.0) | np.isclose(spheres.centers, 1.0)
+    assert on_face.any(axis=1).all()
+    assert (spheres.centers >= -1e-9).all()
+    assert (spheres.centers <= 1.0 + 1e-9).all()
+    rng = np.random.default_rng(0)
+    points = rng.uniform(size=(300, 3))
+    points[np.arange(300), rng.integers(0, 3, 300)] = rng.integers(0, 2, 300)
+    assert np.linalg.norm(points[:, None] - spheres.centers, axis=-1).min(axis=1).max() < 0.4

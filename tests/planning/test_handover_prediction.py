@@ -1,0 +1,101 @@
+"""Tests of handover pose prediction."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from handover_marl.planning.handover_prediction import HandoverPosePredictor, HandoverPosePredictorConfig
+
+STEP = 0.05
+
+
+def pose(position: np.ndarray, turn: float = 0.0) -> np.ndarray:
+    return np.concatenate([position, Rotation.from_euler("z", turn).as_quat()])
+
+
+def track_steady_motion(speed: float, seconds: float = 1.0, angular_velocity: float = 0.0) -> HandoverPosePredictor:
+    predictor = HandoverPosePredictor(HandoverPosePredictorConfig())
+    for number in range(round(seconds / STEP) + 1):
+        time = number * STEP
+        predictor.update(time, pose(np.array([0.5, speed * time, 1.0]), angular_velocity * time))
+    return predictor
+
+
+def test_object_at_rest_stays() -> None:
+    predictor = track_steady_motion(0.0)
+    np.testing.assert_allclose(predictor.predict_handover_pose(), pose(np.array([0.5, 0.0, 1.0])), atol=1e-12)
+    assert predictor.rest_time == pytest.approx(1.0)
+    assert predictor.lift_distance == 0.0
+
+
+def test_velocity_of_a_steady_motion() -> None:
+    predictor = track_steady_motion(0.2, angular_velocity=0.5)
+    np.testing.assert_allclose(predictor.velocity, [0.0, 0.2, 0.0], atol=1e-6)
+    np.testing.assert_allclose(predictor.angular_velocity, [0.0, 0.0, 0.5], atol=1e-6)
+    assert predictor.rest_time == 0.0
+    assert predictor.lift_distance == pytest.approx(0.2)
+    extrapolate_pose = predictor.extrapolate_pose(0.1)
+    np.testing.assert_allclose(extrapolate_pose, pose(np.array([0.5, 0.22, 1.0]), 0.55), atol=1e-6)
+
+
+@pytest.mark.parametrize("speed", [0.05, 0.3, 1.0])
+def test_moving_object_is_extrapolated_and_attracted(speed: float) -> None:
+    config = HandoverPosePredictorConfig()
+    predictor = track_steady_motion(speed)
+    here = np.array([0.5, speed, 1.0])
+    pulled = config.attraction * np.tanh(speed / config.attraction_speed)
+    wanted = (
+        here
+        + config.velocity_horizon * np.array([0.0, speed, 0.0])
+        + pulled * (np.array(config.mean_handover_position) - here)
+    )
+    np.testing.assert_allclose(predictor.predict_handover_pose()[:3], wanted, atol=1e-6)
+
+
+def test_second_update_at_the_same_time_changes_nothing() -> None:
+    predictor = track_steady_motion(0.2)
+    before = predictor.velocity.copy()
+    predictor.update(1.0, pose(np.array([0.5, 0.2, 1.0])))
+    np.testing.assert_array_equal(predictor.velocity, before)
+
+
+def track_swaying_motion(times: np.ndarray, size: float) -> HandoverPosePredictor:
+    """Return the predictor of an object that is lifted by 0.3 m in 0.5 s and then sways."""
+    predictor = HandoverPosePredictor(HandoverPosePredictorConfig())
+    for time in times:
+        lift_distance = 0.3 * min(time / 0.5, 1.0)
+        aside = size * np.sin(2.0 * np.pi * (time - 0.5)) if time > 0.5 else 0.0
+        predictor.update(float(time), pose(np.array([0.5, aside, 1.0 + lift_distance])))
+    return predictor
+
+
+def test_swaying_object_hovers() -> None:
+    times = np.arange(0.0, 2.0, STEP)
+    predictor = track_swaying_motion(times, 0.03)
+    assert predictor.is_hovering
+    assert predictor.speed > HandoverPosePredictorConfig().rest_speed
+    # A hovering object is not attracted.
+    assert np.linalg.norm(predictor.predict_handover_pose()[:3] - predictor.extrapolate_pose(0.0)[:3]) < 0.02
+    assert not track_swaying_motion(times, 0.3).is_hovering
+
+
+@pytest.mark.parametrize("seconds", [0.3, 0.9])
+def test_lifted_object_does_not_hover_at_once(seconds: float) -> None:
+    """An object that was not lifted does not hover either."""
+    assert not track_swaying_motion(np.arange(0.0, seconds, STEP), 0.03).is_hovering
+    assert not track_steady_motion(0.0, 2.0).is_hovering
+
+
+def test_twist_of_a_rotating_object() -> None:
+    predictor = track_steady_motion(0.2, angular_velocity=0.5)
+    linear, angular = predictor.predict_point_twist(np.array([0.6, 0.2, 1.0]), STEP)
+    np.testing.assert_allclose(angular, [0.0, 0.0, 0.5], atol=1e-6)
+    np.testing.assert_allclose(linear, [0.0, 0.2 + 0.5 * 0.1, 0.0], atol=1e-6)
+
+
+def test_twist_extrapolates_acceleration() -> None:
+    predictor = HandoverPosePredictor(HandoverPosePredictorConfig())
+    for time in np.arange(0.0, 0.5, STEP):
+        predictor.update(float(time), pose(np.array([0.5, 0.5 * 2.0 * time**2, 1.0])))
+    linear, _ = predictor.predict_point_twist(np.array([0.5, 0.0, 1.0]), 0.02)
+    assert linear[1] == pytest.approx(2.0 * (0.45 + 0.01), abs=1e-6)

@@ -1,0 +1,191 @@
+"""Tests of grasp validation, its cache, and the shipped records."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from handover_marl.assets.object_models import find_object_urdf
+from handover_marl.assets.shipped import (
+    VALIDATION_PATH,
+    ValidationRecord,
+    load_validation_record,
+    load_validation_records,
+)
+from handover_marl.datasets import open_dataset
+from handover_marl.datasets.synthetic import SyntheticDataset
+from handover_marl.errors import DataFormatError
+from handover_marl.geometry.panda import PANDA, PANDA_CAMERA
+from handover_marl.geometry.poses import IDENTITY, compose
+from handover_marl.geometry.ycb import CLASS_NAMES
+from handover_marl.receivers.grasp_library import GraspLibrary
+from handover_marl.receivers.reactive import grasp_validation as validation_module
+from handover_marl.receivers.reactive.grasp_validation import (
+    get_validation_record,
+    validate_grasps,
+    validation_record_path,
+)
+from handover_marl.receivers.reactive.grasps import GraspPreparationConfig, grasps_from_record, tilt_grasps
+from handover_marl.simulation.engines import select_validation_engine
+from handover_marl.simulation.grasp_validation import GraspValidationConfig
+
+DATA = SyntheticDataset()
+BRICK = "061_foam_brick"
+# Validations that are so short that all grasps pass.
+QUICK = GraspPreparationConfig(
+    tilts=(0.4,),
+    lateral_offsets=(),
+    release_offsets=(),
+    max_slip=1.0,
+    held_time=0.15,
+    free_time=0.002,
+    validation=GraspValidationConfig(close_time=0.15, shake_time=0.002),
+)
+needs_bullet = pytest.mark.skipif(select_validation_engine() != "bullet", reason="what ships was tried in PyBullet")
+
+
+@pytest.fixture(autouse=True)
+def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+
+
+def known_grasps(name: str) -> np.ndarray:
+    known = GraspLibrary(DATA.load_grasps).hand_poses_in_object(name)
+    assert known is not None
+    return known
+
+
+def test_tilted_copies_keep_the_pads_in_place() -> None:
+    rng = np.random.default_rng(0)
+    known = np.concatenate([rng.normal(size=(5, 3)), rng.normal(size=(5, 4))], axis=1)
+    known[:, 3:] /= np.linalg.norm(known[:, 3:], axis=1, keepdims=True)
+    config = GraspPreparationConfig(tilts=(0.4, -0.8))
+    copies = tilt_grasps(known, config)
+    assert copies.shape == (10, 7)
+
+    def pad_positions(poses: np.ndarray) -> np.ndarray:
+        return np.asarray(compose(poses, np.array([0.0, 0.0, config.pad_distance, 0.0, 0.0, 0.0, 1.0]))[:, :3])
+
+    np.testing.assert_allclose(pad_positions(copies), np.tile(pad_positions(known), (2, 1)), atol=1e-9)
+
+
+@given(st.data())
+@settings(max_examples=50, deadline=None)
+def test_grasps_from_record(draw: st.DataObject) -> None:
+    config, n = GraspPreparationConfig(), draw.draw(st.integers(1, 8))
+    known = known_grasps(BRICK)[:n]
+    copies = sorted(draw.draw(st.sets(st.integers(0, 4 * n - 1))))
+    row = st.tuples(st.integers(0, 3), st.integers(0, 4), st.integers(0, 4))
+    rows = draw.draw(st.lists(row, min_size=n + len(copies), max_size=n + len(copies)))
+    record = np.array([(copy, *row) for copy, row in zip([-1] * n + copies, rows, strict=True)], dtype=np.int16)
+    grasps = grasps_from_record(record, known, config)
+    bare = np.concatenate([known, tilt_grasps(known, config)[copies]])
+    for number, (n_stable, advance, n_kept) in enumerate(rows):
+        distance = config.advances[advance - 1] if advance else 0.0
+        along = compose(bare[number], np.array([0.0, 0.0, distance, 0.0, 0.0, 0.0, 1.0]))
+        np.testing.assert_allclose(grasps.poses[number], along, atol=1e-12)
+        assert grasps.success_rates[number] == pytest.approx(n_stable * n_kept / 12)
+
+
+@pytest.mark.parametrize(
+    ("place", "value"),
+    [((0, 0), 0), ((2, 0), -1), ((2, 0), 99), ((0, 1), -1), ((0, 1), 2), ((1, 2), 5), ((1, 3), 2), ((2, 3), -2)],
+)
+def test_invalid_records(place: tuple[int, int], value: int) -> None:
+    known, record = known_grasps(BRICK)[:2], np.array([(-1, 1, 0, 1), (-1, 1, 4, 1), (1, 1, 0, 1)], dtype=np.int16)
+    grasps_from_record(record, known, QUICK)
+    record[place] = value
+    with pytest.raises(ValueError, match="the record belongs to"):
+        grasps_from_record(record, known, QUICK)
+
+
+def test_records_of_different_robots(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Shaking is shared by all robots; the release depends on the robot's fingers."""
+    known, done = np.array([IDENTITY]), []
+
+    def shake(*arguments: object) -> ValidationRecord:
+        done.append("shaken")
+        return np.array([(-1, 3, 0, 0)], dtype=np.int16)
+
+    def release(urdf: Path, panda: Path, shaken: ValidationRecord, *arguments: object) -> ValidationRecord:
+        done.append(panda.name)
+        return np.array([(-1, shaken[0, 1], 0, 4 if panda.name == "panda" else 2)], dtype=np.int16)
+
+    monkeypatch.setattr(validation_module, "_shake_grasps", shake)
+    monkeypatch.setattr(validation_module, "_release_grasps", release)
+    robots = [tmp_path / "panda", tmp_path / "panda_camera"]
+    for robot in robots:
+        robot.write_text(robot.name)
+    urdf = find_object_urdf("025_mug")
+    for _ in range(2):
+        found = [validate_grasps(urdf, robot, known, GraspPreparationConfig()) for robot in robots]
+        assert [float(grasps.success_rates[0]) for grasps in found] == [1.0, 0.5]
+    assert done == ["shaken", "panda", "panda_camera"]
+
+
+@pytest.mark.parametrize("damaged", [b"no archive", np.array([(-1, 9, 0, 0)], dtype=np.int16), np.zeros(3)])
+def test_damaged_cache_is_replaced(tmp_path: Path, damaged: object) -> None:
+    known, urdf = known_grasps(BRICK)[:3], DATA.find_object_urdf(BRICK)
+    first = validate_grasps(urdf, DATA.panda_urdf, known, QUICK)
+    assert len(first.poses) >= len(known)
+    assert set(first.success_rates) <= {0.0, 1.0}
+    path = validation_record_path(urdf, DATA.panda_urdf, known, QUICK)
+    other = np.array([(-1, 0, 0, 1)] * 3, dtype=np.int16)
+    np.savez(path, record=other)
+    assert (validate_grasps(urdf, DATA.panda_urdf, known, QUICK).success_rates == 0.0).all()
+    if isinstance(damaged, bytes):
+        path.write_bytes(damaged)
+    else:
+        np.savez(path, record=damaged)
+    again = validate_grasps(urdf, DATA.panda_urdf, known, QUICK)
+    np.testing.assert_array_equal(again.poses, first.poses)
+    np.testing.assert_array_equal(again.success_rates, first.success_rates)
+
+
+@needs_bullet
+@pytest.mark.parametrize("robot", [PANDA, PANDA_CAMERA])
+@pytest.mark.parametrize("dataset", ["synthetic", "dexycb"])
+def test_shipped_records_are_found(
+    dataset: str, robot: str, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """The shipped records match the shipped objects, grasps and robots."""
+    monkeypatch.setattr(validation_module, "make_grasp_validator", None)
+    folder = request.getfixturevalue("real_data") if dataset == "dexycb" else None
+    data = open_dataset(dataset, folder, robot)
+    grasps, count = GraspLibrary(data.load_grasps), 0
+    for name in CLASS_NAMES.values():
+        known = grasps.hand_poses_in_object(name)
+        if known is not None:
+            found = validate_grasps(data.find_object_urdf(name), data.panda_urdf, known, GraspPreparationConfig())
+            count += 1
+            assert (found.success_rates > 0.0).any()
+            assert len(found.poses) >= len(known)
+    assert count >= 19
+    assert not (tmp_path / "cache").exists()
+
+
+@needs_bullet
+@pytest.mark.slow
+def test_shipped_record_equals_a_simulation(monkeypatch: pytest.MonkeyPatch) -> None:
+    known, urdf = known_grasps(BRICK), DATA.find_object_urdf(BRICK)
+    shipped = get_validation_record(urdf, DATA.panda_urdf, known, GraspPreparationConfig())
+    monkeypatch.setattr(validation_module, "load_validation_record", lambda name: None)
+    np.testing.assert_array_equal(
+        get_validation_record(urdf, DATA.panda_urdf, known, GraspPreparationConfig()), shipped
+    )
+
+
+def test_damaged_records_file(tmp_path: Path) -> None:
+    path = tmp_path / "trials.npz"
+    assert load_validation_record("mug", path) is None
+    load_validation_records.cache_clear()
+    shutil.copy(VALIDATION_PATH, path)
+    path.write_bytes(path.read_bytes()[:1000])
+    with pytest.raises(DataFormatError, match=r"not a readable file of grasp validations .* install the library again"):
+        load_validation_record("mug", path)
+    np.savez(path, mug=np.zeros((3, 4)))
+    with pytest.raises(DataFormatError, match=r"mug must be integers of shape \(n, 4\)"):
+        load_validation_record("mug", path)

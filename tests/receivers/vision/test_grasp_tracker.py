@@ -1,0 +1,188 @@
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from handover_marl.geometry.panda import HALF_TURN
+from handover_marl.geometry.poses import compose, invert_pose, transform_points
+from handover_marl.receivers.vision.config import GraspTrackerConfig
+from handover_marl.receivers.vision.grasp_predictor import GraspPrediction
+from handover_marl.receivers.vision.grasp_tracker import GraspTracker
+from handover_marl.receivers.vision.point_map import FilterGains
+
+Array = NDArray[np.float64]
+
+LINK = np.array([0.4, 0.1, 1.2, *Rotation.from_euler("xyz", [2.0, 0.3, -0.4]).as_quat()])
+CENTER = np.array([0.6, 0.2, 1.1])
+GRASPS = np.array(
+    [
+        [0.6, 0.2, 1.2, *Rotation.from_euler("x", np.pi).as_quat()],
+        [0.5, 0.2, 1.1, *Rotation.from_euler("y", np.pi / 2).as_quat()],
+        [0.6, 0.3, 1.1, *Rotation.from_euler("x", np.pi / 2).as_quat()],
+    ]
+)
+RNG = np.random.default_rng(0)
+ITEM = 0.02 * RNG.normal(size=(100, 3)) + [0.0, 0.0, 0.3]
+HAND = 0.02 * RNG.normal(size=(30, 3)) + [0.0, 0.05, 0.3]
+
+
+class FixedPredictor:
+    """Grasp predictor that returns fixed world grasps in the hand link's frame."""
+
+    def __init__(self, grasps: Array = GRASPS, quality: tuple[float, ...] = (0.9, 0.5, 0.01)) -> None:
+        self.grasps, self.quality, self.center = grasps, np.array(quality), CENTER
+        self.n_calls = 0
+
+    def __call__(self, item: Array, hand: Array, velocity: Array, rng: np.random.Generator) -> GraspPrediction:
+        self.n_calls += 1
+        center = transform_points(invert_pose(LINK), self.center)
+        return GraspPrediction(compose(invert_pose(LINK), self.grasps), self.quality, center)
+
+
+def in_world(tracker: GraspTracker) -> Array:
+    moved = tracker.grasps.copy()
+    moved[:, :3] += tracker.object_pose[:3]
+    return moved
+
+
+def is_same_grasp(one: Array, other: Array) -> bool:
+    return bool(np.allclose(one[:3], other[:3], atol=1e-9) and abs(one[3:] @ other[3:]) > 1.0 - 1e-9)
+
+
+def test_candidates_are_good_grasps_and_half_turns() -> None:
+    tracker = GraspTracker(FixedPredictor(), GraspTrackerConfig(), 0)
+    assert not tracker.is_initialized
+    tracker.update(0.0, LINK, ITEM, HAND)
+    assert tracker.is_initialized
+    assert len(tracker.grasps) == 4
+    found = in_world(tracker)
+    half = compose(GRASPS, np.array(HALF_TURN))
+    for pose, wanted in zip(found, [GRASPS[0], GRASPS[1], half[0], half[1]], strict=True):
+        assert is_same_grasp(pose, wanted)
+    np.testing.assert_allclose(tracker.costs, -GraspTrackerConfig().cost_scale * np.log([0.9, 0.5, 0.9, 0.5]))
+
+
+def test_all_grasps_and_tilted_copies() -> None:
+    config = GraspTrackerConfig()
+    tracker = GraspTracker(FixedPredictor(), config, 0)
+    tracker.use_all = True
+    tracker.update(0.0, LINK, ITEM, HAND)
+    assert len(tracker.grasps) == 2 * len(GRASPS) * (1 + len(config.tilts))
+    found, pads = in_world(tracker), np.array([0.0, 0.0, config.pad_distance, 0.0, 0.0, 0.0, 1.0])
+    positions = {tuple(np.round(position, 6)) for position in compose(found, pads)[:, :3]}
+    assert positions == {tuple(np.round(position, 6)) for position in compose(GRASPS, pads)[:, :3]}
+    np.testing.assert_allclose(np.sort(tracker.costs)[-2:], config.tilt_cost - config.cost_scale * np.log(0.01))
+
+
+def nearest_distances(points: Array, others: Array) -> Array:
+    """Return the distances (n,) of points to the nearest of others."""
+    found: Array = np.linalg.norm(points[:, None] - others, axis=-1).min(axis=1)
+    return found
+
+
+def test_point_maps_keep_one_point_per_voxel() -> None:
+    config = GraspTrackerConfig()
+    tracker = GraspTracker(FixedPredictor(), config, 0)
+    tracker.update(0.0, LINK, ITEM, HAND)
+    assert tracker.hand is not None
+    for centers, points in ((tracker.hand.centers, HAND), (tracker.surface.centers + CENTER, ITEM)):
+        assert nearest_distances(centers, transform_points(LINK, points)).max() < 1e-9
+        assert nearest_distances(transform_points(LINK, points), centers).max() < config.voxel_size * 3.0**0.5
+        assert len(centers) < len(points)
+
+
+def test_few_points_are_ignored() -> None:
+    predictor = FixedPredictor()
+    tracker = GraspTracker(predictor, GraspTrackerConfig(), 0)
+    tracker.update(0.0, LINK, ITEM[:5], HAND)
+    assert not tracker.is_initialized
+    assert predictor.n_calls == 0
+    assert len(tracker.grasps) == 0
+
+
+def test_selected_grasp_is_first_and_corrected() -> None:
+    predictor = FixedPredictor()
+    tracker = GraspTracker(predictor, GraspTrackerConfig(near_distance=0.1, far_gains=FilterGains(0.5, 0.1, 0.5)), 0)
+    tracker.update(0.0, LINK, ITEM, HAND)
+    chosen = tracker.grasps[0]
+    tracker.set_selected(chosen)
+    predictor.grasps = GRASPS + np.array([0.01, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    tracker.update(0.05, LINK, ITEM, HAND)
+    np.testing.assert_allclose(tracker.grasps[0][:3], chosen[:3] + np.array([0.005, 0.0, 0.0]), atol=1e-3)
+    assert len(tracker.grasps) == 5
+
+
+def test_unseen_selected_grasp_gains_cost() -> None:
+    predictor = FixedPredictor()
+    tracker = GraspTracker(predictor, GraspTrackerConfig(), 0)
+    tracker.update(0.0, LINK, ITEM, HAND)
+    tracker.set_selected(tracker.grasps[0])
+    tracker.update(0.05, LINK, ITEM, HAND)
+    before = tracker.costs[0]
+    predictor.grasps, predictor.quality = GRASPS[1:], np.array([0.5, 0.01])
+    tracker.update(0.1, LINK, ITEM, HAND)
+    assert tracker.costs[0] == pytest.approx(before + GraspTrackerConfig().unseen_cost)
+    tracker.update(0.15, LINK, ITEM[:3], HAND)
+    assert is_same_grasp(in_world(tracker)[0], GRASPS[0])
+
+
+def test_failed_grasps_cost_more_for_a_while() -> None:
+    tracker = GraspTracker(FixedPredictor(), GraspTrackerConfig(), 0)
+    tracker.update(0.0, LINK, ITEM, HAND)
+    before = tracker.costs.copy()
+    tracker.add_failed(tracker.grasps[0], until=1.0)
+    tracker.update(0.5, LINK, ITEM, HAND)
+    assert (tracker.costs - before > 5.0).tolist() == [True, False, True, False]
+    tracker.update(1.5, LINK, ITEM, HAND)
+    np.testing.assert_allclose(tracker.costs, before)
+
+
+def make_near_tracker(predictor: FixedPredictor) -> GraspTracker:
+    """Return a tracker with two views from nearby, which has a keyframe."""
+    tracker = GraspTracker(predictor, GraspTrackerConfig(near_distance=0.5), 0)
+    for number in range(2):
+        tracker.update(0.05 * number, LINK, ITEM, HAND)
+    return tracker
+
+
+def test_predicted_centers_are_ignored_nearby() -> None:
+    predictor = FixedPredictor()
+    tracker = make_near_tracker(predictor)
+    for number in range(2, 30):
+        predictor.center = CENTER + 0.02
+        tracker.update(0.05 * number, LINK, ITEM, HAND)
+    np.testing.assert_allclose(tracker.object_pose[:3], CENTER, atol=1e-3)
+
+
+def test_registration_tracks_the_surface_nearby() -> None:
+    tracker = make_near_tracker(FixedPredictor())
+    for number in range(2, 8):
+        tracker.update(0.05 * number, LINK, ITEM + np.array([0.005, 0.0, 0.003]) * (number - 1), HAND)
+    moved = transform_points(LINK, np.array([0.03, 0.0, 0.018])) - LINK[:3]
+    np.testing.assert_allclose(tracker.object_pose[:3], CENTER + moved, atol=3e-3)
+
+
+def test_strayed_track_is_restarted() -> None:
+    predictor = FixedPredictor()
+    tracker = make_near_tracker(predictor)
+    tracker.set_selected(tracker.grasps[0])
+    assert tracker.has_selected
+    predictor.center = CENTER + 0.08
+    tracker.update(0.1, LINK, ITEM, HAND)
+    assert not tracker.has_selected
+    np.testing.assert_allclose(tracker.object_pose[:3], predictor.center, atol=1e-9)
+
+
+def test_lost_object_is_tracked_again() -> None:
+    predictor = FixedPredictor()
+    tracker = make_near_tracker(predictor)
+    tracker.set_selected(tracker.grasps[0])
+    tracker.update(0.1, LINK, ITEM[:3], HAND)
+    assert tracker.has_selected
+    assert tracker.unseen_time(0.1) == pytest.approx(0.05)
+    predictor.center = CENTER + 0.3
+    tracker.update(0.4, LINK, ITEM, HAND)
+    assert not tracker.has_selected
+    assert tracker.unseen_time(0.4) == 0.0
+    np.testing.assert_allclose(tracker.object_pose[:3], predictor.center, atol=1e-9)
+    np.testing.assert_allclose(tracker.velocity, 0.0)

@@ -1,0 +1,240 @@
+"""Fast physics compared with exact physics on synthetic scenes."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from handover_marl import receivers
+from handover_marl.config import CameraConfig, PandaConfig, PhysicsConfig
+from handover_marl.datasets import OfficialDataset
+from handover_marl.datasets.dataset import Scene
+from handover_marl.datasets.synthetic import SyntheticDataset
+from handover_marl.episode.episode import Episode
+from handover_marl.episode.referee import EpisodeStatus
+from handover_marl.geometry.kinematic_tree import read_tree
+from handover_marl.geometry.panda import LOWER_LIMITS, UPPER_LIMITS
+from handover_marl.simulation.bullet.bodies import HandBody
+from handover_marl.simulation.bullet.client import connect, load_urdf
+from handover_marl.simulation.bullet.fast_world import FastWorld
+from handover_marl.simulation.bullet.sleepable_bodies import KinematicHand, load_hand_collision_model
+from handover_marl.simulation.kinematic_paths import ReferenceMotion
+from tests.playing import play
+
+START = np.array(PandaConfig().start_joints, dtype=np.float32)
+DATA = SyntheticDataset()
+#: Scenes of s0 val that Yang's receiver ends in different ways and soon.
+SCENES = (9, 14, 19, 24, 34)
+
+
+def outcome(episode: Episode) -> tuple[EpisodeStatus, int, int | None]:
+    return episode.status, episode.steps, episode.release_step
+
+
+def world_of(episode: Episode) -> FastWorld:
+    assert isinstance(episode.world, FastWorld)
+    return episode.world
+
+
+@pytest.fixture
+def fast() -> Episode:
+    return Episode("fast")
+
+
+@pytest.fixture
+def both() -> tuple[Episode, Episode]:
+    return Episode("exact"), Episode("fast")
+
+
+def test_states_are_equal_far_from_the_robot(both: tuple[Episode, Episode]) -> None:
+    scene = DATA.load_scene(209)
+    for episode in both:
+        episode.reset(scene)
+    tolerances = {"hand_dof_position": 3e-3, "hand_keypoints": 5e-4, "object_poses": 1e-5}
+    for steps in (0, 1, 99, 400, 1000, 1500):
+        seen = []
+        for episode in both:
+            episode.advance(START, steps)
+            seen.append(episode.observe())
+        for key, exact in seen[0].items():
+            atol = tolerances.get(key, 1e-6)
+            np.testing.assert_allclose(seen[1][key], exact, rtol=0, atol=atol, err_msg=key)
+        np.testing.assert_allclose(both[1].world.read_object_joints(), both[0].world.read_object_joints(), atol=1e-5)
+    world = world_of(both[1])
+    assert world._hand is not None
+    assert not world._hand.bodies, "nothing was near"
+    assert not any(item.is_awake for item in world._objects)
+
+
+@pytest.mark.parametrize("scene_id", SCENES)
+def test_yang_ends_alike(both: tuple[Episode, Episode], scene_id: int) -> None:
+    policy = receivers.make("yang2021", DATA)
+    outcomes = []
+    for episode in both:
+        play(episode, DATA.load_scene(scene_id), policy)
+        outcomes.append(outcome(episode))
+    assert outcomes[0][0] == outcomes[1][0]
+    assert abs(outcomes[0][1] - outcomes[1][1]) <= 100
+
+
+def test_a_used_world_equals_a_new_one() -> None:
+    """Whatever was played before, and in whatever state it ended, an episode is the same to the bit."""
+    policy = receivers.make("yang2021", DATA)
+    used = Episode("fast")
+    for scene_id in (*SCENES, *SCENES[3::-1]):
+        new = Episode("fast")
+        actions = []
+        for episode in (used, new):
+            actions.append(play(episode, DATA.load_scene(scene_id), policy)[0])
+        np.testing.assert_array_equal(*actions)
+        assert outcome(used) == outcome(new)
+        for key, value in used.observe().items():
+            np.testing.assert_array_equal(value, new.observe()[key])
+        new.close()
+
+
+@pytest.mark.slow
+def test_fast_motion_leaves_no_trace_in_the_next_episode() -> None:
+    """Arms that hit themselves and the table stir up what Bullet remembers of pairs."""
+    policy = receivers.make("random", DATA)
+    used = Episode("fast")
+    for scene_id in (209, 214, 209, 219):
+        new = Episode("fast")
+        actions = [play(episode, DATA.load_scene(scene_id), policy)[0] for episode in (used, new)]
+        np.testing.assert_array_equal(*actions)
+        assert outcome(used) == outcome(new)
+        for key, value in used.observe().items():
+            np.testing.assert_array_equal(value, new.observe()[key])
+        new.close()
+
+
+def test_the_control_period_does_not_matter(fast: Episode) -> None:
+    scene = DATA.load_scene(SCENES[0])
+    goal = START + np.array([0.3, 0.2, 0.1, 0.1, 0.0, 0.2, 0.0, 0.0, 0.0], dtype=np.float32)
+    ends = []
+    for period in (1, 7, 100):
+        fast.reset(scene)
+        for first in range(0, 700, period):
+            fast.advance(goal, min(period, 700 - first))
+        ends.append({**fast.observe(), "dof": fast.world.read_object_joints()})
+    for end in ends[1:]:
+        for key, value in end.items():
+            np.testing.assert_allclose(value, ends[0][key], atol=2e-6, err_msg=key)
+
+
+def test_rendering_changes_nothing(fast: Episode) -> None:
+    scene = DATA.load_scene(SCENES[1])
+    actions, _ = play(fast, scene, receivers.make("yang2021", DATA))
+    undisturbed = outcome(fast)
+    fast.reset(scene)
+    camera = CameraConfig(width=32, height=24)
+    for step, action in enumerate(actions):
+        if step % 500 == 0:
+            fast.render(camera)
+        fast.advance(action, 1)
+    assert outcome(fast) == undisturbed
+
+
+@pytest.mark.parametrize("frame", [0, 1500])
+def test_images_are_alike(both: tuple[Episode, Episode], frame: int) -> None:
+    pictures = []
+    for episode in both:
+        episode.reset(DATA.load_scene(209))
+        episode.advance(START, frame)
+        pictures.append(episode.render(CameraConfig(width=160, height=120)).astype(int))
+    assert (np.abs(pictures[0] - pictures[1]).max(axis=2) > 40).mean() < 0.002
+
+
+def throw(scene: Scene, aims: list[np.ndarray]) -> list[tuple[EpisodeStatus, int]]:
+    """Drive the arm at one thing after the other in both kinds of physics."""
+    ends = []
+    for physics in ("exact", "fast"):
+        episode = Episode(physics)
+        episode.reset(scene)
+        episode.advance(START, 2600)
+        for aim, steps in zip(aims, (150, 500), strict=True):
+            episode.advance(aim.astype(np.float32), steps)
+        ends.append((episode.status, episode.steps))
+        episode.close()
+    return ends
+
+
+aims = st.lists(st.floats(0.2, 0.8), min_size=7, max_size=7)
+
+
+@settings(max_examples=8, deadline=None, derandomize=True)
+@given(st.sampled_from(DATA.list_scenes("s0", "train")[:40]), st.tuples(aims, aims))
+def test_no_contact_with_the_hand_is_missed(scene_id: int, shares: tuple[list[float], list[float]]) -> None:
+    """Arms thrown about at full speed touch the person in fast physics when they do in exact physics."""
+    lower, upper = np.array(LOWER_LIMITS), np.array(UPPER_LIMITS)
+    targets = []
+    for share in shares:
+        targets.append(START.astype(np.float64))
+        targets[-1][:7] = lower[:7] + np.array(share) * (upper - lower)[:7]
+    exact, fast = throw(DATA.load_scene(scene_id), targets)
+    assert (exact[0] & EpisodeStatus.HUMAN_CONTACT) == (fast[0] & EpisodeStatus.HUMAN_CONTACT)
+    if exact[0]:
+        assert abs(exact[1] - fast[1]) <= 3
+
+
+def test_hands_that_come_and_go(fake_data: Path, both: tuple[Episode, Episode]) -> None:
+    scene = OfficialDataset(fake_data).load_scene(14)
+    for episode in both:
+        episode.reset(scene)
+    for _ in range(45):
+        seen = []
+        for episode in both:
+            episode.advance(START, 10)
+            seen.append(episode.observe())
+        assert seen[0]["hand_present"] == seen[1]["hand_present"]
+        np.testing.assert_allclose(seen[1]["hand_keypoints"], seen[0]["hand_keypoints"], atol=1e-3)
+        np.testing.assert_allclose(seen[1]["object_poses"], seen[0]["object_poses"], atol=1e-3)
+
+
+HANDS: list[Callable[[Path], Path]] = [
+    lambda fake: DATA.load_scene(209).assets.hand,
+    lambda fake: OfficialDataset(fake).load_scene(14).assets.hand,
+]
+
+
+@pytest.mark.parametrize("hand_file", HANDS)
+def test_kinematics_equal_bullets(hand_file: Callable[[Path], Path], fake_data: Path) -> None:
+    urdf = hand_file(fake_data)
+    client = connect()
+    body = load_urdf(client, urdf, useFixedBase=True)
+    hand = HandBody(client, urdf, [0.0] * 51, PhysicsConfig().hand)
+    tree = read_tree(urdf)
+    joints = np.random.default_rng(0).uniform(-1.5, 1.5, (3, 51))
+    poses = tree.compute_link_poses(joints, range(len(tree.joints)))
+    for row, dof in enumerate(joints):
+        hand.reset_joints(dof.tolist())
+        for link in range(client.getNumJoints(body)):
+            state = client.getLinkState(hand.id, link, computeForwardKinematics=1)
+            np.testing.assert_allclose(poses[row, link, :3], state[4], atol=1e-5)
+            assert abs(np.dot(poses[row, link, 3:], state[5])) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_kinematic_bodies_match_the_simulated_hand() -> None:
+    """Distances to a small ball at many places are those of the exact world's hand."""
+    scene = DATA.load_scene(209)
+    client = connect()
+    frame = np.array([scene.n_frames - 1])
+    still = ReferenceMotion(scene.object_dof[frame], scene.hand_dof[frame], np.array([True]))
+    hand = KinematicHand(client, load_hand_collision_model(client, scene.assets.hand), PhysicsConfig().hand, still)
+    hand.set_reference(still)
+    hand.wake(0)
+    hand.move_bodies(0)
+    whole = HandBody(client, scene.assets.hand, scene.hand_dof[-1].tolist(), PhysicsConfig().hand)
+    ball = client.createMultiBody(0.0, client.createCollisionShape(client.GEOM_SPHERE, radius=0.005))
+    rng = np.random.default_rng(0)
+    for offset in rng.uniform(-0.15, 0.15, (40, 3)):
+        position = (scene.hand_dof[-1, :3] + offset).tolist()
+        client.resetBasePositionAndOrientation(ball, position, [0.0, 0.0, 0.0, 1.0])
+        nearest = [
+            min(point[8] for body in bodies for point in client.getClosestPoints(ball, body, 1.0))
+            for bodies in ([whole.id], hand.bodies)
+        ]
+        assert nearest[0] == pytest.approx(nearest[1], abs=1e-4)

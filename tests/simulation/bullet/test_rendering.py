@@ -1,0 +1,158 @@
+"""Wrist camera images of the PyBullet worlds."""
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from handover_marl.config import OFFICIAL_CONFIG, PandaConfig
+from handover_marl.datasets import open_dataset
+from handover_marl.episode.episode import Episode
+from handover_marl.geometry.poses import transform_points
+from handover_marl.simulation.bullet.rendering import label_bodies
+from handover_marl.simulation.camera.frames import EMPTY_DEPTH, NEAR, CameraImage, SegmentationLabel
+from handover_marl.simulation.world import JointSnapshot
+
+DATA = open_dataset("synthetic", robot="panda_camera")
+#: With a hand from the 400th millisecond on.
+SCENE = DATA.load_scene(14)
+GOAL = np.array(PandaConfig().start_joints, dtype=np.float32)
+GOAL[:7] += [0.1, 0.3, 0.05, 0.2, 0.1, 0.3, 0.2]
+STEPS = (350, 350, 350)
+
+
+def assert_close(first: CameraImage, second: CameraImage) -> None:
+    """The same but for pixels on edges."""
+    assert (first.segmentation != second.segmentation).mean() < 1e-3
+    assert (np.abs(first.depth - second.depth) > 1e-4).mean() < 1e-3
+
+
+@pytest.fixture(scope="module", params=["exact", "fast"])
+def played(request: pytest.FixtureRequest) -> Iterator[tuple[Episode, list[JointSnapshot], list[CameraImage]]]:
+    """An episode and what was seen at some of its moments, before and after the hand came."""
+    episode = Episode(request.param)
+    episode.reset(SCENE)
+    moments, photos = [], []
+    for steps in STEPS:
+        episode.advance(GOAL, steps)
+        moments.append(episode.world.read_joint_snapshot())
+        photos.append(episode.world.render_wrist_camera(color=True))
+    yield episode, moments, photos
+    episode.close()
+
+
+FinishedEpisode = tuple[Episode, list[JointSnapshot], list[CameraImage]]
+
+
+def test_image_shapes_and_types(played: FinishedEpisode) -> None:
+    for photo in played[2]:
+        assert (photo.depth.shape, photo.depth.dtype) == ((224, 224), np.float32)
+        assert (photo.segmentation.shape, photo.segmentation.dtype) == ((224, 224), np.uint8)
+        assert photo.rgb is not None
+        assert (photo.rgb.shape, photo.rgb.dtype) == ((224, 224, 3), np.uint8)
+        assert NEAR <= photo.depth.min() < photo.depth.max() <= EMPTY_DEPTH
+        assert (photo.depth[photo.segmentation > 0] < EMPTY_DEPTH).all()
+        assert photo.rgb.std() > 10
+
+
+def test_all_labels_occur(played: FinishedEpisode) -> None:
+    """The camera looks at fingers, table, objects, and at the hand once it is there."""
+    before, _, after = played[2]
+    assert played[1][0].hand is None
+    assert not before.compute_mask(SegmentationLabel.HAND).any()
+    for seen in SegmentationLabel:
+        assert after.compute_mask(seen).sum() > 50, seen.name
+
+
+def test_colours_are_rendered_on_request(played: FinishedEpisode) -> None:
+    episode, _, photos = played
+    plain = episode.world.render_wrist_camera(color=False)
+    assert plain.rgb is None
+    np.testing.assert_array_equal(plain.depth, photos[-1].depth)
+    np.testing.assert_array_equal(plain.segmentation, photos[-1].segmentation)
+
+
+def test_earlier_steps_can_be_rendered(played: FinishedEpisode) -> None:
+    """In any order, with and without a hand, and the present one stays what it is."""
+    episode, moments, photos = played
+    for number in (0, 2, 1, 0, 1, 2):
+        assert_close(episode.world.render_wrist_camera(True, moments[number]), photos[number])
+    np.testing.assert_array_equal(episode.world.render_wrist_camera(False).depth, photos[-1].depth)
+    assert not np.array_equal(photos[0].depth, photos[-1].depth)
+
+
+def test_images_of_earlier_steps_are_bit_equal_in_any_order(played: FinishedEpisode) -> None:
+    episode, moments, _ = played
+    first = [episode.world.render_wrist_camera(False, moment) for moment in moments]
+    again = [episode.world.render_wrist_camera(False, moment) for moment in moments[::-1]][::-1]
+    for one, other in zip(first, again, strict=True):
+        np.testing.assert_array_equal(one.depth, other.depth)
+        np.testing.assert_array_equal(one.segmentation, other.segmentation)
+
+
+@pytest.mark.parametrize("played", ["exact", "fast"], indirect=True)
+def test_rendering_does_not_change_later_states(played: FinishedEpisode, request: pytest.FixtureRequest) -> None:
+    """Not a bit of it, whether somebody looks at now or at then."""
+    physics = request.node.callspec.params["played"]
+    blind = Episode(physics)
+    blind.reset(SCENE)
+    blind.advance(GOAL, sum(STEPS[:1]))
+    seen = [blind.world.read_joint_snapshot()]
+    for steps in STEPS[1:]:
+        blind.advance(GOAL, steps)
+        seen.append(blind.world.read_joint_snapshot())
+    for expected, now in zip(seen, played[1], strict=True):
+        for one, other in zip(expected, now, strict=True):
+            np.testing.assert_array_equal(one, other)
+    blind.close()
+
+
+@pytest.mark.parametrize("physics", ["exact", "fast"])
+def test_bodies_of_the_previous_scene_are_removed(physics: str) -> None:
+    episode, fresh, scenes = Episode(physics), Episode(physics), (SCENE, DATA.load_scene(209))
+    for scene in scenes:
+        episode.reset(scene)
+        episode.world.render_wrist_camera(False, JointSnapshot(GOAL, scene.hand_dof[-1], scene.object_dof[-1]))
+    fresh.reset(scenes[1])
+    photo = fresh.world.render_wrist_camera(False)
+    for at in (None, episode.world.read_joint_snapshot()):
+        assert_close(episode.world.render_wrist_camera(False, at), photo)
+    episode.close()
+    fresh.close()
+
+
+def test_the_first_object_is_the_target() -> None:
+    everything = {
+        4: SegmentationLabel.TABLE,
+        5: SegmentationLabel.ROBOT,
+        9: SegmentationLabel.TARGET,
+        7: SegmentationLabel.OTHER_OBJECT,
+        8: SegmentationLabel.OTHER_OBJECT,
+    }
+    assert label_bodies(4, 5, [9, 7, 8], None) == everything
+    assert label_bodies(4, 5, [9, 7, 8], 0) == {**everything, 0: SegmentationLabel.HAND}
+    assert label_bodies(1, 2, [3], None) == {
+        1: SegmentationLabel.TABLE,
+        2: SegmentationLabel.ROBOT,
+        3: SegmentationLabel.TARGET,
+    }
+
+
+def test_table_points_are_on_the_table() -> None:
+    """Its top lies flat where the pinhole of the hand's frame puts what the pixels show."""
+    episode = Episode("fast")
+    episode.reset(DATA.load_scene(209))
+    photo, gripper = (
+        episode.world.render_wrist_camera(False),
+        episode.world.read_state().gripper_pose.astype(np.float64),
+    )
+    rows, columns = np.nonzero(photo.compute_mask(SegmentationLabel.TABLE))
+    depth = photo.depth[rows, columns].astype(np.float64)
+    own = np.stack([0.036 - depth * (rows - 111) / 112, depth * (columns - 112) / 112, depth + 0.036], axis=1)
+    heights = transform_points(gripper, own)[:, 2]
+    top = OFFICIAL_CONFIG.physics.table_position[2] + 0.92
+    assert len(rows) > 10_000
+    assert heights.max() < top + 1e-4
+    # The rest of it are its legs and its edge.
+    assert np.mean(heights > top - 1e-4) > 0.9
+    episode.close()

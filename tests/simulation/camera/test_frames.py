@@ -1,0 +1,138 @@
+"""Deprojection of the wrist camera, compared with an independent pinhole model."""
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from handover_marl.errors import UnknownNameError
+from handover_marl.simulation.camera.frames import (
+    EMPTY_DEPTH,
+    FAR,
+    HANDOVERSIM_MODEL,
+    NEAR,
+    PINHOLE_MODEL,
+    check_camera_model,
+    deproject,
+    metric_depth,
+)
+
+SHAPE = (224, 224)
+#: Of the reference's deprojection, as its float32 tangent makes them.
+SCALE, SHIFT = np.float32(0.008928572), np.float32(-1.0000001)
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+def image_positions(points: npt.NDArray[np.float32]) -> npt.NDArray[np.float64]:
+    """(n, 2) right and down (pixels) of points in the hand's frame; a pinhole that knows nothing of the library."""
+    ahead, right, up = (points.astype(np.float64) - (0.036, 0.0, 0.036)).T[[2, 1, 0]]
+    return np.stack([112.0 + 112.0 * right / ahead, 112.0 - 112.0 * up / ahead], axis=1)
+
+
+def random_picture(seed: int) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.bool_]]:
+    rng = np.random.default_rng(seed)
+    depth = rng.uniform(NEAR, FAR, SHAPE).astype(np.float32)
+    return depth, rng.random(SHAPE) < rng.choice([0.001, 0.1, 0.9])
+
+
+@settings(max_examples=40, deadline=None)
+@given(seeds)
+def test_pinhole_points_project_to_the_sampled_positions(seed: int) -> None:
+    depth, seen = random_picture(seed)
+    points = deproject(depth, seen, PINHOLE_MODEL)
+    rows, columns = np.nonzero(seen)
+    expected = np.stack([columns, rows + 1], axis=1)
+    np.testing.assert_allclose(image_positions(points), expected, atol=2e-4)
+    np.testing.assert_allclose(points[:, 2] - 0.036, depth[seen], atol=3e-7)
+
+
+@settings(max_examples=40, deadline=None)
+@given(seeds)
+def test_handoversim_points_are_shifted_by_one_pixel(seed: int) -> None:
+    depth, seen = random_picture(seed)
+    reference, true = deproject(depth, seen, HANDOVERSIM_MODEL), deproject(depth, seen, PINHOLE_MODEL)
+    np.testing.assert_array_equal(reference[:, 1:], true[:, 1:])
+    # Up in the picture is the hand's x.
+    np.testing.assert_allclose(reference[:, 0] - true[:, 0], depth[seen] / 112.0, atol=3e-7)
+
+
+def test_handoversim_is_the_default_model() -> None:
+    depth, seen = random_picture(0)
+    np.testing.assert_array_equal(deproject(depth, seen), deproject(depth, seen, HANDOVERSIM_MODEL))
+
+
+def test_handoversim_points_are_bit_equal() -> None:
+    depth, _ = random_picture(1)
+    rows, columns = (number.astype(np.float32) for number in np.indices(SHAPE))
+    x = np.float32(0.036) - depth * (SCALE * rows + SHIFT)
+    expected = np.stack([x, depth * (SCALE * columns + SHIFT), depth + np.float32(0.036)], axis=-1)
+    assert expected.dtype == np.float32
+    np.testing.assert_array_equal(deproject(depth, np.ones(SHAPE, dtype=bool)), expected.reshape(-1, 3))
+
+
+def test_the_single_precision_constants_arise() -> None:
+    depth, seen = np.ones(SHAPE, dtype=np.float32), np.zeros(SHAPE, dtype=bool)
+    seen[0, :2] = True
+    corner, beside = deproject(depth, seen, HANDOVERSIM_MODEL)
+    assert corner[1] == np.float32(-1.0000001) < np.float32(-1.0)
+    assert corner[0] == np.float32(0.036) + np.float32(1.0000001)
+    assert beside[1] == np.float32(0.008928572) + np.float32(-1.0000001)
+
+
+@pytest.mark.parametrize("camera_model", [HANDOVERSIM_MODEL, PINHOLE_MODEL])
+def test_points_are_in_image_order(camera_model: str) -> None:
+    depth = np.arange(224 * 224, dtype=np.float32).reshape(SHAPE) / 50_000 + np.float32(0.1)
+    seen = np.zeros(SHAPE, dtype=bool)
+    seen[[200, 3, 3, 0, 223, 100], [1, 200, 5, 223, 0, 100]] = True
+    points = deproject(depth, seen, camera_model)
+    assert points.dtype == np.float32
+    np.testing.assert_array_equal(points[:, 2], depth[seen] + np.float32(0.036))
+    columns = np.rint(image_positions(points)[:, 0]).astype(int)
+    assert columns.tolist() == [223, 5, 200, 100, 1, 0]
+
+
+@pytest.mark.parametrize("camera_model", [HANDOVERSIM_MODEL, PINHOLE_MODEL])
+def test_an_empty_mask_gives_no_points(camera_model: str) -> None:
+    points = deproject(np.ones(SHAPE, dtype=np.float32), np.zeros(SHAPE, dtype=bool), camera_model)
+    assert points.shape == (0, 3)
+    assert points.dtype == np.float32
+
+
+def test_deprojection_does_not_change_its_arguments() -> None:
+    depth, seen = random_picture(2)
+    before = depth.copy(), seen.copy()
+    deproject(depth, seen, PINHOLE_MODEL)[...] = 7.0
+    np.testing.assert_array_equal(depth, before[0])
+    np.testing.assert_array_equal(seen, before[1])
+
+
+def test_the_image_centre_is_straight_ahead() -> None:
+    depth, seen = np.full(SHAPE, 0.5, dtype=np.float32), np.zeros(SHAPE, dtype=bool)
+    seen[111, 112] = True
+    np.testing.assert_allclose(deproject(depth, seen, PINHOLE_MODEL), [[0.036, 0.0, 0.536]], atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["", "Reference", "truth", "none"])
+def test_unknown_camera_models_are_refused(name: str) -> None:
+    with pytest.raises(UnknownNameError, match=f"unknown camera_model '{name}'; valid: handoversim, pinhole"):
+        check_camera_model(name)
+    for known in ("handoversim", "pinhole"):
+        check_camera_model(known)
+
+
+def test_depth_buffers_are_converted_to_metres() -> None:
+    buffer = np.array([0.0, 0.5, 0.9, 0.999999, 1.0], dtype=np.float32)
+    depth = metric_depth(buffer.copy())
+    assert depth.dtype == np.float32
+    exact = 2.0 * 0.035 / (2.0 - 1.965 * buffer.astype(np.float64))
+    np.testing.assert_allclose(depth[:-1], exact[:-1], rtol=2e-5)
+    assert depth[0] == np.float32(NEAR)
+    # What an OpenGL buffer has where nothing is.
+    assert depth[-1] == 0.0
+
+
+def test_empty_depth_is_just_under_two_metres() -> None:
+    assert EMPTY_DEPTH.dtype == np.float32
+    assert EMPTY_DEPTH == np.float32(1.9999951) < np.float32(FAR)

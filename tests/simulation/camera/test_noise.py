@@ -1,0 +1,203 @@
+"""What is wrong with a camera, and only that."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from handover_marl.errors import OptionError, UnknownNameError
+from handover_marl.simulation.camera.frames import EMPTY_DEPTH, CameraImage, SegmentationLabel
+from handover_marl.simulation.camera.noise import (
+    CAMERA_NOISE_MODELS,
+    CameraNoise,
+    apply_camera_noise,
+    resolve_camera_noise,
+)
+
+SHAPE = (224, 224)
+NONE = CameraNoise(depth_noise_std=0.0, edge_dropout=0.0, latency=0.0)
+RGB = np.random.default_rng(9).integers(0, 256, (*SHAPE, 3), dtype=np.uint8)
+
+
+def flat(depth: float) -> CameraImage:
+    return CameraImage(np.full(SHAPE, depth, dtype=np.float32), np.full(SHAPE, SegmentationLabel.TABLE, dtype=np.uint8))
+
+
+def patches(seed: int) -> CameraImage:
+    """Rectangles at random depths before nothing, some of them too little apart to be edges."""
+    rng = np.random.default_rng(seed)
+    depth = np.full(SHAPE, EMPTY_DEPTH, dtype=np.float32)
+    seen = np.zeros(SHAPE, dtype=np.uint8)
+    for _ in range(12):
+        row, column, high, wide = rng.integers(0, [200, 200, 90, 90])
+        place = slice(row, row + high + 1), slice(column, column + wide + 1)
+        depth[place] = rng.choice([rng.uniform(0.1, 1.9), 0.5, 0.515, 0.53])
+        seen[place] = rng.integers(1, 6)
+    return CameraImage(depth, seen, RGB)
+
+
+def beside_edges(depth: npt.NDArray[np.float32], step: float) -> npt.NDArray[np.bool_]:
+    """Whether one of the four neighbours is more than a step away."""
+    framed = np.pad(depth, 1, mode="edge")
+    neighbours = [framed[:-2, 1:-1], framed[2:, 1:-1], framed[1:-1, :-2], framed[1:-1, 2:]]
+    return np.array(np.any([np.abs(other - depth) > step for other in neighbours], axis=0))
+
+
+def taken(photo: CameraImage, camera: CameraNoise, seed: int = 0) -> CameraImage:
+    return apply_camera_noise(photo, camera, np.random.default_rng(seed))
+
+
+seeds = st.integers(0, 10_000)
+
+
+@settings(max_examples=20, deadline=None)
+@given(seeds)
+def test_zero_noise_changes_nothing(seed: int) -> None:
+    photo = patches(seed)
+    same = taken(photo, NONE, seed)
+    np.testing.assert_array_equal(same.depth, photo.depth)
+    np.testing.assert_array_equal(same.segmentation, photo.segmentation)
+    np.testing.assert_array_equal(same.rgb, RGB)
+    assert (same.depth.dtype, same.segmentation.dtype) == (np.float32, np.uint8)
+
+
+def test_sampled_pixels_are_unchanged() -> None:
+    photo = patches(0)
+    half = taken(photo, replace(NONE, pixel_stride=2))
+    np.testing.assert_array_equal(half.depth[::2, ::2], photo.depth[::2, ::2])
+    np.testing.assert_array_equal(half.segmentation[::2, ::2], photo.segmentation[::2, ::2])
+    others = np.ones(photo.depth.shape, dtype=bool)
+    others[::2, ::2] = False
+    assert (half.depth[others] == EMPTY_DEPTH).all()
+    assert (half.segmentation[others] == SegmentationLabel.BACKGROUND).all()
+
+
+@pytest.mark.parametrize("pixel_stride", [0, -1, 1.5, True])
+def test_pixel_stride_must_be_a_positive_integer(pixel_stride: Any) -> None:
+    with pytest.raises(OptionError, match="pixel_stride"):
+        CameraNoise(pixel_stride=pixel_stride)
+
+
+@pytest.mark.parametrize("distance", [0.1, 0.5, 1.0, 1.9])
+def test_noise_grows_with_the_square_of_the_depth(distance: float) -> None:
+    photo = flat(distance)
+    apart = (taken(photo, CameraNoise()).depth - photo.depth).astype(np.float64)
+    assert apart.std() == pytest.approx(0.0036 * distance**2, rel=0.02)
+    assert abs(apart.mean()) < 0.02 * apart.std()
+    # Of every pixel its own.
+    assert abs(np.corrcoef(apart[:, 1:].ravel(), apart[:, :-1].ravel())[0, 1]) < 0.02
+    assert abs(np.corrcoef(apart[1:].ravel(), apart[:-1].ravel())[0, 1]) < 0.02
+
+
+def test_noise_scales_with_its_parameter() -> None:
+    photo = flat(1.0)
+    single, double = (taken(photo, replace(NONE, depth_noise_std=noise)).depth - 1.0 for noise in (0.01, 0.02))
+    np.testing.assert_allclose(double, 2.0 * single, atol=1e-6)
+    assert single.std() == pytest.approx(0.01, rel=0.02)
+
+
+def test_noisy_depth_is_not_negative() -> None:
+    depth = taken(flat(1.5), replace(NONE, depth_noise_std=3.0)).depth
+    assert depth.min() == 0.0
+    assert (depth == 0.0).mean() > 0.1
+
+
+@settings(max_examples=30, deadline=None)
+@given(seeds, st.floats(0.0, 1.0), st.sampled_from([0.005, 0.02, 0.3]))
+def test_only_edge_pixels_are_dropped(seed: int, share: float, step: float) -> None:
+    photo = patches(seed)
+    camera = CameraNoise(depth_noise_std=0.001, edge_dropout=share, edge_threshold=step)
+    worse, edges = taken(photo, camera, seed), beside_edges(photo.depth, step)
+    there = photo.depth < EMPTY_DEPTH
+    lost = there & (worse.depth == EMPTY_DEPTH)
+    assert not (lost & ~edges).any()
+    wanted = edges & there
+    assert lost.sum() == pytest.approx(share * wanted.sum(), abs=5.0 * np.sqrt(wanted.sum() / 4) + 1.0)
+    changed = worse.segmentation != photo.segmentation
+    np.testing.assert_array_equal(changed, lost & (photo.segmentation != SegmentationLabel.BACKGROUND))
+    assert (worse.segmentation[lost] == SegmentationLabel.BACKGROUND).all()
+
+
+@settings(max_examples=10, deadline=None)
+@given(seeds)
+def test_dropout_of_all_and_of_no_edge_pixels(seed: int) -> None:
+    photo = patches(seed)
+    there = photo.depth < EMPTY_DEPTH
+    pixel_stride = taken(photo, CameraNoise(edge_dropout=1.0, depth_noise_std=0.0))
+    np.testing.assert_array_equal(pixel_stride.depth == EMPTY_DEPTH, beside_edges(photo.depth, 0.02) | ~there)
+    none = taken(photo, CameraNoise(edge_dropout=0.0))
+    np.testing.assert_array_equal(none.depth == EMPTY_DEPTH, ~there)
+    np.testing.assert_array_equal(none.segmentation, photo.segmentation)
+
+
+def test_empty_pixels_stay_empty() -> None:
+    photo = CameraImage(np.full(SHAPE, EMPTY_DEPTH, dtype=np.float32), np.zeros(SHAPE, dtype=np.uint8))
+    worse = taken(photo, CameraNoise(depth_noise_std=0.1, edge_dropout=1.0))
+    assert (worse.depth == EMPTY_DEPTH).all()
+    assert not worse.segmentation.any()
+
+
+def test_noise_keeps_colours() -> None:
+    assert taken(patches(0), CameraNoise()).rgb is RGB
+    assert taken(flat(1.0), CameraNoise()).rgb is None
+
+
+def test_noise_does_not_change_its_argument() -> None:
+    photo = patches(3)
+    before = photo.depth.copy(), photo.segmentation.copy()
+    worse = taken(photo, CameraNoise())
+    worse.depth[...], worse.segmentation[...] = 0.0, 0
+    np.testing.assert_array_equal(photo.depth, before[0])
+    np.testing.assert_array_equal(photo.segmentation, before[1])
+
+
+def test_noise_follows_the_seed() -> None:
+    photo, camera = patches(4), CameraNoise()
+    first, again, other = (taken(photo, camera, seed) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(first.depth, again.depth)
+    np.testing.assert_array_equal(first.segmentation, again.segmentation)
+    assert (first.depth != other.depth).mean() > 0.1
+    assert (first.segmentation != other.segmentation).any()
+
+
+@settings(max_examples=10, deadline=None)
+@given(seeds)
+def test_noise_draws_do_not_depend_on_the_image(seed: int) -> None:
+    """A pixel that shows the same in two pictures comes out the same, whatever is beside it."""
+    first, second = patches(seed), patches(seed + 1)
+    second.depth[:40], second.segmentation[:40] = first.depth[:40], first.segmentation[:40]
+    worse = [taken(photo, CameraNoise(), seed) for photo in (first, second)]
+    np.testing.assert_array_equal(worse[0].depth[:39], worse[1].depth[:39])
+    np.testing.assert_array_equal(worse[0].segmentation[:39], worse[1].segmentation[:39])
+
+
+def test_noise_models_by_name() -> None:
+    assert resolve_camera_noise("realsense") == CameraNoise() == CAMERA_NOISE_MODELS["realsense"]
+    assert resolve_camera_noise(None) is None
+    assert resolve_camera_noise(NONE) is NONE
+    with pytest.raises(UnknownNameError, match="unknown camera_noise 'kinect'; valid: realsense"):
+        resolve_camera_noise("kinect")
+
+
+@pytest.mark.parametrize("wrong", [3, 0.5, {}, CameraNoise, True])
+def test_wrong_types_of_noise_are_refused(wrong: Any) -> None:
+    with pytest.raises(OptionError, match="camera_noise must"):
+        resolve_camera_noise(wrong)
+
+
+@pytest.mark.parametrize("name", ["depth_noise_std", "edge_threshold", "edge_dropout", "latency"])
+@pytest.mark.parametrize("value", [-1e-9, float("nan"), float("inf"), "0.1", None, True, [0.1]])
+def test_values_out_of_range_are_refused(name: str, value: Any) -> None:
+    with pytest.raises(OptionError, match=name):
+        CameraNoise(**{name: value})
+
+
+@pytest.mark.parametrize(("name", "value"), [("edge_dropout", 1.0001), ("latency", 1.0001), ("latency", 50)])
+def test_values_above_one_are_refused(name: str, value: float) -> None:
+    with pytest.raises(OptionError, match=name):
+        CameraNoise(**{name: value})
+    CameraNoise(**{name: 1})

@@ -1,0 +1,201 @@
+"""Ray casting at boxes, whose exact depths follow from the positions of their sides."""
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from handover_marl.simulation.camera.ray_body import RayHits, RayMesh
+
+Array = npt.NDArray[np.float32]
+
+FAR = np.float32(1e3)
+_CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=np.float64)
+# Counterclockwise seen from outside.
+_SIDES = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+_FACES = np.array([face for a, b, c, d in _SIDES for face in ((a, b, c), (a, c, d))], dtype=np.int32)
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+def boxes(*halves: float) -> RayMesh:
+    """Boxes one in the other, of so many metres from their middle to their sides."""
+    vertices = np.concatenate([half * _CORNERS for half in halves]).astype(np.float32)
+    return RayMesh(vertices, np.concatenate([_FACES + 8 * number for number in range(len(halves))]))
+
+
+def sheets(*depths: float, backs: tuple[float, ...] = ()) -> RayMesh:
+    """Squares across the z axis that are seen from below, and such as are seen from above."""
+    places = [*depths, *backs]
+    square = np.array([[-1, -1], [-1, 1], [1, 1], [1, -1]], dtype=np.float64)
+    vertices = np.concatenate([np.c_[square, np.full(4, depth)] for depth in places]).astype(np.float32)
+    front = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)
+    kinds = [front] * len(depths) + [front[:, ::-1]] * len(backs)
+    return RayMesh(vertices, np.concatenate([face + 4 * number for number, face in enumerate(kinds)]))
+
+
+def cast(mesh: RayMesh, start: object, ways: object, begin: float = 0.0, ends: object = FAR) -> RayHits:
+    way = np.atleast_2d(np.asarray(ways, dtype=np.float32))
+    end = np.broadcast_to(np.asarray(ends, dtype=np.float32), len(way))
+    return mesh.cast_rays(np.asarray(start, dtype=np.float32), way, begin, end.copy())
+
+
+def into_box(start: npt.NDArray[np.float64], ways: npt.NDArray[np.float64], half: float) -> npt.NDArray[np.float64]:
+    """(n,) how many times along their ways rays come into a box from outside; nan where they do not."""
+    one, other = (-half - start) / ways, (half - start) / ways
+    into, out = np.minimum(one, other).max(axis=1), np.maximum(one, other).min(axis=1)
+    return np.where((into < out) & (into > 0.0), into, np.nan)
+
+
+def random_rays(rng: np.random.Generator, count: int) -> npt.NDArray[np.float64]:
+    """Directions of all lengths."""
+    return np.array(rng.normal(size=(count, 3)) * rng.uniform(0.3, 3.0, (count, 1)))
+
+
+def check_hits(hits: RayHits, expected: npt.NDArray[np.float64], clear: npt.NDArray[np.bool_]) -> None:
+    """Those rays met something that should, and as deep as they should; none twice."""
+    assert len(np.unique(hits.ray)) == len(hits.ray)
+    depths = np.full(len(expected), np.nan)
+    depths[hits.ray] = hits.depth
+    assert hits.depth.dtype == np.float32
+    np.testing.assert_allclose(depths[clear], expected[clear], rtol=1e-5, atol=3e-5)
+
+
+@settings(max_examples=60, deadline=None)
+@given(seeds)
+def test_the_outer_of_nested_boxes_is_hit(seed: int) -> None:
+    """From outside, and from between any two of them."""
+    rng = np.random.default_rng(seed)
+    halves = np.cumsum(rng.uniform(0.1, 0.5, 3))
+    start = rng.uniform(-1.2, 1.2, 3) * halves[-1]
+    ways = random_rays(rng, 200)
+    aimed = rng.random(200) < 0.7
+    ways[aimed] = rng.uniform(-1.0, 1.0, (200, 3))[aimed] * halves[-1] - start
+    # Depths of rays almost parallel to a side are inaccurate.
+    ways[np.abs(ways) < 0.05] = 0.05
+    outside = [half for half in halves if np.abs(start).max() > half]
+    depths = [into_box(start, ways, half) for half in outside]
+    expected = np.fmin.reduce([np.full(200, np.nan), *depths])
+    # Rays that graze an edge may meet it or not.
+    grazed = [np.isnan(into_box(start, ways, half * grown)) for half in outside for grown in (0.999, 1.001)]
+    pairs = zip(grazed[::2], grazed[1::2], strict=True)
+    clear = np.all([np.ones(200, dtype=bool), *(one == other for one, other in pairs)], axis=0)
+    check_hits(cast(boxes(*halves), start, ways), expected, clear)
+
+
+@settings(max_examples=30, deadline=None)
+@given(seeds)
+def test_a_closed_box_is_invisible_from_inside(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    half = rng.uniform(0.01, 2.0)
+    start = rng.uniform(-0.99, 0.99, 3) * half
+    hits = cast(boxes(half), start, random_rays(rng, 200))
+    assert not len(hits.ray)
+    assert (hits.depth.shape, hits.face.shape) == ((0,), (0,))
+
+
+def test_objects_are_visible_through_back_faces() -> None:
+    around = boxes(0.1, 0.2, 0.3, 0.4)
+    vertices = np.concatenate([around.vertices, np.array([[-9, -9, 2], [9, -9, 2], [0, 9, 2]], dtype=np.float32)])
+    mesh = RayMesh(vertices, np.concatenate([around.faces, np.array([[32, 34, 33]], dtype=np.int32)]))
+    hits = cast(mesh, [0, 0, 0], [[0, 0, 1], [0, 0.1, 1], [0, 0, -1], [1, 0, 0]])
+    assert hits.ray.tolist() == [0, 1]
+    assert hits.face.tolist() == [48, 48]
+    np.testing.assert_allclose(hits.depth, 2.0, rtol=1e-6)
+
+
+def test_depth_is_in_units_of_the_direction() -> None:
+    mesh, start = boxes(0.5), [0.1, 0.2, -2.0]
+    for length in (0.25, 1.0, 4.0):
+        hits = cast(mesh, start, [0.0, 0.0, length])
+        np.testing.assert_allclose(hits.depth, [1.5 / length], rtol=1e-6)
+
+
+def test_the_hit_face_is_returned() -> None:
+    mesh = boxes(0.5, 0.2)
+    for axis in range(3):
+        for sign in (-1.0, 1.0):
+            out = sign * np.eye(3)[axis]
+            hits = cast(mesh, 2.0 * out + [0.01, 0.02, 0.03], -out)
+            normal = mesh.normals[hits.face[0]]
+            np.testing.assert_allclose(normal / np.linalg.norm(normal), out, atol=1e-6)
+            assert hits.face[0] < 12, "the outer box's"
+
+
+def test_ray_numbers_are_right_with_and_without_back_faces() -> None:
+    mesh = sheets(3.0, backs=(1.0,))
+    left = RayMesh(mesh.vertices - np.array([2, 0, 0], dtype=np.float32), mesh.faces)
+    both = RayMesh(
+        np.concatenate([sheets(2.0).vertices, left.vertices]), np.concatenate([sheets(2.0).faces, left.faces + 4])
+    )
+    ways = [[0, 9, 1], [0, 0, 1], [-0.65, 0, 1], [-9, 0, 1], [0.1, 0, 1], [-0.67, 0.1, 1]]
+    hits = cast(both, [0, 0, 0], ways)
+    found = dict(zip(hits.ray.tolist(), hits.depth.tolist(), strict=True))
+    assert found == pytest.approx({1: 2.0, 2: 3.0, 4: 2.0, 5: 3.0}, rel=1e-6)
+
+
+@pytest.mark.parametrize("begin", [0.0, 0.035, 0.5, 0.999])
+def test_hits_behind_the_near_limit_count(begin: float) -> None:
+    np.testing.assert_allclose(cast(sheets(1.0, 2.0), [0, 0, 0], [0, 0, 1], begin).depth, [1.0], rtol=1e-6)
+
+
+def test_hits_before_the_near_limit_are_ignored() -> None:
+    mesh = sheets(1.0, 2.0)
+    np.testing.assert_allclose(cast(mesh, [0, 0, 0], [0, 0, 1], 1.001).depth, [2.0], rtol=1e-6)
+    assert not len(cast(mesh, [0, 0, 0], [0, 0, 1], 2.001).ray)
+    # Begun inside of a box, its own back is passed through.
+    assert not len(cast(boxes(1.0), [0.1, 0.2, -2.0], [0, 0, 1], 1.5).ray)
+    # Twice as long a way is begun as far on.
+    np.testing.assert_allclose(cast(mesh, [0, 0, 0], [0, 0, 2], 0.501).depth, [1.0], rtol=1e-6)
+
+
+@pytest.mark.parametrize("mesh", [sheets(1.0), sheets(1.0, backs=(0.2, 0.5)), sheets(1.0, 2.0, backs=(0.999,))])
+def test_hits_behind_the_far_limit_are_ignored(mesh: RayMesh) -> None:
+    ends = [0.99, 1.01, 0.1, 0.35, 0.5, 5.0, 0.01, -1.0]
+    hits = cast(mesh, [0, 0, 0], np.tile([0.0, 0.0, 1.0], (8, 1)), 0.035, ends)
+    assert sorted(hits.ray.tolist()) == [1, 5]
+    np.testing.assert_allclose(hits.depth, 1.0, rtol=1e-6)
+
+
+def test_far_limits_are_in_units_of_the_direction() -> None:
+    assert not len(cast(sheets(1.0), [0, 0, 0], [0, 0, 2], 0.1, 0.49).ray)
+    assert len(cast(sheets(1.0), [0, 0, 0], [0, 0, 2], 0.1, 0.51).ray)
+
+
+def test_rays_that_end_within_a_back_face_meet_nothing() -> None:
+    mesh = sheets(2.0, backs=(1.0,))
+    ends = 1.0 + np.array([-1e-6, 0.0, 1e-7, 1e-6, 5e-6, 1e-5, 2e-5])
+    assert not len(cast(mesh, [0, 0, 0], np.tile([0.0, 0.0, 1.0], (7, 1)), 0.0, ends).ray)
+
+
+@pytest.mark.parametrize("layers", [1, 2, 20, 31])
+def test_many_back_faces_are_passed(layers: int) -> None:
+    backs = np.linspace(0.1, 1.0, layers)
+    hits = cast(sheets(1.5, backs=tuple(backs)), [0, 0, 0], [[0, 0, 1], [0.1, 0.2, 1]])
+    assert sorted(hits.ray.tolist()) == [0, 1]
+    np.testing.assert_allclose(hits.depth, 1.5, rtol=1e-5)
+
+
+def test_number_of_back_faces_is_limited() -> None:
+    hits = cast(sheets(99.0, backs=tuple(np.linspace(0.1, 50.0, 2000))), [0, 0, 0], np.tile([0.0, 0.0, 1.0], (50, 1)))
+    assert len(hits.ray) in (0, 50)
+    assert (hits.depth > 98.0).all()
+
+
+def test_no_rays_meet_nothing() -> None:
+    hits = boxes(1.0).cast_rays(np.zeros(3, np.float32), np.zeros((0, 3), np.float32), 0.0, np.zeros(0, np.float32))
+    assert (len(hits.ray), len(hits.depth), len(hits.face)) == (0, 0, 0)
+
+
+def test_normals_point_outwards_and_are_as_long_as_twice_the_area() -> None:
+    mesh = boxes(0.5)
+    middles = mesh.vertices[mesh.faces].mean(axis=1)
+    assert (np.einsum("ij,ij->i", mesh.normals, middles) > 0.0).all()
+    np.testing.assert_allclose(np.linalg.norm(mesh.normals, axis=1), 1.0, rtol=1e-6)
+
+
+def test_meshes_do_not_see_each_other() -> None:
+    near, far = sheets(1.0), sheets(2.0)
+    np.testing.assert_allclose(cast(far, [0, 0, 0], [0, 0, 1]).depth, [2.0], rtol=1e-6)
+    np.testing.assert_allclose(cast(near, [0, 0, 0], [0, 0, 1]).depth, [1.0], rtol=1e-6)

@@ -1,0 +1,31 @@
+"""Kinds of physics, with and without MuJoCo installed."""
+
+import importlib.util
+from types import SimpleNamespace
+
+import pytest
+
+from handover_marl.episode.episode import Episode
+from handover_marl.errors import OptionError, UnknownNameError
+from handover_marl.simulation import engines
+from handover_marl.simulation.engines import PHYSICS, check_physics, list_available_physics
+
+
+def test_names() -> None:
+    assert PHYSICS == ("exact", "fast", "mujoco")
+    with pytest.raises(UnknownNameError, match="valid: exact, fast, mujoco"):
+        check_physics("nuclear")
+
+
+def test_without_mujoco(monkeypatch: pytest.MonkeyPatch) -> None:
+    missing = SimpleNamespace(util=SimpleNamespace(find_spec=lambda name: None))
+    monkeypatch.setattr(engines, "importlib", missing)
+    assert list_available_physics() == ("exact", "fast")
+    with pytest.raises(OptionError, match=r"pip install 'handover-marl\[mujoco\]'"):
+        Episode("mujoco")
+    check_physics("fast")
+
+
+def test_with_mujoco() -> None:
+    there = importlib.util.find_spec("mujoco") is not None
+    assert ("mujoco" in list_available_physics()) == there

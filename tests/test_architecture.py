@@ -1,0 +1,113 @@
+"""Architecture rules: packages, their order, file counts, and where engines may be imported."""
+
+import ast
+import configparser
+import re
+from collections import Counter, defaultdict
+from pathlib import Path
+
+import pytest
+
+from experiments.figures.draw_architecture import (
+    FOLDERS,
+    REPOSITORY,
+    find_modules,
+    import_graph,
+    layers,
+    package_graph,
+    transitive_reduction,
+)
+
+ROOT = REPOSITORY / "handover_marl"
+MAX_PACKAGES, MAX_FILES = 12, 12
+PICTURE = REPOSITORY / "docs" / "explanation" / "architecture.svg"
+
+
+def strongly_connected(edges: dict[str, set[str]]) -> list[list[str]]:
+    """Return the groups of names that import each other in a circle."""
+    reach: dict[str, set[str]] = {}
+    for start in edges:
+        found: set[str] = set()
+        stack = list(edges[start])
+        while stack:
+            name = stack.pop()
+            if name not in found:
+                found.add(name)
+                stack += edges[name]
+        reach[start] = found
+    circles = {tuple(sorted(b for b in reach[a] if a in reach[b])) for a in edges if a in reach[a]}
+    return [list(circle) for circle in sorted(circles)]
+
+
+def test_no_modules_import_each_other_in_a_circle() -> None:
+    edges = import_graph()
+    # The library's own __init__ imports lazily, by name.
+    edges = {name: found - {"handover_marl"} for name, found in edges.items() if name != "handover_marl"}
+    assert strongly_connected(edges) == []
+
+
+def test_circles_are_found() -> None:
+    assert strongly_connected({"a": {"b"}, "b": {"c"}, "c": {"a"}, "d": {"a"}}) == [["a", "b", "c"]]
+
+
+def test_packages_are_in_layers() -> None:
+    edges = package_graph()
+    assert sorted(name for row in layers(edges) for name in row) == sorted(edges)
+
+
+def test_at_most_twelve_packages() -> None:
+    packages = {path.parent.name for path in ROOT.glob("*/__init__.py")}
+    assert len(packages) <= MAX_PACKAGES, sorted(packages)
+
+
+def test_few_files_at_the_root() -> None:
+    files = {path.name for path in ROOT.glob("*.py")}
+    assert files <= {"__init__.py", "config.py", "errors.py", "testing.py", "registration.py"}
+
+
+@pytest.mark.parametrize("top", [*FOLDERS.values(), REPOSITORY / "experiments"], ids=lambda path: path.name)
+def test_at_most_twelve_files_in_a_folder(top: Path) -> None:
+    counts = Counter(path.parent for path in top.rglob("*.py"))
+    assert {str(folder): count for folder, count in counts.items() if count > MAX_FILES} == {}
+
+
+def users_of(package: str) -> set[str]:
+    pattern = re.compile(rf"^\s*(import|from) {package}\b", re.MULTILINE)
+    return {name.rpartition(".")[0] for name, path in find_modules().items() if pattern.search(path.read_text())}
+
+
+@pytest.mark.parametrize(("engine", "package"), [("pybullet", "bullet"), ("mujoco", "mujoco")])
+def test_only_one_package_imports_an_engine(engine: str, package: str) -> None:
+    assert users_of(engine) == {f"handover_marl.simulation.{package}"}
+
+
+def test_setup_cfg_lists_all_packages() -> None:
+    setup = configparser.ConfigParser()
+    setup.read(REPOSITORY / "setup.cfg")
+    listed = setup["options"]["packages"].split()
+    assert listed == sorted(listed)
+    assert set(listed) == {name for name, path in find_modules().items() if path.name == "__init__.py"}
+
+
+def test_a_class_name_means_one_thing() -> None:
+    homes = defaultdict(list)
+    for name, path in find_modules().items():
+        for node in ast.parse(path.read_text()).body:
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_") and node.name != "Args":
+                homes[node.name].append(name)
+    assert {name: places for name, places in homes.items() if len(places) > 1} == {}
+
+
+def test_test_folders_mirror_packages() -> None:
+    folders = {path.parent.relative_to(REPOSITORY / "tests") for path in (REPOSITORY / "tests").rglob("test_*.py")}
+    packages = {name.removeprefix("handover_marl").removeprefix(".").replace(".", "/") for name in find_modules()}
+    others = {"", ".", "docs", "integration", "experiments"}
+    assert {folder.as_posix() for folder in folders} <= packages | others
+
+
+def test_the_picture_shows_the_imports() -> None:
+    drawn = set(re.findall(r'id="([\w.]+ imports [\w.]+)"', PICTURE.read_text()))
+    edges = transitive_reduction(package_graph())
+    assert drawn == {f"{start} imports {end}" for start, ends in edges.items() for end in ends}, (
+        "run experiments/figures/draw_architecture.py"
+    )

@@ -1,0 +1,226 @@
+"""Episodes as pages that play them in three dimensions."""
+
+import base64
+import re
+from collections.abc import Iterator
+from html import unescape
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from handover_marl.cli import main
+from handover_marl.config import TIME_STEP
+from handover_marl.datasets import open_dataset
+from handover_marl.episode.callbacks import EpisodeCallback
+from handover_marl.episode.episode import Episode
+from handover_marl.episode.loop import play
+from handover_marl.episode.referee import EpisodeStatus, ReleaseReason
+from handover_marl.geometry.link_trajectory import compute_link_trajectory
+from handover_marl.geometry.meshes import read_visual_meshes
+from handover_marl.geometry.panda import HAND_LINK
+from handover_marl.receivers import Receiver, make
+from handover_marl.simulation.camera.frames import SegmentationLabel
+from handover_marl.visualization.replay_bodies import (
+    compute_link_trajectories,
+    compute_robot_link_poses,
+    find_nearest_point,
+    load_simplified_meshes,
+)
+from handover_marl.visualization.replay_page import build_replay_page
+from handover_marl.visualization.replay_recorder import FRAME_STEPS, EpisodeLog, ReplayRecorder
+from handover_marl.visualization.replay_scene import END_PAUSE_S
+from handover_marl.visualization.replay_text import describe_frame, list_events
+from tests.evaluation.quick import SHORT, QuickReceiver
+from tests.visualization.outside import outside
+
+viser = pytest.importorskip("viser", reason="needs the extra `replay`")
+msgspec = pytest.importorskip("msgspec")
+zstandard = pytest.importorskip("zstandard")
+pytest.importorskip("fast_simplification", reason="needs the extra `replay`")
+
+
+class Meaning(QuickReceiver):
+    """Holds still, and says that it means to go to a place in front of it."""
+
+    name = "meaning"
+    obs_mode = "state+pointcloud"
+    meant = np.array([[0.6, -0.1, 1.3, 0.0, 1.0, 0.0, 0.0], [0.6, 0.0, 1.3, 0.0, 1.0, 0.0, 0.0]])
+
+    @property
+    def planned_goal(self) -> np.ndarray | None:
+        return self.meant
+
+
+class Seeing(EpisodeCallback):
+    """Keeps the true place of the gripper at every frame."""
+
+    def on_reset(self, episode: Episode) -> None:
+        self.gripper = [episode.observe()["gripper_pose"]]
+
+    def on_step(self, episode: Episode) -> None:
+        if episode.steps % FRAME_STEPS == 0:
+            self.gripper.append(episode.observe()["gripper_pose"])
+
+
+def recorded(
+    fake_data: Path, receiver: type[Receiver], *more: EpisodeCallback, scene: int = 14
+) -> tuple[EpisodeLog, Any]:
+    data = open_dataset("dexycb", fake_data)
+    episode, robot = Episode("fast", SHORT), make(receiver, data)
+    recorder = ReplayRecorder(robot)
+    episode.reset(data.load_scene(scene))
+    play(episode, robot, seed=0, callbacks=[recorder, *more])
+    on_end = episode.status, episode.steps, episode.world.read_joint_snapshot()
+    episode.close()
+    return recorder.log, on_end
+
+
+@pytest.fixture(scope="module")
+def log(fake_data: Path) -> EpisodeLog:
+    return recorded(fake_data, Meaning)[0]
+
+
+def test_frames_and_link_poses(fake_data: Path) -> None:
+    seeing = Seeing()
+    log, (status, steps, _) = recorded(fake_data, QuickReceiver, seeing)
+    assert (log.status, log.frames[-1].step) == (status, steps) == (EpisodeStatus.TIMEOUT, 1300)
+    assert [frame.step for frame in log.frames] == [*range(0, 1300, FRAME_STEPS), 1300]
+    hand = compute_robot_link_poses(log, [frame.snapshot for frame in log.frames], [HAND_LINK])[:-1, 0]
+    np.testing.assert_allclose(hand[:, :3], np.array(seeing.gripper)[:, :3], atol=1e-5)
+    links = {link.name: link for link in compute_link_trajectories(log)}
+    assert {
+        SegmentationLabel.TABLE,
+        SegmentationLabel.ROBOT,
+        SegmentationLabel.TARGET,
+        SegmentationLabel.OTHER_OBJECT,
+        SegmentationLabel.HAND,
+    } == {link.label for link in links.values()}
+    target = next(link for link in links.values() if link.label is SegmentationLabel.TARGET)
+    frames = compute_link_trajectory(log.scene.assets.objects[0], [frame.snapshot.objects[0] for frame in log.frames])
+    np.testing.assert_allclose(target.poses[:, :3], frames.origins[:, target.mesh.link])
+    assert np.ptp(target.poses[:, 2]) > 0.1, "the person lifts it"
+    fingers = [link for link in links.values() if link.label is SegmentationLabel.HAND]
+    assert not fingers[0].is_present[0]
+    assert fingers[0].is_present[5]
+
+
+class Ends(EpisodeCallback):
+    def on_end(self, episode: Episode) -> None:
+        self.end = episode.status, episode.steps, episode.world.read_joint_snapshot()
+
+
+def test_recording_does_not_change_the_episode(fake_data: Path) -> None:
+    data = open_dataset("dexycb", fake_data)
+    ends = []
+    for watched in (False, True):
+        episode, robot, end = Episode("fast", SHORT), make("random", data), Ends()
+        episode.reset(data.load_scene(9))
+        play(episode, robot, seed=3, callbacks=[ReplayRecorder(robot), end] if watched else [end])
+        ends.append(end.end)
+        episode.close()
+    assert ends[0][:2] == ends[1][:2]
+    for one, other in zip(ends[0][2], ends[1][2], strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_clouds_and_plans_are_recorded(log: EpisodeLog) -> None:
+    assert [cloud.step for cloud in log.clouds] == [0, 1000]
+    np.testing.assert_array_equal(log.frames[3].planned_path, Meaning.meant)
+    for cloud in log.clouds:
+        assert cloud.object_points.shape[1] == cloud.hand_points.shape[1] == 3
+        assert max(len(cloud.object_points), len(cloud.hand_points)) <= 600
+
+
+@pytest.mark.parametrize("model", ["panda", "hand"])
+def test_simplified_meshes_are_close_to_the_originals(fake_data: Path, model: str) -> None:
+    from handover_marl.geometry.kinematic_tree import read_tree
+
+    urdf = getattr(open_dataset("dexycb", fake_data).load_scene(9).assets, model)
+    large = {part.link: part for part in read_visual_meshes(urdf, read_tree(urdf))}
+    small = {part.link: part for part in load_simplified_meshes(urdf, 0)}
+    assert large.keys() == small.keys()
+    for link, part in small.items():
+        assert len(part.faces) <= 900
+        assert part.faces.max() < len(part.vertices)
+        for end in (np.min, np.max):
+            np.testing.assert_allclose(end(part.vertices, axis=0), end(large[link].vertices, axis=0), atol=0.004)
+
+
+def read_recording(page: str) -> dict[str, Any]:
+    """What viser's page plays."""
+    stage = unescape(re.search(r'srcdoc="(.*?)"', page, re.DOTALL).group(1))  # type: ignore[union-attr]
+    packed = base64.b64decode(re.search(r'__VISER_EMBED_DATA__="(.*?)"', stage).group(1))  # type: ignore[union-attr]
+    plain = zstandard.ZstdDecompressor().decompress(packed[8:])
+    size = int.from_bytes(plain[:8], "little")
+    found: dict[str, Any] = msgspec.msgpack.decode(plain[8 : 8 + size])
+    assert found["viserVersion"] == viser.__version__
+    return found
+
+
+def texts(messages: list[Any]) -> Iterator[tuple[float, str]]:
+    for time, message in messages:
+        text = message.get("updates", message.get("props", {})).get("text")
+        if text:
+            yield time, text
+
+
+def test_page_plays_in_real_time_and_loads_no_files(log: EpisodeLog, capfd: pytest.CaptureFixture[str]) -> None:
+    page = build_replay_page(log, "fake <data>")
+    assert capfd.readouterr().out == ""
+    assert outside(page) == []
+    assert len(page.encode()) < 3_000_000
+    assert "scene 14, timeout, 1300 steps" in page[:1000]
+    assert "fake &lt;data&gt;" in page
+    recording = read_recording(page)
+    assert recording["durationSeconds"] == pytest.approx(1300 * TIME_STEP + END_PAUSE_S)
+    words = list(texts(recording["messages"]))
+    assert [time for time, _ in words] == pytest.approx([frame.step * TIME_STEP for frame in log.frames])
+    assert words[10][1].startswith("0.40 s - ")
+    assert words[-1][1] == "1.30 s - timeout"
+    names = {message.get("name") for _, message in recording["messages"]}
+    assert {"/goal", "/planned_path", "/robot/9", "/object0/6", "/object1/6", "/status"} <= names
+
+
+def moved(log: EpisodeLog, number: int, **changes: Any) -> EpisodeLog:
+    from dataclasses import replace
+
+    frames = [replace(m, **changes) if k == number else m for k, m in enumerate(log.frames)]
+    return replace(log, frames=tuple(frames), release=ReleaseReason.ACTIVE, release_step=413, status=EpisodeStatus(2))
+
+
+def test_frame_text_and_events(log: EpisodeLog) -> None:
+    point = np.zeros((1, 3), dtype=np.float32)
+    other = moved(log, 9, touches_object=True, finger_points=(point, point), touches_hand=True)
+    assert describe_frame(other, other.frames[9]) == "0.36 s - held out - robot on hand - both fingers on object"
+    assert describe_frame(other, other.frames[-1]).endswith(" s - contact")
+    events = {words: at for at, words in list_events(other)}
+    assert events["both fingers are on the object"] == pytest.approx(0.36)
+    assert events["the person lets go because the fingers hold the object"] == pytest.approx(0.413)
+    assert events["contact"] == pytest.approx(1.3)
+    assert [at for at, _ in list_events(other)] == sorted(at for at, _ in list_events(other))
+
+
+def test_nearest_point_of_robot_and_hand(log: EpisodeLog) -> None:
+    links = list(compute_link_trajectories(log))
+    assert find_nearest_point(links, SegmentationLabel.ROBOT, SegmentationLabel.HAND, 0) is None
+    place = find_nearest_point(links, SegmentationLabel.ROBOT, SegmentationLabel.HAND, 5)
+    back = find_nearest_point(links, SegmentationLabel.HAND, SegmentationLabel.ROBOT, 5)
+    assert place is not None
+    assert back is not None
+    assert np.linalg.norm(place - back) < 1.0
+    assert np.linalg.norm(back - log.frames[5].snapshot.hand[:3]) < 0.25
+
+
+@pytest.mark.slow
+def test_render_command_replay(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "episode.html"
+    command = ["render", "--scene", "209", "--dataset", "synthetic", "--physics", "fast", "--out", str(out)]
+    assert main([*command, "--view", "wrist"]) == 2
+    assert "must be 'outside'" in capsys.readouterr().err
+    assert main(command) == 0
+    page = out.read_text()
+    assert "synthetic scenes" in page
+    assert "receiver hold, giver replay; fast physics" in page
+    assert len(page.encode()) < 3_000_000
