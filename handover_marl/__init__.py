@@ -54,6 +54,7 @@ if TYPE_CHECKING:
     from handover_marl.evaluation.rendering.scene import render_scene as render_scene
     from handover_marl.evaluation.reports.report import Report as Report
     from handover_marl.evaluation.reports.report_files import evaluate as evaluate
+    from handover_marl.evaluation.verification.verify import verify as verify
     from handover_marl.simulation.camera.frames import SegmentationLabel as SegmentationLabel
     from handover_marl.simulation.camera.noise import CameraNoise as CameraNoise
 
@@ -88,6 +89,7 @@ _MODULES = {
     "render_plan": "evaluation.rendering.plan",
     "render_scene": "evaluation.rendering.scene",
     "vector_env": "envs.vector.vector_env",
+    "verify": "evaluation.verification.verify",
 }
 
 __all__ = ["__version__", *_MODULES]

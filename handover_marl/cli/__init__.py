@@ -9,7 +9,7 @@ import tyro
 
 from handover_marl import __version__
 from handover_marl.cli.data_folders import run_doctor, run_import
-from handover_marl.cli.folders import run_compare, run_evaluate, run_merge
+from handover_marl.cli.folders import run_compare, run_evaluate, run_merge, run_verify
 from handover_marl.cli.options import ArgumentError, registry
 from handover_marl.cli.render import run_render
 from handover_marl.cli.runs import run_agreement, run_benchmark, run_crossplay, run_demonstrate, run_pair
@@ -30,6 +30,7 @@ _COMMANDS: dict[str, Callable[..., int | None]] = {
     "demonstrate": run_demonstrate,
     "render": run_render,
     "evaluate": run_evaluate,
+    "verify": run_verify,
     "compare": run_compare,
     "merge": run_merge,
     "import": run_import,
@@ -59,7 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         arguments: Command and options; default: those of this process.
 
     Returns:
-        Exit status: 0 for success, 1 if `doctor` found a fault, 2 after an error message, 130 after
+        Exit status: 0 for success, 1 if `doctor` or `verify` found a fault, 2 after an error message, 130 after
         Ctrl-C, 141 if the reader of the output closed it.
     """
     arguments = sys.argv[1:] if arguments is None else arguments

@@ -1,10 +1,11 @@
-"""Commands that read result folders, without simulating."""
+"""Commands that read result folders."""
 
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
+from handover_marl.cli.options import parse_scenes
 from handover_marl.execution.files import write_atomically
 
 _PagePath = Annotated[str | None, tyro.conf.arg(metavar="FILE.html")]
@@ -27,6 +28,45 @@ def run_evaluate(folder: Annotated[str, tyro.conf.arg(metavar="DIR")], /, out: _
 
         links = find_replay_links(Path(folder).expanduser(), path.parent)
         _write_page(path, render_report_page(report, links))
+
+
+def run_verify(
+    folder: Annotated[str, tyro.conf.arg(metavar="DIR")],
+    /,
+    data_dir: Annotated[str | None, tyro.conf.arg(metavar="DIR")] = None,
+    scenes: Annotated[str | None, tyro.conf.arg(metavar="N,N,...")] = None,
+    giver: Annotated[str | None, tyro.conf.arg(metavar="POLICY")] = None,
+    workers: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
+    progress: bool = True,
+    trust: bool = False,
+) -> int:
+    """Verify a result folder: simulate its stored actions again and compare outcomes and metrics.
+
+    The receiver's code is not needed. The exit status is 1 if anything differs, else 0.
+
+    Args:
+        folder: Result folder, written by this library or by HandoverSim.
+        data_dir: Data folder in HandoverSim's layout; default: the environment variable
+            HANDOVER_MARL_DATA.
+        scenes: Scene numbers to verify, e.g. 209,214; default: all that have a result.
+        giver: The person's policy; default: the registered policy that the folder names.
+        workers: Number of worker processes; default: one per core.
+        progress: Show a progress bar on stderr.
+        trust: Allow policy files (learned:FILE) to run code.
+    """
+    from handover_marl.evaluation.verification.verify import verify
+
+    verification = verify(
+        folder,
+        data_dir=data_dir,
+        scenes=parse_scenes(scenes),
+        giver=giver,
+        workers=workers,
+        progress=progress,
+        trust=trust,
+    )
+    print(verification)
+    return int(not verification.is_verified)
 
 
 def run_compare(

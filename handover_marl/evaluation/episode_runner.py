@@ -16,7 +16,7 @@ from tempfile import TemporaryDirectory
 from handover_marl.datasets.location import DATA_FOLDER_ADVICE, DataLocation, check_scene_fingerprint
 from handover_marl.episode.callbacks import ActionRecorder, EpisodeCallback, TraceRecorder
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.loop import play
+from handover_marl.episode.loop import EpisodePolicy, play
 from handover_marl.episode.metrics import compute_fluency
 from handover_marl.errors import ActionError, DataNotFoundError, HandoverError, OptionError, PolicyError
 from handover_marl.evaluation.config import REPLAY, EvaluationConfig, require_policy_reference
@@ -84,7 +84,20 @@ class EpisodeRunner:
         self._recorders = [writer.create_recorder(config, self.receiver) for writer in writers]
 
     def run(self, task: SceneTask) -> FinishedEpisode:
-        """Simulate the scene of a task until its episode ends.
+        """Simulate the scene of a task with the receiver until its episode ends.
+
+        Raises:
+            HandoverError: The scene cannot be simulated, its data differ from the main machine's,
+                or a policy fails.
+        """
+        return self.run_with(self.receiver, task)
+
+    def run_with(self, receiver: EpisodePolicy, task: SceneTask) -> FinishedEpisode:
+        """Simulate the scene of a task with another receiver until its episode ends.
+
+        Args:
+            receiver: Policy to play instead of the configured receiver.
+            task: Scene to simulate.
 
         Raises:
             HandoverError: The scene cannot be simulated, its data differ from the main machine's,
@@ -96,7 +109,7 @@ class EpisodeRunner:
         self._episode.reset(scene)
         callbacks: list[EpisodeCallback] = [self._trace_recorder, self._action_recorder, *self._recorders]
         try:
-            play(self._episode, self.receiver, self._giver, seed=self._config.seed, callbacks=callbacks)
+            play(self._episode, receiver, self._giver, seed=self._config.seed, callbacks=callbacks)
         except (ActionError, OptionError, PolicyError) as error:
             raise self._add_context(error, task) from error
         info = scene.info

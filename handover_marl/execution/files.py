@@ -160,6 +160,23 @@ def write_arrays(path: Path, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
     write_atomically(path, stream.getvalue())
 
 
+def read_small_file(path: Path, largest: int) -> bytes:
+    """Return the content of a regular file.
+
+    Args:
+        path: The file.
+        largest: Largest allowed size (bytes).
+
+    Raises:
+        ValueError: The file is not a regular file, or is too large.
+        OSError: The file cannot be opened.
+    """
+    state = path.stat()
+    if not stat.S_ISREG(state.st_mode) or state.st_size > largest:
+        raise ValueError(f"it is not a regular file of at most {largest // 1000} kB")
+    return path.read_bytes()
+
+
 def read_yaml(path: Path, largest: int) -> object:
     """Return the content of a YAML file of numbers, text, lists and mappings, without aliases.
 
@@ -171,10 +188,7 @@ def read_yaml(path: Path, largest: int) -> object:
         ValueError: The file is not a regular file, is too large, or is not such YAML.
         OSError: The file cannot be opened.
     """
-    state = path.stat()
-    if not stat.S_ISREG(state.st_mode) or state.st_size > largest:
-        raise ValueError(f"it is not a regular file of at most {largest // 1000} kB")
-    data = path.read_bytes()
+    data = read_small_file(path, largest)
     try:
         return yaml.load(data.decode(), _AliasFreeLoader)
     except Exception as error:  # PyYAML passes on errors of its constructors

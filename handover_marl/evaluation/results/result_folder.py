@@ -98,7 +98,7 @@ class ResultFolder(EpisodeWriter):
         """
         path = get_result_path(self.path, index)
         try:
-            result = _read_result(path) if path.is_file() else None
+            result = read_result(path) if path.is_file() else None
         except ResultsError:
             return None
         if result is not None and result.fingerprint != fingerprint:
@@ -197,7 +197,7 @@ def read_results(path: Path, allow_empty: bool = False) -> list[EpisodeResult]:
         raise ResultsError(f"cannot read {path}: {_get_reason(error)}") from error
     if not files and not allow_empty:
         raise ResultsError(f"{path} has no result files (000.npz, 001.npz, ...)")
-    return [_read_result(file) for file in files]
+    return [read_result(file) for file in files]
 
 
 def _clear(path: Path, entries: list[str]) -> None:
@@ -208,22 +208,44 @@ def _clear(path: Path, entries: list[str]) -> None:
         replay.unlink()
 
 
-def _read_result(path: Path) -> EpisodeResult:
+def load_result_arrays(path: Path) -> dict[str, npt.NDArray[Any]]:
+    """Load all arrays of a result file.
+
+    Raises:
+        ResultsError: The file is damaged or too large.
+    """
     try:
         check_archive(path, _MAX_BYTES)
         with np.load(path, allow_pickle=False) as archive:
-            status, steps = int(archive["result"]), int(archive["elapsed_frame"])
-            plan_time_s = float(np.sum(archive["elapsed_time"]))
-            extras = {key: _read_extra(key, archive[key]) for key in _EXTRAS if key in archive}
-            extras["fluency"] = _read_fluency(archive)
+            return dict(archive)
     except Exception as error:  # NumPy and zipfile raise errors of many types on damaged files
-        raise ResultsError(
-            f"{path}: not a readable result file ({type(error).__name__}: {error}); delete it and run the scene again"
-        ) from error
+        raise _make_read_error(path, error) from error
+
+
+def read_result(path: Path) -> EpisodeResult:
+    """Read a result file.
+
+    Raises:
+        ResultsError: The file is damaged, or its values are impossible.
+    """
+    arrays = load_result_arrays(path)
+    try:
+        status, steps = int(arrays["result"]), int(arrays["elapsed_frame"])
+        plan_time_s = float(np.sum(arrays["elapsed_time"]))
+        extras = {key: _read_extra(key, arrays[key]) for key in _EXTRAS if key in arrays}
+        extras["fluency"] = _read_fluency(arrays)
+    except (KeyError, TypeError, ValueError) as error:
+        raise _make_read_error(path, error) from error
     if not 0 < status < 16 or (status & 1 and status != 1) or steps < 1 or not 0.0 <= plan_time_s < np.inf:
         raise ResultsError(f"{path}: impossible result {status} after {steps} steps; run its scene again")
     return EpisodeResult(
         index=int(path.stem), status=EpisodeStatus(status), steps=steps, plan_time_s=plan_time_s, **extras
+    )
+
+
+def _make_read_error(path: Path, error: Exception) -> ResultsError:
+    return ResultsError(
+        f"{path}: not a readable result file ({type(error).__name__}: {error}); delete it and run the scene again"
     )
 
 

@@ -1,0 +1,66 @@
+"""Checks of a result folder that need no simulation: its reports and the giver's code."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from handover_marl import __version__
+from handover_marl.errors import ResultsError
+from handover_marl.evaluation.reports.report import Report
+from handover_marl.evaluation.reports.report_files import evaluate
+from handover_marl.evaluation.reports.report_tables import format_report_markdown
+from handover_marl.evaluation.results.metadata import ResultMetadata
+from handover_marl.evaluation.verification.differences import Difference, compare_json
+from handover_marl.execution.files import read_small_file, shorten_text
+from handover_marl.policies.reference import PolicyReference
+
+_MAX_REPORT_BYTES = 64_000_000
+
+
+def check_giver(giver: PolicyReference, metadata: ResultMetadata) -> list[Difference]:
+    """Compare label and code of the giver with those that a folder names.
+
+    Args:
+        giver: Resolved giver that is simulated.
+        metadata: Identity of the evaluation, as the folder states it.
+    """
+    found = [] if giver.label == metadata.giver else [Difference("giver", metadata.giver, giver.label)]
+    if metadata.version == __version__ and metadata.giver_hash != giver.code_hash:
+        found.append(Difference("giver_hash", metadata.giver_hash, giver.code_hash))
+    return found
+
+
+def check_reports(path: Path) -> list[Difference]:
+    """Compare `report.json` and `report.md` with the reports of the result files beside them.
+
+    Args:
+        path: Result folder. Missing reports, and texts of other versions, are not compared.
+    """
+    try:
+        report = evaluate(path)
+    except ResultsError as error:
+        return [Difference("results", shorten_text(error), "readable results")]
+    try:
+        stored = json.loads(read_small_file(path / "report.json", _MAX_REPORT_BYTES))
+        n_resumed = stored["n_resumed"]
+        report = replace(report, n_resumed=min(max(int(n_resumed), 0), len(report.episodes)))
+    except FileNotFoundError:
+        return []
+    except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
+        return [Difference("report.json", shorten_text(error), "a report")]
+    differences = _compare_report(stored, report)
+    text = path / "report.md"
+    if report.metadata.version == __version__ and text.is_file():
+        expected = format_report_markdown(report).encode()
+        if text.stat().st_size != len(expected) or text.read_bytes() != expected:
+            differences.append(Difference("report.md", "other text", "the text of these results"))
+    return differences
+
+
+def _compare_report(stored: dict[str, Any], report: Report) -> list[Difference]:
+    expected = json.loads(json.dumps(report.to_json()))
+    # Other versions write fewer or other keys.
+    keys = expected.keys() if report.metadata.version == __version__ else expected.keys() & stored.keys()
+    differences = compare_json({key: stored.get(key) for key in keys}, {key: expected[key] for key in keys})
+    return [replace(difference, key=f"report.json: {difference.key}") for difference in differences]

@@ -1,0 +1,260 @@
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from handover_marl.cli import main
+from handover_marl.config import PhysicsConfig, WorldConfig
+from handover_marl.episode.metrics import FluencyMetrics
+from handover_marl.errors import HandoverError, ResultsError
+from handover_marl.evaluation.benchmark import benchmark, evaluate_pair
+from handover_marl.evaluation.config import EvaluationConfig, resolve_config
+from handover_marl.evaluation.episode_runner import EpisodeRunner, SceneTask
+from handover_marl.evaluation.results.episode_result import EpisodeResult
+from handover_marl.evaluation.results.result_folder import read_result
+from handover_marl.evaluation.verification.differences import compare_results
+from handover_marl.evaluation.verification.folder_checks import check_reports
+from handover_marl.evaluation.verification.stored_actions import StoredActions, read_actions
+from handover_marl.evaluation.verification.verify import EpisodeChecker, verify
+
+SCENE, INDEX = 19, 2
+OPTIONS: dict[str, Any] = {"dataset": "synthetic", "physics": "fast", "workers": 1, "progress": False}
+Arrays = dict[str, Any]
+
+
+@pytest.fixture(scope="module")
+def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("original")
+    benchmark("s0", "val", "yang2021", scenes=[SCENE], out=folder, **OPTIONS)
+    return folder
+
+
+@pytest.fixture
+def folder(original: Path, tmp_path: Path) -> Path:
+    return copy_files(original, tmp_path)
+
+
+@pytest.fixture(scope="module")
+def checker(original: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[EpisodeChecker, Path]]:
+    """Return a checker and the folder that it reads."""
+    folder = copy_files(original, tmp_path_factory.mktemp("forged"))
+    config, _ = resolve_config(EvaluationConfig("s0", "val", (SCENE,), "synthetic", physics="fast", receiver="hold"))
+    made = EpisodeChecker(config, folder, same_version=True)
+    yield made, folder
+    made.close()
+
+
+@pytest.fixture(scope="module")
+def simulated(original: Path) -> EpisodeResult:
+    """Return the result of simulating the stored actions."""
+    config, _ = resolve_config(EvaluationConfig("s0", "val", (SCENE,), "synthetic", physics="fast", receiver="hold"))
+    runner = EpisodeRunner(config, parallelism="")
+    stored = read_result(original / "002.npz")
+    receiver = StoredActions(read_actions(original / "002.npz", stored.steps))
+    result = runner.run_with(receiver, SceneTask(INDEX, SCENE)).result
+    runner.close()
+    return result
+
+
+def copy_files(source: Path, folder: Path) -> Path:
+    for file in source.iterdir():
+        if file.is_file():
+            (folder / file.name).write_bytes(file.read_bytes())
+    return folder
+
+
+def change_arrays(folder: Path, change: Callable[[Arrays], object]) -> None:
+    path = folder / "002.npz"
+    with np.load(path) as archive:
+        arrays = dict(archive)
+    change(arrays)
+    np.savez_compressed(path, **arrays)
+
+
+def replaced(key: str, value: Any) -> Callable[[Arrays], object]:
+    return lambda arrays: arrays.update({key: np.array(value)})
+
+
+def shorten(arrays: Arrays) -> None:
+    n = int(arrays["elapsed_frame"]) - 100
+    arrays.update(action=arrays["action"][:n], elapsed_time=arrays["elapsed_time"][:n], elapsed_frame=np.int64(n))
+
+
+def lengthen(arrays: Arrays) -> None:
+    n = int(arrays["elapsed_frame"]) + 100
+    action, times = arrays["action"], arrays["elapsed_time"]
+    arrays.update(
+        action=np.concatenate([action, action[-100:]]),
+        elapsed_time=np.concatenate([times, times[-100:]]),
+        elapsed_frame=np.int64(n),
+    )
+
+
+def open_fingers(arrays: Arrays) -> None:
+    arrays["action"][:, 7:] = 0.04
+
+
+ACTION_FORGERIES: dict[str, Callable[[Arrays], object]] = {
+    "shortened": shorten,
+    "lengthened": lengthen,
+    "open fingers": open_fingers,
+    "missing": lambda arrays: arrays.pop("action"),
+    "zeros": lambda arrays: arrays.update(action=np.zeros_like(arrays["action"])),
+    "first action throughout": lambda arrays: arrays.update(
+        action=np.repeat(arrays["action"][:1], len(arrays["action"]), 0)
+    ),
+    "reversed": lambda arrays: arrays.update(action=arrays["action"][::-1]),
+    "delayed": lambda arrays: arrays.update(action=np.roll(arrays["action"], 200, axis=0)),
+    "other joint order": lambda arrays: arrays.update(action=arrays["action"][:, [1, 0, 2, 3, 4, 5, 6, 7, 8]]),
+    "shifted": lambda arrays: arrays.update(action=arrays["action"] + np.float32(0.05)),
+    "without fingers": lambda arrays: arrays.update(action=arrays["action"][:, :7]),
+    "one row less": lambda arrays: arrays.update(action=arrays["action"][:-1]),
+    "integers": lambda arrays: arrays.update(action=arrays["action"].astype(np.int64)),
+    "not a number": lambda arrays: arrays["action"].__setitem__((50, 3), np.nan),
+    "infinite": lambda arrays: arrays["action"].__setitem__((50, 3), np.inf),
+}
+VALUE_FORGERIES: dict[str, Callable[[Arrays], object]] = {
+    **{f"status {status}": replaced("result", np.int64(status)) for status in (2, 4, 6, 8)},
+    "fewer steps": lambda arrays: arrays.update(elapsed_frame=arrays["elapsed_frame"] - 1),
+    "more steps": lambda arrays: arrays.update(elapsed_frame=arrays["elapsed_frame"] + 1),
+    "half the steps": lambda arrays: arrays.update(elapsed_frame=arrays["elapsed_frame"] // 2),
+    "earlier release": lambda arrays: arrays.update(release_step=arrays["release_step"] - 1),
+    "no release": lambda arrays: arrays.pop("release_step"),
+    "other scene": replaced("scene_id", 14),
+    "other object": replaced("object_name", "025_mug"),
+    "other person": replaced("subject", "20200709-subject-01x"),
+    "other side": replaced("side", "both"),
+    "more objects": replaced("n_objects", 7),
+    "no object": lambda arrays: arrays.pop("object_name"),
+    "other models": replaced("models", "MANO hands"),
+    "other data": replaced("fingerprint", "0123456789abcdef"),
+    "no fluency": lambda arrays: [arrays.pop(key) for key in list(arrays) if key.startswith("fluency_")],
+    **{
+        f"{field.name} {word}": lambda arrays, key=f"fluency_{field.name}", factor=factor: arrays.update(
+            {key: arrays[key] * factor + 1e-4}
+        )
+        for field in fields(FluencyMetrics)
+        for word, factor in (("higher", 1.01), ("lower", 0.99))
+    },
+}
+
+
+def change_json(folder: Path, change: Callable[[Any], object]) -> None:
+    path = folder / "report.json"
+    content = json.loads(path.read_text())
+    change(content)
+    path.write_text(json.dumps(content))
+
+
+REPORT_FORGERIES: dict[str, Callable[[Path], object]] = {
+    "rate": lambda folder: change_json(folder, lambda report: report["rates"]["success"].update(rate=0.5)),
+    "interval": lambda folder: change_json(
+        folder, lambda report: report["rates"]["drop"].update(interval_95=[0, 0.01])
+    ),
+    "average success": lambda folder: change_json(folder, lambda report: report["average_success"].update(mean=0.99)),
+    "time": lambda folder: change_json(folder, lambda report: report["times"]["exec"].update(mean=1.0)),
+    "episodes": lambda folder: change_json(folder, lambda report: report.update(n_episodes=144)),
+    "receiver": lambda folder: change_json(folder, lambda report: report.update(receiver="mine")),
+    "an episode": lambda folder: change_json(folder, lambda report: report["episodes"][0].update(steps=1)),
+    "missing key": lambda folder: change_json(folder, lambda report: report.pop("rates")),
+    "no report": lambda folder: (folder / "report.json").write_text("[]"),
+    "no JSON": lambda folder: (folder / "report.json").write_text("{"),
+    "text": lambda folder: (folder / "report.md").write_text(
+        (folder / "report.md").read_text().replace("0.00", "0.01")
+    ),
+}
+
+
+def test_there_are_fifty_forgeries() -> None:
+    assert len(ACTION_FORGERIES) + len(VALUE_FORGERIES) + len(REPORT_FORGERIES) >= 50
+
+
+def test_an_unchanged_folder_is_verified(folder: Path) -> None:
+    before = {file.name: file.read_bytes() for file in folder.iterdir()}
+    verification = verify(folder, workers=1, progress=False)
+    assert verification.is_verified, str(verification)
+    assert [episode.scene_id for episode in verification.episodes] == [SCENE]
+    assert "Verified: all 1 episodes are equal." in str(verification)
+    assert {file.name: file.read_bytes() for file in folder.iterdir()} == before
+
+
+@pytest.mark.parametrize("forgery", ACTION_FORGERIES)
+def test_forged_actions_are_found(forgery: str, original: Path, checker: tuple[EpisodeChecker, Path]) -> None:
+    made, folder = checker
+    copy_files(original, folder)
+    change_arrays(folder, ACTION_FORGERIES[forgery])
+    assert made.check(SceneTask(INDEX, SCENE)).differences
+
+
+@pytest.mark.parametrize("forgery", VALUE_FORGERIES)
+def test_forged_values_are_found(forgery: str, folder: Path, simulated: EpisodeResult) -> None:
+    assert compare_results(read_result(folder / "002.npz"), simulated, same_version=True) == []
+    change_arrays(folder, VALUE_FORGERIES[forgery])
+    assert compare_results(read_result(folder / "002.npz"), simulated, same_version=True)
+
+
+@pytest.mark.parametrize("forgery", REPORT_FORGERIES)
+def test_a_forged_report_is_found(forgery: str, folder: Path) -> None:
+    assert check_reports(folder) == []
+    REPORT_FORGERIES[forgery](folder)
+    assert check_reports(folder)
+
+
+def test_a_changed_outcome_is_named(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    change_arrays(folder, replaced("result", np.int64(8)))
+    assert main(["verify", str(folder), "--workers", "1", "--no-progress"]) == 1
+    printed = capsys.readouterr().out
+    assert f"| {SCENE} " in printed
+    assert "timeout" in printed
+    assert "Not equal: 1 of 1 episodes" in printed
+
+
+def test_values_of_a_giver_are_verified_with_its_code(tmp_path: Path) -> None:
+    evaluate_pair("hesitant", "yang2021", "s0", "val", scenes=[SCENE], out=tmp_path, **OPTIONS)
+    assert verify(tmp_path, workers=1, progress=False).is_verified
+    other = verify(tmp_path, giver="replay", workers=1, progress=False)
+    assert {"giver", "giver_hash"} <= {difference.key for difference in other.folder_differences}
+
+
+def test_another_seed_or_physics_in_the_configuration_is_found(folder: Path) -> None:
+    path = folder / "config.yaml"
+    content = yaml.safe_load(path.read_text())
+    content["HANDOVER_MARL"]["physics"] = "mujoco"
+    path.write_text(yaml.safe_dump(content))
+    assert not verify(folder, workers=1, progress=False).is_verified
+
+
+def test_a_copied_result_is_found(folder: Path) -> None:
+    (folder / "003.npz").write_bytes((folder / "002.npz").read_bytes())
+    verification = verify(folder, workers=1, progress=False)
+    assert [episode.index for episode in verification.changed_episodes] == [3]
+
+
+def test_another_world_must_be_passed(tmp_path: Path) -> None:
+    config = WorldConfig(physics=PhysicsConfig(gravity=-9.0))
+    evaluate_pair("replay", "hold", "s0", "val", scenes=[SCENE], out=tmp_path, world_config=config, **OPTIONS)
+    with pytest.raises(ResultsError, match="world_config"):
+        verify(tmp_path, workers=1, progress=False)
+    assert verify(tmp_path, workers=1, progress=False, world_config=config).is_verified
+
+
+@pytest.mark.parametrize(
+    ("key", "value"), [("seed", "x"), ("physics", "bullet"), ("dataset", "mine"), ("robot", "ur5"), ("giver", "none")]
+)
+def test_unknown_names_in_a_folder_are_errors(key: str, value: str, folder: Path) -> None:
+    path = folder / "config.yaml"
+    content = yaml.safe_load(path.read_text())
+    content["HANDOVER_MARL"][key] = value
+    path.write_text(yaml.safe_dump(content))
+    with pytest.raises(HandoverError):
+        verify(folder, workers=1, progress=False)
+
+
+def test_a_folder_without_results_is_an_error(folder: Path) -> None:
+    with pytest.raises(ResultsError, match="no results of these scenes"):
+        verify(folder, scenes=[14], progress=False)
