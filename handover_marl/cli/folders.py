@@ -27,7 +27,8 @@ def run_evaluate(folder: Annotated[str, tyro.conf.arg(metavar="DIR")], /, out: _
         from handover_marl.evaluation.reports.pages import find_replay_links, render_report_page
 
         links = find_replay_links(Path(folder).expanduser(), path.parent)
-        _write_page(path, render_report_page(report, links))
+        write_atomically(path, render_report_page(report, links))
+    _print_page_path(path)
 
 
 def run_verify(
@@ -65,7 +66,7 @@ def run_verify(
         progress=progress,
         trust=trust,
     )
-    print(verification)
+    print(f"{verification}\n\nFolder: {Path(folder).expanduser()}")
     return int(not verification.is_verified)
 
 
@@ -92,7 +93,8 @@ def run_compare(
         from handover_marl.evaluation.reports.pages import find_replay_links
 
         one, other = (find_replay_links(Path(side).expanduser(), path.parent) for side in (first, second))
-        _write_page(path, render_comparison_page(comparison, (one, other)))
+        write_atomically(path, render_comparison_page(comparison, (one, other)))
+    _print_page_path(path)
 
 
 def run_merge(
@@ -110,9 +112,9 @@ def run_merge(
     print(f"{merge(folders, out)}\n\nResults: {Path(out).expanduser()}")
 
 
-def _write_page(path: Path, page: str) -> None:
-    write_atomically(path, page)
-    print(f"\nPage: {path}")
+def _print_page_path(path: Path | None) -> None:
+    """Print, as the last line, the path of the page."""
+    print("\nPage not saved; add --out FILE.html." if path is None else f"\nPage: {path}")
 
 
 def _check_page_path(out: str | None) -> Path | None:
