@@ -26,20 +26,20 @@ Details of the authors' scripts that determine the results:
 import importlib.util
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
 from handover_marl.assets.shipped import GADDPG_WEIGHTS
-from handover_marl.config import ARM_DOF
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.spaces import FULL_POINTCLOUD
-from handover_marl.errors import OptionError, PolicyError, ResetNeededError
+from handover_marl.errors import OptionError, PolicyError
 from handover_marl.geometry.panda import CLOSED, OPEN
 from handover_marl.geometry.poses import quaternion_from_matrix
 from handover_marl.planning.inverse_kinematics import IkStepper, make_ik_stepper
-from handover_marl.policies.policy import Action, PolicyContext, Receiver, milliseconds_from_wait
+from handover_marl.policies.policy import Action, PolicyContext
+from handover_marl.receivers.phases import PhasedReceiver, PhaseTiming, require_reset
 from handover_marl.receivers.point_cloud_memory import PointCloudMemory, PointCloudMemoryConfig
 
 Array = npt.NDArray[np.float64]
@@ -53,24 +53,7 @@ _OWN_SUFFIX = ".npz"
 GaddpgFunction = Callable[[Array, int], npt.ArrayLike]
 
 
-@dataclass(frozen=True)
-class GaddpgTiming:
-    """Durations of the phases of the GA-DDPG receiver, as in HandoverSim.
-
-    Attributes:
-        wait_ms: Time at the start configuration (ms).
-        decision_ms: Time for which each decision and each waypoint to the goal is commanded (ms).
-        close_ms: Time for which the fingers close (ms).
-        retreat_step: Distance between waypoints on the straight path to the goal (m).
-    """
-
-    wait_ms: int = 3000
-    decision_ms: int = 150
-    close_ms: int = 500
-    retreat_step: float = 0.03
-
-
-class GaddpgReceiver(Receiver):
+class GaddpgReceiver(PhasedReceiver):
     """Receiver whose hand poses are decided by a network from point clouds (GA-DDPG).
 
     Intended for `robot="panda_camera"`, the Panda with the camera's body. A late call of `act`
@@ -99,7 +82,6 @@ class GaddpgReceiver(Receiver):
         UnsafeFileError: The checkpoint contains more than weights.
 
     Attributes:
-        timing: Durations of the receiver's phases.
         memory: Memory of the object's last point cloud.
     """
 
@@ -107,6 +89,7 @@ class GaddpgReceiver(Receiver):
     control_period = 0.15
     file_options = ("weights",)
     obs_mode = FULL_POINTCLOUD
+    default_timing = PhaseTiming(step_ms=150)
 
     def __init__(
         self,
@@ -116,13 +99,10 @@ class GaddpgReceiver(Receiver):
         wait: float | None = None,
         max_steps: int | None = None,
         memory: PointCloudMemoryConfig | None = None,
-        timing: GaddpgTiming | None = None,
+        timing: PhaseTiming | None = None,
     ) -> None:
-        super().__init__(context)
+        super().__init__(context, wait, timing)
         self._network, self._label, own_steps = _load_network(network, weights)
-        self.timing = timing or GaddpgTiming()
-        if wait is not None:
-            self.timing = replace(self.timing, wait_ms=milliseconds_from_wait(wait))
         config = memory or PointCloudMemoryConfig()
         if max_steps is None and memory is None:
             max_steps = own_steps
@@ -133,26 +113,18 @@ class GaddpgReceiver(Receiver):
         self.memory = PointCloudMemory(config)
         self._start = np.array(context.panda.start_joints)
         self._ik_stepper: IkStepper | None = None
+        self._start_approach()
+
+    def _start_approach(self) -> None:
+        """Forget the decisions of earlier episodes."""
         self._decided, self._is_checked = -1, True
         self._target = self._start
         self._close_ms: int | None = None
-        self._retreat: list[Array] = []
-        self._now_ms, self._until_ms = 0, math.inf
 
     @property
     def label(self) -> str:
         """Name of the receiver with a hash of its weights."""
         return self._label
-
-    @property
-    def wait(self) -> float:
-        """Time at the start configuration (s)."""
-        return self.timing.wait_ms / 1000.0
-
-    @property
-    def hold_time(self) -> float:
-        """Time until the next command differs or the end of the approach is checked (s)."""
-        return (self._until_ms - self._now_ms) / 1000.0
 
     def reset(self, seed: int | None = None) -> None:
         """Start an episode; `seed` is ignored, since the method has a fixed seed of its own."""
@@ -160,10 +132,8 @@ class GaddpgReceiver(Receiver):
             # Loaded here so that it does not count as planning time.
             self._ik_stepper = make_ik_stepper(self.context.panda_urdf, self.context.panda)
         self.memory.reset()
-        self._decided, self._is_checked = -1, True
-        self._target = self._start
-        self._close_ms, self._retreat = None, []
-        self._now_ms, self._until_ms = 0, math.inf
+        self._start_timing()
+        self._start_approach()
 
     def act(self, observation: Observation) -> Action:
         """Return the next nine target joint positions.
@@ -176,7 +146,7 @@ class GaddpgReceiver(Receiver):
         elapsed = self._now_ms - timing.wait_ms
         if elapsed < 0:
             return self._command(self._start, OPEN, timing.wait_ms)
-        number, is_last = elapsed // timing.decision_ms, elapsed % timing.decision_ms == timing.decision_ms - 1
+        number, is_last = elapsed // timing.step_ms, elapsed % timing.step_ms == timing.step_ms - 1
         if self._close_ms is None and number > self._decided:
             self._check_end(observation)
         if self._close_ms is None and number > self._decided:
@@ -185,16 +155,12 @@ class GaddpgReceiver(Receiver):
         if self._close_ms is None and is_last:
             self._check_end(observation)
         if self._close_ms is None or self._now_ms < self._close_ms:
-            end = timing.wait_ms + (number + 1) * timing.decision_ms
+            end = timing.wait_ms + (number + 1) * timing.step_ms
             return self._command(self._target, OPEN, end if is_last else end - 1)
         closed_ms = self._close_ms + timing.close_ms
         if self._now_ms < closed_ms:
             return self._command(self._target, CLOSED, closed_ms)
         return self._carry(observation, closed_ms)
-
-    def _command(self, arm: Array, fingers: float, until_ms: float) -> Action:
-        self._until_ms = until_ms
-        return np.array([*arm[:ARM_DOF], fingers, fingers], dtype=np.float32)
 
     def _check_end(self, observation: Observation) -> None:
         """Check whether the last decision ends the approach, once since the check draws points."""
@@ -202,7 +168,7 @@ class GaddpgReceiver(Receiver):
             return
         self._is_checked = True
         if self.memory.remaining == 0 or self.memory.is_object_caged(self._base_from_hand(observation)):
-            self._close_ms = self.timing.wait_ms + (self._decided + 1) * self.timing.decision_ms
+            self._close_ms = self.timing.wait_ms + (self._decided + 1) * self.timing.step_ms
 
     def _decide(self, observation: Observation) -> Array:
         """Return the joints (9,) that the network's decision leads to."""
@@ -216,41 +182,28 @@ class GaddpgReceiver(Receiver):
             raise PolicyError(f"the network of {self.name!r} must return six numbers, got an array of {step.shape}")
         goal = pose @ _matrix_from_step(step)
         self.memory.remaining -= 1
-        solver = self._solver()
+        solver = require_reset(self._ik_stepper, self)
         target = solver.to_world_frame(np.concatenate([goal[:3, 3], quaternion_from_matrix(goal[:3, :3])]))
         return solver.solve_step(observation["robot_joint_position_exact"], target[:3], target[3:])
 
-    def _carry(self, observation: Observation, closed_ms: int) -> Action:
-        if not self._retreat:
-            self._retreat = self._plan_retreat(observation)
-        number = (self._now_ms - closed_ms) // self.timing.decision_ms
-        last = len(self._retreat) - 1
-        until = closed_ms + (number + 1) * self.timing.decision_ms if number < last else math.inf
-        return self._command(self._retreat[min(number, last)], CLOSED, until)
-
     def _plan_retreat(self, observation: Observation) -> list[Array]:
         """Return joints on the straight path to the goal, computed in float32."""
-        position = observation["gripper_pose"][:3].copy()
+        solver, position = require_reset(self._ik_stepper, self), observation["gripper_pose"][:3].copy()
         offset = np.array(self.context.protocol.goal_center) - position
         length = np.linalg.norm(offset)
         step = offset / length * self.timing.retreat_step
         joints = []
         for _ in range(math.ceil(length / self.timing.retreat_step)):
             position += step
-            joints.append(self._solver().solve_step(observation["robot_joint_position_exact"], position))
+            joints.append(solver.solve_step(observation["robot_joint_position_exact"], position))
         return joints or [self._target]
 
     def _base_from_hand(self, observation: Observation) -> Array:
         """Return the pose (4, 4) of the hand link in the base frame."""
-        pose = self._solver().to_base_frame(observation["gripper_pose"])
+        pose = require_reset(self._ik_stepper, self).to_base_frame(observation["gripper_pose"])
         matrix = np.eye(4)
         matrix[:3, :3], matrix[:3, 3] = _rotation_matrix(pose[3:]), pose[:3]
         return matrix
-
-    def _solver(self) -> IkStepper:
-        if self._ik_stepper is None:
-            raise ResetNeededError(f"receiver {self.name!r} cannot act before reset(); call reset() first")
-        return self._ik_stepper
 
 
 def _load_network(network: GaddpgFunction | None, weights: str | None) -> tuple[GaddpgFunction, str, int | None]:

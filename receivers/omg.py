@@ -9,15 +9,15 @@ clear of the hand. All variants need the extra `planning`.
 import importlib.util
 import logging
 import math
-from dataclasses import dataclass, replace
-from typing import ClassVar, TypeVar
+from dataclasses import replace
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
 from handover_marl.config import ARM_DOF
 from handover_marl.episode.observations import Observation
-from handover_marl.errors import OptionError, ResetNeededError
+from handover_marl.errors import OptionError
 from handover_marl.geometry.arm import ArmKinematics
 from handover_marl.geometry.distance_field import load_object_sdf
 from handover_marl.geometry.panda import CLOSED, HALF_TURN, OPEN, WAITING_JOINTS
@@ -29,34 +29,17 @@ from handover_marl.planning.inverse_kinematics import IkSolver, make_ik_solver
 from handover_marl.planning.planner import Plan, Planner
 from handover_marl.planning.planner_config import HandAvoidanceConfig, PlannerConfig
 from handover_marl.planning.trajectory_cost import Obstacle
-from handover_marl.policies.policy import Action, PolicyContext, Receiver, milliseconds_from_wait
+from handover_marl.policies.policy import Action, PolicyContext
 from handover_marl.receivers.grasp_library import GraspLibrary
+from handover_marl.receivers.phases import PhasedReceiver, PhaseTiming, require_reset
 
 Array = npt.NDArray[np.float64]
 
-_Part = TypeVar("_Part")
 _REQUIRED_MODULES = ("igl", "trimesh", "platformdirs")
 # Resolution of the poses that the planner is given (m, and components of a quaternion), far below
 # the accuracy of a camera.
 _POSE_RESOLUTION = 1e-5
 _log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class OmgTiming:
-    """Durations of the phases of the OMG receiver, as in HandoverSim.
-
-    Attributes:
-        wait_ms: Time at the waiting pose (ms).
-        waypoint_ms: Time for which each waypoint is commanded (ms).
-        close_ms: Time for which the fingers close (ms).
-        retreat_step: Distance between waypoints on the straight path to the goal (m).
-    """
-
-    wait_ms: int = 3000
-    waypoint_ms: int = 130
-    close_ms: int = 500
-    retreat_step: float = 0.03
 
 
 def round_poses(poses: Array) -> Array:
@@ -73,7 +56,7 @@ def round_poses(poses: Array) -> Array:
     return rounded
 
 
-class OmgReceiver(Receiver):
+class OmgReceiver(PhasedReceiver):
     """Receiver that plans a trajectory to a grasp once and executes it without feedback.
 
     Args:
@@ -87,13 +70,13 @@ class OmgReceiver(Receiver):
 
     Attributes:
         config: Configuration of the planner.
-        timing: Durations of the receiver's phases.
         world_from_base: (7,) world pose of the robot's base, in whose frame plans are given.
     """
 
     name = "omg"
     # All times are multiples of it.
     control_period = 0.01
+    default_timing = PhaseTiming(step_ms=130)
     #: Configuration of the planner unless another is given.
     default_config: ClassVar[PlannerConfig] = PlannerConfig()
 
@@ -102,28 +85,22 @@ class OmgReceiver(Receiver):
         context: PolicyContext,
         wait: float | None = None,
         config: PlannerConfig | None = None,
-        timing: OmgTiming | None = None,
+        timing: PhaseTiming | None = None,
     ) -> None:
-        super().__init__(context)
+        super().__init__(context, wait, timing)
         missing = [module for module in _REQUIRED_MODULES if importlib.util.find_spec(module) is None]
         if missing:
             raise OptionError(
                 f"receiver {self.name!r} needs {', '.join(missing)}: pip install 'handover-marl[planning]'"
             )
         self.config = config or self.default_config
-        self.timing = timing or OmgTiming()
-        if wait is not None:
-            self.timing = replace(self.timing, wait_ms=milliseconds_from_wait(wait))
         self.world_from_base = np.array([*context.panda.base_position, *context.panda.base_orientation])
         self._library = GraspLibrary(context.grasps)
         self._planner: Planner | None = None
         self._ik_solver: IkSolver | None = None
         self._has_planned = False
         self._plan: Plan | None = None
-        self._retreat: list[Array] = []
         self._retreat_ms = 0
-        self._until_ms: float = 0.0
-        self._now_ms = 0
 
     @property
     def has_planned(self) -> bool:
@@ -138,12 +115,7 @@ class OmgReceiver(Receiver):
     @property
     def arm(self) -> ArmKinematics:
         """Kinematics of the arm in the frame of the robot's base."""
-        return self._require(self._planner).arm
-
-    @property
-    def wait(self) -> float:
-        """Time at the waiting pose (s)."""
-        return self.timing.wait_ms / 1000.0
+        return require_reset(self._planner, self).arm
 
     @property
     def planned_goal(self) -> Array | None:
@@ -154,11 +126,6 @@ class OmgReceiver(Receiver):
         hand = poses_from_rotations(chain.origins[-1].T, np.moveaxis(chain.rotations[-1], -1, 0))
         return compose(np.broadcast_to(self.world_from_base, hand.shape), hand)
 
-    @property
-    def hold_time(self) -> float:
-        """Time until the receiver's next command differs from the last one (s)."""
-        return (self._until_ms - self._now_ms) / 1000.0
-
     def reset(self, seed: int | None = None) -> None:
         """Start an episode; the receiver is deterministic."""
         if self._planner is None or self._ik_solver is None:
@@ -166,7 +133,8 @@ class OmgReceiver(Receiver):
             start = np.array(WAITING_JOINTS[:ARM_DOF])
             self._planner = Planner(self.context.panda_urdf, start, self.config)
             self._ik_solver = make_ik_solver(self.context.panda_urdf, self.context.panda)
-        self._has_planned, self._plan, self._retreat = False, None, []
+        self._start_timing()
+        self._has_planned, self._plan = False, None
 
     def act(self, observation: Observation) -> Action:
         """Return the next nine target joint positions.
@@ -182,21 +150,19 @@ class OmgReceiver(Receiver):
             self._plan, self._has_planned = self._make_plan(observation), True
         if self._plan is None:
             return self._command(np.array(WAITING_JOINTS[:ARM_DOF]), OPEN, math.inf)
-        number = elapsed // self.timing.waypoint_ms
+        number = elapsed // self.timing.step_ms
         path = self._plan.trajectory
         if number < len(path):
             return self._command(path[number], OPEN, self._waypoint_start(number + 1))
         closed_ms = self._waypoint_start(len(path)) + self.timing.close_ms
         if self._now_ms < closed_ms:
             return self._command(path[-1], CLOSED, closed_ms)
-        return self._carry(observation)
-
-    def _command(self, arm: Array, fingers: float, until_ms: float) -> Action:
-        self._until_ms = until_ms
-        return np.array([*arm, fingers, fingers], dtype=np.float32)
+        if not self._retreat:
+            self._retreat_ms = self._now_ms
+        return self._carry(observation, self._retreat_ms)
 
     def _waypoint_start(self, number: int) -> int:
-        return self.timing.wait_ms + number * self.timing.waypoint_ms
+        return self.timing.wait_ms + number * self.timing.step_ms
 
     def _make_plan(self, observation: Observation) -> Plan | None:
         name = CLASS_NAMES[int(observation["object_classes"][0])]
@@ -209,7 +175,7 @@ class OmgReceiver(Receiver):
         base_from_world = invert_pose(self.world_from_base)
         object_poses = round_poses(observation["object_poses"].astype(np.float64))
         base_from_objects = compose(base_from_world, object_poses)
-        plan = self._require(self._planner).plan(
+        plan = require_reset(self._planner, self).plan(
             compose(base_from_objects[0], grasps),
             self._obstacles(observation, base_from_objects),
             self._hand(observation, base_from_world),
@@ -236,15 +202,6 @@ class OmgReceiver(Receiver):
         starts, ends = (transform_points(base_from_world, points) for points in (hand.starts, hand.ends))
         return replace(hand, starts=starts, ends=ends)
 
-    def _carry(self, observation: Observation) -> Action:
-        if not self._retreat:
-            self._retreat, self._retreat_ms = self._plan_retreat(observation), self._now_ms
-        number = (self._now_ms - self._retreat_ms) // self.timing.waypoint_ms
-        if number >= len(self._retreat) - 1:
-            return self._command(self._retreat[-1], CLOSED, math.inf)
-        until = self._retreat_ms + (number + 1) * self.timing.waypoint_ms
-        return self._command(self._retreat[number], CLOSED, until)
-
     def _plan_retreat(self, observation: Observation) -> list[Array]:
         """Return arm joints (7,) along the straight line to the goal, with free hand rotation."""
         hand = observation["gripper_pose"][:3].astype(np.float64)
@@ -253,15 +210,10 @@ class OmgReceiver(Receiver):
         arm = observation["robot_joint_position"][:ARM_DOF].astype(np.float64)
         path = []
         for share in np.arange(1, count + 1) / count:
-            joints = self._require(self._ik_solver).solve([*arm, CLOSED, CLOSED], hand + share * (goal - hand))
+            joints = require_reset(self._ik_solver, self).solve([*arm, CLOSED, CLOSED], hand + share * (goal - hand))
             arm = arm if joints is None else joints
             path.append(arm)
         return path
-
-    def _require(self, part: _Part | None) -> _Part:
-        if part is None:
-            raise ResetNeededError(f"receiver {self.name!r} cannot act before reset(); call reset() first")
-        return part
 
 
 class OmgHandAwareReceiver(OmgReceiver):

@@ -14,7 +14,6 @@ import numpy.typing as npt
 
 from handover_marl.config import ARM_DOF
 from handover_marl.episode.observations import Observation
-from handover_marl.errors import ResetNeededError
 from handover_marl.geometry.panda import (
     CLOSED,
     MAX_RANKED_GRASPS,
@@ -29,6 +28,7 @@ from handover_marl.geometry.poses import compose, rotation_angle
 from handover_marl.planning.inverse_kinematics import IkSolver, make_ik_solver
 from handover_marl.policies.policy import Action, PolicyContext, Receiver, milliseconds_from_wait
 from handover_marl.receivers.grasp_library import GraspLibrary
+from handover_marl.receivers.phases import require_reset
 
 Array = npt.NDArray[np.float64]
 
@@ -70,19 +70,6 @@ class YangConfig:
     grasp_tolerance: float = 0.005
 
 
-@dataclass(frozen=True)
-class SelectedGrasp:
-    """Grasp that the receiver has selected, with its standoff.
-
-    Attributes:
-        standoff: (7,) world pose of the hand link at the standoff.
-        grasp: (7,) world pose of the hand link at the grasp.
-    """
-
-    standoff: Array
-    grasp: Array
-
-
 class YangPhase(Enum):
     """Phase of a handover with the method of Yang et al. (2021)."""
 
@@ -90,26 +77,6 @@ class YangPhase(Enum):
     APPROACH = auto()
     CLOSE = auto()
     RETREAT = auto()
-
-
-@dataclass
-class EpisodeMemory:
-    """State that the receiver `yang2021` keeps between decisions.
-
-    Attributes:
-        phase: Present phase of the handover.
-        selected: Grasp that was selected last.
-        reference: (7,) world pose of the last selected standoff, near which the next one has a low
-            cost, or None.
-        close_until: Time at which the fingers are closed (s).
-        retreat: Action that carries the object to the goal, None before it is computed.
-    """
-
-    phase: YangPhase = YangPhase.WAIT
-    selected: SelectedGrasp | None = None
-    reference: Array | None = None
-    close_until: float = 0.0
-    retreat: Action | None = None
 
 
 class Yang2021Receiver(Receiver):
@@ -137,14 +104,22 @@ class Yang2021Receiver(Receiver):
             self.config = replace(self.config, wait_time=milliseconds_from_wait(wait) / 1000.0)
         self._ik_solver: IkSolver | None = None
         self._library = GraspLibrary(context.grasps)
-        self._memory = EpisodeMemory()
+        self._start_episode()
+
+    def _start_episode(self) -> None:
+        self._phase, self._close_until = YangPhase.WAIT, 0.0
+        # World poses (2, 7) of the hand link at the selected standoff and grasp, and the last
+        # selected standoff, near which the next one has a low cost.
+        self._selected: Array | None = None
+        self._reference: Array | None = None
+        self._retreat: Action | None = None
 
     def reset(self, seed: int | None = None) -> None:
         """Start an episode; the receiver is deterministic."""
         if self._ik_solver is None:
             # Loaded here so that it does not count as planning time.
             self._ik_solver = make_ik_solver(self.context.panda_urdf, self.context.panda)
-        self._memory = EpisodeMemory()
+        self._start_episode()
 
     @property
     def wait(self) -> float:
@@ -154,19 +129,16 @@ class Yang2021Receiver(Receiver):
     @property
     def planned_goal(self) -> Array | None:
         """(2, 7) world poses of the hand link at standoff and grasp; None once fingers close."""
-        selected = self._memory.selected
-        if selected is None or self._memory.phase is not YangPhase.APPROACH:
-            return None
-        return np.stack([selected.standoff, selected.grasp])
+        return self._selected if self._phase is YangPhase.APPROACH else None
 
     @property
     def hold_time(self) -> float:
         """Time until the next decision (s), infinite during the retreat."""
-        if self._memory.phase is YangPhase.WAIT:
+        if self._phase is YangPhase.WAIT:
             return self.config.wait_time or self.config.decision_period
-        if self._memory.phase is YangPhase.APPROACH:
+        if self._phase is YangPhase.APPROACH:
             return self.config.decision_period
-        return 0.001 if self._memory.phase is YangPhase.CLOSE else float("inf")
+        return 0.001 if self._phase is YangPhase.CLOSE else float("inf")
 
     def act(self, observation: Observation) -> Action:
         """Return the next nine target joint positions.
@@ -175,32 +147,31 @@ class Yang2021Receiver(Receiver):
             ResetNeededError: `reset` was not called.
         """
         time = round(float(observation["time"][0]), 3)
-        memory = self._memory
         if time < self.config.wait_time:
             return np.array(WAITING_JOINTS, dtype=np.float32)
-        if memory.phase is YangPhase.WAIT:
-            memory.phase = YangPhase.APPROACH
-        if memory.phase is YangPhase.APPROACH:
+        if self._phase is YangPhase.WAIT:
+            self._phase = YangPhase.APPROACH
+        if self._phase is YangPhase.APPROACH:
             arm = self._approach(observation)
             if arm is not None:
                 return _make_action(arm, OPEN)
-            memory.phase = YangPhase.CLOSE
-            memory.close_until = round(time + self.config.close_time, 3)
-        if memory.phase is YangPhase.CLOSE and time < memory.close_until:
+            self._phase = YangPhase.CLOSE
+            self._close_until = round(time + self.config.close_time, 3)
+        if self._phase is YangPhase.CLOSE and time < self._close_until:
             return _make_action(_arm_joints(observation), CLOSED)
-        if memory.retreat is None:
-            memory.phase = YangPhase.RETREAT
-            memory.retreat = _make_action(self._goal_joints(observation), CLOSED)
-        return memory.retreat
+        if self._retreat is None:
+            self._phase = YangPhase.RETREAT
+            self._retreat = _make_action(self._goal_joints(observation), CLOSED)
+        return self._retreat
 
     def _approach(self, observation: Observation) -> npt.NDArray[np.floating] | None:
         """Return the next arm joints, or None once the hand is at the grasp."""
-        hand, selected = observation["gripper_pose"], self._memory.selected
-        if selected is None or not self._is_in_region(hand, selected):
+        hand, selected = observation["gripper_pose"], self._selected
+        if selected is None or not self._is_in_region(hand, *selected):
             return self._move_to_standoff(observation)
-        if self._is_at_grasp(hand, selected.grasp):
+        if self._is_at_grasp(hand, selected[1]):
             return None
-        return self._move_to_grasp(observation, selected.grasp)
+        return self._move_to_grasp(observation, selected[1])
 
     def _move_to_standoff(self, observation: Observation) -> npt.NDArray[np.floating]:
         """Select the cheapest reachable standoff and return its arm joints."""
@@ -210,12 +181,12 @@ class Yang2021Receiver(Receiver):
         standoffs = compose(grasps, np.array(self.config.standoff))
         cheapest = np.argsort(self._costs(standoffs, observation["gripper_pose"]), kind="stable")
         for index in cheapest[: self.config.max_candidates]:
-            arm = self._solve(observation, standoffs[index])
+            arm = self._solve(observation, standoffs[index, :3], standoffs[index, 3:])
             if arm is not None:
-                self._memory.selected = SelectedGrasp(standoff=standoffs[index], grasp=grasps[index])
-                self._memory.reference = standoffs[index]
+                self._selected = np.stack([standoffs[index], grasps[index]])
+                self._reference = standoffs[index]
                 return arm
-        self._memory.reference = None
+        self._reference = None
         return _arm_joints(observation)
 
     def _move_to_grasp(self, observation: Observation, grasp: Array) -> npt.NDArray[np.floating]:
@@ -227,25 +198,23 @@ class Yang2021Receiver(Receiver):
         if distance >= self.config.step_length:
             # The reference rounds this set-point to float32, like the observed position.
             target[:3] = (hand + offset / distance * self.config.step_length).astype(np.float32)
-        arm = self._solve(observation, target)
+        arm = self._solve(observation, target[:3], target[3:])
         return _arm_joints(observation) if arm is None else arm
 
     def _goal_joints(self, observation: Observation) -> npt.NDArray[np.floating]:
         """Return the arm joints at the goal."""
-        goal = self.context.protocol.goal_center
-        arm = self._solver().solve(observation["robot_joint_position"], goal)
+        arm = self._solve(observation, self.context.protocol.goal_center)
         return _arm_joints(observation) if arm is None else arm
 
     def _costs(self, standoffs: Array, hand: npt.NDArray[np.float32]) -> Array:
         """Return the costs (n,) of standoffs (n, 7)."""
-        reference = hand if self._memory.reference is None else self._memory.reference
+        reference = hand if self._reference is None else self._reference
         weight = self.config.rotation_weight
         to_preferred = pose_distance(self.config.preferred_pose, standoffs, weight)
         return pose_distance(reference, standoffs, weight) + to_preferred
 
-    def _is_in_region(self, hand: npt.NDArray[np.float32], selected: SelectedGrasp) -> bool:
+    def _is_in_region(self, hand: npt.NDArray[np.float32], standoff: Array, grasp: Array) -> bool:
         """Return whether the hand is in the region between standoff and grasp."""
-        standoff, grasp = selected.standoff, selected.grasp
         angle = min(rotation_angle(hand[3:], standoff[3:]), rotation_angle(hand[3:], grasp[3:]))
         axis = grasp[:3] - standoff[:3]
         length = float(np.linalg.norm(axis))
@@ -260,13 +229,9 @@ class Yang2021Receiver(Receiver):
         is_near = float(np.linalg.norm(grasp[:3] - hand[:3])) < self.config.grasp_tolerance
         return is_near and rotation_angle(hand[3:], grasp[3:]) < self.config.angle_tolerance
 
-    def _solve(self, observation: Observation, pose: Array) -> Array | None:
-        return self._solver().solve(observation["robot_joint_position"], pose[:3], pose[3:])
-
-    def _solver(self) -> IkSolver:
-        if self._ik_solver is None:
-            raise ResetNeededError("receiver 'yang2021' cannot act before reset(); call reset() first")
-        return self._ik_solver
+    def _solve(self, observation: Observation, position: npt.ArrayLike, *orientation: Array) -> Array | None:
+        solver = require_reset(self._ik_solver, self)
+        return solver.solve(observation["robot_joint_position"], position, *orientation)
 
 
 def _arm_joints(observation: Observation) -> npt.NDArray[np.float32]:

@@ -151,7 +151,8 @@ def test_step_is_in_the_hand_frame(
 def record_queries(receiver: GaddpgReceiver) -> list[tuple[Array, Array, Array | None]]:
     """Return a list that records joints, position and orientation of each IK query from now on."""
     calls: list[tuple[Array, Array, Array | None]] = []
-    solver = receiver._solver()
+    solver = receiver._ik_stepper
+    assert solver is not None
     solve = solver.solve_step
 
     def recorded(joints: Array, position: Array, orientation: Array | None = None) -> Array:

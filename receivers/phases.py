@@ -1,0 +1,99 @@
+"""Receivers that wait, approach, close the fingers and retreat for given times."""
+
+import math
+from abc import abstractmethod
+from dataclasses import dataclass, replace
+from typing import ClassVar, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.config import ARM_DOF
+from handover_marl.episode.observations import Observation
+from handover_marl.errors import ResetNeededError
+from handover_marl.geometry.panda import CLOSED
+from handover_marl.policies.policy import Action, PolicyContext, Receiver, milliseconds_from_wait
+
+_Part = TypeVar("_Part")
+
+
+@dataclass(frozen=True)
+class PhaseTiming:
+    """Durations of the phases of a receiver, as in HandoverSim.
+
+    Attributes:
+        step_ms: Time for which each decision or waypoint is commanded (ms).
+        wait_ms: Time at the start or waiting pose (ms).
+        close_ms: Time for which the fingers close (ms).
+        retreat_step: Distance between waypoints on the straight path to the goal (m).
+    """
+
+    step_ms: int
+    wait_ms: int = 3000
+    close_ms: int = 500
+    retreat_step: float = 0.03
+
+
+class PhasedReceiver(Receiver):
+    """Base class of receivers whose phases take fixed times, counted in whole milliseconds.
+
+    Args:
+        context: The robot and the task.
+        wait: Time at the start or waiting pose (s); default: the time in `timing`.
+        timing: Durations of the receiver's phases.
+
+    Attributes:
+        timing: Durations of the receiver's phases.
+    """
+
+    #: Durations of the phases unless others are given.
+    default_timing: ClassVar[PhaseTiming]
+
+    def __init__(self, context: PolicyContext, wait: float | None, timing: PhaseTiming | None) -> None:
+        super().__init__(context)
+        self.timing = timing or self.default_timing
+        if wait is not None:
+            self.timing = replace(self.timing, wait_ms=milliseconds_from_wait(wait))
+        self._start_timing()
+
+    def _start_timing(self) -> None:
+        """Forget the commands of earlier episodes."""
+        self._now_ms, self._until_ms = 0, math.inf
+        self._retreat: list[npt.NDArray[np.float64]] = []
+
+    @property
+    def wait(self) -> float:
+        """Time at the start or waiting pose (s)."""
+        return self.timing.wait_ms / 1000.0
+
+    @property
+    def hold_time(self) -> float:
+        """Time until the next command differs or a decision is due (s)."""
+        return (self._until_ms - self._now_ms) / 1000.0
+
+    def _command(self, arm: npt.NDArray[np.float64], fingers: float, until_ms: float) -> Action:
+        self._until_ms = until_ms
+        return np.array([*arm[:ARM_DOF], fingers, fingers], dtype=np.float32)
+
+    def _carry(self, observation: Observation, start_ms: int) -> Action:
+        """Return the action of the retreat that began at a time (ms)."""
+        if not self._retreat:
+            self._retreat = self._plan_retreat(observation)
+        number, last = (self._now_ms - start_ms) // self.timing.step_ms, len(self._retreat) - 1
+        until_ms = start_ms + (number + 1) * self.timing.step_ms if number < last else math.inf
+        return self._command(self._retreat[min(number, last)], CLOSED, until_ms)
+
+    @abstractmethod
+    def _plan_retreat(self, observation: Observation) -> list[npt.NDArray[np.float64]]:
+        """Return the configurations of the arm along the straight line to the goal."""
+
+
+def require_reset(part: _Part | None, receiver: Receiver) -> _Part:
+    """Return a part of a receiver that `reset` creates.
+
+    Raises:
+        ResetNeededError: There is no part yet, since `reset` was not called.
+    """
+    if part is None:
+        raise ResetNeededError(f"receiver {receiver.name!r} cannot act before reset(); call reset() first")
+    return part
