@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.config import ARM_DOF, TIME_STEP
-from handover_marl.geometry.poses import transform_points
+from handover_marl.geometry.poses import inverse_transform_points, transform_points
 from handover_marl.planning.arm_control import ArmInWorld, ArmServo
 from handover_marl.policies.policy import Action, PolicyContext, Receiver, milliseconds_from_wait
 from handover_marl.receivers.reactive.config import ReactiveConfig
@@ -16,7 +16,7 @@ from handover_marl.receivers.reactive.motion import (
     ApproachController,
     MotionController,
 )
-from handover_marl.receivers.reactive.retreat import RetreatController, transform_to_hand_frame
+from handover_marl.receivers.reactive.retreat import RetreatController
 from handover_marl.receivers.reactive.scene_estimate import SceneEstimate
 from handover_marl.receivers.reactive.selector import GraspGoal, GraspSelector
 
@@ -37,43 +37,23 @@ class ReactivePhase(Enum):
     RETREAT = "retreat"
 
 
-class RobotModel:
-    """Kinematics and motor control of the Panda, used by the receiver `reactive`.
-
-    Args:
-        context: Context of the policy, with the robot's model and the task.
-        config: Configuration of the receiver.
-
-    Attributes:
-        arm: Kinematics of the arm.
-        servo: Velocity control of the motors.
-        goal: (3,) goal of the hand's position (m).
-    """
-
-    def __init__(self, context: PolicyContext, config: ReactiveConfig) -> None:
-        self.arm = ArmInWorld.for_panda(context.panda_urdf, context.panda, config.limit_padding)
-        self.servo = ArmServo(config.servo, context.panda.motor.position_gain, config.period, TIME_STEP)
-        self.goal = np.array(context.protocol.goal_center)
-
-
 class HandoverController:
     """State machine of the receiver `reactive` during one episode.
 
     Args:
-        robot: Kinematics and motor control of the arm.
-        scene: Estimate of the scene, updated before each step.
+        motion: Controller of the motion, whose estimate of the scene is updated before each step.
         selector: Grasp selector, whose candidates are set before each step.
+        goal: (3,) goal of the hand's position (m).
         wait: Time at the waiting pose (s).
 
     Attributes:
         phase: Present phase of the handover.
     """
 
-    def __init__(self, robot: RobotModel, scene: SceneEstimate, selector: GraspSelector, wait: float) -> None:
-        self._robot, self._scene, self._selector, self._wait = robot, scene, selector, wait
-        self._config = scene.config
-        self._motion = MotionController(robot.arm, robot.servo, scene, scene.config.separation)
-        self._approach_controller = ApproachController(scene, self._motion, selector)
+    def __init__(self, motion: MotionController, selector: GraspSelector, goal: Array, wait: float) -> None:
+        self._motion, self._scene, self._selector, self._goal, self._wait = motion, motion.scene, selector, goal, wait
+        self._config = motion.scene.config
+        self._approach_controller = ApproachController(motion, selector)
         self.phase = ReactivePhase.WAIT
         self._phase_start = 0.0
         self._closing_pose, self._closing_points = np.zeros(7), np.zeros((0, 3))
@@ -96,7 +76,7 @@ class HandoverController:
 
     def step(self) -> Action:
         """Return the next action, nine target joint positions."""
-        config, servo = self._config, self._robot.servo
+        config, servo = self._config, self._motion.servo
         is_watchful = self._is_approaching and self._scene.has_motion_nearby
         servo.period = config.near_period if is_watchful else config.period
         if self._scene.time < self._wait:
@@ -132,12 +112,12 @@ class HandoverController:
         return self._close(False)
 
     def _close(self, is_released: bool) -> Action:
-        config, scene, robot = self._config.approach, self._scene, self._robot
+        config, scene, motion = self._config.approach, self._scene, self._motion
         if is_released:
             self.phase = ReactivePhase.RETREAT
-            held = transform_to_hand_frame(scene.hand, scene.object, self._selector.surface.centers)
+            held = inverse_transform_points(scene.hand, transform_points(scene.object, self._selector.surface.centers))
             self._retreat = RetreatController(
-                robot.arm, robot.servo, robot.goal, self._config.retreat, scene.hand, held, scene.person.spheres
+                motion.arm, motion.servo, self._goal, self._config.retreat, scene.hand, held, scene.person.spheres
             )
             return self._carry(self._retreat)
         since = scene.time - self._phase_start
@@ -146,12 +126,12 @@ class HandoverController:
             return self._start_backing_out()
         # Follows the person's hand rather than the object, which the fingers push.
         period = config.close_period
-        robot.servo.period = period
+        motion.servo.period = period
         pose = scene.person.predict_attached_pose(self._closing_points, self._closing_pose, period)
-        goal, _ = robot.arm.solve(pose[None], scene.joints[None], IK_ITERATIONS)
-        following = robot.arm.velocity(scene.joints, scene.person.velocity, np.zeros(3), ROTATION_WEIGHT, period)
+        goal, _ = motion.arm.solve(pose[None], scene.joints[None], IK_ITERATIONS)
+        following = motion.arm.velocity(scene.joints, scene.person.velocity, np.zeros(3), ROTATION_WEIGHT, period)
         velocity = following + config.close_gain * (goal[0] - scene.joints)
-        return self._motion.move_closed(velocity, config.close_acceleration)
+        return motion.move_closed(velocity, config.close_acceleration)
 
     def _start_backing_out(self) -> Action:
         """Start backing out after a miss, with a higher cost of this grasp for a while."""
@@ -162,7 +142,7 @@ class HandoverController:
         return self._back_out()
 
     def _back_out(self) -> Action:
-        config, scene, robot = self._config.approach, self._scene, self._robot
+        config, scene, motion = self._config.approach, self._scene, self._motion
         since = scene.time - self._phase_start
         remaining = self._backout_position - scene.hand[:3]
         distance = float(np.linalg.norm(remaining))
@@ -170,11 +150,11 @@ class HandoverController:
             self.phase = ReactivePhase.APPROACH
             return self._approach()
         if since < config.opening_time:
-            return self._motion.move_open(np.zeros(ARM_DOF))
+            return motion.move_open(np.zeros(ARM_DOF))
         velocity = config.backout_speed * remaining / distance
-        period = robot.servo.period
-        joint_velocity = robot.arm.velocity(scene.joints, velocity, np.zeros(3), _BACKOUT_ROTATION_WEIGHT, period)
-        return self._motion.move_open(joint_velocity)
+        period = motion.servo.period
+        joint_velocity = motion.arm.velocity(scene.joints, velocity, np.zeros(3), _BACKOUT_ROTATION_WEIGHT, period)
+        return motion.move_open(joint_velocity)
 
     def _carry(self, retreat: RetreatController) -> Action:
         scene = self._scene
@@ -196,7 +176,8 @@ class ControllerReceiver(Receiver):
 
     Attributes:
         config: Configuration of grasp selection and motion.
-        robot: Kinematics and motor control of the arm.
+        arm: Kinematics of the arm.
+        servo: Velocity control of the motors.
         selector: Grasp selector.
         controller: Controller of the present episode; None before the first `reset`.
     """
@@ -207,8 +188,9 @@ class ControllerReceiver(Receiver):
         super().__init__(context)
         self.config = config
         self._wait = milliseconds_from_wait(wait) / 1000.0
-        self.robot = RobotModel(context, config)
-        self.selector = GraspSelector(self.robot.arm, self.robot.servo.limits, config)
+        self.arm = ArmInWorld.for_panda(context.panda_urdf, context.panda, config.limit_padding)
+        self.servo = ArmServo(config.servo, context.panda.motor.position_gain, config.period, TIME_STEP)
+        self.selector = GraspSelector(self.arm, self.servo.limits, config)
         self.controller: HandoverController | None = None
 
     @property
@@ -229,7 +211,7 @@ class ControllerReceiver(Receiver):
     @property
     def hold_time(self) -> float:
         """Time until the next decision (s), shorter while something moves near the gripper."""
-        return self.robot.servo.period
+        return self.servo.period
 
     def start_episode(self, scene: SceneEstimate) -> None:
         """Reset selector and motor control, and create the controller of an episode.
@@ -237,6 +219,7 @@ class ControllerReceiver(Receiver):
         Args:
             scene: Estimate of the scene that the controller acts on.
         """
-        self.robot.servo.reset()
+        self.servo.reset()
         self.selector.reset()
-        self.controller = HandoverController(self.robot, scene, self.selector, self._wait)
+        motion, goal = MotionController(self.arm, self.servo, scene), np.array(self.context.protocol.goal_center)
+        self.controller = HandoverController(motion, self.selector, goal, self._wait)

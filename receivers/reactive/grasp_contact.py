@@ -9,9 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from handover_marl.geometry.meshes import read_collision_mesh
 from handover_marl.geometry.poses import inverse_transform_points
-from handover_marl.planning.clearance import Spheres
-from handover_marl.receivers.reactive.config import GraspSelectorConfig
+from handover_marl.planning.clearance import Spheres, compute_flange_clearances, sample_surface_spheres
+from handover_marl.policies.policy import PolicyContext
+from handover_marl.receivers.grasp_library import GraspLibrary
+from handover_marl.receivers.reactive.config import GraspSelectorConfig, ReactiveConfig
+from handover_marl.receivers.reactive.grasp_validation import validate_grasps
 from handover_marl.receivers.reactive.grasps import ValidatedGrasps
 
 Array = npt.NDArray[np.float64]
@@ -28,17 +32,48 @@ class GraspableObject:
     """Grasps and surface of an object in its own frame.
 
     Attributes:
-        grasps: Validated grasps.
+        grasps: Grasps that keep the flange behind the robot's hand clear of the object.
         pad_margins: (n,) distances of each grasp's contacts from the tip and edges of the finger
             pads (m).
         surface: Few spheres that approximate the object's surface.
         points: (k, 3) dense points on the object's surface (m).
+        center: (3,) center of the object's bounding box (m).
     """
 
     grasps: ValidatedGrasps
     pad_margins: Array
     surface: Spheres
     points: Array
+    center: Array
+
+
+def load_graspable_object(
+    context: PolicyContext, object_name: str, config: ReactiveConfig, validated: bool = True
+) -> GraspableObject:
+    """Load the surface of an object class and its known grasps, of which there may be none.
+
+    Args:
+        context: The robot, the objects and their grasps.
+        object_name: Object class.
+        config: Configuration of the surface and of the validation.
+        validated: Whether grasps are validated and improved in simulation, for minutes the first
+            time; otherwise the known grasps are used unchanged.
+
+    Raises:
+        SimulationError: A model cannot be loaded.
+    """
+    urdf, known = context.object_urdf(object_name), GraspLibrary(context.grasps).hand_poses_in_object(object_name)
+    grasps = (
+        ValidatedGrasps(np.zeros((0, 7)), np.zeros(0)) if known is None else ValidatedGrasps(known, np.ones(len(known)))
+    )
+    if known is not None and validated:
+        grasps = validate_grasps(urdf, context.panda_urdf, known, config.preparation)
+    vertices, faces = read_collision_mesh(urdf)
+    surface = sample_surface_spheres(vertices, faces, config.n_surface_spheres, config.surface_radius)
+    points = sample_surface_points(vertices, faces, config.n_surface_points)
+    grasps = grasps.select(compute_flange_clearances(grasps.poses, surface) > 0.0)
+    center = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
+    return GraspableObject(grasps, compute_pad_margins(grasps.poses, points), surface, points, center)
 
 
 def sample_surface_points(vertices: Array, faces: npt.NDArray[np.int_], count: int) -> Array:

@@ -82,6 +82,10 @@ class ValidatedGrasps:
     poses: Array
     success_rates: Array
 
+    def select(self, chosen: npt.NDArray[np.generic]) -> "ValidatedGrasps":
+        """Return only the grasps with the given indices or flags."""
+        return ValidatedGrasps(self.poses[chosen], self.success_rates[chosen])
+
 
 @dataclass(frozen=True)
 class GraspOffsets:

@@ -19,7 +19,7 @@ from handover_marl.planning.collision_avoidance import (
 from handover_marl.policies.policy import Action
 from handover_marl.receivers.reactive.reachability import HOME
 from handover_marl.receivers.reactive.scene_estimate import SceneEstimate
-from handover_marl.receivers.reactive.selector import GraspGoal, GraspSelector, SelectionInput
+from handover_marl.receivers.reactive.selector import GraspGoal, GraspSelector
 
 Array = npt.NDArray[np.float64]
 
@@ -39,15 +39,15 @@ class MotionController:
         arm: Kinematics of the arm.
         servo: Velocity control of the motors.
         scene: Estimate of the scene.
-        config: Clearances to keep.
 
     Attributes:
         arm: Kinematics of the arm.
         servo: Velocity control of the motors.
+        scene: Estimate of the scene.
     """
 
-    def __init__(self, arm: ArmInWorld, servo: ArmServo, scene: SceneEstimate, config: SeparationConfig) -> None:
-        self.arm, self.servo, self._scene, self._config = arm, servo, scene, config
+    def __init__(self, arm: ArmInWorld, servo: ArmServo, scene: SceneEstimate) -> None:
+        self.arm, self.servo, self.scene, self._config = arm, servo, scene, scene.config.separation
 
     def move_home(self) -> Action:
         """Return the action towards the robot's waiting pose, ignoring the person's hand."""
@@ -64,7 +64,7 @@ class MotionController:
             goal: (7,) wanted configuration (rad).
             surface: The object's surface in its frame.
         """
-        velocity = self.servo.limit_speed(self.servo.compute_goal_velocity(self._scene.joints, goal))
+        velocity = self.servo.limit_speed(self.servo.compute_goal_velocity(self.scene.joints, goal))
         return self.move_open(self._separate(velocity, self._config.hand_clearance, surface=surface))
 
     def approach(self, velocity: Array) -> Action:
@@ -91,10 +91,10 @@ class MotionController:
         return self._action(velocity, CLOSED, acceleration)
 
     def _home_velocity(self) -> Array:
-        return self.servo.compute_goal_velocity(self._scene.joints, HOME)
+        return self.servo.compute_goal_velocity(self.scene.joints, HOME)
 
     def _action(self, velocity: Array, fingers: float, acceleration: float | None) -> Action:
-        target = self.servo.command(self._scene.joints, self.servo.limit_speed(velocity), acceleration)
+        target = self.servo.command(self.scene.joints, self.servo.limit_speed(velocity), acceleration)
         return np.array([*target, fingers, fingers], dtype=np.float32)
 
     def _separate(
@@ -106,7 +106,7 @@ class MotionController:
         leaving: bool = False,
     ) -> Array:
         """Return the velocity (7,) that keeps clear of the hand, and of a given object surface."""
-        scene, bodies, config = self._scene, list[MovingBody](), config or self._config
+        scene, bodies, config = self.scene, list[MovingBody](), config or self._config
         if surface is not None:
             item = Spheres(transform_points(scene.object, surface.centers), surface.radii)
             bodies.append(MovingBody(item, scene.motion.latest_velocity, config.object_clearance))
@@ -122,7 +122,6 @@ class ApproachController:
     """Controller that approaches selected grasps until the fingers may close.
 
     Args:
-        scene: Estimate of the scene.
         motion: Controller that converts joint velocities to actions.
         selector: Grasp selector.
 
@@ -130,9 +129,9 @@ class ApproachController:
         is_near: Whether the gripper is close enough to the grasp to move to it in a straight line.
     """
 
-    def __init__(self, scene: SceneEstimate, motion: MotionController, selector: GraspSelector) -> None:
-        self._scene, self._motion, self._selector = scene, motion, selector
-        self._config, self._period = scene.config.approach, scene.config.period
+    def __init__(self, motion: MotionController, selector: GraspSelector) -> None:
+        self._scene, self._motion, self._selector = motion.scene, motion, selector
+        self._config, self._period = motion.scene.config.approach, motion.scene.config.period
         self.is_near = False
         self._selected_at = -np.inf
         self._remaining, self._remaining_at = np.inf, 0.0
@@ -187,9 +186,7 @@ class ApproachController:
         if scene.time - self._selected_at < self._period - TIME_STEP:
             return chosen
         self._selected_at = scene.time
-        handover_pose = scene.motion.predict_handover_pose()
-        inputs = (scene.time, scene.joints, scene.object, handover_pose, scene.person.spheres, scene.is_settled)
-        goal = self._selector.select(SelectionInput(*inputs), self.is_near)
+        goal = self._selector.select(scene, self.is_near)
         if goal is None or chosen is None or goal.number != chosen.number:
             self._remaining, self._remaining_at = np.inf, scene.time
         return goal

@@ -2,23 +2,13 @@
 
 from collections.abc import Sequence
 
-import numpy as np
-import numpy.typing as npt
-
 from handover_marl.episode.observations import Observation
-from handover_marl.errors import ResetNeededError
-from handover_marl.geometry.meshes import read_collision_mesh
-from handover_marl.planning.clearance import sample_surface_spheres
 from handover_marl.policies.policy import Action, PolicyContext
-from handover_marl.receivers.grasp_library import GraspLibrary
+from handover_marl.receivers.phases import require_reset
 from handover_marl.receivers.reactive.config import ReactiveConfig, apply_risk
 from handover_marl.receivers.reactive.controller import ControllerReceiver
-from handover_marl.receivers.reactive.grasp_contact import GraspableObject, compute_pad_margins, sample_surface_points
-from handover_marl.receivers.reactive.grasp_validation import validate_grasps
-from handover_marl.receivers.reactive.grasps import ValidatedGrasps
+from handover_marl.receivers.reactive.grasp_contact import GraspableObject, load_graspable_object
 from handover_marl.receivers.reactive.scene_estimate import PoseSceneEstimate
-
-Array = npt.NDArray[np.float64]
 
 
 class ReactiveReceiver(ControllerReceiver):
@@ -46,15 +36,9 @@ class ReactiveReceiver(ControllerReceiver):
         self, context: PolicyContext, wait: float = 0.0, risk: float = 0.5, config: ReactiveConfig | None = None
     ) -> None:
         super().__init__(context, wait, apply_risk(config or ReactiveConfig(), risk))
-        self._library = GraspLibrary(context.grasps)
         self._objects: dict[str, GraspableObject] = {}
         self._object_name = ""
         self._scene: PoseSceneEstimate | None = None
-
-    @property
-    def commanded_velocity(self) -> Array:
-        """(7,) joint velocities that were commanded in the last decision (rad/s)."""
-        return self.robot.servo.velocity
 
     def prepare(self, object_names: Sequence[str]) -> None:
         """Validate the grasps of the first object, which is the one that is handed over."""
@@ -64,7 +48,7 @@ class ReactiveReceiver(ControllerReceiver):
     def reset(self, seed: int | None = None) -> None:
         """Start an episode; the receiver is deterministic."""
         self._object_name = ""
-        self._scene = PoseSceneEstimate(self.robot.arm, self.config)
+        self._scene = PoseSceneEstimate(self.arm, self.config)
         self.start_episode(self._scene)
 
     def act(self, observation: Observation) -> Action:
@@ -73,24 +57,15 @@ class ReactiveReceiver(ControllerReceiver):
         Raises:
             ResetNeededError: `reset` was not called.
         """
-        if self._scene is None or self.controller is None:
-            raise ResetNeededError(f"receiver {self.name!r} cannot act before reset(); call reset() first")
-        self._scene.update(observation)
-        if self._scene.object_name != self._object_name:
-            self._object_name = self._scene.object_name
+        scene, controller = require_reset(self._scene, self), require_reset(self.controller, self)
+        scene.update(observation)
+        if scene.object_name != self._object_name:
+            self._object_name = scene.object_name
             self.selector.set_object(self._load_object(self._object_name))
-        return self.controller.step()
+        return controller.step()
 
     def _load_object(self, name: str) -> GraspableObject:
         """Return the grasps and surface of an object class, computed once."""
         if name not in self._objects:
-            config, urdf = self.config, self.context.object_urdf(name)
-            known, grasps = self._library.hand_poses_in_object(name), ValidatedGrasps(np.zeros((0, 7)), np.zeros(0))
-            if known is not None:
-                grasps = validate_grasps(urdf, self.context.panda_urdf, known, config.preparation)
-            vertices, faces = read_collision_mesh(urdf)
-            surface = sample_surface_spheres(vertices, faces, config.n_surface_spheres, config.surface_radius)
-            points = sample_surface_points(vertices, faces, config.n_surface_points)
-            margins = compute_pad_margins(grasps.poses, points)
-            self._objects[name] = GraspableObject(grasps, margins, surface, points)
+            self._objects[name] = load_graspable_object(self.context, name, self.config)
         return self._objects[name]

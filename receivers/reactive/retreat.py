@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from handover_marl.geometry.poses import IDENTITY, inverse_transform_points, rotate_points, transform_points
+from handover_marl.geometry.poses import IDENTITY, inverse_transform_points, rotate_points
 from handover_marl.planning.arm_control import ArmInWorld, ArmServo
 from handover_marl.planning.clearance import Spheres, compute_grasp_clearances
 from handover_marl.receivers.reactive.config import RetreatConfig
@@ -145,14 +145,3 @@ class RetreatController:
             if distances.min() < 0.0 or compute_grasp_clearances(IDENTITY[None], arm, flange=False)[0] < 0.0:
                 return False
         return True
-
-
-def transform_to_hand_frame(hand: Array, object_pose: Array, surface: Array) -> Array:
-    """Return points (k, 3) of an object in the frame of the robot's hand link (m).
-
-    Args:
-        hand: (7,) world pose of the hand link.
-        object_pose: (7,) world pose of the object.
-        surface: (k, 3) points in the object's frame (m).
-    """
-    return inverse_transform_points(hand, transform_points(object_pose, surface))

@@ -10,17 +10,13 @@ from handover_marl.config import TABLE_HEIGHT
 from handover_marl.geometry.panda import HALF_TURN
 from handover_marl.geometry.poses import compose, invert_pose, transform_points
 from handover_marl.planning.arm_control import ArmInWorld
-from handover_marl.planning.clearance import (
-    Spheres,
-    compute_flange_clearances,
-    compute_grasp_clearances,
-    compute_gripper_corners,
-)
+from handover_marl.planning.clearance import Spheres, compute_grasp_clearances, compute_gripper_corners
 from handover_marl.planning.collision_avoidance import PathObstacles, find_via_point, is_path_clear
 from handover_marl.receivers.reactive.config import ReactiveConfig
 from handover_marl.receivers.reactive.grasp_contact import GraspableObject, compute_hold_costs, compute_pad_margins
 from handover_marl.receivers.reactive.grasps import ValidatedGrasps, perturb_grasps
 from handover_marl.receivers.reactive.reachability import FALLBACK_IK_SEEDS, HOME, IK_SEEDS, GraspReachability
+from handover_marl.receivers.reactive.scene_estimate import SceneEstimate
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int_]
@@ -48,27 +44,6 @@ class GraspGoal:
     standoff: Array
     goal: Array
     via: Array | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class SelectionInput:
-    """State of the scene on which the selection of a grasp depends.
-
-    Attributes:
-        time: Time since the start of the episode (s).
-        joints: (7,) present configuration of the arm (rad).
-        object_pose: (7,) present pose of the object in the world.
-        handover_pose: (7,) world pose at which the object is expected to be held out.
-        hand: Spheres that approximate the person's hand in the world, or None without a hand.
-        is_settled: Whether the object is at rest, or is held up within a small region.
-    """
-
-    time: float
-    joints: Array
-    object_pose: Array
-    handover_pose: Array
-    hand: Spheres | None
-    is_settled: bool
 
 
 class GraspSelector:
@@ -111,10 +86,8 @@ class GraspSelector:
         """Replace the candidates by the grasps of an object, and forget failed grasps."""
         self.reset()
         self.surface, self._points = graspable.surface, graspable.points
-        grasps = graspable.grasps
-        is_clear = compute_flange_clearances(grasps.poses, graspable.surface) > 0.0
-        self._validated = ValidatedGrasps(grasps.poses[is_clear], grasps.success_rates[is_clear])
-        self._add(self._validated, graspable.pad_margins[is_clear], 0.0)
+        self._validated = graspable.grasps
+        self._add(self._validated, graspable.pad_margins, 0.0)
 
     def set_candidates(self, poses: Array, costs: Array, surface: Spheres, chosen: int | None) -> None:
         """Replace the candidates; the costs must include the costs of grasps that have failed.
@@ -136,22 +109,23 @@ class GraspSelector:
             self.failed[self.chosen.number] = until
         self.chosen = None
 
-    def select(self, scene: SelectionInput, is_near: bool = False) -> GraspGoal | None:
+    def select(self, scene: SceneEstimate, is_near: bool = False) -> GraspGoal | None:
         """Return the grasp to approach: the previous one unless another is clearly cheaper.
 
         Args:
-            scene: Present state of the scene.
+            scene: Estimate of the present scene.
             is_near: Whether the gripper is in front of the previous grasp already; the cost of
                 another grasp must then be lower by a larger margin.
         """
-        config = self._config
-        if self._poor_time > config.offset_delay and not self._has_offsets and scene.hand is not None:
-            self._add_offset_grasps(scene.hand.in_frame(scene.object_pose))
+        config, hand = self._config, scene.person.spheres
+        if self._poor_time > config.offset_delay and not self._has_offsets and hand is not None:
+            self._add_offset_grasps(hand.in_frame(scene.object))
         if self._has_offsets and self._batch > _MAX_BATCHES and self._batch % _RARE_SEARCH_PERIOD:
             # All candidates have been examined: only another position of the hand can help.
             self._batch += 1
             return None
-        world = compose(scene.handover_pose, self.grasps)
+        handover_pose = scene.motion.predict_handover_pose()
+        world = compose(handover_pose, self.grasps)
         rough = self._rough_costs(world, self._clearances(scene), scene.time)
         numbers = self._candidates(rough)
         if not len(numbers):
@@ -163,7 +137,7 @@ class GraspSelector:
         standoffs, goals, is_reached = reach.solve(world[numbers], scene.joints, previous, self._batch > 0)
         costs = rough[numbers] + reach.travel_times(standoffs, scene.joints)
         costs = costs + reach.limit_margin_costs(standoffs, goals)
-        obstacles = PathObstacles(self._bodies(scene), TABLE_HEIGHT, config.path_clearance)
+        obstacles = PathObstacles(self._bodies(scene, handover_pose), TABLE_HEIGHT, config.path_clearance)
         costs[~(is_reached & reach.is_arm_clear(goals, obstacles.spheres))] += _FORBIDDEN
         old = None if self.chosen is None else int(np.flatnonzero(numbers == self.chosen.number)[0])
         if is_near:
@@ -219,8 +193,7 @@ class GraspSelector:
         more = perturb_grasps(self._validated, self._points, hand, self._standoff_length, self._offsets)
         margins = compute_pad_margins(more.poses, self._points)
         kept = margins > self._config.min_offset_pad_margin
-        offset_grasps = ValidatedGrasps(more.poses[kept], more.success_rates[kept])
-        self._add(offset_grasps, margins[kept], self._config.offset_cost)
+        self._add(more.select(kept), margins[kept], self._config.offset_cost)
         self._has_offsets = True
 
     def _report_failure(self, reason: str, is_settled: bool, relaxation: float) -> None:
@@ -236,11 +209,12 @@ class GraspSelector:
             margin += self._config.blocked_path_cost
         return margin
 
-    def _clearances(self, scene: SelectionInput) -> Array:
+    def _clearances(self, scene: SceneEstimate) -> Array:
         """Return the clearances (n,) in m beside the hand, which moves with the object."""
-        if scene.hand is None:
+        hand = scene.person.spheres
+        if hand is None:
             return np.full(len(self.grasps), _NO_HAND_CLEARANCE)
-        return compute_grasp_clearances(self.grasps, scene.hand.in_frame(scene.object_pose), self._standoff_length)
+        return compute_grasp_clearances(self.grasps, hand.in_frame(scene.object), self._standoff_length)
 
     def _rough_costs(self, world: Array, clearances: Array, time: float) -> Array:
         """Return the costs (n,) in s that need no inverse kinematics."""
@@ -268,14 +242,17 @@ class GraspSelector:
             numbers = np.append(numbers, self.chosen.number)
         return numbers
 
-    def _bodies(self, scene: SelectionInput) -> Spheres:
+    def _bodies(self, scene: SceneEstimate, handover_pose: Array) -> Spheres:
         """Return object and hand where the object is expected to be held out."""
-        centers, radii = transform_points(scene.handover_pose, self.surface.centers), self.surface.radii
-        if scene.hand is None:
+        centers, radii, hand = (
+            transform_points(handover_pose, self.surface.centers),
+            self.surface.radii,
+            scene.person.spheres,
+        )
+        if hand is None:
             return Spheres(centers, radii)
-        motion = compose(scene.handover_pose, invert_pose(scene.object_pose))
-        hand = transform_points(motion, scene.hand.centers)
-        return Spheres(np.concatenate([centers, hand]), np.concatenate([radii, scene.hand.radii]))
+        moved = transform_points(compose(handover_pose, invert_pose(scene.object)), hand.centers)
+        return Spheres(np.concatenate([centers, moved]), np.concatenate([radii, hand.radii]))
 
     def _add_path_costs(
         self, costs: Array, standoffs: Array, old: int | None, joints: Array, obstacles: PathObstacles

@@ -15,8 +15,9 @@ import numpy.typing as npt
 from handover_marl.assets.shipped import find_vision_weights
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.spaces import POINTCLOUD
-from handover_marl.errors import OptionError, ResetNeededError
+from handover_marl.errors import OptionError
 from handover_marl.policies.policy import Action, PolicyContext
+from handover_marl.receivers.phases import require_reset
 from handover_marl.receivers.reactive.config import apply_risk
 from handover_marl.receivers.reactive.controller import ControllerReceiver
 from handover_marl.receivers.vision.config import VisionConfig, make_vision_reactive_config
@@ -64,7 +65,6 @@ class VisionReceiver(ControllerReceiver):
         self.vision = vision or VisionConfig()
         self._predictor, self._weights_hash = _make_predictor(weights, grasp_predictor, context.setup)
         self._label = self.name if weights is None else f"{self.name}@{self._weights_hash}"
-        self._tracker: GraspTracker | None = None
         self._scene: PointCloudSceneEstimate | None = None
 
     @property
@@ -86,8 +86,8 @@ class VisionReceiver(ControllerReceiver):
         Args:
             seed: Seed of the points that are sampled for grasp prediction.
         """
-        self._tracker = GraspTracker(self._predictor, self.vision.tracker, seed)
-        self._scene = PointCloudSceneEstimate(self.robot.arm, self.config, self.vision, self._tracker)
+        tracker = GraspTracker(self._predictor, self.vision.tracker, seed)
+        self._scene = PointCloudSceneEstimate(self.arm, self.config, self.vision, tracker)
         self.start_episode(self._scene)
 
     def act(self, observation: Observation) -> Action:
@@ -96,27 +96,26 @@ class VisionReceiver(ControllerReceiver):
         Raises:
             ResetNeededError: `reset` was not called.
         """
-        scene, tracker, controller = self._scene, self._tracker, self.controller
-        if scene is None or tracker is None or controller is None:
-            raise ResetNeededError(f"receiver {self.name!r} cannot act before reset(); call reset() first")
+        scene, controller = require_reset(self._scene, self), require_reset(self.controller, self)
         if controller.is_grasping:
             # The camera cannot see what is between the fingers, and the selection is final.
             scene.update_robot(observation)
         else:
-            self._track_selection(tracker, scene)
+            tracker = scene.tracker
+            self._track_selection(tracker, scene.is_settled)
             scene.update(observation)
             first = 0 if tracker.has_selected else None
             self.selector.set_candidates(tracker.grasps, tracker.costs, tracker.surface, first)
         return controller.step()
 
-    def _track_selection(self, tracker: GraspTracker, scene: PointCloudSceneEstimate) -> None:
+    def _track_selection(self, tracker: GraspTracker, is_settled: bool) -> None:
         """Pass selected and failed grasps of the last decision to the tracker."""
         selector = self.selector
         for number, until in selector.failed.items():
             tracker.add_failed(selector.grasps[number], until)
         tracker.set_selected(None if selector.chosen is None else selector.grasps[selector.chosen.number])
         has_no_grasp = bool(selector.failure_reason) or not len(selector.grasps)
-        tracker.use_all = has_no_grasp and scene.is_settled
+        tracker.use_all = has_no_grasp and is_settled
 
 
 def _make_predictor(weights: str | None, predictor: GraspPredictor | None, setup: str) -> tuple[GraspPredictor, str]:

@@ -58,12 +58,15 @@ class PointCloudSceneEstimate(SceneEstimate):
         config: Configuration of grasp selection and motion.
         vision: Configuration of the perception.
         tracker: Tracker of object, hand and grasps.
+
+    Attributes:
+        tracker: Tracker of object, hand and grasps.
     """
 
     def __init__(self, arm: ArmInWorld, config: ReactiveConfig, vision: VisionConfig, tracker: GraspTracker) -> None:
         self._person = PointCloudHandTracker()
         super().__init__(arm, config, self._person)
-        self._vision, self._tracker = vision, tracker
+        self._vision, self.tracker = vision, tracker
         self._last_fingers = np.zeros(2)
         self._closing_since, self._moved_at = -np.inf, np.inf
 
@@ -75,10 +78,10 @@ class PointCloudSceneEstimate(SceneEstimate):
             observation[key][:count].astype(np.float64)
             for key, count in zip(("wrist_object_points", "wrist_hand_points"), counts, strict=True)
         )
-        self._tracker.update(self.time, self.hand, item, hand)
-        self._person.update_from_tracker(self._tracker)
-        if self._tracker.is_initialized:
-            self.object = self._tracker.object_pose
+        self.tracker.update(self.time, self.hand, item, hand)
+        self._person.update_from_tracker(self.tracker)
+        if self.tracker.is_initialized:
+            self.object = self.tracker.object_pose
             self.motion.update(self.time, self.object)
 
     def has_released(self, closing_since: float) -> bool:
@@ -102,7 +105,7 @@ class PointCloudSceneEstimate(SceneEstimate):
     @property
     def is_lost(self) -> bool:
         """Whether the object has been out of sight for too long and must be searched for."""
-        return self._tracker.unseen_time(self.time) > self._vision.search_timeout
+        return self.tracker.unseen_time(self.time) > self._vision.search_timeout
 
     @property
     def has_dropped(self) -> bool:
@@ -117,4 +120,4 @@ class PointCloudSceneEstimate(SceneEstimate):
         """Whether the person hands the object over, judged from the visible points."""
         # A hand behind the object is not visible, but it holds an object that was lifted.
         is_lifted = self.motion.lift_distance > self.config.min_lift
-        return self._tracker.is_initialized and (is_lifted or super().is_offered)
+        return self.tracker.is_initialized and (is_lifted or super().is_offered)

@@ -138,9 +138,9 @@ def test_targets_respect_motor_limits() -> None:
         ahead = action[:ARM_DOF] - observation["robot_joint_position"][:ARM_DOF]
         assert np.abs(ahead).max() < most + 1e-3
         # The commanded velocity respects the maximum acceleration.
-        change = np.abs(receiver.commanded_velocity - before).max()
+        change = np.abs(receiver.servo.velocity - before).max()
         assert change < servo.max_acceleration * receiver.config.period + 1e-6
-        before = receiver.commanded_velocity.copy()
+        before = receiver.servo.velocity.copy()
         episode.advance(action, min(clock.due, 13_000) - episode.steps)
     episode.close()
 
@@ -201,7 +201,7 @@ def test_retreats_after_release(handover_observation: Observation) -> None:
     # It backs out of the hand.
     hand = observation["gripper_pose"]
     assert np.isfinite(hand).all()
-    assert np.abs(receiver.commanded_velocity).max() > 0.05
+    assert np.abs(receiver.servo.velocity).max() > 0.05
 
 
 def test_stays_without_known_grasps(handover_observation: Observation) -> None:

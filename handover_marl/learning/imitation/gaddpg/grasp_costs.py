@@ -7,27 +7,14 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from handover_marl.config import TABLE_HEIGHT
-from handover_marl.geometry.meshes import read_collision_mesh
 from handover_marl.geometry.panda import HALF_TURN
 from handover_marl.geometry.poses import compose
-from handover_marl.planning.clearance import (
-    Spheres,
-    compute_flange_clearances,
-    compute_grasp_clearances,
-    compute_gripper_corners,
-    sample_surface_spheres,
-)
+from handover_marl.planning.clearance import Spheres, compute_grasp_clearances, compute_gripper_corners
 from handover_marl.planning.goal_set import is_usable_grasp
 from handover_marl.policies.policy import PolicyContext
-from handover_marl.receivers.grasp_library import GraspLibrary
-from handover_marl.receivers.reactive.config import GraspSelectorConfig
-from handover_marl.receivers.reactive.grasp_contact import (
-    compute_hold_costs,
-    compute_pad_margins,
-    sample_surface_points,
-)
-from handover_marl.receivers.reactive.grasp_validation import validate_grasps
-from handover_marl.receivers.reactive.grasps import GraspPreparationConfig, ValidatedGrasps
+from handover_marl.receivers.reactive.config import GraspSelectorConfig, ReactiveConfig
+from handover_marl.receivers.reactive.grasp_contact import compute_hold_costs, load_graspable_object
+from handover_marl.receivers.reactive.grasps import GraspPreparationConfig
 
 Array = npt.NDArray[np.float64]
 
@@ -92,7 +79,6 @@ class GraspCostTable:
 
     def __init__(self, context: PolicyContext, config: GraspCostConfig) -> None:
         self._context, self._config = context, config
-        self._library = GraspLibrary(context.grasps)
         self._costed: dict[str, CostedGrasps | None] = {}
 
     def load_grasps(self, object_name: str) -> CostedGrasps | None:
@@ -125,22 +111,16 @@ class GraspCostTable:
         return costs
 
     def _load_costed_grasps(self, name: str) -> CostedGrasps | None:
-        config, known = self._config, self._library.hand_poses_in_object(name)
-        if known is None:
-            return None
-        urdf = self._context.object_urdf(name)
-        validated = ValidatedGrasps(known, np.ones(len(known)))
-        if config.validated:
-            validated = validate_grasps(urdf, self._context.panda_urdf, known, config.validation)
-        vertices, faces = read_collision_mesh(urdf)
-        surface = sample_surface_spheres(vertices, faces, 150, 0.004)
-        kept = compute_flange_clearances(validated.poses, surface) > 0.0
-        kept &= is_usable_grasp(name, compose(validated.poses, np.array(HALF_TURN))) | config.validated
-        poses, success_rates = validated.poses[kept], validated.success_rates[kept]
+        config = self._config
+        surface = ReactiveConfig(
+            preparation=config.validation, n_surface_spheres=150, surface_radius=0.004, n_surface_points=2000
+        )
+        found = load_graspable_object(self._context, name, surface, config.validated)
+        kept = is_usable_grasp(name, compose(found.grasps.poses, np.array(HALF_TURN))) | config.validated
+        poses = found.grasps.poses[kept]
         if not len(poses):
             return None
-        margins = compute_pad_margins(poses, sample_surface_points(vertices, faces, 2000))
-        costs = config.pace * compute_hold_costs(ValidatedGrasps(poses, success_rates), margins, config.hold)
+        costs = config.pace * compute_hold_costs(found.grasps.select(kept), found.pad_margins[kept], config.hold)
         both = np.concatenate([poses, compose(poses, np.array(HALF_TURN))])
         return CostedGrasps(both, np.concatenate([costs, costs]))
 

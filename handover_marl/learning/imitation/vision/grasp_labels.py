@@ -10,23 +10,16 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.geometry.meshes import read_collision_mesh
-from handover_marl.planning.clearance import (
-    Spheres,
-    compute_flange_clearances,
-    compute_grasp_clearances,
-    sample_surface_spheres,
-)
+from handover_marl.planning.clearance import Spheres, compute_grasp_clearances
 from handover_marl.policies.policy import PolicyContext
-from handover_marl.receivers.grasp_library import GraspLibrary
 from handover_marl.receivers.reactive.config import ReactiveConfig
 from handover_marl.receivers.reactive.grasp_contact import (
+    GraspableObject,
     compute_hold_costs,
     compute_pad_margins,
-    sample_surface_points,
+    load_graspable_object,
 )
-from handover_marl.receivers.reactive.grasp_validation import validate_grasps
-from handover_marl.receivers.reactive.grasps import ValidatedGrasps, perturb_grasps
+from handover_marl.receivers.reactive.grasps import perturb_grasps
 
 Array = npt.NDArray[np.float64]
 
@@ -77,9 +70,7 @@ class GraspLabeller:
 
     def __init__(self, context: PolicyContext, config: GraspLabelConfig = GraspLabelConfig()) -> None:
         self._context, self.config = context, config
-        self._library = GraspLibrary(context.grasps)
-        self._labelled: dict[str, LabelledGrasps] = {}
-        self._validated: dict[str, tuple[ValidatedGrasps, Array]] = {}
+        self._objects: dict[str, GraspableObject] = {}
 
     def load_grasps(self, object_name: str) -> LabelledGrasps:
         """Return the grasps of an object class with costs; empty for a class without known grasps.
@@ -88,9 +79,12 @@ class GraspLabeller:
             DataNotFoundError: Files of the object do not exist.
             SimulationError: The object's model cannot be loaded.
         """
-        if object_name not in self._labelled:
-            self._labelled[object_name] = self._label_grasps(object_name)
-        return self._labelled[object_name]
+        config = self.config.receiver
+        if object_name not in self._objects:
+            self._objects[object_name] = load_graspable_object(self._context, object_name, config)
+        found = self._objects[object_name]
+        costs = compute_hold_costs(found.grasps, found.pad_margins, config.selection)
+        return LabelledGrasps(found.grasps.poses, costs, found.center)
 
     def grasps_beside(self, object_name: str, hand: Spheres | None, object_pose: Array) -> LabelledGrasps:
         """Return an object's grasps, and offset copies that are clear of the person's hand.
@@ -104,7 +98,7 @@ class GraspLabeller:
         if hand is None or not len(known.poses):
             return known
         hand_in_object, standoff = hand.in_frame(object_pose), config.approach.standoff
-        validated, points = self._validated[object_name]
+        validated, points = self._objects[object_name].grasps, self._objects[object_name].points
         offset = perturb_grasps(validated, points, hand_in_object, standoff, config.offsets)
         enclosed = compute_pad_margins(offset.poses, points)
         costs = config.selection.offset_cost + compute_hold_costs(offset, enclosed, config.selection)
@@ -134,19 +128,3 @@ class GraspLabeller:
         config = self.config.receiver.selection
         costs = costs + config.clearance_cost * np.maximum(0.0, config.desired_clearance - clearances)
         return np.where(clearances < self.config.min_clearance, 0.0, np.exp(-costs / self.config.scale))
-
-    def _label_grasps(self, object_name: str) -> LabelledGrasps:
-        urdf, config = self._context.object_urdf(object_name), self.config.receiver
-        vertices, faces = read_collision_mesh(urdf)
-        center = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
-        known = self._library.hand_poses_in_object(object_name)
-        if known is None:
-            return LabelledGrasps(np.zeros((0, 7)), np.zeros(0), center)
-        found = validate_grasps(urdf, self._context.panda_urdf, known, config.preparation)
-        surface = sample_surface_spheres(vertices, faces, config.n_surface_spheres, config.surface_radius)
-        clear = compute_flange_clearances(found.poses, surface) > 0.0
-        validated = ValidatedGrasps(found.poses[clear], found.success_rates[clear])
-        points = sample_surface_points(vertices, faces, config.n_surface_points)
-        self._validated[object_name] = validated, points
-        costs = compute_hold_costs(validated, compute_pad_margins(validated.poses, points), config.selection)
-        return LabelledGrasps(validated.poses, costs, center)
