@@ -173,23 +173,15 @@ def _flatten(observation: Observation, space: spaces.Dict) -> Vector:
     return np.asarray(spaces.flatten(space, observation), dtype=np.float32)
 
 
-def _make_giver_features(context: PolicyContext) -> FeatureFunction:
-    return functools.partial(giver_features, protocol=context.protocol)
-
-
-def _make_receiver_features(context: PolicyContext) -> FeatureFunction:
-    return functools.partial(receiver_features, protocol=context.protocol)
-
-
 # By agent and name: factory and number of features. The flat ones are complete observations in the
 # order in which Gymnasium and Stable-Baselines3 flatten them.
 _FEATURES: dict[str, dict[str, tuple[Callable[[PolicyContext], FeatureFunction], int]]] = {
     "giver": {
-        "giver": (_make_giver_features, 18 + _N_CLASSES),
+        "giver": (lambda context: functools.partial(giver_features, protocol=context.protocol), 18 + _N_CLASSES),
         "flat_giver": (lambda _: functools.partial(_flatten, space=_GIVER_SPACE), spaces.flatdim(_GIVER_SPACE)),
     },
     "receiver": {
-        "receiver": (_make_receiver_features, _N_RECEIVER),
+        "receiver": (lambda context: functools.partial(receiver_features, protocol=context.protocol), _N_RECEIVER),
         "flat_receiver": (
             lambda _: functools.partial(_flatten, space=_RECEIVER_SPACE),
             spaces.flatdim(_RECEIVER_SPACE),
@@ -200,25 +192,16 @@ _FEATURES: dict[str, dict[str, tuple[Callable[[PolicyContext], FeatureFunction],
 }
 
 
-def available_features(agent: str) -> tuple[str, ...]:
-    """Return the names of all feature functions for an agent.
-
-    Raises:
-        UnknownNameError: `agent` is neither "giver" nor "receiver".
-    """
-    if agent not in _FEATURES:
-        raise UnknownNameError("agent", agent, _FEATURES)
-    return tuple(_FEATURES[agent])
-
-
 def n_features(agent: str, name: str) -> int:
     """Return the length of an agent's feature vector.
 
     Raises:
         UnknownNameError: The agent is unknown or has no features of that name.
     """
-    if name not in available_features(agent):
-        raise UnknownNameError(f"features of the {agent}", name, available_features(agent))
+    if agent not in _FEATURES:
+        raise UnknownNameError("agent", agent, _FEATURES)
+    if name not in _FEATURES[agent]:
+        raise UnknownNameError(f"features of the {agent}", name, _FEATURES[agent])
     return _FEATURES[agent][name][1]
 
 
@@ -227,7 +210,7 @@ def make_features(agent: str, name: str, context: PolicyContext) -> FeatureFunct
 
     Args:
         agent: "giver" or "receiver".
-        name: One of `available_features(agent)`.
+        name: Name of the features.
         context: Task and known grasps of the objects, which some features contain.
 
     Raises:

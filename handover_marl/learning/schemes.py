@@ -12,15 +12,11 @@ from handover_marl.learning.receiver_schemes import (
 )
 from handover_marl.policies.policy import PolicyContext
 
-_GIVER_SCHEMES: tuple[type[ActionScheme], ...] = (RawGiverScheme, DeviationScheme, HandoverPoseScheme)
-_RECEIVER_SCHEMES: tuple[type[ActionScheme], ...] = (
-    RawReceiverScheme,
-    JointPositionScheme,
-    JointDeltaScheme,
-    CartesianDeltaScheme,
-    GraspServoScheme,
+_ALL: tuple[type[ActionScheme], ...] = (
+    *(RawGiverScheme, DeviationScheme, HandoverPoseScheme),
+    *(RawReceiverScheme, JointPositionScheme, JointDeltaScheme, CartesianDeltaScheme, GraspServoScheme),
 )
-_SCHEMES = {scheme.name: scheme for scheme in _GIVER_SCHEMES + _RECEIVER_SCHEMES}
+_SCHEMES = {scheme.name: scheme for scheme in _ALL}
 
 
 def available_schemes(agent: str) -> tuple[str, ...]:

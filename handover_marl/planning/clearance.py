@@ -101,12 +101,17 @@ def sample_surface_spheres(vertices: Array, faces: npt.NDArray[np.int_], count: 
     """
     weights = np.array([(a, b, 1.0 - a - b) for a in _GRID for b in _GRID if a + b <= 1.0])
     points = np.einsum("sk,fkc->fsc", weights, vertices[faces]).reshape(-1, 3)
-    chosen = [0]
-    distances = np.linalg.norm(points - points[0], axis=1)
-    while len(chosen) < min(count, len(points)):
-        chosen.append(int(np.argmax(distances)))
-        distances = np.minimum(distances, np.linalg.norm(points - points[chosen[-1]], axis=1))
+    chosen = find_farthest_points(points, min(count, len(points)), 0)
     return Spheres(points[chosen], np.full(len(chosen), radius))
+
+
+def find_farthest_points(points: Array, count: int, first: int) -> list[int]:
+    """Return the indices of `count` of the points (n, 3) by farthest point sampling from one."""
+    chosen, distances = [first], np.full(len(points), np.inf)
+    while len(chosen) < count:
+        distances = np.minimum(distances, np.linalg.norm(points - points[chosen[-1]], axis=1))
+        chosen.append(int(np.argmax(distances)))
+    return chosen
 
 
 def compute_gripper_corners(hands: Array) -> Array:

@@ -4,8 +4,9 @@ Receivers use PyBullet's solver where it is installed, since only its solutions 
 results of HandoverSim's baselines to the bit, and the library's own solver otherwise.
 """
 
+import importlib
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -173,28 +174,20 @@ def make_ik_solver(urdf: Path, config: PandaConfig) -> IkSolver:
     Raises:
         SimulationError: The model cannot be read.
     """
-    if not is_pybullet_installed():
-        return PandaIkSolver(urdf, config)
-    from handover_marl.simulation.bullet.kinematics import BulletIKSolver
-
-    return BulletIKSolver(urdf, config)
+    solver: IkSolver = _find_solver("BulletIKSolver")(urdf, config)
+    return solver
 
 
 def make_ik_stepper(urdf: Path, config: PandaConfig) -> IkStepper:
-    """Create a solver of single inverse kinematics queries, PyBullet's where PyBullet is installed.
+    """Create a solver of single queries, with arguments and errors of `make_ik_solver`."""
+    stepper: IkStepper = _find_solver("BulletIKStep")(urdf, config)
+    return stepper
 
-    Args:
-        urdf: Model of the Panda.
-        config: Configuration with the world pose of the robot's base.
 
-    Raises:
-        SimulationError: The model cannot be read.
-    """
+def _find_solver(bullet_class: str) -> Any:
     if not is_pybullet_installed():
-        return PandaIkSolver(urdf, config)
-    from handover_marl.simulation.bullet.kinematics import BulletIKStep
-
-    return BulletIKStep(urdf, config)
+        return PandaIkSolver
+    return getattr(importlib.import_module("handover_marl.simulation.bullet.kinematics"), bullet_class)
 
 
 class PandaIkSolver:

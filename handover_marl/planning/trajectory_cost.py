@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from handover_marl.geometry.arm import ArmKinematics, LinkFrames, transform_body_points
 from handover_marl.geometry.distance_field import DistanceField
 from handover_marl.geometry.meshes import read_link_vertices
+from handover_marl.planning.clearance import find_farthest_points
 from handover_marl.planning.planner_config import CostConfig
 
 Array = npt.NDArray[np.float64]
@@ -36,19 +37,12 @@ def sample_body_points(urdf: Path, link_names: tuple[str, ...], count: int) -> t
 
 @functools.cache
 def _cached_body_points(urdf: Path, changed: int, link_names: tuple[str, ...], count: int) -> tuple[Array, ...]:
-    meshes = read_link_vertices(urdf, "visual", list(link_names))
-    return tuple(_sample_farthest(vertices, count) for vertices in meshes)
-
-
-def _sample_farthest(vertices: Array, count: int) -> Array:
-    """Return `count` of the vertices (n, 3) by farthest point sampling."""
-    center = (vertices.min(axis=0) + vertices.max(axis=0)) / 2.0
-    chosen = [int(np.argmax(np.linalg.norm(vertices - center, axis=1)))]
-    distances = np.full(len(vertices), np.inf)
-    while len(chosen) < count:
-        distances = np.minimum(distances, np.linalg.norm(vertices - vertices[chosen[-1]], axis=1))
-        chosen.append(int(np.argmax(distances)))
-    return vertices[chosen]
+    sampled = []
+    for vertices in read_link_vertices(urdf, "visual", list(link_names)):
+        center = (vertices.min(axis=0) + vertices.max(axis=0)) / 2.0
+        first = int(np.argmax(np.linalg.norm(vertices - center, axis=1)))
+        sampled.append(vertices[find_farthest_points(vertices, count, first)])
+    return tuple(sampled)
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,7 +25,7 @@ from handover_marl.learning.networks.weights import SavedNetwork, single_threade
 N_POINTS, N_FINGER_POINTS = 1024, 6
 #: Largest translation (m) and Euler angle (rad) of one decision, along or about each axis.
 MAX_TRANSLATION, MAX_ROTATION = 0.06, math.pi / 6.0
-_LOG_DEVIATION = (-10.0, 2.0)
+_N_HIDDEN = 256
 
 
 class ActorOutput(NamedTuple):
@@ -33,14 +33,10 @@ class ActorOutput(NamedTuple):
 
     Attributes:
         action: (B, 6) mean action: translation (m), then extrinsic xyz Euler angles (rad).
-        mean: (B, 6) mean action before squashing by tanh and scaling.
-        log_deviation: (B, 6) logarithm of the standard deviation of the unsquashed action.
         goal: (B, 7) grasp pose of the hand link: unit quaternion wxyz, then position xyz (m).
     """
 
     action: Tensor
-    mean: Tensor
-    log_deviation: Tensor
     goal: Tensor
 
 
@@ -48,50 +44,34 @@ class PolicyHead(nn.Module):
     """Head of the actors of GA-DDPG and handover-sim2real: two hidden layers, action and goal.
 
     Layers are named as in GA-DDPG's code, so that the original weights can be loaded, and
-    initialized by Xavier's method.
-
-    Args:
-        n_features: Length of the encoder's feature vector.
-        uses_remaining_steps: Whether the number of remaining decisions is an additional input;
-            False in GenH2R.
-        n_hidden: Width of the hidden layers.
+    initialized by Xavier's method. `log_std_linear`, the deviation of the action, is not evaluated.
     """
 
-    def __init__(self, n_features: int = 512, uses_remaining_steps: bool = True, n_hidden: int = 256) -> None:
+    def __init__(self) -> None:
         super().__init__()
-        self.uses_remaining_steps = uses_remaining_steps
-        self.linear1 = nn.Linear(n_features + uses_remaining_steps, n_hidden)
-        self.linear2 = nn.Linear(n_hidden, n_hidden)
-        self.mean = nn.Linear(n_hidden, 6)
-        self.log_std_linear = nn.Linear(n_hidden, 6)
-        self.extra_pred = nn.Linear(n_hidden, 7)
+        self.linear1 = nn.Linear(PointNetPlusPlus.n_features + 1, _N_HIDDEN)
+        self.linear2 = nn.Linear(_N_HIDDEN, _N_HIDDEN)
+        self.mean = nn.Linear(_N_HIDDEN, 6)
+        self.log_std_linear = nn.Linear(_N_HIDDEN, 6)
+        self.extra_pred = nn.Linear(_N_HIDDEN, 7)
         self.scale: Tensor
         self.register_buffer("scale", torch.tensor([MAX_TRANSLATION] * 3 + [MAX_ROTATION] * 3), persistent=False)
         for layer in (self.linear1, self.linear2, self.mean, self.log_std_linear, self.extra_pred):
             nn.init.xavier_uniform_(layer.weight)
             nn.init.zeros_(layer.bias)
 
-    def forward(self, features: Tensor, remaining: Tensor | None = None) -> ActorOutput:
+    def forward(self, features: Tensor, remaining: Tensor) -> ActorOutput:
         """Compute action and grasp pose.
 
         Args:
-            features: (B, n_features) outputs of the encoder.
-            remaining: (B,) numbers of remaining decisions; None if the head does not use them.
-
-        Raises:
-            ValueError: `remaining` is missing, or passed to a head that does not use it.
+            features: (B, 512) outputs of the encoder.
+            remaining: (B,) numbers of remaining decisions.
         """
-        if self.uses_remaining_steps != (remaining is not None):
-            wanted = "a tensor" if self.uses_remaining_steps else "None"
-            raise ValueError(f"remaining must be {wanted} for this head, got {type(remaining).__name__}")
-        if remaining is not None:
-            features = torch.cat([features, remaining[:, None].to(features.dtype)], dim=1)
+        features = torch.cat([features, remaining[:, None].to(features.dtype)], dim=1)
         hidden = func.relu(self.linear2(func.relu(self.linear1(features))))
-        mean, goal = self.mean(hidden), self.extra_pred(hidden)
+        goal = self.extra_pred(hidden)
         return ActorOutput(
-            torch.tanh(mean) * self.scale,
-            mean,
-            self.log_std_linear(hidden).clamp(*_LOG_DEVIATION),
+            torch.tanh(self.mean(hidden)) * self.scale,
             torch.cat([func.normalize(goal[:, :4], dim=-1), goal[:, 4:]], dim=-1),
         )
 

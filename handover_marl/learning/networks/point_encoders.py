@@ -1,4 +1,4 @@
-"""Point cloud encoders: PointNet++ (Qi et al., NeurIPS 2017) and PointNet (Qi et al., CVPR 2017).
+"""Point cloud encoder PointNet++ (Qi et al., NeurIPS 2017).
 
 Clouds have shape (B, c, N): c channels per point, of which the first three are xyz in the hand
 link's frame (m). Sampling and grouping choose the same points as the CUDA kernels of pointnet2_ops
@@ -176,34 +176,4 @@ class PointNetPlusPlus(nn.Module):
         for stage in self.stages:
             positions, features = stage(positions, features)
         vector: Tensor = self.dense(features[..., 0])
-        return vector
-
-
-class PointNet(nn.Module):
-    """Small encoder: one shared multilayer perceptron on all points, max pooling, one dense layer.
-
-    The result depends neither on the order of the points nor on repetitions.
-
-    Args:
-        n_channels: Number of channels c, with xyz.
-        n_features: Length of the vector.
-        scale: Factor on coordinates, which brings them to order one (1/m).
-    """
-
-    def __init__(self, n_channels: int = 4, n_features: int = 256, scale: float = 10.0) -> None:
-        super().__init__()
-        self.n_channels, self.n_features = n_channels, n_features
-        factors = torch.ones(n_channels, 1)
-        factors[:3] = scale
-        self.factors: Tensor
-        self.register_buffer("factors", factors)
-        layers: list[nn.Module] = []
-        for before, after in itertools.pairwise((n_channels, 64, 128, n_features)):
-            layers += [nn.Conv1d(before, after, kernel_size=1), nn.ReLU()]
-        self.points = nn.Sequential(*layers)
-        self.dense = nn.Sequential(nn.Linear(n_features, n_features), nn.LayerNorm(n_features), nn.ReLU())
-
-    def forward(self, cloud: Tensor) -> Tensor:
-        """Encode clouds (B, c, N) as vectors (B, n_features)."""
-        vector: Tensor = self.dense(self.points(cloud * self.factors).amax(dim=-1))
         return vector
