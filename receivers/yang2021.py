@@ -14,16 +14,7 @@ import numpy.typing as npt
 
 from handover_marl.config import ARM_DOF
 from handover_marl.episode.observations import Observation
-from handover_marl.geometry.panda import (
-    CLOSED,
-    MAX_RANKED_GRASPS,
-    OPEN,
-    PREFERRED_HAND_POSE,
-    RANKING_ROTATION_WEIGHT,
-    RANKING_STANDOFF,
-    WAITING_JOINTS,
-    pose_distance,
-)
+from handover_marl.geometry import panda
 from handover_marl.geometry.poses import compose, rotation_angle
 from handover_marl.planning.inverse_kinematics import IkSolver, make_ik_solver
 from handover_marl.policies.policy import Action, PolicyContext, Receiver, milliseconds_from_wait
@@ -58,10 +49,10 @@ class YangConfig:
     wait_time: float = 3.0
     decision_period: float = 0.1
     close_time: float = 0.5
-    standoff: tuple[float, ...] = RANKING_STANDOFF
-    preferred_pose: tuple[float, ...] = PREFERRED_HAND_POSE
-    rotation_weight: float = RANKING_ROTATION_WEIGHT
-    max_candidates: int = MAX_RANKED_GRASPS
+    standoff: tuple[float, ...] = panda.RANKING_STANDOFF
+    preferred_pose: tuple[float, ...] = panda.PREFERRED_HAND_POSE
+    rotation_weight: float = panda.RANKING_ROTATION_WEIGHT
+    max_candidates: int = panda.MAX_RANKED_GRASPS
     region_width: float = 0.015
     region_slope: float = 50.0
     region_max_width: float = 0.04
@@ -148,20 +139,20 @@ class Yang2021Receiver(Receiver):
         """
         time = round(float(observation["time"][0]), 3)
         if time < self.config.wait_time:
-            return np.array(WAITING_JOINTS, dtype=np.float32)
+            return np.array(panda.WAITING_JOINTS, dtype=np.float32)
         if self._phase is YangPhase.WAIT:
             self._phase = YangPhase.APPROACH
         if self._phase is YangPhase.APPROACH:
             arm = self._approach(observation)
             if arm is not None:
-                return _make_action(arm, OPEN)
+                return _make_action(arm, panda.OPEN)
             self._phase = YangPhase.CLOSE
             self._close_until = round(time + self.config.close_time, 3)
         if self._phase is YangPhase.CLOSE and time < self._close_until:
-            return _make_action(_arm_joints(observation), CLOSED)
+            return _make_action(_arm_joints(observation), panda.CLOSED)
         if self._retreat is None:
             self._phase = YangPhase.RETREAT
-            self._retreat = _make_action(self._goal_joints(observation), CLOSED)
+            self._retreat = _make_action(self._goal_joints(observation), panda.CLOSED)
         return self._retreat
 
     def _approach(self, observation: Observation) -> npt.NDArray[np.floating] | None:
@@ -210,8 +201,8 @@ class Yang2021Receiver(Receiver):
         """Return the costs (n,) of standoffs (n, 7)."""
         reference = hand if self._reference is None else self._reference
         weight = self.config.rotation_weight
-        to_preferred = pose_distance(self.config.preferred_pose, standoffs, weight)
-        return pose_distance(reference, standoffs, weight) + to_preferred
+        to_preferred = panda.pose_distance(self.config.preferred_pose, standoffs, weight)
+        return panda.pose_distance(reference, standoffs, weight) + to_preferred
 
     def _is_in_region(self, hand: npt.NDArray[np.float32], standoff: Array, grasp: Array) -> bool:
         """Return whether the hand is in the region between standoff and grasp."""

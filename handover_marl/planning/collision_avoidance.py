@@ -33,6 +33,21 @@ _BATCH_SIZE = 6
 _TOLERANCE = 1e-9  # m
 
 
+@dataclass(frozen=True, eq=False)
+class MovingBody:
+    """Moving body that the robot has to keep clear of.
+
+    Attributes:
+        spheres: Spheres that approximate the body, in the world.
+        velocity: (3,) velocity of the body (m/s).
+        min_clearance: Minimum clearance between robot and body (m).
+    """
+
+    spheres: Spheres
+    velocity: Array
+    min_clearance: float
+
+
 @dataclass(frozen=True)
 class SeparationConfig:
     """Clearances that the moving robot keeps from the person, the object and the table.
@@ -61,21 +76,6 @@ class SeparationConfig:
     max_evasion_speed: float = 0.6
     lookahead: float = 0.06
     slack: float = 0.003
-
-
-@dataclass(frozen=True, eq=False)
-class MovingBody:
-    """Moving body that the robot has to keep clear of.
-
-    Attributes:
-        spheres: Spheres that approximate the body, in the world.
-        velocity: (3,) velocity of the body (m/s).
-        min_clearance: Minimum clearance between robot and body (m).
-    """
-
-    spheres: Spheres
-    velocity: Array
-    min_clearance: float
 
 
 def enforce_separation(

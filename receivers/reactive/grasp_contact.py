@@ -4,6 +4,7 @@ An object that is held by the very tips or edges of the fingers springs away wit
 of a second when the person releases it, even if its grasp has passed its validation.
 """
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,10 +48,11 @@ class GraspableObject:
     center: Array
 
 
+@functools.lru_cache(maxsize=64)
 def load_graspable_object(
     context: PolicyContext, object_name: str, config: ReactiveConfig, validated: bool = True
 ) -> GraspableObject:
-    """Load the surface of an object class and its known grasps, of which there may be none.
+    """Load the surface of an object class and its known grasps, of which there may be none; cached.
 
     Args:
         context: The robot, the objects and their grasps.

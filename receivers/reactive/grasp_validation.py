@@ -65,14 +65,7 @@ def get_validation_record(
 ) -> ValidationRecord:
     """Return the record (n, 4) of a validation; simulate for minutes if none is stored.
 
-    Args:
-        object_urdf: URDF model of the object.
-        panda_urdf: URDF model of the robot whose fingers are used.
-        known: (n, 7) poses of the hand link at the known grasps, in the object's frame.
-        config: Configuration of copies and validation.
-
-    Raises:
-        SimulationError: A model cannot be loaded.
+    Arguments and errors are those of `validate_grasps`.
     """
     path = validation_record_path(object_urdf, panda_urdf, known, config)
     shipped = load_validation_record(path.stem)

@@ -7,7 +7,7 @@ from handover_marl.policies.policy import Action, PolicyContext
 from handover_marl.receivers.phases import require_reset
 from handover_marl.receivers.reactive.config import ReactiveConfig, apply_risk
 from handover_marl.receivers.reactive.controller import ControllerReceiver
-from handover_marl.receivers.reactive.grasp_contact import GraspableObject, load_graspable_object
+from handover_marl.receivers.reactive.grasp_contact import load_graspable_object
 from handover_marl.receivers.reactive.scene_estimate import PoseSceneEstimate
 
 
@@ -36,14 +36,13 @@ class ReactiveReceiver(ControllerReceiver):
         self, context: PolicyContext, wait: float = 0.0, risk: float = 0.5, config: ReactiveConfig | None = None
     ) -> None:
         super().__init__(context, wait, apply_risk(config or ReactiveConfig(), risk))
-        self._objects: dict[str, GraspableObject] = {}
         self._object_name = ""
         self._scene: PoseSceneEstimate | None = None
 
     def prepare(self, object_names: Sequence[str]) -> None:
         """Validate the grasps of the first object, which is the one that is handed over."""
         for name in object_names[:1]:
-            self._load_object(name)
+            load_graspable_object(self.context, name, self.config)
 
     def reset(self, seed: int | None = None) -> None:
         """Start an episode; the receiver is deterministic."""
@@ -61,11 +60,5 @@ class ReactiveReceiver(ControllerReceiver):
         scene.update(observation)
         if scene.object_name != self._object_name:
             self._object_name = scene.object_name
-            self.selector.set_object(self._load_object(self._object_name))
+            self.selector.set_object(load_graspable_object(self.context, self._object_name, self.config))
         return controller.step()
-
-    def _load_object(self, name: str) -> GraspableObject:
-        """Return the grasps and surface of an object class, computed once."""
-        if name not in self._objects:
-            self._objects[name] = load_graspable_object(self.context, name, self.config)
-        return self._objects[name]

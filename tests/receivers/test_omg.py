@@ -23,6 +23,7 @@ from handover_marl.geometry.panda import HAND_LINK
 from handover_marl.geometry.poses import transform_points
 from handover_marl.receivers import WAITING_JOINTS
 from handover_marl.receivers.omg import OmgReceiver, round_poses
+from tests.receivers.quick import observe_handover
 
 SCENE = 5
 DATA = SyntheticDataset()
@@ -38,12 +39,7 @@ def make_omg(name: str = "omg", dataset: Dataset = DATA) -> OmgReceiver:
 @pytest.fixture(scope="module")
 def handover_observation() -> Observation:
     """Return the observation at the time of planning."""
-    episode = Episode("fast")
-    episode.reset(DATA.load_scene(SCENE))
-    episode.advance(np.array(WAITING_JOINTS, dtype=np.float32), 3000)
-    observation = episode.observe()
-    episode.close()
-    return observation
+    return observe_handover(DATA.load_scene(SCENE), 3000)
 
 
 def observe_at(observation: Observation, milliseconds: int) -> Observation:

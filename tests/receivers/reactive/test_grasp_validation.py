@@ -1,6 +1,7 @@
 """Tests of grasp validation, its cache, and the shipped records."""
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -30,20 +31,11 @@ from handover_marl.receivers.reactive.grasp_validation import (
 )
 from handover_marl.receivers.reactive.grasps import GraspPreparationConfig, grasps_from_record, tilt_grasps
 from handover_marl.simulation.engines import select_validation_engine
-from handover_marl.simulation.grasp_validation import GraspValidationConfig
+from tests.receivers.quick import QUICK_PREPARATION
 
 DATA = SyntheticDataset()
 BRICK = "061_foam_brick"
-# Validations that are so short that all grasps pass.
-QUICK = GraspPreparationConfig(
-    tilts=(0.4,),
-    lateral_offsets=(),
-    release_offsets=(),
-    max_slip=1.0,
-    held_time=0.15,
-    free_time=0.002,
-    validation=GraspValidationConfig(close_time=0.15, shake_time=0.002),
-)
+QUICK = replace(QUICK_PREPARATION, tilts=(0.4,))
 needs_bullet = pytest.mark.skipif(select_validation_engine() != "bullet", reason="what ships was tried in PyBullet")
 
 

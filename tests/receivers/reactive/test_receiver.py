@@ -15,25 +15,13 @@ from handover_marl.policies.policy import make_policy_context
 from handover_marl.receivers import WAITING_JOINTS
 from handover_marl.receivers.reactive.config import ReactiveConfig, apply_risk
 from handover_marl.receivers.reactive.controller import ReactivePhase
-from handover_marl.receivers.reactive.grasps import GraspPreparationConfig
 from handover_marl.receivers.reactive.receiver import ReactiveReceiver
-from handover_marl.simulation.grasp_validation import GraspValidationConfig
 from handover_marl.testing import check_receiver
+from tests.receivers.quick import QUICK_PREPARATION, observe_handover
 
 SCENE = 5
 DATA = SyntheticDataset()
-# Validations that are so short that all grasps pass.
-QUICK = ReactiveConfig(
-    preparation=GraspPreparationConfig(
-        tilts=(),
-        lateral_offsets=(),
-        release_offsets=(),
-        max_slip=1.0,
-        held_time=0.15,
-        free_time=0.002,
-        validation=GraspValidationConfig(close_time=0.15, shake_time=0.002),
-    )
-)
+QUICK = ReactiveConfig(preparation=QUICK_PREPARATION)
 
 
 @pytest.fixture(autouse=True)
@@ -75,12 +63,7 @@ def play_scene(receiver: ReactiveReceiver, scene: int = SCENE) -> tuple[Episode,
 @pytest.fixture(scope="module")
 def handover_observation() -> Observation:
     """Return the observation while the object is held out."""
-    episode = Episode("fast")
-    episode.reset(DATA.load_scene(SCENE))
-    episode.advance(np.array(WAITING_JOINTS, dtype=np.float32), 2900)
-    observation = episode.observe()
-    episode.close()
-    return observation
+    return observe_handover(DATA.load_scene(SCENE), 2900)
 
 
 def test_satisfies_the_receiver_checks() -> None:

@@ -13,28 +13,6 @@ from handover_marl.learning.imitation.gaddpg.states import ImitationStates
 from handover_marl.learning.networks.approach_field import ApproachFieldConfig, compute_approach_steps
 
 
-@dataclass(frozen=True)
-class StateAugmentationConfig:
-    """Configuration of the augmentation of imitation states by random changes of the hand's pose.
-
-    The point cloud still shows what was visible from the stored pose.
-
-
-    Attributes:
-        position_std: Standard deviation of the hand's displacement along each axis (m).
-        rotation_std: Standard deviation of the hand's rotation about each axis (rad).
-        counter_range: Largest change of the number of remaining decisions, which changes labels too.
-        max_remaining: Largest number of remaining decisions.
-        max_neighbors: Largest number of points of a group; further points are dropped.
-    """
-
-    position_std: float = 0.012
-    rotation_std: float = 0.05
-    counter_range: int = 6
-    max_remaining: int = 20
-    max_neighbors: int = 32
-
-
 @dataclass(frozen=True, eq=False)
 class ImitationBatch:
     """Tensors of B imitation states; indices refer to the points and centers of the whole batch.
@@ -66,6 +44,27 @@ class ImitationBatch:
     def to(self, device: torch.device) -> "ImitationBatch":
         """Return a copy of the batch on a device."""
         return ImitationBatch(*(getattr(self, name).to(device) for name in self.__dataclass_fields__))
+
+
+@dataclass(frozen=True)
+class StateAugmentationConfig:
+    """Configuration of the augmentation of imitation states by random changes of the hand's pose.
+
+    The point cloud still shows what was visible from the stored pose.
+
+    Attributes:
+        position_std: Standard deviation of the hand's displacement along each axis (m).
+        rotation_std: Standard deviation of the hand's rotation about each axis (rad).
+        counter_range: Largest change of the number of remaining decisions, which changes labels too.
+        max_remaining: Largest number of remaining decisions.
+        max_neighbors: Largest number of points of a group; further points are dropped.
+    """
+
+    position_std: float = 0.012
+    rotation_std: float = 0.05
+    counter_range: int = 6
+    max_remaining: int = 20
+    max_neighbors: int = 32
 
 
 class ImitationBatches:

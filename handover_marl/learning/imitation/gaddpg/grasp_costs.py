@@ -79,7 +79,6 @@ class GraspCostTable:
 
     def __init__(self, context: PolicyContext, config: GraspCostConfig) -> None:
         self._context, self._config = context, config
-        self._costed: dict[str, CostedGrasps | None] = {}
 
     def load_grasps(self, object_name: str) -> CostedGrasps | None:
         """Return the known grasps of an object class with costs, or None if it has no grasps.
@@ -87,9 +86,18 @@ class GraspCostTable:
         Raises:
             SimulationError: The object's model cannot be loaded.
         """
-        if object_name not in self._costed:
-            self._costed[object_name] = self._load_costed_grasps(object_name)
-        return self._costed[object_name]
+        config = self._config
+        surface = ReactiveConfig(
+            preparation=config.validation, n_surface_spheres=150, surface_radius=0.004, n_surface_points=2000
+        )
+        found = load_graspable_object(self._context, object_name, surface, config.validated)
+        kept = is_usable_grasp(object_name, compose(found.grasps.poses, np.array(HALF_TURN))) | config.validated
+        poses = found.grasps.poses[kept]
+        if not len(poses):
+            return None
+        costs = config.pace * compute_hold_costs(found.grasps.select(kept), found.pad_margins[kept], config.hold)
+        both = np.concatenate([poses, compose(poses, np.array(HALF_TURN))])
+        return CostedGrasps(both, np.concatenate([costs, costs]))
 
     def compute_costs(self, grasps: CostedGrasps, world: Array, hand: Array, occluder: Array) -> Array:
         """Return the costs (n,) of n grasps (m), with the motion to them from a pose of the hand.
@@ -109,20 +117,6 @@ class GraspCostTable:
             clearances = compute_grasp_clearances(world, Spheres(occluder[None, :3], occluder[3:]), config.sweep)
             costs += config.clearance_cost * np.maximum(0.0, config.clearance - clearances)
         return costs
-
-    def _load_costed_grasps(self, name: str) -> CostedGrasps | None:
-        config = self._config
-        surface = ReactiveConfig(
-            preparation=config.validation, n_surface_spheres=150, surface_radius=0.004, n_surface_points=2000
-        )
-        found = load_graspable_object(self._context, name, surface, config.validated)
-        kept = is_usable_grasp(name, compose(found.grasps.poses, np.array(HALF_TURN))) | config.validated
-        poses = found.grasps.poses[kept]
-        if not len(poses):
-            return None
-        costs = config.pace * compute_hold_costs(found.grasps.select(kept), found.pad_margins[kept], config.hold)
-        both = np.concatenate([poses, compose(poses, np.array(HALF_TURN))])
-        return CostedGrasps(both, np.concatenate([costs, costs]))
 
 
 def compute_travel_costs(

@@ -14,7 +14,6 @@ from handover_marl.planning.clearance import Spheres, compute_grasp_clearances
 from handover_marl.policies.policy import PolicyContext
 from handover_marl.receivers.reactive.config import ReactiveConfig
 from handover_marl.receivers.reactive.grasp_contact import (
-    GraspableObject,
     compute_hold_costs,
     compute_pad_margins,
     load_graspable_object,
@@ -70,7 +69,6 @@ class GraspLabeller:
 
     def __init__(self, context: PolicyContext, config: GraspLabelConfig = GraspLabelConfig()) -> None:
         self._context, self.config = context, config
-        self._objects: dict[str, GraspableObject] = {}
 
     def load_grasps(self, object_name: str) -> LabelledGrasps:
         """Return the grasps of an object class with costs; empty for a class without known grasps.
@@ -80,9 +78,7 @@ class GraspLabeller:
             SimulationError: The object's model cannot be loaded.
         """
         config = self.config.receiver
-        if object_name not in self._objects:
-            self._objects[object_name] = load_graspable_object(self._context, object_name, config)
-        found = self._objects[object_name]
+        found = load_graspable_object(self._context, object_name, config)
         costs = compute_hold_costs(found.grasps, found.pad_margins, config.selection)
         return LabelledGrasps(found.grasps.poses, costs, found.center)
 
@@ -98,9 +94,9 @@ class GraspLabeller:
         if hand is None or not len(known.poses):
             return known
         hand_in_object, standoff = hand.in_frame(object_pose), config.approach.standoff
-        validated, points = self._objects[object_name].grasps, self._objects[object_name].points
-        offset = perturb_grasps(validated, points, hand_in_object, standoff, config.offsets)
-        enclosed = compute_pad_margins(offset.poses, points)
+        found = load_graspable_object(self._context, object_name, config)
+        offset = perturb_grasps(found.grasps, found.points, hand_in_object, standoff, config.offsets)
+        enclosed = compute_pad_margins(offset.poses, found.points)
         costs = config.selection.offset_cost + compute_hold_costs(offset, enclosed, config.selection)
         qualities = self._qualities(costs, compute_grasp_clearances(offset.poses, hand_in_object, standoff))
         kept = np.flatnonzero(

@@ -1,0 +1,31 @@
+"""Short validations of grasps and observations of a handover for tests of receivers."""
+
+import numpy as np
+
+from handover_marl.datasets.dataset import Scene
+from handover_marl.episode.episode import Episode
+from handover_marl.episode.observations import Observation
+from handover_marl.receivers import WAITING_JOINTS
+from handover_marl.receivers.reactive.grasps import GraspPreparationConfig
+from handover_marl.simulation.grasp_validation import GraspValidationConfig
+
+# Validations that are so short that all grasps pass.
+QUICK_PREPARATION = GraspPreparationConfig(
+    tilts=(),
+    lateral_offsets=(),
+    release_offsets=(),
+    max_slip=1.0,
+    held_time=0.15,
+    free_time=0.002,
+    validation=GraspValidationConfig(close_time=0.15, shake_time=0.002),
+)
+
+
+def observe_handover(scene: Scene, milliseconds: int) -> Observation:
+    """Return the observation of a robot that waits, at a time of the episode in fast physics."""
+    episode = Episode("fast")
+    episode.reset(scene)
+    episode.advance(np.array(WAITING_JOINTS, dtype=np.float32), milliseconds)
+    observation = episode.observe()
+    episode.close()
+    return observation
