@@ -17,7 +17,7 @@ from handover_marl.policies.policy import PolicyContext
 from handover_marl.receivers.grasp_library import GraspLibrary
 from handover_marl.receivers.reactive.config import GraspSelectorConfig, ReactiveConfig
 from handover_marl.receivers.reactive.grasp_validation import validate_grasps
-from handover_marl.receivers.reactive.grasps import ValidatedGrasps
+from handover_marl.receivers.reactive.grasps import ValidatedGrasps, perturb_grasps
 
 Array = npt.NDArray[np.float64]
 
@@ -76,6 +76,20 @@ def load_graspable_object(
     grasps = grasps.select(compute_flange_clearances(grasps.poses, surface) > 0.0)
     center = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
     return GraspableObject(grasps, compute_pad_margins(grasps.poses, points), surface, points, center)
+
+
+def find_offset_grasps(item: GraspableObject, hand: Spheres, config: ReactiveConfig) -> tuple[ValidatedGrasps, Array]:
+    """Return offset copies of an object's grasps beside a person's hand, and their pad margins (n,).
+
+    Args:
+        item: Object with its grasps.
+        hand: The person's hand in the object's frame.
+        config: Offsets, clearances and smallest pad margin of the copies.
+    """
+    offset = perturb_grasps(item.grasps, item.points, hand, config.approach.standoff, config.offsets)
+    margins = compute_pad_margins(offset.poses, item.points)
+    kept = margins > config.selection.min_offset_pad_margin
+    return offset.select(kept), margins[kept]
 
 
 def sample_surface_points(vertices: Array, faces: npt.NDArray[np.int_], count: int) -> Array:

@@ -13,8 +13,8 @@ from handover_marl.planning.arm_control import ArmInWorld
 from handover_marl.planning.clearance import Spheres, compute_grasp_clearances, compute_gripper_corners
 from handover_marl.planning.collision_avoidance import PathObstacles, find_via_point, is_path_clear
 from handover_marl.receivers.reactive.config import ReactiveConfig
-from handover_marl.receivers.reactive.grasp_contact import GraspableObject, compute_hold_costs, compute_pad_margins
-from handover_marl.receivers.reactive.grasps import ValidatedGrasps, perturb_grasps
+from handover_marl.receivers.reactive.grasp_contact import GraspableObject, compute_hold_costs, find_offset_grasps
+from handover_marl.receivers.reactive.grasps import ValidatedGrasps
 from handover_marl.receivers.reactive.reachability import FALLBACK_IK_SEEDS, HOME, IK_SEEDS, GraspReachability
 from handover_marl.receivers.reactive.scene_estimate import SceneEstimate
 
@@ -64,18 +64,16 @@ class GraspSelector:
     """
 
     def __init__(self, arm: ArmInWorld, speeds: Array, config: ReactiveConfig) -> None:
-        self._arm, self._speeds, self._config = arm, speeds, config.selection
+        self._arm, self._speeds, self._config, self._receiver = arm, speeds, config.selection, config
         self._reachability = GraspReachability(arm, speeds, config.selection, config.approach.standoff)
-        self._offsets, self._period = config.offsets, config.period
-        self._standoff_length = config.approach.standoff
         self._home_rotation = Rotation.from_quat(arm.hand(HOME)[3:])
         self.reset()
 
     def reset(self) -> None:
         """Forget all candidates and failed grasps, at the start of an episode."""
         self.grasps, self._hold_costs = np.zeros((0, 7)), np.zeros(0)
-        self.surface, self._points = Spheres(np.zeros((1, 3)), np.zeros(1)), np.zeros((1, 3))
-        self._validated = ValidatedGrasps(np.zeros((0, 7)), np.zeros(0))
+        self.surface = Spheres(np.zeros((1, 3)), np.zeros(1))
+        self._object: GraspableObject | None = None
         self.chosen: GraspGoal | None = None
         self.failure_reason = ""
         self.failed: dict[int, float] = {}
@@ -85,9 +83,8 @@ class GraspSelector:
     def set_object(self, graspable: GraspableObject) -> None:
         """Replace the candidates by the grasps of an object, and forget failed grasps."""
         self.reset()
-        self.surface, self._points = graspable.surface, graspable.points
-        self._validated = graspable.grasps
-        self._add(self._validated, graspable.pad_margins, 0.0)
+        self._object, self.surface = graspable, graspable.surface
+        self._add(graspable.grasps, graspable.pad_margins, 0.0)
 
     def set_candidates(self, poses: Array, costs: Array, surface: Spheres, chosen: int | None) -> None:
         """Replace the candidates; the costs must include the costs of grasps that have failed.
@@ -118,8 +115,10 @@ class GraspSelector:
                 another grasp must then be lower by a larger margin.
         """
         config, hand = self._config, scene.person.spheres
-        if self._poor_time > config.offset_delay and not self._has_offsets and hand is not None:
-            self._add_offset_grasps(hand.in_frame(scene.object))
+        if self._poor_time > config.offset_delay and not self._has_offsets and self._object and hand is not None:
+            grasps, margins = find_offset_grasps(self._object, hand.in_frame(scene.object), self._receiver)
+            self._add(grasps, margins, config.offset_cost)
+            self._has_offsets = True
         if self._has_offsets and self._batch > _MAX_BATCHES and self._batch % _RARE_SEARCH_PERIOD:
             # All candidates have been examined: only another position of the hand can help.
             self._batch += 1
@@ -152,7 +151,7 @@ class GraspSelector:
             best = old
         number = int(numbers[best])
         self._batch, self.failure_reason = 0, ""
-        self._poor_time += self._period if self._hold_costs[number] > config.poor_hold_cost else 0.0
+        self._poor_time += self._receiver.period if self._hold_costs[number] > config.poor_hold_cost else 0.0
         via = None if is_near else self._find_via_point(standoffs[best], scene.joints, obstacles)
         self.chosen = GraspGoal(number, standoffs[best], goals[best], via)
         return self.chosen
@@ -188,18 +187,10 @@ class GraspSelector:
         self.grasps = np.concatenate([self.grasps, grasps.poses, compose(grasps.poses, np.array(HALF_TURN))])
         self._hold_costs = np.concatenate([self._hold_costs, costs, costs])
 
-    def _add_offset_grasps(self, hand: Spheres) -> None:
-        """Add offset grasps that are clear of a hand in the object's frame."""
-        more = perturb_grasps(self._validated, self._points, hand, self._standoff_length, self._offsets)
-        margins = compute_pad_margins(more.poses, self._points)
-        kept = margins > self._config.min_offset_pad_margin
-        self._add(more.select(kept), margins[kept], self._config.offset_cost)
-        self._has_offsets = True
-
     def _report_failure(self, reason: str, is_settled: bool, relaxation: float) -> None:
         if is_settled:
-            self._relaxing_time += relaxation * self._period
-            self._poor_time += self._period
+            self._relaxing_time += relaxation * self._receiver.period
+            self._poor_time += self._receiver.period
         self.chosen, self.failure_reason = None, reason
 
     def _switch_margin(self, is_near: bool) -> float:
@@ -214,7 +205,7 @@ class GraspSelector:
         hand = scene.person.spheres
         if hand is None:
             return np.full(len(self.grasps), _NO_HAND_CLEARANCE)
-        return compute_grasp_clearances(self.grasps, hand.in_frame(scene.object), self._standoff_length)
+        return compute_grasp_clearances(self.grasps, hand.in_frame(scene.object), self._receiver.approach.standoff)
 
     def _rough_costs(self, world: Array, clearances: Array, time: float) -> Array:
         """Return the costs (n,) in s that need no inverse kinematics."""

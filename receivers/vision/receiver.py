@@ -67,6 +67,9 @@ class VisionReceiver(ControllerReceiver):
         self._label = self.name if weights is None else f"{self.name}@{self._weights_hash}"
         self._scene: PointCloudSceneEstimate | None = None
 
+    def prepare(self, object_names: Sequence[str]) -> None:
+        """Do nothing; the receiver uses no models of objects."""
+
     @property
     def label(self) -> str:
         """Name of the receiver, with a hash of its weights if a weight file was given."""
@@ -76,9 +79,6 @@ class VisionReceiver(ControllerReceiver):
     def weights_hash(self) -> str:
         """Short hash of the grasp network's weights."""
         return self._weights_hash
-
-    def prepare(self, object_names: Sequence[str]) -> None:
-        """Do nothing; the receiver uses no models of objects."""
 
     def reset(self, seed: int | None = None) -> None:
         """Start an episode.

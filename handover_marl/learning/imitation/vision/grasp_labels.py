@@ -13,12 +13,7 @@ import numpy.typing as npt
 from handover_marl.planning.clearance import Spheres, compute_grasp_clearances
 from handover_marl.policies.policy import PolicyContext
 from handover_marl.receivers.reactive.config import ReactiveConfig
-from handover_marl.receivers.reactive.grasp_contact import (
-    compute_hold_costs,
-    compute_pad_margins,
-    load_graspable_object,
-)
-from handover_marl.receivers.reactive.grasps import perturb_grasps
+from handover_marl.receivers.reactive.grasp_contact import compute_hold_costs, find_offset_grasps, load_graspable_object
 
 Array = npt.NDArray[np.float64]
 
@@ -93,15 +88,12 @@ class GraspLabeller:
         known, config = self.load_grasps(object_name), self.config.receiver
         if hand is None or not len(known.poses):
             return known
-        hand_in_object, standoff = hand.in_frame(object_pose), config.approach.standoff
+        hand_in_object = hand.in_frame(object_pose)
         found = load_graspable_object(self._context, object_name, config)
-        offset = perturb_grasps(found.grasps, found.points, hand_in_object, standoff, config.offsets)
-        enclosed = compute_pad_margins(offset.poses, found.points)
-        costs = config.selection.offset_cost + compute_hold_costs(offset, enclosed, config.selection)
-        qualities = self._qualities(costs, compute_grasp_clearances(offset.poses, hand_in_object, standoff))
-        kept = np.flatnonzero(
-            (enclosed > config.selection.min_offset_pad_margin) & (qualities > self.config.min_quality)
-        )
+        offset, margins = find_offset_grasps(found, hand_in_object, config)
+        costs = config.selection.offset_cost + compute_hold_costs(offset, margins, config.selection)
+        clearances = compute_grasp_clearances(offset.poses, hand_in_object, config.approach.standoff)
+        kept = np.flatnonzero(self._qualities(costs, clearances) > self.config.min_quality)
         kept = kept[:: max(1, -(-len(kept) // self.config.max_offset_grasps))]
         poses, costs = np.concatenate([known.poses, offset.poses[kept]]), np.concatenate([known.costs, costs[kept]])
         return LabelledGrasps(poses, costs, known.object_center)
