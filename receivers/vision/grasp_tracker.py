@@ -32,6 +32,7 @@ class GraspTracker:
         surface: Spheres at the visible part of the object, relative to its center.
         hand: Spheres at the visible part of the person's hand in the world, or None if no part is
             visible.
+        selected: (7,) grasp that is tracked, relative to the object's center, or None.
         use_all: Whether the candidates are all predicted grasps and tilted copies of them.
     """
 
@@ -43,7 +44,7 @@ class GraspTracker:
         self.hand: Spheres | None = None
         self.use_all = False
         self._seen_at = -np.inf
-        self._selected: Array | None = None
+        self.selected: Array | None = None
         self._selected_cost = 0.0
         self._failed: list[tuple[Array, float]] = []
         self._restart()
@@ -54,18 +55,13 @@ class GraspTracker:
         self.position = PositionFilter(config.velocity_decay)
         self._object_map = PointMap(config.voxel_size, config.object_memory)
         self._hand_map = PointMap(config.voxel_size, config.hand_memory)
-        self._selected = None
+        self.selected = None
         self._keyframe: Keyframe | None = None
 
     @property
     def is_initialized(self) -> bool:
         """Whether the object's position is known."""
         return self.position.position is not None
-
-    @property
-    def has_selected(self) -> bool:
-        """Whether the tracker follows a selected grasp."""
-        return self._selected is not None
 
     @property
     def object_pose(self) -> Array:
@@ -86,10 +82,6 @@ class GraspTracker:
             time: Present time since the start of the episode (s).
         """
         return time - self._seen_at
-
-    def set_selected(self, grasp: Array | None) -> None:
-        """Set the grasp (7,), relative to the object's center, that is tracked, or None."""
-        self._selected = grasp
 
     def add_failed(self, grasp: Array, until: float) -> None:
         """Increase the cost of a failed grasp and of its copy rotated by half a turn.
@@ -125,10 +117,10 @@ class GraspTracker:
         self._update_maps(time, link, item, hand)
         checked = item[:: max(1, len(item) // config.n_finger_points)]
         grasps, costs = self._predicted_candidates(prediction, checked, link)
-        if self._selected is not None and gains is not config.final_gains:
+        if self.selected is not None and gains is not config.final_gains:
             points = transform_points(link, checked) - self.object_pose[:3]
-            shifted, extra = shift_to_avoid_collisions(self._selected[None], points, config.fingers)
-            self._selected, self._selected_cost = shifted[0], self._selected_cost + config.unseen_cost * float(extra[0])
+            shifted, extra = shift_to_avoid_collisions(self.selected[None], points, config.fingers)
+            self.selected, self._selected_cost = shifted[0], self._selected_cost + config.unseen_cost * float(extra[0])
         self._set_candidates(grasps, costs, time, gains)
 
     def _predicted_candidates(self, prediction: GraspPrediction, points: Array, link: Array) -> tuple[Array, Array]:
@@ -162,8 +154,8 @@ class GraspTracker:
     def _select_gains(self, link: Array) -> FilterGains:
         """Return the filter gains for a view from the hand link at a pose (7,)."""
         config = self._config
-        if self.is_initialized and self._selected is not None:
-            grasp = self.object_pose[:3] + self._selected[:3]
+        if self.is_initialized and self.selected is not None:
+            grasp = self.object_pose[:3] + self.selected[:3]
             if float(np.linalg.norm(grasp - link[:3])) < config.final_distance:
                 return config.final_gains
         return config.near_gains if self._is_near(link) else config.far_gains
@@ -211,9 +203,9 @@ class GraspTracker:
         """Set the candidates to the grasps of a view and their half turns, the selected first."""
         candidates = np.concatenate([grasps, compose(grasps, np.array(HALF_TURN))]) if len(grasps) else grasps
         all_costs = np.concatenate([costs, costs])
-        if self._selected is not None:
-            selected = self._correct_selected(self._selected, candidates, all_costs, gains.grasp)
-            self._selected = selected
+        if self.selected is not None:
+            selected = self._correct_selected(self.selected, candidates, all_costs, gains.grasp)
+            self.selected = selected
             candidates = np.concatenate([selected[None], candidates])
             all_costs = np.append(self._selected_cost, all_costs)
         self._failed = [(pose, until) for pose, until in self._failed if until > time]

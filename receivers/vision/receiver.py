@@ -104,7 +104,7 @@ class VisionReceiver(ControllerReceiver):
             tracker = scene.tracker
             self._track_selection(tracker, scene.is_settled)
             scene.update(observation)
-            first = 0 if tracker.has_selected else None
+            first = None if tracker.selected is None else 0
             self.selector.set_candidates(tracker.grasps, tracker.costs, tracker.surface, first)
         return controller.step()
 
@@ -113,7 +113,7 @@ class VisionReceiver(ControllerReceiver):
         selector = self.selector
         for number, until in selector.failed.items():
             tracker.add_failed(selector.grasps[number], until)
-        tracker.set_selected(None if selector.chosen is None else selector.grasps[selector.chosen.number])
+        tracker.selected = None if selector.chosen is None else selector.grasps[selector.chosen.number]
         has_no_grasp = bool(selector.failure_reason) or not len(selector.grasps)
         tracker.use_all = has_no_grasp and is_settled
 

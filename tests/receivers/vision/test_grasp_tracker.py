@@ -105,7 +105,7 @@ def test_selected_grasp_is_first_and_corrected() -> None:
     tracker = GraspTracker(predictor, GraspTrackerConfig(near_distance=0.1, far_gains=FilterGains(0.5, 0.1, 0.5)), 0)
     tracker.update(0.0, LINK, ITEM, HAND)
     chosen = tracker.grasps[0]
-    tracker.set_selected(chosen)
+    tracker.selected = chosen
     predictor.grasps = GRASPS + np.array([0.01, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     tracker.update(0.05, LINK, ITEM, HAND)
     np.testing.assert_allclose(tracker.grasps[0][:3], chosen[:3] + np.array([0.005, 0.0, 0.0]), atol=1e-3)
@@ -116,7 +116,7 @@ def test_unseen_selected_grasp_gains_cost() -> None:
     predictor = FixedPredictor()
     tracker = GraspTracker(predictor, GraspTrackerConfig(), 0)
     tracker.update(0.0, LINK, ITEM, HAND)
-    tracker.set_selected(tracker.grasps[0])
+    tracker.selected = tracker.grasps[0]
     tracker.update(0.05, LINK, ITEM, HAND)
     before = tracker.costs[0]
     predictor.grasps, predictor.quality = GRASPS[1:], np.array([0.5, 0.01])
@@ -165,24 +165,24 @@ def test_registration_tracks_the_surface_nearby() -> None:
 def test_strayed_track_is_restarted() -> None:
     predictor = FixedPredictor()
     tracker = make_near_tracker(predictor)
-    tracker.set_selected(tracker.grasps[0])
-    assert tracker.has_selected
+    tracker.selected = tracker.grasps[0]
+    assert tracker.selected is not None
     predictor.center = CENTER + 0.08
     tracker.update(0.1, LINK, ITEM, HAND)
-    assert not tracker.has_selected
+    assert tracker.selected is None
     np.testing.assert_allclose(tracker.object_pose[:3], predictor.center, atol=1e-9)
 
 
 def test_lost_object_is_tracked_again() -> None:
     predictor = FixedPredictor()
     tracker = make_near_tracker(predictor)
-    tracker.set_selected(tracker.grasps[0])
+    tracker.selected = tracker.grasps[0]
     tracker.update(0.1, LINK, ITEM[:3], HAND)
-    assert tracker.has_selected
+    assert tracker.selected is not None
     assert tracker.unseen_time(0.1) == pytest.approx(0.05)
     predictor.center = CENTER + 0.3
     tracker.update(0.4, LINK, ITEM, HAND)
-    assert not tracker.has_selected
+    assert tracker.selected is None
     assert tracker.unseen_time(0.4) == 0.0
     np.testing.assert_allclose(tracker.object_pose[:3], predictor.center, atol=1e-9)
     np.testing.assert_allclose(tracker.velocity, 0.0)

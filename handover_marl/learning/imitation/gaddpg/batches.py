@@ -67,6 +67,36 @@ class StateAugmentationConfig:
     max_neighbors: int = 32
 
 
+def _offsets(counts: npt.NDArray[np.int32]) -> npt.NDArray[np.int_]:
+    return np.concatenate([[0], np.cumsum(counts)])
+
+
+def _gather_ragged(
+    values: npt.NDArray[np.generic], firsts: npt.NDArray[np.int_], numbers: npt.NDArray[np.int_]
+) -> npt.NDArray[np.int64]:
+    """Return the concatenated rows of some states, whose rows begin at `firsts`; integers become int64."""
+    rows: npt.NDArray[np.int64] = np.concatenate([values[firsts[number] : firsts[number + 1]] for number in numbers])
+    return rows if rows.dtype == np.float16 else rows.astype(np.int64)
+
+
+def _truncate_groups(
+    values: npt.NDArray[np.int64], counts: npt.NDArray[np.int64], most: int
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Return at most the first `most` values of each group, and their numbers."""
+    ranks = np.arange(len(values)) - np.repeat(np.cumsum(counts) - counts, counts)
+    return values[ranks < most], np.minimum(counts, most)
+
+
+def _transform_to_hands(
+    hands: npt.NDArray[np.float64], points: npt.NDArray[np.float32], counts: npt.NDArray[np.int32]
+) -> npt.NDArray[np.float32]:
+    """Return points (P, 3), `counts` (B,) for each state, in the frames of poses (B, 7)."""
+    rotations = np.repeat(Rotation.from_quat(hands[:, 3:]).as_matrix(), counts, axis=0).astype(np.float32)
+    offsets = points - np.repeat(hands[:, :3], counts, axis=0).astype(np.float32)
+    transformed: npt.NDArray[np.float32] = np.einsum("pi,pij->pj", offsets, rotations)
+    return transformed
+
+
 class ImitationBatches:
     """Data set of imitation states from which batches are selected.
 
@@ -128,33 +158,3 @@ class ImitationBatches:
         hands = np.concatenate([rng.normal(0.0, config.position_std, (count, 3)), quaternions], axis=1)
         changed = remaining + rng.integers(-config.counter_range, config.counter_range + 1, count)
         return hands, np.clip(changed, 1, config.max_remaining).astype(np.float32)
-
-
-def _offsets(counts: npt.NDArray[np.int32]) -> npt.NDArray[np.int_]:
-    return np.concatenate([[0], np.cumsum(counts)])
-
-
-def _gather_ragged(
-    values: npt.NDArray[np.generic], firsts: npt.NDArray[np.int_], numbers: npt.NDArray[np.int_]
-) -> npt.NDArray[np.int64]:
-    """Return the concatenated rows of some states, whose rows begin at `firsts`; integers become int64."""
-    rows: npt.NDArray[np.int64] = np.concatenate([values[firsts[number] : firsts[number + 1]] for number in numbers])
-    return rows if rows.dtype == np.float16 else rows.astype(np.int64)
-
-
-def _truncate_groups(
-    values: npt.NDArray[np.int64], counts: npt.NDArray[np.int64], most: int
-) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Return at most the first `most` values of each group, and their numbers."""
-    ranks = np.arange(len(values)) - np.repeat(np.cumsum(counts) - counts, counts)
-    return values[ranks < most], np.minimum(counts, most)
-
-
-def _transform_to_hands(
-    hands: npt.NDArray[np.float64], points: npt.NDArray[np.float32], counts: npt.NDArray[np.int32]
-) -> npt.NDArray[np.float32]:
-    """Return points (P, 3), `counts` (B,) for each state, in the frames of poses (B, 7)."""
-    rotations = np.repeat(Rotation.from_quat(hands[:, 3:]).as_matrix(), counts, axis=0).astype(np.float32)
-    offsets = points - np.repeat(hands[:, :3], counts, axis=0).astype(np.float32)
-    transformed: npt.NDArray[np.float32] = np.einsum("pi,pij->pj", offsets, rotations)
-    return transformed
