@@ -4,7 +4,7 @@ The meshes are made for the reference hand, a rounded palm and phalanges as tape
 subject's URDF scales them. A left hand has its own mirrored meshes. A rebuild gives the same bytes.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -29,9 +29,9 @@ from handover_marl.assets.hand_model import (
     scale_hand,
 )
 from handover_marl.geometry.meshes import extreme_points
+from handover_marl.geometry.urdf import render_urdf
 
 _PALM_MASS, _PHALANX_MASS = 0.2, 0.02
-_AXES = ("1 0 0", "0 1 0", "0 0 1")
 _FINGER_LIMITS = (np.pi, np.pi / 2, np.pi)
 
 #: Tapered capsule (m): start (3,), end (3,), radius at the start, radius at the end.
@@ -192,66 +192,29 @@ def format_obj(mesh: trimesh.Trimesh, mirror: bool) -> str:
     if mirror:
         vertices[:, 0] *= -1.0
         faces = faces[:, ::-1]
-    lines = ["v " + " ".join(_format_number(value) for value in vertex) for vertex in vertices]
+    lines = [f"v {_format_numbers(vertex)}" for vertex in vertices]
     lines += [f"f {a} {b} {c}" for a, b, c in faces + 1]
     return "\n".join(lines) + "\n"
 
 
 def format_hand_urdf(model: HandGeometry, name: str, color: tuple[float, float, float]) -> str:
     """Return the URDF of a hand with HandoverSim's 53 links."""
-    folder = f"../meshes/{model.side}"
-    scale = " ".join(_format_number(value) for value in model.scale)
-    rgba = " ".join(_format_number(value) for value in (*color, 1.0))
-    lines = ['<?xml version="1.0"?>', f'<robot name="{name}">']
-    lines += [f'  <material name="skin"><color rgba="{rgba}"/></material>', _format_link(0)]
-    for joint in range(1, 53):
-        axis = (joint - 1) % 3 if joint < 7 else (joint - 8) % 3
-        finger, parent, origin = (joint - 8) // 3, joint - 1, np.zeros(3)
-        if joint == 7:
-            origin = model.palm_offset
-        elif joint > 7 and axis == 0:
-            # The parent of a digit's root joint is the palm.
-            parent, origin = (7 if finger % 3 == 0 else joint - 1), model.joint_origins[finger]
-        solid = None
-        if joint == 7:
-            solid = (f"{folder}/{{}}/{MESH_NAMES[0]}.obj", scale, _PALM_MASS)
-        elif joint > 7 and axis == 2:
-            solid = (f"{folder}/{{}}/{MESH_NAMES[finger + 1]}.obj", scale, _PHALANX_MASS)
-        lines.append(_format_link(joint, solid))
-        lines.append(_format_joint(joint, parent, axis, " ".join(_format_number(value) for value in origin)))
-    return "\n".join([*lines, "</robot>", ""])
-
-
-def _format_link(number: int, solid: tuple[str, str, float] | None = None) -> str:
-    mesh, scale, mass = solid or ("", "", 0.0)
-    inertia = 1 if solid else 0
-    parts = [
-        f'  <link name="link{number}">',
-        f'    <inertial><origin xyz="0 0 0" rpy="0 0 0"/><mass value="{_format_number(mass)}"/>',
-        f'      <inertia ixx="{inertia}" ixy="0" ixz="0" iyy="{inertia}" iyz="0" izz="{inertia}"/></inertial>',
-    ]
-    if solid:
-        for kind, skin in (("visual", '<material name="skin"/>'), ("collision", "")):
-            shape = f'<geometry><mesh filename="{mesh.format(kind)}" scale="{scale}"/></geometry>'
-            parts.append(f'    <{kind}><origin xyz="0 0 0" rpy="0 0 0"/>{shape}{skin}</{kind}>')
-    return "\n".join([*parts, "  </link>"])
-
-
-def _format_joint(number: int, parent: int, axis: int, origin: str) -> str:
-    if number == 7:
-        kind, axis_text, limits = "fixed", "0 0 0", (1.0, -1.0)
-    elif number < 7:
-        kind = "prismatic" if number <= 3 else "continuous"
-        axis_text, limits = _AXES[axis], (-1000.0, 1000.0) if number <= 3 else (1.0, -1.0)
-    else:
-        kind, axis_text, limits = "revolute", _AXES[axis], (-_FINGER_LIMITS[axis], _FINGER_LIMITS[axis])
-    return "\n".join(
-        [
-            f'  <joint name="joint{number}" type="{kind}"><origin xyz="{origin}" rpy="0 0 0"/>',
-            f'    <parent link="link{parent}"/><child link="link{number}"/><axis xyz="{axis_text}"/>',
-            f'    <limit lower="{limits[0]!r}" upper="{limits[1]!r}" effort="1000" velocity="1000"/></joint>',
-        ]
+    return render_urdf(
+        __package__,
+        "hand.urdf",
+        name=name,
+        color=_format_numbers((*color, 1.0)),
+        scale=_format_numbers(model.scale),
+        folder=f"../meshes/{model.side}",
+        meshes=MESH_NAMES,
+        positions=[_format_numbers(position) for position in (model.palm_offset, *model.joint_origins)],
+        masses=(_PALM_MASS, _PHALANX_MASS),
+        limits=_FINGER_LIMITS,
     )
+
+
+def _format_numbers(values: Iterable[float]) -> str:
+    return " ".join(_format_number(value) for value in values)
 
 
 def _format_number(value: float) -> str:

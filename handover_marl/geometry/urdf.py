@@ -1,4 +1,4 @@
-"""Shapes, masses, friction and joint limits of the links of a URDF model."""
+"""Shapes, masses, friction and joint limits of the links of a URDF model; URDF texts of templates."""
 
 import functools
 import math
@@ -6,6 +6,7 @@ import re
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -190,3 +191,24 @@ def _resolve_color(material: ET.Element | None, named: dict[str | None, Color | 
 def _read_color(material: ET.Element) -> Color | None:
     color = material.find("color")
     return None if color is None else _parse_numbers(color.attrib["rgba"], 4)
+
+
+def render_urdf(package: str, template: str, **content: Any) -> str:
+    """Render a Jinja template to the text of a URDF.
+
+    Args:
+        package: Package with the folder `templates/`.
+        template: Name of a file in that folder.
+        content: Values of the template's variables.
+    """
+    # Imported here: simulations read URDF files, but write none.
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    environment = Environment(
+        loader=PackageLoader(package),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    return environment.get_template(template).render(**content)
