@@ -5,13 +5,11 @@ tried in simulation, the most different ones first, until enough have held the o
 shaken. Needs the extra `assets`.
 """
 
-import io
 import itertools
 import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -24,7 +22,7 @@ from handover_marl.assets.building.object_files import load_collision_parts, mer
 from handover_marl.assets.object_models import find_object_urdf
 from handover_marl.assets.shipped import CLASSES_WITHOUT_GRASPS, GRASPS_PATH
 from handover_marl.errors import HandoverError
-from handover_marl.execution.files import write_atomically
+from handover_marl.execution.files import write_arrays
 from handover_marl.geometry.ycb import CLASS_NAMES
 from handover_marl.simulation.bullet.grasp_validation import BulletGraspValidator
 
@@ -198,21 +196,10 @@ class Args:
     seed: int = 0
 
 
-@dataclass(frozen=True)
-class SimulatedGrasps:
-    """Grasps that held an object in simulation.
+def validate_object_grasps(name: str, args: Args, on_validated: Callable[[], None] = lambda: None) -> tuple[Array, int]:
+    """Return grasps of one object that held it in simulation, and the number of simulated candidates.
 
-    Attributes:
-        transforms: (n, 4, 4) grasps `object_from_gripper`.
-        n_simulated: Number of simulated candidates.
-    """
-
-    transforms: Array
-    n_simulated: int
-
-
-def validate_object_grasps(name: str, args: Args, on_validated: Callable[[], None] = lambda: None) -> SimulatedGrasps:
-    """Return grasps of one object that held it in simulation.
+    The grasps are (n, 4, 4) transforms `object_from_gripper`.
 
     Args:
         name: YCB class name.
@@ -231,7 +218,7 @@ def validate_object_grasps(name: str, args: Args, on_validated: Callable[[], Non
                 validated.append(free[index])
                 on_validated()
             if len(validated) == args.n_grasps:
-                return SimulatedGrasps(np.stack(validated), n_simulated)
+                return np.stack(validated), n_simulated
     finally:
         trial.close()
     raise HandoverError(f"{name}: {len(free)} places to grasp, and only {len(validated)} of {args.n_grasps} held")
@@ -254,15 +241,7 @@ def _read_grasps(path: Path) -> dict[str, Array]:
     if not path.is_file():
         return {}
     with np.load(path, allow_pickle=False) as archive:
-        return {name: archive[name] for name in archive.files}
-
-
-def _write_grasps(path: Path, grasps: dict[str, Array]) -> None:
-    stream = io.BytesIO()
-    arrays: dict[str, Any] = {name: array.astype(np.float32) for name, array in sorted(grasps.items())}
-    np.savez_compressed(stream, **arrays)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_atomically(path, stream.getvalue())
+        return dict(archive)
 
 
 def main(args: Args) -> None:
@@ -274,10 +253,10 @@ def main(args: Args) -> None:
         task = progress.add_task("grasps", total=len(names) * args.n_grasps)
         for name in names:
             progress.update(task, description=f"{name:22}")
-            result = validate_object_grasps(name, args, on_validated=lambda: progress.advance(task))
-            grasps[name] = result.transforms
-            progress.console.print(f"{name:22} {args.n_grasps} proven in {result.n_simulated} trials")
-    _write_grasps(args.out, grasps)
+            grasps[name], n_simulated = validate_object_grasps(name, args, lambda: progress.advance(task))
+            progress.console.print(f"{name:22} {args.n_grasps} proven in {n_simulated} trials")
+    args.out.parent.mkdir(parents=True, exist_ok=True)
+    write_arrays(args.out, {name: grasps[name].astype(np.float32) for name in sorted(grasps)})
 
 
 if __name__ == "__main__":

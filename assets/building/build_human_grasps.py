@@ -70,7 +70,7 @@ def synthesize_object_grasps(name: str, side: Side, args: Args) -> list[Arrays]:
 
 def encode_grasps(target: GraspTarget, model: HandGeometry, grasps: HumanGraspSet, side: Side) -> Arrays:
     """Return grasps as arrays of the output file, mirrored for a left hand."""
-    position, rotation = grasps.palms
+    position, rotation = grasps.palms.position, grasps.palms.rotation
     base = position - np.einsum("nij,j->ni", rotation, model.palm_offset)
     quaternion = Rotation.from_matrix(rotation).as_quat()
     quaternion *= np.where(quaternion[:, 3:] < 0.0, -1.0, 1.0)

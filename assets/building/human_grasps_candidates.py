@@ -13,16 +13,15 @@ from scipy.spatial.transform import Rotation
 from handover_marl.assets.building.build_hands import make_reference_hand
 from handover_marl.assets.building.human_grasps_closing import (
     SKIN_YIELD,
+    ArrayBatch,
     HandSpheres,
+    Palms,
     Posture,
     compute_body_clearance,
     compute_clearances,
 )
 from handover_marl.assets.hand_model import FloatArray, HandGeometry, IntArray
 from handover_marl.geometry.distance_field import DistanceField, distance_field_from_mesh
-
-#: Palm poses in the object's frame: positions (n, 3) (m) and rotation matrices (n, 3, 3).
-Palms = tuple[FloatArray, FloatArray]
 
 _GRID_SPACING = 0.003
 _GRID_MARGIN = 0.05
@@ -62,7 +61,7 @@ def make_grasp_target(mesh: trimesh.Trimesh) -> GraspTarget:
 
 
 @dataclass(frozen=True, eq=False)
-class Openings:
+class Openings(ArrayBatch):
     """Open hand postures and their gaps between thumb and fingers, in the palm's frame.
 
     Attributes:
@@ -114,7 +113,7 @@ def sample_reference_openings() -> Openings:
     slot = (openings.width[good] / 0.006).astype(int)
     weight = 1.0 / np.bincount(slot)[slot]
     good = rng.choice(good, _N_POSTURES, replace=False, p=weight / weight.sum())
-    return _select_openings(openings, good)
+    return openings[good]
 
 
 def find_candidates(
@@ -130,11 +129,11 @@ def find_candidates(
         rng: Random generator.
     """
     found = [_sample_pinch_grasps(target, count, rng), _sample_palm_grasps(target, count // 4, rng)]
-    position, rotation = (np.concatenate([palms[part] for palms, _ in found]) for part in (0, 1))
+    palms = Palms.concatenate([palms for palms, _ in found])
     openings = sample_reference_openings().posture[np.concatenate([rows for _, rows in found])]
-    wrist = np.linalg.norm(position, axis=1)
+    wrist = np.linalg.norm(palms.position, axis=1)
     keep = (wrist > distances[0]) & (wrist < distances[1])
-    return keep_collision_free(target.field, make_reference_hand(), (position[keep], rotation[keep]), openings[keep])
+    return keep_collision_free(target.field, make_reference_hand(), palms[keep], openings[keep])
 
 
 def _sample_pinch_grasps(target: GraspTarget, count: int, rng: np.random.Generator) -> tuple[Palms, IntArray]:
@@ -154,7 +153,7 @@ def _sample_pinch_grasps(target: GraspTarget, count: int, rng: np.random.Generat
     depth = rng.uniform(0.0, 0.065, len(row)) * (rng.random(len(row)) < 0.75)
     grip = openings.center[row] + np.column_stack([depth, 0.35 * depth, np.zeros_like(depth)])
     middle = middle + rng.normal(0.0, 0.004, middle.shape)
-    return (middle - np.einsum("nij,nj->ni", rotation, grip), rotation), row
+    return Palms(middle - np.einsum("nij,nj->ni", rotation, grip), rotation), row
 
 
 def _sample_palm_grasps(target: GraspTarget, count: int, rng: np.random.Generator) -> tuple[Palms, IntArray]:
@@ -166,7 +165,7 @@ def _sample_palm_grasps(target: GraspTarget, count: int, rng: np.random.Generato
     rotation = _sample_aligned_rotations(back, _normalize(normals + rng.normal(0.0, 0.2, normals.shape)), rng)
     gap = rng.uniform(0.0, 0.015, count)
     touch = np.column_stack([rng.uniform(-0.09, -0.05, count), -0.019 - gap, rng.uniform(-0.02, 0.02, count)])
-    return (points - np.einsum("nij,nj->ni", rotation, touch), rotation), rng.choice(wide, count)
+    return Palms(points - np.einsum("nij,nj->ni", rotation, touch), rotation), rng.choice(wide, count)
 
 
 def keep_collision_free(
@@ -176,10 +175,10 @@ def keep_collision_free(
     spheres = HandSpheres(model)
     for body, least in ((spheres.palm, -SKIN_YIELD), (spheres.forearm, 0.002)):
         keep = compute_body_clearance(field, palms, body) > least
-        palms, posture = (palms[0][keep], palms[1][keep]), posture[keep]
+        palms, posture = palms[keep], posture[keep]
     gaps = compute_clearances(field, spheres, palms, posture.angles())
     keep = gaps.min(axis=(1, 2)) > -SKIN_YIELD / 2
-    return (palms[0][keep], palms[1][keep]), posture[keep]
+    return palms[keep], posture[keep]
 
 
 def _sample_opposite_points(
@@ -215,10 +214,6 @@ def _compute_shortest_rotations(source: FloatArray, goal: FloatArray) -> FloatAr
     # Exactly opposite vectors, whose axis is undefined, do not occur in random samples.
     scaled = axis * (np.arctan2(sine, cosine) / np.maximum(sine, 1e-12))[:, None]
     return np.asarray(Rotation.from_rotvec(scaled).as_matrix())
-
-
-def _select_openings(openings: Openings, rows: IntArray) -> Openings:
-    return Openings(openings.posture[rows], openings.center[rows], openings.axis[rows], openings.width[rows])
 
 
 def _normalize(vectors: FloatArray) -> FloatArray:

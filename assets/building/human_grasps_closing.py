@@ -4,11 +4,13 @@ Digits bend joint by joint. A joint stops when further bending would press a lin
 object by more than the skin yields.
 """
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 from functools import cache
 
 import numpy as np
 import trimesh
+from typing_extensions import Self
 
 from handover_marl.assets.building.build_hands import (
     make_collision_mesh,
@@ -32,8 +34,47 @@ _THUMB_CURL = (_STEP_ANGLE * np.array([0.6, 0.7, 0.9]), np.deg2rad([45.0, 55.0, 
 _THUMB = 4
 
 
+class ArrayBatch:
+    """Base class of dataclasses of n items; n is the first dimension of all fields."""
+
+    def __len__(self) -> int:
+        return len(getattr(self, fields(self)[0].name))  # type: ignore[arg-type]
+
+    def __getitem__(self, rows: IntArray | BoolArray) -> Self:
+        return type(self)(*(getattr(self, field.name)[rows] for field in fields(self)))  # type: ignore[arg-type]
+
+    @classmethod
+    def concatenate(cls, parts: Sequence[Self]) -> Self:
+        """Return all items of several batches as one batch."""
+        columns = ([getattr(part, field.name) for part in parts] for field in fields(cls))  # type: ignore[arg-type]
+        return cls(
+            *(
+                type(column[0]).concatenate(column) if isinstance(column[0], ArrayBatch) else np.concatenate(column)
+                for column in columns
+            )
+        )
+
+
 @dataclass(frozen=True, eq=False)
-class Posture:
+class Palms(ArrayBatch):
+    """Poses of n palms in the object's frame.
+
+    Attributes:
+        position: (n, 3) positions (m).
+        rotation: (n, 3, 3) rotation matrices.
+    """
+
+    position: FloatArray
+    rotation: FloatArray
+
+    def transform(self, points: FloatArray) -> FloatArray:
+        """Transform points (n, ..., 3) from the palm's frame to the object's frame."""
+        flat = points.reshape(len(points), -1, 3) @ self.rotation.swapaxes(1, 2) + self.position[:, None]
+        return np.asarray(flat.reshape(points.shape))
+
+
+@dataclass(frozen=True, eq=False)
+class Posture(ArrayBatch):
     """Finger postures of n right hands.
 
     Attributes:
@@ -47,12 +88,6 @@ class Posture:
     spread: FloatArray
     thumb_root: FloatArray
     thumb_axis: FloatArray
-
-    def __len__(self) -> int:
-        return len(self.bends)
-
-    def __getitem__(self, rows: IntArray | BoolArray) -> "Posture":
-        return Posture(self.bends[rows], self.spread[rows], self.thumb_root[rows], self.thumb_axis[rows])
 
     def angles(self) -> FloatArray:
         """Return the finger joint angles (n, 45), intrinsic XYZ Euler angles (rad)."""
@@ -110,40 +145,27 @@ class HandSpheres:
         return centers, rotations[:, 1:]
 
 
-def compute_clearances(
-    field: DistanceField, spheres: HandSpheres, palms: tuple[FloatArray, FloatArray], angles: FloatArray
-) -> FloatArray:
+def compute_clearances(field: DistanceField, spheres: HandSpheres, palms: Palms, angles: FloatArray) -> FloatArray:
     """Compute the distances (n, 15, 3) (m) from the phalanges' spheres to the object.
 
     Args:
         field: Signed distance field of the object.
         spheres: Hand.
-        palms: Positions (n, 3) and rotations (n, 3, 3) of the palm in the object's frame.
+        palms: Palm poses in the object's frame.
         angles: (n, 45) finger joint angles (rad).
     """
     centers, _ = spheres.phalanges(angles)
-    return field.query_clamped(transform_to_object(palms, centers)) - spheres.radii
+    return field.query_clamped(palms.transform(centers)) - spheres.radii
 
 
-def compute_body_clearance(
-    field: DistanceField, palms: tuple[FloatArray, FloatArray], body: tuple[FloatArray, FloatArray]
-) -> FloatArray:
+def compute_body_clearance(field: DistanceField, palms: Palms, body: tuple[FloatArray, FloatArray]) -> FloatArray:
     """Compute the smallest distance (n,) (m) from the palm's or forearm's spheres to the object."""
     centers, radii = body
-    points = transform_to_object(palms, np.broadcast_to(centers, (len(palms[0]), *centers.shape)))
+    points = palms.transform(np.broadcast_to(centers, (len(palms), *centers.shape)))
     return np.asarray((field.query_clamped(points) - radii).min(axis=1))
 
 
-def transform_to_object(palms: tuple[FloatArray, FloatArray], points: FloatArray) -> FloatArray:
-    """Transform points (n, ..., 3) from the palm's frame to the object's frame."""
-    position, rotation = palms
-    flat = points.reshape(len(points), -1, 3) @ rotation.swapaxes(1, 2) + position[:, None]
-    return np.asarray(flat.reshape(points.shape))
-
-
-def close_fingers(
-    field: DistanceField, spheres: HandSpheres, palms: tuple[FloatArray, FloatArray], posture: Posture
-) -> Posture:
+def close_fingers(field: DistanceField, spheres: HandSpheres, palms: Palms, posture: Posture) -> Posture:
     """Close digits until they touch the object; a digit without contact stays half open."""
     bends, relaxed = posture.bends.copy(), posture.bends.copy()
     free = np.ones_like(bends, dtype=bool)

@@ -1,21 +1,22 @@
 """Evaluation of closed hands, adaptation to other hand sizes, and selection of a varied set."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import trimesh
 from scipy.spatial.transform import Rotation
 
 from handover_marl.assets.building.build_hands import make_reference_hand
-from handover_marl.assets.building.human_grasps_candidates import GraspTarget, Palms, find_candidates, measure_openings
+from handover_marl.assets.building.human_grasps_candidates import GraspTarget, find_candidates, measure_openings
 from handover_marl.assets.building.human_grasps_closing import (
     SKIN_YIELD,
+    ArrayBatch,
     HandSpheres,
+    Palms,
     Posture,
     close_fingers,
     compute_body_clearance,
     compute_clearances,
-    transform_to_object,
 )
 from handover_marl.assets.hand_model import BoolArray, FloatArray, HandGeometry, IntArray
 from handover_marl.assets.human_grasps import FREE_SHARE_MEDIAN, interpolate_wrist_distance
@@ -34,7 +35,7 @@ _N_VARIANTS = 3
 
 
 @dataclass(frozen=True, eq=False)
-class HumanGraspSet:
+class HumanGraspSet(ArrayBatch):
     """Closed right hands of one size on one object; n is the first dimension of all arrays.
 
     Attributes:
@@ -53,19 +54,10 @@ class HumanGraspSet:
     overlap: FloatArray
     base: IntArray
 
-    def __len__(self) -> int:
-        return len(self.overlap)
-
-    def __getitem__(self, rows: IntArray) -> "HumanGraspSet":
-        palms = (self.palms[0][rows], self.palms[1][rows])
-        return HumanGraspSet(
-            palms, self.opened[rows], self.closed[rows], self.touching[rows], self.overlap[rows], self.base[rows]
-        )
-
     @property
     def wrist_distance(self) -> FloatArray:
         """Distances (n,) (m) from the palm's origin to the object's origin."""
-        return np.asarray(np.linalg.norm(self.palms[0], axis=1))
+        return np.asarray(np.linalg.norm(self.palms.position, axis=1))
 
 
 def close_and_filter(
@@ -77,13 +69,13 @@ def close_and_filter(
     angles = closed.angles()
     gaps = compute_clearances(field, spheres, palms, angles)
     centers, rotations = spheres.phalanges(angles)
-    outward = field.compute_outward_normals(transform_to_object(palms, centers))
+    outward = field.compute_outward_normals(palms.transform(centers))
     by_digit = gaps.reshape(len(angles), 5, 9)
     nearest = by_digit.argmin(axis=2)
     touching = by_digit.min(axis=2) < TOUCH_DISTANCE
     normal = np.take_along_axis(outward.reshape(-1, 5, 9, 3), nearest[..., None, None], axis=2)[:, :, 0]
     pads = _compute_pad_directions(closed, rotations, nearest)
-    pads = np.einsum("nij,ndj->ndi", palms[1], pads)
+    pads = np.einsum("nij,ndj->ndi", palms.rotation, pads)
     # Contact with the pad, not with the nail.
     by_pad = touching & (np.einsum("ndi,ndi->nd", pads, -normal) > 0.1)
     opposed = _is_opposed(
@@ -106,16 +98,18 @@ def sample_grasp_pool(target: GraspTarget, object_name: str, rng: np.random.Gene
     for _ in range(_MAX_ROUNDS):
         palms, opened = find_candidates(target, _N_ROUND_CANDIDATES, limits, rng)
         # Balance the wrist distances.
-        share = _assign_bins(palms[0], goals)
+        share = _assign_bins(palms.position, goals)
         weight = 1.0 / np.bincount(share)[share]
         size = min(len(share), 1000)
         rows = rng.choice(len(share), size, replace=False, p=weight / weight.sum())
-        palms, opened = (palms[0][rows], palms[1][rows]), opened[rows]
-        found.append(close_and_filter(target, make_reference_hand(), palms, opened, np.arange(len(opened))))
-        have = np.bincount(np.concatenate([_assign_bins(part.palms[0], goals) for part in found]), minlength=_N_BINS)
+        found.append(close_and_filter(target, make_reference_hand(), palms[rows], opened[rows], np.arange(size)))
+        have = np.bincount(
+            np.concatenate([_assign_bins(part.palms.position, goals) for part in found]), minlength=_N_BINS
+        )
         if have.min() >= _MIN_PER_BIN:
             break
-    pool = _concatenate(found)
+    pool = HumanGraspSet.concatenate(found)
+    pool = replace(pool, base=np.arange(len(pool)))
     return pool[rng.permutation(len(pool))[:_MAX_POOL]]
 
 
@@ -133,17 +127,17 @@ def fit_to_hand(
     first = np.arange(len(row)) % _N_VARIANTS == 0
     turn = rng.normal(0.0, 0.05, (len(row), 3)) * ~first[:, None]
     shift = rng.normal(0.0, 0.004, (len(row), 3)) * ~first[:, None]
-    rotation = Rotation.from_rotvec(turn).as_matrix() @ base.palms[1]
+    rotation = Rotation.from_rotvec(turn).as_matrix() @ base.palms.rotation
     before = measure_openings(make_reference_hand(), base.opened).center
     after = measure_openings(model, base.opened).center
-    grip = base.palms[0] + np.einsum("nij,nj->ni", base.palms[1], before)
+    grip = base.palms.position + np.einsum("nij,nj->ni", base.palms.rotation, before)
     position = grip + shift - np.einsum("nij,nj->ni", rotation, after)
-    spheres, palms = HandSpheres(model), (position, rotation)
+    spheres, palms = HandSpheres(model), Palms(position, rotation)
     keep = compute_body_clearance(target.field, palms, spheres.palm) > -SKIN_YIELD
     keep &= compute_body_clearance(target.field, palms, spheres.forearm) > 0.0
     keep &= compute_clearances(target.field, spheres, palms, base.opened.angles()).min(axis=(1, 2)) > -SKIN_YIELD / 2
     rows = np.flatnonzero(keep)
-    return close_and_filter(target, model, (position[rows], rotation[rows]), base.opened[rows], row[rows])
+    return close_and_filter(target, model, palms[rows], base.opened[rows], row[rows])
 
 
 def select_grasps(
@@ -184,7 +178,7 @@ def compute_free_share(
     points, _ = trimesh.sample.sample_surface(target.mesh, samples, seed=0)
     phalanges, _ = spheres.phalanges(grasps.closed.angles())
     palm = np.broadcast_to(spheres.palm[0], (n, *spheres.palm[0].shape))
-    centers = transform_to_object(grasps.palms, np.concatenate([phalanges.reshape(n, -1, 3), palm], axis=1))
+    centers = grasps.palms.transform(np.concatenate([phalanges.reshape(n, -1, 3), palm], axis=1))
     reach = _FREE_DISTANCE + np.concatenate([spheres.radii.ravel(), spheres.palm[1]])
     squared = (
         (centers**2).sum(axis=2)[:, None] + (points**2).sum(axis=1)[:, None] - 2.0 * points @ centers.swapaxes(1, 2)
@@ -194,7 +188,7 @@ def compute_free_share(
 
 def _compute_similarity(grasps: HumanGraspSet, other: int) -> FloatArray:
     """Return similarities (n,) to a grasp: 1 if equal, near 0 beyond 4 cm or 40 degrees."""
-    position, rotation = grasps.palms
+    position, rotation = grasps.palms.position, grasps.palms.rotation
     apart = np.linalg.norm(position - position[other], axis=1) / 0.04
     cosine = (np.einsum("nij,ij->n", rotation, rotation[other]) - 1.0) / 2.0
     turned = np.arccos(np.clip(cosine, -1.0, 1.0)) / 0.7
@@ -204,7 +198,7 @@ def _compute_similarity(grasps: HumanGraspSet, other: int) -> FloatArray:
 def _find_nearest_palm_spheres(field: DistanceField, palms: Palms, spheres: HandSpheres) -> FloatArray:
     """Return the centers (n, 3) of the palm's spheres nearest to the object, in its frame."""
     centers, radii = spheres.palm
-    points = transform_to_object(palms, np.broadcast_to(centers, (len(palms[0]), *centers.shape)))
+    points = palms.transform(np.broadcast_to(centers, (len(palms), *centers.shape)))
     nearest = (field.query_clamped(points) - radii).argmin(axis=1)
     return np.asarray(points[np.arange(len(points)), nearest])
 
@@ -239,21 +233,3 @@ def _compute_thumb_overlap(centers: FloatArray, radii: FloatArray) -> FloatArray
     )
     distance = np.linalg.norm(thumb - fingers, axis=-1) - radii[13:].reshape(-1, 1) - radii[:12].reshape(1, -1)
     return np.asarray(-distance.min(axis=(1, 2)))
-
-
-def _concatenate(parts: list[HumanGraspSet]) -> HumanGraspSet:
-    """Return all grasps as one set with new indices."""
-
-    def stack(pick: str) -> Posture:
-        postures = [getattr(part, pick) for part in parts]
-        return Posture(
-            *(
-                np.concatenate([getattr(p, name) for p in postures])
-                for name in ("bends", "spread", "thumb_root", "thumb_axis")
-            )
-        )
-
-    palms = (np.concatenate([p.palms[0] for p in parts]), np.concatenate([p.palms[1] for p in parts]))
-    overlap = np.concatenate([p.overlap for p in parts])
-    touching = np.concatenate([p.touching for p in parts])
-    return HumanGraspSet(palms, stack("opened"), stack("closed"), touching, overlap, np.arange(len(overlap)))

@@ -12,7 +12,8 @@ import numpy.typing as npt
 import trimesh
 
 from handover_marl.assets.object_models import COLLISION_NAME, OBJECTS_ROOT, VISUAL_NAME, find_object_urdf
-from handover_marl.geometry.obj_files import read_obj
+from handover_marl.geometry.meshes import concatenate_meshes
+from handover_marl.geometry.obj_files import format_obj, read_obj
 
 #: sRGB values by color name.
 PALETTE = {
@@ -57,7 +58,7 @@ def write_visual(path: Path, colored_meshes: Iterable[tuple[str, trimesh.Trimesh
     for color, mesh in colored_meshes:
         texture = names.index(color) + 1
         vertices, faces = _canonicalize(mesh)
-        lines += _format_vertices(vertices)
+        lines += [f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in vertices]
         lines += ["f " + " ".join(f"{first + corner}/{texture}" for corner in face) for face in faces]
         first += len(vertices)
     path.write_text("\n".join(lines) + "\n", newline="\n")
@@ -65,14 +66,12 @@ def write_visual(path: Path, colored_meshes: Iterable[tuple[str, trimesh.Trimesh
 
 def write_convex_parts(path: Path, parts: Sequence[trimesh.Trimesh]) -> None:
     """Write convex meshes (m) as the objects of one OBJ file; PyBullet makes a hull of each."""
-    lines = []
-    first = 1
+    texts, first = [], 1
     for number, part in enumerate(parts):
         vertices, faces = _canonicalize(part)
-        lines += [f"o convex_{number}", *_format_vertices(vertices)]
-        lines += ["f " + " ".join(str(first + corner) for corner in face) for face in faces]
+        texts.append(f"o convex_{number}\n{format_obj(vertices, faces, first)}")
         first += len(vertices)
-    path.write_text("\n".join(lines) + "\n", newline="\n")
+    path.write_text("".join(texts), newline="\n")
 
 
 def _canonicalize(mesh: trimesh.Trimesh) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.int64]]:
@@ -85,10 +84,6 @@ def _canonicalize(mesh: trimesh.Trimesh) -> tuple[npt.NDArray[np.float64], npt.N
     faces = faces[whole]
     turned = np.stack([np.roll(face, -int(np.argmin(face))) for face in faces])
     return vertices, turned[np.lexsort(turned.T[::-1])]
-
-
-def _format_vertices(vertices: npt.NDArray[np.float64]) -> list[str]:
-    return [f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in vertices]
 
 
 def load_visual_mesh(name: str, root: Path = OBJECTS_ROOT) -> trimesh.Trimesh:
@@ -112,16 +107,6 @@ def load_collision_parts(name: str, root: Path = OBJECTS_ROOT) -> list[trimesh.T
     return read_parts(find_object_urdf(name, root).with_name(COLLISION_NAME))
 
 
-def load_collision_mesh(name: str, root: Path = OBJECTS_ROOT) -> trimesh.Trimesh:
-    """Load all convex collision meshes (m) of an object as one mesh; they may overlap.
-
-    Raises:
-        UnknownNameError: The class does not exist.
-        DataNotFoundError: The files are missing under `root`.
-    """
-    return merge_meshes(load_collision_parts(name, root))
-
-
 def read_parts(path: Path) -> list[trimesh.Trimesh]:
     """Read the meshes (m) of an OBJ file, one for each of its objects.
 
@@ -134,9 +119,8 @@ def read_parts(path: Path) -> list[trimesh.Trimesh]:
 
 def merge_meshes(meshes: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:
     """Return one mesh of the vertices and faces of all meshes."""
-    firsts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
-    faces = [mesh.faces + first for mesh, first in zip(meshes, firsts, strict=False)]
-    return trimesh.Trimesh(np.concatenate([mesh.vertices for mesh in meshes]), np.concatenate(faces), process=False)
+    vertices, faces = concatenate_meshes([(mesh.vertices, mesh.faces) for mesh in meshes])
+    return trimesh.Trimesh(vertices, faces, process=False)
 
 
 def _extract_submesh(points: npt.NDArray[np.float64], faces: npt.NDArray[np.int64]) -> trimesh.Trimesh:

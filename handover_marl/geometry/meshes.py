@@ -106,7 +106,7 @@ def read_collision_mesh(urdf: Path) -> tuple[Array, Faces]:
     shapes = read_urdf_shapes(urdf, read_tree(urdf), "collision")
     if not shapes:
         raise DataFormatError(f"{urdf}: the model must have a collision shape; check the file")
-    return _concatenate([read_shape_mesh(shape, urdf) for shape in shapes])
+    return concatenate_meshes([read_shape_mesh(shape, urdf) for shape in shapes])
 
 
 def read_visual_meshes(urdf: Path, tree: KinematicTree, without: Collection[str] = ()) -> list[VisualMesh]:
@@ -131,7 +131,7 @@ def read_visual_meshes(urdf: Path, tree: KinematicTree, without: Collection[str]
 
 def _read_visual_mesh(urdf: Path, link: int, shapes: Sequence[UrdfShape]) -> VisualMesh:
     parts = [read_shape_mesh(shape, urdf) for shape in shapes]
-    vertices, faces = _concatenate(parts)
+    vertices, faces = concatenate_meshes(parts)
     colors = [
         np.tile(np.array(shape.color[:3], dtype=np.float32), (len(own), 1))
         for shape, (_, own) in zip(shapes, parts, strict=True)
@@ -139,7 +139,8 @@ def _read_visual_mesh(urdf: Path, link: int, shapes: Sequence[UrdfShape]) -> Vis
     return VisualMesh(link, vertices.astype(np.float32), faces.astype(np.int32), np.concatenate(colors))
 
 
-def _concatenate(parts: Sequence[tuple[Array, Faces]]) -> tuple[Array, Faces]:
+def concatenate_meshes(parts: Sequence[tuple[Array, Faces]]) -> tuple[Array, Faces]:
+    """Concatenate meshes, each given by its vertices (v, 3) and faces (f, 3), to one mesh."""
     firsts = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
     return (
         np.concatenate([vertices for vertices, _ in parts]),

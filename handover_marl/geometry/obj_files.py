@@ -1,4 +1,4 @@
-"""Reader and safety check of OBJ mesh files."""
+"""Reader, writer and safety check of OBJ mesh files."""
 
 import itertools
 import re
@@ -68,6 +68,19 @@ def read_obj(path: Path) -> ObjMesh:
     if not np.isfinite(points).all():
         raise DataFormatError(f"{path}: a vertex is not finite; check the file")
     return ObjMesh(points, found)
+
+
+def format_obj(vertices: Array, faces: Faces, first: int = 1) -> str:
+    """Return a mesh as Wavefront OBJ text with 6 decimals, as in HandoverSim's files.
+
+    Args:
+        vertices: (v, 3) vertices (m).
+        faces: (f, 3) vertex indices, from 0.
+        first: Number of the mesh's first vertex in the file; other meshes may precede it.
+    """
+    lines = [f"v {x:.6f} {y:.6f} {z:.6f}\n" for x, y, z in vertices.tolist()]
+    lines += [f"f {a} {b} {c}\n" for a, b, c in (faces + first).tolist()]
+    return "".join(lines)
 
 
 def check_obj(path: Path) -> None:

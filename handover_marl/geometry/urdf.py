@@ -120,6 +120,21 @@ def list_mesh_references(urdf: Path) -> list[tuple[str, Path]]:
     return [(name, urdf.parent / name.removeprefix(_PACKAGE)) for name in names]
 
 
+def read_model_mtimes(urdf: Path) -> tuple[int, ...]:
+    """Return the modification times (ns) of a URDF file and its mesh files; 0 for missing meshes.
+
+    Raises:
+        OSError: The URDF file cannot be read.
+    """
+    own = urdf.stat().st_mtime_ns
+    return (own, *(mesh.stat().st_mtime_ns if mesh.exists() else 0 for mesh in _list_meshes(urdf, own)))
+
+
+@functools.lru_cache(maxsize=256)
+def _list_meshes(urdf: Path, mtime: int) -> tuple[Path, ...]:
+    return tuple(mesh for _, mesh in list_mesh_references(urdf))
+
+
 def read_urdf_shapes(urdf: Path, tree: KinematicTree, purpose: str) -> list[UrdfShape]:
     """Read all collision or all visual shapes of a URDF model; an unchanged file is read once.
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handover_marl.assets.building.object_files import load_collision_mesh, load_collision_parts, load_visual_mesh
+from handover_marl.assets.building.object_files import load_collision_parts, load_visual_mesh, merge_meshes
 from handover_marl.assets.object_models import COLLISION_NAME, OBJECTS_ROOT, VISUAL_NAME, find_object_urdf
 from handover_marl.config import ObjectConfig
 from handover_marl.errors import DataFormatError, DataNotFoundError, UnknownNameError
@@ -56,7 +56,7 @@ def test_simulation_loads_the_model(client: BulletClient) -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_size_and_frame_are_those_of_the_scans(name: str) -> None:
     pytest.importorskip("trimesh")
-    for mesh in (load_visual_mesh(name), load_collision_mesh(name)):
+    for mesh in (load_visual_mesh(name), merge_meshes(load_collision_parts(name))):
         np.testing.assert_allclose(mesh.bounds, YCB_BOUNDS[name], rtol=0, atol=0.003)
 
 

@@ -83,7 +83,7 @@ def test_rebuild_gives_the_shipped_grasps() -> None:
     pytest.importorskip("trimesh")
     from handover_marl.assets.building.build_grasps import Args, validate_object_grasps
 
-    rebuilt = validate_object_grasps("009_gelatin_box", Args(n_grasps=3)).transforms
+    rebuilt, _ = validate_object_grasps("009_gelatin_box", Args(n_grasps=3))
     np.testing.assert_allclose(rebuilt, _grasps("009_gelatin_box")[:3], atol=1e-6)
 
 

@@ -12,6 +12,7 @@ from handover_marl.datasets.dexycb.urdf import build_hand_urdf, build_object_urd
 from handover_marl.datasets.official_files import is_stand_in_file
 from handover_marl.errors import DataFormatError, ResultsError, UnknownNameError
 from handover_marl.execution.files import create_exclusively, has_content, remove_stale_temporaries, write_atomically
+from handover_marl.geometry.obj_files import format_obj
 from handover_marl.geometry.ycb import CLASS_NAMES, SUBJECTS
 
 Array = npt.NDArray[np.float64]
@@ -115,18 +116,6 @@ def write_hand_assets(assets: Path, subject: str, model: ManoModel, betas: Seque
     folder = assets / f"{subject}_{model.side}"
     write_missing_files(folder, build_hand_files(model, betas))
     return folder
-
-
-def format_obj(vertices: Array, faces: Faces) -> str:
-    """Return a mesh as Wavefront OBJ text with 6 decimals, as in the official files.
-
-    Args:
-        vertices: (v, 3) vertices (m).
-        faces: (f, 3) vertex indices, from 0.
-    """
-    lines = [f"v {x:.6f} {y:.6f} {z:.6f}\n" for x, y, z in vertices.tolist()]
-    lines += [f"f {a} {b} {c}\n" for a, b, c in (faces + 1).tolist()]
-    return "".join(lines)
 
 
 def _extract_link_mesh(model: ManoModel, vertices: Array, joint: int, min_weight: float) -> tuple[Array, Faces]:

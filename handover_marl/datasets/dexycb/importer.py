@@ -16,7 +16,7 @@ from handover_marl.datasets.dexycb.assets import (
 from handover_marl.datasets.dexycb.mano import SIDES, ManoModel, check_hand_sides
 from handover_marl.datasets.dexycb.raw_files import SequenceFolder, find_sequences
 from handover_marl.datasets.dexycb.scenes import find_first_betas, import_scenes, read_hand_betas, read_mano_models
-from handover_marl.datasets.dexycb.stand_ins import ARCHIVE_NAME, InstalledFiles, install_third_party, write_stand_ins
+from handover_marl.datasets.dexycb.stand_ins import ARCHIVE_NAME, install_third_party, write_stand_ins
 from handover_marl.datasets.official_files import is_stand_in_file, list_required_files
 from handover_marl.datasets.scene_files import CACHE_FOLDER
 from handover_marl.datasets.splits import N_SCENES
@@ -115,7 +115,7 @@ def import_dexycb(
     assets = target / "assets"
     notes = [*layout.ignored, *check_hand_sides(models["right"], models["left"])]
     if third_party is not None:
-        notes += _describe_unknown_files(install_third_party(Path(third_party).expanduser(), assets))
+        notes += install_third_party(Path(third_party).expanduser(), assets)
     hands, faults = _write_models(layout.sequences, models, assets)
     remove_stale_temporaries(target / CACHE_FOLDER)
     imported: list[int] = []
@@ -142,15 +142,6 @@ def import_dexycb(
         missing_files=tuple(path for path in required if not (assets / path).is_file()),
         stand_in_files=tuple(path for path in required if is_stand_in_file(assets / path)),
     )
-
-
-def _describe_unknown_files(installed: InstalledFiles) -> list[str]:
-    if not installed.unknown:
-        return []
-    return [
-        f"{len(installed.unknown)} of the {len(installed.files)} third-party files are not the known ones, such as "
-        f"{installed.unknown[0]}; results on them say so"
-    ]
 
 
 def _find_mano_folder(mano: Path) -> Path:

@@ -10,7 +10,6 @@ import functools
 import io
 from collections import defaultdict
 from collections.abc import Iterable
-from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path, PurePosixPath
 from typing import Final
@@ -34,7 +33,7 @@ from handover_marl.execution.archives import read_members
 from handover_marl.execution.pool import PoolConfig
 from handover_marl.execution.tasks import map_with_progress
 from handover_marl.geometry.meshes import convex_hull, extreme_points
-from handover_marl.geometry.obj_files import read_obj
+from handover_marl.geometry.obj_files import format_obj, read_obj
 from handover_marl.geometry.panda import PANDA_CAMERA
 from handover_marl.geometry.ycb import CLASS_NAMES
 
@@ -53,26 +52,16 @@ _COLLISION_FILE = "model_normalized_convex.obj"
 _PANDA_MESH_FOLDER = "stand_in"
 
 
-@dataclass(frozen=True)
-class InstalledFiles:
-    """Third-party files that were installed.
-
-    Attributes:
-        files: Paths of the installed files, relative to `assets/`.
-        unknown: Paths of the files whose content has another checksum than the official one.
-    """
-
-    files: tuple[str, ...]
-    unknown: tuple[str, ...]
-
-
-def install_third_party(source: Path, assets: Path) -> InstalledFiles:
+def install_third_party(source: Path, assets: Path) -> list[str]:
     """Install third-party files; the whole source is checked before a file is written.
 
     Args:
         source: HandoverSim's archive, or the folder that it was unpacked into. The files may be at
             any depth, but in one tree.
         assets: Folder `assets/` of the data folder.
+
+    Returns:
+        Warnings about files whose content has another checksum than the official one.
 
     Raises:
         DataNotFoundError: The source is missing or cannot be read.
@@ -90,7 +79,12 @@ def install_third_party(source: Path, assets: Path) -> InstalledFiles:
         write_missing_files(assets, {target: content}, replace_stand_ins=True)
         if read_third_party_checksums()[target] and classify_file_origin(target, content) is not FileOrigin.ORIGINAL:
             unknown.append(target)
-    return InstalledFiles(tuple(sorted(targets.values())), tuple(sorted(unknown)))
+    if not unknown:
+        return []
+    return [
+        f"{len(unknown)} of the {len(targets)} third-party files are not the known ones, such as {min(unknown)}; "
+        "results on them say so"
+    ]
 
 
 def _match_paths(source: Path, paths: Iterable[PurePosixPath]) -> dict[PurePosixPath, str]:
@@ -204,15 +198,9 @@ def decompose_convex(model: Path) -> str:
             corners = _reduce_corners(np.asarray(points, dtype=np.float64))
         except QhullError:  # a part without volume
             continue
-        texts.append(_format_part(number, corners, first))
+        texts.append(f"o convex_{number}\n{format_obj(corners, convex_hull(corners)[1], first)}")
         first += len(corners)
     return "".join(texts)
-
-
-def _format_part(number: int, corners: Array, first: int) -> str:
-    lines = [f"o convex_{number}", *(f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in corners)]
-    lines += [f"f {a} {b} {c}" for a, b, c in convex_hull(corners)[1] + first]
-    return "\n".join(lines) + "\n"
 
 
 def _reduce_corners(points: Array) -> Array:

@@ -15,7 +15,7 @@ from handover_marl.errors import SimulationError
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.meshes import read_visual_meshes
 from handover_marl.geometry.panda import CAMERA_LINK
-from handover_marl.geometry.urdf import list_mesh_references
+from handover_marl.geometry.urdf import read_model_mtimes
 from handover_marl.simulation.camera.frames import SegmentationLabel
 
 Array = npt.NDArray[np.float32]
@@ -200,17 +200,9 @@ def load_ray_body(urdf: Path, label: SegmentationLabel, base: tuple[float, ...] 
         SimulationError, DataFormatError: The model or one of its meshes cannot be read.
     """
     try:
-        changed = urdf.stat().st_mtime_ns
-        meshes = _list_meshes(urdf, changed)
-        mesh_times = tuple(mesh.stat().st_mtime_ns if mesh.exists() else 0 for mesh in meshes)
-        return _load_ray_body(urdf, (changed, *mesh_times), label, base)
+        return _load_ray_body(urdf, read_model_mtimes(urdf), label, base)
     except OSError as error:
         raise SimulationError(f"{urdf}: cannot read this model ({error.strerror or error}); check the file") from error
-
-
-@functools.lru_cache(maxsize=64)
-def _list_meshes(urdf: Path, changed: int) -> tuple[Path, ...]:
-    return tuple(mesh for _, mesh in list_mesh_references(urdf))
 
 
 @functools.lru_cache(maxsize=64)

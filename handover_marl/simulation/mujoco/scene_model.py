@@ -14,7 +14,7 @@ from handover_marl.datasets.dataset import SceneAssets
 from handover_marl.errors import SimulationError
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.panda import FINGER_LINKS, HAND_LINK
-from handover_marl.geometry.urdf import list_mesh_references
+from handover_marl.geometry.urdf import read_model_mtimes
 from handover_marl.simulation.contact_horizon import RobotMotionBounds
 from handover_marl.simulation.kinematic_paths import BASE_JOINTS
 from handover_marl.simulation.mujoco.collision_shapes import compute_bounding_spheres
@@ -112,21 +112,10 @@ def load_scene_model(assets: SceneAssets, config: PhysicsConfig, tuning: MujocoT
     """
     files = (assets.table, assets.panda, *assets.objects, assets.hand)
     try:
-        mtimes = tuple(_read_mtimes(urdf) for urdf in files)
+        mtimes = tuple(read_model_mtimes(urdf) for urdf in files)
     except OSError as error:
         raise SimulationError(f"{error.filename}: cannot read this model ({error.strerror or error})") from error
     return _load(assets, mtimes, config, tuning)
-
-
-def _read_mtimes(urdf: Path) -> _Mtimes:
-    """Return the modification times of a model file and of its mesh files."""
-    own = urdf.stat().st_mtime_ns
-    return (own, *(mesh.stat().st_mtime_ns if mesh.exists() else 0 for mesh in _list_meshes(urdf, own)))
-
-
-@functools.lru_cache(maxsize=256)
-def _list_meshes(urdf: Path, mtime: int) -> tuple[Path, ...]:
-    return tuple(mesh for _, mesh in list_mesh_references(urdf))
 
 
 @functools.lru_cache(maxsize=_CACHE_SIZE)
