@@ -58,6 +58,19 @@ def load_convex_parts(shapes: Sequence[UrdfShape]) -> list[ConvexPart]:
     return [part for shape in shapes for part in _load_shape(shape, _read_mtime(shape.mesh))]
 
 
+def load_link_parts(urdf: Path, tree: KinematicTree) -> dict[int, list[ConvexPart]]:
+    """Load the collision shapes of a URDF model by link number, in ascending order.
+
+    The base is link -1. Links without collision shapes are left out.
+
+    Raises:
+        SimulationError, DataFormatError: The model or one of its meshes cannot be read.
+    """
+    shapes = read_urdf_shapes(urdf, tree, "collision")
+    links = sorted({shape.link for shape in shapes})
+    return {link: load_convex_parts([shape for shape in shapes if shape.link == link]) for link in links}
+
+
 def _read_mtime(mesh: Path | None) -> int:
     return mesh.stat().st_mtime_ns if mesh is not None and mesh.exists() else 0
 
@@ -112,10 +125,8 @@ def compute_bounding_spheres(urdf: Path, tree: KinematicTree) -> dict[int, Bound
     Raises:
         SimulationError, DataFormatError: The model or one of its meshes cannot be read.
     """
-    shapes = read_urdf_shapes(urdf, tree, "collision")
     spheres = {}
-    for link in sorted({shape.link for shape in shapes}):
-        parts = load_convex_parts([shape for shape in shapes if shape.link == link])
+    for link, parts in load_link_parts(urdf, tree).items():
         lower, upper = _compute_bounds(parts, False)
         spheres[link] = BoundingSphere((lower + upper) / 2.0, float(np.linalg.norm(upper - lower)) / 2.0)
     return spheres

@@ -12,12 +12,11 @@ import numpy.typing as npt
 from handover_marl.config import PandaConfig
 from handover_marl.geometry.kinematic_tree import BoundingSphere, KinematicTree, read_tree
 from handover_marl.geometry.poses import IDENTITY, compose, poses_from_rotations
-from handover_marl.geometry.urdf import read_urdf_shapes
 from handover_marl.simulation.clearance import DistanceQuery
 from handover_marl.simulation.mujoco.collision_shapes import (
     add_collision_geom,
     compute_bounding_spheres,
-    load_convex_parts,
+    load_link_parts,
 )
 from handover_marl.simulation.mujoco.engine import TUNING
 
@@ -113,13 +112,12 @@ def _compile_pair(panda_urdf: Path, hand_urdf: Path) -> _PairModel:
 
 def _add_links(spec: "mujoco.MjSpec", urdf: Path) -> list[int]:
     """Add a mocap body for every link that has collision shapes, and return the link numbers."""
-    shapes = read_urdf_shapes(urdf, read_tree(urdf), "collision")
-    links = sorted({shape.link for shape in shapes})
-    for link in links:
+    parts_by_link = load_link_parts(urdf, read_tree(urdf))
+    for parts in parts_by_link.values():
         body = spec.worldbody.add_body(mocap=True)
-        for part in load_convex_parts([shape for shape in shapes if shape.link == link]):
+        for part in parts:
             add_collision_geom(spec, body, part)
-    return links
+    return list(parts_by_link)
 
 
 def _compute_link_poses(tree: KinematicTree, joints: list[float], links: list[int], world_from_base: Array) -> Array:

@@ -12,9 +12,9 @@ from handover_marl.errors import SimulationError
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.panda import FINGER_LINKS, HAND_LINK, OPEN
 from handover_marl.geometry.poses import inverse_transform_points, quaternion_from_matrix
-from handover_marl.geometry.urdf import read_urdf_links, read_urdf_shapes
+from handover_marl.geometry.urdf import read_urdf_links
 from handover_marl.simulation.grasp_validation import GraspValidationConfig, GraspValidator
-from handover_marl.simulation.mujoco.collision_shapes import load_convex_parts, set_inertia
+from handover_marl.simulation.mujoco.collision_shapes import load_link_parts, set_inertia
 from handover_marl.simulation.mujoco.engine import TUNING, XYZW, MujocoTuning, wxyz_from_xyzw
 from handover_marl.simulation.mujoco.scene_spec import (
     SceneModelBuilder,
@@ -48,7 +48,7 @@ class GripperModelBuilder(SceneModelBuilder):
 
     def _add_gripper(self, urdf: Path) -> None:
         tree = read_tree(urdf)
-        links, shapes = read_urdf_links(urdf, tree), read_urdf_shapes(urdf, tree, "collision")
+        links, parts_by_link = read_urdf_links(urdf, tree), load_link_parts(urdf, tree)
         numbers = {joint.link: number for number, joint in enumerate(tree.joints)}
         missing = {HAND_LINK, *FINGER_LINKS} - set(numbers)
         if missing:
@@ -57,7 +57,7 @@ class GripperModelBuilder(SceneModelBuilder):
         for name in (HAND_LINK, *FINGER_LINKS):
             number, is_finger = numbers[name], name != HAND_LINK
             link, joint = links[number], tree.joints[number]
-            parts = load_convex_parts([shape for shape in shapes if shape.link == number])
+            parts = parts_by_link.get(number, [])
             body = hand
             if is_finger:
                 rotation = wxyz_from_xyzw(quaternion_from_matrix(joint.turn))

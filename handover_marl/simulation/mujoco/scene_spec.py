@@ -18,6 +18,7 @@ from handover_marl.simulation.mujoco.collision_shapes import (
     add_collision_geom,
     compute_box_inertia,
     load_convex_parts,
+    load_link_parts,
     set_inertia,
 )
 from handover_marl.simulation.mujoco.contacts import add_contact_sensors
@@ -154,7 +155,7 @@ class SceneModelBuilder:
             SimulationError, DataFormatError: The model or a mesh cannot be read.
         """
         tree, panda = read_tree(urdf), self._config.panda
-        links, shapes = read_urdf_links(urdf, tree), read_urdf_shapes(urdf, tree, "collision")
+        links, parts_by_link = read_urdf_links(urdf, tree), load_link_parts(urdf, tree)
         orientation = wxyz_from_xyzw(panda.base_orientation)
         base = self.spec.worldbody.add_body(name=ROBOT_BASE, pos=panda.base_position, quat=orientation)
         bodies = {-1: base}
@@ -167,7 +168,7 @@ class SceneModelBuilder:
             if joint.kind != "fixed":
                 self._add_robot_joint(bodies[number], tree, number, links[number])
         for number, body in bodies.items():
-            parts = load_convex_parts([shape for shape in shapes if shape.link == number])
+            parts = parts_by_link.get(number, [])
             is_finger = number >= 0 and tree.joints[number].link in FINGER_LINKS
             self._add_robot_link(body, links[number], parts, is_finger)
             if number >= 0:
@@ -233,14 +234,11 @@ class SceneModelBuilder:
         return actuator
 
     def _add_hand(self, urdf: Path) -> list[int]:
-        tree = read_tree(urdf)
-        shapes = read_urdf_shapes(urdf, tree, "collision")
-        links = sorted({shape.link for shape in shapes})
+        parts_by_link = load_link_parts(urdf, read_tree(urdf))
         contact = _ContactParameters(CollisionGroup.HAND, _NO_GROUP, self._config.hand.friction)
-        for number, link in enumerate(links):
-            body = self.spec.worldbody.add_body(name=hand_name(number), mocap=True)
-            self._add_parts(body, load_convex_parts([shape for shape in shapes if shape.link == link]), contact)
-        return links
+        for number, parts in enumerate(parts_by_link.values()):
+            self._add_parts(self.spec.worldbody.add_body(name=hand_name(number), mocap=True), parts, contact)
+        return list(parts_by_link)
 
     def _add_parts(self, body: "mujoco.MjsBody", parts: list[ConvexPart], contact: _ContactParameters) -> None:
         for part in parts:
