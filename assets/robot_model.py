@@ -49,8 +49,7 @@ def format_panda_urdf(meshes: str, camera: bool) -> str:
     for mesh in robot.iter("mesh"):
         mesh.set("filename", f"{meshes}/{mesh.attrib['filename'].removeprefix('package://')}")
     if camera:
-        robot.append(_make_camera_link())
-        robot.append(_make_camera_joint())
+        robot.extend(_make_camera())
     return ET.tostring(robot, encoding="unicode")
 
 
@@ -64,22 +63,16 @@ def _write_camera_panda(process: int) -> Path:
     return path
 
 
-def _make_camera_link() -> ET.Element:
-    link = ET.Element("link", name=CAMERA_LINK)
-    for purpose in ("visual", "collision"):
-        shape = ET.SubElement(link, purpose)
-        ET.SubElement(shape, "origin", xyz=_HOUSING_ORIGIN, rpy="0 0 0")
-        ET.SubElement(ET.SubElement(shape, "geometry"), "box", size=_HOUSING_SIZE)
-    inertial = ET.SubElement(link, "inertial")
-    ET.SubElement(inertial, "mass", value=str(_MASS))
-    ET.SubElement(inertial, "inertia", ixx="1e-5", iyy="1e-5", izz="1e-5", ixy="0", ixz="0", iyz="0")
-    return link
-
-
-def _make_camera_joint() -> ET.Element:
+def _make_camera() -> list[ET.Element]:
+    """Return the camera's link, and its joint to the hand."""
     xyz, rpy = HAND_FROM_CAMERA_LINK_URDF
-    joint = ET.Element("joint", name=f"{CAMERA_LINK}_joint", type="fixed")
-    ET.SubElement(joint, "parent", link=HAND_LINK)
-    ET.SubElement(joint, "child", link=CAMERA_LINK)
-    ET.SubElement(joint, "origin", xyz=xyz, rpy=rpy)
-    return joint
+    shape = f'<origin xyz="{_HOUSING_ORIGIN}" rpy="0 0 0"/><geometry><box size="{_HOUSING_SIZE}"/></geometry>'
+    return list(
+        ET.fromstring(
+            f'<robot><link name="{CAMERA_LINK}"><visual>{shape}</visual><collision>{shape}</collision>'
+            f'<inertial><mass value="{_MASS}"/>'
+            '<inertia ixx="1e-5" iyy="1e-5" izz="1e-5" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+            f'<joint name="{CAMERA_LINK}_joint" type="fixed"><parent link="{HAND_LINK}"/>'
+            f'<child link="{CAMERA_LINK}"/><origin xyz="{xyz}" rpy="{rpy}"/></joint></robot>'
+        )
+    )

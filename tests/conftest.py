@@ -16,10 +16,20 @@ SEVERAL_OBJECTS_VARIABLE = "HANDOVER_MARL_SEVERAL_OBJECTS"
 #: Folder with a raw DexYCB, MANO and what HandoverSim's scripts made of them (`raw/`, `expected/checksums.json`).
 RAW_DEXYCB_VARIABLE = "HANDOVER_MARL_RAW_DEXYCB"
 
-REAL_DATA = os.environ.get(DATA_DIR_VARIABLE)
-RECORDINGS = os.environ.get(RECORDINGS_VARIABLE)
-SEVERAL_OBJECTS = os.environ.get(SEVERAL_OBJECTS_VARIABLE)
-RAW_DEXYCB = os.environ.get(RAW_DEXYCB_VARIABLE)
+#: Folders of the reference data by variable; None where a variable is not set.
+REFERENCES = {
+    variable: os.environ.get(variable)
+    for variable in (DATA_DIR_VARIABLE, RECORDINGS_VARIABLE, SEVERAL_OBJECTS_VARIABLE, RAW_DEXYCB_VARIABLE)
+}
+RECORDINGS = REFERENCES[RECORDINGS_VARIABLE]
+
+
+def require_reference(what: str, variable: str, content: str) -> Path:
+    """The folder that a variable names; without it, the test is skipped."""
+    folder = REFERENCES[variable]
+    if not folder:
+        pytest.skip(f"{what} MISSING: set {variable} to {content}")
+    return Path(folder)
 
 
 @pytest.fixture(autouse=True)
@@ -43,9 +53,7 @@ def own_data(tmp_path: Path) -> Path:
 @pytest.fixture(scope="session")
 def real_data() -> Path:
     """DexYCB in the official layout."""
-    if not REAL_DATA:
-        pytest.skip(f"REAL DATA MISSING: set {DATA_DIR_VARIABLE} to a folder in HandoverSim's layout")
-    return Path(REAL_DATA)
+    return require_reference("REAL DATA", DATA_DIR_VARIABLE, "a folder in HandoverSim's layout")
 
 
 @pytest.fixture(scope="session")
@@ -56,25 +64,19 @@ def real_dataset(real_data: Path) -> OfficialDataset:
 @pytest.fixture(scope="session")
 def several_objects() -> OfficialDataset:
     """Scenes with two to five objects that the original simulator was recorded in."""
-    if not SEVERAL_OBJECTS:
-        pytest.skip(f"SCENES WITH SEVERAL OBJECTS MISSING: set {SEVERAL_OBJECTS_VARIABLE} to their folder")
-    return OfficialDataset(Path(SEVERAL_OBJECTS))
+    return OfficialDataset(require_reference("SCENES WITH SEVERAL OBJECTS", SEVERAL_OBJECTS_VARIABLE, "their folder"))
 
 
 @pytest.fixture(scope="session")
 def raw_dexycb() -> Path:
     """A raw DexYCB with MANO, and what the original made of it."""
-    if not RAW_DEXYCB:
-        pytest.skip(f"RAW DEXYCB MISSING: set {RAW_DEXYCB_VARIABLE} to a folder with raw/ and expected/")
-    return Path(RAW_DEXYCB)
+    return require_reference("RAW DEXYCB", RAW_DEXYCB_VARIABLE, "a folder with raw/ and expected/")
 
 
 @pytest.fixture(scope="session")
 def recordings(real_data: Path) -> Path:
     """Recordings of the reference simulator."""
-    if not RECORDINGS:
-        pytest.skip(f"REFERENCE RECORDINGS MISSING: set {RECORDINGS_VARIABLE} to their folder")
-    return Path(RECORDINGS)
+    return require_reference("REFERENCE RECORDINGS", RECORDINGS_VARIABLE, "their folder")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -88,13 +90,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    wanted = {
-        DATA_DIR_VARIABLE: REAL_DATA,
-        RECORDINGS_VARIABLE: RECORDINGS,
-        SEVERAL_OBJECTS_VARIABLE: SEVERAL_OBJECTS,
-        RAW_DEXYCB_VARIABLE: RAW_DEXYCB,
-    }
-    missing = [name for name, value in wanted.items() if not value]
+    missing = [variable for variable, folder in REFERENCES.items() if not folder]
     if missing:
         terminalreporter.write_sep("=", "NOT TESTED AGAINST THE REFERENCE", red=True, bold=True)
         terminalreporter.write_line(

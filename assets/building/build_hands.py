@@ -16,6 +16,7 @@ import tyro
 from rich.progress import track
 
 from handover_marl.assets.anthropometry import REFERENCE_SIZE, SKIN_COLORS
+from handover_marl.assets.building.shapes import make_hull
 from handover_marl.assets.hand_model import (
     DIGIT_ORDER,
     HANDS_FOLDER,
@@ -111,19 +112,14 @@ def make_visual_mesh(link: int) -> trimesh.Trimesh:
 def make_collision_mesh(link: int) -> trimesh.Trimesh:
     """Return the convex collision mesh (m) of a hand link (0 palm, 1 to 15 phalanges)."""
     if link > 0:
-        return _convex_hull(np.asarray(_make_capsule(link, 8, 3, 1.0).vertices))
+        return make_hull(np.asarray(_make_capsule(link, 8, 3, 1.0).vertices))
     spheres = [
         end + radius * _make_sphere_points(7, 1)
         for start, stop, first, last in make_palm_capsules(make_reference_hand())
         for end, radius in ((start, first), (stop, last))
     ]
-    hull = _convex_hull(np.vstack(spheres))
-    return _convex_hull(extreme_points(np.asarray(hull.vertices), MAX_COLLISION_VERTICES))
-
-
-def _convex_hull(points: FloatArray) -> trimesh.Trimesh:
-    hull: trimesh.Trimesh = trimesh.convex.convex_hull(points)
-    return hull
+    hull = make_hull(np.vstack(spheres))
+    return make_hull(extreme_points(np.asarray(hull.vertices), MAX_COLLISION_VERTICES))
 
 
 def _make_capsule(link: int, ring: int, profile: int, waist: float) -> trimesh.Trimesh:

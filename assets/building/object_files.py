@@ -4,7 +4,9 @@ PyBullet draws one texture per OBJ file and ignores vertex colors, so the textur
 every face are the center of a color's cell in a small image.
 """
 
-from collections.abc import Iterable, Sequence
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -15,22 +17,8 @@ from handover_marl.assets.object_models import COLLISION_NAME, OBJECTS_ROOT, VIS
 from handover_marl.geometry.meshes import concatenate_meshes
 from handover_marl.geometry.obj_files import format_obj, read_obj
 
-#: sRGB values by color name.
-PALETTE = {
-    "black": (38, 38, 40),
-    "blue": (38, 84, 160),
-    "brown": (110, 66, 36),
-    "cream": (240, 225, 190),
-    "navy": (28, 40, 92),
-    "olive": (120, 128, 50),
-    "orange": (226, 92, 28),
-    "red": (184, 34, 32),
-    "skin": (224, 172, 140),
-    "steel": (176, 180, 184),
-    "white": (240, 240, 236),
-    "wood": (188, 142, 92),
-    "yellow": (242, 200, 40),
-}
+#: sRGB values (0 to 255) by color name.
+PALETTE: Mapping[str, Sequence[int]] = json.loads((files(__package__) / "palette.json").read_text())
 _CELL = 4  # pixels; texture interpolation at the center stays inside of the cell
 
 

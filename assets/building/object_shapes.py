@@ -63,24 +63,14 @@ def _make_carton(rows: Sequence[tuple[float, float, float]], depth: float, color
 
 def make_cracker_box() -> tuple[Piece, ...]:
     """Return 003_cracker_box (mm): 71.5 x 163.5 x 213.5, 63 wide at half its height."""
-    rows = (
-        (-111.6, -35.0, 34.0), (-95.0, -36.3, 35.2), (-50.0, -35.8, 32.5), (0.0, -35.8, 29.0), (45.0, -34.8, 28.2),
-        (75.0, -34.3, 31.5), (101.9, -34.0, 32.0),
-    )  # fmt: skip
     colors = ("red", "red", "yellow", "red", "white", "red")
-    return (_make_carton(rows, 163.5, colors, 4).transform((0, -1.7, 0)),)
+    return (_make_carton(PROFILES["cracker_box"], 163.5, colors, 4).transform((0, -1.7, 0)),)
 
 
 def make_sugar_box() -> tuple[Piece, ...]:
     """Return the pieces of 004_sugar_box (mm): 42 x 92 x 176, leaning by 1.5 degrees."""
-    rows = (
-        (-92.3, -19.5, 24.7),
-        (-45.0, -20.5, 23.7),
-        (0.0, -21.2, 22.0),
-        (45.0, -21.8, 19.0),
-        (83.6, -23.0, 17.0),
-    )
-    return (_make_carton(rows, 91.5, ("yellow", "white", "yellow", "blue"), 2).transform((0, -1.4, 0), (0, 0, -2.6)),)
+    colors = ("yellow", "white", "yellow", "blue")
+    return (_make_carton(PROFILES["sugar_box"], 91.5, colors, 2).transform((0, -1.4, 0), (0, 0, -2.6)),)
 
 
 def make_pudding_box() -> tuple[Piece, ...]:

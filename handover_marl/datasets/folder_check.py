@@ -19,7 +19,7 @@ from handover_marl.datasets.official_files import (
     PANDA_FILES,
     FileOrigin,
     classify_file_origin,
-    classify_hand_origin,
+    find_hand_origin,
     list_required_files,
     read_third_party_checksums,
 )
@@ -187,7 +187,7 @@ def _check_hands(assets: Path, used: set[tuple[str, str]]) -> Finding:
         for side in _SIDES:
             folder = assets / f"{subject}_{side}"
             if _is_hand_complete(folder):
-                origins[classify_hand_origin(folder)] += 1
+                origins[find_hand_origin(folder)] += 1
             elif not used or (subject, side) in used:
                 missing.append(folder.name)
     result = ", ".join(f"{origins[origin]} {words}" for origin, words in _HAND_DESCRIPTIONS.items() if origins[origin])

@@ -20,6 +20,7 @@ from handover_marl.datasets.official_files import (
     describe_origins,
     find_hand_origin,
     find_origin,
+    is_folder,
     require_file,
 )
 from handover_marl.datasets.scene_files import CACHE_FOLDER, read_scene_info, read_scene_motion
@@ -49,7 +50,7 @@ class OfficialDataset(Dataset):
         super().__init__(robot)
         self.data_dir = data_dir
         for folder in (data_dir, data_dir / CACHE_FOLDER, data_dir / "assets"):
-            if not _is_folder(folder):
+            if not is_folder(folder):
                 raise DataNotFoundError(
                     f"data folder {folder} does not exist. Give the folder that holds dex-ycb-cache/ and assets/ "
                     "(HandoverSim's handover/data) as data_dir=, --data-dir or HANDOVER_MARL_DATA."
@@ -190,13 +191,6 @@ class OfficialDataset(Dataset):
     def _read_grasps(self, name: str) -> npt.NDArray[np.float64] | None:
         path = self._find_grasp_file(name)
         return None if path is None else load_grasps(path)
-
-
-def _is_folder(path: Path) -> bool:
-    try:
-        return path.is_dir()
-    except (OSError, ValueError):
-        return False
 
 
 def _encode_mesh_sizes(urdf: Path) -> bytes:

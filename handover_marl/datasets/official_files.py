@@ -82,17 +82,15 @@ def classify_file_origin(path: str, content: bytes) -> FileOrigin:
     return FileOrigin.ORIGINAL if same else FileOrigin.UNKNOWN
 
 
-def classify_hand_origin(folder: Path) -> FileOrigin:
+def find_hand_origin(folder: Path) -> FileOrigin:
     """Return ORIGINAL for a hand compiled from MANO by HandoverSim's rules, else STAND_IN.
 
     A compiled hand has equal visual and collision meshes but for three links, and the meshes are
-    open surfaces. Hands made in another way have closed meshes.
+    open surfaces. Hands made in another way have closed meshes. The origin is UNKNOWN if a mesh
+    cannot be read.
 
     Args:
         folder: Folder of the hand with `mano.urdf` and `meshes/`.
-
-    Raises:
-        OSError: A mesh cannot be read.
     """
 
     def mesh(kind: str, link: int) -> bytes:
@@ -102,11 +100,14 @@ def classify_hand_origin(folder: Path) -> FileOrigin:
         return {line for line in mesh(kind, link).splitlines() if line.startswith(b"v ")}
 
     links = [link for link in range(1, N_HAND_MESHES + 1) if link not in REDUCED_COLLISION_LINKS]
-    compiled = (
-        all(mesh("visual", link) == mesh("collision", link) for link in links)
-        and all(vertices("collision", link) <= vertices("visual", link) for link in REDUCED_COLLISION_LINKS)
-        and _is_open(mesh("visual", 1))
-    )
+    try:
+        compiled = (
+            all(mesh("visual", link) == mesh("collision", link) for link in links)
+            and all(vertices("collision", link) <= vertices("visual", link) for link in REDUCED_COLLISION_LINKS)
+            and _is_open(mesh("visual", 1))
+        )
+    except OSError:
+        return FileOrigin.UNKNOWN
     return FileOrigin.ORIGINAL if compiled else FileOrigin.STAND_IN
 
 
@@ -125,19 +126,19 @@ def find_origin(assets: Path, path: str) -> FileOrigin:
         return FileOrigin.UNKNOWN
 
 
-def find_hand_origin(folder: Path) -> FileOrigin:
-    """Return the origin of a hand model by its folder; UNKNOWN if a mesh cannot be read."""
-    try:
-        return classify_hand_origin(folder)
-    except OSError:
-        return FileOrigin.UNKNOWN
-
-
 def describe_origins(kind: str, *origins: FileOrigin) -> list[str]:
     """Return notes for results on the files of one kind that are not HandoverSim's own."""
     if FileOrigin.STAND_IN in origins:
         return [f"stand-in {kind}"]
     return [f"{kind} of unknown origin"] if FileOrigin.UNKNOWN in origins else []
+
+
+def is_folder(path: Path) -> bool:
+    """Return whether a path is a folder; False if it cannot be looked up."""
+    try:
+        return path.is_dir()
+    except (OSError, ValueError):  # permission denied in a parent folder, impossible name
+        return False
 
 
 def require_file(path: Path) -> Path:

@@ -206,16 +206,13 @@ def read_tree(urdf: Path) -> KinematicTree:
     """
     try:
         return _read_tree(urdf, urdf.stat().st_mtime_ns)
-    except OSError as error:
+    except (OSError, ET.ParseError, ValueError, KeyError, AttributeError) as error:
         raise SimulationError(f"{urdf}: cannot read this model ({error}); check the file") from error
 
 
 @functools.cache
 def _read_tree(urdf: Path, changed: int) -> KinematicTree:
-    try:
-        return KinematicTree(_read_joints(ET.parse(urdf).getroot()))
-    except (OSError, ET.ParseError, ValueError, KeyError, AttributeError) as error:
-        raise SimulationError(f"{urdf}: cannot read this model ({error}); check the file") from error
+    return KinematicTree(_read_joints(ET.parse(urdf).getroot()))
 
 
 def _read_joints(robot: ET.Element) -> list[TreeJoint]:

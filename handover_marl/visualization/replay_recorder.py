@@ -15,8 +15,6 @@ from handover_marl.policies.policy import Policy
 from handover_marl.simulation.contacts import Points
 from handover_marl.simulation.world import JointSnapshot
 
-Array = npt.NDArray[np.float64]
-
 #: Physics steps between two frames of a replay (40 ms).
 FRAME_STEPS = 40
 # Largest number of points of a stored cloud; more make the page large without a visible difference.
@@ -47,7 +45,7 @@ class ReplayFrame:
     touches_hand: bool
     object_offered: bool
     released: bool
-    planned_path: Array | None
+    planned_path: npt.NDArray[np.float64] | None
 
 
 @dataclass(frozen=True, eq=False)

@@ -72,9 +72,12 @@ def build_viser_page(log: EpisodeLog, camera: CameraConfig) -> str:
         view.position, view.look_at = camera.position, camera.target
         view.fov = np.radians(camera.vertical_fov)
         serializer = server.get_scene_serializer()
+        rules = log.config.protocol
+        scene.add_icosphere(
+            "/goal", rules.goal_radius, _GOAL_COLOR, opacity=0.15, position=rules.goal_center, cast_shadow=False
+        )
         elements: list[_SceneElement] = [
             *(_AnimatedLink(scene, link) for link in links),
-            _GoalRegion(scene, log),
             _FingerContacts(scene, log),
             _HandContactMarker(scene, links),
             _PlannedPath(scene),
@@ -166,18 +169,6 @@ class _AnimatedLink:
         if self._shown is None or self._is_present[index] != self._is_present[self._shown]:
             self._handle.visible = bool(self._is_present[index])
         self._shown = index
-
-
-class _GoalRegion:
-    """Sphere into which the gripper must bring the object; it never changes."""
-
-    def __init__(self, scene: "SceneApi", log: EpisodeLog) -> None:
-        rules = log.config.protocol
-        radius, center = rules.goal_radius, rules.goal_center
-        scene.add_icosphere("/goal", radius, _GOAL_COLOR, opacity=0.15, position=center, cast_shadow=False)
-
-    def show(self, index: int, frame: ReplayFrame) -> None:
-        return
 
 
 class _FingerContacts:

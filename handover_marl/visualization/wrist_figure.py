@@ -1,6 +1,7 @@
 """Figure of an episode beside the wrist camera's images; needs matplotlib (extra `plot`)."""
 
 import importlib.util
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -62,42 +63,23 @@ class WristCameraFigure:
 
     def draw(self, episode: Episode) -> Picture:
         """Draw the episode's current state; return an RGB image (height, width, 3)."""
+        from matplotlib.colors import ListedColormap
+
         frame = episode.capture_wrist_camera()
-        self._draw_outside(episode)
-        self._draw_depth(frame)
-        self._draw_segmentation(frame)
+        outside_title = f"scene {episode.scene.info.scene_id}, {episode.steps / 1000.0:.2f} s"
+        _draw_image(self._outside_axes, episode.render(self._camera), outside_title)
+        depth = np.ma.masked_greater_equal(frame.depth, EMPTY_DEPTH)
+        _draw_image(self._depth_axes, depth, f"depth, 0 to {FAR:g} m", cmap="viridis_r", vmin=0.0, vmax=FAR)
+        colors = ListedColormap([LABEL_COLORS[label] for label in SegmentationLabel])
+        span = {"vmin": -0.5, "vmax": len(SegmentationLabel) - 0.5}
+        _draw_image(
+            self._segmentation_axes, frame.segmentation, "segmentation", cmap=colors, interpolation="nearest", **span
+        )
         self._draw_cloud(frame)
         self._canvas.draw()  # type: ignore[no-untyped-call]
         picture: Picture = np.asarray(self._canvas.buffer_rgba())[..., :3].copy()  # type: ignore[no-untyped-call]
         # H.264 films need an even number of pixels a side.
         return picture[: picture.shape[0] // 2 * 2, : picture.shape[1] // 2 * 2]
-
-    def _draw_outside(self, episode: Episode) -> None:
-        axes = self._outside_axes
-        axes.clear()
-        axes.imshow(episode.render(self._camera))
-        axes.set_title(f"scene {episode.scene.info.scene_id}, {episode.steps / 1000.0:.2f} s", fontsize=9)
-        axes.set_axis_off()
-
-    def _draw_depth(self, frame: CameraFrame) -> None:
-        axes = self._depth_axes
-        axes.clear()
-        shown = np.ma.masked_greater_equal(frame.depth, EMPTY_DEPTH)
-        axes.imshow(shown, cmap="viridis_r", vmin=0.0, vmax=FAR)
-        axes.set_title(f"depth, 0 to {FAR:g} m", fontsize=9)
-        axes.set_axis_off()
-
-    def _draw_segmentation(self, frame: CameraFrame) -> None:
-        from matplotlib.colors import ListedColormap
-
-        axes = self._segmentation_axes
-        axes.clear()
-        colors = ListedColormap([LABEL_COLORS[label] for label in SegmentationLabel])
-        axes.imshow(
-            frame.segmentation, cmap=colors, vmin=-0.5, vmax=len(SegmentationLabel) - 0.5, interpolation="nearest"
-        )
-        axes.set_title("segmentation", fontsize=9)
-        axes.set_axis_off()
 
     def _draw_cloud(self, frame: CameraFrame) -> None:
         axes = self._cloud_axes
@@ -118,3 +100,10 @@ class WristCameraFigure:
         axes.tick_params(labelsize=7)
         axes.legend(loc="upper right", fontsize=8, markerscale=5.0)
         axes.set_title("cloud from above the gripper", fontsize=9)
+
+
+def _draw_image(axes: Any, image: npt.NDArray[Any], title: str, **options: Any) -> None:
+    axes.clear()
+    axes.imshow(image, **options)
+    axes.set_title(title, fontsize=9)
+    axes.set_axis_off()

@@ -11,7 +11,7 @@ from handover_marl.datasets.dexycb.assets import write_hand_assets
 from handover_marl.datasets.dexycb.mano import read_mano_model
 from handover_marl.datasets.dexycb.raw_files import read_sequence_names
 from handover_marl.datasets.folder_check import Finding, Severity, examine_data_folder, format_findings
-from handover_marl.datasets.official_files import FileOrigin, classify_hand_origin
+from handover_marl.datasets.official_files import FileOrigin, find_hand_origin
 from handover_marl.geometry.ycb import SUBJECTS
 from tests.datasets.dexycb.mano_files import made_up_hand, official, write
 
@@ -81,10 +81,10 @@ def test_hand_origin(tmp_path: Path, fake_data: Path) -> None:
     write(tmp_path / "MANO_RIGHT.pkl", official(made_up_hand(1)))
     model = read_mano_model(tmp_path / "MANO_RIGHT.pkl", "right")
     folder = write_hand_assets(tmp_path, SUBJECTS[0], model, [0.1] * 10)
-    assert classify_hand_origin(folder) is FileOrigin.ORIGINAL
+    assert find_hand_origin(folder) is FileOrigin.ORIGINAL
     mesh = folder / "meshes/collision/mesh3.obj"
     mesh.write_text(mesh.read_text() + "v 0 0 0\n")
-    assert classify_hand_origin(folder) is FileOrigin.STAND_IN
+    assert find_hand_origin(folder) is FileOrigin.STAND_IN
 
 
 def test_real_data_are_complete(real_data: Path) -> None:

@@ -11,7 +11,7 @@ import pytest
 
 from handover_marl.datasets.grasp_files import load_grasps, load_pickled_dict
 from handover_marl.errors import DataFormatError, UnsafeFileError
-from tests.fake_layout import evil_grasps, write_grasps
+from tests.fake_layout import evil_grasps, spoil, write_grasps
 
 
 def save(path: Path, content: object) -> Path:
@@ -179,10 +179,7 @@ def flip_bytes(folder: Path) -> None:
         }
         whole = with_header(path, pickle.dumps(np.array(content, dtype=object), protocol=protocol)).read_bytes()
         for _ in range(1500):
-            spoilt = bytearray(whole)
-            for _ in range(rng.choice((1, 1, 2, 8))):
-                spoilt[rng.randrange(len(spoilt))] = rng.randrange(256)
-            path.write_bytes(spoilt)
+            path.write_bytes(spoil(whole, rng))
             try:
                 str(load_pickled_dict(path))
                 load_grasps(path)

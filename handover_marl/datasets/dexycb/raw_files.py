@@ -15,6 +15,7 @@ from importlib.resources import files
 from pathlib import Path
 from types import MappingProxyType
 
+from handover_marl.datasets.official_files import is_folder
 from handover_marl.errors import DataNotFoundError
 from handover_marl.geometry.ycb import SUBJECTS
 
@@ -78,7 +79,7 @@ def find_sequences(raw: Path) -> RawLayout:
     Raises:
         DataNotFoundError: The folder is missing, or holds neither a subject nor the calibration.
     """
-    if not _is_folder(raw) or not any(_is_folder(raw / name) for name in (*SUBJECTS, "calibration")):
+    if not is_folder(raw) or not any(is_folder(raw / name) for name in (*SUBJECTS, "calibration")):
         raise DataNotFoundError(
             f"{raw} is no raw DexYCB folder: it holds neither calibration/ nor a subject such as {SUBJECTS[0]}/. Give "
             "the folder that DexYCB's archives were expanded into."
@@ -87,7 +88,7 @@ def find_sequences(raw: Path) -> RawLayout:
     sequences = [sequence for subject in subjects for sequence in subject.sequences]
     missing = [message for subject in subjects for message in subject.missing]
     ignored = tuple(message for subject in subjects for message in subject.ignored)
-    if not _is_folder(raw / "calibration"):
+    if not is_folder(raw / "calibration"):
         # One message instead of one per recording.
         sequences = []
         missing.insert(
@@ -164,13 +165,6 @@ def _describe_missing_files(sequence: SequenceFolder) -> str:
     if not missing:
         return ""
     return f"{sequence.folder} lacks {' and '.join(missing)}; expand DexYCB's {sequence.subject}.tar.gz again"
-
-
-def _is_folder(path: Path) -> bool:
-    try:
-        return path.is_dir()
-    except OSError:  # Permission denied in a parent folder.
-        return False
 
 
 def _format_names(names: list[str]) -> str:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import generate_binary_structure, maximum_filter, minimum_filter
 
 from handover_marl.errors import OptionError, UnknownNameError
 from handover_marl.simulation.camera.frames import EMPTY_DEPTH, CameraImage, SegmentationLabel
@@ -101,11 +102,7 @@ def _find_edges(depth: npt.NDArray[np.float32], threshold: float) -> npt.NDArray
 
     The depth differs from that of one of four neighbours by more than a threshold (m).
     """
-    is_edge = np.zeros(depth.shape, dtype=bool)
-    for axis in range(2):
-        jump = np.abs(np.diff(depth, axis=axis)) > threshold
-        first, second = [slice(None)] * 2, [slice(None)] * 2
-        first[axis], second[axis] = slice(None, -1), slice(1, None)
-        is_edge[tuple(first)] |= jump
-        is_edge[tuple(second)] |= jump
+    cross = generate_binary_structure(2, 1)
+    highest, lowest = maximum_filter(depth, footprint=cross), minimum_filter(depth, footprint=cross)
+    is_edge: npt.NDArray[np.bool_] = (highest - depth > threshold) | (depth - lowest > threshold)
     return is_edge

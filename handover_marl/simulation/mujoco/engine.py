@@ -34,15 +34,6 @@ Array = npt.NDArray[np.float64]
 #: Indices that reorder a quaternion wxyz to xyzw, and back.
 XYZW, WXYZ = [1, 2, 3, 0], [3, 0, 1, 2]
 
-_WARNINGS = {
-    mujoco.mjtWarning.mjWARN_INERTIA: "the inertia of the bodies became singular",
-    mujoco.mjtWarning.mjWARN_CONTACTFULL: "the contact buffer is full",
-    mujoco.mjtWarning.mjWARN_CNSTRFULL: "the constraint buffer is full",
-    mujoco.mjtWarning.mjWARN_BADQPOS: "a position is not finite",
-    mujoco.mjtWarning.mjWARN_BADQVEL: "a velocity is not finite",
-    mujoco.mjtWarning.mjWARN_BADQACC: "an acceleration is not finite",
-    mujoco.mjtWarning.mjWARN_BADCTRL: "an actuator's target is not finite",
-}
 _LIBRARIES = ("libmujoco*.so*", "libmujoco*.dylib", "mujoco.dll")
 
 
@@ -147,12 +138,11 @@ def check_warnings(batch: Batch, rows: npt.NDArray[np.int32]) -> None:
     if not counts.any():
         return
     row = int(counts.any(axis=1).argmax())
-    found = [text for kind, text in _WARNINGS.items() if counts[row, int(kind)]]
+    found = [mujoco.mju_warningText(kind, batch.warning[rows[row], kind, 0]) for kind in np.flatnonzero(counts[row])]
     seconds = float(batch.bind("time")[rows[row]])
     advice = "run this scene with physics='fast'" if is_pybullet_installed() else "leave this scene out"
     raise SimulationError(
-        f"MuJoCo's simulation failed after {seconds:.3f} s: {'; '.join(found) or 'unknown warning'}; "
-        f"{advice}, and report it"
+        f"MuJoCo's simulation failed after {seconds:.3f} s: {' '.join(found)} To go on, {advice}, and report this."
     )
 
 

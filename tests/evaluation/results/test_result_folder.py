@@ -16,6 +16,7 @@ from handover_marl.evaluation.results.episode_result import EpisodeResult
 from handover_marl.evaluation.results.metadata import ResultMetadata, read_result_metadata
 from handover_marl.evaluation.results.result_folder import ResultFolder, encode_result, read_results
 from tests.evaluation.deadline import ends_within
+from tests.fake_layout import spoil
 
 SETTINGS = ResultMetadata("s0", "test", "hold", "replay", "exact", "dexycb", "1.0")
 RESULT = EpisodeResult(
@@ -99,10 +100,7 @@ def test_flipped_bytes_in_result_files(folder: ResultFolder) -> None:
     whole = path.read_bytes()
     refused = 0
     for _ in range(600):
-        spoilt = bytearray(whole)
-        for _ in range(rng.choice((1, 1, 2, 8))):
-            spoilt[rng.randrange(len(spoilt))] = rng.randrange(256)
-        path.write_bytes(spoilt)
+        path.write_bytes(spoil(whole, rng))
         try:
             read_results(folder.path)
         except ResultsError:
