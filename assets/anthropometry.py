@@ -74,20 +74,13 @@ _MEN = ((0.1938, 0.0098), (0.0904, 0.0042))
 _SCORES = ((-1.645, -1.3), (-0.674, 0.2), (0.0, -0.5), (0.674, 0.8), (1.645, 0.9))
 
 
-def _compute_subject_sizes() -> tuple[HandSize, ...]:
-    return tuple(
-        HandSize(
-            length=round(length[0] + scores[0] * length[1], 4),
-            breadth=round(breadth[0] + scores[1] * breadth[1], 4),
-        )
-        for scores in _SCORES
-        for length, breadth in (_WOMEN, _MEN)
-    )
-
-
 #: Hand sizes of the ten subjects: in turn a woman and a man at the 5th, 25th, 50th, 75th and 95th
 #: percentile of hand length.
-SUBJECT_SIZES: Final = _compute_subject_sizes()
+SUBJECT_SIZES: Final = tuple(
+    HandSize(round(length[0] + scores[0] * length[1], 4), round(breadth[0] + scores[1] * breadth[1], 4))
+    for scores in _SCORES
+    for length, breadth in (_WOMEN, _MEN)
+)
 
 #: Skin colors (red, green, blue, 0 to 1) of the ten subjects.
 SKIN_COLORS: Final = (

@@ -54,7 +54,6 @@ class ManoModel:
         j_regressor: (16, 778) weights of the vertices in the joint positions.
         weights: (778, 16) skinning weights.
         faces: (1538, 3) vertex indices of the triangles.
-        parents: (16,) parent of every joint, -1 for the wrist.
         hands_components: (45, 45) principal components of the finger rotation vectors, as rows.
         hands_mean: (45,) mean of the finger rotation vectors.
     """
@@ -65,7 +64,6 @@ class ManoModel:
     j_regressor: csc_matrix
     weights: Array
     faces: Indices
-    parents: Indices
     hands_components: Array
     hands_mean: Array
 
@@ -133,6 +131,7 @@ def read_mano_model(path: Path, side: str) -> ManoModel:
         raise UnknownNameError("side", side, SIDES)
     content = read_mano_pickle(path, (*_NUMBERS, *_INDICES))
     matrix = _check_matrix(path, "J_regressor", content["J_regressor"])
+    _check_parents(path, _check_indices(path, "kintree_table", content["kintree_table"]))
     numbers = {key: _check_numbers(path, key, content[key]) for key in _NUMBERS if key != "J_regressor"}
     return ManoModel(
         side=side,
@@ -141,7 +140,6 @@ def read_mano_model(path: Path, side: str) -> ManoModel:
         j_regressor=matrix,
         weights=numbers["weights"],
         faces=_check_faces(path, _check_indices(path, "f", content["f"])),
-        parents=_check_parents(path, _check_indices(path, "kintree_table", content["kintree_table"])),
         hands_components=numbers["hands_components"],
         hands_mean=numbers["hands_mean"],
     )
@@ -229,21 +227,16 @@ def _check_indices(path: Path, key: str, value: npt.NDArray[Any] | csc_matrix) -
 def _check_faces(path: Path, values: npt.NDArray[Any]) -> Indices:
     if values.min() < 0 or values.max() >= N_VERTICES:
         raise _model_error(path, "f has the index of a vertex that does not exist")
-    return _as_read_only(values)
+    faces = np.ascontiguousarray(values, dtype=np.int64)
+    faces.flags.writeable = False
+    return faces
 
 
-def _check_parents(path: Path, table: npt.NDArray[Any]) -> Indices:
+def _check_parents(path: Path, table: npt.NDArray[Any]) -> None:
     # Official files have -1 as an unsigned number of 32 bits.
     parents = [-1 if int(number) in (2**32 - 1, 2**64 - 1) else int(number) for number in table[0]]
     if tuple(parents) != PARENTS or table[1].tolist() != list(range(N_JOINTS)):
         raise _model_error(path, "kintree_table is not the tree of MANO's joints")
-    return _as_read_only(np.array(parents))
-
-
-def _as_read_only(values: npt.NDArray[Any]) -> Indices:
-    indices = np.ascontiguousarray(values, dtype=np.int64)
-    indices.flags.writeable = False
-    return indices
 
 
 def _check_betas(betas: Sequence[float] | Array) -> Array:

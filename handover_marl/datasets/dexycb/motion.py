@@ -5,12 +5,13 @@ articulated body whose base turns about its own origin, so translations depend o
 """
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from handover_marl.config import HAND_DOF
 from handover_marl.datasets.dexycb.mano import ManoModel
 from handover_marl.datasets.dexycb.rotations import (
+    Float32,
+    Float64,
     KeyframeSpan,
     TagFrame,
     count_frames,
@@ -18,9 +19,6 @@ from handover_marl.datasets.dexycb.rotations import (
     scipy_euler_from_rotations,
     transforms3d_euler_from_matrices,
 )
-
-Float32 = npt.NDArray[np.float32]
-Float64 = npt.NDArray[np.float64]
 
 
 def compute_object_trajectory(poses: Float32, tag: TagFrame) -> Float32:

@@ -10,13 +10,10 @@ import numpy.typing as npt
 from handover_marl.config import HAND_DOF
 from handover_marl.datasets.dexycb.mano import MAX_ABS_BETA, N_BETAS
 from handover_marl.datasets.dexycb.raw_files import META_FILE, POSE_FILE, SequenceFolder
-from handover_marl.datasets.dexycb.rotations import MIN_KEYFRAMES, can_original_resample
+from handover_marl.datasets.dexycb.rotations import MIN_KEYFRAMES, Float32, Float64, can_original_resample
 from handover_marl.datasets.scene_files import check_scene_meta, require_integer
 from handover_marl.errors import DataFormatError, DataNotFoundError
 from handover_marl.execution.files import read_arrays, read_yaml, shorten_text
-
-Float32 = npt.NDArray[np.float32]
-Float64 = npt.NDArray[np.float64]
 
 _MAX_YAML_BYTES = 64_000  # official files have a few thousand
 _MAX_POSE_BYTES = 2_000_000  # unpacked; official files have some ten thousand

@@ -13,20 +13,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from handover_marl.datasets.dexycb.mano import SIDES, ManoModel, read_mano_model
 from handover_marl.datasets.dexycb.motion import compute_hand_trajectory, compute_object_trajectory
 from handover_marl.datasets.dexycb.raw_files import SEQUENCES_PER_SUBJECT, SequenceFolder, read_sequence_names
 from handover_marl.datasets.dexycb.raw_sequence import RawSequence, read_betas, read_meta, read_sequence
-from handover_marl.datasets.dexycb.rotations import TagFrame
+from handover_marl.datasets.dexycb.rotations import Float32, TagFrame
 from handover_marl.datasets.scene_files import CACHE_FOLDER, MAX_MOTION_BYTES
 from handover_marl.errors import DataFormatError, DataNotFoundError, HandoverError, ResultsError
 from handover_marl.execution.files import create_exclusively, has_content, read_arrays
 from handover_marl.execution.pool import PoolConfig
 from handover_marl.execution.tasks import map_with_progress
-
-Float32 = npt.NDArray[np.float32]
 
 #: MANO's 10 shape parameters by subject and side.
 BetasBySubject = Mapping[tuple[str, str], tuple[float, ...]]

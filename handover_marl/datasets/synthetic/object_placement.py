@@ -6,7 +6,6 @@ table's surface.
 
 from dataclasses import dataclass
 from functools import cache
-from xml.etree import ElementTree
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +18,7 @@ from handover_marl.datasets.dataset import TABLE_HEIGHT
 from handover_marl.datasets.synthetic import calibration
 from handover_marl.datasets.synthetic.grasp_clearance import compute_free_grasp_share
 from handover_marl.datasets.synthetic.random_stream import RandomStream
-from handover_marl.geometry.obj_files import read_obj
+from handover_marl.geometry.meshes import read_collision_mesh
 from handover_marl.geometry.poses import quaternion_from_matrix
 
 Array = npt.NDArray[np.float64]
@@ -45,9 +44,7 @@ _REACH_COSINE_LIMITS = (np.cos(np.radians(75.0)), np.cos(np.radians(100.0)), -1.
 @cache
 def compute_hull_corners(object_name: str) -> npt.NDArray[np.float64]:
     """Return the corners (n, 3) (m) of the hull of an object's collision mesh, in its frame."""
-    urdf = find_object_urdf(object_name)
-    meshes = {element.get("filename") for element in ElementTree.parse(urdf).iterfind(".//collision/geometry/mesh")}
-    corners = np.concatenate([read_obj(urdf.parent / str(name)).vertices for name in sorted(map(str, meshes))])
+    corners, _ = read_collision_mesh(find_object_urdf(object_name))
     hull: npt.NDArray[np.float64] = corners[np.sort(ConvexHull(corners).vertices)]
     return hull
 

@@ -16,7 +16,7 @@ from handover_marl.datasets.dexycb.assets import (
     write_object_assets,
     write_table_assets,
 )
-from handover_marl.datasets.dexycb.mano import PARENTS, ManoModel
+from handover_marl.datasets.dexycb.mano import ManoModel
 from handover_marl.datasets.dexycb.urdf import build_hand_urdf, build_object_urdf, format_numbers
 from handover_marl.errors import DataFormatError, OptionError, ResultsError, UnknownNameError
 from handover_marl.geometry.obj_files import format_obj, read_obj
@@ -36,7 +36,6 @@ def hand(weights: np.ndarray | None = None, side: str = "right") -> ManoModel:
         j_regressor=csc_matrix(content["J_regressor"]),
         weights=content["weights"] if weights is None else weights,
         faces=content["f"].astype(np.int64),
-        parents=np.array(PARENTS),
         hands_components=content["hands_components"],
         hands_mean=content["hands_mean"],
     )
