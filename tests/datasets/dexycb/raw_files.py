@@ -61,7 +61,6 @@ def hand_model(side: str = "right", seed: int = 0) -> ManoModel:
         j_regressor=scipy.sparse.csc_matrix(regressor),
         weights=np.full((778, 16), 1.0 / 16.0),
         faces=np.zeros((1538, 3), dtype=np.int64),
-        parents=np.array([-1, *range(15)], dtype=np.int64),
         hands_components=rng.normal(scale=0.3, size=(45, 45)),
         hands_mean=rng.normal(scale=0.1, size=45),
     )
