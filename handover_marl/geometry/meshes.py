@@ -140,7 +140,7 @@ def _read_visual_mesh(urdf: Path, link: int, shapes: Sequence[UrdfShape]) -> Vis
 
 
 def concatenate_meshes(parts: Sequence[tuple[Array, Faces]]) -> tuple[Array, Faces]:
-    """Concatenate meshes, each given by its vertices (v, 3) and faces (f, 3), to one mesh."""
+    """Return one mesh of several, each given by its vertices (v, 3) and faces (f, 3)."""
     firsts = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
     return (
         np.concatenate([vertices for vertices, _ in parts]),
