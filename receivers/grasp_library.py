@@ -6,7 +6,6 @@ Poses are those of the hand link, position (m) and quaternion xyzw.
 import functools
 from collections import OrderedDict
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -74,14 +73,6 @@ class GraspLibrary:
         return self._grippers[object_name]
 
 
-@dataclass(frozen=True, eq=False)
-class _ObjectGrasps:
-    """Grasps of an object in its frame: hand link poses (n, 7) and their z axes (n, 3)."""
-
-    poses: Array
-    axes: Array
-
-
 class NearestGraspSelector:
     """Selector of the grasp that is nearest to the gripper and clear of the person's hand.
 
@@ -104,7 +95,8 @@ class NearestGraspSelector:
 
     def __init__(self, context: PolicyContext) -> None:
         self._library = GraspLibrary(context.grasps)
-        self._known: dict[int, _ObjectGrasps | None] = {}
+        # Hand link poses (n, 7) and z axes (n, 3) of the grasps of each object class, in its frame.
+        self._known: dict[int, tuple[Array, Array] | None] = {}
         self._cache: OrderedDict[bytes, tuple[Array, float] | None] = OrderedDict()
 
     def select(self, observation: Observation) -> tuple[Array, float] | None:
@@ -125,37 +117,38 @@ class NearestGraspSelector:
         object_class = int(observation["object_classes"][0])
         if object_class not in self._known:
             self._known[object_class] = self._load(CLASS_NAMES[object_class])
-        grasps = self._known[object_class]
-        if grasps is None:
+        known = self._known[object_class]
+        if known is None:
             return None
+        grasps, axes = known
         # In the object's frame, so that only gripper and hand have to be transformed.
         item, gripper = (observation[name].astype(np.float64) for name in ("object_poses", "gripper_pose"))
         gripper = compose(invert_pose(item[0]), gripper)
-        angles = 2.0 * np.arccos(np.minimum(np.abs(grasps.poses[:, 3:] @ gripper[3:]), 1.0))
-        clearances = self._clearances(grasps, item[0], observation)
+        angles = 2.0 * np.arccos(np.minimum(np.abs(grasps[:, 3:] @ gripper[3:]), 1.0))
+        clearances = self._clearances(grasps, axes, item[0], observation)
         missing = np.maximum(0.0, self.desired_clearance - clearances)
-        distances = np.linalg.norm(grasps.poses[:, :3] - gripper[:3], axis=1)
+        distances = np.linalg.norm(grasps[:, :3] - gripper[:3], axis=1)
         best = int(np.argmin(distances + self.rotation_weight * angles + self.clearance_weight * missing))
-        selected = compose(item[0], grasps.poses[best])
+        selected = compose(item[0], grasps[best])
         selected.flags.writeable = False
         return selected, float(clearances[best])
 
-    def _load(self, object_name: str) -> _ObjectGrasps | None:
-        """Return the grasps of an object class with their half turns, or None."""
+    def _load(self, object_name: str) -> tuple[Array, Array] | None:
+        """Return the grasps of an object class with their half turns and their z axes, or None."""
         poses = self._library.hand_poses_in_object(object_name)
         if poses is None:
             return None
         poses = np.concatenate([poses, compose(poses, np.array(HALF_TURN))])
-        return _ObjectGrasps(poses, rotate_points(poses[:, 3:], np.array([0.0, 0.0, 1.0])))
+        return poses, rotate_points(poses[:, 3:], np.array([0.0, 0.0, 1.0]))
 
-    def _clearances(self, grasps: _ObjectGrasps, item: Array, observation: Observation) -> Array:
+    def _clearances(self, grasps: Array, axes: Array, item: Array, observation: Observation) -> Array:
         """Return the smallest distances (n,) in m of the hand's joints to the gripper's axis."""
         if not observation["hand_present"][0]:
-            return np.full(len(grasps.poses), MAX_CLEARANCE)
+            return np.full(len(grasps), MAX_CLEARANCE)
         joints = inverse_transform_points(item, observation["hand_keypoints"])
-        offsets = joints - grasps.poses[:, None, :3]
-        along = np.clip(np.einsum("gki,gi->gk", offsets, grasps.axes), _BACK_Z, _TIP_Z)
-        across = offsets - along[..., None] * grasps.axes[:, None]
+        offsets = joints - grasps[:, None, :3]
+        along = np.clip(np.einsum("gki,gi->gk", offsets, axes), _BACK_Z, _TIP_Z)
+        across = offsets - along[..., None] * axes[:, None]
         distances = np.sqrt(np.einsum("gki,gki->gk", across, across).min(axis=1))
         clearances: Array = np.minimum(distances, MAX_CLEARANCE)
         return clearances

@@ -74,14 +74,14 @@ class LearnedPolicy(Policy):
         """Time at the waiting pose at the start of an episode (s)."""
         return self._scheme.wait
 
+    def reset(self, seed: int | None = None) -> None:
+        """Clear the state of the previous episode; the policy draws no random numbers."""
+        self._scheme.reset()
+
     @property
     def hold_time(self) -> float:
         """Time between two decisions (s), as in training."""
         return self.spec.control_period
-
-    def reset(self, seed: int | None = None) -> None:
-        """Clear the state of the previous episode; the policy draws no random numbers."""
-        self._scheme.reset()
 
     def act(self, observation: Observation) -> Action:
         """Return the next action; evaluate the network only if the action scheme requires it."""
