@@ -10,9 +10,13 @@ from typing_extensions import Unpack
 from handover_marl.errors import UnknownNameError
 from handover_marl.evaluation.benchmark import Evaluation
 from handover_marl.evaluation.config import REPLAY, EvaluationConfig, EvaluationOptions, ExecutionConfig, build_configs
-from handover_marl.evaluation.reports.metrics import REPORTED_STATUSES
-from handover_marl.evaluation.reports.report import Report
-from handover_marl.evaluation.reports.report_tables import build_difference_table, format_extent, format_policies
+from handover_marl.evaluation.reports.report import (
+    REPORTED_STATUSES,
+    Report,
+    build_difference_table,
+    format_extent,
+    format_policies,
+)
 from handover_marl.evaluation.reports.tables import ReportTable, format_percent_interval
 from handover_marl.evaluation.results.episode_result import EpisodeResult
 from handover_marl.execution.files import write_atomically
@@ -59,6 +63,14 @@ class Agreement:
     def confusion(self) -> Counter[tuple[str, str]]:
         """Number of scenes for each pair of outcomes (exact physics, other physics)."""
         return Counter((exact.status.label, other.status.label) for exact, other in self._pairs)
+
+    def write(self, folder: Path) -> None:
+        """Write the comparison of two physics engines to `agreement.md`.
+
+        Raises:
+            ResultsError: The folder cannot be written.
+        """
+        write_atomically(folder / AGREEMENT_FILE, f"# Exact and {self.other_physics} physics\n\n{self}\n")
 
     def __str__(self) -> str:
         parts = [
@@ -146,14 +158,5 @@ def compare_physics(
     )
     result = Agreement(exact, other)
     if execution.folder is not None:
-        write_agreement(execution.folder, result)
+        result.write(execution.folder)
     return result
-
-
-def write_agreement(folder: Path, result: Agreement) -> None:
-    """Write the comparison of two physics engines to `agreement.md`.
-
-    Raises:
-        ResultsError: The folder cannot be written.
-    """
-    write_atomically(folder / AGREEMENT_FILE, f"# Exact and {result.other_physics} physics\n\n{result}\n")

@@ -7,11 +7,14 @@ from dataclasses import dataclass
 from handover_marl import __version__
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import ResultsError
-from handover_marl.evaluation.reports.metrics import REPORTED_STATUSES
-from handover_marl.evaluation.reports.report import Report
+from handover_marl.evaluation.reports.report import (
+    REPORTED_STATUSES,
+    Report,
+    build_difference_table,
+    compute_rate_difference,
+    format_heading,
+)
 from handover_marl.evaluation.reports.report_files import evaluate
-from handover_marl.evaluation.reports.report_tables import build_difference_table, format_heading
-from handover_marl.evaluation.reports.statistics import compute_paired_difference
 from handover_marl.evaluation.reports.tables import (
     ReportTable,
     format_percent_difference,
@@ -54,10 +57,7 @@ class Comparison:
         Args:
             flag: Outcome whose rates are compared.
         """
-        first, second = zip(*self.pairs, strict=True)
-        return compute_paired_difference(
-            [bool(result.status & flag) for result in first], [bool(result.status & flag) for result in second]
-        )
+        return compute_rate_difference(*zip(*self.pairs, strict=True), flag)
 
     def build_rate_table(self) -> ReportTable:
         """Build the table of outcome rates in A and B and of their differences."""

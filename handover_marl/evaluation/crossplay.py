@@ -22,15 +22,16 @@ from handover_marl.evaluation.reports.fluency_tables import (
     format_fluency_header,
     format_fluency_row,
 )
-from handover_marl.evaluation.reports.metrics import REPORTED_STATUSES
-from handover_marl.evaluation.reports.report import Report
-from handover_marl.evaluation.reports.report_tables import format_extent, format_wait
-from handover_marl.evaluation.reports.statistics import (
-    compute_mean_interval,
-    compute_paired_difference,
-    compute_wilson_interval,
+from handover_marl.evaluation.reports.report import (
+    REPORTED_STATUSES,
+    Report,
+    compute_rate_difference,
+    format_extent,
+    format_wait,
 )
+from handover_marl.evaluation.reports.statistics import compute_mean_interval, compute_wilson_interval
 from handover_marl.evaluation.reports.tables import (
+    append_interval,
     format_percent_difference,
     format_percent_mean,
     format_percent_rate,
@@ -87,10 +88,7 @@ class CrossPlay:
         Returns:
             Difference, lower and upper end of its 95 % interval (-1..1).
         """
-        first, second = (
-            [bool(episode.status & flag) for episode in self.reports[each].episodes] for each in (pair, baseline)
-        )
-        return compute_paired_difference(first, second)
+        return compute_rate_difference(self.reports[pair].episodes, self.reports[baseline].episodes, flag)
 
     def to_csv(self) -> str:
         """Return CSV text with one row per pair of policies.
@@ -107,6 +105,19 @@ class CrossPlay:
         )
         writer.writerows(_format_csv_row(pair, report) for pair, report in self.reports.items())
         return stream.getvalue()
+
+    def write(self, folder: Path) -> None:
+        """Write tables (Markdown, CSV) and heat map; requires the extra `plot`.
+
+        Raises:
+            ResultsError: The folder cannot be written.
+        """
+        from handover_marl.visualization.heat_map import draw_heat_map
+
+        write_atomically(folder / "crossplay.md", f"# Cross-play\n\n{self}\n")
+        write_atomically(folder / CROSSPLAY_CSV, self.to_csv())
+        picture = draw_heat_map(self.success_rates, self.givers, self.receivers, self.title)
+        write_atomically(folder / "crossplay.png", picture)
 
     def __str__(self) -> str:
         parts = [
@@ -143,11 +154,11 @@ class CrossPlay:
         rows = []
         for (giver, receiver), report in self.reports.items():
             rates = [f"{100 * report.compute_rate(flag):.1f}" for flag in REPORTED_STATUSES]
-            interval = compute_mean_interval(report.exec_times)
-            spread = "" if interval is None else f" ({interval[0]:.3f} to {interval[1]:.3f})"
-            score = format_percent_mean(report.speed_scores)
+            exec_s = append_interval(
+                format_seconds(report.time_exec), compute_mean_interval(report.exec_times), ".3f", 1.0
+            )
             rows.append(
-                [giver, receiver, *rates, format_seconds(report.time_exec) + spread, score, format_wait(report)]
+                [giver, receiver, *rates, exec_s, format_percent_mean(report.speed_scores), format_wait(report)]
             )
         header = [f"{flag.label} %" for flag in REPORTED_STATUSES]
         return format_table(["giver", "receiver", *header, "exec s", "AS %", "wait s"], rows)
@@ -222,22 +233,8 @@ def crossplay(
         reports,
     )
     if execution.folder is not None:
-        write_crossplay(execution.folder, result)
+        result.write(execution.folder)
     return result
-
-
-def write_crossplay(folder: Path, result: CrossPlay) -> None:
-    """Write tables (Markdown, CSV) and heat map of a cross-play; requires the extra `plot`.
-
-    Raises:
-        ResultsError: The folder cannot be written.
-    """
-    from handover_marl.visualization.heat_map import draw_heat_map
-
-    write_atomically(folder / "crossplay.md", f"# Cross-play\n\n{result}\n")
-    write_atomically(folder / CROSSPLAY_CSV, result.to_csv())
-    picture = draw_heat_map(result.success_rates, result.givers, result.receivers, result.title)
-    write_atomically(folder / "crossplay.png", picture)
 
 
 def read_crossplay_pairs(folder: Path) -> list[PolicyPair]:

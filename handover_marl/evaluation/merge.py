@@ -7,14 +7,8 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from handover_marl.errors import OptionError, ResultsError
-from handover_marl.evaluation.agreement import AGREEMENT_FILE, Agreement, write_agreement
-from handover_marl.evaluation.crossplay import (
-    CROSSPLAY_CSV,
-    CrossPlay,
-    format_pair_folder,
-    read_crossplay_pairs,
-    write_crossplay,
-)
+from handover_marl.evaluation.agreement import AGREEMENT_FILE, Agreement
+from handover_marl.evaluation.crossplay import CROSSPLAY_CSV, CrossPlay, format_pair_folder, read_crossplay_pairs
 from handover_marl.evaluation.demonstrations.join import join_data_sets
 from handover_marl.evaluation.demonstrations.minari_layout import DATA_FOLDER
 from handover_marl.evaluation.demonstrations.reader import Demonstrations
@@ -196,7 +190,7 @@ def _merge_agreement(paths: list[Path], target: Path) -> Agreement:
         )
     exact, other = (_read_shards([path / physics for path in paths]) for physics in (EXACT, *others))
     agreement = Agreement(_write_merged(exact, target / EXACT), _write_merged(other, target / others[0]))
-    write_agreement(target, agreement)
+    agreement.write(target)
     return agreement
 
 
@@ -220,7 +214,7 @@ def _merge_crossplay(paths: list[Path], target: Path) -> CrossPlay:
     reports = {pair: _write_merged(found, target / format_pair_folder(pair)) for pair, found in shards.items()}
     givers, receivers = (tuple(dict.fromkeys(pair[position] for pair in pairs)) for position in (0, 1))
     result = CrossPlay(givers, receivers, reports)
-    write_crossplay(target, result)
+    result.write(target)
     return result
 
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from handover_marl.episode.metrics import FluencyMetrics
 from handover_marl.evaluation.reports.statistics import compute_mean_interval
+from handover_marl.evaluation.reports.tables import NO_VALUE, append_interval
 from handover_marl.evaluation.results.episode_result import EpisodeResult
 
 #: Unit in tables of each metric, and factor from the unit of `FluencyMetrics`.
@@ -67,8 +68,5 @@ def _compute_mean(known: Sequence[FluencyMetrics], name: str) -> MetricMean:
 
 def _format_mean(mean: MetricMean | None, scale: float) -> str:
     if mean is None or mean.mean is None:
-        return "-"
-    if mean.interval is None:
-        return f"{scale * mean.mean:.3g}"
-    low, high = mean.interval
-    return f"{scale * mean.mean:.3g} ({scale * low:.3g} to {scale * high:.3g})"
+        return NO_VALUE
+    return append_interval(f"{scale * mean.mean:.3g}", mean.interval, ".3g", scale)

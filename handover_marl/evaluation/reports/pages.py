@@ -9,8 +9,9 @@ from typing import Any
 from handover_marl import __version__
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.evaluation.reports.fluency_tables import FLUENCY_NOTE
-from handover_marl.evaluation.reports.metrics import REPORTED_STATUSES, OfficialMetrics
-from handover_marl.evaluation.reports.report_tables import (
+from handover_marl.evaluation.reports.report import (
+    REPORTED_STATUSES,
+    Report,
     build_fluency_table,
     build_object_table,
     build_official_table,
@@ -20,14 +21,14 @@ from handover_marl.evaluation.reports.report_tables import (
     format_notes,
 )
 from handover_marl.evaluation.reports.statistics import compute_wilson_interval
-from handover_marl.evaluation.reports.tables import format_percent_interval
+from handover_marl.evaluation.reports.tables import format_interval
 from handover_marl.evaluation.results.result_folder import find_replays
 from handover_marl.visualization.web_page import render_page
 
 _OUTCOME_COLUMN = "outcome"
 
 
-def render_report_page(report: OfficialMetrics, replays: Mapping[int, str] | None = None) -> str:
+def render_report_page(report: Report, replays: Mapping[int, str] | None = None) -> str:
     """Render a report as a self-contained web page.
 
     Args:
@@ -72,22 +73,23 @@ def find_replay_links(results: Path, page_folder: Path) -> dict[int, str]:
     return {scene: Path(relative, path.relative_to(results)).as_posix() for scene, path in replays}
 
 
-def _group_episodes(report: OfficialMetrics, flag: EpisodeStatus, rows: Any) -> dict[str, Any]:
+def _group_episodes(report: Report, flag: EpisodeStatus, rows: Any) -> dict[str, Any]:
     """Return count, rate (%) and episodes with a status flag, for the page's template."""
     n, count = len(report.episodes), report.count(flag)
-    low, high = (100 * end for end in compute_wilson_interval(count, n))
+    interval = compute_wilson_interval(count, n)
+    low, high = (100 * end for end in interval)
     return {
         "label": flag.label,
         "count": count,
         "percent": f"{100 * count / n:.1f}",
-        "interval": format_percent_interval(count, n),
+        "interval": format_interval(interval),
         "low": f"{low:.2f}",
         "width": f"{high - low:.2f}",
         "episodes": [pair for pair in zip(report.episodes, rows, strict=True) if pair[0].status & flag],
     }
 
 
-def _list_settings(report: OfficialMetrics) -> list[tuple[str, str]]:
+def _list_settings(report: Report) -> list[tuple[str, str]]:
     stored = {key.replace("_", " "): value for key, value in asdict(report.metadata).items() if value}
     computed = {
         "data": report.data_label,

@@ -64,22 +64,36 @@ def format_seconds(value: float | None) -> str:
     return NO_VALUE if value is None else f"{value:.3f}"
 
 
+def format_interval(interval: Sequence[float] | None, spec: str = ".1f", scale: float = 100.0) -> str:
+    """Format the ends of an interval, by default of shares in percent.
+
+    Args:
+        interval: Lower and upper end, or None for no interval.
+        spec: Format specification of a number.
+        scale: Factor of the ends.
+    """
+    return NO_VALUE if interval is None else " to ".join(f"{scale * end:{spec}}" for end in interval)
+
+
+def append_interval(text: str, interval: Sequence[float] | None, spec: str = ".1f", scale: float = 100.0) -> str:
+    """Append an interval, if there is one, to a formatted value; arguments as of `format_interval`."""
+    return text if interval is None else f"{text} ({format_interval(interval, spec, scale)})"
+
+
 def format_percent_mean(values: Sequence[float], signed: bool = False) -> str:
     """Format a mean in percent, with its bootstrap 95 % interval if it has one."""
-    sign, interval = "+" if signed else "", compute_mean_interval(values)
-    mean = f"{100 * sum(values) / len(values):{sign}.2f}"
-    return mean if interval is None else f"{mean} ({' to '.join(f'{100 * end:{sign}.1f}' for end in interval)})"
+    sign = "+" if signed else ""
+    return append_interval(f"{100 * sum(values) / len(values):{sign}.2f}", compute_mean_interval(values), f"{sign}.1f")
 
 
 def format_percent_interval(count: int, n: int) -> str:
     """Format Wilson's 95 % interval of a rate, in percent."""
-    low, high = compute_wilson_interval(count, n)
-    return f"{100 * low:.1f} to {100 * high:.1f}"
+    return format_interval(compute_wilson_interval(count, n))
 
 
 def format_percent_rate(count: int, n: int, digits: int = 1) -> str:
     """Format a rate in percent with Wilson's 95 % interval."""
-    return f"{100 * count / n:.{digits}f} ({format_percent_interval(count, n)})"
+    return append_interval(f"{100 * count / n:.{digits}f}", compute_wilson_interval(count, n))
 
 
 def format_percent_difference(difference: tuple[float, float, float], digits: int = 1) -> str:
@@ -89,8 +103,8 @@ def format_percent_difference(difference: tuple[float, float, float], digits: in
         difference: Mean and interval as of `statistics.compute_paired_difference`.
         digits: Decimal places.
     """
-    mean, *ends = (f"{100 * value:+.{digits}f}" for value in difference)
-    return f"{mean} ({' to '.join(ends)})"
+    spec = f"+.{digits}f"
+    return append_interval(f"{100 * difference[0]:{spec}}", difference[1:], spec)
 
 
 def _format_columns(cells: Sequence[Sequence[str]], columns: Sequence[int]) -> str:
