@@ -15,5 +15,5 @@ def register_environments() -> None:
     # gymnasium.make() does not accept a ParallelEnv.
     pettingzoo.register("parallel", PETTINGZOO_ID, f"{_CONSTRUCTORS}:parallel_env")
     pettingzoo.register("aec", PETTINGZOO_ID, f"{_CONSTRUCTORS}:env")
-    gymnasium.register(RECEIVER_ID, f"{_CONSTRUCTORS}:receiver_env")
-    gymnasium.register(GIVER_ID, f"{_CONSTRUCTORS}:giver_env")
+    gymnasium.register(RECEIVER_ID, f"{_CONSTRUCTORS}:single_agent_env", kwargs={"agent": "receiver"})
+    gymnasium.register(GIVER_ID, f"{_CONSTRUCTORS}:single_agent_env", kwargs={"agent": "giver"})

@@ -10,7 +10,7 @@ import pytest
 import handover_marl
 from handover_marl import EvaluationConfig, ExecutionConfig, HandoverEnv
 from handover_marl.envs.config import EnvConfig
-from handover_marl.envs.constructors import giver_env, receiver_env
+from handover_marl.envs.constructors import single_agent_env
 from handover_marl.errors import OptionError
 from handover_marl.evaluation.config import EpisodeOptions, EvaluationOptions
 
@@ -85,8 +85,7 @@ def test_constructors_show_every_field_of_the_configuration() -> None:
         (HandoverEnv, {"config"}),
         (handover_marl.parallel_env, {"config"}),
         (handover_marl.env, {"config"}),
-        (receiver_env, {"config", "partner", "trust"}),
-        (giver_env, {"config", "partner", "trust"}),
+        (single_agent_env, {"agent", "config", "partner", "trust"}),
     ):
         shown = parameters(function)
         assert shown.keys() == fields_shown.keys() | own

@@ -7,7 +7,7 @@ from pettingzoo import AECEnv
 from pettingzoo.utils.conversions import parallel_to_aec
 from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 
-from handover_marl.envs.arguments import GIVER, RECEIVER
+from handover_marl.envs.arguments import RECEIVER
 from handover_marl.envs.config import EnvConfig
 from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.envs.wrappers.freeze import FrozenPartnerEnv, freeze
@@ -44,33 +44,24 @@ def env(config: EnvConfig | None = None, **fields: Any) -> AECEnv:
 
 
 @forward_signature(EnvConfig)
-def receiver_env(
-    partner: PolicyLike = "replay", trust: bool = False, config: EnvConfig | None = None, **fields: Any
+def single_agent_env(
+    agent: str,
+    partner: PolicyLike | None = None,
+    trust: bool = False,
+    config: EnvConfig | None = None,
+    **fields: Any,
 ) -> SingleAgentEnv:
-    """Make a Gymnasium environment of the robot, in which a fixed policy acts for the giver.
+    """Make a Gymnasium environment of one agent, in which a fixed policy acts for the other agent.
 
     Args:
-        partner: Policy of the giver, the agent that is not controlled from outside.
+        agent: Live agent, "receiver" for the robot or "giver" for the person.
+        partner: Policy of the other agent, which is not controlled from outside; default: "replay" for
+            a giver, "yang2021" for a receiver.
         trust: Whether a policy file may run code.
         config: Configuration; default: one made of `fields`.
         fields: Fields of `handover_marl.envs.config.EnvConfig`, in place of `config`.
     """
-    return freeze(HandoverEnv(config, **fields), RECEIVER, partner, api="gymnasium", trust=trust)
-
-
-@forward_signature(EnvConfig)
-def giver_env(
-    partner: PolicyLike = "yang2021", trust: bool = False, config: EnvConfig | None = None, **fields: Any
-) -> SingleAgentEnv:
-    """Make a Gymnasium environment of the person, in which a fixed policy acts for the receiver.
-
-    Args:
-        partner: Policy of the receiver, the agent that is not controlled from outside.
-        trust: Whether a policy file may run code.
-        config: Configuration; default: one made of `fields`.
-        fields: Fields of `handover_marl.envs.config.EnvConfig`, in place of `config`.
-    """
-    return freeze(HandoverEnv(config, **fields), GIVER, partner, api="gymnasium", trust=trust)
+    return freeze(HandoverEnv(config, **fields), agent, partner, api="gymnasium", trust=trust)
 
 
 @forward_signature(EnvConfig, without=_PRESCRIBED, defaults={"split": "test"})

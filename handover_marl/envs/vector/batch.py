@@ -1,22 +1,25 @@
 """Batch of handover environments that are simulated in lockstep."""
 
-from collections.abc import Callable, Mapping, Sequence
+import functools
+from collections.abc import Mapping, Sequence
 from importlib.util import find_spec
-from typing import TypeVar
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
+from gymnasium.vector import AutoresetMode
 
 from handover_marl.envs.arguments import check_positive_integer
 from handover_marl.envs.config import EnvConfig
 from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.envs.wrappers.encode import encode
 from handover_marl.envs.wrappers.freeze import freeze
-from handover_marl.envs.wrappers.wrapper import ParallelWrapper
-from handover_marl.errors import OptionError
+from handover_marl.envs.wrappers.wrapper import ByAgent, ParallelStep, ParallelWrapper
+from handover_marl.errors import OptionError, ResetNeededError
 from handover_marl.execution.options import count_available_cores
 from handover_marl.policies.reference import PolicyLike
 
-_Result = TypeVar("_Result")
+ResetResult = tuple[ByAgent, ByAgent]
 
 
 class EnvBatch:
@@ -25,6 +28,7 @@ class EnvBatch:
     Args:
         config: Configuration of each environment.
         num_envs: Number of environments.
+        autoreset: Time of the reset after an episode's end.
         agent: Live agent, "receiver" or "giver"; None for both.
         partner: Policy of the other agent if one is live; default: "replay" or "yang2021".
         features: Name of the features by agent, or of the live agent's; None for plain observations.
@@ -34,6 +38,8 @@ class EnvBatch:
 
     Attributes:
         envs: Environments of the batch.
+        autoreset: Time of the reset after an episode's end.
+        is_running: Whether every environment has been reset, and no reset or step has failed since.
 
     Raises:
         OptionError: A number is out of range, a partner is given for two live agents, windows are
@@ -44,6 +50,7 @@ class EnvBatch:
         self,
         config: EnvConfig,
         num_envs: int,
+        autoreset: AutoresetMode,
         agent: str | None,
         partner: PolicyLike | None,
         features: str | Mapping[str, str] | None,
@@ -64,7 +71,9 @@ class EnvBatch:
                 env = freeze(env, agent, partner, trust=trust)
             return env if features is None and schemes is None else encode(env, features, schemes)
 
+        self.autoreset, self.is_running = autoreset, False
         self.envs = [make() for _ in range(count)]
+        self._ended = np.zeros(count, dtype=bool)
         if find_spec("greenlet") is None:
             raise OptionError("vector environments need greenlet: pip install 'handover-marl[mujoco]'")
         # Imported after the check, because it needs greenlet.
@@ -74,16 +83,76 @@ class EnvBatch:
         for index, env in enumerate(self.envs):
             env.unwrapped.join_lockstep(self._scheduler, index)
 
-    def spread_seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
-        """Derive one seed for each environment from a seed or a sequence of seeds.
+    def reset(
+        self,
+        seed: int | Sequence[int | None] | None,
+        options: dict[str, Any] | None,
+        chosen: npt.NDArray[np.bool_] | None = None,
+    ) -> list[ResetResult]:
+        """Start an episode in every environment, or in some, and return their observations and infos.
 
         Args:
             seed: Environment k gets `seed + k`; or one seed for each; None keeps the state
                 of all random generators.
+            options: Options of every single environment.
+            chosen: (n,) mask of the environments to reset; default: all.
 
         Raises:
             OptionError: The number of seeds is not the number of environments.
         """
+        chosen = np.ones(len(self.envs), dtype=bool) if chosen is None else chosen
+        tasks = zip(self.envs, self._spread_seeds(seed), chosen, strict=True)
+        # If a task fails, the states of the others are undefined: all must be reset.
+        is_running, self.is_running = self.is_running or bool(chosen.all()), False
+        results: list[ResetResult] = self._scheduler.run_together(
+            [functools.partial(env.reset, one, options or None) for env, one, resets in tasks if resets]
+        )
+        self.is_running, self._ended = is_running, self._ended & ~chosen
+        return results
+
+    def require_running(self) -> None:
+        """Check that every environment can be stepped.
+
+        Raises:
+            ResetNeededError: There was no reset, or a reset or step has failed since.
+        """
+        if not self.is_running:
+            raise ResetNeededError("no episode is running; call reset() before step()")
+
+    def step(self, actions: Sequence[ByAgent]) -> list[tuple[ParallelStep | None, ResetResult | None]]:
+        """Step every environment, and reset those whose episode has ended, as `autoreset` says.
+
+        Args:
+            actions: Actions by agent, for each environment.
+
+        Returns:
+            For each environment the result of its step, or None if it was only reset, and the result
+            of its reset, or None if it was not reset.
+        """
+        tasks = zip(self.envs, self._ended, actions, strict=True)
+        self.is_running = False
+        outcomes = self._scheduler.run_together([functools.partial(self._step_one, *task) for task in tasks])
+        self.is_running = True
+        self._ended = np.array([reset is None and _has_ended(result) for result, reset in outcomes])
+        return outcomes
+
+    def close(self) -> None:
+        """Free the simulations of all environments."""
+        self.is_running = False
+        for env in self.envs:
+            env.close()
+        self._scheduler.close()
+
+    def _step_one(
+        self, env: HandoverEnv | ParallelWrapper, ended: bool, actions: ByAgent
+    ) -> tuple[ParallelStep | None, ResetResult | None]:
+        if ended and self.autoreset is AutoresetMode.NEXT_STEP:
+            return None, env.reset()
+        result = env.step(actions)
+        return result, env.reset() if self.autoreset is AutoresetMode.SAME_STEP and _has_ended(result) else None
+
+    def _spread_seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
+        """Derive one seed for each environment from a seed or a sequence of seeds."""
         count = len(self.envs)
         if seed is None:
             return [None] * count
@@ -96,12 +165,6 @@ class EnvBatch:
             raise OptionError(f"seed must be an integer or {count} seeds, got {len(seeds)} seeds")
         return seeds
 
-    def run_together(self, tasks: Sequence[Callable[[], _Result]]) -> list[_Result]:
-        """Run tasks in lockstep, each resets or steps another environment; return their results."""
-        return self._scheduler.run_together(tasks)
 
-    def close(self) -> None:
-        """Free the simulations of all environments."""
-        for env in self.envs:
-            env.close()
-        self._scheduler.close()
+def _has_ended(result: ParallelStep | None) -> bool:
+    return result is not None and (any(result[2].values()) or any(result[3].values()))

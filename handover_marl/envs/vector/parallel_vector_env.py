@@ -1,7 +1,5 @@
 """Vector environment of both agents: PettingZoo's parallel API with arrays in place of single values."""
 
-import functools
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -10,12 +8,11 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space, concatenate, create_empty_array, iterate
 
-from handover_marl.envs.vector.batch import EnvBatch
+from handover_marl.envs.vector.batch import EnvBatch, ResetResult
 from handover_marl.envs.wrappers.wrapper import ByAgent, ParallelStep
-from handover_marl.errors import ActionError, ResetNeededError
+from handover_marl.errors import ActionError
 
 BatchStep = tuple[ByAgent, ByAgent, ByAgent, ByAgent, ByAgent]
-_ResetResult = tuple[ByAgent, ByAgent]
 
 
 class ParallelVectorEnv:
@@ -30,7 +27,6 @@ class ParallelVectorEnv:
 
     Args:
         batch: Environments that are simulated in lockstep.
-        autoreset: Time of the reset after an episode's end.
 
     Attributes:
         num_envs: Number of environments.
@@ -38,19 +34,17 @@ class ParallelVectorEnv:
         metadata: Metadata of a single environment, and `autoreset_mode`.
     """
 
-    def __init__(self, batch: EnvBatch, autoreset: AutoresetMode) -> None:
-        self._batch, self._autoreset = batch, autoreset
+    def __init__(self, batch: EnvBatch) -> None:
+        self._batch = batch
         self.num_envs = len(batch.envs)
         first = batch.envs[0]
         self.possible_agents: list[str] = list(first.possible_agents)
-        self.metadata: dict[str, Any] = {**first.metadata, "autoreset_mode": autoreset}
-        self._ended = np.ones(self.num_envs, dtype=bool)
-        self._is_running = False
+        self.metadata: dict[str, Any] = {**first.metadata, "autoreset_mode": batch.autoreset}
 
     @property
     def agents(self) -> list[str]:
         """Names of the acting agents; empty before the first reset."""
-        return self.possible_agents if self._is_running else []
+        return self.possible_agents if self._batch.is_running else []
 
     def single_observation_space(self, agent: str) -> spaces.Space[Any]:
         """Return an agent's observation space in one environment."""
@@ -68,9 +62,7 @@ class ParallelVectorEnv:
         """Return an agent's action space, batched over all n environments."""
         return batch_space(self.single_action_space(agent), self.num_envs)
 
-    def reset(
-        self, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[ByAgent, ByAgent]:
+    def reset(self, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None) -> ResetResult:
         """Start an episode in every environment.
 
         Args:
@@ -80,12 +72,7 @@ class ParallelVectorEnv:
         Raises:
             OptionError: The number of seeds is not the number of environments.
         """
-        seeds = self._batch.spread_seeds(seed)
-        self._is_running = False
-        results = self._batch.run_together(
-            [functools.partial(env.reset, one, options) for env, one in zip(self._batch.envs, seeds, strict=True)]
-        )
-        self._is_running, self._ended = True, np.zeros(self.num_envs, dtype=bool)
+        results = self._batch.reset(seed, options)
         return self._stack_observations([first for first, _ in results]), self._stack_infos([two for _, two in results])
 
     def step(self, actions: ByAgent) -> BatchStep:
@@ -101,52 +88,28 @@ class ParallelVectorEnv:
             ActionError: An agent's actions are missing or malformed.
             ResetNeededError: There was no reset, or an episode has ended and autoreset is "disabled".
         """
-        if not self._is_running:
-            raise ResetNeededError("no episode is running; call reset() before step()")
+        self._batch.require_running()
         rows = self._split_actions(actions)
-        self._is_running = False
-        outcomes = self._batch.run_together(
-            [
-                self._make_task(index, {agent: row[index] for agent, row in rows.items()})
-                for index in range(self.num_envs)
-            ]
+        outcomes = self._batch.step(
+            [{agent: row[index] for agent, row in rows.items()} for index in range(self.num_envs)]
         )
-        self._is_running = True
-        results = [result for result, _ in outcomes]
-        self._ended = np.array([_has_ended(result) for result in results])
-        observations = [result[0] if reset is None else reset[0] for result, reset in outcomes]
-        infos = self._stack_infos([result[4] if reset is None else reset[1] for result, reset in outcomes])
-        if self._autoreset is AutoresetMode.SAME_STEP and self._ended.any():
-            self._add_final(infos, results)
-            self._ended = np.zeros(self.num_envs, dtype=bool)
+        # The last part of a step's result and of a reset's are infos.
+        latest = [(reset or result) for result, reset in outcomes]
+        infos = self._stack_infos([one[-1] for one in latest])
+        if self._batch.autoreset is AutoresetMode.SAME_STEP:
+            self._add_final(infos, [None if reset is None else result for result, reset in outcomes])
         rewards, terminations, truncations = (
-            {agent: np.array([result[part][agent] for result in results]) for agent in self.possible_agents}
-            for part in (1, 2, 3)
+            {
+                agent: np.array([no_step if result is None else result[part][agent] for result, _ in outcomes])
+                for agent in self.possible_agents
+            }
+            for part, no_step in ((1, 0.0), (2, False), (3, False))
         )
-        return self._stack_observations(observations), rewards, terminations, truncations, infos
+        return self._stack_observations([one[0] for one in latest]), rewards, terminations, truncations, infos
 
     def close(self) -> None:
         """Free the simulations of all environments."""
-        self._is_running = False
         self._batch.close()
-
-    def _make_task(self, index: int, actions: ByAgent) -> Callable[[], tuple[ParallelStep, _ResetResult | None]]:
-        env, agents = self._batch.envs[index], self.possible_agents
-        if self._ended[index] and self._autoreset is AutoresetMode.NEXT_STEP:
-
-            def reset() -> tuple[ParallelStep, None]:
-                observations, infos = env.reset()
-                no = dict.fromkeys(agents, False)
-                return (observations, dict.fromkeys(agents, 0.0), no, no, infos), None
-
-            return reset
-
-        def act() -> tuple[ParallelStep, _ResetResult | None]:
-            result: ParallelStep = env.step(actions)
-            resets = _has_ended(result) and self._autoreset is AutoresetMode.SAME_STEP
-            return result, env.reset() if resets else None
-
-        return act
 
     def _split_actions(self, actions: ByAgent) -> dict[str, list[npt.NDArray[Any]]]:
         if not isinstance(actions, dict) or actions.keys() != set(self.possible_agents):
@@ -159,12 +122,15 @@ class ParallelVectorEnv:
             rows[agent] = list(iterate(self.action_space(agent), np.asarray(values)))
         return rows
 
-    def _add_final(self, infos: ByAgent, results: list[ParallelStep]) -> None:
-        for agent in self.possible_agents:
+    def _add_final(self, infos: ByAgent, last: list[ParallelStep | None]) -> None:
+        """Add the last observations and infos of the episodes that have ended in this step, if any."""
+        ended = [index for index, result in enumerate(last) if result is not None]
+        for agent in self.possible_agents if ended else ():
             final_obs, final_info = (np.full(self.num_envs, None, dtype=object) for _ in range(2))
-            for index in np.flatnonzero(self._ended):
-                final_obs[index], final_info[index] = results[index][0][agent], results[index][4][agent]
-            infos[agent] |= {"final_obs": final_obs, "final_info": final_info, "_final_obs": self._ended.copy()}
+            for index in ended:
+                final_obs[index], final_info[index] = last[index][0][agent], last[index][4][agent]
+            mask = np.isin(np.arange(self.num_envs), ended)
+            infos[agent] |= {"final_obs": final_obs, "final_info": final_info, "_final_obs": mask}
 
     def _stack_observations(self, observations: list[ByAgent]) -> ByAgent:
         stacked = {}
@@ -179,7 +145,3 @@ class ParallelVectorEnv:
             agent: {key: np.array([one[agent][key] for one in infos]) for key in infos[0][agent]}
             for agent in self.possible_agents
         }
-
-
-def _has_ended(result: ParallelStep) -> bool:
-    return any(result[2].values()) or any(result[3].values())

@@ -5,7 +5,6 @@ import functools
 from collections.abc import Mapping
 from typing import Any, Literal, overload
 
-import gymnasium
 import numpy as np
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.vector.utils import iterate
@@ -14,8 +13,8 @@ from handover_marl.envs.config import EnvConfig, make_env_config
 from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.envs.vector.batch import EnvBatch
 from handover_marl.envs.vector.parallel_vector_env import ParallelVectorEnv
-from handover_marl.envs.wrappers.wrapper import SingleAgentEnv
-from handover_marl.errors import OptionError, ResetNeededError, UnknownNameError
+from handover_marl.envs.wrappers.wrapper import ByAgent, ParallelWrapper, SingleAgentEnv
+from handover_marl.errors import OptionError, UnknownNameError
 from handover_marl.execution.options import forward_signature
 from handover_marl.policies.reference import PolicyLike
 from handover_marl.simulation.engines import MUJOCO
@@ -23,48 +22,27 @@ from handover_marl.simulation.engines import MUJOCO
 AUTORESETS = tuple(mode.name.lower() for mode in AutoresetMode)
 
 
-class _PrecomputedEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
-    """Wrapper that computes results of `reset` and `step` before these methods are called.
+class _PrecomputedEnv(SingleAgentEnv):
+    """Environment whose results of `reset` and `step` are computed before these methods are called.
 
     Args:
-        env: Gymnasium environment of one agent.
-        autoreset: Time of the reset after an episode's end.
+        env: Parallel environment of one agent.
+
+    Attributes:
+        results: Results by agent, in the order in which they will be returned.
     """
 
-    def __init__(self, env: SingleAgentEnv, autoreset: AutoresetMode) -> None:
+    def __init__(self, env: ParallelWrapper) -> None:
         super().__init__(env)
-        self._autoreset, self._ended = autoreset, False
-        self._results: collections.deque[Any] = collections.deque()
+        self.results: collections.deque[tuple[ByAgent, ...]] = collections.deque()
 
-    def precompute_reset(self, seed: int | None, options: dict[str, Any] | None) -> None:
-        """Compute the result of the next reset."""
-        self._results.clear()
-        self._reset(seed, options)
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
+        """Return the next result, which is that of a reset."""
+        return tuple(part[self.agent] for part in self.results.popleft())
 
-    def precompute_step(self, action: Any) -> None:
-        """Compute the result of the next step, including the reset after an episode's end."""
-        if self._ended and self._autoreset is AutoresetMode.NEXT_STEP:
-            self._reset(None, None)
-            return
-        result = self.env.step(action)
-        self._results.append(result)
-        self._ended = bool(result[2] or result[3])
-        if self._ended and self._autoreset is AutoresetMode.SAME_STEP:
-            self._reset(None, None)
-
-    def _reset(self, seed: int | None, options: dict[str, Any] | None) -> None:
-        self._results.append(self.env.reset(seed=seed, options=options))
-        self._ended = False
-
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Return the result that `precompute_reset` computed."""
-        result: tuple[Any, dict[str, Any]] = self._results.popleft()
-        return result
-
-    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Return the result that `precompute_step` computed."""
-        result: tuple[Any, float, bool, bool, dict[str, Any]] = self._results.popleft()
-        return result
+    def step(self, action: Any) -> Any:
+        """Return the next result, which is that of a step."""
+        return tuple(part[self.agent] for part in self.results.popleft())
 
 
 class HandoverVectorEnv(SyncVectorEnv):
@@ -75,16 +53,16 @@ class HandoverVectorEnv(SyncVectorEnv):
 
     Args:
         batch: Environments that are simulated in lockstep.
-        autoreset: Time of the reset after an episode's end.
     """
 
     metadata: dict[str, Any] = {**HandoverEnv.metadata, "name": "handover_vector_v0"}
 
-    def __init__(self, batch: EnvBatch, autoreset: AutoresetMode) -> None:
+    def __init__(self, batch: EnvBatch) -> None:
         self._batch = batch
-        self._is_running = False
-        self._precomputed = [_PrecomputedEnv(SingleAgentEnv(env), autoreset) for env in batch.envs]
-        super().__init__([functools.partial(_identity, env) for env in self._precomputed], autoreset_mode=autoreset)
+        self._precomputed = [_PrecomputedEnv(env) for env in batch.envs]
+        super().__init__(
+            [functools.partial(_identity, env) for env in self._precomputed], autoreset_mode=batch.autoreset
+        )
 
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
@@ -98,20 +76,15 @@ class HandoverVectorEnv(SyncVectorEnv):
         Raises:
             OptionError: The number of seeds or the shape of the mask is wrong.
         """
-        seeds = self._batch.spread_seeds(seed)
         own = dict(options or {})
         mask = own.pop("reset_mask", None)
         chosen = np.ones(self.num_envs, dtype=bool) if mask is None else np.asarray(mask, dtype=bool)
         if chosen.shape != (self.num_envs,):
             raise OptionError(f"reset_mask must have shape ({self.num_envs},), got {chosen.shape}")
-        tasks = zip(self._precomputed, seeds, chosen, strict=True)
-        # If a task fails, the states of the others are undefined: all must be reset.
-        is_running, self._is_running = self._is_running or bool(chosen.all()), False
-        self._batch.run_together(
-            [functools.partial(env.precompute_reset, one, own or None) for env, one, resets in tasks if resets]
-        )
-        self._is_running = is_running
-        return super().reset(seed=seeds, options=options)
+        results = iter(self._batch.reset(seed, own, chosen))
+        for env, resets in zip(self._precomputed, chosen, strict=True):
+            env.results = collections.deque([next(results)] if resets else [])
+        return super().reset(options=options)
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Step every environment for one control period, or until its action scheme needs outputs.
@@ -122,12 +95,12 @@ class HandoverVectorEnv(SyncVectorEnv):
         Raises:
             ResetNeededError: There was no reset, or a reset or step has failed since.
         """
-        if not self._is_running:
-            raise ResetNeededError("no episodes are running; call reset() before step()")
-        tasks = list(zip(self._precomputed, iterate(self.action_space, actions), strict=True))
-        self._is_running = False
-        self._batch.run_together([functools.partial(env.precompute_step, action) for env, action in tasks])
-        self._is_running = True
+        self._batch.require_running()
+        rows = [
+            {env.agent: row} for env, row in zip(self._precomputed, iterate(self.action_space, actions), strict=True)
+        ]
+        for env, outcome in zip(self._precomputed, self._batch.step(rows), strict=True):
+            env.results.extend(result for result in outcome if result is not None)
         return super().step(actions)
 
     def close_extras(self, **kwargs: Any) -> None:
@@ -208,8 +181,8 @@ def vector_env(
     mode = AutoresetMode[autoreset.upper()]
     if config is None:
         fields = {"physics": MUJOCO, **fields}
-    batch = EnvBatch(make_env_config(config, fields), num_envs, agent, partner, features, schemes, threads, trust)
-    return ParallelVectorEnv(batch, mode) if agent is None else HandoverVectorEnv(batch, mode)
+    batch = EnvBatch(make_env_config(config, fields), num_envs, mode, agent, partner, features, schemes, threads, trust)
+    return ParallelVectorEnv(batch) if agent is None else HandoverVectorEnv(batch)
 
 
 def _identity(env: _PrecomputedEnv) -> _PrecomputedEnv:
