@@ -1,7 +1,7 @@
 """Command-line options made from the fields of `EvaluationConfig` and `ExecutionConfig`."""
 
 import os
-from dataclasses import fields, replace
+from dataclasses import fields
 from typing import Annotated, Any, Literal
 
 import tyro
@@ -66,7 +66,7 @@ def _struct_spec_from_config(info: StructTypeInfo) -> StructConstructorSpec | No
     descriptions = {part.arg_name: part.description for part in parse(config_class.__doc__ or "").params}
     visible = [part for part in fields(config_class) if part.name not in _HIDDEN_FIELDS[info.type]]
     return StructConstructorSpec(
-        instantiate=_make_evaluation_config if config_class is EvaluationConfig else ExecutionConfig,
+        instantiate=_make_evaluation_config if config_class is EvaluationConfig else _make_execution_config,
         fields=tuple(
             StructFieldSpec(
                 part.name,
@@ -91,6 +91,10 @@ def _make_evaluation_config(**options: Any) -> EvaluationConfig:
     return EvaluationConfig(scenes=None if scenes is None else tuple(scenes), **options)
 
 
+def _make_execution_config(out: str | None = None, **options: Any) -> ExecutionConfig:
+    return ExecutionConfig(out=None if out is None else os.path.expanduser(out), **options)  # noqa: PTH111  (stays text)
+
+
 def parse_scenes(text: str | None) -> list[int] | None:
     """Return the scene numbers of a comma-separated list; None stays None.
 
@@ -103,10 +107,3 @@ def parse_scenes(text: str | None) -> list[int] | None:
         return [int(part) for part in text.split(",")]
     except ValueError as error:
         raise OptionError(f"--scenes must be numbers separated by commas, such as 209,214, got {text!r}") from error
-
-
-def expand_out_folder(execution: ExecutionConfig) -> ExecutionConfig:
-    """Return a copy of the configuration in which `~` in the output folder is expanded."""
-    if execution.out is None:
-        return execution
-    return replace(execution, out=os.path.expanduser(execution.out))  # noqa: PTH111  (stays text)

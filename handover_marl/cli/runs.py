@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from handover_marl.cli.options import BenchmarkArguments, CrossPlayArguments, expand_out_folder
+from handover_marl.cli.options import BenchmarkArguments, CrossPlayArguments
 from handover_marl.evaluation.config import EvaluationConfig, ExecutionConfig
 
 _OFFICIAL, _CROSSPLAY = BenchmarkArguments(), CrossPlayArguments(split="val")
@@ -20,7 +20,6 @@ def run_benchmark(evaluation: BenchmarkArguments = _OFFICIAL, execution: Executi
     """
     from handover_marl.evaluation.benchmark import benchmark
 
-    execution = expand_out_folder(execution)
     _print_result(benchmark(evaluation, execution=execution), execution, "report.html")
 
 
@@ -35,7 +34,6 @@ def run_pair(
     """
     from handover_marl.evaluation.benchmark import evaluate_pair
 
-    execution = expand_out_folder(execution)
     _print_result(evaluate_pair(evaluation, execution=execution), execution, "report.html")
 
 
@@ -53,7 +51,6 @@ def run_agreement(
     """
     from handover_marl.evaluation.agreement import AGREEMENT_FILE, compare_physics
 
-    execution = expand_out_folder(execution)
     _print_result(compare_physics(evaluation, against=against, execution=execution), execution, AGREEMENT_FILE)
 
 
@@ -75,7 +72,6 @@ def run_crossplay(
     from handover_marl.policies.reference import split_policy_list
 
     rows, columns = split_policy_list("giver", givers), split_policy_list("receiver", receivers)
-    execution = expand_out_folder(execution)
     _print_result(crossplay(rows, columns, evaluation, execution=execution), execution, "crossplay.md")
 
 
@@ -103,7 +99,6 @@ def run_demonstrate(
     """
     from handover_marl.evaluation.demonstrations.record import demonstrate
 
-    execution = expand_out_folder(execution)
     _print_result(demonstrate(evaluation, obs_mode=obs_mode, keep=keep, execution=execution), execution, "report.html")
 
 

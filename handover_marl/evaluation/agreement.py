@@ -10,14 +10,8 @@ from typing_extensions import Unpack
 from handover_marl.errors import UnknownNameError
 from handover_marl.evaluation.benchmark import Evaluation
 from handover_marl.evaluation.config import REPLAY, EvaluationConfig, EvaluationOptions, ExecutionConfig, build_configs
-from handover_marl.evaluation.reports.report import (
-    REPORTED_STATUSES,
-    Report,
-    build_difference_table,
-    format_extent,
-    format_policies,
-)
-from handover_marl.evaluation.reports.tables import ReportTable, format_percent_interval
+from handover_marl.evaluation.reports.report import REPORTED_STATUSES, Report, build_difference_table
+from handover_marl.evaluation.reports.tables import ReportTable, format_percent_interval, join_sections
 from handover_marl.evaluation.results.episode_result import EpisodeResult
 from handover_marl.execution.files import write_atomically
 from handover_marl.execution.options import forward_signature
@@ -73,14 +67,9 @@ class Agreement:
         write_atomically(folder / AGREEMENT_FILE, f"# Exact and {self.other_physics} physics\n\n{self}\n")
 
     def __str__(self) -> str:
-        parts = [
-            self._format_heading(),
-            self._build_confusion_table(),
-            self._build_rate_table(),
-            self._format_step_differences(),
-            build_difference_table(self._pairs, ("exact", self.other_physics)),
-        ]
-        return "\n\n".join(filter(None, map(str, parts)))
+        tables = self._build_confusion_table(), self._build_rate_table()
+        differences = build_difference_table(self._pairs, ("exact", self.other_physics))
+        return join_sections(self._format_heading(), *tables, self._format_step_differences(), differences)
 
     @property
     def _pairs(self) -> list[tuple[EpisodeResult, EpisodeResult]]:
@@ -89,7 +78,7 @@ class Agreement:
     def _format_heading(self) -> str:
         metadata, n = self.exact.metadata, len(self.exact.episodes)
         return (
-            f"{metadata.setup} {metadata.split}, {format_extent(self.exact)}. Receiver {format_policies(metadata)}, "
+            f"{metadata.setup} {metadata.split}, {self.exact.extent}. Receiver {self.exact.policies_label}, "
             f"data: {self.exact.data_label}.\n"
             f"Exact and {self.other_physics} physics agree on the outcome of {self.n_same_outcome} of {n} scenes: "
             f"{100 * self.rate:.2f} % (95 % interval {format_percent_interval(self.n_same_outcome, n)})."

@@ -25,7 +25,7 @@ from handover_marl.evaluation.reports.report_files import write_report
 from handover_marl.evaluation.results.episode_result import EpisodeResult
 from handover_marl.evaluation.results.metadata import ResultMetadata
 from handover_marl.evaluation.results.result_folder import ResultFolder
-from handover_marl.evaluation.shards import RunShard, Shard
+from handover_marl.evaluation.shards import Shard
 from handover_marl.evaluation.writers import EpisodeWriter
 from handover_marl.execution.options import forward_signature
 from handover_marl.policies.reference import PolicyLike
@@ -124,7 +124,7 @@ class Evaluation:
         shard_text = ""
         if shard is not None and self.config.scenes is not None:
             scenes = self.config.scenes
-            shard_text = str(RunShard(shard, None if scenes == split_ids else scenes))
+            shard_text = str(replace(shard, scenes=None if scenes == split_ids else scenes))
             self.config = replace(self.config, scenes=shard.select(scenes))
         self._execution = execution
         self._metadata = ResultMetadata.from_config(self.config, recorded, shard_text)

@@ -12,7 +12,6 @@ from handover_marl.evaluation.reports.report import (
     Report,
     build_difference_table,
     compute_rate_difference,
-    format_heading,
 )
 from handover_marl.evaluation.reports.report_files import evaluate
 from handover_marl.evaluation.reports.tables import (
@@ -20,6 +19,7 @@ from handover_marl.evaluation.reports.tables import (
     format_percent_difference,
     format_percent_mean,
     format_percent_rate,
+    join_sections,
 )
 from handover_marl.evaluation.results.episode_result import EpisodeResult
 from handover_marl.visualization.web_page import render_page
@@ -57,7 +57,8 @@ class Comparison:
         Args:
             flag: Outcome whose rates are compared.
         """
-        return compute_rate_difference(*zip(*self.pairs, strict=True), flag)
+        first, second = zip(*self.pairs, strict=True)
+        return compute_rate_difference(first, second, flag)
 
     def build_rate_table(self) -> ReportTable:
         """Build the table of outcome rates in A and B and of their differences."""
@@ -72,13 +73,9 @@ class Comparison:
         return ReportTable(["%", "A", "B", "A minus B, points"], rows)
 
     def __str__(self) -> str:
-        parts = [
-            f"A: {format_heading(self.first)}\nB: {format_heading(self.second)}",
-            self.note,
-            str(self.build_rate_table()),
-            str(build_difference_table(self.pairs, ("A", "B"))) or "Every scene has the same outcome.",
-        ]
-        return "\n\n".join(parts)
+        headings = f"A: {self.first.heading}\nB: {self.second.heading}"
+        differences = str(build_difference_table(self.pairs, ("A", "B"))) or "Every scene has the same outcome."
+        return join_sections(headings, self.note, self.build_rate_table(), differences)
 
 
 def compare(first: str | os.PathLike[str], second: str | os.PathLike[str]) -> Comparison:
@@ -123,7 +120,7 @@ def render_comparison_page(
         "comparison.html",
         version=__version__,
         title=f"{names[0]} (A) and {names[1]} (B)",
-        sides=[("A", format_heading(comparison.first)), ("B", format_heading(comparison.second))],
+        sides=[("A", comparison.first.heading), ("B", comparison.second.heading)],
         rates=comparison.build_rate_table(),
         note=comparison.note,
         changes=comparison.changes,

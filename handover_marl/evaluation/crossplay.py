@@ -22,13 +22,7 @@ from handover_marl.evaluation.reports.fluency_tables import (
     format_fluency_header,
     format_fluency_row,
 )
-from handover_marl.evaluation.reports.report import (
-    REPORTED_STATUSES,
-    Report,
-    compute_rate_difference,
-    format_extent,
-    format_wait,
-)
+from handover_marl.evaluation.reports.report import REPORTED_STATUSES, Report, compute_rate_difference
 from handover_marl.evaluation.reports.statistics import compute_mean_interval, compute_wilson_interval
 from handover_marl.evaluation.reports.tables import (
     append_interval,
@@ -37,6 +31,7 @@ from handover_marl.evaluation.reports.tables import (
     format_percent_rate,
     format_seconds,
     format_table,
+    join_sections,
 )
 from handover_marl.execution.files import shorten_text, write_atomically
 from handover_marl.execution.options import forward_signature
@@ -120,15 +115,10 @@ class CrossPlay:
         write_atomically(folder / "crossplay.png", picture)
 
     def __str__(self) -> str:
-        parts = [
-            self._format_heading(),
-            self._format_matrix(),
-            self._format_rates(),
-            self._format_giver_gains(),
-            self._format_receiver_gains(),
-            self._format_fluency(),
-        ]
-        return "\n\n".join(filter(None, parts))
+        gains = self._format_giver_gains(), self._format_receiver_gains()
+        return join_sections(
+            self._format_heading(), self._format_matrix(), self._format_rates(), *gains, self._format_fluency()
+        )
 
     @property
     def _first_report(self) -> Report:
@@ -138,7 +128,7 @@ class CrossPlay:
         report = self._first_report
         metadata = report.metadata
         return (
-            f"Cross-play on {metadata.setup} {metadata.split}, {format_extent(report)}, {metadata.physics} "
+            f"Cross-play on {metadata.setup} {metadata.split}, {report.extent}, {metadata.physics} "
             f"physics, data: {report.data_label}. Success in percent with Wilson's 95 % interval."
         )
 
@@ -157,9 +147,7 @@ class CrossPlay:
             exec_s = append_interval(
                 format_seconds(report.time_exec), compute_mean_interval(report.exec_times), ".3f", 1.0
             )
-            rows.append(
-                [giver, receiver, *rates, exec_s, format_percent_mean(report.speed_scores), format_wait(report)]
-            )
+            rows.append([giver, receiver, *rates, exec_s, format_percent_mean(report.speed_scores), report.wait_label])
         header = [f"{flag.label} %" for flag in REPORTED_STATUSES]
         return format_table(["giver", "receiver", *header, "exec s", "AS %", "wait s"], rows)
 

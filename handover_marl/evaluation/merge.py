@@ -3,7 +3,7 @@
 import itertools
 import os
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from handover_marl.errors import OptionError, ResultsError
@@ -28,7 +28,7 @@ from handover_marl.evaluation.results.result_folder import (
     prepare_result_folder,
     read_results,
 )
-from handover_marl.evaluation.shards import RunShard
+from handover_marl.evaluation.shards import Shard
 from handover_marl.execution.files import write_atomically
 from handover_marl.simulation.engines import EXACT, PHYSICS
 
@@ -84,7 +84,7 @@ class ShardFolder:
 
     path: Path
     metadata: ResultMetadata
-    part: RunShard
+    part: Shard
     results: tuple[EpisodeResult, ...]
 
     @classmethod
@@ -100,7 +100,7 @@ class ShardFolder:
         if not metadata.shard:
             raise ResultsError(f"{path} is not a shard: it was evaluated without --shard")
         try:
-            part = RunShard.parse(metadata.shard)
+            part = Shard.parse(metadata.shard, with_scenes=True)
         except OptionError as error:
             raise ResultsError(f"{path}: {error}") from error
         return cls(path, metadata, part, tuple(read_results(path, allow_empty=True)))
@@ -108,7 +108,7 @@ class ShardFolder:
     @property
     def name(self) -> str:
         """Path of the folder and number of the shard, for error messages."""
-        return f"{self.path} (shard {self.part.shard})"
+        return f"{self.path} (shard {self.part.name})"
 
     def describe_missing(self) -> list[str]:
         """Describe the scenes of the shard that have no result; empty if all have one.
@@ -145,14 +145,14 @@ def _read_shards(paths: Sequence[Path]) -> list[ShardFolder]:
         ResultsError: The folders belong to different evaluations, a shard is given twice, or shards or
             scenes are missing.
     """
-    folders = sorted((ShardFolder.read(path) for path in paths), key=lambda folder: folder.part.shard.number)
+    folders = sorted((ShardFolder.read(path) for path in paths), key=lambda folder: folder.part.number)
     first = folders[0]
     for folder in folders[1:]:
         _check_same_evaluation(first, folder)
     for one, other in itertools.pairwise(folders):
-        if one.part.shard == other.part.shard:
-            raise ResultsError(f"{one.path} and {other.path} are both shard {one.part.shard}; leave one out")
-    count, numbers = first.part.shard.count, {folder.part.shard.number for folder in folders}
+        if one.part.number == other.part.number:
+            raise ResultsError(f"{one.path} and {other.path} are both shard {one.part.name}; leave one out")
+    count, numbers = first.part.count, {folder.part.number for folder in folders}
     missing = [f"shard {number}/{count}" for number in range(1, count + 1) if number not in numbers]
     reasons = [f"{', '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing"] if missing else []
     reasons += [line for folder in folders for line in folder.describe_missing()]
@@ -188,10 +188,15 @@ def _merge_agreement(paths: list[Path], target: Path) -> Agreement:
         raise ResultsError(
             f"{paths[0]} must have results in exact and one other physics, got {', '.join(others) or 'no other'}"
         )
-    exact, other = (_read_shards([path / physics for path in paths]) for physics in (EXACT, *others))
-    agreement = Agreement(_write_merged(exact, target / EXACT), _write_merged(other, target / others[0]))
+    agreement = Agreement(*_merge_subfolders(paths, target, (EXACT, *others)))
     agreement.write(target)
     return agreement
+
+
+def _merge_subfolders(paths: list[Path], target: Path, names: Sequence[str]) -> list[Report]:
+    """Merge each of several subfolders of the shards; all are read before anything is written."""
+    shards = [_read_shards([path / name for path in paths]) for name in names]
+    return [_write_merged(folders, target / name) for folders, name in zip(shards, names, strict=True)]
 
 
 def _merge_results(paths: list[Path], target: Path) -> Report | Demonstrations:
@@ -210,22 +215,17 @@ def _merge_crossplay(paths: list[Path], target: Path) -> CrossPlay:
     for path in paths[1:]:
         if read_crossplay_pairs(path) != pairs:
             raise ResultsError(f"{paths[0]} and {path} must have the same policies in the same order")
-    shards = {pair: _read_shards([path / format_pair_folder(pair) for path in paths]) for pair in pairs}
-    reports = {pair: _write_merged(found, target / format_pair_folder(pair)) for pair, found in shards.items()}
+    reports = _merge_subfolders(paths, target, [format_pair_folder(pair) for pair in pairs])
     givers, receivers = (tuple(dict.fromkeys(pair[position] for pair in pairs)) for position in (0, 1))
-    result = CrossPlay(givers, receivers, reports)
+    result = CrossPlay(givers, receivers, dict(zip(pairs, reports, strict=True)))
     result.write(target)
     return result
 
 
 def _check_same_evaluation(one: ShardFolder, other: ShardFolder) -> None:
-    first, second = (asdict(replace(folder.metadata, shard="")) for folder in (one, other))
-    different = [
-        f"{key.replace('_', ' ')} {value!r} in {one.path}, {second[key]!r} in {other.path}"
-        for key, value in first.items()
-        if value != second[key]
-    ]
-    if one.part.shard.count != other.part.shard.count:
+    first, second = (replace(folder.metadata, shard="") for folder in (one, other))
+    different = first.describe_differences(second, f"in {one.path}", f"in {other.path}")
+    if one.part.count != other.part.count:
         different.append(f"{one.name}, {other.name}")
     elif one.part.scenes != other.part.scenes:
         different.append(f"different scenes were selected for {one.path} and {other.path}")

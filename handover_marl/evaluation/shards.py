@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from handover_marl.datasets.splits import SPLIT_SIZES
 from handover_marl.errors import OptionError
 
-_SHARD_PATTERN = re.compile(r"(\d{1,4})/(\d{1,4})")
-_RUN_SHARD_PATTERN = re.compile(rf"{_SHARD_PATTERN.pattern}(?: of (\d{{1,3}}(?:,\d{{1,3}})*))?")
+_PATTERN = re.compile(r"(\d{1,4})/(\d{1,4})(?: of (\d{1,3}(?:,\d{1,3})*))?")
 
 
 @dataclass(frozen=True)
@@ -22,25 +21,38 @@ class Shard:
     Attributes:
         number: Number of this shard, from 1.
         count: Number of shards.
+        scenes: Selected scenes of the whole evaluation, or None for a whole split.
     """
 
     number: int
     count: int
+    scenes: tuple[int, ...] | None = None
 
     @classmethod
-    def parse(cls, text: str) -> "Shard":
+    def parse(cls, text: str, with_scenes: bool = False) -> "Shard":
         """Parse the text of a shard, such as "3/16".
+
+        Args:
+            text: Text to parse.
+            with_scenes: Whether the text may name the selected scenes, such as "1/2 of 209,214".
 
         Raises:
             OptionError: The text is not of this form.
         """
-        match = _SHARD_PATTERN.fullmatch(text) if isinstance(text, str) else None
-        if match is None or not 1 <= int(match[1]) <= int(match[2]):
-            raise OptionError(f"shard must be a number and a count, from 1/N to N/N, such as '3/16', got {text!r}")
-        return cls(int(match[1]), int(match[2]))
+        match = _PATTERN.fullmatch(text) if isinstance(text, str) else None
+        if match is None or (match[3] and not with_scenes) or not 1 <= int(match[1]) <= int(match[2]):
+            shown = text[:80] if isinstance(text, str) else text
+            raise OptionError(f"shard must be a number and a count, from 1/N to N/N, such as '3/16', got {shown!r}")
+        scenes = None if match[3] is None else tuple(map(int, match[3].split(",")))
+        return cls(int(match[1]), int(match[2]), scenes)
+
+    @property
+    def name(self) -> str:
+        """Number and count as text, e.g. "3/16"."""
+        return f"{self.number}/{self.count}"
 
     def __str__(self) -> str:
-        return f"{self.number}/{self.count}"
+        return self.name + ("" if self.scenes is None else f" of {','.join(map(str, self.scenes))}")
 
     def select(self, scenes: Sequence[int]) -> tuple[int, ...]:
         """Return the scenes of this shard among all scenes, in the same order.
@@ -49,38 +61,11 @@ class Shard:
             OptionError: There are fewer scenes than shards.
         """
         if len(scenes) < self.count:
-            raise OptionError(f"shard {self} needs {self.count} scenes or more, got {len(scenes)}; take fewer shards")
+            raise OptionError(
+                f"shard {self.name} needs {self.count} scenes or more, got {len(scenes)}; take fewer shards"
+            )
         shuffled = sorted(range(len(scenes)), key=lambda position: hashlib.sha256(b"%d" % position).digest())
         return tuple(scenes[position] for position in sorted(shuffled[self.number - 1 :: self.count]))
-
-
-@dataclass(frozen=True)
-class RunShard:
-    """Description of a sharded evaluation in result folders: shard and scenes of the whole.
-
-    Attributes:
-        shard: Number of the shard, and number of all shards.
-        scenes: Selected scenes of the whole evaluation, or None for a whole split.
-    """
-
-    shard: Shard
-    scenes: tuple[int, ...] | None = None
-
-    @classmethod
-    def parse(cls, text: str) -> "RunShard":
-        """Parse the text of a `RunShard` that `str` returned.
-
-        Raises:
-            OptionError: The text is not of this form.
-        """
-        match = _RUN_SHARD_PATTERN.fullmatch(text)
-        if match is None:
-            raise OptionError(f"shard must be such as '3/16' or '1/2 of 209,214', got {text[:80]!r}")
-        scenes = None if match[3] is None else tuple(map(int, match[3].split(",")))
-        return cls(Shard.parse(f"{match[1]}/{match[2]}"), scenes)
-
-    def __str__(self) -> str:
-        return str(self.shard) + ("" if self.scenes is None else f" of {','.join(map(str, self.scenes))}")
 
     def list_positions(self, setup: str, split: str) -> tuple[int, ...]:
         """Return the scenes of this shard as positions in the split or in the selected scenes.
@@ -88,5 +73,4 @@ class RunShard:
         Raises:
             OptionError: There are fewer scenes than shards.
         """
-        n = SPLIT_SIZES[setup, split] if self.scenes is None else len(self.scenes)
-        return self.shard.select(range(n))
+        return self.select(range(SPLIT_SIZES[setup, split] if self.scenes is None else len(self.scenes)))

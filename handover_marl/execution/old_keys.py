@@ -14,22 +14,23 @@ _CAMERA_NOISE = {
     "every=": "pixel_stride=",
 }
 # Keys of result folders and data sets that 0.7.0 named differently.
-_RESULT_KEYS = {
+_KEYS = {
     "receiver_code": "receiver_hash",
     "giver_code": "giver_hash",
     "wait": "wait_s",
     "kept": "recorded",
     "without": "missing_package",
+    "settings": "evaluation",
+    "played": "simulated",
 }
-_DATA_SET_KEYS = {"settings": "evaluation", "played": "simulated", "kept": "recorded"}
 # As version 0.7.0 wrote it, e.g. "sees points alone, rays, true geometry, CameraImperfections(...)".
 _SIGHT = re.compile(
     r"sees (points|images|clouds)(?: (alone|and poses), (\w+), (reference|true) geometry(.*))?", re.DOTALL
 )
 
 
-def upgrade_result_keys(section: Mapping[str, Any]) -> dict[str, Any]:
-    """Convert the library's section of a result folder's `config.yaml` to the current keys.
+def upgrade_keys(section: Mapping[str, Any]) -> dict[str, Any]:
+    """Convert the library's section of a `config.yaml` or a `metadata.json` to the current keys.
 
     Args:
         section: The section as it was read, written by this version or by 0.7.0.
@@ -37,23 +38,11 @@ def upgrade_result_keys(section: Mapping[str, Any]) -> dict[str, Any]:
     Raises:
         ValueError: A value under an old key does not have the format of version 0.7.0.
     """
-    upgraded = {_RESULT_KEYS.get(key, key): value for key, value in section.items()}
+    upgraded = {_KEYS.get(key, key): value for key, value in section.items()}
     if "sight" in upgraded:
         upgraded |= _split_sight(upgraded.pop("sight"))
-    return upgraded
-
-
-def upgrade_data_set_keys(section: Mapping[str, Any]) -> dict[str, Any]:
-    """Convert the library's section of a data set's `metadata.json` to the current keys.
-
-    Args:
-        section: The section as it was read, written by this version or by 0.7.0.
-
-    Raises:
-        ValueError: A value under an old key does not have the format of version 0.7.0.
-    """
-    upgraded = {_DATA_SET_KEYS.get(key, key): value for key, value in section.items()}
-    upgraded["evaluation"] = upgrade_result_keys(upgraded["evaluation"])
+    if "evaluation" in upgraded:
+        upgraded["evaluation"] = upgrade_keys(upgraded["evaluation"])
     return upgraded
 
 

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from handover_marl.datasets.splits import SPLIT_SIZES, list_split_scenes, prescribed_side
 from handover_marl.errors import OptionError
-from handover_marl.evaluation.shards import RunShard, Shard
+from handover_marl.evaluation.shards import Shard
 
 
 @given(st.sets(st.integers(0, 999), min_size=1, max_size=300), st.data())
@@ -49,16 +49,16 @@ def test_more_shards_than_scenes() -> None:
 
 
 @given(st.integers(1, 20), st.data())
-def test_text_of_run_shard_is_parsed_again(count: int, data: st.DataObject) -> None:
-    shard = Shard(data.draw(st.integers(1, count)), count)
+def test_text_of_a_shard_is_parsed_again(count: int, data: st.DataObject) -> None:
+    number = data.draw(st.integers(1, count))
     scenes = data.draw(st.none() | st.sets(st.integers(0, 999), min_size=count).map(lambda few: tuple(sorted(few))))
-    run_shard = RunShard(shard, scenes)
-    assert RunShard.parse(str(run_shard)) == run_shard
+    shard = Shard(number, count, scenes)
+    assert Shard.parse(str(shard), with_scenes=True) == shard
     n_scenes = SPLIT_SIZES["s0", "val"] if scenes is None else len(scenes)
-    assert run_shard.list_positions("s0", "val") == shard.select(range(n_scenes))
+    assert shard.list_positions("s0", "val") == shard.select(range(n_scenes))
 
 
 @pytest.mark.parametrize("text", ["", "3/4 of", "3/4 of 9,", "5/4", "3/4 of a", "3/4 of 1234"])
-def test_invalid_run_shards(text: str) -> None:
+def test_invalid_shards_with_scenes(text: str) -> None:
     with pytest.raises(OptionError):
-        RunShard.parse(text)
+        Shard.parse(text, with_scenes=True)

@@ -179,13 +179,10 @@ SLEEPING = """
 import os, sys, time
 from pathlib import Path
 import handover_marl
-from handover_marl.receivers import Receiver
+from handover_marl.receivers.hold import HoldReceiver
 
-class Sleeping(Receiver):
+class Sleeping(HoldReceiver):
     name = "sleeping"
-
-    def reset(self, seed=None):
-        pass
 
     def act(self, observation):
         Path(folder, str(os.getpid())).touch()

@@ -9,7 +9,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space, concatenate, create_empty_array, iterate
 
 from handover_marl.envs.vector.batch import EnvBatch, ResetResult
-from handover_marl.envs.wrappers.wrapper import ByAgent, ParallelStep
+from handover_marl.envs.wrappers.wrapper import ByAgent
 from handover_marl.errors import ActionError
 
 BatchStep = tuple[ByAgent, ByAgent, ByAgent, ByAgent, ByAgent]
@@ -94,7 +94,7 @@ class ParallelVectorEnv:
             [{agent: row[index] for agent, row in rows.items()} for index in range(self.num_envs)]
         )
         # The last part of a step's result and of a reset's are infos.
-        latest = [(reset or result) for result, reset in outcomes]
+        latest: list[Any] = [(reset or result) for result, reset in outcomes]
         infos = self._stack_infos([one[-1] for one in latest])
         if self._batch.autoreset is AutoresetMode.SAME_STEP:
             self._add_final(infos, [None if reset is None else result for result, reset in outcomes])
@@ -122,8 +122,13 @@ class ParallelVectorEnv:
             rows[agent] = list(iterate(self.action_space(agent), np.asarray(values)))
         return rows
 
-    def _add_final(self, infos: ByAgent, last: list[ParallelStep | None]) -> None:
-        """Add the last observations and infos of the episodes that have ended in this step, if any."""
+    def _add_final(self, infos: ByAgent, last: list[Any]) -> None:
+        """Add the last observations and infos of the episodes that have ended in this step, if any.
+
+        Args:
+            infos: Infos by agent, which get the additions.
+            last: Result of each environment's step if its episode has ended, else None.
+        """
         ended = [index for index, result in enumerate(last) if result is not None]
         for agent in self.possible_agents if ended else ():
             final_obs, final_info = (np.full(self.num_envs, None, dtype=object) for _ in range(2))

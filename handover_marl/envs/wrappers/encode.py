@@ -10,14 +10,7 @@ from gymnasium.utils import EzPickle
 
 from handover_marl.envs.arguments import GIVER, RECEIVER
 from handover_marl.envs.handover_env import HandoverEnv
-from handover_marl.envs.wrappers.wrapper import (
-    Api,
-    ByAgent,
-    ParallelStep,
-    ParallelWrapper,
-    SingleAgentEnv,
-    convert_api,
-)
+from handover_marl.envs.wrappers.wrapper import Api, ByAgent, ParallelStep, ParallelWrapper, SingleAgentEnv, convert_api
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.spaces import check_vector
 from handover_marl.errors import OptionError, ResetNeededError

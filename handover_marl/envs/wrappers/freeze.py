@@ -6,14 +6,7 @@ from gymnasium.utils import EzPickle, seeding
 
 from handover_marl.envs.arguments import AGENTS, GIVER, RECEIVER
 from handover_marl.envs.handover_env import HandoverEnv
-from handover_marl.envs.wrappers.wrapper import (
-    Api,
-    ByAgent,
-    ParallelStep,
-    ParallelWrapper,
-    SingleAgentEnv,
-    convert_api,
-)
+from handover_marl.envs.wrappers.wrapper import Api, ByAgent, ParallelStep, ParallelWrapper, SingleAgentEnv, convert_api
 from handover_marl.episode.loop import PolicyScheduler
 from handover_marl.episode.observations import Observation
 from handover_marl.errors import ActionError, OptionError, ResetNeededError, UnknownNameError

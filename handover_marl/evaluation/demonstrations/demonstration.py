@@ -1,6 +1,6 @@
 """Recorded episode: arrays of observations and actions, and its metadata."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from handover_marl.evaluation.config import EvaluationConfig, require_policy_ref
 from handover_marl.evaluation.results.episode_result import EpisodeResult
 
 _UNKNOWN = -1
+_NUMBERS = ("scene_id", "release_step")  # that may be unknown
 
 
 @dataclass(frozen=True)
@@ -65,25 +66,11 @@ class EpisodeMetadata:
             result: Outcome of the episode.
             config: Resolved configuration of its evaluation.
         """
-        return cls(
-            scene_id=_UNKNOWN if result.scene_id is None else result.scene_id,
-            object_name=result.object_name or "",
-            subject=result.subject or "",
-            side=result.side or "",
-            outcome=result.status.label,
-            status=int(result.status),
-            steps=result.steps,
-            release_step=_UNKNOWN if result.release_step is None else result.release_step,
-            receiver=require_policy_reference(config.receiver).label,
-            giver=require_policy_reference(config.giver).label,
-            physics=config.physics,
-            dataset=config.dataset,
-            robot=config.robot,
-            seed=config.seed,
-            models=result.models or "",
-            fingerprint=result.fingerprint or "",
-            version=__version__,
-        )
+        policies = {agent: require_policy_reference(getattr(config, agent)).label for agent in ("receiver", "giver")}
+        values: dict[str, Any] = {**vars(config), **vars(result), **policies, "version": __version__}
+        values |= {"outcome": result.status.label, "status": int(result.status)}
+        unknown = {name: _UNKNOWN if name in _NUMBERS else "" for name, value in values.items() if value is None}
+        return cls(**{field.name: (values | unknown)[field.name] for field in fields(cls)})
 
     @property
     def success(self) -> bool:

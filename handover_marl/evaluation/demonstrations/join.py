@@ -1,13 +1,13 @@
 """Assembly of a data set from recorded episodes or from the data sets of shards."""
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from gymnasium import spaces
 
 from handover_marl.errors import ResultsError
-from handover_marl.evaluation.demonstrations.files import EpisodeLocation, assemble_data_set, count_decisions
+from handover_marl.evaluation.demonstrations.files import EpisodeLocation, open_hdf5
 from handover_marl.evaluation.demonstrations.minari_layout import (
     DATA_FOLDER,
     MAIN_FILE,
@@ -20,7 +20,7 @@ from handover_marl.evaluation.demonstrations.reader import Demonstrations
 from handover_marl.evaluation.results.episode_result import EpisodeResult
 from handover_marl.evaluation.results.metadata import read_result_metadata
 from handover_marl.evaluation.results.result_folder import read_results
-from handover_marl.execution.files import write_atomically
+from handover_marl.execution.files import replace_atomically, write_atomically
 
 
 def join_data_sets(parts: Sequence[Demonstrations], folder: Path) -> None:
@@ -34,52 +34,65 @@ def join_data_sets(parts: Sequence[Demonstrations], folder: Path) -> None:
         DataFormatError: A data set is damaged.
         ResultsError: The folder cannot be written.
     """
-    locations = {
+    locations: dict[int | None, EpisodeLocation] = {
         metadata.scene_id: EpisodeLocation(part.folder / DATA_FOLDER / MAIN_FILE, format_group_name(number))
         for part in parts
         for number, metadata in enumerate(part.read_metadata())
     }
     results = read_results(folder)
-    recorded = [result for result in results if result.scene_id in locations]
-    data_folder = folder / DATA_FOLDER
     try:
-        data_folder.mkdir(exist_ok=True)
+        (folder / DATA_FOLDER).mkdir(exist_ok=True)
     except OSError as error:
         raise ResultsError(f"cannot use {folder} for demonstrations: {error.strerror or error}") from error
-    assemble_data_set(data_folder / MAIN_FILE, [locations[result.scene_id or 0] for result in recorded])
-    write_metadata(folder, parts[0].observation_space, parts[0].action_space, results, recorded)
+    episodes = {result: locations[result.scene_id] for result in results if result.scene_id in locations}
+    assemble_data_set(folder, parts[0].observation_space, parts[0].action_space, results, episodes)
 
 
-def write_metadata(
+def assemble_data_set(
     folder: Path,
     observation_space: spaces.Dict,
     action_space: spaces.Box,
     simulated: Iterable[EpisodeResult],
-    recorded: Iterable[EpisodeResult],
+    recorded: Mapping[EpisodeResult, EpisodeLocation],
+    present: Sequence[EpisodeLocation] | None = None,
 ) -> None:
-    """Write `metadata.json` of an assembled data set.
+    """Write a data set and its `metadata.json`; episodes are copied without decompressing them.
 
     Args:
-        folder: Result folder of the evaluation.
+        folder: Result folder of the evaluation, with its subfolder for data.
         observation_space: Space of the receiver's observations.
         action_space: Space of the receiver's actions.
         simulated: Results of all simulated episodes.
-        recorded: Results of the episodes in the data set.
+        recorded: Location of each recorded episode, in the order of the data set.
+        present: Episodes of an existing data set, which is kept if these are the recorded ones.
 
     Raises:
-        ResultsError: The file cannot be written.
+        ResultsError: A file cannot be written.
     """
-    path = folder / DATA_FOLDER / MAIN_FILE
+    path, locations = folder / DATA_FOLDER / MAIN_FILE, list(recorded.values())
+    if locations != present:
+        with replace_atomically(path) as temporary:
+            _copy_episodes(locations, temporary)
+    with open_hdf5(path, "r") as file:
+        decisions = sum(int(file[name].attrs["total_steps"]) for name in file)
     metadata = DataSetMetadata(
         evaluation=read_result_metadata(folder),
         observation_space=observation_space,
         action_space=action_space,
         simulated=_count_outcomes(simulated),
         recorded=_count_outcomes(recorded),
-        decisions=count_decisions(path),
+        decisions=decisions,
         megabytes=round(path.stat().st_size / 1e6, 1),
     )
     write_atomically(path.with_name(METADATA_FILE), format_metadata(metadata))
+
+
+def _copy_episodes(locations: Sequence[EpisodeLocation], target: Path) -> None:
+    with open_hdf5(target, "w") as file:
+        for number, location in enumerate(locations):
+            with open_hdf5(location.file, "r") as source:
+                source.copy(source[location.group], file, name=format_group_name(number))
+            file[format_group_name(number)].attrs["id"] = number
 
 
 def _count_outcomes(results: Iterable[EpisodeResult]) -> dict[str, int]:

@@ -18,7 +18,7 @@ from gymnasium import spaces
 from handover_marl.errors import DataFormatError, DataNotFoundError
 from handover_marl.evaluation.results.metadata import ResultMetadata
 from handover_marl.execution.files import shorten_text
-from handover_marl.execution.old_keys import upgrade_data_set_keys
+from handover_marl.execution.old_keys import upgrade_keys
 
 DATA_FOLDER, MAIN_FILE, METADATA_FILE = "data", "main_data.hdf5", "metadata.json"
 # First versions of Minari that read these files; earlier ones stored images as lossy JPEG.
@@ -106,7 +106,7 @@ def read_metadata(folder: Path) -> DataSetMetadata:
         if not stat.S_ISREG(state.st_mode) or state.st_size > _MAX_FILE_BYTES:
             raise ValueError(f"not a regular file of less than {_MAX_FILE_BYTES // 1_000_000} MB")
         content = json.loads(path.read_bytes())
-        section = upgrade_data_set_keys(content[_LIBRARY_SECTION])
+        section = upgrade_keys(content[_LIBRARY_SECTION])
         metadata = DataSetMetadata(
             evaluation=ResultMetadata(**{name: str(value) for name, value in section["evaluation"].items()}),
             observation_space=_decode_dict(json.loads(content["observation_space"])),

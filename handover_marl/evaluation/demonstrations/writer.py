@@ -20,8 +20,8 @@ from handover_marl.errors import ResultsError
 from handover_marl.evaluation.config import EvaluationConfig
 from handover_marl.evaluation.demonstrations.demonstration import EpisodeMetadata
 from handover_marl.evaluation.demonstrations.episode_groups import SINGLE_EPISODE_GROUP, read_episode_metadata
-from handover_marl.evaluation.demonstrations.files import EpisodeLocation, assemble_data_set, open_hdf5
-from handover_marl.evaluation.demonstrations.join import write_metadata
+from handover_marl.evaluation.demonstrations.files import EpisodeLocation, open_hdf5
+from handover_marl.evaluation.demonstrations.join import assemble_data_set
 from handover_marl.evaluation.demonstrations.minari_layout import (
     DATA_FOLDER,
     MAIN_FILE,
@@ -126,14 +126,13 @@ class DemonstrationWriter(EpisodeWriter):
             for result in results
             if self._recording.includes(result.status) and (location := self._find_episode(result))
         }
-        assembled = [
-            EpisodeLocation(self._data_set, format_group_name(number)) for number in range(len(self._assembled_groups))
-        ]
-        if list(locations.values()) != assembled or not self._data_set.exists():
-            assemble_data_set(self._data_set, list(locations.values()))
-        self._assembled_groups = _read_groups(self._data_set)
+        present = None
+        if self._data_set.exists():
+            names = map(format_group_name, range(len(self._assembled_groups)))
+            present = [EpisodeLocation(self._data_set, name) for name in names]
         observation_space = receiver_observation_space(self._recording.obs_mode)
-        write_metadata(self._folder, observation_space, receiver_action_space(), results, locations)
+        assemble_data_set(self._folder, observation_space, receiver_action_space(), results, locations, present)
+        self._assembled_groups = _read_groups(self._data_set)
         # Single files that cannot be deleted do no harm: their episodes are in the data set.
         with contextlib.suppress(OSError):
             _delete_episode_files(self._folder / _EPISODES_FOLDER)

@@ -6,8 +6,6 @@ from pathlib import Path
 from typing_extensions import Unpack
 
 from handover_marl.config import CameraConfig
-from handover_marl.episode.episode import Episode
-from handover_marl.episode.loop import play
 from handover_marl.errors import OptionError
 from handover_marl.evaluation.config import (
     MULTI_SCENE_FIELDS,
@@ -15,13 +13,13 @@ from handover_marl.evaluation.config import (
     EpisodeOptions,
     EvaluationConfig,
     ExecutionConfig,
-    build_configs,
 )
+from handover_marl.evaluation.rendering.player import ScenePlayer
 from handover_marl.execution.files import write_atomically
 from handover_marl.execution.options import forward_signature
 from handover_marl.geometry.ycb import CLASS_NAMES
 from handover_marl.planning.planner import Plan
-from handover_marl.policies.reference import PolicyLike, parse_policy
+from handover_marl.policies.reference import PolicyLike
 from handover_marl.receivers.omg import OmgReceiver
 from handover_marl.visualization.film import check_output_path
 from handover_marl.visualization.plan_figure import draw_plan_figure
@@ -66,21 +64,15 @@ def render_plan(
     """
     path = check_output_path(out, (".png",))
     require_matplotlib("a plan")
-    config, execution = build_configs("s0", options, receiver=receiver, giver=giver)
-    dataset = config.open_dataset()
-    policy, person = (
-        parse_policy(agent, getattr(config, agent), execution.trust).make(dataset, config.world_config, config.setup)
-        for agent in ("receiver", "giver")
-    )
+    player = ScenePlayer(scene_id, receiver, giver, options)
+    policy, dataset = player.receiver, player.dataset
     if not isinstance(policy, OmgReceiver):
         raise OptionError(
             f"receiver must have a motion planner to render, got {receiver!r}; choose omg or omg_hand_aware"
         )
-    episode = Episode(config.physics, config.world_config)
-    episode.reset(dataset.load_scene(scene_id))
-    play(episode, policy, person, seed=config.seed, until=lambda: policy.has_planned)
-    observation = episode.observe()
-    episode.close()
+    player.play(lambda: policy.has_planned)
+    observation = player.episode.observe()
+    player.close()
     target = CLASS_NAMES[int(observation["object_classes"][0])]
     title = f"{policy.name}, scene {scene_id} ({target}), {dataset.name}: {_describe_plan(policy.plan)}"
     size = (camera.width, camera.height)

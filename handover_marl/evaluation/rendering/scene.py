@@ -2,18 +2,13 @@
 
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from typing_extensions import Unpack
 
 from handover_marl.config import CameraConfig
-from handover_marl.datasets import Dataset
-from handover_marl.datasets.dataset import Scene
-from handover_marl.episode.callbacks import EpisodeCallback
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.loop import play
 from handover_marl.errors import OptionError, UnknownNameError
 from handover_marl.evaluation.config import (
     MULTI_SCENE_FIELDS,
@@ -21,12 +16,11 @@ from handover_marl.evaluation.config import (
     EpisodeOptions,
     EvaluationConfig,
     ExecutionConfig,
-    build_configs,
 )
-from handover_marl.evaluation.replays import format_replay_facts
+from handover_marl.evaluation.rendering.player import ScenePlayer
 from handover_marl.execution.files import write_atomically
 from handover_marl.execution.options import forward_signature
-from handover_marl.policies.reference import PolicyLike, parse_policy
+from handover_marl.policies.reference import PolicyLike
 from handover_marl.simulation.camera.renderers import check_rendering, resolve_renderer
 from handover_marl.visualization.film import (
     FRAME_PERIOD_MS,
@@ -37,8 +31,6 @@ from handover_marl.visualization.film import (
     encode_film,
     encode_grid,
 )
-from handover_marl.visualization.replay_page import build_replay_page
-from handover_marl.visualization.replay_recorder import ReplayRecorder
 from handover_marl.visualization.replay_scene import require_replay_extra
 from handover_marl.visualization.wrist_figure import WristCameraFigure
 
@@ -96,15 +88,12 @@ def render_scene(
     draw = _make_draw_function(view, camera or CameraConfig())
     if isinstance(key_frames, bool) or not isinstance(key_frames, int) or key_frames < 1:
         raise OptionError(f"key_frames must be an integer of at least 1, got {key_frames!r}")
-    policy = "hold" if receiver is None else receiver
-    config, execution = build_configs("s0", options, receiver=policy, giver=giver)
-    dataset = config.open_dataset()
-    player = _ScenePlayer(config, dataset, dataset.load_scene(scene_id), execution.trust)
-    resolve_renderer(config.renderer, config.physics, installed=view == "wrist")
+    player = ScenePlayer(scene_id, "hold" if receiver is None else receiver, giver, options)
+    resolve_renderer(player.config.renderer, player.config.physics, installed=view == "wrist")
     until = player.scene.n_frames + _STILL_SCENE_DURATION_MS if receiver is None else None
 
     def record_frames(steps: Sequence[int], with_end: bool) -> list[Picture]:
-        recorder = FrameRecorder(steps, draw, execution.progress, with_end)
+        recorder = FrameRecorder(steps, draw, player.execution.progress, with_end)
         player.play(until, [recorder])
         return recorder.frames
 
@@ -116,7 +105,7 @@ def render_scene(
         steps = np.linspace(0, end, key_frames).round().astype(int).tolist()
         content = encode_grid(record_frames(steps, False), _GRID_COLUMNS[view])
     else:
-        horizon = until or config.world_config.protocol.horizon_steps
+        horizon = until or player.config.world_config.protocol.horizon_steps
         content = encode_film(record_frames(range(0, horizon, FRAME_PERIOD_MS), True), suffix)
     player.close()
     write_atomically(path, content)
@@ -138,42 +127,3 @@ def _make_draw_function(view: str, camera: CameraConfig) -> Callable[[Episode], 
     if view == "wrist":
         return WristCameraFigure(camera).draw
     return lambda episode: episode.render(camera)
-
-
-class _ScenePlayer:
-    """Simulation of one scene with the two policies of a configuration."""
-
-    def __init__(self, config: EvaluationConfig, dataset: Dataset, scene: Scene, trust: bool) -> None:
-        self.scene = scene
-        self._config, self._dataset = config, dataset
-        self._references = {
-            agent: parse_policy(agent, getattr(config, agent), trust) for agent in ("receiver", "giver")
-        }
-        self._receiver, self._giver = (
-            reference.make(dataset, config.world_config, config.setup) for reference in self._references.values()
-        )
-        self._episode = Episode(config.physics, config.world_config, wrist_camera=config.camera)
-
-    def play(self, until: int | None, callbacks: list[EpisodeCallback]) -> int:
-        """Simulate the scene to its end, or for `until` physics steps, and return the number of steps."""
-        self._episode.reset(self.scene)
-        seed = self._config.seed
-        play(self._episode, self._receiver, self._giver, seed=seed, until=until, callbacks=callbacks)
-        return self._episode.steps
-
-    def build_replay_page(self, until: int | None, camera: CameraConfig | None) -> bytes:
-        """Simulate the scene to its end, or for `until` steps, and return its replay page."""
-        recorder = ReplayRecorder(self._receiver)
-        self.play(until, [recorder])
-        config, dataset = self._config, self._dataset
-        resolved = {
-            agent: reference.resolve(dataset, config.world_config, config.setup)
-            for agent, reference in self._references.items()
-        }
-        config = replace(config, dataset=dataset.name, **resolved)  # type: ignore[arg-type]
-        facts = format_replay_facts(config, dataset.describe_models(self.scene.info.scene_id))
-        return build_replay_page(recorder.log, facts, camera).encode()
-
-    def close(self) -> None:
-        """Free the memory and the physics client of the simulation."""
-        self._episode.close()

@@ -9,17 +9,7 @@ from typing import Any
 from handover_marl import __version__
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.evaluation.reports.fluency_tables import FLUENCY_NOTE
-from handover_marl.evaluation.reports.report import (
-    REPORTED_STATUSES,
-    Report,
-    build_fluency_table,
-    build_object_table,
-    build_official_table,
-    build_scene_table,
-    format_extent,
-    format_heading,
-    format_notes,
-)
+from handover_marl.evaluation.reports.report import REPORTED_STATUSES, Report, build_scene_table
 from handover_marl.evaluation.reports.statistics import compute_wilson_interval
 from handover_marl.evaluation.reports.tables import format_interval
 from handover_marl.evaluation.results.result_folder import find_replays
@@ -42,15 +32,15 @@ def render_report_page(report: Report, replays: Mapping[int, str] | None = None)
         "report.html",
         version=__version__,
         title=f"{metadata.receiver} on {metadata.setup} {metadata.split}",
-        heading=format_heading(report),
+        heading=report.heading,
         kinds=[_group_episodes(report, flag, scenes.rows) for flag in REPORTED_STATUSES],
         n_episodes=len(report.episodes),
         n_replays=sum(episode.scene_id in links for episode in report.episodes),
-        official=build_official_table(report),
-        notes=format_notes(report).splitlines(),
+        official=report.build_official_table(),
+        notes=report.format_notes().splitlines(),
         settings=_list_settings(report),
-        objects=build_object_table(report),
-        fluency=build_fluency_table(report),
+        objects=report.build_object_table(),
+        fluency=report.build_fluency_table(),
         fluency_note=FLUENCY_NOTE,
         scene_header=scenes.header,
         outcome_column=list(scenes.header).index(_OUTCOME_COLUMN),
@@ -93,7 +83,7 @@ def _list_settings(report: Report) -> list[tuple[str, str]]:
     stored = {key.replace("_", " "): value for key, value in asdict(report.metadata).items() if value}
     computed = {
         "data": report.data_label,
-        "scenes": format_extent(report),
+        "scenes": report.extent,
         "planning timed on": report.machine_label,
     }
     return list({**stored, **computed}.items())

@@ -30,6 +30,7 @@ from handover_marl.evaluation.reports.tables import (
     format_interval,
     format_percent_interval,
     format_seconds,
+    join_sections,
 )
 from handover_marl.evaluation.results.episode_result import EpisodeResult
 from handover_marl.evaluation.results.metadata import OFFICIAL_WORLD, ResultMetadata
@@ -149,12 +150,111 @@ class Report:
         """Compute the share of episodes with a status flag (0..1)."""
         return self.count(status) / len(self.episodes)
 
+    @property
+    def heading(self) -> str:
+        """Evaluated scenes, policies, physics, data and code versions of the report."""
+        metadata = self.metadata
+        without = f" without {metadata.missing_package}" if metadata.missing_package else ""
+        hashes = " and ".join(filter(None, (metadata.receiver_hash, metadata.giver_hash)))
+        code = f", code {hashes}" if hashes else ""
+        return (
+            f"{metadata.setup} {metadata.split}, {self.extent}. Receiver {self.policies_label}, "
+            f"{metadata.physics} physics{without}, data: {self.data_label}. handover_marl {metadata.version}{code}."
+        )
+
+    @property
+    def policies_label(self) -> str:
+        """Description of the receiver (wait, observation mode, robot) and the giver."""
+        metadata = self.metadata
+        details = [f"wait {metadata.wait_s} s" if metadata.wait_s else ""]
+        details += [] if metadata.obs_mode == STATE else [f"obs_mode {metadata.obs_mode}", metadata.camera]
+        details += [] if metadata.robot == PANDA else [f"robot {metadata.robot}"]
+        text = ", ".join(filter(None, details))
+        return f"{metadata.receiver}{f' ({text})' if text else ''}, giver {metadata.giver}"
+
+    @property
+    def extent(self) -> str:
+        """Description of the share of the split that was evaluated."""
+        n = len(self.episodes)
+        shard = self.metadata.shard.partition(" ")[0]
+        if self.is_partial or shard:
+            return f"{n} of {self.n_split_scenes} scenes (partial{f', shard {shard}' if shard else ''})"
+        return f"all {n} scenes"
+
+    @property
+    def wait_label(self) -> str:
+        """Time that the receiver waits (s), or a dash if it is unknown."""
+        return self.metadata.wait_s or NO_VALUE
+
+    def format_notes(self) -> str:
+        """List the definitions and restrictions needed to read the tables, one per line."""
+        lines = [
+            "Rates over all scenes, times over successes. Intervals: Wilson for rates, bootstrap for means.",
+            "AS: mean over all scenes of 1 - exec / 13 s for successes, 0 for failures.",
+            "wait s: time that the robot waits before it approaches.",
+            f"plan s is wall clock, measured on {self.machine_label}.",
+        ]
+        if self.n_resumed:
+            lines.append(f"{self.n_resumed} of the {len(self.episodes)} episodes come from an earlier run.")
+        if self.metadata.world != OFFICIAL_WORLD:
+            lines.append(f"World or rules are not the official ones ({self.metadata.world}).")
+        if self.metadata.physics != "exact":
+            lines.append("Official results use exact physics; compare the outcomes with handover-marl agreement.")
+        if self.metadata.dataset == "synthetic":
+            lines.append("Synthetic scenes are generated: not comparable with published results, which are on DexYCB.")
+        comparable = _find_comparable_rows(self.metadata)
+        if comparable:
+            lines += [
+                "Published, on DexYCB with all objects and MANO hands, times on the authors' machines:",
+                "GA-DDPG and handover-sim2real use the Panda with the camera (panda_camera), the others without.",
+            ]
+            lines += [f"{SOURCES[source]}." for source in dict.fromkeys(row.source for row in comparable)]
+        return "\n".join(lines)
+
+    def build_official_table(self) -> ReportTable:
+        """Build the table of official metrics with 95 % intervals, and of published results."""
+        n = len(self.episodes)
+        rates = [f"{100 * self.count(flag) / n:.2f} ({self.count(flag)}/{n})" for flag in REPORTED_STATUSES]
+        times = [format_seconds(value) for value in (self.time_exec, self.time_plan, self.time_total)]
+        intervals = [format_percent_interval(self.count(flag), n) for flag in REPORTED_STATUSES]
+        score_interval = format_interval(compute_mean_interval(self.speed_scores))
+        time_intervals = [
+            format_interval(compute_mean_interval(values), ".3f", 1.0) for values in (self.exec_times, self.plan_times)
+        ]
+        rows = [
+            [self.metadata.receiver, *rates, f"{100 * self.average_success:.2f}", self.wait_label, *times],
+            ["95 % interval", *intervals, score_interval, NO_VALUE, *time_intervals, NO_VALUE],
+            *(_format_published_row(row) for row in _find_comparable_rows(self.metadata)),
+        ]
+        return ReportTable(["", *_COLUMNS], rows, split_column=1 + _COLUMNS.index("AS %"))
+
+    def build_object_table(self) -> ReportTable:
+        """Build the table of outcomes by object class."""
+        names = sorted({episode.object_name for episode in self.episodes if episode.object_name})
+        rows = []
+        for name in names:
+            episodes = [episode for episode in self.episodes if episode.object_name == name]
+            counts = [sum(bool(episode.status & flag) for episode in episodes) for flag in REPORTED_STATUSES]
+            interval = format_percent_interval(counts[0], len(episodes))
+            rows.append([name, len(episodes), *counts, f"{100 * counts[0] / len(episodes):.1f}", interval])
+        header = ["object", "scenes", "success", "contact", "drop", "timeout", "success %", "95 % interval"]
+        return ReportTable(header, rows)
+
+    def build_fluency_table(self) -> ReportTable:
+        """Build the table of fluency metrics; without rows if no episode has fluency metrics."""
+        header = ["beyond the official metrics", "mean", "95 % interval"]
+        if not compute_fluency_means(self.episodes):
+            return ReportTable(header, [])
+        cells = [cell.removesuffix(")").split(" (") for cell in format_fluency_row(self.episodes)]
+        rows = [[name, *cell, NO_VALUE][:3] for name, cell in zip(format_fluency_header(), cells, strict=True)]
+        return ReportTable(header, rows)
+
     def __str__(self) -> str:
         """Format heading, official table, outcomes by object class and fluency metrics."""
-        fluency = build_fluency_table(self)
-        parts = [format_heading(self), build_official_table(self), build_object_table(self), format_notes(self)]
-        parts += [f"{fluency}\n\n{FLUENCY_NOTE}"] if fluency.rows else []
-        return "\n\n".join(str(part) for part in parts if str(part))
+        fluency = self.build_fluency_table()
+        tables = self.build_official_table(), self.build_object_table()
+        further = (fluency, FLUENCY_NOTE) if fluency.rows else ()
+        return join_sections(self.heading, *tables, self.format_notes(), *further)
 
     def to_json(self) -> dict[str, object]:
         """Return metrics and episodes as JSON types; rates 0..1, 95 % intervals, times in s."""
@@ -205,106 +305,6 @@ def compute_rate_difference(
     """
     flags = ([bool(episode.status & flag) for episode in episodes] for episodes in (first, second))
     return compute_paired_difference(*flags)
-
-
-def format_heading(report: Report) -> str:
-    """Describe the evaluated scenes, policies, physics, data and code versions of a report."""
-    metadata = report.metadata
-    without = f" without {metadata.missing_package}" if metadata.missing_package else ""
-    hashes = " and ".join(filter(None, (metadata.receiver_hash, metadata.giver_hash)))
-    code = f", code {hashes}" if hashes else ""
-    return (
-        f"{metadata.setup} {metadata.split}, {format_extent(report)}. Receiver {format_policies(metadata)}, "
-        f"{metadata.physics} physics{without}, data: {report.data_label}. handover_marl {metadata.version}{code}."
-    )
-
-
-def format_policies(metadata: ResultMetadata) -> str:
-    """Describe the receiver (wait, observation mode, robot) and the giver of an evaluation."""
-    details = [f"wait {metadata.wait_s} s" if metadata.wait_s else ""]
-    details += [] if metadata.obs_mode == STATE else [f"obs_mode {metadata.obs_mode}", metadata.camera]
-    details += [] if metadata.robot == PANDA else [f"robot {metadata.robot}"]
-    text = ", ".join(filter(None, details))
-    return f"{metadata.receiver}{f' ({text})' if text else ''}, giver {metadata.giver}"
-
-
-def format_extent(report: Report) -> str:
-    """Describe the share of the split that was evaluated."""
-    n = len(report.episodes)
-    shard = report.metadata.shard.partition(" ")[0]
-    if report.is_partial or shard:
-        return f"{n} of {report.n_split_scenes} scenes (partial{f', shard {shard}' if shard else ''})"
-    return f"all {n} scenes"
-
-
-def format_wait(report: Report) -> str:
-    """Format the time that the receiver waits (s), or a dash if it is unknown."""
-    return report.metadata.wait_s or NO_VALUE
-
-
-def format_notes(report: Report) -> str:
-    """List the definitions and restrictions needed to read a report's tables, one per line."""
-    lines = [
-        "Rates over all scenes, times over successes. Intervals: Wilson for rates, bootstrap for means.",
-        "AS: mean over all scenes of 1 - exec / 13 s for successes, 0 for failures.",
-        "wait s: time that the robot waits before it approaches.",
-        f"plan s is wall clock, measured on {report.machine_label}.",
-    ]
-    if report.n_resumed:
-        lines.append(f"{report.n_resumed} of the {len(report.episodes)} episodes come from an earlier run.")
-    if report.metadata.world != OFFICIAL_WORLD:
-        lines.append(f"World or rules are not the official ones ({report.metadata.world}).")
-    if report.metadata.physics != "exact":
-        lines.append("Official results use exact physics; compare the outcomes with handover-marl agreement.")
-    if report.metadata.dataset == "synthetic":
-        lines.append("Synthetic scenes are generated: not comparable with published results, which are on DexYCB.")
-    comparable = _find_comparable_rows(report.metadata)
-    if comparable:
-        lines.append("Published, on DexYCB with all objects and MANO hands, times on the authors' machines:")
-        lines.append("GA-DDPG and handover-sim2real use the Panda with the camera (panda_camera), the others without.")
-        lines += [f"{SOURCES[source]}." for source in dict.fromkeys(row.source for row in comparable)]
-    return "\n".join(lines)
-
-
-def build_official_table(report: Report) -> ReportTable:
-    """Build the table of official metrics with 95 % intervals, and of published results."""
-    n = len(report.episodes)
-    rates = [f"{100 * report.count(flag) / n:.2f} ({report.count(flag)}/{n})" for flag in REPORTED_STATUSES]
-    times = [format_seconds(value) for value in (report.time_exec, report.time_plan, report.time_total)]
-    intervals = [format_percent_interval(report.count(flag), n) for flag in REPORTED_STATUSES]
-    score_interval = format_interval(compute_mean_interval(report.speed_scores))
-    time_intervals = [
-        format_interval(compute_mean_interval(values), ".3f", 1.0) for values in (report.exec_times, report.plan_times)
-    ]
-    rows = [
-        [report.metadata.receiver, *rates, f"{100 * report.average_success:.2f}", format_wait(report), *times],
-        ["95 % interval", *intervals, score_interval, NO_VALUE, *time_intervals, NO_VALUE],
-        *(_format_published_row(row) for row in _find_comparable_rows(report.metadata)),
-    ]
-    return ReportTable(["", *_COLUMNS], rows, split_column=1 + _COLUMNS.index("AS %"))
-
-
-def build_object_table(report: Report) -> ReportTable:
-    """Build the table of outcomes by object class."""
-    names = sorted({episode.object_name for episode in report.episodes if episode.object_name})
-    rows = []
-    for name in names:
-        episodes = [episode for episode in report.episodes if episode.object_name == name]
-        counts = [sum(bool(episode.status & flag) for episode in episodes) for flag in REPORTED_STATUSES]
-        interval = format_percent_interval(counts[0], len(episodes))
-        rows.append([name, len(episodes), *counts, f"{100 * counts[0] / len(episodes):.1f}", interval])
-    header = ["object", "scenes", "success", "contact", "drop", "timeout", "success %", "95 % interval"]
-    return ReportTable(header, rows)
-
-
-def build_fluency_table(report: Report) -> ReportTable:
-    """Build the table of fluency metrics; without rows if no episode has fluency metrics."""
-    header = ["beyond the official metrics", "mean", "95 % interval"]
-    if not compute_fluency_means(report.episodes):
-        return ReportTable(header, [])
-    cells = zip(format_fluency_header(), format_fluency_row(report.episodes), strict=True)
-    rows = [[name, *(cell.removesuffix(")").split(" (") if "(" in cell else (cell, NO_VALUE))] for name, cell in cells]
-    return ReportTable(header, rows)
 
 
 def build_scene_table(episodes: Iterable[EpisodeResult]) -> ReportTable:

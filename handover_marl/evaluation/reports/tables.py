@@ -64,6 +64,11 @@ def format_seconds(value: float | None) -> str:
     return NO_VALUE if value is None else f"{value:.3f}"
 
 
+def join_sections(*parts: object) -> str:
+    """Join texts and tables, except empty ones, with an empty line between two."""
+    return "\n\n".join(filter(None, map(str, parts)))
+
+
 def format_interval(interval: Sequence[float] | None, spec: str = ".1f", scale: float = 100.0) -> str:
     """Format the ends of an interval, by default of shares in percent.
 

@@ -16,7 +16,7 @@ from handover_marl.episode.spaces import STATE
 from handover_marl.errors import ResultsError
 from handover_marl.evaluation.config import EvaluationConfig, require_policy_reference
 from handover_marl.execution.files import read_yaml, shorten_text
-from handover_marl.execution.old_keys import upgrade_result_keys
+from handover_marl.execution.old_keys import upgrade_keys
 from handover_marl.execution.options import is_pybullet_installed
 from handover_marl.geometry.panda import PANDA, PANDA_CAMERA
 
@@ -81,29 +81,40 @@ class ResultMetadata:
         Args:
             config: Resolved configuration.
             recorded: Description of the recordings kept beside the results.
-            shard: Part of the evaluation, as text of `RunShard`.
+            shard: Part of the evaluation, as text of a `Shard`.
         """
         giver, receiver = require_policy_reference(config.giver), require_policy_reference(config.receiver)
+        same = ("setup", "split", "physics", "dataset", "robot")
         return cls(
-            setup=config.setup,
-            split=config.split,
+            **{name: getattr(config, name) for name in same},
             receiver=receiver.label,
             giver=giver.label,
-            physics=config.physics,
-            dataset=config.dataset,
             version=__version__,
             receiver_hash=receiver.code_hash,
             giver_hash=giver.code_hash,
             seed=str(config.seed),
             world=format_world_label(config.world_config),
             wait_s="" if receiver.wait is None else f"{receiver.wait:g}",
-            robot=config.robot,
             obs_mode=receiver.obs_mode,
             camera=config.camera.describe(receiver.obs_mode, config.physics),
             recorded=recorded,
             shard=shard,
             missing_package="" if is_pybullet_installed() else "PyBullet",
         )
+
+    def describe_differences(self, other: "ResultMetadata", here: str, there: str) -> list[str]:
+        """Describe each field that differs from another evaluation's.
+
+        Args:
+            other: Identity of the other evaluation.
+            here: Place of this evaluation, e.g. "in the folder".
+            there: Place of the other evaluation.
+        """
+        return [
+            f"{key.replace('_', ' ')} {value!r} {here}, {vars(other)[key]!r} {there}"
+            for key, value in vars(self).items()
+            if value != vars(other)[key]
+        ]
 
 
 def format_world_label(config: WorldConfig) -> str:
@@ -129,7 +140,7 @@ def format_merged_config(path: Path) -> str:
     """
     read_result_metadata(path)
     content = _read_yaml(path / CONFIG_FILE, path)
-    library = upgrade_result_keys(content[_LIBRARY_SECTION])
+    library = upgrade_keys(content[_LIBRARY_SECTION])
     return yaml.safe_dump({**content, _LIBRARY_SECTION: {**library, "shard": ""}}, sort_keys=False)
 
 
@@ -146,7 +157,7 @@ def read_result_metadata(path: Path) -> ResultMetadata:
         library = content.get(_LIBRARY_SECTION)
         benchmark = content["BENCHMARK"]
         named = {"setup": benchmark["SETUP"], "split": benchmark["SPLIT"]}
-        values = _infer_handoversim_metadata(path, content) if library is None else upgrade_result_keys(library)
+        values = _infer_handoversim_metadata(path, content) if library is None else upgrade_keys(library)
         metadata = ResultMetadata(**named, **values)
     except Exception as error:  # the file may have any content
         raise ResultsError(f"{config_path}: not a readable configuration ({shorten_text(error)})") from error

@@ -10,7 +10,8 @@ import re
 from collections.abc import Mapping
 from dataclasses import asdict, fields
 from pathlib import Path
-from typing import Any
+from types import NoneType
+from typing import Any, get_args, get_type_hints
 
 import numpy as np
 import numpy.typing as npt
@@ -37,16 +38,11 @@ REPORT_FILES = ("report.json", "report.md", "report.html")
 _REPLAYS = "episodes"
 _RESULT_FILE = re.compile(r"([0-9]{3})\.npz")
 _MAX_BYTES = 64_000_000  # unpacked size of one scene's result
-_EXTRAS = {
-    "scene_id": int,
-    "release_step": int,
-    "object_name": str,
-    "subject": str,
-    "side": str,
-    "n_objects": int,
-    "models": str,
-    "fingerprint": str,
-    "machine": str,
+# Type of each field that HandoverSim's files lack.
+_EXTRAS: dict[str, type] = {
+    name: get_args(hint)[0]
+    for name, hint in get_type_hints(EpisodeResult).items()
+    if NoneType in get_args(hint) and name != "fluency"
 }
 _FLUENCY_PREFIX = "fluency_"
 
@@ -182,7 +178,12 @@ def prepare_result_folder(path: Path, metadata: ResultMetadata, config: str, fre
         raise ResultsError(f"cannot use {path} as result folder: {_get_reason(error)}") from error
     # Of several evaluations that start at once in an empty folder, one writes this and the others read it.
     create_exclusively(path / CONFIG_FILE, config)
-    _check_same_evaluation(path, read_result_metadata(path), metadata)
+    different = read_result_metadata(path).describe_differences(metadata, "in the folder", "now")
+    if different:
+        raise ResultsError(
+            f"{path} holds another evaluation ({'; '.join(different)}); choose another folder, or delete its results "
+            "with fresh=True (--fresh)"
+        )
 
 
 def read_results(path: Path, allow_empty: bool = False) -> list[EpisodeResult]:
@@ -273,20 +274,6 @@ def _read_fluency(archive: Mapping[str, npt.NDArray[Any]]) -> FluencyMetrics | N
     if np.isinf(list(values.values())).any():
         raise ValueError("a metric is infinite")
     return FluencyMetrics(**{key: None if np.isnan(value) else value for key, value in values.items()})  # type: ignore[arg-type]
-
-
-def _check_same_evaluation(path: Path, found: ResultMetadata, wanted: ResultMetadata) -> None:
-    stored, current = asdict(found), asdict(wanted)
-    different = [
-        f"{key.replace('_', ' ')} {value!r} in the folder, {current[key]!r} now"
-        for key, value in stored.items()
-        if value != current[key]
-    ]
-    if different:
-        raise ResultsError(
-            f"{path} holds another evaluation ({'; '.join(different)}); choose another folder, or delete its results "
-            "with fresh=True (--fresh)"
-        )
 
 
 def _get_reason(error: Exception) -> str:

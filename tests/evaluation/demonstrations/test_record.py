@@ -17,8 +17,8 @@ from handover_marl.cli import main
 from handover_marl.config import OFFICIAL_CONFIG
 from handover_marl.errors import DataNotFoundError, OptionError, ResultsError, UnknownNameError
 from handover_marl.evaluation import episode_runner
-from handover_marl.evaluation.demonstrations import files, join, writer
 from handover_marl.evaluation.demonstrations import files as hdf5
+from handover_marl.evaluation.demonstrations import join, writer
 from tests.evaluation.demonstrations.recording import (
     SCENES,
     SHORT,
@@ -106,7 +106,7 @@ def test_a_recording_interrupted_during_assembly_resumes(
     def stopped(*_: Any) -> None:
         raise KeyboardInterrupt
 
-    for module, name in ((files, "_copy_episodes"), (join, "format_metadata")):
+    for module, name in ((join, "_copy_episodes"), (join, "format_metadata")):
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(module, name, stopped)
             with pytest.raises(KeyboardInterrupt):

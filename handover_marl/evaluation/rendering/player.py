@@ -1,0 +1,78 @@
+"""Simulation of one scene with two policies, to be rendered."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+from handover_marl.config import CameraConfig
+from handover_marl.episode.callbacks import EpisodeCallback
+from handover_marl.episode.episode import Episode
+from handover_marl.episode.loop import play
+from handover_marl.evaluation.config import build_configs
+from handover_marl.evaluation.replays import format_replay_facts
+from handover_marl.policies.reference import PolicyLike, parse_policy
+from handover_marl.visualization.replay_page import build_replay_page
+from handover_marl.visualization.replay_recorder import ReplayRecorder
+
+
+class ScenePlayer:
+    """Simulation of one scene with a receiver and a giver.
+
+    Args:
+        scene_id: Number of the scene, 0 to 999.
+        receiver: The robot's policy.
+        giver: The person's policy.
+        options: Fields of `EvaluationConfig` and `ExecutionConfig` by name.
+
+    Attributes:
+        config: Configuration of the evaluation.
+        execution: Configuration of the execution.
+        dataset: Dataset of the scene.
+        scene: The scene.
+        receiver: Policy of the receiver.
+        episode: Episode of the scene, reset by `play`.
+    """
+
+    def __init__(self, scene_id: int, receiver: PolicyLike, giver: PolicyLike, options: Any) -> None:
+        self.config, self.execution = build_configs("s0", options, receiver=receiver, giver=giver)
+        self.dataset = self.config.open_dataset()
+        self.scene = self.dataset.load_scene(scene_id)
+        self._references = {
+            agent: parse_policy(agent, getattr(self.config, agent), self.execution.trust)
+            for agent in ("receiver", "giver")
+        }
+        self.receiver, self._giver = (
+            reference.make(self.dataset, self.config.world_config, self.config.setup)
+            for reference in self._references.values()
+        )
+        self.episode = Episode(self.config.physics, self.config.world_config, wrist_camera=self.config.camera)
+
+    def play(self, until: int | Callable[[], bool] | None, callbacks: Sequence[EpisodeCallback] = ()) -> int:
+        """Simulate the scene and return the number of physics steps.
+
+        Args:
+            until: Number of physics steps, or a function that returns whether to stop; default: the
+                end of the episode.
+            callbacks: Callbacks of the episode.
+        """
+        self.episode.reset(self.scene)
+        seed = self.config.seed
+        play(self.episode, self.receiver, self._giver, seed=seed, until=until, callbacks=callbacks)
+        return self.episode.steps
+
+    def build_replay_page(self, until: int | None, camera: CameraConfig | None) -> bytes:
+        """Simulate the scene to its end, or for `until` steps, and return its replay page."""
+        recorder = ReplayRecorder(self.receiver)
+        self.play(until, [recorder])
+        config, dataset = self.config, self.dataset
+        resolved = {
+            agent: reference.resolve(dataset, config.world_config, config.setup)
+            for agent, reference in self._references.items()
+        }
+        config = replace(config, dataset=dataset.name, **resolved)  # type: ignore[arg-type]
+        facts = format_replay_facts(config, dataset.describe_models(self.scene.info.scene_id))
+        return build_replay_page(recorder.log, facts, camera).encode()
+
+    def close(self) -> None:
+        """Free the memory and the physics client of the simulation."""
+        self.episode.close()
