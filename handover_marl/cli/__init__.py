@@ -38,21 +38,6 @@ _COMMANDS: dict[str, Callable[..., int | None]] = {
 }
 
 
-def _build_app() -> tyro.extras.SubcommandApp:
-    app = tyro.extras.SubcommandApp()
-    for name, run in _COMMANDS.items():
-        app.command(name=name)(run)
-    return app
-
-
-def _describe_program() -> str:
-    from handover_marl.policies.registry import list_available
-
-    return _DESCRIPTION.format(
-        receivers=", ".join(list_available("receiver")), givers=", ".join(list_available("giver"))
-    )
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command of the command line.
 
@@ -70,10 +55,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # The user's policies are imported from the working directory, as with `python -m`; it is
     # searched last, so that its modules do not hide installed ones.
     sys.path.append(str(Path.cwd()))
+    from handover_marl.policies.registry import list_available
+
+    names = {f"{agent}s": ", ".join(list_available(agent)) for agent in ("receiver", "giver")}
+    app = tyro.extras.SubcommandApp()
+    for name, run in _COMMANDS.items():
+        app.command(name=name)(run)
     try:
-        status: object = _build_app().cli(
+        status: object = app.cli(
             prog="handover-marl",
-            description=_describe_program(),
+            description=_DESCRIPTION.format(**names),
             args=arguments,
             registry=registry,
             config=(tyro.conf.OmitArgPrefixes,),

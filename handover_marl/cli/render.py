@@ -1,14 +1,11 @@
 """Command that renders one scene."""
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 
 from handover_marl.cli.options import RenderArguments, RenderExecutionArguments
-
-if TYPE_CHECKING:
-    from handover_marl.config import CameraConfig
 
 _SCENE, _EXECUTION = RenderArguments(), RenderExecutionArguments()
 # Fields of `EvaluationConfig` that apply to a single scene.
@@ -45,19 +42,14 @@ def run_render(
     from handover_marl.evaluation.rendering.scene import render_scene
 
     options: Any = {key: getattr(evaluation, key) for key in _SCENE_FIELDS} | {"trust": execution.trust}
+    size = {name: pixels for name, pixels in (("width", width), ("height", height)) if pixels is not None}
     if plan:
         from handover_marl.evaluation.rendering.plan import PLAN_CAMERA, render_plan
 
-        camera = _resize_camera(PLAN_CAMERA, width, height)
-        print(render_plan(scene, out, receiver=receiver or "omg", camera=camera, **options))
+        options["camera"] = replace(PLAN_CAMERA, **size)
+        print(render_plan(scene, out, receiver=receiver or "omg", **options))
         return
     # Without a size, each kind of file has its own default camera.
-    is_default = width is None and height is None
-    options |= {"camera": None if is_default else _resize_camera(CameraConfig(), width, height)}
+    options |= {"camera": CameraConfig(**size) if size else None}
     options |= {"progress": execution.progress, "view": view, "key_frames": key_frames}
     print(render_scene(scene, out, receiver=receiver, **options))
-
-
-def _resize_camera(camera: "CameraConfig", width: int | None, height: int | None) -> "CameraConfig":
-    new_width = camera.width if width is None else width
-    return replace(camera, width=new_width, height=camera.height if height is None else height)

@@ -13,7 +13,7 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from handover_marl.evaluation.reports.tables import NO_VALUE
+from handover_marl.evaluation.reports.report import format_scene_cells
 from handover_marl.evaluation.results.episode_result import EpisodeResult
 
 # The sum of the widths fits a terminal of 80 columns.
@@ -63,20 +63,9 @@ class BenchmarkProgress:
         self._n_success += result.success
         rate = f"success {100 * self._n_success / self._n_finished:5.1f} %"
         self._progress.update(self._task, advance=1, description=rate)
-        self._progress.console.print(_format_row(_list_cells(result)), style=style)
-
-
-def _list_cells(result: EpisodeResult) -> tuple[str, ...]:
-    subject = (result.subject or NO_VALUE).partition("-")[2]
-    return (
-        str(result.scene_id),
-        result.object_name or NO_VALUE,
-        subject,
-        result.side or NO_VALUE,
-        result.status.label,
-        str(result.steps),
-        f"{result.plan_time_s:.3f}",
-    )
+        scene, name, subject, side, outcome, steps, _, plan_s = format_scene_cells(result)
+        cells = (scene, name, subject.partition("-")[2], side, outcome, steps, plan_s)
+        self._progress.console.print(_format_row(cells), style=style)
 
 
 def _format_row(cells: tuple[str, ...]) -> str:

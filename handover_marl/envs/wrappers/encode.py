@@ -38,8 +38,8 @@ class EncodedEnv(ParallelWrapper):
 
     Args:
         env: Environment to encode.
-        features: Name of the features, by agent.
-        schemes: Name of the action scheme, by agent.
+        features: Name of the features, by agent, or of the only agent's features.
+        schemes: Name of the action scheme, by agent, or of the only agent's scheme.
 
     Attributes:
         feature_names: Name of the features, by agent.
@@ -55,8 +55,8 @@ class EncodedEnv(ParallelWrapper):
     def __init__(
         self,
         env: HandoverEnv | ParallelWrapper,
-        features: Mapping[str, str] | None = None,
-        schemes: Mapping[str, str] | None = None,
+        features: str | Mapping[str, str] | None = None,
+        schemes: str | Mapping[str, str] | None = None,
     ) -> None:
         super().__init__(env)
         EzPickle.__init__(self, env, features, schemes)
@@ -70,20 +70,25 @@ class EncodedEnv(ParallelWrapper):
         context = base.policy_context
         self._features = {agent: make_features(agent, self.feature_names[agent], context) for agent in agents}
         self._schemes = {agent: make_scheme(agent, self.scheme_names[agent], context) for agent in agents}
-        self._spaces = {
-            agent: make_encoded_spaces(agent, self.feature_names[agent], self.scheme_names[agent]) for agent in agents
+        self._feature_spaces = {
+            agent: spaces.Box(-np.inf, np.inf, (n_features(agent, name),), np.float32)
+            for agent, name in self.feature_names.items()
         }
-        for _, outputs in self._spaces.values():
+        self._output_spaces = {
+            agent: spaces.Box(-1.0, 1.0, (scheme_size(agent, name),), np.float32)
+            for agent, name in self.scheme_names.items()
+        }
+        for outputs in self._output_spaces.values():
             outputs.control_period = base.config.control_period  # type: ignore[attr-defined]
         self._observations: dict[str, Observation] = {}
 
     def observation_space(self, agent: str) -> spaces.Box:
         """Return the space of the agent's feature vector."""
-        return self._spaces[agent][0]
+        return self._feature_spaces[agent]
 
     def action_space(self, agent: str) -> spaces.Box:
         """Return the space of the outputs that the agent's action scheme decodes."""
-        return self._spaces[agent][1]
+        return self._output_spaces[agent]
 
     def convert_observation(self, agent: str, observation: Observation) -> Vector:
         """Compute the feature vector of an agent's observation."""
@@ -214,31 +219,17 @@ def encode(
         UnknownNameError: There are no such features, no such scheme or API.
         OptionError: There is no such agent, or one name is given for two agents.
     """
-    return convert_api(EncodedEnv(env, _names_by_agent(env, features), _names_by_agent(env, schemes)), api)
-
-
-def make_encoded_spaces(agent: str, feature_name: str, scheme_name: str) -> tuple[spaces.Box, spaces.Box]:
-    """Return the spaces of an agent's features and of its outputs.
-
-    Raises:
-        UnknownNameError: There are no such features, or no such scheme.
-    """
-    features = spaces.Box(-np.inf, np.inf, (n_features(agent, feature_name),), np.float32)
-    return features, spaces.Box(-1.0, 1.0, (scheme_size(agent, scheme_name),), np.float32)
-
-
-def _names_by_agent(env: Any, names: str | Mapping[str, str] | None) -> Mapping[str, str] | None:
-    if not isinstance(names, str):
-        return names
-    if len(env.possible_agents) != 1:
-        raise OptionError(f"features and schemes must be a dict by agent for {len(env.possible_agents)} agents")
-    return {env.possible_agents[0]: names}
+    return convert_api(EncodedEnv(env, features, schemes), api)
 
 
 def _complete_names(
-    argument: str, defaults: dict[str, str], names: Mapping[str, str] | None, agents: list[str]
+    argument: str, defaults: dict[str, str], names: str | Mapping[str, str] | None, agents: list[str]
 ) -> dict[str, str]:
-    unknown = sorted((names or {}).keys() - set(agents))
+    """Return a name for each agent, given names by agent or the only agent's name."""
+    if isinstance(names, str) and len(agents) != 1:
+        raise OptionError(f"features and schemes must be a dict by agent for {len(agents)} agents")
+    given = {agents[0]: names} if isinstance(names, str) else names or {}
+    unknown = sorted(given.keys() - set(agents))
     if unknown:
         raise OptionError(f"{argument} must be for {' and '.join(agents)}, got a name for {unknown[0]!r}")
-    return {agent: (names or {}).get(agent, defaults[agent]) for agent in agents}
+    return {agent: given.get(agent, defaults[agent]) for agent in agents}

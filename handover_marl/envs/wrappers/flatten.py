@@ -31,7 +31,12 @@ class FlattenedEnv(ParallelWrapper):
     def __init__(self, env: HandoverEnv | ParallelWrapper) -> None:
         super().__init__(env)
         EzPickle.__init__(self, env)
-        self._flat: dict[str, spaces.Box] = {agent: _flatten_space(env, agent) for agent in self.possible_agents}
+        self._flat: dict[str, spaces.Box] = {}
+        for agent in self.possible_agents:
+            flat = spaces.flatten_space(env.observation_space(agent))
+            if not isinstance(flat, spaces.Box):
+                raise OptionError(f"observation space of the {agent} cannot be flattened to a vector")
+            self._flat[agent] = flat
 
     def observation_space(self, agent: str) -> spaces.Box:
         """Return the space of the agent's flattened observations."""
@@ -64,10 +69,3 @@ def flatten(env: HandoverEnv | ParallelWrapper) -> FlattenedEnv:
         env: `handover_marl.parallel_env(...)`, or `freeze(...)` of it.
     """
     return FlattenedEnv(env)
-
-
-def _flatten_space(env: HandoverEnv | ParallelWrapper, agent: str) -> spaces.Box:
-    flat = spaces.flatten_space(env.observation_space(agent))
-    if not isinstance(flat, spaces.Box):
-        raise OptionError(f"observation space of the {agent} cannot be flattened to a vector")
-    return flat

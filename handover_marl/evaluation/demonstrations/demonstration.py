@@ -111,15 +111,3 @@ class Demonstration:
     def __len__(self) -> int:
         """Return the number of the receiver's decisions."""
         return len(self.actions)
-
-
-def check_scalar(name: str, value: Any, kind: type) -> Any:
-    """Convert a value that was read from a file to a Python number or text.
-
-    Raises:
-        TypeError: The value is of another type.
-    """
-    scalar = value.item() if isinstance(value, np.generic) else value
-    if type(scalar) is not kind:
-        raise TypeError(f"{name} must be of type {kind.__name__}, got {type(scalar).__name__}")
-    return scalar

@@ -24,8 +24,9 @@ from gymnasium import spaces
 from handover_marl.config import PANDA_DOF
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.spaces import GIVER_ACTION_SIZE
-from handover_marl.evaluation.demonstrations.demonstration import Demonstration, EpisodeMetadata, check_scalar
+from handover_marl.evaluation.demonstrations.demonstration import Demonstration, EpisodeMetadata
 from handover_marl.evaluation.demonstrations.files import open_hdf5
+from handover_marl.evaluation.results.result_folder import check_scalar
 
 #: Name of the group in the file of a single episode.
 SINGLE_EPISODE_GROUP = "episode"

@@ -47,7 +47,12 @@ class MetricMean:
 def compute_fluency_means(episodes: Sequence[EpisodeResult]) -> dict[str, MetricMean]:
     """Compute the mean of every fluency metric by name; empty if no episode has fluency metrics."""
     known = [episode.fluency for episode in episodes if episode.fluency is not None]
-    return {field.name: _compute_mean(known, field.name) for field in fields(FluencyMetrics)} if known else {}
+    means = {}
+    for field in fields(FluencyMetrics) if known else ():
+        values = [float(value) for metrics in known if (value := getattr(metrics, field.name)) is not None]
+        mean = float(np.mean(values)) if values else None
+        means[field.name] = MetricMean(mean, compute_mean_interval(values), len(values))
+    return means
 
 
 def format_fluency_row(episodes: Sequence[EpisodeResult]) -> list[str]:
@@ -59,11 +64,6 @@ def format_fluency_row(episodes: Sequence[EpisodeResult]) -> list[str]:
 def format_fluency_header() -> list[str]:
     """Return the column titles of the fluency metrics, with units."""
     return [f"{key.replace('_', ' ')} {unit}" for key, (unit, _) in FLUENCY_UNITS.items()]
-
-
-def _compute_mean(known: Sequence[FluencyMetrics], name: str) -> MetricMean:
-    values = [float(value) for metrics in known if (value := getattr(metrics, name)) is not None]
-    return MetricMean(float(np.mean(values)) if values else None, compute_mean_interval(values), len(values))
 
 
 def _format_mean(mean: MetricMean | None, scale: float) -> str:

@@ -310,7 +310,7 @@ def compute_rate_difference(
 def build_scene_table(episodes: Iterable[EpisodeResult]) -> ReportTable:
     """Build the table of outcomes with one row per scene."""
     header = ["scene", "object", "subject", "hand", "outcome", "steps", "release step", "plan s"]
-    return ReportTable(header, [_format_scene_cells(episode) for episode in episodes])
+    return ReportTable(header, [format_scene_cells(episode) for episode in episodes])
 
 
 def build_difference_table(pairs: Iterable[tuple[EpisodeResult, EpisodeResult]], names: tuple[str, str]) -> ReportTable:
@@ -323,14 +323,15 @@ def build_difference_table(pairs: Iterable[tuple[EpisodeResult, EpisodeResult]],
     rows = []
     for pair in pairs:
         if pair[0].status != pair[1].status:
-            scene, name, *_ = _format_scene_cells(pair[0])
-            outcomes = [cell for result in pair for cell in _format_scene_cells(result)[4:7]]
+            scene, name, *_ = format_scene_cells(pair[0])
+            outcomes = [cell for result in pair for cell in format_scene_cells(result)[4:7]]
             rows.append([scene, name, *outcomes])
     header = ["scene", "object", *(title for name in names for title in (name, "steps", "release"))]
     return ReportTable(header, rows)
 
 
-def _format_scene_cells(episode: EpisodeResult) -> list[str]:
+def format_scene_cells(episode: EpisodeResult) -> list[str]:
+    """Format scene, object, subject, hand, outcome, steps, release step and planning time of an episode."""
     known = (episode.scene_id, episode.object_name, episode.subject, episode.side, episode.status.label)
     release_step = NO_VALUE if episode.release_step is None else str(episode.release_step)
     texts = [NO_VALUE if cell is None else str(cell) for cell in known]

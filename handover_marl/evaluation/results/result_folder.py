@@ -201,6 +201,18 @@ def read_results(path: Path, allow_empty: bool = False) -> list[EpisodeResult]:
     return [read_result(file) for file in files]
 
 
+def check_scalar(name: str, value: Any, kind: type) -> Any:
+    """Convert a value that was read from a file to a Python number or text.
+
+    Raises:
+        TypeError: The value is of another type.
+    """
+    scalar = value.item() if isinstance(value, np.generic) else value
+    if type(scalar) is not kind:
+        raise TypeError(f"{name} must be of type {kind.__name__}, got {type(scalar).__name__}")
+    return scalar
+
+
 def _clear(path: Path, entries: list[str]) -> None:
     for name in entries:
         if _RESULT_FILE.fullmatch(name) or name in (CONFIG_FILE, *REPORT_FILES):
@@ -233,7 +245,9 @@ def read_result(path: Path) -> EpisodeResult:
     try:
         status, steps = int(arrays["result"]), int(arrays["elapsed_frame"])
         plan_time_s = float(np.sum(arrays["elapsed_time"]))
-        extras = {key: _read_extra(key, arrays[key]) for key in _EXTRAS if key in arrays}
+        extras: dict[str, Any] = {
+            key: check_scalar(key, arrays[key].item(), kind) for key, kind in _EXTRAS.items() if key in arrays
+        }
         extras["fluency"] = _read_fluency(arrays)
     except (KeyError, TypeError, ValueError) as error:
         raise _make_read_error(path, error) from error
@@ -248,13 +262,6 @@ def _make_read_error(path: Path, error: Exception) -> ResultsError:
     return ResultsError(
         f"{path}: not a readable result file ({type(error).__name__}: {error}); delete it and run the scene again"
     )
-
-
-def _read_extra(key: str, array: npt.NDArray[Any]) -> Any:
-    value = array.item()
-    if type(value) is not _EXTRAS[key]:
-        raise TypeError(f"{key} must be of type {_EXTRAS[key].__name__}, got {value!r}")
-    return value
 
 
 def _arrays_from_fluency(fluency: FluencyMetrics | None) -> dict[str, npt.NDArray[np.float64]]:
