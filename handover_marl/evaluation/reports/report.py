@@ -256,6 +256,10 @@ class Report:
         further = (fluency, FLUENCY_NOTE) if fluency.rows else ()
         return join_sections(self.heading, *tables, self.format_notes(), *further)
 
+    def to_markdown(self) -> str:
+        """Return the report as a Markdown page, with a table that has one row per scene."""
+        return f"# Handover benchmark\n\n{self}\n\n## Scenes\n\n{build_scene_table(self.episodes)}\n"
+
     def to_json(self) -> dict[str, object]:
         """Return metrics and episodes as JSON types; rates 0..1, 95 % intervals, times in s."""
         n = len(self.episodes)

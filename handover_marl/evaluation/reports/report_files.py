@@ -8,7 +8,7 @@ from pathlib import Path
 from handover_marl.datasets.splits import SPLIT_SIZES, list_split_scenes
 from handover_marl.errors import ResultsError
 from handover_marl.evaluation.reports.pages import find_replay_links, render_report_page
-from handover_marl.evaluation.reports.report import Report, build_scene_table
+from handover_marl.evaluation.reports.report import Report
 from handover_marl.evaluation.results.episode_result import EpisodeResult
 from handover_marl.evaluation.results.metadata import read_result_metadata
 from handover_marl.evaluation.results.result_folder import read_results
@@ -48,8 +48,7 @@ def write_report(folder: Path, report: Report) -> None:
         ResultsError: The folder cannot be written.
     """
     write_atomically(folder / "report.json", json.dumps(report.to_json(), indent=2, allow_nan=False) + "\n")
-    scenes = build_scene_table(report.episodes)
-    write_atomically(folder / "report.md", f"# Handover benchmark\n\n{report}\n\n## Scenes\n\n{scenes}\n")
+    write_atomically(folder / "report.md", report.to_markdown())
     write_atomically(folder / "report.html", render_report_page(report, find_replay_links(folder, folder)))
 
 

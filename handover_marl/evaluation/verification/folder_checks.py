@@ -9,7 +9,6 @@ from handover_marl import __version__
 from handover_marl.errors import ResultsError
 from handover_marl.evaluation.reports.report import Report
 from handover_marl.evaluation.reports.report_files import evaluate
-from handover_marl.evaluation.reports.report_tables import format_report_markdown
 from handover_marl.evaluation.results.metadata import ResultMetadata
 from handover_marl.evaluation.verification.differences import Difference, compare_json
 from handover_marl.execution.files import read_small_file, shorten_text
@@ -52,7 +51,7 @@ def check_reports(path: Path) -> list[Difference]:
     differences = _compare_report(stored, report)
     text = path / "report.md"
     if report.metadata.version == __version__ and text.is_file():
-        expected = format_report_markdown(report).encode()
+        expected = report.to_markdown().encode()
         if text.stat().st_size != len(expected) or text.read_bytes() != expected:
             differences.append(Difference("report.md", "other text", "the text of these results"))
     return differences
