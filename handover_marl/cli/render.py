@@ -42,7 +42,9 @@ def run_render(
     from handover_marl.evaluation.rendering.scene import render_scene
 
     options: Any = {key: getattr(evaluation, key) for key in _SCENE_FIELDS} | {"trust": execution.trust}
-    size = {name: pixels for name, pixels in (("width", width), ("height", height)) if pixels is not None}
+    size: dict[str, Any] = {
+        name: pixels for name, pixels in (("width", width), ("height", height)) if pixels is not None
+    }
     if plan:
         from handover_marl.evaluation.rendering.plan import PLAN_CAMERA, render_plan
 
