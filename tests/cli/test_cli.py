@@ -18,7 +18,7 @@ def test_benchmark_and_evaluate(fake_data: Path, tmp_path: Path, capsys: pytest.
     assert "timeout" in printed.err
     assert main(["evaluate", str(tmp_path / "out")]) == 0
     text, report = printed.out.rstrip("\n").rsplit("\n\n", 1)
-    assert capsys.readouterr().out == text + "\n"
+    assert capsys.readouterr().out == f"{text}\n\nPage not saved; add --out FILE.html.\n"
     assert report == f"Report: {tmp_path / 'out' / 'report.html'}"
 
 
