@@ -39,12 +39,15 @@ class BenchmarkProgress:
             console=Console(stderr=True, highlight=False),
         )
         self._task = self._progress.add_task("success   -  ", total=n_scenes)
-        self._stored = stored
+        self._stored, self._n_scenes = stored, n_scenes
         self._n_finished = self._n_success = 0
 
     def __enter__(self) -> "BenchmarkProgress":
         self._progress.start()
         self._progress.console.print(_format_row(tuple(_COLUMN_WIDTHS)), style="bold")
+        if self._stored:
+            text = f"{len(self._stored)} of {self._n_scenes} episodes are from an earlier run in this folder:"
+            self._progress.console.print(text, style="dim")
         for result in self._stored:
             self._add(result, "dim")
         return self

@@ -33,7 +33,8 @@ from handover_marl.policies.policy import (
     milliseconds_from_wait,
 )
 from handover_marl.policies.registry import import_policy, list_available, load_registered
-from handover_marl.policies.source_hash import hash_policy
+from handover_marl.policies.source_hash import hash_policy, is_library_class
+from handover_marl.policies.state_hash import hash_constructed_state, record_opened_files
 
 _OPTIONS = re.compile(r"[A-Za-z_]\w*=[^=,]*(,[A-Za-z_]\w*=[^=,]*)*")
 Options: TypeAlias = tuple[tuple[str, Any], ...]
@@ -122,7 +123,8 @@ class PolicyReference:
         Raises:
             HandoverError: The policy cannot be constructed; see `make`.
         """
-        policy = self.make(dataset, config, setup)
+        with record_opened_files() as opened:
+            policy = self.make(dataset, config, setup)
         check_obs_mode(policy.obs_mode)
         listed = ",".join(f"{key}={_format_value(value)}" for key, value in self.options)
         # The state of an instance; its class would be pickled differently in every process.
@@ -130,6 +132,8 @@ class PolicyReference:
         weights = policy.weights_hash.encode()
         if self.file is not None:
             weights += Path(self.file).expanduser().read_bytes()
+        if not is_library_class(type(policy)):
+            weights += hash_constructed_state(policy, opened)
         return replace(
             self,
             label=policy.label + (f":{listed}" if listed else ""),

@@ -40,6 +40,11 @@ def hash_policy(policy_class: type, state: bytes = b"", weights: bytes = b"") ->
     return ".".join(parts)
 
 
+def is_library_class(policy_class: type) -> bool:
+    """Check whether a class is defined in this library, so that `hash_library` covers it."""
+    return policy_class.__module__.partition(".")[0] == _LIBRARY
+
+
 @functools.cache
 def hash_library() -> str:
     """Compute a hash (8 hex digits) of this library's Python files, read once per process."""

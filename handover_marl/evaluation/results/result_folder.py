@@ -30,7 +30,7 @@ from handover_marl.evaluation.results.metadata import (
     read_result_metadata,
 )
 from handover_marl.evaluation.writers import EpisodeRecorder, EpisodeWriter
-from handover_marl.execution.files import check_archive, create_exclusively, write_atomically
+from handover_marl.execution.files import check_archive, create_exclusively, has_content, write_atomically
 from handover_marl.policies.policy import Policy
 
 #: Report files beside the results of the scenes.
@@ -81,6 +81,7 @@ class ResultFolder(EpisodeWriter):
     ) -> None:
         self.path = path
         prepare_result_folder(path, metadata, format_config(metadata, config), fresh)
+        self._config = (path / CONFIG_FILE).read_bytes()
 
     def read(self, index: int, fingerprint: str) -> EpisodeResult | None:
         """Read the result of a scene; None if the result file is missing or damaged.
@@ -113,8 +114,13 @@ class ResultFolder(EpisodeWriter):
         """Write the official result file of a scene.
 
         Raises:
-            ResultsError: The file cannot be written.
+            ResultsError: The file cannot be written, or the folder belongs to another evaluation now.
         """
+        if not has_content(self.path / CONFIG_FILE, self._config):
+            raise ResultsError(
+                f"{self.path} belongs to another evaluation since this one started, so its results are not written "
+                "there; choose a folder of its own for each evaluation"
+            )
         write_atomically(get_result_path(self.path, result.index), content)
 
 

@@ -234,3 +234,11 @@ def test_fresh_leaves_foreign_folders_unchanged(tmp_path: Path, content: str) ->
     with pytest.raises(ResultsError, match="is no result folder"):
         ResultFolder(tmp_path, SETTINGS, fresh=True)
     assert (tmp_path / "000.npz").read_text() == "precious"
+
+
+def test_a_folder_that_another_evaluation_took_over_is_not_written(folder: ResultFolder) -> None:
+    other = ResultFolder(folder.path, replace(SETTINGS, receiver="yang2021"), fresh=True)
+    with pytest.raises(ResultsError, match="belongs to another evaluation"):
+        folder.write(RESULT, CONTENT)
+    other.write(RESULT, CONTENT)
+    assert len(read_results(folder.path)) == 1
