@@ -5,7 +5,10 @@ results exist for these values only. Constants in capitals are fixed by the data
 """
 
 import math
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from numbers import Integral, Real
+from typing import Any, ClassVar
 
 from handover_marl.errors import OptionError
 
@@ -29,8 +32,68 @@ N_KEYPOINTS = 16
 N_PREVIEW_POSES = 5
 
 
+Limits = Mapping[str, tuple[float, float]]
+_NOT_NEGATIVE = (0.0, math.inf)
+_SHARE = (0.0, 1.0)
+_STEPS = (1, math.inf)
+
+
+class CheckedConfig:
+    """Base class of configurations whose fields are checked when they are made.
+
+    Every number must be finite, every tuple as long as its default, and every configuration of the
+    default's class.
+
+    Raises:
+        OptionError: A field has another type, or a number is out of range.
+    """
+
+    #: Smallest and largest value of fields, ends included; for tuples of every number.
+    limits: ClassVar[Limits] = {}
+
+    def __post_init__(self) -> None:
+        for part in fields(self):  # type: ignore[arg-type]
+            value = getattr(self, part.name)
+            default = part.default_factory() if callable(part.default_factory) else part.default
+            name = f"{part.name} of {type(self).__name__}"
+            if isinstance(default, CheckedConfig):
+                if not isinstance(value, type(default)):
+                    raise OptionError(f"{name} must be a {type(default).__name__}, got {value!r}")
+            elif isinstance(default, tuple):
+                object.__setattr__(
+                    self, part.name, _check_tuple(name, value, len(default), self._get_limits(part.name))
+                )
+            else:
+                _check_number(name, value, isinstance(default, int), self._get_limits(part.name))
+
+    def _get_limits(self, name: str) -> tuple[float, float]:
+        return self.limits.get(name, (-math.inf, math.inf))
+
+
+def _check_tuple(name: str, value: Any, size: int, limits: tuple[float, float]) -> tuple[float, ...]:
+    try:
+        numbers = tuple(value)
+    except TypeError:
+        numbers = ()
+    if len(numbers) != size or isinstance(value, (str, bytes)):
+        raise OptionError(f"{name} must be {size} numbers, got {value!r}")
+    for number in numbers:
+        _check_number(f"every number in {name}", number, False, limits)
+    return numbers
+
+
+def _check_number(name: str, value: Any, is_integer: bool, limits: tuple[float, float]) -> None:
+    kind = Integral if is_integer else Real
+    low, high = limits
+    if isinstance(value, bool) or not isinstance(value, kind) or not math.isfinite(value) or not low <= value <= high:
+        text = "an integer" if is_integer else "a finite number"
+        if limits != (-math.inf, math.inf):
+            text += f" from {low:g} to {high:g}" if math.isfinite(high) else f" of at least {low:g}"
+        raise OptionError(f"{name} must be {text}, got {value!r}")
+
+
 @dataclass(frozen=True)
-class MotorConfig:
+class MotorConfig(CheckedConfig):
     """Motor parameters of the position control of a group of joints.
 
     Attributes:
@@ -39,13 +102,15 @@ class MotorConfig:
         velocity_gain: Share of the velocity error that is corrected in one step.
     """
 
+    limits: ClassVar[Limits] = dict.fromkeys(("force", "position_gain", "velocity_gain"), _NOT_NEGATIVE)
+
     force: float
     position_gain: float
     velocity_gain: float = 1.0
 
 
 @dataclass(frozen=True)
-class PandaConfig:
+class PandaConfig(CheckedConfig):
     """Configuration of the Franka Panda: base pose, start joints and motors.
 
     Attributes:
@@ -60,9 +125,14 @@ class PandaConfig:
     start_joints: tuple[float, ...] = (0.0, -1.285, 0.0, -2.356, 0.0, 1.571, 0.785, 0.04, 0.04)
     motor: MotorConfig = MotorConfig(force=250.0, position_gain=0.01)
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not math.isclose(math.hypot(*self.base_orientation), 1.0, abs_tol=1e-3):
+            raise OptionError(f"base_orientation must be a unit quaternion xyzw, got {self.base_orientation}")
+
 
 @dataclass(frozen=True)
-class ObjectConfig:
+class ObjectConfig(CheckedConfig):
     """Motor parameters of the objects; an object moves on three prismatic, three continuous joints.
 
     Attributes:
@@ -75,7 +145,7 @@ class ObjectConfig:
 
 
 @dataclass(frozen=True)
-class HandConfig:
+class HandConfig(CheckedConfig):
     """Motor and contact parameters of the human hand, which has 6 base and 45 finger joints.
 
     Attributes:
@@ -87,6 +157,8 @@ class HandConfig:
         base_damping: Linear and angular damping of the hand's base.
     """
 
+    limits: ClassVar[Limits] = {"friction": _NOT_NEGATIVE, "restitution": _SHARE, "base_damping": _NOT_NEGATIVE}
+
     translation_motor: MotorConfig = MotorConfig(force=50.0, position_gain=0.2)
     rotation_motor: MotorConfig = MotorConfig(force=5.0, position_gain=0.2)
     finger_motor: MotorConfig = MotorConfig(force=0.5, position_gain=0.1)
@@ -96,7 +168,7 @@ class HandConfig:
 
 
 @dataclass(frozen=True)
-class PhysicsConfig:
+class PhysicsConfig(CheckedConfig):
     """Configuration of the simulated world.
 
     Attributes:
@@ -115,7 +187,7 @@ class PhysicsConfig:
 
 
 @dataclass(frozen=True)
-class GiverConfig:
+class GiverConfig(CheckedConfig):
     """Limits of the giver's deviation from the recorded motion.
 
     Speeds and accelerations are below the peaks of 95 % of the reaches in DexYCB: wrist 0.86 m/s and
@@ -132,10 +204,13 @@ class GiverConfig:
         opening: Share by which finger angles shrink when the hand opens.
         opening_time: Time in which the hand opens (s).
         preview: Times (s) after the present frame at which the giver observes its recording.
-
-    Raises:
-        OptionError: `preview` does not have five times.
     """
+
+    limits: ClassVar[Limits] = {
+        **dict.fromkeys(("displacement", "rotation", "speed", "acceleration", "turn_speed"), _NOT_NEGATIVE),
+        **dict.fromkeys(("turn_acceleration", "rate_change", "opening_time", "preview"), _NOT_NEGATIVE),
+        "opening": _SHARE,
+    }
 
     displacement: float = 0.3
     rotation: float = 1.0
@@ -146,16 +221,12 @@ class GiverConfig:
     rate_change: float = 5.0
     opening: float = 0.7
     opening_time: float = 0.3
+    # Observation spaces, features and learned givers have five poses.
     preview: tuple[float, ...] = (0.1, 0.2, 0.3, 0.4, 0.5)
-
-    def __post_init__(self) -> None:
-        # Observation spaces, features and learned givers have five poses.
-        if len(self.preview) != N_PREVIEW_POSES:
-            raise OptionError(f"preview must be {N_PREVIEW_POSES} times, got {self.preview}")
 
 
 @dataclass(frozen=True)
-class ProtocolConfig:
+class ProtocolConfig(CheckedConfig):
     """Rules of a handover: release of the object, success and failure.
 
     Attributes:
@@ -170,6 +241,11 @@ class ProtocolConfig:
         horizon_steps: Physics steps after which an episode times out.
     """
 
+    limits: ClassVar[Limits] = {
+        "goal_radius": _NOT_NEGATIVE,
+        **dict.fromkeys(("release_steps", "success_steps", "horizon_steps"), _STEPS),
+    }
+
     release_steps: int = 100
     region_lower: Vector3 = (-0.011, -0.009, 0.0)
     region_upper: Vector3 = (0.011, 0.009, 0.055)
@@ -179,9 +255,14 @@ class ProtocolConfig:
     drop_height: float = 0.92
     horizon_steps: int = 13_000
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not all(lower < upper for lower, upper in zip(self.region_lower, self.region_upper, strict=True)):
+            raise OptionError(f"region_lower must be below region_upper, got {self.region_lower}, {self.region_upper}")
+
 
 @dataclass(frozen=True)
-class WorldConfig:
+class WorldConfig(CheckedConfig):
     """Configuration of simulated world, protocol and giver, shared by all scenes and policies.
 
     Attributes:
@@ -200,7 +281,7 @@ OFFICIAL_CONFIG = WorldConfig()
 
 
 @dataclass(frozen=True)
-class CameraConfig:
+class CameraConfig(CheckedConfig):
     """Configuration of a pinhole camera; the default shows robot, table and hand from the side.
 
     Attributes:
@@ -211,10 +292,13 @@ class CameraConfig:
         far: Distance of the far plane (m).
         position: Position of the camera, world frame (m).
         target: Point at the image's center, world frame (m).
-
-    Raises:
-        OptionError: A number is out of range; the renderer would crash with it.
     """
+
+    limits: ClassVar[Limits] = {
+        **dict.fromkeys(("width", "height"), (1, MAX_IMAGE_SIDE)),
+        "vertical_fov": (1e-3, 180.0 - 1e-3),
+        "near": (1e-6, math.inf),
+    }
 
     width: int = 640
     height: int = 480
@@ -225,14 +309,8 @@ class CameraConfig:
     target: Vector3 = (0.45, -0.2, 1.15)
 
     def __post_init__(self) -> None:
-        for name in ("width", "height"):
-            side = getattr(self, name)
-            if isinstance(side, bool) or not isinstance(side, int) or not 1 <= side <= MAX_IMAGE_SIDE:
-                raise OptionError(f"{name} must be an integer from 1 to {MAX_IMAGE_SIDE} (pixels), got {side!r}")
-        numbers = (self.vertical_fov, self.near, self.far, *self.position, *self.target)
-        if not all(isinstance(number, (int, float)) and math.isfinite(number) for number in numbers):
-            raise OptionError(f"numbers of a camera must be finite, got {self}")
-        if not (0.0 < self.vertical_fov < 180.0 and 0.0 < self.near < self.far):
-            raise OptionError(f"a camera must have 0 < vertical_fov < 180 and 0 < near < far, got {self}")
-        if tuple(self.position) == tuple(self.target):
-            raise OptionError(f"position and target of a camera must differ, got {self}")
+        super().__post_init__()
+        if self.near >= self.far:
+            raise OptionError(f"near of a camera must be less than far, got {self.near} and {self.far}")
+        if self.position == self.target:
+            raise OptionError(f"position and target of a camera must differ, got {self.position}")
