@@ -6,7 +6,7 @@ from typing import Annotated
 
 import tyro
 
-from handover_marl.cli.options import parse_scenes
+from handover_marl.cli.options import SceneNumbers, parse_scenes
 
 
 def run_import(
@@ -14,7 +14,7 @@ def run_import(
     mano: Annotated[str, tyro.conf.arg(metavar="DIR")],
     out: Annotated[str, tyro.conf.arg(metavar="DIR")],
     third_party: Annotated[str | None, tyro.conf.arg(metavar="DIR|ARCHIVE")] = None,
-    scenes: Annotated[str | None, tyro.conf.arg(metavar="N,N,...")] = None,
+    scenes: SceneNumbers = None,
     workers: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
     progress: bool = True,
 ) -> None:

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import tyro
 
-from handover_marl.cli.options import parse_scenes
+from handover_marl.cli.options import SceneNumbers, parse_scenes
 from handover_marl.execution.files import write_atomically
 
 _PagePath = Annotated[str | None, tyro.conf.arg(metavar="FILE.html")]
@@ -35,7 +35,7 @@ def run_verify(
     folder: Annotated[str, tyro.conf.arg(metavar="DIR")],
     /,
     data_dir: Annotated[str | None, tyro.conf.arg(metavar="DIR")] = None,
-    scenes: Annotated[str | None, tyro.conf.arg(metavar="N,N,...")] = None,
+    scenes: SceneNumbers = None,
     giver: Annotated[str | None, tyro.conf.arg(metavar="POLICY")] = None,
     workers: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
     progress: bool = True,

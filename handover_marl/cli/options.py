@@ -40,10 +40,12 @@ _HIDDEN_FIELDS: dict[type, tuple[str, ...]] = {
     ExecutionConfig: (),
     RenderExecutionArguments: MULTI_SCENE_FIELDS,
 }
+#: Type of an option with scene numbers, separated by spaces or commas.
+SceneNumbers = Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="N [N ...]")]
 _OPTION_TYPES: dict[str, Any] = {
     "giver": Annotated[str, tyro.conf.arg(metavar="POLICY")],
     "receiver": Annotated[str, tyro.conf.arg(metavar="POLICY")],
-    "scenes": Annotated[str | None, tyro.conf.arg(metavar="N,N,...")],
+    "scenes": SceneNumbers,
     # Other noise models can be configured only in Python.
     "camera_noise": Annotated[str | None, tyro.conf.arg(metavar="CAMERA")],
     "data_dir": Annotated[str | None, tyro.conf.arg(metavar="DIR")],
@@ -95,15 +97,18 @@ def _make_execution_config(out: str | None = None, **options: Any) -> ExecutionC
     return ExecutionConfig(out=None if out is None else os.path.expanduser(out), **options)  # noqa: PTH111  (stays text)
 
 
-def parse_scenes(text: str | None) -> list[int] | None:
-    """Return the scene numbers of a comma-separated list; None stays None.
+def parse_scenes(words: tuple[str, ...] | None) -> list[int] | None:
+    """Return the scene numbers in words such as "209" or "209,214"; None stays None.
 
     Raises:
-        OptionError: An entry of the list is not a number.
+        OptionError: A part of a word is not a number.
     """
-    if text is None:
+    if words is None:
         return None
+    text = " ".join(words)
     try:
-        return [int(part) for part in text.split(",")]
+        return [int(part) for part in text.replace(", ", ",").replace(" ", ",").split(",")]
     except ValueError as error:
-        raise OptionError(f"--scenes must be numbers separated by commas, such as 209,214, got {text!r}") from error
+        raise OptionError(
+            f"--scenes must be numbers separated by spaces or commas, such as 209,214, got {text!r}"
+        ) from error

@@ -30,7 +30,7 @@ def test_benchmark_and_evaluate(fake_data: Path, tmp_path: Path, capsys: pytest.
         (["benchmark", "--setup", "s9"], "unknown setup 's9'; valid: s0, s1, s2, s3"),
         (
             ["benchmark", "--scenes", "1,x"],
-            "--scenes must be numbers separated by commas, such as 209,214, got '1,x'",
+            "--scenes must be numbers separated by spaces or commas, such as 209,214, got '1,x'",
         ),
         (["benchmark", "--workers", "0"], "workers must be an integer of at least 1, got 0"),
         (["benchmark", "--receiver", "nobody"], "unknown receiver 'nobody'; valid: gaddpg, hold"),
@@ -102,7 +102,7 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_parse_scenes() -> None:
     assert parse_scenes(None) is None
-    assert parse_scenes("209, 214") == [209, 214]
+    assert parse_scenes(("209,", "214")) == parse_scenes(("209,214",)) == parse_scenes(("209", "214")) == [209, 214]
     for text in ("", "1,", "a", "1.5"):
         with pytest.raises(OptionError):
-            parse_scenes(text)
+            parse_scenes((text,))
