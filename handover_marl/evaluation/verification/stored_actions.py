@@ -27,7 +27,7 @@ class StoredActions:
 
     def __init__(self, actions: Actions) -> None:
         changes = 1 + np.flatnonzero(np.any(actions[1:] != actions[:-1], axis=1))
-        self._starts = [0, *changes.tolist()]
+        self._starts: list[int] = [0, *changes.tolist()]
         self._actions = actions
         self._next = 0
 
