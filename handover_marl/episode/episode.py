@@ -22,6 +22,7 @@ from handover_marl.episode.observations import (
 from handover_marl.episode.referee import EpisodeStatus, Referee, ReleaseReason
 from handover_marl.episode.spaces import STATE, GiverAction, check_obs_mode, get_camera_data
 from handover_marl.errors import ResetNeededError
+from handover_marl.geometry.meshes import check_collision_meshes
 from handover_marl.simulation.camera.renderers import resolve_renderer
 from handover_marl.simulation.contacts import Contacts
 from handover_marl.simulation.engines import check_physics, make_world
@@ -90,6 +91,9 @@ class Episode:
             DataNotFoundError, DataFormatError: Files of the scene are missing or damaged.
             SimulationError: The engine cannot load a model.
         """
+        assets = scene.assets
+        for urdf in (assets.table, assets.panda, *assets.objects, assets.hand):
+            check_collision_meshes(urdf)
         if self._world is None:
             self._world = make_world(self._physics, self.config.physics, self._window)
         self._playback = self._preview = None

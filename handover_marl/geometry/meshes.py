@@ -3,6 +3,8 @@
 OBJ files are read without trimesh; boxes, spheres and other mesh formats need it (extra `planning`).
 """
 
+import functools
+import xml.etree.ElementTree as ET
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,9 +15,9 @@ from scipy.spatial import ConvexHull
 
 from handover_marl.errors import DataFormatError
 from handover_marl.geometry.kinematic_tree import KinematicTree, read_tree
-from handover_marl.geometry.obj_files import read_obj
+from handover_marl.geometry.obj_files import check_obj, read_obj
 from handover_marl.geometry.poses import transform_points
-from handover_marl.geometry.urdf import UrdfShape, read_urdf_shapes
+from handover_marl.geometry.urdf import UrdfShape, read_model_mtimes, read_urdf_shapes
 
 Array = npt.NDArray[np.float64]
 Faces = npt.NDArray[np.int64]
@@ -65,6 +67,34 @@ def convex_hull(points: Array) -> tuple[Array, Faces]:
     is_inward = np.einsum("fi,fi->f", normals, hull.equations[:, :3]) < 0.0
     faces[is_inward] = faces[is_inward][:, ::-1]
     return vertices, faces
+
+
+def check_collision_meshes(urdf: Path) -> None:
+    """Check that a URDF model's collision meshes are neither empty nor flat, with finite vertices.
+
+    An unchanged model is checked once. Only OBJ files are checked.
+
+    Raises:
+        DataFormatError: A mesh is not usable, or the model has no collision shape.
+    """
+    try:
+        mtimes = read_model_mtimes(urdf)
+    except OSError as error:
+        raise DataFormatError(f"{urdf}: cannot read this model ({error.strerror or error})") from error
+    _check_collision_meshes(urdf, mtimes)
+
+
+@functools.lru_cache(maxsize=256)
+def _check_collision_meshes(urdf: Path, mtimes: tuple[int, ...]) -> None:
+    try:
+        shapes = read_urdf_shapes(urdf, read_tree(urdf), "collision")
+    except ET.ParseError as error:
+        raise DataFormatError(f"{urdf}: not a URDF file ({error}); check the file") from error
+    if not shapes:
+        raise DataFormatError(f"{urdf}: the model must have a collision shape; check the file")
+    for mesh in {shape.mesh for shape in shapes if shape.mesh is not None}:
+        if mesh.suffix.lower() == ".obj":
+            check_obj(mesh, solid=True)
 
 
 def list_mesh_files(urdf: Path, purpose: str) -> list[Path]:

@@ -15,6 +15,8 @@ Array = npt.NDArray[np.float64]
 Faces = npt.NDArray[np.int64]
 
 # Vertex number of every corner of a face, the first of the numbers between slashes.
+# Vertices count as lying in one plane if their smallest singular value is below this (m).
+_FLAT = 1e-9
 _CORNERS = re.compile(r"(?:^|\s)(-?[0-9]{1,9})(?=[/\s]|$)")
 
 
@@ -83,11 +85,18 @@ def format_obj(vertices: Array, faces: Faces, first: int = 1) -> str:
     return "".join(lines)
 
 
-def check_obj(path: Path) -> None:
-    """Check quickly that PyBullet can load an OBJ file: it crashes on vertex numbers out of range.
+def check_obj(path: Path, solid: bool = False) -> None:
+    """Check quickly that an OBJ file is a mesh that PyBullet can load.
+
+    PyBullet crashes on vertex numbers out of range, and loads empty meshes without an error.
+
+    Args:
+        path: OBJ file.
+        solid: Whether to refuse meshes whose vertices all lie in one plane.
 
     Raises:
-        DataFormatError: The file cannot be read, or a vertex number is out of range.
+        DataFormatError: The file cannot be read, has no faces, a vertex that is not finite, a vertex
+            number out of range, or is flat.
     """
     try:
         if not stat.S_ISREG(path.stat().st_mode):
@@ -95,11 +104,20 @@ def check_obj(path: Path) -> None:
         lines = path.read_text(errors="replace").splitlines()
     except OSError as error:
         raise DataFormatError(f"{path}: cannot read this mesh ({error.strerror or error})") from error
-    count = sum(line.startswith(("v ", "v\t")) for line in lines)
     faces = " ".join(line[2:] for line in lines if line.startswith(("f ", "f\t")))
     corners = np.array([int(number) for number in _CORNERS.findall(faces)], dtype=np.int64)
-    if len(corners) and (corners.max() > count or corners.min() < -count or not corners.all()):
+    try:
+        vertices = np.array([line.split()[1:4] for line in lines if line.startswith(("v ", "v\t"))], dtype=np.float64)
+    except ValueError as error:
+        raise DataFormatError(f"{path}: a vertex must be three numbers ({error}); check the file") from error
+    if not len(corners) or not len(vertices):
+        raise DataFormatError(f"{path}: the mesh is empty; check the file")
+    if not np.isfinite(vertices).all():
+        raise DataFormatError(f"{path}: a vertex is not finite; check the file")
+    if corners.max() > len(vertices) or corners.min() < -len(vertices) or not corners.all():
         raise DataFormatError(f"{path}: a face names a corner that is not there; check the file")
+    if solid and np.linalg.matrix_rank(vertices - vertices[0], tol=_FLAT) < 3:
+        raise DataFormatError(f"{path}: all vertices are in one plane; check the file")
 
 
 def _parse_corner(word: str, known: int) -> int:

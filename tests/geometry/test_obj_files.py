@@ -43,6 +43,24 @@ def test_damaged_files(tmp_path: Path, text: str, message: str) -> None:
         read_obj(write(tmp_path, text))
 
 
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "empty"),
+        (TRIANGLE, "empty"),
+        ("f 1 2 3\n", "empty"),
+        (f"{TRIANGLE}f 1 2 3\n", "one plane"),
+        (f"{TRIANGLE}v nan 0 0\nf 1 2 3\n", "not finite"),
+        (f"{TRIANGLE}v 0 0 inf\nf 1 2 3\n", "not finite"),
+        (f"{TRIANGLE}v 0 0\nf 1 2 3\n", "three numbers"),
+        (f"{TRIANGLE}v 0 0 a\nf 1 2 3\n", "three numbers"),
+    ],
+)
+def test_unusable_meshes_are_refused_quickly(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(DataFormatError, match=message):
+        check_obj(write(tmp_path, text), solid=True)
+
+
 @pytest.mark.parametrize("corner", ["4", "0", "-4", "999999999"])
 def test_vertex_numbers_out_of_range_do_not_reach_pybullet(tmp_path: Path, corner: str) -> None:
     write(tmp_path, f"{TRIANGLE}f 1 2 {corner}\n")
