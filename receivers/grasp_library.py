@@ -52,7 +52,7 @@ class GraspLibrary:
 
         None is returned for an object without grasps.
         """
-        grippers = self._gripper_poses(CLASS_NAMES[int(observation["object_classes"][0])])
+        grippers = self.gripper_poses(CLASS_NAMES[int(observation["object_classes"][0])])
         if grippers is None:
             return None
         # Not by `hand_poses_in_object`: the last bits of the reference depend on this order.
@@ -60,10 +60,10 @@ class GraspLibrary:
 
     def hand_poses_in_object(self, object_name: str) -> Array | None:
         """Return poses (n, 7) of the hand link at an object class's grasps, or None without any."""
-        grippers = self._gripper_poses(object_name)
+        grippers = self.gripper_poses(object_name)
         return None if grippers is None else compose(grippers, np.array(GRIPPER_FROM_HAND))
 
-    def _gripper_poses(self, object_name: str) -> Array | None:
+    def gripper_poses(self, object_name: str) -> Array | None:
         """Return the gripper poses (n, 7) in the frame of an object class, or None."""
         if object_name not in self._grippers:
             matrices = self._grasps(object_name)

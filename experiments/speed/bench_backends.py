@@ -21,8 +21,7 @@ from tabulate import tabulate
 from handover_marl.evaluation.config import EvaluationConfig, resolve_config
 from handover_marl.evaluation.episode_runner import SceneTask, run_episodes
 from handover_marl.execution.files import write_atomically
-from handover_marl.execution.machine import describe_machine
-from handover_marl.execution.options import resolve_worker_count
+from handover_marl.execution.options import describe_machine, resolve_worker_count
 from handover_marl.execution.pool import LOCAL, RAY, PoolConfig
 from handover_marl.execution.tasks import open_pool
 from handover_marl.learning.training.run_folder import select_scenes_evenly

@@ -30,7 +30,7 @@ from handover_marl.datasets.dexycb.raw_files import SequenceFolder, find_sequenc
 from handover_marl.datasets.dexycb.raw_sequence import RawSequence, read_sequence
 from handover_marl.evaluation.reports.tables import format_table
 from handover_marl.execution.files import write_atomically
-from handover_marl.execution.machine import describe_machine
+from handover_marl.execution.options import describe_machine
 
 #: Number of key poses -> number of DexYCB's recordings that have so many.
 LENGTHS = {66: 1, 68: 8, 70: 50, 72: 502, 74: 436, 76: 3}

@@ -37,7 +37,7 @@ from handover_marl.episode.loop import play
 from handover_marl.evaluation.config import EvaluationConfig, resolve_config
 from handover_marl.evaluation.episode_runner import SceneTask, run_episodes
 from handover_marl.execution.files import write_atomically
-from handover_marl.execution.machine import describe_machine
+from handover_marl.execution.options import describe_machine
 from handover_marl.execution.pool import PoolConfig
 from handover_marl.simulation.engines import MUJOCO, list_available_physics
 

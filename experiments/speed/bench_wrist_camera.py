@@ -28,7 +28,7 @@ from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import play
 from handover_marl.evaluation.reports.tables import format_table
 from handover_marl.execution.files import write_atomically
-from handover_marl.execution.machine import describe_machine
+from handover_marl.execution.options import describe_machine
 from handover_marl.policies.reference import parse_policy
 from handover_marl.simulation.camera.frames import CameraImage, SegmentationLabel
 from handover_marl.simulation.camera.ray_camera import RayCamera

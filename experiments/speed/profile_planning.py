@@ -30,7 +30,7 @@ from handover_marl.episode.episode import Episode  # noqa: E402
 from handover_marl.episode.observations import Observation  # noqa: E402
 from handover_marl.evaluation.reports.tables import format_table  # noqa: E402
 from handover_marl.execution.files import write_atomically  # noqa: E402
-from handover_marl.execution.machine import describe_machine  # noqa: E402
+from handover_marl.execution.options import describe_machine  # noqa: E402
 from handover_marl.receivers.omg import OmgReceiver  # noqa: E402
 
 

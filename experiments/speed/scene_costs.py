@@ -19,7 +19,7 @@ from handover_marl.datasets.splits import SETUPS, SPLIT_SIZES
 from handover_marl.evaluation.config import EvaluationConfig, resolve_config
 from handover_marl.evaluation.episode_runner import EpisodeRunner, SceneTask
 from handover_marl.execution.files import write_atomically
-from handover_marl.execution.machine import describe_machine
+from handover_marl.execution.options import describe_machine
 from handover_marl.learning.training.run_folder import select_scenes_evenly
 
 

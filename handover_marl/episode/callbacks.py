@@ -190,7 +190,10 @@ class TraceRecorder(EpisodeCallback):
         if has_hand.any():
             hand_frames = compute_link_trajectory(assets.hand, hand)
             wrist[has_hand] = hand_frames.get_positions(_WRIST_LINK)
-            min_distance = self._get_monitor(episode).compute_min_distance(
+            if assets.panda not in self._monitors:
+                query = make_distance_query(assets.panda, panda)
+                self._monitors[assets.panda] = ClearanceMonitor(assets.panda, panda, query)
+            min_distance = self._monitors[assets.panda].compute_min_distance(
                 assets.hand, robot[has_hand], hand, robot_frames.select(has_hand), hand_frames
             )
         self.trace = EpisodeTrace(
@@ -213,10 +216,3 @@ class TraceRecorder(EpisodeCallback):
         joints = episode.world.read_agent_joints()
         self._robot.append(joints.robot)
         self._hand.append(joints.hand)
-
-    def _get_monitor(self, episode: "Episode") -> ClearanceMonitor:
-        urdf = episode.scene.assets.panda
-        if urdf not in self._monitors:
-            panda = episode.config.physics.panda
-            self._monitors[urdf] = ClearanceMonitor(urdf, panda, make_distance_query(urdf, panda))
-        return self._monitors[urdf]

@@ -26,7 +26,6 @@ from handover_marl.geometry.meshes import check_collision_meshes
 from handover_marl.simulation.camera.renderers import resolve_renderer
 from handover_marl.simulation.contacts import Contacts
 from handover_marl.simulation.engines import check_physics, make_world
-from handover_marl.simulation.kinematic_paths import ReferenceMotion
 from handover_marl.simulation.world import BatchWorld, World
 
 if TYPE_CHECKING:
@@ -126,42 +125,35 @@ class Episode:
         """
         world, playback, referee = self._require_scene()
         target = robot_target.tolist()
+        camera = self._wrist_camera if self._wrist_camera is not None and self._wrist_camera.has_latency else None
         if GiverAction.from_array(giver_action).release and playback.holding and not referee.released:
             referee.release_voluntarily()
             world.release_target()
         while steps > 0 and not referee.status:
             planned = min(steps, _PLANNED_STEPS)
             is_voluntary = referee.release is ReleaseReason.VOLUNTARY
-            motion = playback.plan(planned, giver_action, referee.released, opening=is_voluntary)
-            playback.commit(self._simulate(target, motion, on_step))
+            world.set_reference(playback.plan(planned, giver_action, referee.released, opening=is_voluntary))
             steps -= planned
-
-    def _simulate(
-        self, robot_target: list[float], motion: ReferenceMotion, on_step: Sequence[Callable[["Episode"], None]]
-    ) -> int:
-        """Simulate the steps of a reference motion until the episode ends; return their number."""
-        world, _, referee = self._require_scene()
-        world.set_reference(motion)
-        camera = self._wrist_camera if self._wrist_camera is not None and self._wrist_camera.has_latency else None
-        if isinstance(world, BatchWorld) and not on_step and camera is None:
-            segment = RolloutSegment(world, referee, robot_target, len(motion))
-            self._simulate_segment(segment)
-            self._contacts = None
-            return segment.simulated_steps
-        for count in range(1, len(motion) + 1):
-            world.step(robot_target)
-            if camera is not None:
-                camera.record_snapshot(world)
-            was_released = referee.released
-            self._contacts = contacts = world.read_contacts(was_released)
-            status = referee.update(contacts)
-            for callback in on_step:
-                callback(self)
-            if status:
-                return count
-            if referee.released and not was_released:
-                world.release_target()
-        return len(motion)
+            if isinstance(world, BatchWorld) and not on_step and camera is None:
+                segment = RolloutSegment(world, referee, target, planned)
+                self._simulate_segment(segment)
+                self._contacts = None
+                playback.commit(segment.simulated_steps)
+                continue
+            simulated = 0
+            while simulated < planned and not referee.status:
+                world.step(target)
+                simulated += 1
+                if camera is not None:
+                    camera.record_snapshot(world)
+                was_released = referee.released
+                self._contacts = world.read_contacts(was_released)
+                referee.update(self._contacts)
+                for callback in on_step:
+                    callback(self)
+                if referee.released and not was_released and not referee.status:
+                    world.release_target()
+            playback.commit(simulated)
 
     def observe(self) -> Observation:
         """Return the full state of the simulation as an observation."""

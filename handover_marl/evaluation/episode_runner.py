@@ -22,7 +22,7 @@ from handover_marl.errors import ActionError, DataNotFoundError, HandoverError, 
 from handover_marl.evaluation.config import REPLAY, EvaluationConfig, require_policy_reference
 from handover_marl.evaluation.results.episode_result import EpisodeResult
 from handover_marl.evaluation.writers import EpisodeWriter
-from handover_marl.execution.machine import describe_machine
+from handover_marl.execution.options import describe_machine
 from handover_marl.execution.pool import PoolConfig
 from handover_marl.execution.tasks import open_pool
 from handover_marl.policies.bundle import PolicyBundle
@@ -83,21 +83,12 @@ class EpisodeRunner:
         self._trace_recorder, self._action_recorder = TraceRecorder(), ActionRecorder()
         self._recorders = [writer.create_recorder(config, self.receiver) for writer in writers]
 
-    def run(self, task: SceneTask) -> FinishedEpisode:
-        """Simulate the scene of a task with the receiver until its episode ends.
-
-        Raises:
-            HandoverError: The scene cannot be simulated, its data differ from the main machine's,
-                or a policy fails.
-        """
-        return self.run_with(self.receiver, task)
-
-    def run_with(self, receiver: EpisodePolicy, task: SceneTask) -> FinishedEpisode:
-        """Simulate the scene of a task with another receiver until its episode ends.
+    def run(self, task: SceneTask, receiver: EpisodePolicy | None = None) -> FinishedEpisode:
+        """Simulate the scene of a task until its episode ends.
 
         Args:
-            receiver: Policy to play instead of the configured receiver.
             task: Scene to simulate.
+            receiver: Policy to play instead of the configured receiver.
 
         Raises:
             HandoverError: The scene cannot be simulated, its data differ from the main machine's,
@@ -109,7 +100,7 @@ class EpisodeRunner:
         self._episode.reset(scene)
         callbacks: list[EpisodeCallback] = [self._trace_recorder, self._action_recorder, *self._recorders]
         try:
-            play(self._episode, receiver, self._giver, seed=self._config.seed, callbacks=callbacks)
+            play(self._episode, receiver or self.receiver, self._giver, seed=self._config.seed, callbacks=callbacks)
         except (ActionError, OptionError, PolicyError) as error:
             raise self._add_context(error, task) from error
         info = scene.info

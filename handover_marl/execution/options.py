@@ -1,9 +1,11 @@
-"""Function signatures and checks of options that several public functions share."""
+"""Options that several public functions share, and the machine's processor, cores and engines."""
 
 import importlib.util
 import inspect
 import os
+import platform
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any, TypeVar
 
@@ -79,3 +81,17 @@ def require_pybullet(feature: str, advice: str) -> None:
             f"{feature} needs PyBullet, which is not installed (it has wheels up to Python 3.11; pip "
             f"install pybullet compiles it on later ones); {advice}"
         )
+
+
+def describe_machine() -> str:
+    """Return this machine's processor, number of cores and version of Python as text."""
+    return f"{_read_processor_name()}, {os.cpu_count()} cores, Python {platform.python_version()}"
+
+
+def _read_processor_name() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        lines = []
+    models = (line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
+    return next(models, platform.processor() or platform.machine() or "unknown processor")

@@ -1,14 +1,113 @@
-"""Functions that open a worker pool and apply a function to tasks with a progress bar."""
+"""Pools of worker processes on this machine or a Ray cluster, and functions that apply them to tasks.
 
+Local processes are started by the library loky. Unlike with multiprocessing, the caller's script is
+not imported again in the workers, so that it needs no `if __name__ == "__main__"`.
+"""
+
+import re
+import warnings
 from collections.abc import Callable, Generator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing, nullcontext
+from typing import Any
 
+import cloudpickle
+from loky.process_executor import ProcessPoolExecutor
 from rich.console import Console
 from rich.progress import track
 
-from handover_marl.execution.local_pool import LocalPool
+from handover_marl.errors import WorkerError
 from handover_marl.execution.options import resolve_worker_count
-from handover_marl.execution.pool import RAY, Pool, PoolConfig, Result, Task
+from handover_marl.execution.pool import RAY, Job, OpenWorker, Pool, PoolConfig, Result, Task
+from handover_marl.execution.worker import run_local_task, start_local_worker, unpickle_result
+
+_EXIT_CODES = re.compile(r"\{(.*)\}")
+
+
+class LocalPool(Pool):
+    """Pool of worker processes on the caller's machine; a single worker is the caller's process.
+
+    When a worker dies (e.g. killed because memory is short), loky ends all workers. Their tasks
+    are then run again, one at a time, so that the task that kills its worker is identified.
+
+    Args:
+        n_workers: Number of processes.
+    """
+
+    def __init__(self, n_workers: int) -> None:
+        self.n_workers = n_workers
+
+    def map_unordered(
+        self, open_worker: OpenWorker[Task, Result], tasks: Sequence[Task], describe: Callable[[Task], str] = str
+    ) -> Generator[tuple[int, Result], None, None]:
+        """Apply a function to tasks, see `Pool.map_unordered`."""
+        if min(self.n_workers, len(tasks)) <= 1:
+            if tasks:
+                with open_worker() as function:
+                    for index, task in enumerate(tasks):
+                        yield index, function(task)
+            return
+        job = cloudpickle.dumps(Job(open_worker, describe))
+        pending = dict(enumerate(tasks))
+        while pending:
+            crash = yield from _run_until_crash(job, pending, min(self.n_workers, len(pending)))
+            if crash is None:
+                continue
+            suspects = {index: pending.pop(index) for index in crash.indices}
+            listed = ", ".join(map(describe, suspects.values()))
+            warnings.warn(
+                f"a worker process died ({crash.exit_codes}) while {listed}; retrying", RuntimeWarning, stacklevel=2
+            )
+            crash = yield from _run_until_crash(job, suspects, 1)
+            if crash is not None:
+                raise WorkerError(
+                    f"a worker process died twice while {describe(tasks[crash.indices[0]])} "
+                    f"({crash.exit_codes}); finished results are kept. Use fewer workers if "
+                    "memory is short, or workers=1 to see the failure in this process."
+                )
+
+
+class _Crash:
+    """Death of a worker process.
+
+    Args:
+        indices: Indices of the tasks that were running.
+        error: Loky's exception, whose text names the exit codes.
+    """
+
+    def __init__(self, indices: Sequence[int], error: BaseException) -> None:
+        self.indices = indices
+        match = _EXIT_CODES.search(str(error))
+        self.exit_codes = f"exit code {match[1]}" if match else type(error).__name__
+
+
+def _run_until_crash(
+    job: bytes, pending: dict[int, Any], n_workers: int
+) -> Generator[tuple[int, Any], None, _Crash | None]:
+    """Run tasks in new processes and remove the finished tasks from `pending`.
+
+    No more tasks are submitted than workers exist, so that the submitted ones are those that ran
+    when a worker died.
+    """
+    executor = ProcessPoolExecutor(n_workers, initializer=start_local_worker, initargs=(job,))
+    running: dict[Future[bytes], int] = {}
+    waiting = list(reversed(pending))
+    try:
+        while waiting or running:
+            while waiting and len(running) < n_workers:
+                task = cloudpickle.dumps(pending[waiting[-1]])
+                running[executor.submit(run_local_task, task)] = waiting.pop()
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                answer = future.result()
+                index = running.pop(future)
+                del pending[index]
+                yield index, unpickle_result(answer)
+    except BrokenProcessPool as error:
+        return _Crash(list(running.values()), error)
+    finally:
+        executor.shutdown(wait=True, kill_workers=True)
+    return None
 
 
 def open_pool(config: PoolConfig) -> Pool:

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from handover_marl.errors import SimulationError
-from handover_marl.geometry.poses import poses_from_rotations
+from handover_marl.geometry.poses import quaternion_from_matrix
 
 Array = npt.NDArray[np.float64]
 
@@ -107,7 +107,7 @@ class KinematicTree:
         """Compute poses (n, len(links), 7) of links in the base frame for joints (n, d)."""
         origins, rotations = self.compute_link_frames(dof)
         chosen = list(links)
-        return poses_from_rotations(origins[:, chosen], rotations[:, chosen])
+        return np.concatenate([origins[:, chosen], quaternion_from_matrix(rotations[:, chosen])], axis=-1)
 
     def list_revolute_joints(self, link: int) -> list[int]:
         """List the child links of the revolute joints from the base to a link, in this order.

@@ -14,9 +14,9 @@ from handover_marl.errors import DataFormatError
 Array = npt.NDArray[np.float64]
 Faces = npt.NDArray[np.int64]
 
-# Vertex number of every corner of a face, the first of the numbers between slashes.
 # Vertices count as lying in one plane if their smallest singular value is below this (m).
 _FLAT = 1e-9
+# Vertex number of every corner of a face, the first of the numbers between slashes.
 _CORNERS = re.compile(r"(?:^|\s)(-?[0-9]{1,9})(?=[/\s]|$)")
 
 
@@ -105,7 +105,7 @@ def check_obj(path: Path, solid: bool = False) -> None:
     except OSError as error:
         raise DataFormatError(f"{path}: cannot read this mesh ({error.strerror or error})") from error
     faces = " ".join(line[2:] for line in lines if line.startswith(("f ", "f\t")))
-    corners = np.array([int(number) for number in _CORNERS.findall(faces)], dtype=np.int64)
+    corners = np.array(_CORNERS.findall(faces), dtype=np.int64)
     try:
         vertices = np.array([line.split()[1:4] for line in lines if line.startswith(("v ", "v\t"))], dtype=np.float64)
     except ValueError as error:

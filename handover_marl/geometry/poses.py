@@ -17,8 +17,8 @@ IDENTITY.flags.writeable = False
 
 def quaternion_multiply(left: npt.ArrayLike, right: npt.ArrayLike) -> Array:
     """Compute the Hamilton product of quaternions (..., 4) xyzw: rotate by `right`, then `left`."""
-    ax, ay, az, aw = _components(left)
-    bx, by, bz, bw = _components(right)
+    ax, ay, az, aw = np.moveaxis(np.asarray(left), -1, 0)
+    bx, by, bz, bw = np.moveaxis(np.asarray(right), -1, 0)
     return np.stack(
         [
             aw * bx + bw * ax + ay * bz - by * az,
@@ -37,9 +37,8 @@ def rotate_points(quaternion: npt.ArrayLike, points: npt.ArrayLike) -> Array:
 
 def transform_points(a_from_b: npt.ArrayLike, points: npt.ArrayLike) -> Array:
     """Transform points (..., 3) from frame b to frame a by poses `a_from_b` (..., 7)."""
-    tx, ty, tz, *quaternion = _components(a_from_b)
-    x, y, z, w = quaternion
-    px, py, pz = _components(points)
+    tx, ty, tz, x, y, z, w = np.moveaxis(np.asarray(a_from_b), -1, 0)
+    px, py, pz = np.moveaxis(np.asarray(points), -1, 0)
     return np.stack(
         [
             tx + px + 2.0 * (-(y * y + z * z) * px + (x * y - w * z) * py + (w * y + x * z) * pz),
@@ -110,7 +109,8 @@ def inverse_transform_points(a_from_b: npt.ArrayLike, points: npt.ArrayLike) -> 
     """Transform points (..., 3) from frame a to frame b by the inverses of poses `a_from_b`."""
     pose = np.asarray(a_from_b, dtype=np.float64)
     conjugate = pose[..., 3:] * np.array([-1.0, -1.0, -1.0, 1.0])
-    return rotate_points(conjugate, np.asarray(points, dtype=np.float64) - pose[..., :3])
+    rotation = np.concatenate([np.zeros_like(pose[..., :3]), conjugate], axis=-1)
+    return transform_points(rotation, np.asarray(points, dtype=np.float64) - pose[..., :3])
 
 
 def rotation_angle(first: npt.ArrayLike, second: npt.ArrayLike) -> float:
@@ -173,7 +173,3 @@ def _select_nearest(angles: Array, previous: Array) -> tuple[npt.NDArray[np.int_
     distances = np.abs(solutions + 2.0 * np.pi * turns - previous[:, None]).sum(axis=2)
     nearest = distances.argmin(axis=1)
     return nearest, turns[np.arange(len(angles)), nearest]
-
-
-def _components(vectors: npt.ArrayLike) -> npt.NDArray[np.floating]:
-    return np.moveaxis(np.asarray(vectors), -1, 0)

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from handover_marl.errors import SimulationError
 from handover_marl.geometry.kinematic_tree import KinematicTree, matrix_from_rpy, read_attribute
-from handover_marl.geometry.poses import poses_from_rotations
+from handover_marl.geometry.poses import quaternion_from_matrix
 
 Color = tuple[float, ...]
 
@@ -186,13 +186,13 @@ def _read_shape(element: ET.Element, link: int, folder: Path, color: Color) -> U
     numbers = _parse_numbers(size, 1 if shape.tag == "sphere" else 3)
     xyz, rpy = (read_attribute(element, "origin", name, "0 0 0") for name in ("xyz", "rpy"))
     _parse_numbers(rpy, 3)
-    pose = poses_from_rotations(np.array(_parse_numbers(xyz, 3)), matrix_from_rpy(rpy))
+    pose = np.concatenate([_parse_numbers(xyz, 3), quaternion_from_matrix(matrix_from_rpy(rpy))])
     return UrdfShape(link, shape.tag, numbers, mesh, pose, color)
 
 
 def _parse_numbers(text: str, count: int) -> tuple[float, ...]:
-    values = tuple(float(value) for value in text.split())
-    if len(values) != count or not all(math.isfinite(value) for value in values):
+    values = tuple(map(float, text.split()))
+    if len(values) != count or not all(map(math.isfinite, values)):
         raise ValueError(f"expected {count} finite numbers, found {text!r}")
     return values
 

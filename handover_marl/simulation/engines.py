@@ -109,7 +109,7 @@ def make_distance_query(panda_urdf: Path, config: PandaConfig) -> DistanceQuery:
         SimulationError, DataFormatError: The model cannot be read.
     """
     if is_pybullet_installed():
-        from handover_marl.simulation.bullet.distances import BulletDistanceQuery
+        from handover_marl.simulation.bullet.kinematics import BulletDistanceQuery
 
         return BulletDistanceQuery(panda_urdf, config)
     from handover_marl.simulation.mujoco.distances import MujocoDistanceQuery

@@ -138,7 +138,7 @@ class HandTrajectory:
         self._cached_keypoints: tuple[Array, npt.NDArray[np.float32]] | None = None
         # One row more than the reference has; the first is the state before it.
         self._path, self._present = np.zeros((1, HAND_DOF)), np.zeros(1, dtype=bool)
-        self.set_reference(start)
+        set_hand_references([self], [start])
         self._path, self._present = self._path[-1:], self._present[-1:]
 
     def set_reference(self, motion: ReferenceMotion) -> None:
@@ -152,7 +152,7 @@ class HandTrajectory:
         """
         present, tracked = motion.hand_present, []
         cuts = (np.flatnonzero(np.diff(present)) + 1).tolist()
-        for first, last in zip([0, *cuts], [*cuts, len(motion)], strict=True):
+        for first, last in zip([0, *cuts], [*cuts, len(present)], strict=True):
             if not present[first]:
                 self._motor_model = None
                 continue
@@ -169,7 +169,7 @@ class HandTrajectory:
             motion: Reference motion of the hand.
             tracked: Motor models and rows as returned by `start_tracking`, with computed paths.
         """
-        path = np.zeros((len(motion) + 1, HAND_DOF))
+        path = np.zeros((len(motion.hand_present) + 1, HAND_DOF))
         path[0] = self._path[-1]
         for model, rows in tracked:
             path[rows.start + 1 : rows.stop + 1] = model.path
@@ -227,7 +227,9 @@ class HandTrajectory:
 
 def set_hand_references(hands: Sequence[HandTrajectory], motions: Sequence[ReferenceMotion]) -> None:
     """Set the reference motions of several hands at once, each with its own motion."""
-    tracked = [hand.start_tracking(motion) for hand, motion in zip(hands, motions, strict=True)]
+    tracked: list[list[tuple[MotorModel, slice]]] = []
+    for hand, motion in zip(hands, motions, strict=True):
+        tracked.append(hand.start_tracking(motion))
     models = [model for own in tracked for model, _ in own]
     targets = [motion.hand[rows] for own, motion in zip(tracked, motions, strict=True) for _, rows in own]
     simulate_motors(models, targets)

@@ -24,7 +24,7 @@ from handover_marl.evaluation.reports.fluency_tables import FLUENCY_UNITS, compu
 from handover_marl.geometry.link_trajectory import LinkFrameTrajectory, compute_link_trajectory
 from handover_marl.geometry.panda import ROBOTS
 from handover_marl.receivers import make
-from handover_marl.simulation.bullet.distances import BulletDistanceQuery
+from handover_marl.simulation.bullet.kinematics import BulletDistanceQuery
 from handover_marl.simulation.clearance import ClearanceMonitor, DistanceQuery
 from handover_marl.simulation.engines import make_distance_query
 from tests.playing import play

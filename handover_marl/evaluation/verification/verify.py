@@ -127,7 +127,7 @@ class EpisodeChecker:
             actions = read_actions(file, stored.steps)
         except ResultsError as error:
             return EpisodeCheck(task.index, task.scene_id, (Difference(file.name, shorten_text(error), "a result"),))
-        simulated = self._runner.run_with(StoredActions(actions), task).result
+        simulated = self._runner.run(task, StoredActions(actions)).result
         differences = compare_results(stored, simulated, self._same_version)
         return EpisodeCheck(task.index, task.scene_id, tuple(differences))
 

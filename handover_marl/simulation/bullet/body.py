@@ -17,21 +17,17 @@ from handover_marl.simulation.bullet.client import BulletClient, float32_list, l
 
 # Fields of PyBullet's joint info.
 _JOINT_TYPE, _LINK_NAME = 2, 12
-
-
-def get_inertial_offset(client: BulletClient, body_id: int, link: int) -> npt.NDArray[np.float64]:
-    """Return the pose (7,) of a link's centre of mass in its URDF frame; link -1 is the base link.
-
-    Bullet sets base poses and reports link states at the centre of mass.
-    """
-    info = client.getDynamicsInfo(body_id, link)
-    return np.array([*info[3], *info[4]])
+#: Fields of PyBullet's dynamics info: position and quaternion of a link's centre of mass in its URDF frame.
+INERTIAL_POSE = slice(3, 5)
 
 
 def reset_base(client: BulletClient, body_id: int, world_from_base: npt.ArrayLike) -> None:
-    """Set the world pose (7,) of the URDF frame of a body's base link."""
+    """Set the world pose (7,) of the URDF frame of a body's base link.
+
+    Bullet sets base poses at the centre of mass.
+    """
     pose = np.asarray(world_from_base, dtype=np.float64)
-    offset = get_inertial_offset(client, body_id, -1)
+    offset = np.concatenate(client.getDynamicsInfo(body_id, -1)[INERTIAL_POSE])
     if not np.array_equal(offset, IDENTITY):
         pose = compose(pose, offset)
     client.resetBasePositionAndOrientation(body_id, pose[:3].tolist(), pose[3:].tolist())

@@ -2,6 +2,7 @@
 
 from abc import abstractmethod
 from collections.abc import Collection, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -44,24 +45,21 @@ class BulletWorld(World):
         self._scene: Scene | None = None
         self._workcell: Workcell | None = None
         self._release_pending = False
-        self._scene_renderers = SceneRendererCache(config)
+        self._scene_renderers: SceneRendererCache | None = None
 
-    def reset(self, scene: Scene, start: ReferenceMotion) -> None:
-        """Load a scene and set robot, objects and hand to its start.
-
-        Args:
-            scene: Scene to load.
-            start: Reference motion of one row: joint positions of hand and objects at the start.
+    @contextmanager
+    def _start_scene(self, scene: Scene) -> Iterator[None]:
+        """Pause the window while the models of a scene are loaded in this context.
 
         Raises:
             SimulationError: A model cannot be loaded, or PyBullet's window was closed.
         """
+        self._scene, self._release_pending = scene, False
         try:
             with pause_window_rendering(self._client):
-                self._load_scene(scene, start)
+                yield
         except pybullet_error as error:
             raise _make_connection_error(error) from error
-        self._release_pending = False
 
     def release_target(self) -> None:
         """Release the target object from the human hand, from the next step on."""
@@ -94,12 +92,9 @@ class BulletWorld(World):
 
     def close(self) -> None:
         """Disconnect from the PyBullet physics server."""
-        self._scene_renderers.close()
+        if self._scene_renderers is not None:
+            self._scene_renderers.close()
         self._client.close()
-
-    @abstractmethod
-    def _load_scene(self, scene: Scene, start: ReferenceMotion) -> None:
-        """Set robot, objects and hand to the start of a scene."""
 
     @abstractmethod
     def _read_object_poses(self) -> npt.NDArray[np.float32]:
@@ -122,6 +117,7 @@ class BulletWorld(World):
     @property
     def _scene_renderer(self) -> SceneRenderer:
         """Renderer of the current scene in a separate physics client."""
+        self._scene_renderers = self._scene_renderers or SceneRendererCache(self._config)
         return self._scene_renderers.get(self._scene)
 
     def _simulate(self) -> None:
@@ -195,6 +191,18 @@ class ExactWorld(BulletWorld):
         self._hand: HandBody | None = None
         self._reference: Iterator[tuple[list[list[float]], list[float] | None]] = iter(())
 
+    def reset(self, scene: Scene, start: ReferenceMotion) -> None:
+        """Load a scene and set robot, objects and hand to its start, see `World.reset`."""
+        with self._start_scene(scene):
+            self._workcell = load_workcell(self._client, scene.assets, self._config)
+            states = start.objects[0].tolist()
+            self._objects = [
+                ObjectBody(self._client, urdf, class_id, InitialState(state), self._config.objects)
+                for urdf, class_id, state in zip(scene.assets.objects, scene.info.object_ids, states, strict=True)
+            ]
+            self._hand = None
+            self._update_hand(start.list_hand_targets()[0])
+
     def set_reference(self, motion: ReferenceMotion) -> None:
         """Set the joint targets of hand and objects for the coming steps, one row per step."""
         self._reference = iter(zip(motion.objects.tolist(), motion.list_hand_targets(), strict=True))
@@ -234,17 +242,6 @@ class ExactWorld(BulletWorld):
         hand = None if self._hand is None else self._hand.id
         labels = label_bodies(workcell.table_id, workcell.panda.id, objects, hand)
         return render_wrist_camera(self._client, workcell.panda, labels, color)
-
-    def _load_scene(self, scene: Scene, start: ReferenceMotion) -> None:
-        self._scene = scene
-        self._workcell = load_workcell(self._client, scene.assets, self._config)
-        states = start.objects[0].tolist()
-        self._objects = [
-            ObjectBody(self._client, urdf, class_id, InitialState(state), self._config.objects)
-            for urdf, class_id, state in zip(scene.assets.objects, scene.info.object_ids, states, strict=True)
-        ]
-        self._hand = None
-        self._update_hand(start.list_hand_targets()[0])
 
     def _update_hand(self, target: list[float] | None) -> None:
         """Load the human hand at its first target, and remove it when there is no target."""

@@ -12,10 +12,10 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.config import CameraConfig, PhysicsConfig
-from handover_marl.datasets.dataset import Scene, SceneAssets
+from handover_marl.datasets.dataset import Scene
 from handover_marl.errors import ResetNeededError
 from handover_marl.geometry.kinematic_tree import read_tree
-from handover_marl.simulation.bullet.bodies import PandaBody, Workcell, load_workcell
+from handover_marl.simulation.bullet.bodies import PandaBody, load_workcell
 from handover_marl.simulation.bullet.exact_world import BulletWorld
 from handover_marl.simulation.bullet.shapes import VisualBodies, read_bounding_spheres
 from handover_marl.simulation.bullet.sleepable_bodies import (
@@ -58,6 +58,33 @@ class FastWorld(BulletWorld):
         self._n_steps, self._row, self._n_rows = 0, -1, 0
         # Sleeping bodies are safe before this row, as long as the robot has this target.
         self._free_until, self._free_target = 0, list[float]()
+
+    def reset(self, scene: Scene, start: ReferenceMotion) -> None:
+        """Load a scene and set robot, objects and hand to its start, see `World.reset`."""
+        assets = scene.assets
+        files = (assets.table, assets.panda)
+        with self._start_scene(scene):
+            self._remove_scene_bodies()
+            if self._workcell is None or files != self._workcell_files:
+                self._workcell = None
+                self._hand_models.clear()
+                self._workcell = load_workcell(self._client, assets, self._config)
+                # In the first step of a new client the Panda's contacts with itself differ by 1e-8 m from those in
+                # later steps; after this step a new world behaves like a used one.
+                self._client.stepSimulation()
+                self._workcell_files = files
+                self._motion_bounds = RobotMotionBounds(
+                    read_tree(assets.panda), read_bounding_spheres(assets.panda), self._config.panda
+                )
+            panda = self._workcell.panda
+            self._reset_broad_phase(panda)
+            if assets.hand not in self._hand_models:
+                self._hand_models[assets.hand] = load_hand_collision_model(self._client, assets.hand)
+            self._hand = KinematicHand(self._client, self._hand_models[assets.hand], self._config.hand, start)
+            for urdf, class_id, state in zip(assets.objects, scene.info.object_ids, start.objects[0], strict=True):
+                self._objects.append(SleepableObject(self._client, urdf, class_id, state, self._config.objects))
+            self._row, self._free_until = -1, 0
+            panda.reset_to_start()
 
     def set_reference(self, motion: ReferenceMotion) -> None:
         """Set the joint targets of hand and objects for the coming steps, one row per step."""
@@ -109,22 +136,6 @@ class FastWorld(BulletWorld):
         """Render an image of the wrist camera, at the current or an earlier state of the scene."""
         return self._scene_renderer.render_wrist_camera(at or self.read_joint_snapshot(), color)
 
-    def _load_scene(self, scene: Scene, start: ReferenceMotion) -> None:
-        self._remove_scene_bodies()
-        self._scene = scene
-        panda = self._load_workcell(scene.assets).panda
-        self._reset_broad_phase(panda)
-        urdf = scene.assets.hand
-        if urdf not in self._hand_models:
-            self._hand_models[urdf] = load_hand_collision_model(self._client, urdf)
-        self._hand = KinematicHand(self._client, self._hand_models[urdf], self._config.hand, start)
-        self._objects = [
-            SleepableObject(self._client, urdf, class_id, state, self._config.objects)
-            for urdf, class_id, state in zip(scene.assets.objects, scene.info.object_ids, start.objects[0], strict=True)
-        ]
-        self._row, self._free_until = -1, 0
-        panda.reset_to_start()
-
     def _remove_scene_bodies(self) -> None:
         if self._visual_bodies is not None:
             self._visual_bodies.clear()
@@ -133,21 +144,6 @@ class FastWorld(BulletWorld):
         for item in self._objects:
             item.remove()
         self._objects, self._hand = [], None
-
-    def _load_workcell(self, assets: SceneAssets) -> Workcell:
-        files = (assets.table, assets.panda)
-        if self._workcell is None or files != self._workcell_files:
-            self._workcell = None
-            self._hand_models.clear()
-            self._workcell = load_workcell(self._client, assets, self._config)
-            # In the first step of a new client the Panda's contacts with itself differ by 1e-8 m from those in later
-            # steps; after this step a new world behaves like a used one.
-            self._client.stepSimulation()
-            self._workcell_files = files
-            self._motion_bounds = RobotMotionBounds(
-                read_tree(assets.panda), read_bounding_spheres(assets.panda), self._config.panda
-            )
-        return self._workcell
 
     def _reset_broad_phase(self, panda: PandaBody) -> None:
         """Reset Bullet's broad phase to the state of a new client, independent of earlier episodes.
@@ -205,7 +201,10 @@ class FastWorld(BulletWorld):
             visual_bodies.show("hand", model.urdf, model.tree, joints)
 
     def _read_object_poses(self) -> npt.NDArray[np.float32]:
-        return np.stack([item.read_pose(self._row) for item in self._objects])
+        poses = np.empty((len(self._objects), 7), dtype=np.float32)
+        for number, item in enumerate(self._objects):
+            poses[number] = item.read_pose(self._row)
+        return poses
 
     def _read_hand_joints(self) -> npt.NDArray[np.float32] | None:
         hand = self._loaded_hand

@@ -1,5 +1,6 @@
-"""Inverse kinematics of the Panda by PyBullet, each solver in its own physics client.
+"""Inverse kinematics of the Panda and its distance from a hand by PyBullet.
 
+Each solver or query has its own physics client.
 Quaternions are xyzw.
 """
 
@@ -8,14 +9,16 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.config import ARM_DOF, PandaConfig
+from handover_marl.config import ARM_DOF, HandConfig, PandaConfig
 from handover_marl.geometry.arm import ReachabilityBound
-from handover_marl.geometry.kinematic_tree import read_tree
+from handover_marl.geometry.kinematic_tree import BoundingSphere, read_tree
 from handover_marl.geometry.panda import HAND_LINK
 from handover_marl.geometry.poses import IDENTITY, compose, invert_pose, rotation_angle
-from handover_marl.simulation.bullet.bodies import PandaBody
-from handover_marl.simulation.bullet.body import get_inertial_offset, reset_base
+from handover_marl.simulation.bullet.bodies import HandBody, PandaBody
+from handover_marl.simulation.bullet.body import INERTIAL_POSE, reset_base
 from handover_marl.simulation.bullet.client import connect, load_urdf
+from handover_marl.simulation.bullet.shapes import read_bounding_spheres
+from handover_marl.simulation.clearance import DistanceQuery
 
 Array = npt.NDArray[np.float64]
 
@@ -23,6 +26,8 @@ Array = npt.NDArray[np.float64]
 _POSITION_TOLERANCE = 1e-3
 _ANGLE_TOLERANCE = 0.1
 _MAX_ROUNDS = 1000
+# Field of a PyBullet closest point.
+_DISTANCE = 8
 
 
 class BulletIKStep:
@@ -91,7 +96,8 @@ class BulletIKSolver:
         reset_base(self._client, self._body, world_from_base)
         tree = read_tree(urdf)
         self._hand_link = [joint.link for joint in tree.joints].index(HAND_LINK)
-        hand_from_mass = get_inertial_offset(self._client, self._body, self._hand_link)
+        # Bullet reports link states at the centre of mass.
+        hand_from_mass = np.concatenate(self._client.getDynamicsInfo(self._body, self._hand_link)[INERTIAL_POSE])
         self._mass_from_hand = None if np.array_equal(hand_from_mass, IDENTITY) else invert_pose(hand_from_mass)
         self._reachability = ReachabilityBound(tree, self._hand_link, world_from_base)
 
@@ -139,3 +145,42 @@ class BulletIKSolver:
         position, orientation = self._client.getLinkState(self._body, self._hand_link)[:2]
         world_from_mass = np.array([*position, *orientation])
         return world_from_mass if self._mass_from_hand is None else compose(world_from_mass, self._mass_from_hand)
+
+
+class BulletDistanceQuery(DistanceQuery):
+    """Distances between the collision shapes of a Panda and of a human hand, by PyBullet.
+
+    The models are loaded into a separate physics client.
+
+    Args:
+        panda_urdf: Model of the robot.
+        config: Base pose of the robot.
+    """
+
+    def __init__(self, panda_urdf: Path, config: PandaConfig) -> None:
+        self._client = connect()
+        self._panda = PandaBody(self._client, panda_urdf, config)
+        self._hands: dict[Path, HandBody] = {}
+
+    def read_bounding_spheres(self, urdf: Path) -> dict[int, BoundingSphere]:
+        """Return a sphere around the collision shapes of each link by link number.
+
+        The number of the base link is -1.
+
+        Links without collision shapes are left out.
+        """
+        return read_bounding_spheres(urdf)
+
+    def measure(self, hand_urdf: Path, robot: list[float], hand: list[float], max_distance: float) -> float:
+        """Measure the smallest distance of robot and human hand (m); see `DistanceQuery`."""
+        self._panda.reset_joints_at_rest(robot)
+        if hand_urdf not in self._hands:
+            self._hands[hand_urdf] = HandBody(self._client, hand_urdf, hand, HandConfig())
+        body = self._hands[hand_urdf]
+        body.reset_joints_at_rest(hand)
+        points = self._client.getClosestPoints(self._panda.id, body.id, max_distance)
+        return min((float(point[_DISTANCE]) for point in points), default=max_distance)
+
+    def close(self) -> None:
+        """Disconnect from the PyBullet physics server."""
+        self._client.close()

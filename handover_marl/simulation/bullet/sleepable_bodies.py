@@ -19,7 +19,13 @@ from handover_marl.simulation.bullet.bodies import HAND_MASK, ObjectBody
 from handover_marl.simulation.bullet.body import InitialState
 from handover_marl.simulation.bullet.client import BulletClient
 from handover_marl.simulation.bullet.shapes import create_collision_shape, read_bounding_spheres
-from handover_marl.simulation.kinematic_paths import BASE_JOINTS, HandTrajectory, ObjectTrajectory, ReferenceMotion
+from handover_marl.simulation.kinematic_paths import (
+    BASE_JOINTS,
+    HandTrajectory,
+    ObjectTrajectory,
+    ReferenceMotion,
+    set_hand_references,
+)
 
 # Bullet tests two bodies for collision if either one's mask admits the other. The Panda's mask admits the hand; an
 # empty mask keeps the overlapping bodies of the hand from colliding with each other.
@@ -202,7 +208,7 @@ class KinematicHand(HandTrajectory):
 
     def set_reference(self, motion: ReferenceMotion) -> None:
         """Compute the hand's joint positions in all steps of a new reference motion."""
-        super().set_reference(motion)
+        set_hand_references([self], [motion])
         self._shape_poses = None
 
     def wake(self, row: int) -> None:

@@ -56,7 +56,7 @@ def simulated(original: Path) -> EpisodeResult:
     runner = EpisodeRunner(config, parallelism="")
     stored = read_result(original / "002.npz")
     receiver = StoredActions(read_actions(original / "002.npz", stored.steps))
-    result = runner.run_with(receiver, SceneTask(INDEX, SCENE)).result
+    result = runner.run(SceneTask(INDEX, SCENE), receiver).result
     runner.close()
     return result
 
