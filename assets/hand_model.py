@@ -130,12 +130,12 @@ def matrices_from_euler(angles: npt.ArrayLike) -> FloatArray:
     """Return rotation matrices (..., 3, 3) of intrinsic XYZ Euler angles (..., 3) (rad)."""
     values = np.asarray(angles, dtype=np.float64)
     (sx, sy, sz), (cx, cy, cz) = np.moveaxis(np.sin(values), -1, 0), np.moveaxis(np.cos(values), -1, 0)
-    rows = [
-        [cy * cz, -cy * sz, sy],
-        [cx * sz + sx * sy * cz, cx * cz - sx * sy * sz, -sx * cy],
-        [sx * sz - cx * sy * cz, sx * cz + cx * sy * sz, cx * cy],
+    entries = [
+        *(cy * cz, -cy * sz, sy),
+        *(cx * sz + sx * sy * cz, cx * cz - sx * sy * sz, -sx * cy),
+        *(sx * sz - cx * sy * cz, sx * cz + cx * sy * sz, cx * cy),
     ]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    return np.stack(entries, axis=-1).reshape(*values.shape, 3)
 
 
 def euler_from_matrices(matrices: npt.ArrayLike) -> FloatArray:

@@ -6,6 +6,7 @@ there straight to the grasp, closes the fingers and carries the object to the go
 object's true pose and ignores the person's hand.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import Enum, auto
 
@@ -105,6 +106,10 @@ class Yang2021Receiver(Receiver):
         self._reference: Array | None = None
         self._retreat: Action | None = None
 
+    def prepare(self, object_names: Sequence[str]) -> None:
+        """Read the grasps of the object that is handed over."""
+        self._library.gripper_poses(object_names[0])
+
     def reset(self, seed: int | None = None) -> None:
         """Start an episode; the receiver is deterministic."""
         if self._ik_solver is None:
@@ -143,9 +148,11 @@ class Yang2021Receiver(Receiver):
         if self._phase is YangPhase.WAIT:
             self._phase = YangPhase.APPROACH
         if self._phase is YangPhase.APPROACH:
-            arm = self._approach(observation)
-            if arm is not None:
-                return _make_action(arm, panda.OPEN)
+            hand, selected = observation["gripper_pose"], self._selected
+            if selected is None or not self._is_in_region(hand, *selected):
+                return _make_action(self._move_to_standoff(observation), panda.OPEN)
+            if not self._is_at_grasp(hand, selected[1]):
+                return _make_action(self._move_to_grasp(observation, selected[1]), panda.OPEN)
             self._phase = YangPhase.CLOSE
             self._close_until = round(time + self.config.close_time, 3)
         if self._phase is YangPhase.CLOSE and time < self._close_until:
@@ -155,24 +162,16 @@ class Yang2021Receiver(Receiver):
             self._retreat = _make_action(self._goal_joints(observation), panda.CLOSED)
         return self._retreat
 
-    def _approach(self, observation: Observation) -> npt.NDArray[np.floating] | None:
-        """Return the next arm joints, or None once the hand is at the grasp."""
-        hand, selected = observation["gripper_pose"], self._selected
-        if selected is None or not self._is_in_region(hand, *selected):
-            return self._move_to_standoff(observation)
-        if self._is_at_grasp(hand, selected[1]):
-            return None
-        return self._move_to_grasp(observation, selected[1])
-
     def _move_to_standoff(self, observation: Observation) -> npt.NDArray[np.floating]:
         """Select the cheapest reachable standoff and return its arm joints."""
         grasps = self._library.hand_poses_in_world(observation)
         if grasps is None:
             return _arm_joints(observation)
         standoffs = compose(grasps, np.array(self.config.standoff))
+        solver, joints = require_reset(self._ik_solver, self), observation["robot_joint_position"]
         cheapest = np.argsort(self._costs(standoffs, observation["gripper_pose"]), kind="stable")
         for index in cheapest[: self.config.max_candidates]:
-            arm = self._solve(observation, standoffs[index, :3], standoffs[index, 3:])
+            arm = solver.solve(joints, standoffs[index, :3], standoffs[index, 3:])
             if arm is not None:
                 self._selected = np.stack([standoffs[index], grasps[index]])
                 self._reference = standoffs[index]
@@ -189,12 +188,14 @@ class Yang2021Receiver(Receiver):
         if distance >= self.config.step_length:
             # The reference rounds this set-point to float32, like the observed position.
             target[:3] = (hand + offset / distance * self.config.step_length).astype(np.float32)
-        arm = self._solve(observation, target[:3], target[3:])
+        solver = require_reset(self._ik_solver, self)
+        arm = solver.solve(observation["robot_joint_position"], target[:3], target[3:])
         return _arm_joints(observation) if arm is None else arm
 
     def _goal_joints(self, observation: Observation) -> npt.NDArray[np.floating]:
         """Return the arm joints at the goal."""
-        arm = self._solve(observation, self.context.protocol.goal_center)
+        solver = require_reset(self._ik_solver, self)
+        arm = solver.solve(observation["robot_joint_position"], self.context.protocol.goal_center)
         return _arm_joints(observation) if arm is None else arm
 
     def _costs(self, standoffs: Array, hand: npt.NDArray[np.float32]) -> Array:
@@ -219,10 +220,6 @@ class Yang2021Receiver(Receiver):
     def _is_at_grasp(self, hand: npt.NDArray[np.float32], grasp: Array) -> bool:
         is_near = float(np.linalg.norm(grasp[:3] - hand[:3])) < self.config.grasp_tolerance
         return is_near and rotation_angle(hand[3:], grasp[3:]) < self.config.angle_tolerance
-
-    def _solve(self, observation: Observation, position: npt.ArrayLike, *orientation: Array) -> Array | None:
-        solver = require_reset(self._ik_solver, self)
-        return solver.solve(observation["robot_joint_position"], position, *orientation)
 
 
 def _arm_joints(observation: Observation) -> npt.NDArray[np.float32]:

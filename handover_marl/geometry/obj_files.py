@@ -55,17 +55,19 @@ def read_obj(path: Path) -> ObjMesh:
             elif kind in ("o", "g") and groups[-1]:
                 groups.append([])
             elif kind == "f":
-                corners = [_parse_corner(word, len(vertices)) for word in rest.split()]
+                # Vertices count from 1, or backwards from -1, the last vertex before the face.
+                numbers = [int(word.partition("/")[0]) for word in rest.split()]
+                corners = [n - 1 if n > 0 else len(vertices) + n if n < 0 else -1 for n in numbers]
                 groups[-1] += [(corners[0], *pair) for pair in itertools.pairwise(corners[1:])]
         points = np.array(vertices, dtype=np.float64).reshape(-1, 3)
-        found = tuple(np.array(faces, dtype=np.int64).reshape(-1, 3) for faces in groups if faces)
+        found = tuple(np.array(group, dtype=np.int64).reshape(-1, 3) for group in groups if group)
     except (OSError, ValueError, IndexError) as error:
         raise DataFormatError(f"{path}: not an OBJ file of triangles ({error}); check the file") from error
     if not found:
         raise DataFormatError(f"{path}: the mesh is empty; check the file")
     # Checked at the end: faces may precede their vertices.
-    numbers = np.concatenate(found)
-    if numbers.min() < 0 or numbers.max() >= len(points):
+    faces = np.concatenate(found)
+    if faces.min() < 0 or faces.max() >= len(points):
         raise DataFormatError(f"{path}: a face names a corner that is not there; check the file")
     if not np.isfinite(points).all():
         raise DataFormatError(f"{path}: a vertex is not finite; check the file")
@@ -118,12 +120,3 @@ def check_obj(path: Path, solid: bool = False) -> None:
         raise DataFormatError(f"{path}: a face names a corner that is not there; check the file")
     if solid and np.linalg.matrix_rank(vertices - vertices[0], tol=_FLAT) < 3:
         raise DataFormatError(f"{path}: all vertices are in one plane; check the file")
-
-
-def _parse_corner(word: str, known: int) -> int:
-    """Parse a face's corner and return its 0-based vertex number.
-
-    OBJ files count vertices from 1, or backwards from -1, the last vertex before the face.
-    """
-    number = int(word.partition("/")[0])
-    return number - 1 if number > 0 else known + number if number < 0 else -1

@@ -83,7 +83,7 @@ def unnormalized_quaternion_from_matrix(matrix: npt.ArrayLike) -> Array:
 def poses_from_matrices(matrices: npt.ArrayLike) -> Array:
     """Convert homogeneous matrices (n, 4, 4) to poses (n, 7)."""
     transforms = np.asarray(matrices)
-    return poses_from_rotations(transforms[:, :3, 3], transforms[:, :3, :3])
+    return np.concatenate([transforms[:, :3, 3], quaternion_from_matrix(transforms[:, :3, :3])], axis=-1)
 
 
 def poses_from_rotations(positions: npt.ArrayLike, rotations: npt.ArrayLike) -> Array:

@@ -116,8 +116,11 @@ def list_mesh_references(urdf: Path) -> list[tuple[str, Path]]:
     Raises:
         OSError: The URDF file cannot be read.
     """
-    names = [name.decode(errors="replace") for name in _MESH_NAME.findall(urdf.read_bytes())]
-    return [(name, urdf.parent / name.removeprefix(_PACKAGE)) for name in names]
+    meshes: list[tuple[str, Path]] = []
+    for match in _MESH_NAME.findall(urdf.read_bytes()):
+        name = match.decode(errors="replace")
+        meshes.append((name, urdf.parent / name.removeprefix(_PACKAGE)))
+    return meshes
 
 
 def read_model_mtimes(urdf: Path) -> tuple[int, ...]:

@@ -14,9 +14,9 @@ from handover_marl.assets.robot_model import PANDA_URDF, write_camera_panda_urdf
 from handover_marl.assets.shipped import load_object_grasps
 from handover_marl.datasets.dataset import TABLE_HEIGHT, Dataset, Scene, SceneAssets, SceneInfo
 from handover_marl.datasets.synthetic.assign_subjects import class_id_from_scene, side_from_scene, subject_from_scene
-from handover_marl.datasets.synthetic.clutter import ClutterObject, draw_clutter
+from handover_marl.datasets.synthetic.clutter import draw_clutter
 from handover_marl.datasets.synthetic.grasp_clearance import hand_poses_from_grasps
-from handover_marl.datasets.synthetic.handover_motion import KeyframeMotion, draw_motion
+from handover_marl.datasets.synthetic.handover_motion import draw_motion
 from handover_marl.datasets.synthetic.object_placement import draw_placement, make_held_object
 from handover_marl.datasets.synthetic.random_stream import VERSION
 from handover_marl.datasets.synthetic.resampling import (
@@ -94,17 +94,6 @@ class SyntheticDataset(Dataset):
         return ""
 
 
-def generate_keyframes(scene_id: int) -> tuple[KeyframeMotion, tuple[ClutterObject, ...]]:
-    """Generate the keyframes of a scene at 25 Hz and its other objects, in the table's frame."""
-    subject, side = subject_from_scene(scene_id), side_from_scene(scene_id)
-    class_id = class_id_from_scene(scene_id)
-    name = CLASS_NAMES[class_id]
-    model = make_hand_geometry(subject, side)
-    held = make_held_object(class_id, name, model, load_human_grasps(name, subject, side), _load_robot_grasps(name))
-    motion = draw_motion(scene_id, draw_placement(scene_id, held, name), held, model)
-    return motion, draw_clutter(scene_id, class_id, motion, model)
-
-
 @cache
 def _load_robot_grasps(name: str) -> npt.NDArray[np.float64] | None:
     transforms = load_object_grasps(name)
@@ -113,7 +102,15 @@ def _load_robot_grasps(name: str) -> npt.NDArray[np.float64] | None:
 
 @lru_cache(maxsize=4)
 def _generate_scene(scene_id: int) -> tuple[SceneInfo, npt.NDArray[np.float32], npt.NDArray[np.float32], int]:
-    motion, clutter = generate_keyframes(scene_id)
+    subject_id, side = subject_from_scene(scene_id), side_from_scene(scene_id)
+    class_id = class_id_from_scene(scene_id)
+    name = CLASS_NAMES[class_id]
+    model = make_hand_geometry(subject_id, side)
+    grasps = load_human_grasps(name, subject_id, side)
+    held = make_held_object(class_id, name, model, grasps, _load_robot_grasps(name))
+    # Keyframes at 25 Hz and other objects, in the table's frame.
+    motion = draw_motion(scene_id, draw_placement(scene_id, held, name), held, model)
+    clutter = draw_clutter(scene_id, class_id, motion, model)
     target = compute_object_trajectory(motion)
     object_dof = np.repeat(target[:, None], 1 + len(clutter), axis=1)
     for column, clutter_object in enumerate(clutter, start=1):
@@ -123,13 +120,13 @@ def _generate_scene(scene_id: int) -> tuple[SceneInfo, npt.NDArray[np.float32], 
     hand_first = motion.hand_first * (len(hand_dof) - 1) // (len(motion.fingers) - 1)
     object_dof[:, :, 2] += TABLE_HEIGHT
     hand_dof[hand_first:, 2] += TABLE_HEIGHT
-    ids = (class_id_from_scene(scene_id), *(clutter_object.class_id for clutter_object in clutter))
-    subject = f"synthetic-subject-{subject_from_scene(scene_id):02d}"
+    ids = (class_id, *(clutter_object.class_id for clutter_object in clutter))
+    subject = f"synthetic-subject-{subject_id:02d}"
     info = SceneInfo(
         scene_id=scene_id,
         name=f"{subject}/scene-{scene_id:03d}",
         subject=subject,
-        side=side_from_scene(scene_id),
+        side=side,
         object_ids=ids,
         object_names=tuple(CLASS_NAMES[number] for number in ids),
     )

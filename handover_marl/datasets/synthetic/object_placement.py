@@ -140,7 +140,9 @@ def _sample_resting_grasps(random: RandomStream, held: HeldObject, distance: flo
     for limit in _REACH_COSINE_LIMITS:
         for axis in axes:
             rotations = [resting_rotation(axis, first_yaw + 2.0 * np.pi * turn / _N_YAWS) for turn in range(_N_YAWS)]
-            allowed = np.stack([_find_reachable_grasps(held, rotation, limit) for rotation in rotations])
+            allowed = np.empty((_N_YAWS, len(held.grasps)), dtype=bool)
+            for turn, rotation in enumerate(rotations):
+                allowed[turn] = _find_reachable_grasps(held, rotation, limit)
             if allowed.any():
                 off = np.where(allowed.any(axis=0), np.abs(held.grasps.wrist_distance - distance), np.inf)
                 nearest = [int(row) for row in np.argsort(off, kind="stable")[:_N_GRASPS_COMPARED]]

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from handover_marl.config import MotorConfig
 from handover_marl.errors import SimulationError
-from handover_marl.geometry.poses import IDENTITY, compose
+from handover_marl.geometry.poses import IDENTITY, quaternion_multiply, transform_points
 from handover_marl.simulation.bullet.client import BulletClient, float32_list, load_urdf
 
 # Fields of PyBullet's joint info.
@@ -28,9 +28,10 @@ def reset_base(client: BulletClient, body_id: int, world_from_base: npt.ArrayLik
     """
     pose = np.asarray(world_from_base, dtype=np.float64)
     offset = np.concatenate(client.getDynamicsInfo(body_id, -1)[INERTIAL_POSE])
+    position, orientation = pose[:3], pose[3:]
     if not np.array_equal(offset, IDENTITY):
-        pose = compose(pose, offset)
-    client.resetBasePositionAndOrientation(body_id, pose[:3].tolist(), pose[3:].tolist())
+        position, orientation = transform_points(pose, offset[:3]), quaternion_multiply(orientation, offset[3:])
+    client.resetBasePositionAndOrientation(body_id, position.tolist(), orientation.tolist())
 
 
 @dataclass(frozen=True)
