@@ -17,7 +17,6 @@ import numpy as np
 import tyro
 
 from handover_marl import givers, receivers
-from handover_marl.datasets import open_dataset
 from handover_marl.episode.callbacks import EpisodeCallback
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.lockstep import RefereeStateBatch, judge_steps
@@ -26,36 +25,27 @@ from handover_marl.episode.referee import EpisodeStatus, Referee, RefereeState
 from handover_marl.evaluation.reports.tables import format_table
 from handover_marl.execution.pool import PoolConfig
 from handover_marl.execution.tasks import map_with_progress
+from handover_marl.learning.training.scene_arguments import EvaluationArgs
 from handover_marl.simulation.contacts import ContactBatch, Contacts
 
 
 @dataclass(frozen=True)
-class Args:
+class Args(EvaluationArgs):
     """Options of the comparison of the vectorized referee with the stepwise one.
 
     Attributes:
         episodes: Number of episodes.
         receiver: Name of the receiver, with options if there are any.
         givers: Names of the givers; each is simulated in every scene.
-        setup: Official setup, s0 to s3.
-        physics: Physics engine: fast, mujoco, or exact, which takes longer.
-        data_dir: Folder in HandoverSim's layout; default: environment variable HANDOVER_MARL_DATA.
-        dataset: Dataset: dexycb, synthetic, or auto.
         together: Number of episodes that the vectorized referee evaluates at once.
         segments: Numbers of steps that the vectorized referee evaluates at once.
-        workers: Number of worker processes; default: one per core.
     """
 
     episodes: int = 1000
     receiver: str = "yang2021"
     givers: tuple[str, ...] = ("replay", "hurried")
-    setup: str = "s0"
-    physics: str = "fast"
-    data_dir: str | None = None
-    dataset: str = "auto"
     together: int = 8
     segments: tuple[int, ...] = (1, 100)
-    workers: int | None = None
 
 
 class Stream(NamedTuple):
@@ -92,7 +82,7 @@ class Checker:
     """Simulator that compares both implementations of the referee in one process."""
 
     def __init__(self, args: Args) -> None:
-        self._args, self._data = args, open_dataset(args.dataset, args.data_dir)
+        self._args, self._data = args, args.open_dataset()
         self._receiver = receivers.make(args.receiver, self._data, setup=args.setup)
         self._givers = {name: givers.make(name, self._data, setup=args.setup) for name in args.givers}
         self._episode = Episode(args.physics)
@@ -154,7 +144,7 @@ def _trimmed(state: RefereeState) -> RefereeState:
 
 
 def main(args: Args) -> None:
-    data = open_dataset(args.dataset, args.data_dir)
+    data = args.open_dataset()
     scenes = data.list_scenes(args.setup, "train")
     tasks = [(giver, scene) for giver in args.givers for scene in scenes][: args.episodes]
     groups = [tasks[first : first + args.together] for first in range(0, len(tasks), args.together)]

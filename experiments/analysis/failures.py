@@ -20,7 +20,6 @@ import tyro
 
 from handover_marl import givers, receivers
 from handover_marl.config import ARM_DOF
-from handover_marl.datasets import open_dataset
 from handover_marl.episode.callbacks import EpisodeCallback, PolicyDecision
 from handover_marl.episode.camera_observations import WristCameraConfig
 from handover_marl.episode.episode import Episode
@@ -33,10 +32,13 @@ from handover_marl.geometry.arm import ArmKinematics, transform_body_points
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.panda import CLOSED, OPEN
 from handover_marl.geometry.poses import invert_pose, transform_points
+from handover_marl.learning.training.scene_arguments import EvaluationArgs
 from handover_marl.planning.hand_tracker import hand_capsules_from_observation
 from handover_marl.planning.trajectory_cost import sample_body_points
 from handover_marl.receivers import Receiver
 from handover_marl.receivers.reactive.controller import ControllerReceiver, ReactivePhase
+
+Array = npt.NDArray[np.float64]
 
 #: An object lost within this many steps after the release slipped.
 SOON = 60
@@ -45,38 +47,29 @@ FINGER, HALF_OPEN = ARM_DOF, (OPEN + CLOSED) / 2.0  # m
 
 
 @dataclass(frozen=True)
-class Args:
+class Args(EvaluationArgs):
     """Options of the analysis of a receiver's failures.
 
     Attributes:
-        setup: Official setup, s0 to s3.
         split: Split of the setup: train or val.
-        data_dir: Folder in HandoverSim's layout; default: environment variable HANDOVER_MARL_DATA.
-        dataset: Dataset: dexycb, synthetic, or auto.
         robot: Robot model: panda or panda_camera.
-        physics: Physics engine: fast, exact or mujoco.
         camera_noise: Noise of the wrist camera: realsense; default: no noise.
         stride: Evaluate every n-th scene of the split.
         offset: Index of the first evaluated scene in the split.
         scenes: Scene numbers to evaluate instead of a split.
         giver: Name of the giver.
-        workers: Number of processes.
         all: Whether to print successful episodes too.
         receiver: Name of the receiver, with options.
     """
 
-    setup: str = "s0"
     split: str = "val"
-    data_dir: str | None = None
-    dataset: str = "auto"
     robot: str = "panda"
-    physics: str = "fast"
     camera_noise: str | None = None
     stride: int = 1
     offset: int = 0
     scenes: tuple[int, ...] = ()
     giver: str = "replay"
-    workers: int = 1
+    workers: int | None = 1
     all: bool = False
     receiver: str = "reactive"
 
@@ -85,24 +78,22 @@ class FailureRecorder(EpisodeCallback):
     """Callback that records the data from which causes of failures are derived.
 
     Attributes:
-        seconds: Wall-clock times of all calls of the receiver's policy (s).
-        drawing: Wall-clock times of rendering the wrist camera before each of these calls (s).
+        times: Wall-clock times of all calls of the receiver's policy, and of rendering the wrist
+            camera before each of them (s).
         gripped: Last physics step with both fingers in contact with the object, or None if there
             was none.
         closing: Whether the last targets of the fingers close the gripper.
     """
 
     def __init__(self) -> None:
-        self.seconds: list[float] = []
-        self.drawing: list[float] = []
+        self.times: list[tuple[float, float]] = []
         self.gripped: int | None = None
         self.closing = False
 
     def on_decision(self, episode: Episode, decision: PolicyDecision) -> None:
         self.closing = bool(decision.receiver_action[FINGER] < HALF_OPEN)
         if decision.receiver_decided:
-            self.seconds.append(decision.planning_time)
-            self.drawing.append(decision.rendering_time)
+            self.times.append((decision.planning_time, decision.rendering_time))
 
     def on_step(self, episode: Episode) -> None:
         if episode.grasped:
@@ -163,21 +154,20 @@ class FailureClassifier:
             return "?"
         joints = observation["robot_joint_position"][None, :ARM_DOF].astype(np.float64)
         points = transform_body_points(self._arm.frames(joints), self._body)[..., 0].T
-        world: npt.NDArray[np.float64] = transform_points(invert_pose(self._base_from_world), points)
+        world: Array = transform_points(invert_pose(self._base_from_world), points)
         return self._links[int(np.argmin(hand.distances(world))) // POINTS]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FinishedEpisode:
-    """Outcome of an episode with the cause of failure, times (s) and peak memory (MB)."""
+    """Outcome of an episode with the cause of failure, times (n, 2) (s) and peak memory (MB)."""
 
     scene: int
     target: str
     status: EpisodeStatus
     steps: int
     cause: str
-    seconds: tuple[float, ...]
-    drawing: tuple[float, ...]
+    times: Array
     memory: float
 
 
@@ -185,7 +175,7 @@ class SceneRunner:
     """Simulator of episodes with the chosen policies, in one process."""
 
     def __init__(self, args: Args) -> None:
-        self._data = open_dataset(args.dataset, args.data_dir, args.robot)
+        self._data = args.open_dataset(args.robot)
         self._receiver = receivers.make(args.receiver, self._data, setup=args.setup)
         self._giver = givers.make(args.giver, self._data, setup=args.setup)
         self._episode = Episode(args.physics, wrist_camera=WristCameraConfig(camera_noise=args.camera_noise))
@@ -198,45 +188,37 @@ class SceneRunner:
         play(episode, self._receiver, self._giver, seed=0, callbacks=[recorder])
         cause = self._causes.classify(episode, recorder)
         memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
-        times = tuple(recorder.seconds), tuple(recorder.drawing)
-        return FinishedEpisode(number, scene.info.target_name, episode.status, episode.steps, cause, *times, memory)
+        times = np.reshape(recorder.times, (-1, 2))
+        return FinishedEpisode(number, scene.info.target_name, episode.status, episode.steps, cause, times, memory)
 
 
 def main(args: Args) -> None:
-    data = open_dataset(args.dataset, args.data_dir)
+    data = args.open_dataset()
     scenes = args.scenes or data.list_scenes(args.setup, args.split)[args.offset :: args.stride]
     horizon = Episode(args.physics).config.protocol.horizon_steps
-    found: Counter[str] = Counter()
-    seconds: list[float] = []
-    drawing: list[float] = []
-    share = memory = 0.0
+    finished = []
     for _, played in map_with_progress(
         lambda: SceneRunner(args).run, scenes, "simulating", PoolConfig(args.workers), True
     ):
-        found[played.cause] += 1
-        seconds += played.seconds
-        drawing += played.drawing
-        memory = max(memory, played.memory)
-        if played.status is EpisodeStatus.SUCCESS:
-            share += 1.0 - played.steps / horizon
+        finished.append(played)
         if args.all or played.status is not EpisodeStatus.SUCCESS:
             print(f"{played.scene:4d} {played.target:24s} {played.steps:6d} {played.cause}", flush=True)
     count = len(scenes)
+    share = sum(1.0 - played.steps / horizon for played in finished if played.status is EpisodeStatus.SUCCESS)
+    times = np.concatenate([played.times for played in finished])
     print(
         f"{data.name}, {args.setup} {args.split}, {count} episodes, giver {args.giver}, receiver {args.receiver}, "
         f"{args.robot}, {args.physics} physics, camera {args.camera_noise or 'perfect'}"
     )
-    print(
-        format_table(
-            ["cause", "episodes", "%"], [[name, str(n), f"{100 * n / count:.1f}"] for name, n in found.most_common()]
-        )
-    )
-    print(f"AS {100 * share / count:.1f} %; decisions: {format_times(seconds)}")
-    if any(drawing):
-        print(f"with rendering: {format_times(np.add(seconds, drawing))}; peak memory of a process {memory:.0f} MB")
+    causes = Counter(played.cause for played in finished).most_common()
+    print(format_table(["cause", "episodes", "%"], [[name, n, f"{100 * n / count:.1f}"] for name, n in causes]))
+    print(f"AS {100 * share / count:.1f} %; decisions: {format_times(times[:, 0])}")
+    if times[:, 1].any():
+        memory = max(played.memory for played in finished)
+        print(f"with rendering: {format_times(times.sum(axis=1))}; peak memory of a process {memory:.0f} MB")
 
 
-def format_times(seconds: npt.ArrayLike) -> str:
+def format_times(seconds: Array) -> str:
     """Return the median, 95th percentile and maximum of times (s) as text."""
     low, middle, high = 1000.0 * np.quantile(seconds, [0.5, 0.95, 1.0])
     return f"median {low:.1f}, 95 % {middle:.1f}, max {high:.0f} ms"

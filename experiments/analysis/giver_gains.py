@@ -13,7 +13,6 @@ from pathlib import Path
 
 import tyro
 
-from handover_marl.datasets import open_dataset
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.evaluation.benchmark import evaluate_pair
 from handover_marl.evaluation.reports.fluency_tables import FLUENCY_NOTE, format_fluency_header, format_fluency_row
@@ -22,40 +21,32 @@ from handover_marl.evaluation.reports.tables import format_percent_difference, f
 from handover_marl.evaluation.results.episode_result import EpisodeResult
 from handover_marl.execution.files import write_atomically
 from handover_marl.learning.training.run_folder import held_out_scenes
+from handover_marl.learning.training.scene_arguments import EvaluationArgs
 from handover_marl.policies.reference import parse_policy
 
 FLAGS = (EpisodeStatus.SUCCESS, EpisodeStatus.HUMAN_CONTACT, EpisodeStatus.OBJECT_DROP, EpisodeStatus.TIMEOUT)
 
 
 @dataclass(frozen=True)
-class Args:
+class Args(EvaluationArgs):
     """Options of the comparison of givers on the same scenes.
 
     Attributes:
         givers: Names of givers or `learned:FILE`, with commas; gains are relative to the first.
         receiver: Name of the receiver.
-        setup: Official setup, s0 to s3.
         parts: Scenes to evaluate, with commas: val, heldout (every tenth scene of train) and test.
-        data_dir: Folder in HandoverSim's layout; default: environment variable HANDOVER_MARL_DATA.
-        dataset: Dataset: dexycb, synthetic, or auto.
-        physics: Physics engine: exact or fast.
         out: Folder for results and the table `gains.md`; default: no files are written.
-        workers: Number of processes; default: one for each core.
     """
 
     givers: str = "replay,cooperative,learned"
     receiver: str = "yang2021"
-    setup: str = "s0"
     parts: str = "val,heldout"
-    data_dir: str | None = None
-    dataset: str = "auto"
     physics: str = "exact"
     out: str | None = None
-    workers: int | None = None
 
 
 def play(giver: str, args: Args) -> list[EpisodeResult]:
-    data = open_dataset(args.dataset, args.data_dir)
+    data = args.open_dataset()
     # Policies of one file name must not share a folder.
     label = parse_policy("giver", giver).resolve(data).label
     episodes: list[EpisodeResult] = []
@@ -64,14 +55,10 @@ def play(giver: str, args: Args) -> list[EpisodeResult]:
         report = evaluate_pair(
             giver,
             args.receiver,
-            args.setup,
-            split,
+            split=split,
             scenes=held_out_scenes(data.list_scenes(args.setup, "train")) if part == "heldout" else None,
-            data_dir=args.data_dir,
-            dataset=args.dataset,
-            physics=args.physics,
             out=None if args.out is None else Path(args.out) / f"{label.replace(':', '_')}-{part}",
-            workers=args.workers,
+            **args.evaluation_options,
         )
         episodes += report.episodes
     return episodes
@@ -100,7 +87,7 @@ def gains(played: dict[str, list[EpisodeResult]]) -> str:
 
 def main(args: Args) -> None:
     played = {giver: play(giver, args) for giver in args.givers.split(",")}
-    data = open_dataset(args.dataset, args.data_dir).name
+    data = args.open_dataset().name
     heading = (
         f"Receiver {args.receiver}, {args.physics} physics, {data}, {args.setup} "
         f"{args.parts.replace(',', ' and ')} (heldout: every tenth scene of train); "

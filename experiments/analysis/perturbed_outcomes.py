@@ -8,16 +8,17 @@ outcome is an upper bound for the agreement of another physics engine whose join
 much.
 """
 
+import functools
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
+from unittest import mock
 
 import numpy as np
 import tyro
 
 from handover_marl import __version__, receivers
-from handover_marl.config import ARM_DOF, PANDA_DOF
-from handover_marl.datasets import open_dataset
+from handover_marl.config import ARM_DOF
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import play
 from handover_marl.episode.observations import Observation
@@ -25,71 +26,32 @@ from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.evaluation.reports.tables import format_percent_rate, format_table
 from handover_marl.execution.pool import PoolConfig
 from handover_marl.execution.tasks import map_with_progress
+from handover_marl.learning.training.scene_arguments import EvaluationArgs
 from handover_marl.policies.policy import Action
-from handover_marl.receivers import Receiver
 
 
 @dataclass(frozen=True)
-class Args:
+class Args(EvaluationArgs):
     """Options of the measurement of outcomes under perturbed joint targets.
 
     Attributes:
         receiver: Name of the receiver whose joint targets are perturbed.
         nudges: Sizes of the perturbations (rad).
-        setup: Official setup, s0 to s3.
         split: Split of the setup: train or val; the test split is for final results.
         stride: Use every n-th scene of the split.
-        data_dir: Folder in HandoverSim's layout; default: environment variable HANDOVER_MARL_DATA.
-        dataset: Dataset: dexycb, synthetic, or auto.
-        physics: Physics engine: exact, fast or mujoco.
-        workers: Number of worker processes; default: one per core.
     """
 
     receiver: str = "yang2021"
     nudges: tuple[float, ...] = (1e-4, 1e-3)
-    setup: str = "s0"
     split: str = "train"
     stride: int = 1
-    data_dir: str | None = None
-    dataset: str = "auto"
-    physics: str = "fast"
-    workers: int | None = None
-
-
-class Nudged:
-    """Receiver that adds a constant offset to the arm's joint targets of another receiver.
-
-    Args:
-        receiver: Receiver whose joint targets are perturbed.
-        shifts: (7,) offsets of the arm's joint targets (rad).
-    """
-
-    def __init__(self, receiver: Receiver, shifts: np.ndarray) -> None:
-        self._receiver = receiver
-        self._shifts = np.zeros(PANDA_DOF, dtype=np.float32)
-        self._shifts[:ARM_DOF] = shifts
-        self.name = f"nudged {receiver.name}"
-        self.obs_mode = receiver.obs_mode
-
-    def prepare(self, object_names: Sequence[str]) -> None:
-        self._receiver.prepare(object_names)
-
-    def reset(self, seed: int | None = None) -> None:
-        self._receiver.reset(seed)
-
-    def act(self, observation: Observation) -> Action:
-        return np.asarray(self._receiver.act(observation) + self._shifts, dtype=np.float32)
-
-    @property
-    def hold_time(self) -> float:
-        return self._receiver.hold_time
 
 
 class Scenes:
     """Simulator of scenes with perturbed joint targets, in one process."""
 
     def __init__(self, args: Args) -> None:
-        self._data = open_dataset(args.dataset, args.data_dir)
+        self._data = args.open_dataset()
         self._receiver = receivers.make(args.receiver, self._data, setup=args.setup)
         self._episode = Episode(args.physics)
         self._nudges = args.nudges
@@ -100,13 +62,23 @@ class Scenes:
         ways = np.random.default_rng(number).choice([-1.0, 1.0], ARM_DOF)
         for nudge in (0.0, *self._nudges):
             self._episode.reset(scene)
-            play(self._episode, Nudged(self._receiver, nudge * ways), seed=0)
+            with mock.patch.object(
+                self._receiver, "act", functools.partial(act_nudged, self._receiver.act, nudge * ways)
+            ):
+                play(self._episode, self._receiver, seed=0)
             found.append(self._episode.status)
         return found
 
 
+def act_nudged(act: Callable[[Observation], Action], shifts: np.ndarray, observation: Observation) -> Action:
+    """Return a receiver's action with the offsets (7,) (rad) added to the arm's joint targets."""
+    action = np.array(act(observation), dtype=np.float32)
+    action[:ARM_DOF] += shifts.astype(np.float32)
+    return action
+
+
 def main(args: Args) -> None:
-    data = open_dataset(args.dataset, args.data_dir)
+    data = args.open_dataset()
     numbers = data.list_scenes(args.setup, args.split)[:: args.stride]
     pool = PoolConfig(args.workers)
     ends = [found for _, found in map_with_progress(lambda: Scenes(args).play, numbers, "playing", pool, True)]

@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
 import tyro
 
 from handover_marl import EvaluationConfig, ExecutionConfig
@@ -27,6 +28,7 @@ from handover_marl.evaluation.reports.statistics import compute_wilson_interval
 from handover_marl.evaluation.reports.tables import format_percent_rate, format_table
 from handover_marl.execution.files import write_atomically
 from handover_marl.geometry.panda import PANDA_CAMERA
+from handover_marl.learning.training.scene_arguments import SetupArgs
 from handover_marl.policies.reference import parse_policy
 from handover_marl.simulation.engines import EXACT, PHYSICS
 
@@ -34,18 +36,15 @@ NAME = "physics"
 
 
 @dataclass(frozen=True)
-class Args:
+class Args(SetupArgs):
     """Options of the comparison of receivers between physics engines.
 
     Attributes:
         receivers: Names of the receivers, with options if there are any.
         giver: Name of the giver.
         physics: Physics engines to compare; the first must be exact.
-        setup: Official setup, s0 to s3.
         split: Split of the setup: train or val; the test split is for final results.
         stride: Use every n-th scene of the split.
-        data_dir: Folder in HandoverSim's layout; default: environment variable HANDOVER_MARL_DATA.
-        dataset: Dataset: dexycb, synthetic, or auto.
         workers: Number of worker processes; default: one per core.
         out: Folder for results, table and plot.
     """
@@ -53,11 +52,8 @@ class Args:
     receivers: tuple[str, ...] = ("hold", "yang2021", "omg", "omg_hand_aware", "reactive", "vision")
     giver: str = "replay"
     physics: tuple[str, ...] = PHYSICS
-    setup: str = "s0"
     split: str = "val"
     stride: int = 1
-    data_dir: str | None = None
-    dataset: str = "auto"
     workers: int | None = None
     out: Path = Path("runs/physics")
 
@@ -75,15 +71,7 @@ def main(args: Args) -> Path:
 
 def play(args: Args, receiver: str, physics: str) -> Report:
     """Evaluate one receiver with one physics engine."""
-    run = EvaluationConfig(
-        setup=args.setup,
-        split=args.split,
-        dataset=args.dataset,
-        data_dir=args.data_dir,
-        receiver=receiver,
-        giver=args.giver,
-        physics=physics,
-    )
+    run = EvaluationConfig(args.setup, args.split, None, args.dataset, args.data_dir, physics, args.giver, receiver)
     if parse_policy("receiver", receiver).policy_class.obs_mode != "state":
         run = replace(run, robot=PANDA_CAMERA)
     scenes = resolve_config(run)[0].scenes or ()
@@ -128,12 +116,9 @@ def picture(args: Args, rows: dict[str, dict[str, Report]]) -> bytes:
     figure = Figure(figsize=(7.0, 0.6 * len(rows) + 1.4), layout="constrained")
     axes = figure.add_subplot()
     for place, physics in enumerate(args.physics):
-        points = [interval(reports[physics]) for reports in rows.values()]
-        rates, lows, highs = zip(*points, strict=True)
-        levels = [number + 0.2 * (place - (len(args.physics) - 1) / 2.0) for number in range(len(rows))]
-        below = [rate - low for rate, low in zip(rates, lows, strict=True)]
-        above = [high - rate for rate, high in zip(rates, highs, strict=True)]
-        axes.errorbar(rates, levels, xerr=[below, above], fmt="o", ms=4, capsize=2, label=physics)
+        rates, lows, highs = np.array([interval(reports[physics]) for reports in rows.values()]).T
+        levels = np.arange(len(rows)) + 0.2 * (place - (len(args.physics) - 1) / 2.0)
+        axes.errorbar(rates, levels, xerr=[rates - lows, highs - rates], fmt="o", ms=4, capsize=2, label=physics)
     axes.set_yticks(range(len(rows)), list(rows))
     axes.invert_yaxis()
     axes.set_xlim(0.0, 100.0)

@@ -16,32 +16,28 @@ import tyro
 
 from handover_marl import receivers
 from handover_marl.config import OFFICIAL_CONFIG, TIME_STEP
-from handover_marl.datasets import open_dataset
 from handover_marl.episode.callbacks import EpisodeCallback
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import play
 from handover_marl.evaluation.reports.tables import format_table
 from handover_marl.geometry.poses import compose, invert_pose, rotation_angle
+from handover_marl.learning.training.scene_arguments import DatasetArgs
 from handover_marl.policies.reference import split_policy_list
 
 
-@dataclass(frozen=True)
-class Args:
+@dataclass(frozen=True, kw_only=True)
+class Args(DatasetArgs):
     """Options of the analysis of one scene with several receivers.
 
     Attributes:
         scene: Scene number, 0 to 999.
         receivers: Names of the receivers, separated by commas.
-        data_dir: Folder in HandoverSim's layout; default: environment variable HANDOVER_MARL_DATA.
-        dataset: Dataset: dexycb, synthetic, or auto.
         physics: Physics engine: exact or fast.
         hold: Time (s) for which the object must be held at the goal; official: 0.1.
     """
 
     scene: int
     receivers: str = "yang2021"
-    data_dir: str | None = None
-    dataset: str = "auto"
     physics: str = "exact"
     hold: float = 0.1
 
@@ -111,7 +107,7 @@ def seconds(steps: int | None) -> str:
 
 def main(args: Args) -> None:
     """Simulate the scene with every receiver and print the table."""
-    data = open_dataset(args.dataset, args.data_dir)
+    data = args.open_dataset()
     rules = replace(OFFICIAL_CONFIG.protocol, success_steps=round(args.hold / TIME_STEP))
     episode = Episode(args.physics, replace(OFFICIAL_CONFIG, protocol=rules))
     info, rows = data.load_scene(args.scene).info, []

@@ -25,11 +25,11 @@ class Args:
         receivers: Receivers: names with options, policy files (learned:FILE) or package:Class.
         giver: Name of the giver.
         out: Image file to write.
+        dataset: Dataset: dexycb, synthetic, or auto.
+        data_dir: Folder of DexYCB in HandoverSim's layout.
         setup: Official setup, s0 to s3.
         split: Split of the setup: train, val or test.
         scenes: Scene numbers; default: all of the split.
-        dataset: Dataset: dexycb, synthetic, or auto.
-        data_dir: Folder of DexYCB in HandoverSim's layout.
         physics: Physics engine: exact, fast or mujoco.
         workers: Number of worker processes; default: one per core.
     """
@@ -37,27 +37,13 @@ class Args:
     receivers: tuple[str, ...] = ("hold", "yang2021", "yang2021:wait=3")
     giver: str = "replay"
     out: Path = Path("runs/outcomes.png")
+    dataset: str = "auto"
+    data_dir: str | None = None
     setup: str = "s0"
     split: str = "val"
     scenes: tuple[int, ...] | None = None
-    dataset: str = "auto"
-    data_dir: str | None = None
     physics: str = "fast"
     workers: int | None = None
-
-
-def evaluate(args: Args, receiver: str) -> handover_marl.Report:
-    return handover_marl.evaluate_pair(
-        args.giver,
-        receiver,
-        args.setup,
-        args.split,
-        scenes=args.scenes,
-        dataset=args.dataset,
-        data_dir=args.data_dir,
-        physics=args.physics,
-        workers=args.workers,
-    )
 
 
 def plot(reports: dict[str, handover_marl.Report], title: str) -> Figure:
@@ -81,7 +67,8 @@ def plot(reports: dict[str, handover_marl.Report], title: str) -> Figure:
 
 
 def main(args: Args) -> dict[str, handover_marl.Report]:
-    reports = {receiver: evaluate(args, receiver) for receiver in args.receivers}
+    options = {name: value for name, value in vars(args).items() if name not in ("receivers", "out")}
+    reports = {name: handover_marl.evaluate_pair(receiver=name, **options) for name in args.receivers}
     for receiver, report in reports.items():
         print(f"{receiver}\n{report}\n")
     n_scenes = len(next(iter(reports.values())).episodes)

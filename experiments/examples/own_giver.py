@@ -24,21 +24,21 @@ class Args:
 
     Attributes:
         receiver: Name of the receiver, with options if there are any.
+        dataset: Dataset: dexycb, synthetic, or auto.
+        data_dir: Folder of DexYCB in HandoverSim's layout.
         setup: Official setup, s0 to s3.
         split: Split of the setup: train, val or test.
         scenes: Scene numbers; default: all of the split.
-        dataset: Dataset: dexycb, synthetic, or auto.
-        data_dir: Folder of DexYCB in HandoverSim's layout.
         physics: Physics engine: exact, fast or mujoco.
         workers: Number of worker processes; default: one per core.
     """
 
     receiver: str = "yang2021"
+    dataset: str = "auto"
+    data_dir: str | None = None
     setup: str = "s0"
     split: str = "val"
     scenes: tuple[int, ...] | None = None
-    dataset: str = "auto"
-    data_dir: str | None = None
     physics: str = "fast"
     workers: int | None = None
 
@@ -87,17 +87,7 @@ def main(args: Args) -> dict[str, handover_marl.Report]:
     check_giver(MeetingGiver)
     reports = {}
     for name, giver in (("replay", "replay"), ("meeting", MeetingGiver)):
-        reports[name] = handover_marl.evaluate_pair(
-            giver,
-            args.receiver,
-            args.setup,
-            args.split,
-            scenes=args.scenes,
-            dataset=args.dataset,
-            data_dir=args.data_dir,
-            physics=args.physics,
-            workers=args.workers,
-        )
+        reports[name] = handover_marl.evaluate_pair(giver, **vars(args))
     for name, report in reports.items():
         print(f"{name:8} success {report.success_rate:.1%}, contact {report.contact_rate:.1%}")
     return reports

@@ -23,20 +23,20 @@ class Args:
     """Arguments of the evaluation of a new receiver.
 
     Attributes:
+        dataset: Dataset: dexycb, synthetic, or auto.
+        data_dir: Folder of DexYCB in HandoverSim's layout.
         setup: Official setup, s0 to s3.
         split: Split of the setup: train, val or test.
         scenes: Scene numbers; default: all of the split.
-        dataset: Dataset: dexycb, synthetic, or auto.
-        data_dir: Folder of DexYCB in HandoverSim's layout.
         physics: Physics engine: exact (official results), fast or mujoco.
         workers: Number of worker processes; default: one per core.
     """
 
+    dataset: str = "auto"
+    data_dir: str | None = None
     setup: str = "s0"
     split: str = "val"
     scenes: tuple[int, ...] | None = None
-    dataset: str = "auto"
-    data_dir: str | None = None
     physics: str = "fast"
     workers: int | None = None
 
@@ -83,16 +83,7 @@ class ServoReceiver(Receiver):
 def main(args: Args) -> handover_marl.Report:
     # The conformance test that all receivers of the library pass, on a few decisions.
     check_receiver(ServoReceiver)
-    report = handover_marl.benchmark(
-        args.setup,
-        args.split,
-        ServoReceiver,
-        scenes=args.scenes,
-        dataset=args.dataset,
-        data_dir=args.data_dir,
-        physics=args.physics,
-        workers=args.workers,
-    )
+    report = handover_marl.benchmark(receiver=ServoReceiver, **vars(args))
     print(report)
     return report
 

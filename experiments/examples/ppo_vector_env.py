@@ -30,9 +30,9 @@ class Args:
 
     Attributes:
         out: Policy file to write.
+        seed: Seed of all random numbers.
         giver: Name of the frozen giver.
         dataset: Dataset: dexycb, synthetic, or auto.
-        seed: Seed of all random numbers.
         num_envs: Number of environments, which are simulated in one batch.
         rollout: Number of environment steps between updates.
         updates: Number of PPO updates.
@@ -40,9 +40,9 @@ class Args:
     """
 
     out: Path = Path("runs/ppo.npz")
+    seed: int = 0
     giver: str = "cooperative"
     dataset: str = "auto"
-    seed: int = 0
     num_envs: int = 64
     rollout: int = 32
     updates: int = 100

@@ -14,14 +14,15 @@ from rich.console import Console
 from rich.progress import track
 
 from handover_marl.config import CameraConfig, PandaConfig
-from handover_marl.datasets import Dataset, open_dataset
+from handover_marl.datasets import Dataset
 from handover_marl.episode.episode import Episode
+from handover_marl.learning.training.scene_arguments import DatasetArgs
 
 Picture = npt.NDArray[np.uint8]
 
 
-@dataclass(frozen=True)
-class Args:
+@dataclass(frozen=True, kw_only=True)
+class Args(DatasetArgs):
     """Options of the gallery of scenes.
 
     Attributes:
@@ -29,8 +30,6 @@ class Args:
         scenes: Scene numbers; default: one scene per object, with varied hands and subjects.
         columns: Number of images in a row.
         size: Width of one image (pixels).
-        dataset: Dataset: dexycb, synthetic, or auto.
-        data_dir: Folder in HandoverSim's layout; default: environment variable HANDOVER_MARL_DATA.
     """
 
     out: Path
@@ -38,11 +37,10 @@ class Args:
     columns: int = 5
     size: int = 240
     dataset: str = "synthetic"
-    data_dir: str | None = None
 
 
 def main(args: Args) -> None:
-    dataset = open_dataset(args.dataset, args.data_dir)
+    dataset = args.open_dataset()
     episode = Episode()
     pictures = [offer(episode, dataset, scene, args.size) for scene in track(args.scenes, console=Console(stderr=True))]
     episode.close()

@@ -20,26 +20,24 @@ from matplotlib.figure import Figure
 import handover_marl
 from handover_marl.execution.files import write_atomically
 from handover_marl.geometry.panda import GRIPPER_OUTLINE
+from handover_marl.learning.training.scene_arguments import DatasetArgs
 
 COLORS = ListedColormap(["#e8e8e8", "#555555", "#b08d57", "#e4572e", "#76b041", "#2e86ab"])
 
 
 @dataclass(frozen=True)
-class Args:
+class Args(DatasetArgs):
     """Options of the figure of the wrist camera.
 
     Attributes:
         scene: Scene number in s0 test.
         time: Time of the camera frame in the episode (s).
-        dataset: Dataset: dexycb, synthetic, or auto.
-        data_dir: Folder in HandoverSim's layout; default: environment variable HANDOVER_MARL_DATA.
         out: PNG file to write.
     """
 
     scene: int = 209
     time: float = 2.5
     dataset: str = "synthetic"
-    data_dir: str | None = None
     out: str = "wrist.png"
 
 

@@ -9,64 +9,48 @@ started once, which is measured separately. The load of the machine is printed w
 import os
 import time
 from dataclasses import dataclass, replace
-from datetime import date
-from pathlib import Path
 
 import numpy as np
 import tyro
+from measuring import OutputArgs, describe_conditions
 from rich.console import Console
 from rich.progress import track
-from tabulate import tabulate
 
 from handover_marl.evaluation.config import EvaluationConfig, resolve_config
 from handover_marl.evaluation.episode_runner import SceneTask, run_episodes
-from handover_marl.execution.files import write_atomically
-from handover_marl.execution.options import describe_machine, resolve_worker_count
+from handover_marl.evaluation.reports.tables import format_table
+from handover_marl.execution.options import resolve_worker_count
 from handover_marl.execution.pool import LOCAL, RAY, PoolConfig
 from handover_marl.execution.tasks import open_pool
 from handover_marl.learning.training.run_folder import select_scenes_evenly
+from handover_marl.learning.training.scene_arguments import EvaluationArgs
 
 
 @dataclass(frozen=True)
-class Args:
+class Args(EvaluationArgs, OutputArgs):
     """Options of the comparison of Ray with local worker processes.
 
     Attributes:
         receiver: Name of the receiver, with options if there are any.
-        setup: Official setup, s0 to s3.
         split: Split of the setup: train, val or test.
         episodes: Number of episodes per measurement.
         turns: Number of measurements of each backend.
         workers: Number of workers of each backend; default: one per core.
         ray_address: Address of a Ray cluster; default: a running cluster, or a new local one.
-        physics: Physics engine: fast, whose short episodes show the overhead best, or exact.
-        data_dir: Folder in HandoverSim's layout; default: environment variable HANDOVER_MARL_DATA.
-        dataset: Dataset: dexycb, synthetic, or auto.
-        out: Markdown file to write.
     """
 
     receiver: str = "yang2021"
-    setup: str = "s0"
     split: str = "test"
     episodes: int = 100
     turns: int = 3
-    workers: int | None = None
     ray_address: str | None = None
-    physics: str = "fast"
-    data_dir: str | None = None
-    dataset: str = "auto"
-    out: Path | None = None
 
 
 def main(args: Args) -> None:
     workers = resolve_worker_count(args.workers)
     configs = {LOCAL: PoolConfig(workers), RAY: PoolConfig(workers, RAY, args.ray_address)}
     config = EvaluationConfig(
-        *(args.setup, args.split),
-        dataset=args.dataset,
-        data_dir=args.data_dir,
-        physics=args.physics,
-        receiver=args.receiver,
+        args.setup, args.split, None, args.dataset, args.data_dir, args.physics, receiver=args.receiver
     )
     run, data = resolve_config(config)
     split = data.list_scenes(args.setup, args.split)
@@ -80,26 +64,21 @@ def main(args: Args) -> None:
         # Local, Ray, Ray, local, ...: so that neither is always the first.
         backend = (LOCAL, RAY, RAY, LOCAL)[turn % 4]
         started = time.perf_counter()
-        ends = {
-            episode.task: episode.result
-            for _, episode in run_episodes(replace(run, scenes=scenes), tasks, configs[backend])
-        }
+        finished = list(run_episodes(replace(run, scenes=scenes), tasks, configs[backend]))
         seconds[backend].append(time.perf_counter() - started)
-        assert len(ends) == len(tasks)
+        assert len(finished) == len(tasks)
     ratios = np.array(seconds[RAY]) / np.array(seconds[LOCAL])
     rows = [[backend, *(f"{taken:.1f}" for taken in found)] for backend, found in seconds.items()]
     rows.append(["ratio", *(f"{ratio:.3f}" for ratio in ratios)])
     played = f"{len(tasks)} scenes of {args.setup} {args.split}, {data.name}, {args.receiver}, {args.physics} physics"
     whole = sum(seconds[RAY]) / sum(seconds[LOCAL])
-    text = (
-        f"{describe_machine()}, {date.today().isoformat()}, load {os.getloadavg()[0]:.1f} at the end. {played}, "
-        f"{workers} workers; seconds of every turn, start of workers included. Ray started in {connecting:.1f} s.\n\n"
-        + str(tabulate(rows, headers=["", *(f"turn {n + 1}" for n in range(args.turns))], tablefmt="github"))
-        + f"\n\nRatio of all turns together {whole:.3f}, median {np.median(ratios):.3f}."
+    args.publish(
+        "Backends",
+        f"{describe_conditions()}, load {os.getloadavg()[0]:.1f} at the end. {played}, "
+        f"{workers} workers; seconds of every turn, start of workers included. Ray started in {connecting:.1f} s.",
+        format_table(["", *(f"turn {n + 1}" for n in range(args.turns))], rows),
+        f"Ratio of all turns together {whole:.3f}, median {np.median(ratios):.3f}.",
     )
-    print(text)
-    if args.out is not None:
-        write_atomically(args.out, f"# Backends\n\n{text}\n")
 
 
 if __name__ == "__main__":

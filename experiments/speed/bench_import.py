@@ -17,7 +17,6 @@ import sys
 import tempfile
 import time
 from dataclasses import dataclass, field
-from datetime import date
 from pathlib import Path
 from typing import Any
 
@@ -25,12 +24,11 @@ import numpy as np
 import numpy.typing as npt
 import tyro
 import yaml
+from measuring import OutputArgs, describe_conditions, read_memory
 
 from handover_marl.datasets.dexycb.raw_files import SequenceFolder, find_sequences, read_sequence_names
 from handover_marl.datasets.dexycb.raw_sequence import RawSequence, read_sequence
 from handover_marl.evaluation.reports.tables import format_table
-from handover_marl.execution.files import write_atomically
-from handover_marl.execution.options import describe_machine
 
 #: Number of key poses -> number of DexYCB's recordings that have so many.
 LENGTHS = {66: 1, 68: 8, 70: 50, 72: 502, 74: 436, 76: 3}
@@ -38,8 +36,8 @@ _SAMPLED = 0.2  # s
 _COMMAND = "import sys; from handover_marl.cli import main; sys.exit(main(sys.argv[1:]))"
 
 
-@dataclass(frozen=True)
-class Args:
+@dataclass(frozen=True, kw_only=True)
+class Args(OutputArgs):
     """Options of the measurement of `handover-marl import`.
 
     Attributes:
@@ -50,7 +48,6 @@ class Args:
         longest: Number of the longest recordings from which the thousand are made.
         work: Folder for about 600 MB of temporary files; default: the system's temporary folder.
         seed: Random seed of the order of the recordings' lengths.
-        out: Markdown file to write; default: the table is only printed.
     """
 
     dexycb: str
@@ -60,12 +57,11 @@ class Args:
     longest: int = 8
     work: str | None = None
     seed: int = 0
-    out: str | None = None
 
 
 @dataclass
 class Peaks:
-    """Peak memory (MB) of a process and its descendants.
+    """Peak memory (MiB) of a process and its descendants.
 
     Attributes:
         together: Peak memory of all processes together; shared pages count once.
@@ -80,12 +76,11 @@ class Peaks:
         total = 0.0
         for process in _tree(root):
             try:
-                state = Path(f"/proc/{process}/status").read_text()
-                shared = Path(f"/proc/{process}/smaps_rollup").read_text()
+                peak = read_memory("VmHWM:", f"/proc/{process}/status")
+                total += read_memory("Pss:", f"/proc/{process}/smaps_rollup")
             except OSError:  # it has ended
                 continue
-            total += _kilobytes(shared, "Pss:") / 1000
-            self.apart[process] = max(self.apart.get(process, 0.0), _kilobytes(state, "VmHWM:") / 1000)
+            self.apart[process] = max(self.apart.get(process, 0.0), peak)
         self.together = max(self.together, total)
 
 
@@ -96,10 +91,7 @@ def main(args: Args) -> None:
         raw = Path(args.dexycb) if args.as_is else work / "dex-ycb"
         if not args.as_is:
             repeat(Path(args.dexycb), raw, args.longest, args.seed)
-        text = measured(raw, args, work / "out")
-    print(text)
-    if args.out is not None:
-        write_atomically(Path(args.out), text)
+        args.publish("Import of raw DexYCB", *measured(raw, args, work / "out"))
 
 
 def repeat(source: Path, raw: Path, longest: int, seed: int) -> None:
@@ -136,8 +128,8 @@ def _forth_and_back(n: int, length: int) -> npt.NDArray[np.int64]:
     return np.minimum(phase, 2 * (n - 1) - phase)
 
 
-def measured(raw: Path, args: Args, out: Path) -> str:
-    """Import recordings in a subprocess and return a table of its time and memory."""
+def measured(raw: Path, args: Args, out: Path) -> tuple[str, str]:
+    """Import recordings in a subprocess; return a caption and a table of its time and memory."""
     options = {"--dexycb": raw, "--mano": args.mano, "--out": out, "--workers": args.workers}
     command = [sys.executable, "-c", _COMMAND, "import", *(str(part) for option in options.items() for part in option)]
     before, start, peaks = os.times(), time.perf_counter(), Peaks()
@@ -156,17 +148,14 @@ def measured(raw: Path, args: Args, out: Path) -> str:
         ["time", f"{wall:.0f} s"],
         ["processor time", f"{cpu:.0f} s"],
         ["written", f"{size:.0f} MB, {size / wall:.1f} MB/s"],
-        ["peak memory of all processes", f"{peaks.together:.0f} MB"],
+        ["peak memory of all processes", f"{peaks.together:.0f} MiB"],
         [
             "peak memory of each process",
-            ", ".join(f"{one:.0f} MB" for one in sorted(peaks.apart.values(), reverse=True)),
+            ", ".join(f"{one:.0f} MiB" for one in sorted(peaks.apart.values(), reverse=True)),
         ],
     ]
     what = f"{raw} as it is" if args.as_is else f"the {args.longest} longest recordings of {args.dexycb}, repeated"
-    return (
-        f"# Import of raw DexYCB\n\n{date.today()}, {describe_machine()}, {args.workers} workers; {what}.\n\n"
-        f"{format_table(['', ''], rows)}\n"
-    )
+    return f"{describe_conditions()}, {args.workers} workers; {what}.", format_table(["", ""], rows)
 
 
 def _tree(root: int) -> list[int]:
@@ -175,10 +164,6 @@ def _tree(root: int) -> list[int]:
     except OSError:
         return []
     return [root, *(process for child in children for process in _tree(int(child)))]
-
-
-def _kilobytes(text: str, name: str) -> float:
-    return next((float(line.split()[1]) for line in text.splitlines() if line.startswith(name)), 0.0)
 
 
 if __name__ == "__main__":

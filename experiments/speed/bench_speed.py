@@ -9,25 +9,23 @@ batch uses one thread, so all speeds are per core.
     python experiments/speed/bench_speed.py --data-dir DIR --out speed.md
 """
 
-import multiprocessing
+import contextlib
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
-from datetime import date
-from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import gymnasium
 import numpy as np
 import tyro
+from measuring import OutputArgs, describe_conditions, measure_peak_memory
 from rich.console import Console
 from rich.progress import Progress
-from tabulate import tabulate
 
 import handover_marl
 from handover_marl import receivers
 from handover_marl.config import ARM_DOF, PandaConfig
-from handover_marl.datasets import open_dataset
 from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.envs.vector.parallel_vector_env import ParallelVectorEnv
 from handover_marl.episode.callbacks import TraceRecorder
@@ -36,9 +34,10 @@ from handover_marl.episode.giver_motion import NO_DEVIATION
 from handover_marl.episode.loop import play
 from handover_marl.evaluation.config import EvaluationConfig, resolve_config
 from handover_marl.evaluation.episode_runner import SceneTask, run_episodes
-from handover_marl.execution.files import write_atomically
-from handover_marl.execution.options import describe_machine
+from handover_marl.evaluation.reports.tables import format_table
 from handover_marl.execution.pool import PoolConfig
+from handover_marl.learning.training.scene_arguments import DatasetArgs
+from handover_marl.simulation.bullet.client import BulletClient
 from handover_marl.simulation.engines import MUJOCO, list_available_physics
 
 REAL_TIME = 1000  # physics steps in a second
@@ -47,12 +46,10 @@ PHYSICS = list_available_physics()
 
 
 @dataclass(frozen=True)
-class Args:
+class Args(DatasetArgs, OutputArgs):
     """Options of the speed measurements.
 
     Attributes:
-        data_dir: Folder in HandoverSim's layout; default: environment variable HANDOVER_MARL_DATA.
-        dataset: Dataset: dexycb, synthetic, or auto.
         scene: Scene number in s0 train that is simulated.
         steps: Number of physics steps of one run; the episode must last that long.
         control_period: Time (s) for which an action is applied.
@@ -62,11 +59,8 @@ class Args:
         workers: Numbers of worker processes to compare; empty skips this comparison.
         vector_envs: Number of environments in a MuJoCo batch; 0 skips this measurement.
         processes: Number of fast environments in Gymnasium's AsyncVectorEnv; 0 skips them.
-        out: Markdown file to write.
     """
 
-    data_dir: str | None = None
-    dataset: str = "auto"
     scene: int = 105
     steps: int = 6000
     control_period: float = 0.1
@@ -76,7 +70,6 @@ class Args:
     workers: tuple[int, ...] = (1, 2)
     vector_envs: int = 256
     processes: int = 16
-    out: Path | None = None
 
 
 @dataclass
@@ -92,21 +85,14 @@ class Contestant:
 
 
 def main(args: Args) -> None:
-    sections = [
-        f"{describe_machine()}, {date.today().isoformat()}.",
-        step_table(args),
-        reset_table(args),
-    ]
+    sections = [f"{describe_conditions()}.", step_table(args), reset_table(args)]
     if args.episodes:
         sections.append(episode_table(args))
     if args.workers:
         sections.append(worker_table(args))
     if args.processes:
         sections.append(vector_table(args))
-    text = "\n\n".join(sections)
-    print(text)
-    if args.out is not None:
-        write_atomically(args.out, f"# Speed\n\n{text}\n")
+    args.publish("Speed", *sections)
 
 
 def step_table(args: Args) -> str:
@@ -130,9 +116,9 @@ def step_table(args: Args) -> str:
     for contestant in contestants:
         seconds = np.array(contestant.seconds)
         rate, ratios = args.steps / np.median(seconds), exact / seconds
-        memory = (
-            "-" if contestant.engine_only or contestant.envs > 1 else f"{single_memory_mb(args, contestant.physics)} MB"
-        )
+        memory = "-"
+        if not contestant.engine_only and contestant.envs == 1:
+            memory = f"{measure_peak_memory(act_alone, args, contestant.physics):.0f} MB"
         rows.append(
             [
                 contestant.label,
@@ -147,17 +133,19 @@ def step_table(args: Args) -> str:
     head = ["", "steps/s", "ratio to exact", "range", "ratio to fast", "real-time factor", "peak memory"]
     return (
         f"Scene {args.scene}, {args.steps} steps, {args.control_period:g} s control period, each with another target "
-        f"within {STIR:g} rad of the start, {args.repeats} runs in turns, time of one core:\n\n{table(head, rows)}"
+        f"within {STIR:g} rad of the start, {args.repeats} runs in turns, time of one core:\n\n"
+        + format_table(head, rows)
     )
 
 
 def race(args: Args, contestants: list[Contestant]) -> None:
     """Measure one run of all contestants, which alternate every few control steps."""
-    envs = [entrant(args, contestant) for contestant in contestants]
-    clocks = [
-        watch_engine(env) if contestant.engine_only else None for env, contestant in zip(envs, contestants, strict=True)
-    ]
-    seconds = np.zeros(len(contestants))
+    envs, clocks = [], []
+    for contestant in contestants:
+        with time_engine() if contestant.engine_only else contextlib.nullcontext() as clock:
+            envs.append(entrant(args, contestant))
+        clocks.append(clock)
+    seconds, before = np.zeros(len(contestants)), [clock and clock[0] for clock in clocks]
     draws = [np.random.default_rng(0) for _ in envs]
     control_steps = args.steps // round(args.control_period * REAL_TIME)
     for first in range(0, control_steps, args.turn):
@@ -165,8 +153,8 @@ def race(args: Args, contestants: list[Contestant]) -> None:
             started = time.process_time()
             act(env, min(args.turn, control_steps - first), draws[number])
             seconds[number] += (time.process_time() - started) / contestants[number].envs
-    for contestant, env, clock, taken in zip(contestants, envs, clocks, seconds, strict=True):
-        contestant.seconds.append(float(taken) if clock is None else clock[0])
+    for number, (contestant, env, clock) in enumerate(zip(contestants, envs, clocks, strict=True)):
+        contestant.seconds.append(float(seconds[number]) if clock is None else clock[0] - before[number])
         env.close()
 
 
@@ -187,19 +175,30 @@ def entrant(args: Args, contestant: Contestant) -> HandoverEnv | ParallelVectorE
     return envs
 
 
-def watch_engine(env: HandoverEnv | ParallelVectorEnv) -> list[float]:
-    """Return a list whose only element accumulates the time (s) in `stepSimulation`."""
-    assert isinstance(env, HandoverEnv)
-    client: Any = env._episode.world._client
-    step, seconds = client.stepSimulation, [0.0]
+@contextlib.contextmanager
+def time_engine() -> Iterator[list[float]]:
+    """Time the physics steps of the PyBullet clients that are first used in the block.
 
-    def timed_step() -> None:
-        started = time.process_time()
-        step()
-        seconds[0] += time.process_time() - started
+    Yields:
+        A list whose only element accumulates the CPU time (s) in `stepSimulation`.
+    """
+    look_up, seconds = BulletClient.__getattr__, [0.0]
 
-    client.stepSimulation = timed_step
-    return seconds
+    def look_up_timed(client: BulletClient, name: str) -> Any:
+        function = look_up(client, name)
+
+        def step() -> None:
+            started = time.process_time()
+            function()
+            seconds[0] += time.process_time() - started
+
+        if name != "stepSimulation":
+            return function
+        client.stepSimulation = step
+        return step
+
+    with mock.patch.object(BulletClient, "__getattr__", look_up_timed):
+        yield seconds
 
 
 def reset_table(args: Args) -> str:
@@ -218,13 +217,13 @@ def reset_table(args: Args) -> str:
         envs[physics].close()
     return (
         f"`env.reset`, {len(scenes)} scenes of s0 train, each read anew from {envs['exact'].dataset.name}:\n\n"
-        + table(["", "median ms", "95 % below ms"], rows)
+        + format_table(["", "median ms", "95 % below ms"], rows)
     )
 
 
 def episode_table(args: Args) -> str:
     """Return a table of the time of whole episodes with and without a trace recorder."""
-    data = open_dataset(args.dataset, args.data_dir)
+    data = args.open_dataset()
     policy = receivers.make("yang2021", data)
     scenes = data.list_scenes("s0", "val")[: args.episodes]
     kinds = [(physics, recorded) for physics in PHYSICS for recorded in (False, True)]
@@ -252,7 +251,7 @@ def episode_table(args: Args) -> str:
     head = ["", "seconds", "steps/s", "ratio to exact", "time over that without recording"]
     return (
         f"Whole episodes of yang2021, {len(scenes)} scenes of s0 val, reading, reset and policy included:\n\n"
-        + table(head, rows)
+        + format_table(head, rows)
     )
 
 
@@ -276,7 +275,7 @@ def worker_table(args: Args) -> str:
             for workers, seconds in zip(args.workers, taken, strict=True)
         ]
     head = ["", "workers", "seconds", f"ratio to {args.workers[0]} worker(s)"]
-    return f"The benchmark of yang2021 on s0 val, {len(tasks)} scenes, start-up included:\n\n{table(head, rows)}"
+    return f"The benchmark of yang2021 on s0 val, {len(tasks)} scenes, start-up included:\n\n{format_table(head, rows)}"
 
 
 def vector_table(args: Args) -> str:
@@ -320,31 +319,14 @@ def act(env: HandoverEnv | ParallelVectorEnv, control_steps: int, draw: np.rando
         env.step({"giver": np.tile(NO_DEVIATION, (*shape, 1)), "receiver": targets})
 
 
-def memory_of_one(args: Args, physics: str, results: Any) -> None:
-    """Put the peak resident memory (MB) of this process, with one environment, into a queue."""
+def act_alone(args: Args, physics: str) -> None:
+    """Step one environment, of which the memory is measured."""
     act(make_env(args, physics), 20, np.random.default_rng(0))
-    lines = Path("/proc/self/status").read_text().splitlines()
-    results.put(next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) // 1024)
-
-
-def single_memory_mb(args: Args, physics: str) -> int:
-    """Measure the peak resident memory (MB) of a fresh process with one environment."""
-    context = multiprocessing.get_context("spawn")
-    results = context.Queue()
-    process = context.Process(target=memory_of_one, args=(args, physics, results))
-    process.start()
-    memory: int = results.get()
-    process.join()
-    return memory
 
 
 def progress(items: Iterable[Any], label: str, total: int | None = None) -> Iterable[Any]:
     with Progress(console=Console(stderr=True), transient=True) as bar:
         yield from bar.track(items, total=total, description=label)
-
-
-def table(head: list[str], rows: list[list[Any]]) -> str:
-    return str(tabulate(rows, headers=head, tablefmt="github", disable_numparse=True))
 
 
 if __name__ == "__main__":

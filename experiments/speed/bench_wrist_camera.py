@@ -7,28 +7,24 @@ are CPU times of one process. Whole environments alternate within one run, so th
 machine's speed cancels.
 """
 
-import multiprocessing
 import time
 from dataclasses import dataclass
-from datetime import date
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import tyro
+from measuring import OutputArgs, describe_conditions, measure_peak_memory
 from rich.console import Console
 from rich.progress import track
 
 from handover_marl.config import OFFICIAL_CONFIG, PANDA_DOF
-from handover_marl.datasets import Dataset, open_dataset
+from handover_marl.datasets import Dataset
 from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.episode.callbacks import EpisodeCallback
 from handover_marl.episode.camera_observations import WristCamera, WristCameraConfig
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import play
 from handover_marl.evaluation.reports.tables import format_table
-from handover_marl.execution.files import write_atomically
-from handover_marl.execution.options import describe_machine
+from handover_marl.learning.training.scene_arguments import DatasetArgs
 from handover_marl.policies.reference import parse_policy
 from handover_marl.simulation.camera.frames import CameraImage, SegmentationLabel
 from handover_marl.simulation.camera.ray_camera import RayCamera
@@ -38,12 +34,10 @@ SOUGHT = (SegmentationLabel.TARGET, SegmentationLabel.HAND)
 
 
 @dataclass(frozen=True)
-class Args:
+class Args(DatasetArgs, OutputArgs):
     """Options of the measurement of the wrist camera's renderers.
 
     Attributes:
-        data_dir: Folder in HandoverSim's layout; default: environment variable HANDOVER_MARL_DATA.
-        dataset: Dataset: dexycb, synthetic, or auto.
         robot: Robot model: panda or panda_camera.
         scenes: Number of scenes, taken from the validation splits of all setups.
         views: Number of rendered frames per scene.
@@ -51,11 +45,8 @@ class Args:
         period: Time (s) between two point clouds.
         steps: Number of control steps of an environment before the next one is measured.
         turns: Number of measurements of each environment; 0 skips whole environments.
-        out: Markdown file to write; default: the tables are only printed.
     """
 
-    data_dir: str | None = None
-    dataset: str = "auto"
     robot: str = "panda_camera"
     scenes: int = 50
     views: int = 4
@@ -63,7 +54,6 @@ class Args:
     period: float = 0.15
     steps: int = 20
     turns: int = 10
-    out: str | None = None
 
 
 class Decisions(EpisodeCallback):
@@ -185,13 +175,15 @@ def time_table(decisions: Decisions, views: Views) -> str:
 
 def environment(args: Args, physics: str) -> HandoverEnv:
     """Create an environment with point clouds in its observations."""
-    common: dict[str, Any] = {
-        "data_dir": args.data_dir,
-        "dataset": args.dataset,
-        "robot": args.robot,
-        "split": "val",
-    }
-    return HandoverEnv(control_period=args.period, obs_mode="state+pointcloud", physics=physics, **common)
+    return HandoverEnv(
+        split="val",
+        data_dir=args.data_dir,
+        dataset=args.dataset,
+        robot=args.robot,
+        control_period=args.period,
+        obs_mode="state+pointcloud",
+        physics=physics,
+    )
 
 
 def take_turn(env: HandoverEnv, steps: int) -> float:
@@ -208,23 +200,19 @@ def take_turn(env: HandoverEnv, steps: int) -> float:
     return seconds
 
 
-def peak_memory(args: Args, physics: str) -> float:
-    """Return the peak memory (MiB) of this process after three episodes of one environment."""
+def play_alone(args: Args, physics: str) -> None:
+    """Simulate three episodes of one environment, of which the memory is measured."""
     env = environment(args, physics)
     for seed in range(3):
         env.reset(seed=seed)
         take_turn(env, args.steps)
-    # Not getrusage, whose peak a new process takes over from the one that started it.
-    lines = Path("/proc/self/status").read_text().splitlines()
-    return next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) / 1024.0
 
 
 def environment_table(args: Args) -> str:
     """Return a table of step times and peak memory of whole environments."""
     contestants, rows = {}, []
     for name, physics in (("exact, bullet", "exact"), ("fast, rays", "fast")):
-        with multiprocessing.get_context("spawn").Pool(1) as pool:
-            rows.append([name, f"{pool.apply(peak_memory, (args, physics)):.0f}"])
+        rows.append([name, f"{measure_peak_memory(play_alone, args, physics):.0f}"])
         contestants[name] = environment(args, physics)
         contestants[name].reset(seed=0)
         take_turn(contestants[name], args.steps)
@@ -245,21 +233,18 @@ def environment_table(args: Args) -> str:
 
 def main(args: Args) -> None:
     """Print the tables and write them to the output file, if there is one."""
-    data = open_dataset(args.dataset, args.data_dir, args.robot)
+    data = args.open_dataset(args.robot)
     decisions, found = look(args, data)
     name = {"dexycb": "DexYCB", "synthetic": "synthetic scenes"}[data.name]
     parts = [
         f"{len(found.pairs)} views of {args.scenes} scenes of the validation splits, {name}, {args.robot}, receiver "
-        f"{args.receiver}, fast physics. {describe_machine()}, {date.today()}.",
+        f"{args.receiver}, fast physics. {describe_conditions()}.",
         agreement_table(found.pairs),
         time_table(decisions, found),
     ]
     if args.turns:
         parts.append(environment_table(args))
-    text = "\n\n".join(parts)
-    print(text)
-    if args.out is not None:
-        write_atomically(Path(args.out), f"# The wrist camera\n\n{text}\n")
+    args.publish("The wrist camera", *parts)
 
 
 if __name__ == "__main__":

@@ -11,7 +11,6 @@ object's signed distance field, or computing it if it is not in the cache yet.
 import cProfile
 import os
 import pstats
-import resource
 import time
 from collections import defaultdict
 from dataclasses import dataclass
@@ -22,39 +21,30 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 
 import numpy as np  # noqa: E402  (threads are counted when it is loaded)
 import tyro  # noqa: E402
+from measuring import OutputArgs, describe_conditions, read_memory  # noqa: E402
 from rich.progress import track  # noqa: E402
 
 from handover_marl import receivers  # noqa: E402
-from handover_marl.datasets import open_dataset  # noqa: E402
 from handover_marl.episode.episode import Episode  # noqa: E402
 from handover_marl.episode.observations import Observation  # noqa: E402
 from handover_marl.evaluation.reports.tables import format_table  # noqa: E402
-from handover_marl.execution.files import write_atomically  # noqa: E402
-from handover_marl.execution.options import describe_machine  # noqa: E402
+from handover_marl.learning.training.scene_arguments import SetupArgs  # noqa: E402
 from handover_marl.receivers.omg import OmgReceiver  # noqa: E402
 
 
 @dataclass(frozen=True)
-class Args:
+class Args(SetupArgs, OutputArgs):
     """Options of the profile of the planner.
 
     Attributes:
         receiver: Name of a planning receiver: omg, omg_hand_aware or omg_unchecked_last.
-        setup: Official setup, s0 to s3.
         split: Split of the setup: train, val or test.
-        data_dir: Folder in HandoverSim's layout; default: environment variable HANDOVER_MARL_DATA.
-        dataset: Dataset: dexycb, synthetic, or auto.
         scenes: Number of scenes, evenly chosen from the split; default: all.
-        out: Markdown file to write; default: the table is only printed.
     """
 
     receiver: str = "omg"
-    setup: str = "s0"
     split: str = "test"
-    data_dir: str | None = None
-    dataset: str = "auto"
     scenes: int | None = None
-    out: str | None = None
 
 
 def offered(episode: Episode, receiver: OmgReceiver) -> Observation:
@@ -96,18 +86,15 @@ def quantiles(name: str, values: list[float], digits: int) -> list[str]:
 
 
 def main(args: Args) -> None:
-    data = open_dataset(args.dataset, args.data_dir)
+    data = args.open_dataset()
     ids = data.list_scenes(args.setup, args.split)
     chosen = ids if args.scenes is None else [ids[k] for k in np.linspace(0, len(ids) - 1, args.scenes).astype(int)]
     receiver = receivers.make(args.receiver, data)
     if not isinstance(receiver, OmgReceiver):
         raise SystemExit(f"{args.receiver} does not plan")
     receiver.reset()
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    first: list[float] = []
-    again: list[float] = []
-    steps: list[float] = []
-    goals: list[float] = []
+    before = read_memory("VmHWM:")
+    first, again, steps, goals = [], [], [], []
     profile = cProfile.Profile()
     for scene in track(chosen, "planning"):
         episode = Episode("fast")
@@ -122,29 +109,23 @@ def main(args: Args) -> None:
             goals.append(len(receiver.plan.goals))
         receiver.reset()
         profile.runcall(receiver.act, observation)
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    text = "\n\n".join(
-        [
-            f"Planning of {args.receiver}: {len(first)} scenes of {args.setup} {args.split}, {data.name}, "
-            f"one core, {describe_machine()}.",
-            format_table(
-                ["", "5 %", "median", "95 %", "most"],
-                [
-                    quantiles("first time, s", first, 3),
-                    quantiles("again, s", again, 3),
-                    quantiles("goals", goals, 0),
-                    quantiles("optimisation steps", steps, 0),
-                ],
-            ),
-            f"No goal in {len(first) - len(goals)} scenes. Peak memory {peak:.0f} MB, before the first scene "
-            f"{before:.0f} MB.",
-            "Share of planning by file, with the NumPy functions it calls (cProfile):",
-        ]
+    peak = read_memory("VmHWM:")
+    times = [
+        quantiles("first time, s", first, 3),
+        quantiles("again, s", again, 3),
+        quantiles("goals", goals, 0),
+        quantiles("optimisation steps", steps, 0),
+    ]
+    args.publish(
+        "Planning",
+        f"Planning of {args.receiver}: {len(first)} scenes of {args.setup} {args.split}, {data.name}, "
+        f"one core, {describe_conditions()}.",
+        format_table(["", "5 %", "median", "95 %", "most"], times),
+        f"No goal in {len(first) - len(goals)} scenes. Peak memory {peak:.0f} MB, before the first scene "
+        f"{before:.0f} MB.",
+        "Share of planning by file, with the NumPy functions it calls (cProfile):",
+        format_table(["", "%"], shares_by_package(profile)),
     )
-    text += "\n\n" + format_table(["", "%"], shares_by_package(profile))
-    print(text)
-    if args.out is not None:
-        write_atomically(Path(args.out), text + "\n")
 
 
 if __name__ == "__main__":

@@ -8,40 +8,32 @@ for an object (`Policy.prepare`), which every process does once, is measured sep
 
 import time
 from dataclasses import dataclass, replace
-from datetime import date
-from pathlib import Path
 
 import numpy as np
 import tyro
-from tabulate import tabulate
+from measuring import OutputArgs, describe_conditions
 
 from handover_marl.datasets.splits import SETUPS, SPLIT_SIZES
 from handover_marl.evaluation.config import EvaluationConfig, resolve_config
 from handover_marl.evaluation.episode_runner import EpisodeRunner, SceneTask
-from handover_marl.execution.files import write_atomically
-from handover_marl.execution.options import describe_machine
+from handover_marl.evaluation.reports.tables import format_table
 from handover_marl.learning.training.run_folder import select_scenes_evenly
+from handover_marl.learning.training.scene_arguments import DatasetArgs
 
 
 @dataclass(frozen=True)
-class Args:
+class Args(DatasetArgs, OutputArgs):
     """Options of the measurement of CPU times per scene.
 
     Attributes:
         receivers: Names of the measured receivers, with options if there are any.
         scenes: Number of scenes of s0 test, evenly chosen.
-        data_dir: Folder in HandoverSim's layout; default: environment variable HANDOVER_MARL_DATA.
-        dataset: Dataset: dexycb, synthetic, or auto.
         physics: Physics engine: exact or fast.
-        out: Markdown file to write.
     """
 
     receivers: tuple[str, ...] = ("yang2021", "omg", "omg_hand_aware", "reactive")
     scenes: int = 6
-    data_dir: str | None = None
-    dataset: str = "auto"
     physics: str = "exact"
-    out: Path | None = None
 
 
 def main(args: Args) -> None:
@@ -55,14 +47,12 @@ def main(args: Args) -> None:
         rows.append([f"`{receiver}`", spread, f"{preparing:.1f}", *hours, f"{total:.2f}"])
         print(rows[-1], flush=True)
     head = ["receiver", "s a scene", "s an object, once", *(f"{setup} h" for setup in SETUPS), "all h"]
-    text = (
-        f"{describe_machine()}, {date.today().isoformat()}, {args.scenes} scenes of s0 test, {args.physics} physics, "
-        f"giver replay; core-hours of the test splits without what is done once.\n\n"
-        + str(tabulate(rows, headers=head, tablefmt="github", disable_numparse=True))
+    args.publish(
+        "Costs",
+        f"{describe_conditions()}, {args.scenes} scenes of s0 test, {args.physics} physics, "
+        f"giver replay; core-hours of the test splits without what is done once.",
+        format_table(head, rows),
     )
-    print(text)
-    if args.out is not None:
-        write_atomically(args.out, f"# Costs\n\n{text}\n")
 
 
 def costs(args: Args, receiver: str) -> tuple[list[float], float]:

@@ -17,22 +17,19 @@ import train_giver_sb3
 import train_receiver_sb3
 import tyro
 
-from handover_marl.datasets import open_dataset
 from handover_marl.evaluation.crossplay import crossplay
 from handover_marl.learning.training.run_folder import select_scenes_evenly
+from handover_marl.learning.training.scene_arguments import SetupArgs
 
 
 @dataclass(frozen=True)
-class Args:
+class Args(SetupArgs):
     """Arguments of the alternating training of givers and receivers.
 
     Attributes:
         out: Folder with one folder per training run.
         rounds: Number of rounds.
         first_receiver: Name of the receiver for which the first giver is trained.
-        setup: Official setup, s0 to s3.
-        data_dir: Folder in HandoverSim's layout; default: environment variable HANDOVER_MARL_DATA.
-        dataset: Dataset: dexycb, synthetic, or auto.
         physics: Simulation: fast or exact.
         seed: Random seed of the first round; each round adds 1.
         val_scenes: Number of validation scenes, evenly chosen.
@@ -43,9 +40,6 @@ class Args:
     out: str = "runs/responses"
     rounds: int = 2
     first_receiver: str = "yang2021"
-    setup: str = "s0"
-    data_dir: str | None = None
-    dataset: str = "auto"
     physics: str = "fast"
     seed: int = 0
     val_scenes: int = 36
@@ -55,35 +49,18 @@ class Args:
 
 def main(args: Args) -> None:
     out = Path(args.out)
-    data = open_dataset(args.dataset, args.data_dir)
-    val = select_scenes_evenly(data.list_scenes(args.setup, "val"), args.val_scenes)
+    val = select_scenes_evenly(args.open_dataset().list_scenes(args.setup, "val"), args.val_scenes)
     givers, receivers = ["replay"], [args.first_receiver]
+    options = {name: getattr(args, name) for name in ("setup", "data_dir", "dataset", "physics")}
     for number in range(1, args.rounds + 1):
-        common = {
-            "setup": args.setup,
-            "data_dir": args.data_dir,
-            "dataset": args.dataset,
-            "physics": args.physics,
-            "seed": args.seed + number - 1,
-        }
+        common = options | {"seed": args.seed + number - 1}
         givers.append(
             respond(train_giver_sb3, args.giver, out / f"giver-{number}", common | {"receiver": receivers[-1]})
         )
         receivers.append(
             respond(train_receiver_sb3, args.receiver, out / f"receiver-{number}", common | {"giver": givers[-1]})
         )
-        played = crossplay(
-            givers,
-            receivers,
-            args.setup,
-            "val",
-            scenes=val,
-            data_dir=args.data_dir,
-            dataset=args.dataset,
-            physics=args.physics,
-            out=out / "crossplay",
-        )
-        print(played)
+        print(crossplay(givers, receivers, split="val", scenes=val, out=out / "crossplay", **options))
 
 
 def respond(script: ModuleType, args: Any, folder: Path, changes: dict[str, Any]) -> str:

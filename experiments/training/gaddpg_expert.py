@@ -6,47 +6,35 @@ The result is an upper bound for imitation. The expert knows the true pose of th
 the person's hand. Needs the extras `planning` and `vision`.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import tyro
 
 from handover_marl.evaluation.benchmark import evaluate_pair
-from handover_marl.evaluation.config import EvaluationConfig, ExecutionConfig
 from handover_marl.geometry.panda import PANDA_CAMERA
 from handover_marl.learning.imitation.gaddpg.expert_receiver import ExpertReceiver
+from handover_marl.learning.training.scene_arguments import EvaluationArgs
 
 
 @dataclass(frozen=True)
-class Args:
+class Args(EvaluationArgs):
     """Arguments of the evaluation of the expert of `gaddpg`.
 
     Attributes:
-        setup: Official setup, s0 to s3.
         split: Split: train or val.
         scenes: Scene numbers; default: all of the split.
-        data_dir: Folder in HandoverSim's layout; default: environment variable HANDOVER_MARL_DATA.
-        dataset: Dataset: dexycb, synthetic, or auto.
-        physics: Simulation: fast or exact.
         wait: Time (s) that the robot waits at its start pose.
-        workers: Number of worker processes; default: one per core.
     """
 
-    setup: str = "s0"
     split: str = "val"
     scenes: tuple[int, ...] | None = None
-    data_dir: str | None = None
-    dataset: str = "auto"
-    physics: str = "fast"
     wait: float = 3.0
-    workers: int | None = None
 
 
 def main(args: Args) -> None:
-    config = EvaluationConfig(
-        args.setup, args.split, args.scenes, args.dataset, args.data_dir, args.physics, robot=PANDA_CAMERA
-    )
+    expert = (ExpertReceiver, {"wait": args.wait})
     report = evaluate_pair(
-        replace(config, receiver=(ExpertReceiver, {"wait": args.wait})), execution=ExecutionConfig(args.workers)
+        receiver=expert, split=args.split, scenes=args.scenes, robot=PANDA_CAMERA, **args.evaluation_options
     )
     for episode in report.episodes:
         print(episode.scene_id, episode.status.label)

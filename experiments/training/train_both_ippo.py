@@ -39,12 +39,12 @@ class Args(PairArgs, ResumableArgs):
         entropy: Weight of the entropy bonus.
     """
 
-    out: str = "runs/both"
-    steps: int = 98_304
-    envs: int = 32
-    val_scenes: int = 36
-    eval_interval: int = 12_288
     entropy: float = 0.0
+    envs: int = 32
+    steps: int = 98_304
+    val_scenes: int = 36
+    out: str = "runs/both"
+    eval_interval: int = 12_288
 
 
 class ActorCritic(nn.Module):

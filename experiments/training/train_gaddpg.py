@@ -60,6 +60,7 @@ from handover_marl.learning.training.run_folder import (
     select_scenes_evenly,
     write_checkpoint,
 )
+from handover_marl.learning.training.scene_arguments import DatasetArgs
 
 LAST = "last.npz"
 # Updates between two records of losses, and between two checkpoints; held-out states per record.
@@ -71,7 +72,7 @@ FREE = ("workers", "backend", "ray_address", "threads", "device")
 
 
 @dataclass(frozen=True)
-class Args:
+class Args(DatasetArgs):
     """Arguments of the training of `gaddpg` by imitation.
 
     Attributes:
@@ -79,8 +80,6 @@ class Args:
         setups: Official setups; scenes are those in the training splits of all of them, so that
             no test scene of any is used.
         val_setup: Setup whose validation split selects the network.
-        data_dir: Folder in HandoverSim's layout; default: environment variable HANDOVER_MARL_DATA.
-        dataset: Dataset: dexycb, synthetic, or auto.
         seed: Seed of all random numbers.
         scenarios: Number of scenarios for which the expert plans.
         rounds: Number of rounds: rollouts of the expert in the first, of the network in the others.
@@ -112,8 +111,6 @@ class Args:
     out: str = "runs/gaddpg"
     setups: tuple[str, ...] = ("s0", "s1", "s2", "s3")
     val_setup: str = "s0"
-    data_dir: str | None = None
-    dataset: str = "auto"
     seed: int = 0
     scenarios: int = 2000
     rounds: int = 5

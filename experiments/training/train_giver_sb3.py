@@ -12,6 +12,7 @@ split. The folder gets `policy.npz` (`--givers learned:runs/giver/policy.npz`), 
 and `.png`, TensorBoard logs, and a checkpoint, from which `--resume` continues.
 """
 
+import functools
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,13 +26,7 @@ from stable_baselines3 import PPO
 from handover_marl import givers
 from handover_marl.learning.training.arguments import PpoArgs
 from handover_marl.learning.training.environments import frozen_env_factory
-from handover_marl.learning.training.stable_baselines import (
-    EvaluationCallback,
-    load_checkpoint,
-    make_ppo,
-    make_vec_env,
-)
-from handover_marl.learning.training.training_run import TrainingRun
+from handover_marl.learning.training.stable_baselines import train_agent
 
 
 @dataclass(frozen=True)
@@ -46,44 +41,35 @@ class Args(PpoArgs):
     """
 
     out: str = "runs/giver"
-    features: str = "giver"
-    actions: str = "offer"
-    rewards: str = "shaped"
-    steps: int = 512
-    minutes: float = 30.0
+    width: int = 64
     time_limit: float = 6.0
-    batch_size: int = 512
-    epochs: int = 4
-    initial_std: float = 0.25
-    gae_lambda: float = 1.0
-    eval_interval: int = 512
+    control_period: float = 0.1
     receiver: str = "yang2021"
     teacher: str = "cooperative"
     demonstrations: int = 648
     imitation_epochs: int = 300
+    features: str = "giver"
+    actions: str = "offer"
+    physics: str = "fast"
+    steps: int = 512
+    batch_size: int = 512
+    eval_interval: int = 512
+    epochs: int = 4
+    rewards: str = "shaped"
+    learning_rate: float = 3e-4
+    discount: float = 0.99
+    gae_lambda: float = 1.0
+    initial_std: float = 0.25
 
 
 def main(args: Args) -> Path:
-    torch.set_num_threads(1)
-    run = TrainingRun(args, "train_giver_sb3", {"giver": (args.features, args.actions)}, {"receiver": args.receiver})
-    envs = make_vec_env(args, "giver", args.receiver)
-    model = make_ppo(args, envs)
-    if args.resume and run.folder.checkpoint.exists():
-        load_checkpoint(model, run.folder.checkpoint)
-        run.folder.discard_points_after(model.num_timesteps)
-    elif args.teacher:
-        error = imitate(model, args)
-        print(f"outputs differ from those of {args.teacher} by {error:.3f} (root mean square)")
-    callback = EvaluationCallback(run, "giver", args.eval_interval)
-    remaining = max(0, args.steps - model.num_timesteps)
-    model.learn(remaining, callback, reset_num_timesteps=False, progress_bar=True, log_interval=1)
-    callback.evaluate()
-    envs.close()
-    return run.folder.policy
+    return train_agent(args, "train_giver_sb3", "giver", args.receiver, functools.partial(imitate, args))
 
 
-def imitate(model: PPO, args: Args) -> float:
-    """Fit the policy's means to the teacher's first actions; return the root mean square error."""
+def imitate(args: Args, model: PPO) -> None:
+    """Fit the policy's means to the teacher's first actions, if there is a teacher; print the error."""
+    if not args.teacher:
+        return
     env = frozen_env_factory(args, "giver", args.receiver)()
     teacher = givers.make(args.teacher, env.unwrapped.dataset)
     observations, outputs = [], []
@@ -103,7 +89,8 @@ def imitate(model: PPO, args: Args) -> float:
             loss.backward()
             optimizer.step()
     with torch.no_grad():
-        return float((means(model, inputs) - targets).square().mean().sqrt())
+        error = float((means(model, inputs) - targets).square().mean().sqrt())
+    print(f"outputs differ from those of {args.teacher} by {error:.3f} (root mean square)")
 
 
 def means(model: PPO, inputs: torch.Tensor) -> torch.Tensor:

@@ -16,7 +16,7 @@ every round the receiver is evaluated on the validation split in fast physics. T
 import os
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +27,6 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from torch.utils.tensorboard import SummaryWriter
 
 from handover_marl import benchmark
-from handover_marl.datasets import open_dataset
 from handover_marl.learning.imitation.vision.training import (
     GraspTrainer,
     GraspTrainingConfig,
@@ -48,6 +47,7 @@ from handover_marl.learning.training.run_folder import (
     training_scenes,
     write_checkpoint,
 )
+from handover_marl.learning.training.scene_arguments import SetupArgs
 
 WEIGHTS = "vision.npz"
 # Steps between two records of losses and of metrics, and number of held-out views for the metrics.
@@ -55,49 +55,52 @@ LOSS_INTERVAL, METRICS_INTERVAL, N_HELD_OUT = 250, 1000, 1500
 
 
 @dataclass(frozen=True)
-class Args:
+class VisionArgs(SetupArgs):
+    """Arguments of the trainings of the grasp network of `vision`, alone and in ablations.
+
+    Attributes:
+        robot: Robot model: panda or panda_camera.
+        seed: Seed of all random numbers.
+        steps: Total number of training steps of a network.
+        views: Number of rendered camera views per scene in the first round.
+        round_stride: Use every n-th scene in a DAgger round, with another offset in each round.
+        stride: Use every n-th scene of the training split.
+        val_scenes: Number of validation scenes, evenly chosen.
+        workers: Number of worker processes; default: one per core.
+    """
+
+    robot: str = "panda_camera"
+    seed: int = 0
+    steps: int = 12_000
+    views: int = 80
+    round_stride: int = 3
+    stride: int = 1
+    val_scenes: int = 36
+    workers: int | None = None
+
+
+@dataclass(frozen=True)
+class Args(VisionArgs):
     """Arguments of the training of the grasp network of `vision`.
 
     Attributes:
         out: Folder of the run.
-        setup: Official setup, s0 to s3.
-        data_dir: Folder in HandoverSim's layout; default: environment variable HANDOVER_MARL_DATA.
-        dataset: Dataset: dexycb, synthetic, or auto.
-        robot: Robot model: panda or panda_camera.
-        seed: Seed of all random numbers.
-        steps: Total number of training steps.
         rounds: Number of DAgger rounds, evenly over the training.
-        views: Number of rendered camera views per scene in the first round.
         round_views: Number of views per scene in a DAgger round.
-        round_stride: Use every n-th scene in a DAgger round, with another offset in each round.
-        stride: Use every n-th scene of the training split, to shorten test runs.
-        val_scenes: Number of validation scenes, evenly chosen.
         hand: Whether points of the person's hand are an input.
         groups: Whether predictions use groups of neighboring points, as in PointNet++.
         auxiliary: Weight of the auxiliary losses of the object's center and displacement.
         shared_views: Folder of the first round's views, shared by several runs; default: in `out`.
-        workers: Number of worker processes; default: one per core.
         resume: Whether to continue the run in the folder `out`.
     """
 
     out: str = "runs/vision"
-    setup: str = "s0"
-    data_dir: str | None = None
-    dataset: str = "auto"
-    robot: str = "panda_camera"
-    seed: int = 0
-    steps: int = 12_000
     rounds: int = 2
-    views: int = 80
     round_views: int = 60
-    round_stride: int = 3
-    stride: int = 1
-    val_scenes: int = 36
     hand: bool = True
     groups: bool = True
     auxiliary: float = 1.0
     shared_views: str | None = None
-    workers: int | None = None
     resume: bool = False
 
 
@@ -110,7 +113,7 @@ class Training:
 
     def __init__(self, args: Args) -> None:
         self._args, self._workers = args, args.workers or os.cpu_count() or 1
-        self._data = open_dataset(args.dataset, args.data_dir, args.robot)
+        self._data = args.open_dataset(args.robot)
         scenes = self._data.list_scenes(args.setup, "train")[:: args.stride]
         self._scenes, self._held_out = training_scenes(scenes), held_out_scenes(scenes)
         self._folder = RunFolder(Path(args.out), args, args.resume, self._data.name)
@@ -156,9 +159,7 @@ class Training:
         config = ViewDatasetConfig(args.dataset, args.data_dir, args.robot, args.views, args.seed)
         if number:
             weights = self._folder.path / f"{name}.npz"
-            config = ViewDatasetConfig(
-                args.dataset, args.data_dir, args.robot, args.round_views, args.seed, weights=str(weights)
-            )
+            config = replace(config, count=args.round_views, weights=str(weights))
             if not weights.exists():
                 write_network_weights(weights, self._trainer.network, {})
         generate_views(config, scenes, folder, self._workers)

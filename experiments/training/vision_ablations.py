@@ -10,7 +10,7 @@ gets a run and results per variant, from which an interrupted command continues,
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,6 @@ import train_vision
 import tyro
 
 from handover_marl import CameraNoise, benchmark
-from handover_marl.datasets import open_dataset
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.evaluation.reports.report import Report
 from handover_marl.evaluation.reports.statistics import compute_paired_difference
@@ -69,38 +68,19 @@ VARIANTS = {
 
 
 @dataclass(frozen=True)
-class Args:
+class Args(train_vision.VisionArgs):
     """Arguments of the ablations of `vision`.
 
     Attributes:
         out: Folder of all runs.
-        setup: Official setup, s0 to s3.
-        data_dir: Folder in HandoverSim's layout; default: environment variable HANDOVER_MARL_DATA.
-        dataset: Dataset: dexycb, synthetic, or auto.
-        robot: Robot model: panda or panda_camera.
-        seed: Random seed of all trainings.
-        steps: Number of training steps per variant.
-        stride: Use every n-th scene of the training split for training.
-        views: Number of rendered camera views per scene.
-        round_stride: Use every n-th training scene in a DAgger round.
-        val_scenes: Number of scenes of the validation split, evenly chosen.
         unseen_scenes: Number of evaluated scenes of the training split that are not trained on.
-        workers: Number of worker processes; default: one per core.
     """
 
-    out: Path = Path("runs/ablations")
-    setup: str = "s0"
-    data_dir: str | None = None
-    dataset: str = "auto"
-    robot: str = "panda_camera"
-    seed: int = 0
     steps: int = 1500
-    stride: int = 2
-    views: int = 80
     round_stride: int = 6
-    val_scenes: int = 36
+    stride: int = 2
+    out: Path = Path("runs/ablations")
     unseen_scenes: int = 72
-    workers: int | None = None
 
 
 @dataclass(frozen=True)
@@ -134,7 +114,7 @@ def evaluate_variant(args: Args, name: str, variant: Variant) -> Row:
     """Train a variant, unless its network exists, and evaluate it."""
     trained = next(other for other, it in VARIANTS.items() if it.training == variant.training)
     weights = train_vision.main(training_args(args, trained))
-    data = open_dataset(args.dataset, args.data_dir, args.robot)
+    data = args.open_dataset(args.robot)
     whole = data.list_scenes(args.setup, "train")
     scenes = whole[:: args.stride]
     used = set(training_scenes(scenes))
@@ -153,25 +133,11 @@ def variant_folder(args: Args, name: str, part: str) -> Path:
 
 def training_args(args: Args, name: str) -> train_vision.Args:
     """Return the arguments of a variant's training."""
-    full = train_vision.Args(
-        out=str(variant_folder(args, name, "training")),
-        setup=args.setup,
-        data_dir=args.data_dir,
-        dataset=args.dataset,
-        robot=args.robot,
-        seed=args.seed,
-        steps=args.steps,
-        rounds=0,
-        views=args.views,
-        round_views=args.views,
-        round_stride=args.round_stride,
-        stride=args.stride,
-        val_scenes=args.val_scenes,
-        shared_views=str(args.out / "views"),
-        workers=args.workers,
-        resume=True,
+    shared = {part.name: getattr(args, part.name) for part in fields(train_vision.VisionArgs)}
+    options = {"rounds": 0, "round_views": args.views, "shared_views": str(args.out / "views"), "resume": True}
+    return train_vision.Args(
+        out=str(variant_folder(args, name, "training")), **shared | options | VARIANTS[name].training
     )
-    return replace(full, **VARIANTS[name].training)
 
 
 def evaluate(args: Args, name: str, weights: Path, split: str, scenes: Sequence[int]) -> Report:
@@ -193,14 +159,10 @@ def evaluate(args: Args, name: str, weights: Path, split: str, scenes: Sequence[
 
 def format_page(args: Args, rows: dict[str, Row]) -> str:
     """Return the table of all variants with a caption, as Markdown text."""
-    full = rows[FULL]
-    cells = []
+    full, cells = rows[FULL], []
     for name, this in rows.items():
-        gain = (
-            ""
-            if this is full
-            else format_percent_difference(compute_paired_difference(this.successes(), full.successes()))
-        )
+        difference = compute_paired_difference(this.successes(), full.successes())
+        gain = "" if this is full else format_percent_difference(difference)
         rates = [
             format_percent_rate(report.count(EpisodeStatus.SUCCESS), len(report.episodes)) for report in this.reports
         ]

@@ -5,56 +5,57 @@ from dataclasses import dataclass, replace
 
 from typing_extensions import Self
 
-from handover_marl.datasets import open_dataset
 from handover_marl.envs.config import EnvConfig
 from handover_marl.envs.rewards import make_reward_config
 from handover_marl.learning.training.run_folder import training_scenes
+from handover_marl.learning.training.scene_arguments import SetupArgs
 from handover_marl.simulation.engines import MUJOCO
 
 
 @dataclass(frozen=True)
-class TrainingArgs:
-    """Arguments of all training scripts.
+class TrainingArgs(SetupArgs):
+    """Arguments of all scripts that train policies by reinforcement learning.
 
     Attributes:
-        out: Folder of the run.
-        setup: Official setup, s0 to s3.
-        data_dir: Folder in HandoverSim's layout; default: environment variable HANDOVER_MARL_DATA.
-        dataset: Dataset: dexycb, synthetic, or auto.
-        physics: Simulation: fast, exact, or mujoco, which simulates environments in batches.
-        control_period: Time between two decisions (s).
-        time_limit: Length of training episodes (s).
         seed: Seed of all random numbers.
+        width: Width of the two hidden layers.
+        time_limit: Length of training episodes (s).
+        control_period: Time between two decisions (s).
+        physics: Simulation: fast, exact, or mujoco, which simulates environments in batches.
+        envs: Number of environments.
         steps: Largest number of decisions of an agent.
         minutes: Largest wall-clock time (min).
-        envs: Number of environments.
+        val_scenes: Number of validation scenes per evaluation, evenly chosen.
+        out: Folder of the run.
+        batch_size: Number of decisions in all environments between updates.
+        eval_interval: Number of decisions between evaluations.
         epochs: Number of passes over the collected data between updates.
         learning_rate: Learning rate of Adam.
-        discount: Discount factor; potential-based rewards use it too.
         rewards: Reward: sparse or shaped.
+        discount: Discount factor; potential-based rewards use it too.
         gae_lambda: Lambda of generalized advantage estimation.
         initial_std: Initial standard deviation of the outputs.
-        val_scenes: Number of validation scenes per evaluation, evenly chosen.
     """
 
-    out: str = "runs/training"
-    setup: str = "s0"
-    data_dir: str | None = None
-    dataset: str = "auto"
-    physics: str = "fast"
-    control_period: float = 0.1
-    time_limit: float = 13.0
     seed: int = 0
-    steps: int = 500_000
-    minutes: float = 60.0
-    envs: int = 8
+    width: int = 128
+    time_limit: float = 8.0
+    control_period: float = 0.2
+    physics: str = "mujoco"
+    envs: int = 2
+    steps: int = 49_152
+    minutes: float = 30.0
+    val_scenes: int = 18
+    out: str = "runs/training"
+    batch_size: int = 2_048
+    eval_interval: int = 8_192
     epochs: int = 8
-    learning_rate: float = 3e-4
-    discount: float = 0.99
+    learning_rate: float = 1e-3
     rewards: str = "sparse"
+    # With 0.97 the mean of a pair never learns to close the gripper; exploration noise closes it late enough.
+    discount: float = 0.85
     gae_lambda: float = 0.95
-    initial_std: float = 0.5
-    val_scenes: int = 36
+    initial_std: float = 0.4
 
     @property
     def max_cycles(self) -> int:
@@ -63,7 +64,6 @@ class TrainingArgs:
 
     def make_env_config(self) -> EnvConfig:
         """Create the configuration of the environment on the training scenes."""
-        data = open_dataset(self.dataset, self.data_dir)
         return EnvConfig(
             setup=self.setup,
             split="train",
@@ -72,7 +72,7 @@ class TrainingArgs:
             physics=self.physics,
             control_period=self.control_period,
             rewards=replace(make_reward_config(self.rewards), gamma=self.discount),
-            scenes=training_scenes(data.list_scenes(self.setup, "train")),
+            scenes=training_scenes(self.open_dataset().list_scenes(self.setup, "train")),
             max_cycles=self.max_cycles,
         )
 
@@ -95,18 +95,13 @@ class PpoArgs(ResumableArgs):
     Attributes:
         features: Name of the features.
         actions: Name of the action scheme.
-        batch_size: Number of decisions in all environments between updates.
-        width: Width of the two hidden layers.
-        eval_interval: Number of decisions between evaluations.
         envs: Number of environments; 0 stands for 64 in batches (mujoco), else 8.
     """
 
-    features: str = "receiver"
-    actions: str = "cartesian_delta"
-    batch_size: int = 2048
-    width: int = 64
-    eval_interval: int = 8_192
+    features: str = "close"
+    actions: str = "grasp_servo"
     envs: int = 0
+    val_scenes: int = 36
 
     @property
     def n_envs(self) -> int:
@@ -123,34 +118,17 @@ class PairArgs(TrainingArgs):
         giver_actions: Name of the giver's action scheme.
         receiver_features: Name of the receiver's features.
         receiver_actions: Name of the receiver's action scheme.
-        width: Width of the two hidden layers.
-        batch_size: Number of decisions in all environments between updates.
         minibatch_size: Number of decisions per gradient step.
         clip_range: Clipping range of PPO.
-        eval_interval: Number of decisions between evaluations.
         smoke_test: Run with the smallest sizes, to test that everything works.
     """
 
-    physics: str = "mujoco"
-    control_period: float = 0.2
-    time_limit: float = 8.0
-    steps: int = 49_152
-    minutes: float = 30.0
-    envs: int = 2
-    learning_rate: float = 1e-3
-    # With 0.97 the mean never learns to close the gripper; exploration noise closes it late enough.
-    discount: float = 0.85
-    initial_std: float = 0.4
-    val_scenes: int = 18
     giver_features: str = "giver"
     giver_actions: str = "offer"
     receiver_features: str = "close"
     receiver_actions: str = "grasp_servo"
-    width: int = 128
-    batch_size: int = 2_048
     minibatch_size: int = 128
     clip_range: float = 0.2
-    eval_interval: int = 8_192
     smoke_test: bool = False
 
     @property
