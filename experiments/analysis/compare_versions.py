@@ -16,7 +16,7 @@ import subprocess
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import h5py
 import numpy as np
@@ -100,32 +100,21 @@ def record(args: Record) -> None:
     scenes = scene_list(args.data_dir, args.every)
     for physics in args.physics:
         for giver, receiver in evaluations(physics):
-            folder = args.out / f"{physics}-{giver}-{receiver}"
-            command = [args.command, "pair", "--setup", "s0", "--split", "train", "--scenes", scenes]
-            command += ["--giver", giver, "--receiver", receiver, "--physics", physics, "--data-dir", args.data_dir]
+            command = ["pair", "--scenes", scenes, "--giver", giver, "--receiver", receiver, "--physics", physics]
             command += ["--robot", "panda_camera" if receiver in WITH_CAMERA else "panda"]
-            _run([*command, "--workers", "1", "--no-progress", "--out", str(folder)], folder)
+            _run(args, command, args.out / f"{physics}-{giver}-{receiver}")
     for mode, options in OBS_MODES.items():
-        folder = args.out / f"demonstrations-{mode}"
-        command = [args.command, "demonstrate", "--setup", "s0", "--split", "train", "--scenes"]
-        command += [
-            ",".join(scenes.split(",")[:4]),
-            "--physics",
-            "fast",
-            "--data-dir",
-            args.data_dir,
-            "--workers",
-            "1",
-            "--no-progress",
-        ]
-        _run([*command, *options[0 if args.old_options else 1].split(), "--out", str(folder)], folder)
+        command = ["demonstrate", "--scenes", ",".join(scenes.split(",")[:4]), "--physics", "fast"]
+        _run(args, [*command, *options[0 if args.old_options else 1].split()], args.out / f"demonstrations-{mode}")
 
 
-def _run(command: list[str], folder: Path) -> None:
+def _run(args: Record, options: list[str], folder: Path) -> None:
     done = folder / "finished"
     if done.exists():
         return
     folder.parent.mkdir(parents=True, exist_ok=True)
+    command = [args.command, *options, "--setup", "s0", "--split", "train", "--data-dir", args.data_dir]
+    command += ["--workers", "1", "--no-progress", "--out", str(folder)]
     start = time.monotonic()
     result = subprocess.run(command, capture_output=True, text=True, check=False)
     print(f"{folder.name}: exit {result.returncode}, {time.monotonic() - start:.0f} s", flush=True)
@@ -145,10 +134,9 @@ def compare(args: Compare) -> int:
             n_different += 1
             continue
         n_files, lines = 0, []
-        for pattern, find_differences in (("*.npz", _npz_differences), ("*.hdf5", _hdf5_differences)):
-            for path in sorted(old.rglob(pattern)):
-                lines += find_differences(path, new / path.relative_to(old))
-                n_files += 1
+        for path in (*sorted(old.rglob("*.npz")), *sorted(old.rglob("*.hdf5"))):
+            lines += _find_differences(path, new / path.relative_to(old))
+            n_files += 1
         print(f"{old.name}: {'equal' if not lines else f'{len(lines)} differences'} ({n_files} files)")
         print("".join(f"    {line}\n" for line in lines[:5]), end="")
         n_different += bool(lines) or n_files == 0
@@ -156,27 +144,28 @@ def compare(args: Compare) -> int:
     return n_different
 
 
-def _npz_differences(old: Path, new: Path) -> list[str]:
+def _find_differences(old: Path, new: Path) -> list[str]:
     if not new.exists():
         return [f"{old.name} is missing"]
-    with np.load(old, allow_pickle=False) as before, np.load(new, allow_pickle=False) as after:
-        keys = [key for key in before.files if key not in IGNORED]
-        return [f"{old.name}: {key}" for key in keys if key not in after or not _equal(before[key], after[key])]
+    before, after = _read_arrays(old), _read_arrays(new)
+    return [f"{old.name}: {key}" for key in before if key not in after or not _equal(before[key], after[key])]
 
 
-def _equal(before: Any, after: Any) -> bool:
-    before, after = np.asarray(before), np.asarray(after)
+def _read_arrays(path: Path) -> dict[str, np.ndarray]:
+    """Return the arrays of a result file or a demonstration file that are compared, by name."""
+    if path.suffix == ".npz":
+        with np.load(path, allow_pickle=False) as file:
+            return {key: file[key] for key in file.files if key not in IGNORED}
+    arrays = {}
+    with h5py.File(path) as file:
+        file.visititems(
+            lambda name, item: arrays.update({name: np.asarray(item[()])}) if isinstance(item, h5py.Dataset) else None
+        )
+    return arrays
+
+
+def _equal(before: np.ndarray, after: np.ndarray) -> bool:
     return before.dtype == after.dtype and before.shape == after.shape and before.tobytes() == after.tobytes()
-
-
-def _hdf5_differences(old: Path, new: Path) -> list[str]:
-    if not new.exists():
-        return [f"{old.name} is missing"]
-    with h5py.File(old) as before, h5py.File(new) as after:
-        names: list[str] = []
-        before.visititems(lambda name, item: names.append(name) if isinstance(item, h5py.Dataset) else None)
-        wrong = [name for name in names if name not in after or not _equal(before[name][()], after[name][()])]
-        return [f"{old.name}: {name}" for name in wrong]
 
 
 def main() -> None:

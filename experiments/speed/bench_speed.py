@@ -144,8 +144,10 @@ def race(args: Args, contestants: list[Contestant]) -> None:
     for contestant in contestants:
         with time_engine() if contestant.engine_only else contextlib.nullcontext() as clock:
             envs.append(entrant(args, contestant))
+        if clock is not None:
+            clock[0] = 0.0  # without the reset
         clocks.append(clock)
-    seconds, before = np.zeros(len(contestants)), [clock and clock[0] for clock in clocks]
+    seconds = np.zeros(len(contestants))
     draws = [np.random.default_rng(0) for _ in envs]
     control_steps = args.steps // round(args.control_period * REAL_TIME)
     for first in range(0, control_steps, args.turn):
@@ -153,8 +155,8 @@ def race(args: Args, contestants: list[Contestant]) -> None:
             started = time.process_time()
             act(env, min(args.turn, control_steps - first), draws[number])
             seconds[number] += (time.process_time() - started) / contestants[number].envs
-    for number, (contestant, env, clock) in enumerate(zip(contestants, envs, clocks, strict=True)):
-        contestant.seconds.append(float(seconds[number]) if clock is None else clock[0] - before[number])
+    for contestant, env, clock, taken in zip(contestants, envs, clocks, seconds, strict=True):
+        contestant.seconds.append(float(taken) if clock is None else clock[0])
         env.close()
 
 
@@ -177,27 +179,25 @@ def entrant(args: Args, contestant: Contestant) -> HandoverEnv | ParallelVectorE
 
 @contextlib.contextmanager
 def time_engine() -> Iterator[list[float]]:
-    """Time the physics steps of the PyBullet clients that are first used in the block.
+    """Time the physics steps of the PyBullet clients that are created in the block.
 
     Yields:
         A list whose only element accumulates the CPU time (s) in `stepSimulation`.
     """
-    look_up, seconds = BulletClient.__getattr__, [0.0]
+    initialize, seconds = BulletClient.__init__, [0.0]
 
-    def look_up_timed(client: BulletClient, name: str) -> Any:
-        function = look_up(client, name)
+    def initialize_timed(client: Any, mode: int) -> None:
+        initialize(client, mode)
+        step = client.stepSimulation
 
-        def step() -> None:
+        def timed_step() -> None:
             started = time.process_time()
-            function()
+            step()
             seconds[0] += time.process_time() - started
 
-        if name != "stepSimulation":
-            return function
-        client.stepSimulation = step
-        return step
+        client.stepSimulation = timed_step
 
-    with mock.patch.object(BulletClient, "__getattr__", look_up_timed):
+    with mock.patch.object(BulletClient, "__init__", initialize_timed):
         yield seconds
 
 

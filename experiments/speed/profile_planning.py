@@ -13,6 +13,7 @@ import os
 import pstats
 import time
 from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -81,7 +82,7 @@ def is_ours(file: str) -> bool:
     return "handover_marl" in file or Path(file).name == "omg.py"
 
 
-def quantiles(name: str, values: list[float], digits: int) -> list[str]:
+def quantiles(name: str, values: Sequence[float], digits: int) -> list[str]:
     return [name, *(f"{value:.{digits}f}" for value in np.quantile(values, [0.05, 0.5, 0.95, 1.0]))]
 
 
