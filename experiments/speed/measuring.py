@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from handover_marl.execution.files import write_atomically
-from handover_marl.execution.machine import describe_machine
+from handover_marl.execution.options import describe_machine
 
 
 @dataclass(frozen=True)
