@@ -85,7 +85,12 @@ def _check_tuple(name: str, value: Any, size: int, limits: tuple[float, float]) 
 def _check_number(name: str, value: Any, is_integer: bool, limits: tuple[float, float]) -> None:
     kind = Integral if is_integer else Real
     low, high = limits
-    if isinstance(value, bool) or not isinstance(value, kind) or not math.isfinite(value) or not low <= value <= high:
+    if (
+        isinstance(value, bool)
+        or not isinstance(value, kind)
+        or not math.isfinite(value)
+        or not low <= float(value) <= high
+    ):
         text = "an integer" if is_integer else "a finite number"
         if limits != (-math.inf, math.inf):
             text += f" from {low:g} to {high:g}" if math.isfinite(high) else f" of at least {low:g}"
