@@ -179,7 +179,7 @@ def entrant(args: Args, contestant: Contestant) -> HandoverEnv | ParallelVectorE
 
 @contextlib.contextmanager
 def time_engine() -> Iterator[list[float]]:
-    """Time the physics steps of the PyBullet clients that are created in the block.
+    """Measure the time of the physics steps of the PyBullet clients that are created in the block.
 
     Yields:
         A list whose only element accumulates the CPU time (s) in `stepSimulation`.
