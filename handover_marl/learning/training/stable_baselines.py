@@ -1,7 +1,10 @@
-"""Training of one agent with Stable-Baselines3's PPO. Needs the extra `train`."""
+"""Training of one agent with Stable-Baselines3's PPO. Needs the extra `train`.
+
+The module has functions for environments, policy files and checkpoints, and a callback that
+evaluates the policy.
+"""
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -141,31 +144,3 @@ class EvaluationCallback(BaseCallback):
             self.logger.record(f"evaluation/{name}", getattr(point, name))
         self.logger.dump(self.num_timesteps)
         save_checkpoint(self.model, self._run.folder.checkpoint)
-
-
-def train_agent(args: PpoArgs, script: str, agent: str, partner: str, initialize: Callable[[PPO], None]) -> Path:
-    """Train one agent for a frozen partner, or continue its training; return the policy file.
-
-    Args:
-        args: Arguments of the training.
-        script: Name of the script, which the policy file records.
-        agent: Agent that learns, "giver" or "receiver".
-        partner: Name of the other agent's policy.
-        initialize: Function that changes the untrained model, called if no checkpoint is resumed.
-    """
-    torch.set_num_threads(1)
-    other = "receiver" if agent == "giver" else "giver"
-    run = TrainingRun(args, script, {agent: (args.features, args.actions)}, {other: partner})
-    envs = make_vec_env(args, agent, partner)
-    model = make_ppo(args, envs)
-    if args.resume and run.folder.checkpoint.exists():
-        load_checkpoint(model, run.folder.checkpoint)
-        run.folder.discard_points_after(model.num_timesteps)
-    else:
-        initialize(model)
-    callback = EvaluationCallback(run, agent, args.eval_interval)
-    remaining = max(0, args.steps - model.num_timesteps)
-    model.learn(remaining, callback, reset_num_timesteps=False, progress_bar=True, log_interval=1)
-    callback.evaluate()
-    envs.close()
-    return run.folder.policy
