@@ -160,10 +160,10 @@ def revolve_wall(stations: npt.ArrayLike, color: str, n: int = 48, n_parts: int 
     """Return a thin wall as a surface of revolution about the z axis.
 
     Args:
-        stations: (m, 4) outer radius and z, inner radius and z along the wall.
+        stations: (k, 4) outer radius, outer z, inner radius and inner z along the wall (m).
         color: Color of the wall.
         n: Number of sides of the visual mesh.
-        n_parts: Number of sectors of the collision body, with m - 1 convex parts each.
+        n_parts: Number of sectors of the collision body, with k - 1 convex parts each.
     """
     table = np.asarray(stations, dtype=float)
     visual = loft(_revolve(np.concatenate([table[:, :2], table[::-1, 2:]]), n), color, closed=True, collides=False)

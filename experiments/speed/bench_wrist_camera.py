@@ -43,8 +43,9 @@ class Args(DatasetArgs, OutputArgs):
         views: Number of rendered frames per scene.
         receiver: Name of the receiver that moves the camera.
         period: Time (s) between two point clouds.
-        steps: Number of control steps of an environment before the next one is measured.
-        turns: Number of measurements of each environment; 0 skips whole environments.
+        steps: Number of control steps for which one environment is measured before the next one.
+        turns: Number of times that each environment is measured, in turn; 0 measures the renderers
+            alone, not the steps of complete environments.
     """
 
     robot: str = "panda_camera"

@@ -133,7 +133,7 @@ class ExecutionConfig:
 
 
 class EpisodeOptions(TypedDict, total=False):
-    """Keyword arguments of rendering functions: fields of the two configurations."""
+    """Keyword arguments of functions that render an episode, as fields of both configurations."""
 
     dataset: str
     data_dir: str | os.PathLike[str] | None

@@ -1,4 +1,4 @@
-"""Shapes, masses, friction and joint limits of the links of a URDF model; URDF texts of templates."""
+"""Reader of URDF models: shapes, masses, friction and joint limits of links; writer from Jinja templates."""
 
 import functools
 import math

@@ -63,9 +63,10 @@ def validate_grasps(
 def get_validation_record(
     object_urdf: Path, panda_urdf: Path, known: Array, config: GraspPreparationConfig
 ) -> ValidationRecord:
-    """Return the record (n, 4) of a validation; simulate for minutes if none is stored.
+    """Return the stored validation of an object's n grasps, as `assets.shipped.ValidationRecord` (n, 4).
 
-    Arguments and errors are those of `validate_grasps`.
+    Grasps without a stored record are validated in simulation, which takes up to minutes. Arguments
+    and errors are those of `validate_grasps`.
     """
     path = validation_record_path(object_urdf, panda_urdf, known, config)
     shipped = load_validation_record(path.stem)

@@ -78,7 +78,7 @@ class MotionController:
         return self.move_closed(self._separate(velocity, self._config.hand_clearance, leaving=True))
 
     def move_open(self, velocity: Array) -> Action:
-        """Return the action with joint velocities (7,) and open fingers, ignoring obstacles."""
+        """Return the action with joint velocities (7,) (rad/s) and open fingers, ignoring obstacles."""
         return self._action(velocity, OPEN, None)
 
     def move_closed(self, velocity: Array, acceleration: float | None = None) -> Action:

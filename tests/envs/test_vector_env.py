@@ -1,6 +1,7 @@
 """Many environments in one process: each plays what a single one plays, however many there are."""
 
 import inspect
+import os
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -219,3 +220,90 @@ def test_other_physics_play_in_turns(physics: str) -> None:
     assert isinstance(together, HandoverVectorEnv)
     assert isinstance(together.envs[0].unwrapped.env.unwrapped, HandoverEnv)
     assert_equal(rollout(together, 3), rollout(alone, 3))
+
+
+@pytest.fixture(scope="module")
+def three() -> Iterator[HandoverVectorEnv]:
+    envs = handover_marl.vector_env(3, "receiver", "replay", threads=1, **OPTIONS)
+    yield envs
+    envs.close()
+
+
+STILL = np.tile(np.array([0.0, -1.285, 0, -2.356, 0, 1.571, 0.785, 0.04, 0.04], np.float32), (3, 1))
+
+
+@pytest.mark.parametrize(
+    "actions",
+    [
+        None,
+        0,
+        STILL[:2],
+        np.concatenate([STILL, STILL[:1]]),
+        STILL.ravel(),
+        STILL.T,
+        {"receiver": STILL},
+        [STILL[0], STILL[1], STILL[2][:8]],
+        [["a"] * 9] * 3,
+        map(np.array, STILL),
+        (row for row in STILL),
+    ],
+    ids=lambda actions: type(actions).__name__ + str(np.shape(actions) if isinstance(actions, np.ndarray) else ""),
+)
+def test_malformed_actions_change_nothing(three: HandoverVectorEnv, actions: Any) -> None:
+    three.reset(seed=1)
+    with pytest.raises(ActionError, match=r"\(3, 9\)"):
+        three.step(actions)
+    after, *_ = three.step(STILL)
+    np.testing.assert_allclose(after["time"], 0.1, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        {"seed": 1.5},
+        {"seed": [1, 2]},
+        {"seed": np.array([1.0, 2.0, 3.0])},
+        {"seed": ["a", "b", "c"]},
+        {"options": [5]},
+        {"options": {"reset_mask": [True, False]}},
+        {"options": {"reset_mask": [1, 0, 1]}},
+        {"options": {"reset_mask": [False, False, False]}},
+    ],
+    ids=str,
+)
+def test_malformed_resets_change_nothing(three: HandoverVectorEnv, arguments: dict[str, Any]) -> None:
+    three.reset(seed=1)
+    with pytest.raises(OptionError):
+        three.reset(**arguments)
+    after, *_ = three.step(STILL)
+    np.testing.assert_allclose(after["time"], 0.1, atol=1e-6)
+
+
+def test_masks_may_be_lists_and_seeds_arrays(three: HandoverVectorEnv) -> None:
+    three.reset(seed=np.array([1, 2, 3]))
+    three.step(STILL)
+    after, _ = three.reset(options={"reset_mask": [True, False, True]})
+    np.testing.assert_allclose(after["time"][:, 0], [0.0, 0.1, 0.0], atol=1e-6)
+
+
+def test_a_closed_environment_says_so() -> None:
+    envs = handover_marl.vector_env(2, agent=None, threads=2, **OPTIONS)
+    envs.reset(seed=0)
+    envs.close()
+    with pytest.raises(ResetNeededError, match="closed"):
+        envs.reset(seed=0)
+    with pytest.raises(ResetNeededError, match="closed"):
+        envs.step({"giver": np.zeros((2, 8)), "receiver": STILL[:2]})
+
+
+@pytest.mark.filterwarnings("ignore:This process")
+def test_an_environment_of_the_parent_process_is_refused_after_a_fork(three: HandoverVectorEnv) -> None:
+    three.reset(seed=0)
+    process = os.fork()
+    if process == 0:
+        try:
+            three.step(STILL)
+        except ResetNeededError:
+            os._exit(7)
+        os._exit(1)
+    assert os.waitstatus_to_exitcode(os.waitpid(process, 0)[1]) == 7

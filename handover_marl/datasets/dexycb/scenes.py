@@ -163,8 +163,10 @@ class CachedScene:
     Attributes:
         scene_id: Scene number.
         meta: Content of the meta file, keys in the official order.
-        pose_y: (T, n, 6) float32 motion of the objects at 1 kHz in the tag's frame (m, rad).
-        pose_m: (T, 1, 51) float32 motion of the hand at 1 kHz in the tag's frame (m, rad).
+        pose_y: (T, n, 6) float32 motion of the n objects at 1 kHz in the frame of the AprilTag on the
+            table: position (m), intrinsic XYZ Euler angles (rad).
+        pose_m: (T, 1, 51) float32 joint positions of the hand at 1 kHz in the same frame: 3 positions (m),
+            48 angles (rad).
     """
 
     scene_id: int

@@ -1,12 +1,14 @@
 """Batch of handover environments that are simulated in lockstep."""
 
 import functools
+import os
 from collections.abc import Mapping, Sequence
 from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 
 from handover_marl.envs.arguments import check_positive_integer
@@ -15,7 +17,7 @@ from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.envs.wrappers.encode import encode
 from handover_marl.envs.wrappers.freeze import freeze
 from handover_marl.envs.wrappers.wrapper import ByAgent, ParallelStep, ParallelWrapper
-from handover_marl.errors import OptionError, ResetNeededError
+from handover_marl.errors import ActionError, OptionError, ResetNeededError
 from handover_marl.execution.options import count_available_cores
 from handover_marl.policies.reference import PolicyLike
 
@@ -72,6 +74,7 @@ class EnvBatch:
             return env if features is None and schemes is None else encode(env, features, schemes)
 
         self.autoreset, self.is_running = autoreset, False
+        self._is_closed, self._process = False, os.getpid()
         self.envs = [make() for _ in range(count)]
         self._ended = np.zeros(count, dtype=bool)
         if find_spec("greenlet") is None:
@@ -98,8 +101,13 @@ class EnvBatch:
             chosen: (n,) mask of the environments to reset; default: all.
 
         Raises:
-            OptionError: The number of seeds is not the number of environments.
+            OptionError: The number of seeds is not the number of environments, a seed is not an integer,
+                or `options` is not a mapping.
+            ResetNeededError: The environments are closed, or were made by another process.
         """
+        self._require_usable()
+        if options is not None and not isinstance(options, Mapping):
+            raise OptionError(f"options must be a dict, got {options!r}")
         chosen = np.ones(len(self.envs), dtype=bool) if chosen is None else chosen
         tasks = zip(self.envs, self._spread_seeds(seed), chosen, strict=True)
         # If a task fails, the states of the others are undefined: all must be reset.
@@ -116,6 +124,7 @@ class EnvBatch:
         Raises:
             ResetNeededError: There was no reset, or a reset or step has failed since.
         """
+        self._require_usable()
         if not self.is_running:
             raise ResetNeededError("no episode is running; call reset() before step()")
 
@@ -138,10 +147,17 @@ class EnvBatch:
 
     def close(self) -> None:
         """Free the simulations of all environments."""
-        self.is_running = False
+        self.is_running, self._is_closed = False, True
         for env in self.envs:
             env.close()
         self._scheduler.close()
+
+    def _require_usable(self) -> None:
+        if self._is_closed:
+            raise ResetNeededError("the vector environment is closed; make another one")
+        if os.getpid() != self._process:
+            # Threads do not survive a fork, so the simulation would wait for them forever.
+            raise ResetNeededError("the vector environment was made by another process; make it after the fork")
 
     def _step_one(
         self, env: HandoverEnv | ParallelWrapper, ended: bool, actions: ByAgent
@@ -156,14 +172,34 @@ class EnvBatch:
         count = len(self.envs)
         if seed is None:
             return [None] * count
-        seeds: list[int | None] = []
         if isinstance(seed, (int, np.integer)):
-            seeds += range(int(seed), int(seed) + count)
-        else:
-            seeds += seed
-        if len(seeds) != count:
-            raise OptionError(f"seed must be an integer or {count} seeds, got {len(seeds)} seeds")
-        return seeds
+            return list(range(int(seed), int(seed) + count))
+        seeds = list(seed) if isinstance(seed, (Sequence, np.ndarray)) else [seed]
+        if len(seeds) != count or not all(one is None or isinstance(one, (int, np.integer)) for one in seeds):
+            raise OptionError(f"seed must be an integer or {count} seeds (integers), got {seed!r}")
+        return [None if one is None else int(one) for one in seeds]
+
+
+def split_actions(actions: object, space: spaces.Space[Any], count: int, agent: str) -> list[npt.NDArray[Any]]:
+    """Check the actions of all environments and return one row for each.
+
+    Args:
+        actions: Actions (count, ...) of an agent.
+        space: Action space of the agent in one environment.
+        count: Number of environments.
+        agent: Name of the agent, for errors.
+
+    Raises:
+        ActionError: The actions are not a numeric array of this shape.
+    """
+    shape = (count, *(space.shape or ()))
+    try:
+        values = np.asarray(actions)
+    except (ValueError, TypeError, RuntimeError) as error:  # ragged lists, tensors with a gradient or on a GPU
+        raise ActionError(f"actions of the {agent} must be an array of shape {shape} ({error})") from error
+    if values.shape != shape or values.dtype.kind not in "fiu":
+        raise ActionError(f"actions of the {agent} must have shape {shape}, got {values.dtype} {values.shape}")
+    return list(values)
 
 
 def _has_ended(result: ParallelStep | None) -> bool:

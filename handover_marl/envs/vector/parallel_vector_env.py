@@ -6,9 +6,9 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
-from gymnasium.vector.utils import batch_space, concatenate, create_empty_array, iterate
+from gymnasium.vector.utils import batch_space, concatenate, create_empty_array
 
-from handover_marl.envs.vector.batch import EnvBatch, ResetResult
+from handover_marl.envs.vector.batch import EnvBatch, ResetResult, split_actions
 from handover_marl.envs.wrappers.wrapper import ByAgent
 from handover_marl.errors import ActionError
 
@@ -114,13 +114,10 @@ class ParallelVectorEnv:
     def _split_actions(self, actions: ByAgent) -> dict[str, list[npt.NDArray[Any]]]:
         if not isinstance(actions, dict) or actions.keys() != set(self.possible_agents):
             raise ActionError(f"actions must be a dict of arrays for {' and '.join(self.possible_agents)}")
-        rows = {}
-        for agent, values in actions.items():
-            shape = (self.num_envs, *self.single_action_space(agent).shape)
-            if np.shape(values) != shape:
-                raise ActionError(f"actions of the {agent} must have shape {shape}, got {np.shape(values)}")
-            rows[agent] = list(iterate(self.action_space(agent), np.asarray(values)))
-        return rows
+        return {
+            agent: split_actions(values, self.single_action_space(agent), self.num_envs, agent)
+            for agent, values in actions.items()
+        }
 
     def _add_final(self, infos: ByAgent, last: list[Any]) -> None:
         """Add the last observations and infos of the episodes that have ended in this step, if any.

@@ -7,11 +7,10 @@ from typing import Any, Literal, overload
 
 import numpy as np
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
-from gymnasium.vector.utils import iterate
 
 from handover_marl.envs.config import EnvConfig, make_env_config
 from handover_marl.envs.handover_env import HandoverEnv
-from handover_marl.envs.vector.batch import EnvBatch
+from handover_marl.envs.vector.batch import EnvBatch, split_actions
 from handover_marl.envs.vector.parallel_vector_env import ParallelVectorEnv
 from handover_marl.envs.wrappers.wrapper import ByAgent, ParallelWrapper, SingleAgentEnv
 from handover_marl.errors import OptionError, UnknownNameError
@@ -75,16 +74,19 @@ class HandoverVectorEnv(SyncVectorEnv):
 
         Raises:
             OptionError: The number of seeds or the shape of the mask is wrong.
+            ResetNeededError: The environments are closed, or were made by another process.
         """
+        if options is not None and not isinstance(options, Mapping):
+            raise OptionError(f"options must be a dict, got {options!r}")
         own = dict(options or {})
         mask = own.pop("reset_mask", None)
-        chosen = np.ones(self.num_envs, dtype=bool) if mask is None else np.asarray(mask, dtype=bool)
-        if chosen.shape != (self.num_envs,):
-            raise OptionError(f"reset_mask must have shape ({self.num_envs},), got {chosen.shape}")
+        chosen = np.ones(self.num_envs, dtype=bool) if mask is None else np.asarray(mask)
+        if chosen.shape != (self.num_envs,) or chosen.dtype != bool or not chosen.any():
+            raise OptionError(f"reset_mask must be {self.num_envs} truth values with at least one True, got {mask!r}")
         results = iter(self._batch.reset(seed, own, chosen))
         for env, resets in zip(self._precomputed, chosen, strict=True):
             env.results = collections.deque([next(results)] if resets else [])
-        return super().reset(options=options)
+        return super().reset(options=None if mask is None else own | {"reset_mask": chosen})
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Step every environment for one control period, or until its action scheme needs outputs.
@@ -93,15 +95,16 @@ class HandoverVectorEnv(SyncVectorEnv):
             actions: (n, ...) action of each environment.
 
         Raises:
+            ActionError: The actions are not a numeric array (n, ...).
             ResetNeededError: There was no reset, or a reset or step has failed since.
         """
         self._batch.require_running()
-        rows = [
-            {env.agent: row} for env, row in zip(self._precomputed, iterate(self.action_space, actions), strict=True)
-        ]
+        agent = self._precomputed[0].agent
+        split = split_actions(actions, self.single_action_space, self.num_envs, agent)
+        rows = [{agent: row} for row in split]
         for env, outcome in zip(self._precomputed, self._batch.step(rows), strict=True):
             env.results.extend(result for result in outcome if result is not None)
-        return super().step(actions)
+        return super().step(np.stack(split))
 
     def close_extras(self, **kwargs: Any) -> None:
         """Free the simulations of all environments."""

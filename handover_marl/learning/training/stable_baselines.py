@@ -72,7 +72,7 @@ def dense_network_from_model(model: BaseAlgorithm) -> DenseNetwork:
     """Convert the deterministic policy of a PPO model to the network of a policy file.
 
     Raises:
-        DataFormatError: The policy contains other than dense layers.
+        DataFormatError: The policy contains a layer that is not dense.
     """
     state = {name: value.detach().cpu().numpy() for name, value in model.policy.state_dict().items()}
     about = {"policy_kwargs": {key: str(value) for key, value in model.policy_kwargs.items()}}

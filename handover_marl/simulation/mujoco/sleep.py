@@ -139,7 +139,9 @@ class SleepState:
         self._first -= rows
 
     def simulate_robot(self, row: int, target: list[float], hand: HandTrajectory) -> None:
-        """Simulate the robot in the remaining steps; find the first step with a body near it.
+        """Simulate the robot alone from a step on, and store the first step with a body near it.
+
+        A body is near if the spheres around it and around the robot's links may touch.
 
         Args:
             row: First step of the reference motion to simulate.

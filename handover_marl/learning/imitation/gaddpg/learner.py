@@ -100,11 +100,12 @@ class GaddpgLearnerConfig:
     Attributes:
         encoder_rate: Largest learning rate of the encoder.
         head_rate: Largest learning rate of the head.
-        final_share: Share of the learning rates at the end of their cosine decay.
+        final_share: Learning rates at the end of their cosine decay, as fraction of the largest.
         warmup: Number of updates in which the learning rates rise.
         decay: Weight decay.
         action: Weight of the loss of actions relative to that of goals.
-        half_distance: Distance of a goal at which its loss has half weight (m).
+        half_distance: Distance from the gripper to the goal pose at which the goal's loss has half its
+            weight (m).
         clip: Largest norm of the gradient.
         averaging: Decay of the exponential average of the weights.
         use_bfloat16: Whether matrix products are computed in bfloat16.
@@ -209,7 +210,7 @@ class GaddpgLearner:
         return action, goals.mean(), (weights * goals).mean()
 
     def _rate_share(self) -> float:
-        """Return the present share of the largest learning rates."""
+        """Return the present learning rates as fraction of the largest ones."""
         config = self._config
         rise = min(1.0, (self.done + 1) / max(1, config.warmup))
         fall = 0.5 * (1.0 + math.cos(math.pi * min(1.0, self.done / max(1, self._updates))))
