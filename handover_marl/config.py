@@ -285,6 +285,16 @@ class WorldConfig(CheckedConfig):
 OFFICIAL_CONFIG = WorldConfig()
 
 
+def check_world_config(config: object) -> None:
+    """Check that a value is a `WorldConfig`.
+
+    Raises:
+        OptionError: It is something else, such as the class itself.
+    """
+    if not isinstance(config, WorldConfig):
+        raise OptionError(f"world_config must be a WorldConfig, got {config!r}")
+
+
 @dataclass(frozen=True)
 class CameraConfig(CheckedConfig):
     """Configuration of a pinhole camera; the default shows robot, table and hand from the side.

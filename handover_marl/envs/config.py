@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from handover_marl.config import OFFICIAL_CONFIG, TIME_STEP, CameraConfig, WorldConfig
+from handover_marl.config import OFFICIAL_CONFIG, TIME_STEP, CameraConfig, WorldConfig, check_world_config
 from handover_marl.envs.arguments import check_positive_integer
 from handover_marl.envs.rewards import RewardConfig, make_reward_config
 from handover_marl.episode.camera_observations import WristCameraConfig
@@ -81,6 +81,7 @@ class EnvConfig:
         if self.render_mode is not None and self.render_mode not in RENDER_MODES:
             raise UnknownNameError("render_mode", self.render_mode, RENDER_MODES)
         check_physics(self.physics)
+        check_world_config(self.world_config)
         if self.render_mode is not None:
             check_rendering(f"render_mode={self.render_mode!r}")
         check_obs_mode(self.obs_mode)

@@ -66,7 +66,7 @@ class RayPool(Pool):
         # Kept in the cluster's object store, so that it is sent to each node once.
         job = ray.put(cloudpickle.dumps(Job(open_worker, describe)))
         spread = ray.remote(num_cpus=1, max_retries=_RETRIES, scheduling_strategy="SPREAD")
-        job_arguments = ([job], uuid.uuid4().hex, installed_versions(), list(sys.path))
+        job_arguments = ([job], uuid.uuid4().hex, installed_versions(), list(map(str, sys.path)))
         submit = spread(run_ray_task).remote
         waiting = list(reversed(range(len(tasks))))
         running: dict[Any, int] = {}

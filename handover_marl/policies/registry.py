@@ -48,9 +48,10 @@ def import_policy(agent: str, module: str, attribute: str) -> Any:
     """
     try:
         return getattr(importlib.import_module(module), attribute)
-    except Exception as error:  # importing a user's module may raise anything
+    except (Exception, SystemExit) as error:  # importing a user's module may raise anything, and end the process
+        reason = f"{type(error).__name__}: {error}" if isinstance(error, SystemExit) else error
         raise UnknownNameError(
-            agent, f"{module}:{attribute}", list_available(agent), f"and it cannot be imported ({error})"
+            agent, f"{module}:{attribute}", list_available(agent), f"and it cannot be imported ({reason})"
         ) from error
 
 

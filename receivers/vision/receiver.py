@@ -126,7 +126,9 @@ def _make_predictor(weights: str | None, predictor: GraspPredictor | None, setup
         return predictor, ""
     if importlib.util.find_spec("torch") is None:
         raise OptionError("receiver 'vision' needs PyTorch: pip install 'handover-marl[train]'")
-    return load_grasp_predictor(weights or _shipped_weights(setup))
+    if weights == "":
+        raise OptionError("weights of receiver 'vision' must name a file, got ''; leave it out for the shipped ones")
+    return load_grasp_predictor(_shipped_weights(setup) if weights is None else weights)
 
 
 def _shipped_weights(setup: str) -> Path:

@@ -1,5 +1,6 @@
 """Reader of the data sets that `demonstrate` records."""
 
+import operator
 import os
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
@@ -75,10 +76,13 @@ class Demonstrations:
         """Read the episode of a given number, with all its arrays.
 
         Raises:
+            TypeError: The number is not an integer; slices are not supported.
             IndexError: The number is out of range.
             DataFormatError: The data set is damaged.
         """
-        return self._read(range(len(self))[number], lambda group: read_episode(group, self.observation_space))
+        return self._read(
+            range(len(self))[operator.index(number)], lambda group: read_episode(group, self.observation_space)
+        )
 
     def __iter__(self) -> Iterator[Demonstration]:
         return map(self.__getitem__, range(len(self)))
@@ -139,6 +143,8 @@ class Demonstrations:
         try:
             with open_hdf5(self._file, "r") as file:
                 return read(file[format_group_name(number)])
+        except (PermissionError, MemoryError) as error:  # the file itself may be whole
+            raise DataFormatError(f"{self._file}: episode {number} cannot be read ({shorten_text(error)})") from error
         except Exception as error:  # h5py raises errors of many types on damaged files
             raise DataFormatError(
                 f"{self._file}: episode {number} cannot be read ({shorten_text(error)}); remove the file and run the "

@@ -165,9 +165,11 @@ def read_result_metadata(path: Path) -> ResultMetadata:
         setup, split = shorten_text(metadata.setup), shorten_text(metadata.split)
         raise ResultsError(f"{config_path}: unknown setup {setup!r} or split {split!r}")
     for key, value in asdict(metadata).items():
-        if not isinstance(value, str):
+        # Control characters could change a terminal that prints the report.
+        if not isinstance(value, str) or not value.isprintable():
             raise ResultsError(
-                f"{config_path}: {key} in section {_LIBRARY_SECTION} must be text, got {shorten_text(value)}"
+                f"{config_path}: {key} in section {_LIBRARY_SECTION} must be text without control characters, got "
+                f"{shorten_text(ascii(value) if isinstance(value, str) else value)}"
             )
     _check_rules(config_path, metadata, content)
     return metadata

@@ -204,7 +204,15 @@ def read_results(path: Path, allow_empty: bool = False) -> list[EpisodeResult]:
         raise ResultsError(f"cannot read {path}: {_get_reason(error)}") from error
     if not files and not allow_empty:
         raise ResultsError(f"{path} has no result files (000.npz, 001.npz, ...)")
-    return [read_result(file) for file in files]
+    results = [read_result(file) for file in files]
+    known: dict[int, int] = {}
+    for result in results:
+        if result.scene_id is not None and known.setdefault(result.scene_id, result.index) != result.index:
+            raise ResultsError(
+                f"{path}: {known[result.scene_id]:03d}.npz and {result.index:03d}.npz are both of scene "
+                f"{result.scene_id}; delete the one that was copied"
+            )
+    return results
 
 
 def check_scalar(name: str, value: Any, kind: type) -> Any:
@@ -212,10 +220,14 @@ def check_scalar(name: str, value: Any, kind: type) -> Any:
 
     Raises:
         TypeError: The value is of another type.
+        ValueError: The text has control characters.
     """
     scalar = value.item() if isinstance(value, np.generic) else value
     if type(scalar) is not kind:
         raise TypeError(f"{name} must be of type {kind.__name__}, got {type(scalar).__name__}")
+    # Control characters could change a terminal that prints the report.
+    if isinstance(scalar, str) and not scalar.isprintable():
+        raise ValueError(f"{name} must be text without control characters, got {ascii(scalar)[:100]}")
     return scalar
 
 

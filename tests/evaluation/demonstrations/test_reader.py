@@ -82,6 +82,8 @@ def test_transitions_are_those_of_the_episodes(out: Path) -> None:
     for number in (2, -3):
         with pytest.raises(IndexError):
             demonstrations[number]
+    with pytest.raises(TypeError):
+        demonstrations[0:1]  # type: ignore[index]
 
 
 def test_demonstrations_can_be_pickled(out: Path) -> None:

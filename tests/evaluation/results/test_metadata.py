@@ -46,7 +46,7 @@ def test_setup_and_split_must_be_official(folder: ResultFolder, key: str, value:
 
 
 @pytest.mark.parametrize("key", ["receiver", "giver", "physics", "dataset", "version"])
-@pytest.mark.parametrize("value", [3, None, ["hold"], 1.5, True])
+@pytest.mark.parametrize("value", [3, None, ["hold"], 1.5, True, "\x1b[2J", "a\nb", "\x00"])
 def test_values_of_the_library_section_are_text(folder: ResultFolder, key: str, value: object) -> None:
     change_config(folder.path, "HANDOVER_MARL", {key: value})
     with pytest.raises(ResultsError, match=rf"config\.yaml: {key} .*must be text"):

@@ -66,6 +66,8 @@ def test_results_are_read_as_written(folder: ResultFolder) -> None:
         {"scene_id": np.array([1, 2])},
         {"n_objects": 1.0},
         {"release_step": True},
+        {"object_name": "\x1b[2J"},
+        {"machine": "a\nb"},
         {"elapsed_time": np.array(["a"])},
         {"elapsed_time": np.full(50, -1.0)},
         {"elapsed_time": np.full(50, np.nan)},
@@ -242,3 +244,9 @@ def test_a_folder_that_another_evaluation_took_over_is_not_written(folder: Resul
         folder.write(RESULT, CONTENT)
     other.write(RESULT, CONTENT)
     assert len(read_results(folder.path)) == 1
+
+
+def test_a_copied_result_is_not_counted_twice(folder: ResultFolder) -> None:
+    (folder.path / "001.npz").write_bytes((folder.path / "000.npz").read_bytes())
+    with pytest.raises(ResultsError, match=r"000\.npz and 001\.npz are both of scene 9"):
+        read_results(folder.path)
