@@ -34,6 +34,7 @@ TARGETS = (
     "handover_marl.evaluation.merge.merge",
     "handover_marl.evaluation.rendering.plan.render_plan",
     "handover_marl.evaluation.rendering.scene.render_scene",
+    "handover_marl.evaluation.verification.verify.verify",
 )
 _PYTHONS = ("python", ".venv/bin/python")
 _SHELL = ("tar", "done", "pytest")

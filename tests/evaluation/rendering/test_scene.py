@@ -218,7 +218,7 @@ def test_impossible_sizes(
     command = ["render", "--scene", "209", "--dataset", "synthetic", "--out", str(tmp_path / "x.png"), *plan]
     assert main([*command, side, size]) == 2
     error = capsys.readouterr().err
-    assert f"{side[2:]} must be" in error
+    assert f"{side[2:]} of CameraConfig must be" in error
     assert f"got {size}" in error
     assert not list(tmp_path.iterdir())
 
