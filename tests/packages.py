@@ -130,8 +130,9 @@ def play_with(package: Path, version: str, python: str, place: Path) -> None:
     pip = (str(place / "bin" / "python"), "-m", "pip", "--disable-pip-version-check", "install", "--quiet")
     extra, physics = needed_for(version)
     _run(*pip, "-c", str(ROOT / "constraints.txt"), f"{package}{extra}")
-    reported = _run(str(place / "bin" / "handover-marl"), *EPISODE, physics, folder=place)
-    if _PLAYED not in reported:
+    reported = _run(str(place / "bin" / "handover-marl"), *EPISODE, physics, "--out", "results", folder=place)
+    # The web page needs templates, which are data files of the package.
+    if _PLAYED not in reported or not (place / "results" / "report.html").is_file():
         raise PackageError(f"{package.name} did not play with {python}:\n{reported}")
 
 

@@ -596,3 +596,17 @@ def test_context_of_receivers() -> None:
     made = parse_policy("receiver", Robot).make(DATA)
     assert isinstance(made, Receiver)
     assert made.context.object_urdf == DATA.find_object_urdf
+
+
+def test_a_module_that_exits_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "module_that_exits.py").write_text("import sys\nsys.exit(0)\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(UnknownNameError, match="cannot be imported \\(SystemExit: 0\\)"):
+        parse_policy("receiver", "module_that_exits:Robot")
+
+
+def test_weights_of_vision_must_name_a_file() -> None:
+    pytest.importorskip("torch", reason="needs the extra `train`")
+    reference = parse_policy("receiver", "vision:weights=")
+    with pytest.raises(OptionError, match="must name a file"):
+        reference.make(SyntheticDataset())
