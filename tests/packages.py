@@ -26,9 +26,12 @@ ROOT = Path(__file__).parents[1]
 #: A wheel is at most so large (bytes).
 LARGEST = 12_000_000
 #: What is played with an installed package, and in which physics; PyBullet has no wheels for later Pythons.
-EPISODE = ("benchmark", "--dataset", "synthetic", "--split", "val", "--scenes", "9", "--physics")
+EPISODE = (
+    *("benchmark", "--dataset", "synthetic", "--split", "val", "--scenes", "9"),
+    *("--out", "results", "--fresh", "--physics"),
+)
 _LAST_WITH_PYBULLET = (3, 11)
-_PLAYED = "1 of 36 scenes (partial)"
+_PLAYED, _REPORT = "1 of 36 scenes (partial)", "Report: results/report.html"
 
 
 @dataclass(frozen=True)
@@ -130,9 +133,9 @@ def play_with(package: Path, version: str, python: str, place: Path) -> None:
     pip = (str(place / "bin" / "python"), "-m", "pip", "--disable-pip-version-check", "install", "--quiet")
     extra, physics = needed_for(version)
     _run(*pip, "-c", str(ROOT / "constraints.txt"), f"{package}{extra}")
-    reported = _run(str(place / "bin" / "handover-marl"), *EPISODE, physics, "--out", "results", folder=place)
-    # The web page needs templates, which are data files of the package.
-    if _PLAYED not in reported or not (place / "results" / "report.html").is_file():
+    reported = _run(str(place / "bin" / "handover-marl"), *EPISODE, physics, folder=place)
+    # The web page, named in the last line, needs templates, which are data files of the package.
+    if _PLAYED not in reported or _REPORT not in reported:
         raise PackageError(f"{package.name} did not play with {python}:\n{reported}")
 
 

@@ -62,9 +62,12 @@ def test_a_package_that_cannot_be_installed_or_does_not_play_is_reported(
     assert commands[1:] == [str(tmp_path / "x.whl"), "fast"]
 
 
+PLAYED = f"{packages._PLAYED}\n{packages._REPORT}"
+
+
 def test_later_pythons_play_in_mujoco(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     commands: list[str] = []
-    monkeypatch.setattr(packages, "_run", lambda *command, **_: commands.append(command[-1]) or packages._PLAYED)
+    monkeypatch.setattr(packages, "_run", lambda *command, **_: commands.append(command[-1]) or PLAYED)
     for version in ("3.12", "3.14"):
         packages.play_with(tmp_path / "x.whl", version, sys.executable, tmp_path)
     assert commands[1:3] == [f"{tmp_path / 'x.whl'}[mujoco]", "mujoco"]
