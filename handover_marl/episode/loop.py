@@ -195,6 +195,9 @@ def play(
 
 
 def derive_policy_seed(seed: int | None, scene_id: int, agent: str) -> int:
-    """Derive the seed of an agent's policy in a scene, which does not disclose the scene number."""
+    """Derive the seed of an agent's policy in a scene: a hash of the run's seed, scene number and agent.
+
+    A policy that knows the run's seed can find the scene number by trying all of them.
+    """
     digest = hashlib.sha256(f"handover_marl {seed or 0} {scene_id} {agent}".encode()).digest()
     return int.from_bytes(digest[:4], "big")

@@ -101,7 +101,8 @@ class Policy(ABC):
         """Start an episode; forget all earlier episodes.
 
         Args:
-            seed: Seed of the policy's random generator; it does not disclose the scene.
+            seed: Seed of the policy's random generator, a hash of the run's seed, the scene number and the
+                agent. Policies must not identify the scene by it.
         """
 
     @abstractmethod
