@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.assets.anthropometry import CARPUS, DIGITS, REFERENCE_SIZE, SUBJECT_SIZES, HandSize
-from handover_marl.errors import DataNotFoundError, UnknownNameError
+from handover_marl.errors import DataNotFoundError, check_name
 
 Side = Literal["left", "right"]
 FloatArray = npt.NDArray[np.float64]
@@ -166,8 +166,7 @@ def _compute_reference_bones() -> Mapping[str, tuple[FloatArray, FloatArray]]:
 
 def scale_hand(size: HandSize, side: Side) -> HandGeometry:
     """Return the reference hand scaled to a length and a breadth; raises `UnknownNameError`."""
-    if side not in SIDES:
-        raise UnknownNameError("side", side, SIDES)
+    check_name("side", side, SIDES)
     across = size.breadth / REFERENCE_SIZE.breadth
     scale = np.array([size.length / REFERENCE_SIZE.length, across, across])
     stretch = scale * np.array([-1.0 if side == "left" else 1.0, 1.0, 1.0])
@@ -191,8 +190,7 @@ def make_hand_geometry(subject: int, side: Side) -> HandGeometry:
     Raises:
         UnknownNameError: The subject or the side does not exist.
     """
-    if subject not in SUBJECTS:
-        raise UnknownNameError("subject", subject, map(str, SUBJECTS))
+    check_name("subject", subject, SUBJECTS)
     return scale_hand(SUBJECT_SIZES[subject - 1], side)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.assets.hand_model import SIDES, SUBJECTS, Side, euler_from_matrices
-from handover_marl.errors import DataNotFoundError, UnknownNameError
+from handover_marl.errors import DataNotFoundError, check_name
 from handover_marl.geometry.poses import rotate_points
 from handover_marl.geometry.ycb import CLASS_NAMES, SCENE_CLASSES
 
@@ -102,8 +102,7 @@ def load_human_grasps(object_name: str, subject: int, side: Side) -> HumanGrasps
         ("subject", subject, SUBJECTS),
         ("side", side, SIDES),
     ):
-        if value not in valid:
-            raise UnknownNameError(kind, value, map(str, valid))
+        check_name(kind, value, valid)
     data = _load_arrays()
     at = GRASPED_OBJECTS.index(object_name), SIDES.index(side), subject - 1
     return HumanGrasps(

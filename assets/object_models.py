@@ -8,7 +8,7 @@ use, so object poses and grasps of both apply to them. Their shapes are simplifi
 from pathlib import Path
 from typing import Final
 
-from handover_marl.errors import DataNotFoundError, UnknownNameError
+from handover_marl.errors import DataNotFoundError, check_name
 from handover_marl.execution.options import require_pybullet
 from handover_marl.geometry.ycb import CLASS_NAMES
 
@@ -34,8 +34,7 @@ def find_object_urdf(name: str, root: Path = OBJECTS_ROOT) -> Path:
         UnknownNameError: The class does not exist.
         DataNotFoundError: The file is missing.
     """
-    if name not in CLASS_NAMES.values():
-        raise UnknownNameError("object", name, CLASS_NAMES.values())
+    check_name("object", name, CLASS_NAMES.values())
     path = root / name / URDF_NAME
     if not path.is_file():
         raise DataNotFoundError(

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.assets.object_models import DATA_ROOT
-from handover_marl.errors import DataFormatError, DataNotFoundError, UnknownNameError
+from handover_marl.errors import DataFormatError, DataNotFoundError, check_name
 from handover_marl.geometry.ycb import CLASS_NAMES
 
 #: Path of the robot grasps, made and validated in simulation by `building/build_grasps.py`.
@@ -58,8 +58,7 @@ def load_object_grasps(name: str, path: Path = GRASPS_PATH) -> npt.NDArray[np.fl
         DataNotFoundError: The grasp file is missing.
         DataFormatError: The grasp file is damaged or lacks the class.
     """
-    if name not in CLASS_NAMES.values():
-        raise UnknownNameError("object", name, CLASS_NAMES.values())
+    check_name("object", name, CLASS_NAMES.values())
     if name in CLASSES_WITHOUT_GRASPS:
         return None
     grasps = _load_grasps(path)

@@ -1,6 +1,7 @@
 """Exceptions of the library; messages name the argument, the rule and the remedy."""
 
 from collections.abc import Iterable
+from numbers import Integral
 
 
 class HandoverError(Exception):
@@ -29,13 +30,29 @@ class UnknownNameError(HandoverError, ValueError):
         hint: Further advice.
     """
 
-    def __init__(self, kind: str, name: object, valid: Iterable[str], hint: str = "") -> None:
-        names = tuple(valid)
+    def __init__(self, kind: str, name: object, valid: Iterable[object], hint: str = "") -> None:
+        names = tuple(map(str, valid))
         super().__init__(f"unknown {kind} {name!r}; valid: {', '.join(names)}" + (f"; {hint}" if hint else ""))
         self._arguments = (kind, name, names, hint)
 
     def __reduce__(self) -> tuple[object, ...]:
         return (type(self), self._arguments)
+
+
+def check_name(kind: str, name: object, valid: Iterable[object]) -> None:
+    """Check that a choice exists.
+
+    Args:
+        kind: Kind of the choice, e.g. "split".
+        name: Name or number to check; values of other types do not exist.
+        valid: Valid names or numbers.
+
+    Raises:
+        UnknownNameError: The choice does not exist.
+    """
+    choices = tuple(valid)
+    if not isinstance(name, (str, Integral)) or name not in choices:
+        raise UnknownNameError(kind, name, choices)
 
 
 class OptionError(HandoverError, ValueError):

@@ -23,7 +23,6 @@ Details of the authors' scripts that determine the results:
   all from the joints at the start of the retreat, with free rotation of the hand.
 """
 
-import importlib.util
 import math
 from collections.abc import Callable
 from dataclasses import replace
@@ -35,6 +34,7 @@ from handover_marl.assets.shipped import GADDPG_WEIGHTS
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.spaces import FULL_POINTCLOUD
 from handover_marl.errors import OptionError, PolicyError
+from handover_marl.execution.options import require_modules
 from handover_marl.geometry.panda import CLOSED, OPEN
 from handover_marl.geometry.poses import quaternion_from_matrix
 from handover_marl.planning.inverse_kinematics import IkStepper, make_ik_stepper
@@ -214,8 +214,7 @@ def _load_network(network: GaddpgFunction | None, weights: str | None) -> tuple[
         return network, GaddpgReceiver.name, None
     weights = str(GADDPG_WEIGHTS) if weights is None else weights
     is_own = weights.endswith(_OWN_SUFFIX)
-    if importlib.util.find_spec("torch") is None:
-        raise OptionError("receiver 'gaddpg' with weights needs PyTorch: pip install 'handover-marl[train]'")
+    require_modules("receiver 'gaddpg' with weights", "train", "torch")
     # Imported here since PyTorch is optional.
     from handover_marl.learning.networks.gaddpg_network import GaddpgNetwork
     from handover_marl.learning.networks.gaddpg_weights import read_gaddpg_checkpoint

@@ -6,7 +6,6 @@ line. It uses the object's true pose. `omg` ignores the person's hand, `omg_hand
 clear of the hand. All variants need the extra `planning`.
 """
 
-import importlib.util
 import logging
 import math
 from dataclasses import replace
@@ -17,7 +16,7 @@ import numpy.typing as npt
 
 from handover_marl.config import ARM_DOF
 from handover_marl.episode.observations import Observation
-from handover_marl.errors import OptionError
+from handover_marl.execution.options import require_modules
 from handover_marl.geometry.arm import ArmKinematics
 from handover_marl.geometry.distance_field import load_object_sdf
 from handover_marl.geometry.panda import CLOSED, HALF_TURN, OPEN, WAITING_JOINTS
@@ -88,11 +87,7 @@ class OmgReceiver(PhasedReceiver):
         timing: PhaseTiming | None = None,
     ) -> None:
         super().__init__(context, wait, timing)
-        missing = [module for module in _REQUIRED_MODULES if importlib.util.find_spec(module) is None]
-        if missing:
-            raise OptionError(
-                f"receiver {self.name!r} needs {', '.join(missing)}: pip install 'handover-marl[planning]'"
-            )
+        require_modules(f"receiver {self.name!r}", "planning", *_REQUIRED_MODULES)
         self.config = config or self.default_config
         self.world_from_base = np.array([*context.panda.base_position, *context.panda.base_orientation])
         self._library = GraspLibrary(context.grasps)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from handover_marl.datasets.dataset import Dataset
 from handover_marl.datasets.official import OfficialDataset
-from handover_marl.errors import DataNotFoundError, OptionError, UnknownNameError
+from handover_marl.errors import DataNotFoundError, OptionError, check_name
 from handover_marl.geometry.panda import PANDA
 
 #: Environment variable with the data folder, for calls without the argument `data_dir`.
@@ -37,8 +37,7 @@ def open_dataset(dataset: str = "auto", data_dir: str | os.PathLike[str] | None 
         OptionError: A data folder is given for the synthetic scenes, or is not a path.
         DataNotFoundError: DexYCB is requested without a data folder, or the folder is missing.
     """
-    if dataset not in DATASETS:
-        raise UnknownNameError("dataset", dataset, DATASETS)
+    check_name("dataset", dataset, DATASETS)
     if dataset == "synthetic" and data_dir:
         raise OptionError(f"synthetic scenes need no data folder, but data_dir is {data_dir}; leave one of them out")
     if data_dir is not None and not isinstance(data_dir, (str, os.PathLike)):

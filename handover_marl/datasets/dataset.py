@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from handover_marl import config
 from handover_marl.datasets.splits import N_SCENES, list_split_scenes
-from handover_marl.errors import SceneError, UnknownNameError
+from handover_marl.errors import SceneError, check_name
 from handover_marl.geometry.panda import PANDA, ROBOTS
 
 #: Height (m) of the table's surface above the world's origin. Added in float32, as in HandoverSim.
@@ -117,8 +117,7 @@ class Dataset(ABC):
     name: ClassVar[str]
 
     def __init__(self, robot: str = PANDA) -> None:
-        if robot not in ROBOTS:
-            raise UnknownNameError("robot", robot, ROBOTS)
+        check_name("robot", robot, ROBOTS)
         self.robot = robot
 
     @property

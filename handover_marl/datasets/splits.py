@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Literal
 
-from handover_marl.errors import SceneError, UnknownNameError
+from handover_marl.errors import SceneError, check_name
 
 N_SCENES = 1000
 SETUPS = ("s0", "s1", "s2", "s3")
@@ -61,10 +61,8 @@ _FILTERS = {
 
 def check_setup_and_split(setup: str, split: str) -> None:
     """Raise `UnknownNameError` unless the setup and the split exist."""
-    if setup not in SETUPS:
-        raise UnknownNameError("setup", setup, SETUPS)
-    if split not in SPLITS:
-        raise UnknownNameError("split", split, SPLITS)
+    check_name("setup", setup, SETUPS)
+    check_name("split", split, SPLITS)
 
 
 def list_split_scenes(setup: str, split: str, find_side: Callable[[int], str]) -> tuple[int, ...]:

@@ -10,7 +10,7 @@ from handover_marl.envs.arguments import check_positive_integer
 from handover_marl.envs.rewards import RewardConfig, make_reward_config
 from handover_marl.episode.camera_observations import WristCameraConfig
 from handover_marl.episode.spaces import STATE, check_obs_mode, get_camera_data
-from handover_marl.errors import OptionError, UnknownNameError
+from handover_marl.errors import OptionError, check_name
 from handover_marl.geometry.panda import PANDA
 from handover_marl.simulation.camera.frames import HANDOVERSIM_MODEL
 from handover_marl.simulation.camera.noise import CameraNoise
@@ -78,8 +78,8 @@ class EnvConfig:
         if isinstance(self.scenes, Iterable):
             # Iterators can be read only once.
             object.__setattr__(self, "scenes", tuple(self.scenes))
-        if self.render_mode is not None and self.render_mode not in RENDER_MODES:
-            raise UnknownNameError("render_mode", self.render_mode, RENDER_MODES)
+        if self.render_mode is not None:
+            check_name("render_mode", self.render_mode, RENDER_MODES)
         check_physics(self.physics)
         check_world_config(self.world_config)
         if self.render_mode is not None:

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 
 from handover_marl.envs.arguments import GIVER, RECEIVER
 from handover_marl.episode.referee import EpisodeStatus
-from handover_marl.errors import OptionError, ResetNeededError, UnknownNameError
+from handover_marl.errors import OptionError, ResetNeededError, check_name
 
 Terms = dict[str, float]
 
@@ -103,8 +103,7 @@ def make_reward_config(rewards: str | RewardConfig) -> RewardConfig:
         return rewards
     if not isinstance(rewards, str):
         raise OptionError(f"rewards must be one of {', '.join(REWARDS)} or a RewardConfig, got {rewards!r}")
-    if rewards not in REWARDS:
-        raise UnknownNameError("rewards", rewards, REWARDS)
+    check_name("rewards", rewards, REWARDS)
     return REWARDS[rewards]
 
 

@@ -7,7 +7,7 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from handover_marl.config import OFFICIAL_CONFIG, PANDA_DOF, GiverConfig
-from handover_marl.errors import ActionError, UnknownNameError
+from handover_marl.errors import ActionError, check_name
 from handover_marl.geometry.panda import LOWER_LIMITS, UPPER_LIMITS
 
 #: Parts of an observation mode: the simulator's state, and the wrist camera's data.
@@ -34,8 +34,7 @@ def check_obs_mode(obs_mode: str) -> None:
     Raises:
         UnknownNameError: The name is not one of `OBS_MODES`.
     """
-    if obs_mode not in OBS_MODES:
-        raise UnknownNameError("obs_mode", obs_mode, OBS_MODES)
+    check_name("obs_mode", obs_mode, OBS_MODES)
 
 
 def has_state(obs_mode: str) -> bool:

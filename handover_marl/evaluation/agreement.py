@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from typing_extensions import Unpack
 
-from handover_marl.errors import UnknownNameError
+from handover_marl.errors import check_name
 from handover_marl.evaluation.benchmark import Evaluation
 from handover_marl.evaluation.config import REPLAY, EvaluationConfig, EvaluationOptions, ExecutionConfig, build_configs
 from handover_marl.evaluation.reports.report import REPORTED_STATUSES, Report, build_difference_table
@@ -137,8 +137,7 @@ def compare_physics(
         HandoverError: The same errors as `evaluate_pair`.
     """
     others = [physics for physics in PHYSICS if physics != EXACT]
-    if against not in others:
-        raise UnknownNameError("physics to compare with exact", against, others)
+    check_name("physics to compare with exact", against, others)
     check_physics(against)
     config, execution = build_configs(setup, options, execution, split=split, receiver=receiver, giver=giver)
     exact, other = (

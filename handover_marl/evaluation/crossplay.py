@@ -1,7 +1,6 @@
 """Cross-play: evaluation of every giver with every receiver on the same scenes."""
 
 import csv
-import importlib.util
 import io
 import re
 from collections.abc import Sequence
@@ -34,7 +33,7 @@ from handover_marl.evaluation.reports.tables import (
     join_sections,
 )
 from handover_marl.execution.files import shorten_text, write_atomically
-from handover_marl.execution.options import forward_signature
+from handover_marl.execution.options import forward_signature, require_modules
 from handover_marl.policies.policy import Policy
 from handover_marl.policies.reference import PolicyLike, PolicyReference, parse_policy
 
@@ -203,8 +202,8 @@ def crossplay(
         HandoverError: The same errors as `evaluate_pair`.
     """
     config, execution = build_configs(setup, options, execution, split=split)
-    if execution.folder is not None and importlib.util.find_spec("matplotlib") is None:
-        raise OptionError("the heat map needs matplotlib: pip install 'handover-marl[plot]'; or leave out `out`")
+    if execution.folder is not None:
+        require_modules("the heat map", "plot", "matplotlib", advice="; or leave out `out`")
     dataset = config.open_dataset()
     # All names are resolved before the first scene, so that misspelled ones are reported at once.
     resolved_givers = _resolve_policies("giver", givers, dataset, config, execution.trust)

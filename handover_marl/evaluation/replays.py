@@ -5,7 +5,7 @@ from pathlib import Path
 
 from handover_marl import __version__
 from handover_marl.datasets import DATASET_TITLES
-from handover_marl.errors import OptionError, ResultsError, UnknownNameError
+from handover_marl.errors import OptionError, ResultsError, check_name
 from handover_marl.evaluation.config import (
     REPLAY_CHOICES,
     REPLAYS_ALL,
@@ -33,8 +33,7 @@ def check_replay_options(execution: ExecutionConfig) -> None:
         UnknownNameError: `execution.replays` is not one of `REPLAY_CHOICES`.
         OptionError: No output folder is given, or the extra `replay` is not installed.
     """
-    if execution.replays not in REPLAY_CHOICES:
-        raise UnknownNameError("replays", execution.replays, REPLAY_CHOICES)
+    check_name("replays", execution.replays, REPLAY_CHOICES)
     if execution.replays == REPLAYS_NONE:
         return
     if execution.folder is None:

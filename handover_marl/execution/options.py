@@ -66,6 +66,23 @@ def is_pybullet_installed() -> bool:
     return importlib.util.find_spec("pybullet") is not None
 
 
+def require_modules(feature: str, extra: str, *modules: str, advice: str = "") -> None:
+    """Check that optional modules are installed.
+
+    Args:
+        feature: Feature that needs the modules, for the message.
+        extra: Extra of this library that installs them.
+        modules: Names of the modules.
+        advice: End of the message, on what to do without them.
+
+    Raises:
+        OptionError: A module is not installed.
+    """
+    missing = [module for module in modules if importlib.util.find_spec(module) is None]
+    if missing:
+        raise OptionError(f"{feature} needs {' and '.join(missing)}: pip install 'handover-marl[{extra}]'{advice}")
+
+
 def require_pybullet(feature: str, advice: str) -> None:
     """Check that PyBullet is installed.
 

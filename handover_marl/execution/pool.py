@@ -1,14 +1,13 @@
 """Configuration and base class of worker pools (local processes or Ray)."""
 
-import importlib.util
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Generic, TypeAlias, TypeVar
 
-from handover_marl.errors import OptionError, UnknownNameError
-from handover_marl.execution.options import resolve_worker_count
+from handover_marl.errors import OptionError, check_name
+from handover_marl.execution.options import require_modules, resolve_worker_count
 
 LOCAL, RAY = "local", "ray"
 BACKENDS = (LOCAL, RAY)
@@ -41,11 +40,10 @@ class PoolConfig:
             OptionError: The number of workers is invalid, Ray is not installed, or an address is
                 given without Ray.
         """
-        if self.backend not in BACKENDS:
-            raise UnknownNameError("backend", self.backend, BACKENDS)
+        check_name("backend", self.backend, BACKENDS)
         resolve_worker_count(self.workers)
-        if self.backend == RAY and importlib.util.find_spec("ray") is None:
-            raise OptionError("backend 'ray' needs Ray: pip install 'handover-marl[ray]'; or leave out `backend`")
+        if self.backend == RAY:
+            require_modules("backend 'ray'", "ray", "ray", advice="; or leave out `backend`")
         if self.backend != RAY and self.address is not None:
             raise OptionError(
                 "ray_address must be used with backend='ray', got "

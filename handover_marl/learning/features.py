@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from handover_marl.config import TIME_STEP, ProtocolConfig
 from handover_marl.episode.observations import Observation, giver_observation_space, observation_space
-from handover_marl.errors import UnknownNameError
+from handover_marl.errors import check_name
 from handover_marl.geometry.ycb import CLASS_NAMES
 from handover_marl.policies.policy import PolicyContext
 from handover_marl.receivers.grasp_library import get_nearest_grasp_selector
@@ -198,10 +198,8 @@ def n_features(agent: str, name: str) -> int:
     Raises:
         UnknownNameError: The agent is unknown or has no features of that name.
     """
-    if agent not in _FEATURES:
-        raise UnknownNameError("agent", agent, _FEATURES)
-    if name not in _FEATURES[agent]:
-        raise UnknownNameError(f"features of the {agent}", name, _FEATURES[agent])
+    check_name("agent", agent, _FEATURES)
+    check_name(f"features of the {agent}", name, _FEATURES[agent])
     return _FEATURES[agent][name][1]
 
 

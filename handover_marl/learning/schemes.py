@@ -1,6 +1,6 @@
 """Registry of the action schemes by agent and name."""
 
-from handover_marl.errors import UnknownNameError
+from handover_marl.errors import check_name
 from handover_marl.learning.action_scheme import ActionScheme
 from handover_marl.learning.giver_schemes import DeviationScheme, HandoverPoseScheme, RawGiverScheme
 from handover_marl.learning.receiver_schemes import (
@@ -30,8 +30,7 @@ def scheme_size(agent: str, name: str) -> int:
     Raises:
         UnknownNameError: The agent has no scheme of that name.
     """
-    if name not in available_schemes(agent):
-        raise UnknownNameError(f"action scheme of the {agent}", name, available_schemes(agent))
+    check_name(f"action scheme of the {agent}", name, available_schemes(agent))
     return _SCHEMES[name].size
 
 

@@ -4,7 +4,7 @@ import importlib
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
-from handover_marl.errors import OptionError, UnknownNameError
+from handover_marl.errors import OptionError, UnknownNameError, check_name
 
 #: Entry-point group of each agent.
 GROUPS = {"giver": "handover_marl.givers", "receiver": "handover_marl.receivers"}
@@ -56,8 +56,7 @@ def import_policy(agent: str, module: str, attribute: str) -> Any:
 
 
 def _get_group(agent: str) -> str:
-    if agent not in GROUPS:
-        raise UnknownNameError("agent", agent, GROUPS)
+    check_name("agent", agent, GROUPS)
     return GROUPS[agent]
 
 

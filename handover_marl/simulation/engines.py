@@ -5,8 +5,8 @@ from pathlib import Path
 
 from handover_marl.assets.robot_model import PANDA_URDF
 from handover_marl.config import PandaConfig, PhysicsConfig
-from handover_marl.errors import OptionError, UnknownNameError
-from handover_marl.execution.options import is_pybullet_installed, require_pybullet
+from handover_marl.errors import check_name
+from handover_marl.execution.options import is_pybullet_installed, require_modules, require_pybullet
 from handover_marl.simulation.clearance import DistanceQuery
 from handover_marl.simulation.grasp_validation import GraspValidationConfig, GraspValidator
 from handover_marl.simulation.world import World
@@ -24,15 +24,10 @@ def check_physics(physics: str) -> None:
         UnknownNameError: There is no physics of that name.
         OptionError: The engine is not installed.
     """
-    if physics not in PHYSICS:
-        raise UnknownNameError("physics", physics, PHYSICS)
+    check_name("physics", physics, PHYSICS)
     if physics == MUJOCO:
-        if not _is_mujoco_installed():
-            alternative = ", or take physics='fast'" if is_pybullet_installed() else ""
-            raise OptionError(
-                "physics='mujoco' needs MuJoCo 4 and Python 3.11 or later: pip install 'handover-marl[mujoco]'"
-                f"{alternative}"
-            )
+        alternative = ", or take physics='fast'" if is_pybullet_installed() else ""
+        require_modules("physics='mujoco' (Python 3.11 or later)", "mujoco", "mujoco", advice=alternative)
         return
     installation = "" if _is_mujoco_installed() else ": pip install 'handover-marl[mujoco]'"
     require_pybullet(f"physics={physics!r}", f"take physics='mujoco' (--physics mujoco){installation}")

@@ -1,6 +1,5 @@
 """Recording of frames of an episode, and their encoding as an image grid or a film."""
 
-import importlib.util
 import io
 import os
 import tempfile
@@ -16,6 +15,7 @@ from rich.progress import Progress
 from handover_marl.episode.callbacks import EpisodeCallback
 from handover_marl.episode.episode import Episode
 from handover_marl.errors import OptionError, ResultsError
+from handover_marl.execution.options import require_modules
 
 Picture = npt.NDArray[np.uint8]
 
@@ -91,9 +91,7 @@ def check_output_path(out: str | os.PathLike[str], suffixes: Sequence[str]) -> P
     suffix = path.suffix.lower()
     if suffix not in suffixes:
         raise OptionError(f"out must end in {', '.join(suffixes)}, got {str(path)!r}")
-    for module in _REQUIRED_MODULES.get(suffix, ()):
-        if importlib.util.find_spec(module) is None:
-            raise OptionError(f"{suffix} files need {module}: pip install 'handover-marl[render]'")
+    require_modules(f"a {suffix} file", "render", *_REQUIRED_MODULES.get(suffix, ()))
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         # Permissions alone do not suffice: some file systems are read-only for everybody.

@@ -1,7 +1,6 @@
 """Animated 3D scene of an episode in the viewer viser; needs the extra `replay`."""
 
 import contextlib
-import importlib.util
 import io
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any, Protocol
@@ -10,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.config import TIME_STEP, CameraConfig
-from handover_marl.errors import OptionError
+from handover_marl.execution.options import require_modules
 from handover_marl.geometry.panda import FINGER_LINKS, GRIPPER_OUTLINE, HAND_LINK
 from handover_marl.geometry.poses import transform_points
 from handover_marl.simulation.camera.frames import SegmentationLabel
@@ -48,9 +47,7 @@ def require_replay_extra() -> None:
     Raises:
         OptionError: A package is missing.
     """
-    missing = [module for module in _REQUIRED_MODULES if importlib.util.find_spec(module) is None]
-    if missing:
-        raise OptionError(f"a replay (.html) needs {', '.join(missing)}: pip install 'handover-marl[replay]'")
+    require_modules("a replay (.html)", "replay", *_REQUIRED_MODULES)
 
 
 def build_viser_page(log: EpisodeLog, camera: CameraConfig) -> str:

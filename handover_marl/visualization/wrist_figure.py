@@ -1,6 +1,5 @@
 """Figure of an episode beside the wrist camera's images; needs matplotlib (extra `plot`)."""
 
-import importlib.util
 from typing import Any
 
 import numpy as np
@@ -9,7 +8,7 @@ import numpy.typing as npt
 from handover_marl.config import CameraConfig
 from handover_marl.episode.camera_observations import CameraFrame
 from handover_marl.episode.episode import Episode
-from handover_marl.errors import OptionError
+from handover_marl.execution.options import require_modules
 from handover_marl.geometry.panda import GRIPPER_OUTLINE
 from handover_marl.simulation.camera.frames import EMPTY_DEPTH, FAR, SegmentationLabel
 from handover_marl.visualization.colors import LABEL_COLORS
@@ -30,8 +29,7 @@ def require_matplotlib(feature: str) -> None:
     Raises:
         OptionError: matplotlib is not installed.
     """
-    if importlib.util.find_spec("matplotlib") is None:
-        raise OptionError(f"{feature} needs matplotlib: pip install 'handover-marl[plot]'")
+    require_modules(feature, "plot", "matplotlib")
 
 
 class WristCameraFigure:

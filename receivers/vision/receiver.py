@@ -5,7 +5,6 @@ are those of `reactive`. The receiver uses neither true poses nor object models,
 fingers whether the person has released the object.
 """
 
-import importlib.util
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -16,6 +15,7 @@ from handover_marl.assets.shipped import find_vision_weights
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.spaces import POINTCLOUD
 from handover_marl.errors import OptionError
+from handover_marl.execution.options import require_modules
 from handover_marl.policies.policy import Action, PolicyContext
 from handover_marl.receivers.phases import require_reset
 from handover_marl.receivers.reactive.config import apply_risk
@@ -124,8 +124,7 @@ def _make_predictor(weights: str | None, predictor: GraspPredictor | None, setup
         if weights is not None:
             raise OptionError("receiver 'vision' takes either weights or a grasp_predictor, not both")
         return predictor, ""
-    if importlib.util.find_spec("torch") is None:
-        raise OptionError("receiver 'vision' needs PyTorch: pip install 'handover-marl[train]'")
+    require_modules("receiver 'vision'", "train", "torch")
     if weights == "":
         raise OptionError("weights of receiver 'vision' must name a file, got ''; leave it out for the shipped ones")
     return load_grasp_predictor(_shipped_weights(setup) if weights is None else weights)

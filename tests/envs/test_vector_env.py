@@ -179,7 +179,7 @@ def test_a_failing_partner_raises_an_error_and_resets_work() -> None:
 
 
 def test_without_greenlet_it_is_said_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("handover_marl.envs.vector.batch.find_spec", lambda name: None)
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None if name == "greenlet" else True)
     with pytest.raises(OptionError, match=r"pip install 'handover-marl\[mujoco\]'"):
         handover_marl.vector_env(2, **OPTIONS)
 

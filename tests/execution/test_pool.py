@@ -12,7 +12,6 @@ from typing import Any
 import pytest
 
 from handover_marl.errors import OptionError, ResultsError, UnknownNameError, WorkerError
-from handover_marl.execution import pool as pool_module
 from handover_marl.execution.pool import PoolConfig
 from handover_marl.execution.tasks import map_with_progress, open_pool
 
@@ -132,6 +131,6 @@ def test_invalid_configurations(monkeypatch: pytest.MonkeyPatch) -> None:
         open_pool(PoolConfig(0))
     with pytest.raises(OptionError, match=r"ray_address must be .* got 'here:1' with backend 'local'"):
         open_pool(PoolConfig(address="here:1"))
-    monkeypatch.setattr(pool_module.importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(OptionError, match=r"needs Ray: pip install 'handover-marl\[ray\]'"):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(OptionError, match=r"needs ray: pip install 'handover-marl\[ray\]'"):
         open_pool(PoolConfig(backend="ray"))

@@ -387,7 +387,7 @@ def test_invalid_options() -> None:
 def test_only_weights_need_pytorch(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "torch", None)
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(OptionError, match=r"needs PyTorch: pip install 'handover-marl\[train\]'"):
+    with pytest.raises(OptionError, match=r"needs torch: pip install 'handover-marl\[train\]'"):
         make("gaddpg:weights=here", DATA)
     GaddpgReceiver(CONTEXT, network=scaled_step).reset()
 

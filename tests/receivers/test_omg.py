@@ -215,7 +215,7 @@ def test_missing_grasps_are_logged(handover_observation: Observation, caplog: py
 
 
 def test_missing_libraries(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("handover_marl.receivers.omg.importlib.util.find_spec", lambda name: None)
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(OptionError, match=r"handover-marl\[planning\]"):
         receivers.make("omg", DATA)
 

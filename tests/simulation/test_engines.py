@@ -1,13 +1,11 @@
 """Kinds of physics, with and without MuJoCo installed."""
 
 import importlib.util
-from types import SimpleNamespace
 
 import pytest
 
 from handover_marl.episode.episode import Episode
 from handover_marl.errors import OptionError, UnknownNameError
-from handover_marl.simulation import engines
 from handover_marl.simulation.engines import PHYSICS, check_physics, list_available_physics
 
 
@@ -18,8 +16,10 @@ def test_names() -> None:
 
 
 def test_without_mujoco(monkeypatch: pytest.MonkeyPatch) -> None:
-    missing = SimpleNamespace(util=SimpleNamespace(find_spec=lambda name: None))
-    monkeypatch.setattr(engines, "importlib", missing)
+    find = importlib.util.find_spec
+    monkeypatch.setattr(
+        importlib.util, "find_spec", lambda name, *rest: None if name == "mujoco" else find(name, *rest)
+    )
     assert list_available_physics() == ("exact", "fast")
     with pytest.raises(OptionError, match=r"pip install 'handover-marl\[mujoco\]'"):
         Episode("mujoco")

@@ -10,7 +10,7 @@ from handover_marl.assets.object_models import find_bullet_data
 from handover_marl.datasets.dexycb.mano import N_JOINTS, ManoModel
 from handover_marl.datasets.dexycb.urdf import build_hand_urdf, build_object_urdf
 from handover_marl.datasets.official_files import is_stand_in_file
-from handover_marl.errors import DataFormatError, ResultsError, UnknownNameError
+from handover_marl.errors import DataFormatError, ResultsError, check_name
 from handover_marl.execution.files import create_exclusively, has_content, remove_stale_temporaries, write_atomically
 from handover_marl.geometry.obj_files import format_obj
 from handover_marl.geometry.ycb import CLASS_NAMES, SUBJECTS
@@ -111,8 +111,7 @@ def write_hand_assets(assets: Path, subject: str, model: ManoModel, betas: Seque
         DataFormatError: The model leaves a link without a triangle.
         ResultsError: A file exists with other content, or cannot be written.
     """
-    if subject not in SUBJECTS:
-        raise UnknownNameError("subject", subject, SUBJECTS)
+    check_name("subject", subject, SUBJECTS)
     folder = assets / f"{subject}_{model.side}"
     write_missing_files(folder, build_hand_files(model, betas))
     return folder

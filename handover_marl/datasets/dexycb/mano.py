@@ -14,7 +14,7 @@ import numpy.typing as npt
 from scipy.sparse import csc_matrix
 
 from handover_marl.datasets.dexycb.mano_pickle import read_mano_pickle
-from handover_marl.errors import DataFormatError, OptionError, UnknownNameError
+from handover_marl.errors import DataFormatError, OptionError, check_name
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
@@ -127,8 +127,7 @@ def read_mano_model(path: Path, side: str) -> ManoModel:
         UnsafeFileError: The file may run code.
         DataFormatError: The file is no model, or an array has an invalid shape, type or range.
     """
-    if side not in SIDES:
-        raise UnknownNameError("side", side, SIDES)
+    check_name("side", side, SIDES)
     content = read_mano_pickle(path, (*_NUMBERS, *_INDICES))
     matrix = _check_matrix(path, "J_regressor", content["J_regressor"])
     _check_parents(path, _check_indices(path, "kintree_table", content["kintree_table"]))

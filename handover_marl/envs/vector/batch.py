@@ -3,7 +3,6 @@
 import functools
 import os
 from collections.abc import Mapping, Sequence
-from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -18,7 +17,7 @@ from handover_marl.envs.wrappers.encode import encode
 from handover_marl.envs.wrappers.freeze import freeze
 from handover_marl.envs.wrappers.wrapper import ByAgent, ParallelStep, ParallelWrapper
 from handover_marl.errors import ActionError, OptionError, ResetNeededError
-from handover_marl.execution.options import count_available_cores
+from handover_marl.execution.options import count_available_cores, require_modules
 from handover_marl.policies.reference import PolicyLike
 
 ResetResult = tuple[ByAgent, ByAgent]
@@ -77,8 +76,7 @@ class EnvBatch:
         self._is_closed, self._process = False, os.getpid()
         self.envs = [make() for _ in range(count)]
         self._ended = np.zeros(count, dtype=bool)
-        if find_spec("greenlet") is None:
-            raise OptionError("vector environments need greenlet: pip install 'handover-marl[mujoco]'")
+        require_modules("a vector environment", "mujoco", "greenlet")
         # Imported after the check, because it needs greenlet.
         from handover_marl.episode.lockstep import LockstepScheduler
 

@@ -13,7 +13,7 @@ from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.envs.vector.batch import EnvBatch, split_actions
 from handover_marl.envs.vector.parallel_vector_env import ParallelVectorEnv
 from handover_marl.envs.wrappers.wrapper import ByAgent, ParallelWrapper, SingleAgentEnv
-from handover_marl.errors import OptionError, UnknownNameError
+from handover_marl.errors import OptionError, check_name
 from handover_marl.execution.options import forward_signature
 from handover_marl.policies.reference import PolicyLike
 from handover_marl.simulation.engines import MUJOCO
@@ -179,8 +179,7 @@ def vector_env(
         UnknownNameError: There is no such agent, policy, features, scheme or autoreset mode.
         OptionError: A number is out of range, or MuJoCo is not installed.
     """
-    if autoreset not in AUTORESETS:
-        raise UnknownNameError("autoreset", autoreset, AUTORESETS)
+    check_name("autoreset", autoreset, AUTORESETS)
     mode = AutoresetMode[autoreset.upper()]
     if config is None:
         fields = {"physics": MUJOCO, **fields}

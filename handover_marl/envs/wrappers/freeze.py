@@ -9,7 +9,7 @@ from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.envs.wrappers.wrapper import Api, ByAgent, ParallelStep, ParallelWrapper, SingleAgentEnv, convert_api
 from handover_marl.episode.loop import PolicyScheduler
 from handover_marl.episode.observations import Observation
-from handover_marl.errors import ActionError, OptionError, ResetNeededError, UnknownNameError
+from handover_marl.errors import ActionError, OptionError, ResetNeededError, check_name
 from handover_marl.policies.reference import PolicyLike, parse_policy
 
 DEFAULT_PARTNERS = {RECEIVER: "replay", GIVER: "yang2021"}
@@ -42,8 +42,7 @@ class FrozenPartnerEnv(ParallelWrapper):
         partner: PolicyLike | None = None,
         trust: bool = False,
     ) -> None:
-        if agent not in AGENTS:
-            raise UnknownNameError("agent", agent, AGENTS)
+        check_name("agent", agent, AGENTS)
         super().__init__(env, [agent])
         EzPickle.__init__(self, env, agent, partner, trust)
         self.live_agent = agent

@@ -9,7 +9,7 @@ from pettingzoo.utils.wrappers import BaseParallelWrapper
 
 from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.episode.camera_observations import CameraFrame
-from handover_marl.errors import OptionError, UnknownNameError
+from handover_marl.errors import OptionError, check_name
 
 ByAgent = dict[str, Any]
 ParallelStep = tuple[ByAgent, dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, float]]]
@@ -147,6 +147,5 @@ def convert_api(env: _Env, api: Api) -> _Env | SingleAgentEnv:
         UnknownNameError: There is no such API.
         OptionError: A Gymnasium environment is requested and `env` has several agents.
     """
-    if api not in ("parallel", "gymnasium"):
-        raise UnknownNameError("api", api, ("parallel", "gymnasium"))
+    check_name("api", api, ("parallel", "gymnasium"))
     return env if api == "parallel" else SingleAgentEnv(env)

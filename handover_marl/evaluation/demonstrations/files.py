@@ -1,13 +1,12 @@
 """Access to the HDF5 files of data sets; h5py is an optional dependency."""
 
 import importlib
-import importlib.util
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from handover_marl.errors import OptionError
+from handover_marl.execution.options import require_modules
 
 #: HDF5 format versions that are written: compact for many small arrays, readable since HDF5 1.10 (2016).
 HDF5_VERSIONS = ("v110", "v110")
@@ -19,8 +18,7 @@ def require_h5py() -> None:
     Raises:
         OptionError: h5py is not installed.
     """
-    if importlib.util.find_spec("h5py") is None:
-        raise OptionError("demonstrations need h5py: pip install 'handover-marl[demonstrations]'")
+    require_modules("a data set of demonstrations", "demonstrations", "h5py")
 
 
 def open_hdf5(file: object, mode: str) -> Any:

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from handover_marl.episode.observations import Observation
-from handover_marl.errors import DataFormatError, UnknownNameError
+from handover_marl.errors import DataFormatError, check_name
 from handover_marl.evaluation.demonstrations.demonstration import Demonstration, EpisodeMetadata
 from handover_marl.evaluation.demonstrations.episode_groups import (
     read_actions,
@@ -114,8 +114,7 @@ class Demonstrations:
         """
         names = list(self.observation_space.spaces if names is None else names)
         for name in names:
-            if name not in self.observation_space.spaces:
-                raise UnknownNameError("observation", name, self.observation_space.spaces)
+            check_name("observation", name, self.observation_space.spaces)
         numbers = [range(len(self))[number] for number in (range(len(self)) if episodes is None else episodes)]
         parts = [self._read(number, lambda group: self._read_arrays(group, names)) for number in numbers]
         observations = {

@@ -4,7 +4,7 @@ from typing_extensions import Unpack
 
 from handover_marl.datasets.splits import check_setup_and_split
 from handover_marl.episode.spaces import STATE, check_obs_mode, get_camera_data
-from handover_marl.errors import OptionError, UnknownNameError
+from handover_marl.errors import OptionError, check_name
 from handover_marl.evaluation.benchmark import Evaluation
 from handover_marl.evaluation.config import REPLAY, EvaluationConfig, EvaluationOptions, ExecutionConfig, build_configs
 from handover_marl.evaluation.demonstrations.files import require_h5py
@@ -54,8 +54,7 @@ def demonstrate(
         HandoverError: The same errors as `evaluate_pair`.
     """
     config, execution = build_configs(setup, options, execution, split=split, receiver=receiver, giver=giver)
-    if keep not in KEEP_CHOICES:
-        raise UnknownNameError("keep", keep, KEEP_CHOICES)
+    check_name("keep", keep, KEEP_CHOICES)
     check_obs_mode(obs_mode)
     check_setup_and_split(config.setup, config.split)
     if config.split != _TRAIN:

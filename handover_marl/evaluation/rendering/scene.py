@@ -9,7 +9,7 @@ from typing_extensions import Unpack
 
 from handover_marl.config import CameraConfig
 from handover_marl.episode.episode import Episode
-from handover_marl.errors import OptionError, UnknownNameError
+from handover_marl.errors import OptionError, check_name
 from handover_marl.evaluation.config import (
     MULTI_SCENE_FIELDS,
     REPLAY,
@@ -113,8 +113,7 @@ def render_scene(
 
 
 def _check_view(view: str, path: Path) -> None:
-    if view not in VIEWS:
-        raise UnknownNameError("view", view, VIEWS)
+    check_name("view", view, VIEWS)
     if path.suffix.lower() != ".html":
         check_rendering(f"drawing {path.name}")
         return

@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.errors import UnknownNameError
+from handover_marl.errors import check_name
 
 Array = npt.NDArray[np.float32]
 
@@ -81,8 +81,7 @@ def check_camera_model(camera_model: str) -> None:
     Raises:
         UnknownNameError: There is no camera model of that name.
     """
-    if camera_model not in CAMERA_MODELS:
-        raise UnknownNameError("camera_model", camera_model, CAMERA_MODELS)
+    check_name("camera_model", camera_model, CAMERA_MODELS)
 
 
 def deproject(depth: Array, mask: npt.NDArray[np.bool_], camera_model: str = HANDOVERSIM_MODEL) -> Array:

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import generate_binary_structure, maximum_filter, minimum_filter
 
-from handover_marl.errors import OptionError, UnknownNameError
+from handover_marl.errors import OptionError, check_name
 from handover_marl.simulation.camera.frames import EMPTY_DEPTH, CameraImage, SegmentationLabel
 
 
@@ -64,8 +64,7 @@ def resolve_camera_noise(camera_noise: str | CameraNoise | None) -> CameraNoise 
     if camera_noise is None or isinstance(camera_noise, CameraNoise):
         return camera_noise
     if isinstance(camera_noise, str):
-        if camera_noise not in CAMERA_NOISE_MODELS:
-            raise UnknownNameError("camera_noise", camera_noise, CAMERA_NOISE_MODELS)
+        check_name("camera_noise", camera_noise, CAMERA_NOISE_MODELS)
         return CAMERA_NOISE_MODELS[camera_noise]
     raise OptionError(
         f"camera_noise must be a name ({', '.join(CAMERA_NOISE_MODELS)}), a CameraNoise or None, got {camera_noise!r}"

@@ -1,12 +1,11 @@
 """Selection of the wrist camera's renderer, and scene renderers for engines without rendering."""
 
-import importlib.util
 from typing import TYPE_CHECKING
 
 from handover_marl.config import PhysicsConfig
 from handover_marl.datasets.dataset import Scene
-from handover_marl.errors import OptionError, ResetNeededError, UnknownNameError
-from handover_marl.execution.options import is_pybullet_installed, require_pybullet
+from handover_marl.errors import ResetNeededError, check_name
+from handover_marl.execution.options import is_pybullet_installed, require_modules, require_pybullet
 
 if TYPE_CHECKING:
     from handover_marl.simulation.bullet.rendering import SceneRenderer
@@ -30,19 +29,15 @@ def resolve_renderer(name: str, physics: str, installed: bool = True) -> str:
         UnknownNameError: There is no such renderer.
         OptionError: The renderer needs a package that is not installed.
     """
-    if name not in RENDERERS:
-        raise UnknownNameError("renderer", name, RENDERERS)
+    check_name("renderer", name, RENDERERS)
     renderer = (BULLET if physics == "exact" else RAYS) if name == "auto" else name
     if not installed:
         return renderer
     if renderer == BULLET:
         require_pybullet("renderer 'bullet'", "take renderer='rays', for which there is the extra vision")
-    missing = [module for module in _RAY_MODULES if importlib.util.find_spec(module) is None]
-    if renderer == RAYS and missing:
+    else:
         instead = ", or take renderer='bullet', which is slower" if is_pybullet_installed() else ""
-        raise OptionError(
-            f"renderer 'rays' needs {' and '.join(missing)}: pip install 'handover-marl[vision]'{instead}"
-        )
+        require_modules("renderer 'rays'", "vision", *_RAY_MODULES, advice=instead)
     return renderer
 
 

@@ -212,7 +212,7 @@ def test_impossible_recordings_are_reported_before_the_first_scene(
         with pytest.raises(error, match=match):
             record(fake_data, **{"out": tmp_path / "out", **options})
     monkeypatch.setattr(hdf5.importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(OptionError, match=r"need h5py: pip install 'handover-marl\[demonstrations\]'"):
+    with pytest.raises(OptionError, match=r"needs h5py: pip install 'handover-marl\[demonstrations\]'"):
         record(fake_data, tmp_path / "out")
     assert not played
     assert not (tmp_path / "out").exists()

@@ -311,7 +311,7 @@ def test_trust_on_the_command_line(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
 def test_missing_libraries(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(OptionError, match=r"\.mp4 files need imageio: pip install 'handover-marl\[render\]'"):
+    with pytest.raises(OptionError, match=r"needs imageio and imageio_ffmpeg: pip install 'handover-marl\[render\]'"):
         draw(tmp_path / "x.mp4")
 
 
