@@ -57,8 +57,7 @@ class CheckedConfig:
             default = part.default_factory() if callable(part.default_factory) else part.default
             name = f"{part.name} of {type(self).__name__}"
             if isinstance(default, CheckedConfig):
-                if not isinstance(value, type(default)):
-                    raise OptionError(f"{name} must be a {type(default).__name__}, got {value!r}")
+                check_config(name, value, type(default))
             elif isinstance(default, tuple):
                 object.__setattr__(
                     self, part.name, _check_tuple(name, value, len(default), self._get_limits(part.name))
@@ -68,6 +67,16 @@ class CheckedConfig:
 
     def _get_limits(self, name: str) -> tuple[float, float]:
         return self.limits.get(name, (-math.inf, math.inf))
+
+
+def check_config(name: str, value: object, config_class: type) -> None:
+    """Check that a value is a configuration of a class.
+
+    Raises:
+        OptionError: It is something else, such as the class itself.
+    """
+    if not isinstance(value, config_class):
+        raise OptionError(f"{name} must be a {config_class.__name__}, got {value!r}")
 
 
 def _check_tuple(name: str, value: Any, size: int, limits: tuple[float, float]) -> tuple[float, ...]:
@@ -83,18 +92,18 @@ def _check_tuple(name: str, value: Any, size: int, limits: tuple[float, float]) 
 
 
 def _check_number(name: str, value: Any, is_integer: bool, limits: tuple[float, float]) -> None:
-    kind = Integral if is_integer else Real
     low, high = limits
-    if (
-        isinstance(value, bool)
-        or not isinstance(value, kind)
-        or not math.isfinite(value)
-        or not low <= float(value) <= high
-    ):
+    shown = value
+    is_number = isinstance(value, Integral if is_integer else Real) and not isinstance(value, bool)
+    try:
+        is_number = is_number and math.isfinite(value) and low <= float(value) <= high
+    except OverflowError:  # integers beyond the range of floats, with too many digits to be shown
+        is_number, shown = False, math.copysign(math.inf, value > 0)
+    if not is_number:
         text = "an integer" if is_integer else "a finite number"
         if limits != (-math.inf, math.inf):
             text += f" from {low:g} to {high:g}" if math.isfinite(high) else f" of at least {low:g}"
-        raise OptionError(f"{name} must be {text}, got {value!r}")
+        raise OptionError(f"{name} must be {text}, got {shown!r}")
 
 
 @dataclass(frozen=True)
@@ -283,16 +292,6 @@ class WorldConfig(CheckedConfig):
 
 #: Configuration with the values of HandoverSim.
 OFFICIAL_CONFIG = WorldConfig()
-
-
-def check_world_config(config: object) -> None:
-    """Check that a value is a `WorldConfig`.
-
-    Raises:
-        OptionError: It is something else, such as the class itself.
-    """
-    if not isinstance(config, WorldConfig):
-        raise OptionError(f"world_config must be a WorldConfig, got {config!r}")
 
 
 @dataclass(frozen=True)

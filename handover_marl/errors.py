@@ -72,7 +72,7 @@ class ResetNeededError(HandoverError, RuntimeError):
 
 
 class SimulationError(HandoverError, RuntimeError):
-    """Error of the physics engine, e.g. for a model file or for a window without a display."""
+    """Error of the simulation, e.g. for a model file, a window without a display, or two threads at once."""
 
 
 class WorkerError(HandoverError, RuntimeError):

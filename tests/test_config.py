@@ -20,7 +20,9 @@ from handover_marl.config import (
     ProtocolConfig,
     WorldConfig,
 )
+from handover_marl.envs.rewards import SHAPED
 from handover_marl.errors import OptionError
+from handover_marl.simulation.camera.noise import CameraNoise
 
 MADE: tuple[CheckedConfig, ...] = (
     OFFICIAL_CONFIG,
@@ -32,6 +34,10 @@ MADE: tuple[CheckedConfig, ...] = (
     OFFICIAL_CONFIG.protocol,
     OFFICIAL_CONFIG.giver,
     CameraConfig(),
+    CameraNoise(),
+    SHAPED,
+    SHAPED.receiver,
+    SHAPED.giver,
 )
 FIELDS = [(config, part.name) for config in MADE for part in fields(config)]  # type: ignore[arg-type]
 WRONG = (
@@ -45,6 +51,7 @@ WRONG = (
     (),
     (math.nan,) * 9,
     True,
+    -(10**400),
     1j,
     "ab",
     b"abc",
@@ -55,7 +62,7 @@ WRONG = (
 @pytest.mark.parametrize(
     ("config", "name"), FIELDS, ids=lambda part: part if isinstance(part, str) else type(part).__name__
 )
-@pytest.mark.parametrize("value", WRONG, ids=repr)
+@pytest.mark.parametrize("value", WRONG, ids=lambda value: repr(value)[:20])
 def test_wrong_values_are_refused_with_the_name_of_the_field(config: CheckedConfig, name: str, value: Any) -> None:
     values = {part.name: getattr(config, part.name) for part in fields(config)} | {name: value}  # type: ignore[arg-type]
     with pytest.raises(OptionError, match=name):

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from handover_marl.config import OFFICIAL_CONFIG, TIME_STEP, CameraConfig, WorldConfig, check_world_config
+from handover_marl.config import OFFICIAL_CONFIG, TIME_STEP, CameraConfig, WorldConfig, check_config
 from handover_marl.envs.arguments import check_positive_integer
 from handover_marl.envs.rewards import RewardConfig, make_reward_config
 from handover_marl.episode.camera_observations import WristCameraConfig
@@ -81,7 +81,9 @@ class EnvConfig:
         if self.render_mode is not None:
             check_name("render_mode", self.render_mode, RENDER_MODES)
         check_physics(self.physics)
-        check_world_config(self.world_config)
+        check_config("world_config", self.world_config, WorldConfig)
+        if self.camera is not None:
+            check_config("camera", self.camera, CameraConfig)
         if self.render_mode is not None:
             check_rendering(f"render_mode={self.render_mode!r}")
         check_obs_mode(self.obs_mode)

@@ -12,7 +12,9 @@ import functools
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import ClassVar
 
+from handover_marl.config import CheckedConfig, Limits
 from handover_marl.envs.arguments import GIVER, RECEIVER
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import OptionError, ResetNeededError, check_name
@@ -24,7 +26,7 @@ _OUTCOME_TERMS = ("task", "contact", "drop")
 
 
 @dataclass(frozen=True)
-class ReceiverWeights:
+class ReceiverWeights(CheckedConfig):
     """Weights of the receiver's reward terms.
 
     Attributes:
@@ -47,7 +49,7 @@ class ReceiverWeights:
 
 
 @dataclass(frozen=True)
-class GiverWeights:
+class GiverWeights(CheckedConfig):
     """Weights of the giver's reward terms.
 
     Attributes:
@@ -69,7 +71,7 @@ class GiverWeights:
 
 
 @dataclass(frozen=True)
-class RewardConfig:
+class RewardConfig(CheckedConfig):
     """Weights of both agents' reward terms.
 
     Attributes:
@@ -77,6 +79,8 @@ class RewardConfig:
         giver: Weights of the giver's terms.
         gamma: Discount factor of the shaping terms; should equal the learner's discount factor.
     """
+
+    limits: ClassVar[Limits] = {"gamma": (0.0, 1.0)}
 
     receiver: ReceiverWeights = field(default_factory=ReceiverWeights)
     giver: GiverWeights = field(default_factory=GiverWeights)

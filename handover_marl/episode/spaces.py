@@ -118,7 +118,9 @@ def check_giver_action(action: object, space: spaces.Box) -> npt.NDArray[np.floa
     return np.clip(values, space.low, space.high)
 
 
-def check_vector(name: str, values: object, size: int, meaning: str) -> npt.NDArray[np.float32]:
+def check_vector(
+    name: str, values: object, size: int, meaning: str, n_finite: int | None = None
+) -> npt.NDArray[np.float32]:
     """Check numbers and return them as a float32 vector (size,).
 
     Args:
@@ -126,15 +128,18 @@ def check_vector(name: str, values: object, size: int, meaning: str) -> npt.NDAr
         values: Array or sequence of real numbers.
         size: Number of values.
         meaning: Description of the values, for errors.
+        n_finite: Number of values, from the first, that must be finite; default: all.
 
     Raises:
-        ActionError: The values are not `size` finite numbers.
+        ActionError: The values are not `size` numbers, or not finite.
     """
     vector = _as_float32(values)
-    if vector is not None and vector.shape == (size,) and np.isfinite(vector).all():
+    if vector is not None and vector.shape == (size,) and np.isfinite(vector[:n_finite]).all():
         return vector
     if vector is None:
         problem = "got None; pass it by agent" if values is None else f"got {type(values).__name__}"
+        if hasattr(values, "detach"):
+            problem += " with a gradient or on a GPU; pass tensor.detach().cpu()"
     elif vector.shape != (size,):
         problem = f"got shape {vector.shape}, expected ({size},)"
     else:

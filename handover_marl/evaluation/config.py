@@ -12,7 +12,7 @@ from typing import Any
 
 from typing_extensions import TypedDict
 
-from handover_marl.config import OFFICIAL_CONFIG, WorldConfig, check_world_config
+from handover_marl.config import OFFICIAL_CONFIG, WorldConfig, check_config
 from handover_marl.datasets import Dataset, open_dataset
 from handover_marl.datasets.splits import check_setup_and_split, choose_scenes
 from handover_marl.episode.camera_observations import WristCameraConfig
@@ -212,7 +212,7 @@ def resolve_config(config: EvaluationConfig, trust: bool = False) -> tuple[Evalu
     """
     check_setup_and_split(config.setup, config.split)
     check_physics(config.physics)
-    check_world_config(config.world_config)
+    check_config("world_config", config.world_config, WorldConfig)
     giver = parse_policy("giver", config.giver, trust)
     receiver = parse_policy("receiver", config.receiver, trust)
     dataset = config.open_dataset()

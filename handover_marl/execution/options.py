@@ -61,6 +61,16 @@ def resolve_worker_count(workers: int | None) -> int:
     return workers
 
 
+def check_boolean(name: str, value: object) -> None:
+    """Check that an option is True or False; text such as "no" would count as true.
+
+    Raises:
+        OptionError: The value has another type.
+    """
+    if not isinstance(value, bool):
+        raise OptionError(f"{name} must be True or False, got {value!r}")
+
+
 def is_pybullet_installed() -> bool:
     """Check whether PyBullet is installed, which has no wheels for Python after 3.11."""
     return importlib.util.find_spec("pybullet") is not None

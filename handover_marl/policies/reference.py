@@ -24,6 +24,7 @@ from handover_marl.config import OFFICIAL_CONFIG, WorldConfig
 from handover_marl.datasets import Dataset, open_dataset
 from handover_marl.episode.spaces import STATE, check_obs_mode
 from handover_marl.errors import HandoverError, OptionError, PolicyError, UnknownNameError
+from handover_marl.execution.options import check_boolean
 from handover_marl.policies.policy import (
     Policy,
     check_policy_class,
@@ -163,8 +164,9 @@ def parse_policy(agent: str, policy: PolicyLike, trust: bool = False) -> PolicyR
     Raises:
         UnknownNameError: No policy is registered under the name, or there is no such agent.
         OptionError: The policy cannot be imported or pickled, belongs to the other agent, or has no
-            such option.
+            such option; or `trust` is not a boolean.
     """
+    check_boolean("trust", trust)
     extra: Mapping[str, Any] = {}
     if isinstance(policy, tuple):
         if len(policy) != 2 or not isinstance(policy[1], Mapping):

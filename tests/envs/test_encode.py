@@ -151,12 +151,33 @@ def test_bad_names_and_order() -> None:
         encode(view, {"giver": "giver"})
     with pytest.raises(OptionError, match="by agent for 2 agents"):
         encode(world, "receiver")
+    for wrong in (["receiver"], 5, len):
+        with pytest.raises(OptionError, match="features must be a name or a dict of names by agent"):
+            encode(view, wrong)  # type: ignore[call-overload]
     with pytest.raises(OptionError, match="one agent, got giver and receiver; call freeze"):
         encode(world, api="gymnasium")
     with pytest.raises(OptionError, match="must not be encoded"):
         freeze(encode(world), "receiver", "replay")
     with pytest.raises(ResetNeededError):
         encode(view, api="gymnasium").step(np.zeros(7, np.float32))
+
+
+@pytest.mark.parametrize("obs_mode", ["pointcloud", "rgbd", "full_pointcloud"])
+def test_camera_data_alone_cannot_be_encoded(obs_mode: str) -> None:
+    world = parallel_env(obs_mode=obs_mode, **SYNTHETIC)
+    for env in (world, freeze(world, "receiver", "replay")):
+        with pytest.raises(OptionError, match=rf"obs_mode must include the state .*'state\+{obs_mode}'"):
+            encode(env)
+    encode(freeze(world, "giver", "hold"))
+    encode(parallel_env(**{**SYNTHETIC, "obs_mode": f"state+{obs_mode}"}))
+
+
+def test_tensors_with_a_gradient_are_refused_with_advice() -> None:
+    torch = pytest.importorskip("torch", reason="needs the extra `train`")
+    env = encoded("receiver", "replay")
+    env.reset(seed=0)
+    with pytest.raises(ActionError, match=r"got Tensor with a gradient or on a GPU; pass tensor\.detach\(\)\.cpu\(\)"):
+        env.step({"receiver": torch.zeros(7, requires_grad=True)})
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ import pickle
 from collections.abc import Callable
 from typing import Any
 
+import gymnasium
 import numpy as np
 import pytest
 from gymnasium import spaces
@@ -157,14 +158,14 @@ def test_what_is_beyond_an_agents_own_changes_nothing() -> None:
     np.testing.assert_array_equal(*states)
 
 
-@pytest.mark.parametrize("bad", [None, np.zeros(7), np.full(8, np.nan), "closer", np.zeros((1, 8))])
+@pytest.mark.parametrize("bad", [None, np.zeros(7), np.full(8, np.nan), "closer", ["0.5"] * 8, np.zeros((1, 8))])
 def test_malformed_actions_leave_the_world_alone(bad: Any) -> None:
     env = encoded()
     with pytest.raises(ResetNeededError):
         env.step({})
     env.reset(seed=0)
     before = env.state()
-    with pytest.raises(ActionError, match="action of the receiver must be 8 finite numbers"):
+    with pytest.raises(ActionError, match="action of the receiver must be 8 numbers, of which 7 are used"):
         env.step({"giver": np.zeros(8), "receiver": bad})
     with pytest.raises(ActionError, match="a dict for giver and receiver"):
         env.step({"giver": np.zeros(8), "receiver": np.zeros(8), "robot": np.zeros(8)})
@@ -178,6 +179,9 @@ def test_wrappers_that_cannot_follow_say_so() -> None:
         handover_marl.freeze(flattened())
     with pytest.raises(OptionError, match="env must be made by"):
         handover_marl.flatten(object())  # type: ignore[arg-type]
+    for wrong in (None, gymnasium.make("CartPole-v1"), handover_marl.HandoverEnv):
+        with pytest.raises(OptionError, match="env must be made by"):
+            handover_marl.homogeneous(wrong)  # type: ignore[arg-type]
 
 
 def test_supersuit_takes_it_without_padding() -> None:

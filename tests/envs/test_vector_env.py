@@ -14,7 +14,7 @@ pytest.importorskip("mujoco", reason="needs the extra `mujoco`")
 import handover_marl
 from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.envs.vector.vector_env import HandoverVectorEnv
-from handover_marl.errors import ActionError, OptionError, ResetNeededError, UnknownNameError
+from handover_marl.errors import ActionError, OptionError, ResetNeededError, SimulationError, UnknownNameError
 from tests.failing import Failing
 
 #: Boxes, cylinders and balls, so that models of several layouts are mixed.
@@ -197,6 +197,13 @@ def test_what_cannot_be_is_refused(both: Callable[..., Any]) -> None:
         ({"num_envs": 2, "agent": "robot"}, UnknownNameError, "agent"),
         ({"num_envs": 2, "autoreset": "always"}, UnknownNameError, "autoreset"),
         ({"num_envs": 2, "physics": "newton"}, UnknownNameError, "physics"),
+        ({"num_envs": 10**9}, OptionError, "num_envs must be at most 65536, got 1000000000"),
+        ({"num_envs": 2, "schemes": 5}, OptionError, "schemes must be a name or a dict of names by agent, got 5"),
+        ({"num_envs": 2, "features": ["close"]}, OptionError, "features must be a name"),
+        ({"num_envs": 2, "features": len}, OptionError, "features must be a name"),
+        ({"num_envs": 2, "schemes": {"receiver": []}}, UnknownNameError, "action scheme of the receiver"),
+        ({"num_envs": 2, "camera": {"width": 5}}, OptionError, "camera must be a CameraConfig, got {'width': 5}"),
+        ({"num_envs": 2, "trust": "no"}, OptionError, "trust must be True or False, got 'no'"),
     ):
         with pytest.raises(error, match=message):
             handover_marl.vector_env(**{**OPTIONS, **options})
@@ -210,6 +217,12 @@ def test_what_cannot_be_is_refused(both: Callable[..., Any]) -> None:
         batch.step({"giver": np.zeros((COUNT, 8)), "receiver": np.zeros((COUNT, 8))})
     with pytest.raises(OptionError, match="seeds"):
         batch.reset(seed=[1])
+
+
+def test_scenes_of_a_generator_are_those_of_every_environment() -> None:
+    envs = handover_marl.vector_env(2, threads=1, scenes=(scene for scene in (5, 6)), **OPTIONS)
+    assert [env.unwrapped.env.unwrapped.scene_ids for env in envs.envs] == [(5, 6), (5, 6)]  # type: ignore[attr-defined]
+    envs.close()
 
 
 @pytest.mark.parametrize("physics", ["fast", "exact"])
@@ -275,6 +288,22 @@ def test_malformed_resets_change_nothing(three: HandoverVectorEnv, arguments: di
     three.reset(seed=1)
     with pytest.raises(OptionError):
         three.reset(**arguments)
+    after, *_ = three.step(STILL)
+    np.testing.assert_allclose(after["time"], 0.1, atol=1e-6)
+
+
+def test_two_threads_at_once_are_refused(three: HandoverVectorEnv, monkeypatch: pytest.MonkeyPatch) -> None:
+    three.reset(seed=1)
+    batch = three._batch
+    run_together = batch._scheduler.run_together
+
+    def step_twice(tasks: Any) -> Any:
+        for call in (lambda: three.step(STILL), lambda: three.reset(seed=1)):
+            with pytest.raises(SimulationError, match="another thread is using the vector environment"):
+                call()
+        return run_together(tasks)
+
+    monkeypatch.setattr(batch._scheduler, "run_together", step_twice)
     after, *_ = three.step(STILL)
     np.testing.assert_allclose(after["time"], 0.1, atol=1e-6)
 

@@ -1,8 +1,10 @@
 """Batch of handover environments that are simulated in lockstep."""
 
+import contextlib
 import functools
 import os
-from collections.abc import Mapping, Sequence
+import threading
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,11 +18,15 @@ from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.envs.wrappers.encode import encode
 from handover_marl.envs.wrappers.freeze import freeze
 from handover_marl.envs.wrappers.wrapper import ByAgent, ParallelStep, ParallelWrapper
-from handover_marl.errors import ActionError, OptionError, ResetNeededError
+from handover_marl.errors import ActionError, OptionError, ResetNeededError, SimulationError
 from handover_marl.execution.options import count_available_cores, require_modules
 from handover_marl.policies.reference import PolicyLike
 
+#: Largest number of environments in a batch; each takes megabytes of memory.
+MAX_ENVS = 65_536
+
 ResetResult = tuple[ByAgent, ByAgent]
+_BUSY = "another thread is using the vector environment; call reset() and step() in turn"
 
 
 class EnvBatch:
@@ -60,6 +66,8 @@ class EnvBatch:
         trust: bool,
     ) -> None:
         count = check_positive_integer("num_envs", num_envs)
+        if count > MAX_ENVS:
+            raise OptionError(f"num_envs must be at most {MAX_ENVS}, got {num_envs}; run several processes")
         threads = check_positive_integer("threads", count_available_cores() if threads is None else threads)
         if agent is None and partner is not None:
             raise OptionError("partner must be None if both agents are live; leave it out, or name the live agent")
@@ -73,7 +81,7 @@ class EnvBatch:
             return env if features is None and schemes is None else encode(env, features, schemes)
 
         self.autoreset, self.is_running = autoreset, False
-        self._is_closed, self._process = False, os.getpid()
+        self._is_closed, self._process, self._lock = False, os.getpid(), threading.Lock()
         self.envs = [make() for _ in range(count)]
         self._ended = np.zeros(count, dtype=bool)
         require_modules("a vector environment", "mujoco", "greenlet")
@@ -102,6 +110,7 @@ class EnvBatch:
             OptionError: The number of seeds is not the number of environments, a seed is not an integer,
                 or `options` is not a mapping.
             ResetNeededError: The environments are closed, or were made by another process.
+            SimulationError: Another thread is using the environments.
         """
         self._require_usable()
         if options is not None and not isinstance(options, Mapping):
@@ -109,11 +118,12 @@ class EnvBatch:
         chosen = np.ones(len(self.envs), dtype=bool) if chosen is None else chosen
         tasks = zip(self.envs, self._spread_seeds(seed), chosen, strict=True)
         # If a task fails, the states of the others are undefined: all must be reset.
-        is_running, self.is_running = self.is_running or bool(chosen.all()), False
-        results: list[ResetResult] = self._scheduler.run_together(
-            [functools.partial(env.reset, one, options or None) for env, one, resets in tasks if resets]
-        )
-        self.is_running, self._ended = is_running, self._ended & ~chosen
+        with self._exclude_other_threads():
+            is_running, self.is_running = self.is_running or bool(chosen.all()), False
+            results: list[ResetResult] = self._scheduler.run_together(
+                [functools.partial(env.reset, one, options or None) for env, one, resets in tasks if resets]
+            )
+            self.is_running, self._ended = is_running, self._ended & ~chosen
         return results
 
     def require_running(self) -> None:
@@ -121,6 +131,7 @@ class EnvBatch:
 
         Raises:
             ResetNeededError: There was no reset, or a reset or step has failed since.
+            SimulationError: Another thread is using the environments.
         """
         self._require_usable()
         if not self.is_running:
@@ -137,10 +148,11 @@ class EnvBatch:
             of its reset, or None if it was not reset.
         """
         tasks = zip(self.envs, self._ended, actions, strict=True)
-        self.is_running = False
-        outcomes = self._scheduler.run_together([functools.partial(self._step_one, *task) for task in tasks])
-        self.is_running = True
-        self._ended = np.array([reset is None and _has_ended(result) for result, reset in outcomes])
+        with self._exclude_other_threads():
+            self.is_running = False
+            outcomes = self._scheduler.run_together([functools.partial(self._step_one, *task) for task in tasks])
+            self.is_running = True
+            self._ended = np.array([reset is None and _has_ended(result) for result, reset in outcomes])
         return outcomes
 
     def close(self) -> None:
@@ -156,6 +168,17 @@ class EnvBatch:
         if os.getpid() != self._process:
             # Threads do not survive a fork, so the simulation would wait for them forever.
             raise ResetNeededError("the vector environment was made by another process; make it after the fork")
+        if self._lock.locked():
+            raise SimulationError(_BUSY)
+
+    @contextlib.contextmanager
+    def _exclude_other_threads(self) -> Iterator[None]:
+        if not self._lock.acquire(blocking=False):
+            raise SimulationError(_BUSY)
+        try:
+            yield
+        finally:
+            self._lock.release()
 
     def _step_one(
         self, env: HandoverEnv | ParallelWrapper, ended: bool, actions: ByAgent

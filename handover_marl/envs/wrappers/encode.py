@@ -12,7 +12,7 @@ from handover_marl.envs.arguments import GIVER, RECEIVER
 from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.envs.wrappers.wrapper import Api, ByAgent, ParallelStep, ParallelWrapper, SingleAgentEnv, convert_api
 from handover_marl.episode.observations import Observation
-from handover_marl.episode.spaces import check_vector
+from handover_marl.episode.spaces import check_vector, has_state
 from handover_marl.errors import OptionError, ResetNeededError
 from handover_marl.learning.features import make_features, n_features
 from handover_marl.learning.giver_schemes import GiverScheme
@@ -47,7 +47,8 @@ class EncodedEnv(ParallelWrapper):
 
     Raises:
         UnknownNameError: There are no such features, or no such scheme.
-        OptionError: There is no such agent, or its observations are vectors already.
+        OptionError: There is no such agent, its observations are vectors already, or they lack the
+            state that features are computed from.
     """
 
     metadata: dict[str, Any] = {**HandoverEnv.metadata, "name": "handover_encoded_v0"}
@@ -67,6 +68,11 @@ class EncodedEnv(ParallelWrapper):
         self.feature_names = _complete_names("features", DEFAULT_FEATURES, features, agents)
         self.scheme_names = _complete_names("schemes", DEFAULT_SCHEMES, schemes, agents)
         base = self.unwrapped
+        if RECEIVER in agents and not has_state(base.config.obs_mode):
+            raise OptionError(
+                f"obs_mode must include the state that features are computed from, got {base.config.obs_mode!r}; take "
+                f"'state' or 'state+{base.config.obs_mode}'"
+            )
         context = base.policy_context
         self._features = {agent: make_features(agent, self.feature_names[agent], context) for agent in agents}
         self._schemes = {agent: make_scheme(agent, self.scheme_names[agent], context) for agent in agents}
@@ -217,7 +223,8 @@ def encode(
 
     Raises:
         UnknownNameError: There are no such features, no such scheme or API.
-        OptionError: There is no such agent, or one name is given for two agents.
+        OptionError: There is no such agent, one name is given for two agents, or the receiver observes
+            camera data without the state.
     """
     return convert_api(EncodedEnv(env, features, schemes), api)
 
@@ -228,6 +235,8 @@ def _complete_names(
     """Return a name for each agent, given names by agent or the only agent's name."""
     if isinstance(names, str) and len(agents) != 1:
         raise OptionError(f"features and schemes must be a dict by agent for {len(agents)} agents")
+    if not isinstance(names, (str, Mapping, type(None))):
+        raise OptionError(f"{argument} must be a name or a dict of names by agent, got {names!r}")
     given = {agents[0]: names} if isinstance(names, str) else names or {}
     unknown = sorted(given.keys() - set(agents))
     if unknown:

@@ -10,7 +10,8 @@ from gymnasium.utils import EzPickle
 
 from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.envs.wrappers.flatten import flatten
-from handover_marl.envs.wrappers.wrapper import ParallelStep, ParallelWrapper
+from handover_marl.envs.wrappers.wrapper import ParallelStep, ParallelWrapper, check_env
+from handover_marl.episode.spaces import check_vector
 from handover_marl.errors import ActionError, ResetNeededError
 
 Array = npt.NDArray[Any]
@@ -30,6 +31,7 @@ class HomogeneousEnv(ParallelWrapper):
     metadata: dict[str, Any] = {**HandoverEnv.metadata, "name": "handover_homogeneous_v0"}
 
     def __init__(self, env: HandoverEnv | ParallelWrapper) -> None:
+        check_env(env)
         has_dictionaries = any(isinstance(env.observation_space(agent), spaces.Dict) for agent in env.possible_agents)
         super().__init__(flatten(env) if has_dictionaries else env)
         EzPickle.__init__(self, env)
@@ -67,14 +69,10 @@ class HomogeneousEnv(ParallelWrapper):
         Raises:
             ActionError: The action has another shape, or a component of the agent is not finite.
         """
-        try:
-            values = np.asarray(action, dtype=np.float32)
-        except (TypeError, ValueError, RuntimeError):
-            values = np.zeros(0, dtype=np.float32)
-        n = self.sizes(agent)[1]
-        if values.shape != self._actions.shape or not np.isfinite(values[:n]).all():
-            raise ActionError(f"action of the {agent} must be {_size(self._actions)} finite numbers, got {action!r}")
-        space = self.env.action_space(agent)
+        space, n = self.env.action_space(agent), self.sizes(agent)[1]
+        values = check_vector(
+            f"action of the {agent}", action, _size(self._actions), f"of which {n} are used", n_finite=n
+        )
         return np.clip(values[:n], space.low, space.high)
 
     def convert_observation(self, agent: str, observation: Array) -> Array:

@@ -31,10 +31,7 @@ class ParallelWrapper(BaseParallelWrapper, EzPickle):  # type: ignore[misc]
     metadata: dict[str, Any] = dict(HandoverEnv.metadata)
 
     def __init__(self, env: "HandoverEnv | ParallelWrapper", agents: Sequence[str] | None = None) -> None:
-        if not isinstance(env, (HandoverEnv, ParallelWrapper)):
-            raise OptionError(
-                f"env must be made by handover_marl.parallel_env() or be a wrapper of it, got {type(env).__name__}"
-            )
+        check_env(env)
         super().__init__(env)
         self.possible_agents: list[str] = list(env.possible_agents if agents is None else agents)
         self.render_mode: str | None = env.render_mode
@@ -67,6 +64,17 @@ class ParallelWrapper(BaseParallelWrapper, EzPickle):  # type: ignore[misc]
 
     def _convert_observations(self, observations: ByAgent) -> ByAgent:
         return {agent: self.convert_observation(agent, value) for agent, value in observations.items()}
+
+
+def check_env(env: object) -> None:
+    """Check that a value is a `HandoverEnv` or a wrapper of one.
+
+    Raises:
+        OptionError: It is another kind of environment, or a class.
+    """
+    if not isinstance(env, (HandoverEnv, ParallelWrapper)):
+        got = f"the class {env.__name__}" if isinstance(env, type) else type(env).__name__
+        raise OptionError(f"env must be made by handover_marl.parallel_env() or be a wrapper of it, got {got}")
 
 
 class SingleAgentEnv(gymnasium.Env[Any, Any], EzPickle):

@@ -1,18 +1,20 @@
 """Noise model of depth cameras: depth noise, missing edge pixels, low resolution, latency."""
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import generate_binary_structure, maximum_filter, minimum_filter
 
+from handover_marl.config import CheckedConfig, Limits
 from handover_marl.errors import OptionError, check_name
 from handover_marl.simulation.camera.frames import EMPTY_DEPTH, CameraImage, SegmentationLabel
 
 
 @dataclass(frozen=True)
-class CameraNoise:
+class CameraNoise(CheckedConfig):
     """Parameters of a depth camera's noise; the defaults approximate an Intel RealSense D435.
 
     Attributes:
@@ -32,22 +34,17 @@ class CameraNoise:
         OptionError: A value is out of range.
     """
 
+    limits: ClassVar[Limits] = {
+        **dict.fromkeys(("depth_noise_std", "edge_threshold"), (0.0, math.inf)),
+        **dict.fromkeys(("edge_dropout", "latency"), (0.0, 1.0)),
+        "pixel_stride": (1, math.inf),
+    }
+
     depth_noise_std: float = 0.0036
     edge_threshold: float = 0.02
     edge_dropout: float = 0.5
     latency: float = 0.05
     pixel_stride: int = 1
-
-    def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.0 <= value < math.inf:
-                raise OptionError(f"{field.name} must be a finite number, 0 or more, got {value!r}")
-        for name, value in (("edge_dropout", self.edge_dropout), ("latency", self.latency)):
-            if value > 1.0:
-                raise OptionError(f"{name} must be 0 to 1, got {value}")
-        if not isinstance(self.pixel_stride, int) or self.pixel_stride < 1:
-            raise OptionError(f"pixel_stride must be an integer, 1 or more, got {self.pixel_stride!r}")
 
 
 #: Noise models by name.
