@@ -10,13 +10,18 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import track
 
+from handover_marl.datasets.asset_check import (
+    OBJECT_URDFS,
+    find_hand_faults,
+    find_urdf_faults,
+    is_hand_complete,
+    read_asset,
+)
 from handover_marl.datasets.dataset import SceneInfo
 from handover_marl.datasets.dexycb.raw_files import SEQUENCES_PER_SUBJECT, read_sequence_names
 from handover_marl.datasets.dexycb.urdf import build_object_urdf
 from handover_marl.datasets.official import OfficialDataset
 from handover_marl.datasets.official_files import (
-    N_HAND_MESHES,
-    PANDA_FILES,
     FileOrigin,
     classify_file_origin,
     find_hand_origin,
@@ -26,10 +31,11 @@ from handover_marl.datasets.official_files import (
 from handover_marl.datasets.scene_files import CACHE_FOLDER
 from handover_marl.datasets.splits import N_SCENES, SETUPS, SPLIT_SIZES, SPLITS, list_split_scenes
 from handover_marl.errors import DataNotFoundError, HandoverError
-from handover_marl.geometry.urdf import list_mesh_references
-from handover_marl.geometry.ycb import CLASS_NAMES, SUBJECTS
+from handover_marl.execution.files import has_content
+from handover_marl.geometry.ycb import SUBJECTS
 
 _LINE_WIDTH, _NAME_WIDTH = 100, 24  # characters
+_MAX_LISTED = 40  # faults of one kind of files
 _SIDES = ("left", "right")
 _ARCHIVE_ADVICE = "handover-marl import ... --third-party puts HandoverSim's own there"
 _STAND_IN, _OTHER = "stand-ins", "other than the known ones"
@@ -78,6 +84,8 @@ def format_findings(findings: Iterable[Finding]) -> str:
 
 def _wrap(text: str, start: str) -> list[str]:
     indent = " " * len(start)
+    # Names in damaged files may have control characters, which could change a terminal.
+    text = "".join(character if character.isprintable() else " " for character in text)
     wrapper = textwrap.TextWrapper(_LINE_WIDTH, start, indent, break_long_words=False, break_on_hyphens=False)
     return wrapper.wrap(text)
 
@@ -132,7 +140,7 @@ def _check_scenes(scenes: _SceneScan) -> Finding:
     result = f"{len(scenes.infos)} of {N_SCENES}"
     if not scenes.faults:
         return Finding("scenes", result)
-    return Finding("scenes", result, Severity.FAULT, f"{scenes.faults[0]}{_format_remaining(scenes.faults)}")
+    return Finding("scenes", result, Severity.FAULT, _join_faults(scenes.faults))
 
 
 def _check_scene_numbers(infos: dict[int, SceneInfo]) -> Finding:
@@ -182,30 +190,24 @@ def _count_scene_objects(infos: dict[int, SceneInfo]) -> Finding:
 
 def _check_hands(assets: Path, used: set[tuple[str, str]]) -> Finding:
     origins: Counter[FileOrigin] = Counter()
-    missing = []
+    faults = []
     for subject in SUBJECTS:
         for side in _SIDES:
             folder = assets / f"{subject}_{side}"
-            if _is_hand_complete(folder):
-                origins[find_hand_origin(folder)] += 1
+            if is_hand_complete(folder):
+                damages = find_hand_faults(folder)
+                faults += damages
+                origins[find_hand_origin(folder)] += not damages
             elif not used or (subject, side) in used:
-                missing.append(folder.name)
+                faults.append(f"{folder.name} lacks files")
     result = ", ".join(f"{origins[origin]} {words}" for origin, words in _HAND_DESCRIPTIONS.items() if origins[origin])
-    if missing:
-        remaining = _format_remaining(missing)
-        advice = f"{missing[0]}{remaining} lacks files; handover-marl import writes hands from MANO's files"
+    if faults:
+        advice = f"{_join_faults(faults)}; handover-marl import writes hands from MANO's files"
         return Finding("hands", result or "none", Severity.FAULT, advice)
     if origins[FileOrigin.STAND_IN]:
         advice = "results say so; for official numbers `handover-marl import` makes MANO's"
         return Finding("hands", result, Severity.NOTE, advice)
     return Finding("hands", result)
-
-
-def _is_hand_complete(folder: Path) -> bool:
-    meshes = [
-        folder / "meshes" / kind / f"mesh{n + 1}.obj" for kind in ("visual", "collision") for n in range(N_HAND_MESHES)
-    ]
-    return all(path.is_file() for path in (folder / "mano.urdf", *meshes))
 
 
 def _check_third_party(assets: Path) -> list[Finding]:
@@ -218,17 +220,21 @@ def _check_third_party(assets: Path) -> list[Finding]:
 
 def _check_group(name: str, paths: list[str], assets: Path) -> Finding:
     kinds: Counter[str] = Counter()
-    missing = []
+    missing, faults = [], []
     for path in paths:
         try:
-            kinds[_describe_origin(path, (assets / path).read_bytes())] += 1
+            content, damages = read_asset(assets, path)
         except OSError:
             missing.append(path)
-    result = ", ".join(f"{kinds[kind]} {kind}" for kind in sorted(kinds)) or "none"
+            continue
+        faults += damages
+        kinds[_describe_origin(path, content)] += not damages
+    result = ", ".join(f"{kinds[kind]} {kind}" for kind in sorted(kinds) if kinds[kind]) or "none"
     # PyBullet's Panda, the stand-in, has other mesh files.
     if missing and not (name == "Panda" and kinds[_STAND_IN]):
-        advice = f"{missing[0]}{_format_remaining(missing)} missing; {_ARCHIVE_ADVICE}"
-        return Finding(name, result, Severity.FAULT, advice)
+        faults.append(f"{missing[0]}{_format_remaining(missing)} missing")
+    if faults:
+        return Finding(name, result, Severity.FAULT, f"{_join_faults(faults)}; {_ARCHIVE_ADVICE}")
     if kinds[_STAND_IN] or kinds[_OTHER]:
         return Finding(name, result, Severity.NOTE, f"results say so; {_ARCHIVE_ADVICE}")
     return Finding(name, result)
@@ -242,22 +248,12 @@ def _describe_origin(path: str, content: bytes) -> str:
 
 
 def _check_urdfs(assets: Path) -> Finding:
-    """Check that all URDFs and their meshes exist, and the text of the objects' URDFs."""
-    expected = build_object_urdf().encode()
-    faults, foreign = [], []
-    objects = {f"{name}/model_normalized.urdf" for name in CLASS_NAMES.values()}
-    for path in sorted({*objects, "table/table.urdf", *PANDA_FILES.values()}):
-        try:
-            content = (assets / path).read_bytes()
-            meshes = [(name, mesh) for name, mesh in list_mesh_references(assets / path) if "camera" not in name]
-        except OSError:
-            faults.append(f"{path} is missing")
-            continue
-        faults += [f"{path} names {name}, which is missing" for name, mesh in meshes if not mesh.is_file()]
-        foreign += [path] if path in objects and content != expected else []
+    """Check that all URDFs and their meshes can be read, and the text of the objects' URDFs."""
+    faults = find_urdf_faults(assets)
     if faults:
-        advice = f"{faults[0]}{_format_remaining(faults)}; {_ARCHIVE_ADVICE}"
-        return Finding("URDFs", f"{len(faults)} faults", Severity.FAULT, advice)
+        return Finding("URDFs", f"{len(faults)} faults", Severity.FAULT, f"{_join_faults(faults)}; {_ARCHIVE_ADVICE}")
+    expected = build_object_urdf().encode()
+    foreign = [path for path in sorted(OBJECT_URDFS) if not has_content(assets / path, expected)]
     if foreign:
         advice = f"{foreign[0]}{_format_remaining(foreign)} is not HandoverSim's text"
         return Finding("URDFs", "all", Severity.NOTE, advice)
@@ -270,6 +266,10 @@ def _find_leftovers(data_dir: Path) -> Iterable[Finding]:
     if paths:
         advice = f"{paths[0]}{_format_remaining(paths)} may be removed"
         yield Finding("leftovers", f"{len(paths)} files", Severity.NOTE, advice)
+
+
+def _join_faults(faults: Sequence[str]) -> str:
+    return "; ".join(faults[:_MAX_LISTED]) + _format_remaining(faults[_MAX_LISTED - 1 :])
 
 
 def _format_remaining(items: Sequence[object]) -> str:

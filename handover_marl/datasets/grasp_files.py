@@ -25,9 +25,11 @@ from handover_marl.datasets.restricted_pickle import (
     sanitize_text,
 )
 from handover_marl.errors import DataFormatError, UnsafeFileError
+from handover_marl.execution.reading import read_plain_file
 
 _DTYPE_NAME = re.compile(r"[biuf][0-9]{1,2}|[SU][0-9]{1,6}|O[48]?")
 _MAX_ABS_VALUE = 100.0  # m
+_MAX_BYTES = 100_000_000  # official files have less than 1 MB
 
 
 class PickledDtype(PickledObject):
@@ -151,7 +153,7 @@ def load_pickled_dict(path: Path) -> dict[str, Any]:
         DataFormatError: The file is no pickled dict in a `.npy`, or is damaged.
     """
     try:
-        content = _load_npy_dict(io.BytesIO(path.read_bytes()))
+        content = _load_npy_dict(io.BytesIO(read_plain_file(path, _MAX_BYTES)))
         return {
             decode_name(key): value.value if isinstance(value, PickledArray) else value
             for key, value in content.items()

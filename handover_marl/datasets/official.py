@@ -25,6 +25,7 @@ from handover_marl.datasets.official_files import (
 )
 from handover_marl.datasets.scene_files import CACHE_FOLDER, read_scene_info, read_scene_motion
 from handover_marl.errors import DataNotFoundError
+from handover_marl.execution.reading import read_plain_file
 from handover_marl.geometry.panda import PANDA
 from handover_marl.geometry.urdf import list_mesh_references
 
@@ -152,9 +153,9 @@ class OfficialDataset(Dataset):
         assets, grasps = self._find_scene_assets(info), self._find_grasp_file(info.target_name)
         files = [self._find_meta_file(scene_id), require_file(self._pose_path(scene_id))]
         for path in files if grasps is None else [*files, grasps]:
-            digest.update(path.read_bytes())
+            digest.update(read_plain_file(path))
         for urdf in (assets.table, assets.panda, assets.hand, *assets.objects):
-            digest.update(urdf.read_bytes())
+            digest.update(read_plain_file(urdf))
             digest.update(_encode_mesh_sizes(urdf))
         return digest.hexdigest()[:16]
 
@@ -186,7 +187,7 @@ class OfficialDataset(Dataset):
 
     def _find_grasp_file(self, name: str) -> Path | None:
         path = self._assets / "grasps" / f"{name}.npy"
-        return None if name in CLASSES_WITHOUT_GRASPS and not path.is_file() else require_file(path)
+        return None if name in CLASSES_WITHOUT_GRASPS and not path.exists() else require_file(path)
 
     def _read_grasps(self, name: str) -> npt.NDArray[np.float64] | None:
         path = self._find_grasp_file(name)

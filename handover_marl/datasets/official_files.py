@@ -14,7 +14,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
-from handover_marl.errors import DataNotFoundError
+from handover_marl.errors import DataFormatError, DataNotFoundError
+from handover_marl.execution.reading import check_plain_file, read_plain_file
 from handover_marl.geometry.panda import PANDA, PANDA_CAMERA
 
 #: URDFs of the robot's variants, relative to `assets/`.
@@ -62,9 +63,10 @@ def is_stand_in(content: bytes) -> bool:
 def is_stand_in_file(path: Path) -> bool:
     """Return whether a file exists, can be read and is marked as a stand-in."""
     try:
+        check_plain_file(path)
         with path.open("rb") as file:
             return is_stand_in(file.read(_HEADER_BYTES))
-    except OSError:
+    except (OSError, ValueError):
         return False
 
 
@@ -94,7 +96,7 @@ def find_hand_origin(folder: Path) -> FileOrigin:
     """
 
     def mesh(kind: str, link: int) -> bytes:
-        return (folder / "meshes" / kind / f"mesh{link}.obj").read_bytes()
+        return read_plain_file(folder / "meshes" / kind / f"mesh{link}.obj")
 
     def vertices(kind: str, link: int) -> set[bytes]:
         return {line for line in mesh(kind, link).splitlines() if line.startswith(b"v ")}
@@ -106,7 +108,7 @@ def find_hand_origin(folder: Path) -> FileOrigin:
             and all(vertices("collision", link) <= vertices("visual", link) for link in REDUCED_COLLISION_LINKS)
             and _is_open(mesh("visual", 1))
         )
-    except OSError:
+    except (OSError, ValueError):
         return FileOrigin.UNKNOWN
     return FileOrigin.ORIGINAL if compiled else FileOrigin.STAND_IN
 
@@ -114,15 +116,15 @@ def find_hand_origin(folder: Path) -> FileOrigin:
 def _is_open(mesh: bytes) -> bool:
     """Return whether a triangle mesh has an edge that is not shared by two faces."""
     faces = [line.split()[1:] for line in mesh.splitlines() if line.startswith(b"f ")]
-    edges = Counter(frozenset(pair) for face in faces for pair in zip(face, [*face[1:], face[0]], strict=True))
-    return set(edges.values()) != {2}
+    edges = Counter(frozenset(pair) for face in faces for pair in zip(face, [*face[1:], *face[:1]], strict=True))
+    return any(count != 2 for count in edges.values())
 
 
 def find_origin(assets: Path, path: str) -> FileOrigin:
     """Return the origin of a third-party file by its path in `assets/`; UNKNOWN if unreadable."""
     try:
-        return classify_file_origin(path, (assets / path).read_bytes())
-    except OSError:
+        return classify_file_origin(path, read_plain_file(assets / path))
+    except (OSError, ValueError):
         return FileOrigin.UNKNOWN
 
 
@@ -142,20 +144,23 @@ def is_folder(path: Path) -> bool:
 
 
 def require_file(path: Path) -> Path:
-    """Return a path if it is a readable file, else raise an error.
+    """Return a path if it is a readable plain file, else raise an error.
 
     Raises:
         DataNotFoundError: The file is missing or cannot be read.
+        DataFormatError: The path is a folder, pipe or device, or the file is too large.
     """
     try:
-        is_readable = path.is_file() and os.access(path, os.R_OK)
+        check_plain_file(path)
+    except (FileNotFoundError, NotADirectoryError) as error:
+        raise DataNotFoundError(
+            f"{path} is missing. The data folder is incomplete (list what is missing with handover-marl doctor): copy "
+            "or expand the HandoverSim data again."
+        ) from error
     except OSError as error:
         raise DataNotFoundError(f"{path} cannot be read ({error.strerror or error}); check its rights") from error
-    if is_readable:
-        return path
-    if path.exists():
+    except ValueError as error:
+        raise DataFormatError(f"{path} cannot be read ({error}); copy or expand the HandoverSim data again") from error
+    if not os.access(path, os.R_OK):
         raise DataNotFoundError(f"{path} cannot be read; check its rights")
-    raise DataNotFoundError(
-        f"{path} is missing. The data folder is incomplete (list what is missing with handover-marl doctor): copy or "
-        "expand the HandoverSim data again."
-    )
+    return path

@@ -14,13 +14,14 @@ import numpy.typing as npt
 from handover_marl.config import HAND_DOF, MAX_OBJECTS, OBJECT_DOF
 from handover_marl.datasets.dataset import SceneInfo
 from handover_marl.errors import DataFormatError
-from handover_marl.execution.files import read_arrays
+from handover_marl.execution.reading import read_arrays, read_plain_file
 from handover_marl.geometry.ycb import CLASS_NAMES, SCENE_CLASSES
 
 #: Folder of the motion files within a data folder.
 CACHE_FOLDER = "dex-ycb-cache"
 #: Largest accepted size of a scene's motion (bytes, unpacked).
 MAX_MOTION_BYTES = 500_000_000
+_MAX_META_BYTES = 1_000_000
 
 
 def read_scene_info(path: Path, scene_id: int) -> tuple[SceneInfo, list[int]]:
@@ -34,10 +35,10 @@ def read_scene_info(path: Path, scene_id: int) -> tuple[SceneInfo, list[int]]:
         DataFormatError: The file lacks a key or has an invalid object or hand.
     """
     try:
-        meta = json.loads(path.read_text())
+        meta = json.loads(read_plain_file(path, _MAX_META_BYTES))
         ids = [require_integer(number) for number in meta["ycb_ids"]]
         grasped, sides, name = require_integer(meta["ycb_grasp_ind"]), list(meta["mano_sides"]), str(meta["name"])
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise DataFormatError(
             f"{path}: not a scene's meta file ({type(error).__name__}: {error}). It needs name, ycb_ids, "
             "ycb_grasp_ind and mano_sides; copy it again from the HandoverSim data."

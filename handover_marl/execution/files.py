@@ -1,23 +1,18 @@
-"""Atomic writing of files, locks, and bounded reading of files from untrusted sources."""
+"""Atomic writing of files, locks, and text of errors for messages."""
 
 import contextlib
 import fcntl
 import io
 import os
-import stat
 import tempfile
-import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 import numpy.typing as npt
-import yaml
 
 from handover_marl.errors import ResultsError
-
-_MAX_ARCHIVE_OVERHEAD = 1_000_000  # bytes that an archive may have beyond its contents
 
 
 def write_atomically(path: Path, content: bytes | str) -> None:
@@ -100,55 +95,6 @@ def has_content(path: Path, content: bytes) -> bool:
     return path.is_file() and path.stat().st_size == len(content) and path.read_bytes() == content
 
 
-def check_archive(path: Path, largest: int) -> None:
-    """Check that a zip archive cannot exhaust memory when it is read.
-
-    Args:
-        path: Archive file.
-        largest: Largest allowed size after unpacking (bytes).
-
-    Raises:
-        ValueError: The file is not a regular file or not an archive, is too large, or is compressed
-            by a method that NumPy never uses.
-        OSError: The file cannot be opened.
-    """
-    state = path.stat()
-    if not stat.S_ISREG(state.st_mode):
-        raise ValueError("it is not a regular file")
-    # Checked before opening, since even the list of contents may be huge.
-    if state.st_size > largest + _MAX_ARCHIVE_OVERHEAD:
-        raise ValueError(f"it is larger than {largest // 1_000_000} MB")
-    with zipfile.ZipFile(path) as archive:
-        parts = archive.infolist()
-    if sum(part.file_size for part in parts) > largest:
-        raise ValueError(f"it unpacks to more than {largest // 1_000_000} MB")
-    if len({part.filename for part in parts}) < len(parts):
-        raise ValueError("it contains two files of the same name")
-    # With other methods Python ignores the size that the archive states.
-    if any(part.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) for part in parts):
-        raise ValueError("it is compressed by another method than deflate")
-
-
-def read_arrays(path: Path, names: tuple[str, ...], largest: int) -> dict[str, npt.NDArray[Any]]:
-    """Return arrays of an `.npz` file, by name, without unpickling objects.
-
-    Args:
-        path: The file.
-        names: Arrays that the file must contain.
-        largest: Largest allowed size after unpacking (bytes).
-
-    Raises:
-        Exception: The file is damaged; NumPy and zipfile then raise exceptions of many kinds.
-    """
-    check_archive(path, largest)
-    with np.load(path, allow_pickle=False) as archive:
-        arrays = {name: archive[name] for name in names}
-    for name, array in arrays.items():
-        if not isinstance(array, np.ndarray):  # NumPy returns unknown members as bytes
-            raise TypeError(f"{name} is not an array")
-    return arrays
-
-
 def write_arrays(path: Path, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
     """Write arrays as an `.npz` file, atomically.
 
@@ -160,41 +106,6 @@ def write_arrays(path: Path, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
     write_atomically(path, stream.getvalue())
 
 
-def read_small_file(path: Path, largest: int) -> bytes:
-    """Return the content of a regular file.
-
-    Args:
-        path: The file.
-        largest: Largest allowed size (bytes).
-
-    Raises:
-        ValueError: The file is not a regular file, or is too large.
-        OSError: The file cannot be opened.
-    """
-    state = path.stat()
-    if not stat.S_ISREG(state.st_mode) or state.st_size > largest:
-        raise ValueError(f"it is not a regular file of at most {largest // 1000} kB")
-    return path.read_bytes()
-
-
-def read_yaml(path: Path, largest: int) -> object:
-    """Return the content of a YAML file of numbers, text, lists and mappings, without aliases.
-
-    Args:
-        path: The file.
-        largest: Largest allowed size (bytes).
-
-    Raises:
-        ValueError: The file is not a regular file, is too large, or is not such YAML.
-        OSError: The file cannot be opened.
-    """
-    data = read_small_file(path, largest)
-    try:
-        return yaml.load(data.decode(), _AliasFreeLoader)
-    except Exception as error:  # PyYAML passes on errors of its constructors
-        raise ValueError(shorten_text(error)) from error
-
-
 def shorten_text(value: object) -> str:
     """Return a value or exception as one line of at most 200 characters, for messages."""
     try:
@@ -203,16 +114,6 @@ def shorten_text(value: object) -> str:
         text = type(value).__name__
     text = " ".join(text[:1000].split())
     return text if len(text) <= 200 else f"{text[:200]}..."
-
-
-class _AliasFreeLoader(yaml.SafeLoader):
-    """YAML loader without aliases, with which a few lines can expand to gigabytes."""
-
-    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
-        """Return a node, see `yaml.SafeLoader`; raise an error for an alias."""
-        if self.check_event(yaml.AliasEvent):
-            raise yaml.YAMLError("aliases are not allowed")
-        return super().compose_node(parent, index)
 
 
 def _link(temporary: Path, path: Path) -> None:

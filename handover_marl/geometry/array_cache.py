@@ -12,11 +12,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import numpy.typing as npt
 
 from handover_marl.errors import HandoverError
 from handover_marl.execution.files import write_arrays
+from handover_marl.execution.reading import read_arrays, read_plain_file
 from handover_marl.geometry.meshes import list_mesh_files
 
 Arrays = dict[str, npt.NDArray[Any]]
@@ -43,7 +43,7 @@ def cache_path(kind: str, urdf: Path, *parameters: bytes) -> Path:
     """
     digest = hashlib.sha256(b"".join(parameters))
     for path in (urdf, *list_mesh_files(urdf, "collision")):
-        digest.update(path.read_bytes())
+        digest.update(read_plain_file(path))
     return cache_folder(kind) / f"{urdf.parent.name}-{digest.hexdigest()[:16]}.npz"
 
 
@@ -58,8 +58,7 @@ def load_cached_arrays(path: Path, names: Sequence[str], what: str) -> Arrays | 
     if not path.exists():
         return None
     try:
-        with np.load(path, allow_pickle=False) as content:
-            return {name: content[name] for name in names}
+        return read_arrays(path, tuple(names))
     except (OSError, ValueError, KeyError, EOFError, TypeError, zipfile.BadZipFile, zlib.error) as error:
         _log.warning("%s: damaged %s (%s); computing it again", path, what, error)
         return None

@@ -14,10 +14,13 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from handover_marl.errors import SimulationError
+from handover_marl.execution.reading import read_plain_file
 from handover_marl.geometry.poses import quaternion_from_matrix
 
 Array = npt.NDArray[np.float64]
 
+#: Largest accepted size of a URDF file (bytes); that of a human hand has 50 kB.
+MAX_URDF_BYTES = 10_000_000
 _REVOLUTE = ("revolute", "continuous")
 _PRISMATIC = ("prismatic",)
 # A point nearer to a joint axis than this is on it (m).
@@ -206,13 +209,27 @@ def read_tree(urdf: Path) -> KinematicTree:
     """
     try:
         return _read_tree(urdf, urdf.stat().st_mtime_ns)
-    except (OSError, ET.ParseError, ValueError, KeyError, AttributeError) as error:
+    except (OSError, ValueError, KeyError, AttributeError) as error:
         raise SimulationError(f"{urdf}: cannot read this model ({error}); check the file") from error
 
 
 @functools.cache
 def _read_tree(urdf: Path, changed: int) -> KinematicTree:
-    return KinematicTree(_read_joints(ET.parse(urdf).getroot()))
+    return KinematicTree(_read_joints(parse_urdf(urdf)))
+
+
+def parse_urdf(urdf: Path) -> ET.Element:
+    """Parse a URDF file and return its root element.
+
+    Raises:
+        OSError: The file cannot be read.
+        ValueError: The file is not a plain file, is too large, or is not XML.
+    """
+    content = read_plain_file(urdf, MAX_URDF_BYTES)
+    try:
+        return ET.fromstring(content)
+    except (ET.ParseError, LookupError) as error:  # LookupError: an unknown encoding
+        raise ValueError(f"it is not XML: {error}") from error
 
 
 def _read_joints(robot: ET.Element) -> list[TreeJoint]:

@@ -4,7 +4,6 @@ OBJ files are read without trimesh; boxes, spheres and other mesh formats need i
 """
 
 import functools
-import xml.etree.ElementTree as ET
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,10 +13,11 @@ import numpy.typing as npt
 from scipy.spatial import ConvexHull
 
 from handover_marl.errors import DataFormatError
+from handover_marl.execution.reading import check_plain_file
 from handover_marl.geometry.kinematic_tree import KinematicTree, read_tree
-from handover_marl.geometry.obj_files import check_obj, read_obj
+from handover_marl.geometry.obj_files import check_mesh, read_obj
 from handover_marl.geometry.poses import transform_points
-from handover_marl.geometry.urdf import UrdfShape, read_model_mtimes, read_urdf_shapes
+from handover_marl.geometry.urdf import UrdfShape, read_model_mtimes, read_urdf_links, read_urdf_shapes
 
 Array = npt.NDArray[np.float64]
 Faces = npt.NDArray[np.int64]
@@ -72,29 +72,46 @@ def convex_hull(points: Array) -> tuple[Array, Faces]:
 def check_collision_meshes(urdf: Path) -> None:
     """Check that a URDF model's collision meshes are neither empty nor flat, with finite vertices.
 
-    An unchanged model is checked once. Only OBJ files are checked.
+    An unchanged model is checked once. Only the content of OBJ files is checked.
 
     Raises:
         DataFormatError: A mesh is not usable, or the model has no collision shape.
+        SimulationError: The URDF file is damaged.
     """
     try:
         mtimes = read_model_mtimes(urdf)
-    except OSError as error:
-        raise DataFormatError(f"{urdf}: cannot read this model ({error.strerror or error})") from error
+    except (OSError, ValueError) as error:
+        raise DataFormatError(f"{urdf}: cannot read this model ({error}); check the file") from error
     _check_collision_meshes(urdf, mtimes)
 
 
 @functools.lru_cache(maxsize=256)
 def _check_collision_meshes(urdf: Path, mtimes: tuple[int, ...]) -> None:
-    try:
-        shapes = read_urdf_shapes(urdf, read_tree(urdf), "collision")
-    except ET.ParseError as error:
-        raise DataFormatError(f"{urdf}: not a URDF file ({error}); check the file") from error
+    shapes = read_urdf_shapes(urdf, read_tree(urdf), "collision")
     if not shapes:
         raise DataFormatError(f"{urdf}: the model must have a collision shape; check the file")
     for mesh in {shape.mesh for shape in shapes if shape.mesh is not None}:
-        if mesh.suffix.lower() == ".obj":
-            check_obj(mesh, solid=True)
+        check_mesh(mesh, solid=True)
+
+
+def check_model(urdf: Path, n_joints: int) -> None:
+    """Check all that simulations read of a URDF model: joints, links, shapes and meshes.
+
+    Args:
+        urdf: URDF file of the model.
+        n_joints: Number of moving joints that the model must have.
+
+    Raises:
+        DataFormatError, SimulationError: A file cannot be read or is damaged.
+    """
+    check_collision_meshes(urdf)
+    tree = read_tree(urdf)
+    read_urdf_links(urdf, tree)
+    found = sum(joint.kind != "fixed" for joint in tree.joints)
+    if found != n_joints:
+        raise DataFormatError(f"{urdf}: the model must have {n_joints} moving joints, got {found}; check the file")
+    for mesh in list_mesh_files(urdf, "visual"):
+        check_mesh(mesh)
 
 
 def list_mesh_files(urdf: Path, purpose: str) -> list[Path]:
@@ -203,6 +220,7 @@ def _load_with_trimesh(shape: UrdfShape, urdf: Path) -> tuple[Array, Faces]:
         elif shape.kind == "sphere":
             mesh = trimesh.creation.icosphere(radius=shape.size[0])
         else:
+            check_plain_file(shape.mesh)
             mesh = trimesh.load(shape.mesh, force="mesh", process=False, skip_materials=True)
         vertices, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64)
     except Exception as error:  # trimesh raises many kinds of errors on damaged files

@@ -1,8 +1,7 @@
-"""Reader, writer and safety check of OBJ mesh files."""
+"""Reader and writer of OBJ mesh files, and safety check of mesh files."""
 
 import itertools
 import re
-import stat
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,12 +9,14 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.errors import DataFormatError
+from handover_marl.execution.reading import MAX_FILE_BYTES, check_plain_file, read_plain_file
 
 Array = npt.NDArray[np.float64]
 Faces = npt.NDArray[np.int64]
 
 # Vertices count as lying in one plane if their smallest singular value is below this (m).
 _FLAT = 1e-9
+_MAX_MATERIAL_BYTES = 10_000_000
 # Vertex number of every corner of a face, the first of the numbers between slashes.
 _CORNERS = re.compile(r"(?:^|\s)(-?[0-9]{1,9})(?=[/\s]|$)")
 
@@ -48,7 +49,7 @@ def read_obj(path: Path) -> ObjMesh:
     vertices: list[list[float]] = []
     groups: list[list[tuple[int, int, int]]] = [[]]
     try:
-        for line in path.read_text(errors="replace").splitlines():
+        for line in _read_lines(path):
             kind, _, rest = line.strip().partition(" ")
             if kind == "v":
                 vertices.append([float(word) for word in rest.split()[:3]])
@@ -87,6 +88,22 @@ def format_obj(vertices: Array, faces: Faces, first: int = 1) -> str:
     return "".join(lines)
 
 
+def check_mesh(path: Path, solid: bool = False) -> None:
+    """Check quickly that a mesh file can be loaded; only the content of OBJ files is checked.
+
+    Args:
+        path: Mesh file. Files of other formats than OBJ may be missing.
+        solid: Whether to refuse meshes whose vertices all lie in one plane.
+
+    Raises:
+        DataFormatError: The file is not a plain file, is too large, or is no OBJ mesh, see `check_obj`.
+    """
+    if path.suffix.lower() == ".obj":
+        check_obj(path, solid)
+    else:
+        _check_if_present(path)
+
+
 def check_obj(path: Path, solid: bool = False) -> None:
     """Check quickly that an OBJ file is a mesh that PyBullet can load.
 
@@ -101,11 +118,10 @@ def check_obj(path: Path, solid: bool = False) -> None:
             number out of range, or is flat.
     """
     try:
-        if not stat.S_ISREG(path.stat().st_mode):
-            raise DataFormatError(f"{path}: not a plain file; check the model")
-        lines = path.read_text(errors="replace").splitlines()
-    except OSError as error:
-        raise DataFormatError(f"{path}: cannot read this mesh ({error.strerror or error})") from error
+        lines = _read_lines(path)
+    except (OSError, ValueError) as error:
+        raise DataFormatError(f"{path}: cannot read this mesh ({error}); check the model") from error
+    _check_materials(path.parent, lines)
     faces = " ".join(line[2:] for line in lines if line.startswith(("f ", "f\t")))
     corners = np.array(_CORNERS.findall(faces), dtype=np.int64)
     try:
@@ -120,3 +136,27 @@ def check_obj(path: Path, solid: bool = False) -> None:
         raise DataFormatError(f"{path}: a face names a corner that is not there; check the file")
     if solid and np.linalg.matrix_rank(vertices - vertices[0], tol=_FLAT) < 3:
         raise DataFormatError(f"{path}: all vertices are in one plane; check the file")
+
+
+def _read_lines(path: Path, largest: int = MAX_FILE_BYTES) -> list[str]:
+    return read_plain_file(path, largest).decode(errors="replace").splitlines()
+
+
+def _check_materials(folder: Path, lines: list[str]) -> None:
+    """Check the material files and textures that lines of an OBJ file name; PyBullet opens them."""
+    for name in {line[7:].strip() for line in lines if line.startswith(("mtllib ", "mtllib\t"))}:
+        if name and _check_if_present(folder / name, _MAX_MATERIAL_BYTES):
+            words = map(str.split, _read_lines(folder / name, _MAX_MATERIAL_BYTES))
+            for texture in {entry[-1] for entry in words if entry and entry[0].startswith("map_")}:
+                _check_if_present(folder / texture)
+
+
+def _check_if_present(path: Path, largest: int = MAX_FILE_BYTES) -> bool:
+    """Return whether a path exists; raise `DataFormatError` if it is not a plain file or too large."""
+    try:
+        check_plain_file(path, largest)
+    except FileNotFoundError:
+        return False
+    except (OSError, ValueError) as error:
+        raise DataFormatError(f"{path}: cannot read this file of a mesh ({error}); check the model") from error
+    return True

@@ -12,7 +12,14 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.errors import SimulationError
-from handover_marl.geometry.kinematic_tree import KinematicTree, matrix_from_rpy, read_attribute
+from handover_marl.execution.reading import read_plain_file
+from handover_marl.geometry.kinematic_tree import (
+    MAX_URDF_BYTES,
+    KinematicTree,
+    matrix_from_rpy,
+    parse_urdf,
+    read_attribute,
+)
 from handover_marl.geometry.poses import quaternion_from_matrix
 
 Color = tuple[float, ...]
@@ -77,12 +84,12 @@ def read_urdf_links(urdf: Path, tree: KinematicTree) -> list[UrdfLink]:
     numbers = {joint.link: number for number, joint in enumerate(tree.joints)}
     links = [UrdfLink()] * (len(numbers) + 1)
     try:
-        robot = ET.parse(urdf).getroot()
+        robot = parse_urdf(urdf)
         limits = {read_attribute(joint, "child", "link"): _read_limits(joint) for joint in robot.findall("joint")}
         for element in robot.findall("link"):
             name = element.attrib["name"]
             links[numbers.get(name, -1)] = _read_link(element, limits.get(name))
-    except (OSError, ET.ParseError, ValueError, KeyError) as error:
+    except (OSError, ValueError, KeyError) as error:
         raise SimulationError(f"{urdf}: cannot read its links ({error!r}); check the file") from error
     return links
 
@@ -114,10 +121,10 @@ def list_mesh_references(urdf: Path) -> list[tuple[str, Path]]:
     """List name and path of every mesh file in a URDF file, even in an otherwise invalid file.
 
     Raises:
-        OSError: The URDF file cannot be read.
+        OSError, ValueError: The URDF file cannot be read, is not a plain file, or is too large.
     """
     meshes: list[tuple[str, Path]] = []
-    for match in _MESH_NAME.findall(urdf.read_bytes()):
+    for match in _MESH_NAME.findall(read_plain_file(urdf, MAX_URDF_BYTES)):
         name = match.decode(errors="replace")
         meshes.append((name, urdf.parent / name.removeprefix(_PACKAGE)))
     return meshes
@@ -127,7 +134,7 @@ def read_model_mtimes(urdf: Path) -> tuple[int, ...]:
     """Return the modification times (ns) of a URDF file and its mesh files; 0 for missing meshes.
 
     Raises:
-        OSError: The URDF file cannot be read.
+        OSError, ValueError: The URDF file cannot be read, is not a plain file, or is too large.
     """
     own = urdf.stat().st_mtime_ns
     return (own, *(mesh.stat().st_mtime_ns if mesh.exists() else 0 for mesh in _list_meshes(urdf, own)))
@@ -147,14 +154,18 @@ def read_urdf_shapes(urdf: Path, tree: KinematicTree, purpose: str) -> list[Urdf
         purpose: "collision" or "visual".
 
     Raises:
-        SimulationError: A shape is neither mesh, box nor sphere, or an attribute is missing.
+        SimulationError: The file cannot be read, a shape is neither mesh, box nor sphere, or an
+            attribute is missing.
     """
     return list(_read_shapes(urdf, urdf.stat().st_mtime_ns if urdf.exists() else 0, tree, purpose))
 
 
 @functools.lru_cache(maxsize=256)
 def _read_shapes(urdf: Path, changed: int, tree: KinematicTree, purpose: str) -> tuple[UrdfShape, ...]:
-    robot = ET.parse(urdf).getroot()
+    try:
+        robot = parse_urdf(urdf)
+    except (OSError, ValueError) as error:
+        raise SimulationError(f"{urdf}: cannot read this model ({error}); check the file") from error
     numbers = {joint.link: number for number, joint in enumerate(tree.joints)}
     try:
         colors = {material.get("name"): _read_color(material) for material in robot.findall("material")}

@@ -17,7 +17,9 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from handover_marl.assets.shipped import ValidationRecord, load_validation_record
+from handover_marl.execution.reading import read_plain_file
 from handover_marl.geometry.array_cache import cache_path, load_cached_arrays, save_cached_arrays
+from handover_marl.geometry.kinematic_tree import MAX_URDF_BYTES
 from handover_marl.geometry.panda import GRIPPER_FROM_HAND
 from handover_marl.geometry.poses import compose, invert_pose
 from handover_marl.receivers.reactive.grasps import (
@@ -83,7 +85,7 @@ def validation_record_path(object_urdf: Path, panda_urdf: Path, known: Array, co
     """Return the path of a validation's cache file, whose stem also names a shipped record."""
     # The fingers of another robot have another mass and friction; the folder of its meshes has no
     # influence on the outcome.
-    robot = re.sub(rb'filename="[^"]*/', b'filename="', panda_urdf.read_bytes())
+    robot = re.sub(rb'filename="[^"]*/', b'filename="', read_plain_file(panda_urdf, MAX_URDF_BYTES))
     return _record_path(object_urdf, _preparation_key(config), known, robot)
 
 

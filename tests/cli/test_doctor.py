@@ -1,5 +1,8 @@
+import functools
 import json
+import os
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -7,13 +10,16 @@ import pytest
 
 from handover_marl.cli import main
 from handover_marl.cli.installation import examine_installation
+from handover_marl.datasets.asset_check import find_hand_faults
 from handover_marl.datasets.dexycb.assets import write_hand_assets
 from handover_marl.datasets.dexycb.mano import read_mano_model
 from handover_marl.datasets.dexycb.raw_files import read_sequence_names
 from handover_marl.datasets.folder_check import Finding, Severity, examine_data_folder, format_findings
 from handover_marl.datasets.official_files import FileOrigin, find_hand_origin
-from handover_marl.geometry.ycb import SUBJECTS
+from handover_marl.geometry.ycb import CLASS_NAMES, SCENE_CLASSES, SUBJECTS
 from tests.datasets.dexycb.mano_files import made_up_hand, official, write
+from tests.evaluation.deadline import ends_within
+from tests.unreadable import replace_by
 
 
 def by_name(findings: tuple[Finding, ...]) -> dict[str, Finding]:
@@ -85,6 +91,66 @@ def test_hand_origin(tmp_path: Path, fake_data: Path) -> None:
     mesh = folder / "meshes/collision/mesh3.obj"
     mesh.write_text(mesh.read_text() + "v 0 0 0\n")
     assert find_hand_origin(folder) is FileOrigin.STAND_IN
+
+
+DAMAGES: dict[str, Callable[[Path], object]] = {
+    "empty": lambda path: path.write_bytes(b""),
+    "junk": lambda path: path.write_bytes(bytes(range(256))),
+    **{kind: functools.partial(replace_by, kind) for kind in ("folder", "pipe", "large")},
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_damaged_models_and_grasps_are_named(damage: str, own_data: Path) -> None:
+    name = CLASS_NAMES[SCENE_CLASSES[1]]
+    paths = [
+        "table/table.urdf",
+        "franka_panda/panda_gripper.urdf",
+        f"{name}/model_normalized.urdf",
+        f"grasps/{name}.npy",
+        f"{name}/model_normalized_convex.obj",
+        f"{name}/textured_simple.obj",
+        f"{SUBJECTS[0]}_right/mano.urdf",
+        f"{SUBJECTS[0]}_right/meshes/visual/mesh3.obj",
+        f"{SUBJECTS[0]}_right/meshes/collision/mesh4.obj",
+        "../dex-ycb-cache/pose_009.npz",
+        "../dex-ycb-cache/meta_014.json",
+    ]
+    write(own_data / "MANO_RIGHT.pkl", official(made_up_hand(1)))
+    model = read_mano_model(own_data / "MANO_RIGHT.pkl", "right")
+    (own_data / "assets" / f"{SUBJECTS[0]}_right/mano.urdf").unlink()
+    write_hand_assets(own_data / "assets", SUBJECTS[0], model, [0.1] * 10)
+    for path in paths:
+        DAMAGES[damage](own_data / "assets" / path)
+    with ends_within(20.0):
+        faults = [each.advice for each in examine_data_folder(own_data) if each.severity is Severity.FAULT]
+    assert [path for path in paths if path.removeprefix("../") not in "".join(faults)] == []
+
+
+@pytest.mark.parametrize(
+    ("file", "change", "fault"),
+    [
+        ("mano.urdf", lambda text: text.replace('type="revolute"', 'type="fixed"', 1), "must have 51 moving joints"),
+        (
+            "mano.urdf",
+            lambda text: text.replace("<collision>", "<visual>").replace("</collision>", "</visual>"),
+            "shape",
+        ),
+        ("meshes/collision/mesh1.obj", lambda text: "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "in one plane"),
+        ("meshes/collision/mesh1.obj", lambda text: text.replace("v ", "v nan ", 1), "not finite"),
+        ("meshes/visual/mesh2.obj", lambda text: text + "f 1 2 99999\n", "names a corner"),
+        ("meshes/visual/mesh2.obj", lambda text: "mtllib mesh2.mtl\n" + text, "mesh2.mtl"),
+    ],
+)
+def test_faults_of_a_hand(file: str, change: Callable[[str], str], fault: str, tmp_path: Path) -> None:
+    write(tmp_path / "MANO_RIGHT.pkl", official(made_up_hand(1)))
+    folder = write_hand_assets(tmp_path, SUBJECTS[0], read_mano_model(tmp_path / "MANO_RIGHT.pkl", "right"), [0.1] * 10)
+    assert find_hand_faults(folder) == []
+    (folder / file).write_text(change((folder / file).read_text()))
+    os.mkfifo(folder / "meshes/visual/mesh2.mtl")
+    (found,) = find_hand_faults(folder)
+    assert fault in found
+    assert str(folder) in found
 
 
 def test_real_data_are_complete(real_data: Path) -> None:

@@ -2,19 +2,14 @@ import os
 import subprocess
 import sys
 import tempfile
-import warnings
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from handover_marl.errors import ResultsError
 from handover_marl.execution.files import (
-    check_archive,
     create_exclusively,
-    read_arrays,
     remove_stale_temporaries,
     replace_atomically,
     write_atomically,
@@ -115,55 +110,6 @@ def test_create_exclusively_is_atomic(tmp_path: Path, monkeypatch: pytest.Monkey
     # Whereas this one replaces.
     write_atomically(path, "mine")
     assert path.read_text() == "mine"
-
-
-def test_valid_archives(tmp_path: Path) -> None:
-    path = tmp_path / "a.npz"
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr("one", b"0" * 600)
-        archive.writestr("two", b"0" * 401)
-    check_archive(path, 1001)
-    with pytest.raises(ValueError, match="unpacks to more than"):
-        check_archive(path, 1000)
-    path.write_bytes(b"PK")
-    with pytest.raises(zipfile.BadZipFile):
-        check_archive(path, 1000)
-    os.mkfifo(tmp_path / "pipe.npz")
-    for other in (tmp_path / "pipe.npz", tmp_path):
-        with ends_within(5.0), pytest.raises(ValueError, match="not a regular file"):
-            check_archive(other, 1000)
-
-
-def zipped(path: Path, members: list[tuple[str, bytes]], method: int = zipfile.ZIP_DEFLATED) -> Path:
-    with zipfile.ZipFile(path, "w", method) as archive, warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # two members of one name
-        for name, data in members:
-            archive.writestr(name, data)
-    return path
-
-
-@pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
-def test_archives_with_other_compression(tmp_path: Path, method: int) -> None:
-    path = zipped(tmp_path / "a.npz", [("one", bytes(100))], method)
-    with pytest.raises(ValueError, match="another method than deflate"):
-        check_archive(path, 1000)
-
-
-def test_archives_with_duplicate_or_large_members(tmp_path: Path) -> None:
-    path = zipped(tmp_path / "a.npz", [("one", b"1"), ("one", b"2")])
-    with pytest.raises(ValueError, match="two files of the same name"):
-        check_archive(path, 1000)
-    many = zipped(tmp_path / "many.npz", [(f"{number}", b"") for number in range(20_000)])
-    with pytest.raises(ValueError, match="larger than 0 MB"):
-        check_archive(many, 1000)
-
-
-def test_members_that_are_not_arrays(tmp_path: Path) -> None:
-    path = zipped(tmp_path / "a.npz", [("one.npy", b"text")])
-    with pytest.raises(TypeError, match="one is not an array"):
-        read_arrays(path, ("one",), 1000)
-    np.savez(path, one=np.arange(3))
-    np.testing.assert_array_equal(read_arrays(path, ("one",), 1000)["one"], [0, 1, 2])
 
 
 _KILLED = """

@@ -6,8 +6,6 @@ saved again, with plain arrays instead of chumpy's objects, are accepted too.
 """
 
 import math
-import os
-import stat
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +24,7 @@ from handover_marl.datasets.restricted_pickle import (
     reject,
 )
 from handover_marl.errors import DataFormatError, DataNotFoundError, UnsafeFileError
+from handover_marl.execution.reading import read_plain_file
 
 Array = npt.NDArray[Any]
 
@@ -88,25 +87,16 @@ def read_mano_pickle(path: Path, keys: tuple[str, ...]) -> dict[str, Array | csc
 
 def _read(path: Path) -> bytes:
     try:
-        # Opening a pipe would wait for a writer.
-        if not stat.S_ISREG(path.stat().st_mode):
-            raise DataFormatError(f"{path}: not a plain file; give MANO_RIGHT.pkl or MANO_LEFT.pkl of mano_v1_2.zip")
-        with path.open("rb") as stream:
-            size = os.fstat(stream.fileno()).st_size
-            if size > _MAX_BYTES:
-                raise DataFormatError(
-                    f"{path}: more than {_MAX_BYTES // 1_000_000} MB, which no MANO model has; "
-                    "copy it again from mano_v1_2.zip"
-                )
-            return stream.read(size)
+        return read_plain_file(path, _MAX_BYTES)
     except FileNotFoundError as error:
         raise DataNotFoundError(
             f"{path} does not exist; MANO_RIGHT.pkl and MANO_LEFT.pkl are in mano_v1_2.zip, under models/"
         ) from error
-    except DataFormatError:
-        raise
     except (OSError, ValueError) as error:
-        raise DataFormatError(f"{path} cannot be read ({error}); check its name and its rights") from error
+        raise DataFormatError(
+            f"{path} cannot be read ({error}); give MANO_RIGHT.pkl or MANO_LEFT.pkl of mano_v1_2.zip, and check its "
+            "rights"
+        ) from error
 
 
 def _extract_value(key: str, value: object) -> Array | csc_matrix:

@@ -13,7 +13,8 @@ from handover_marl.datasets.dexycb.raw_files import META_FILE, POSE_FILE, Sequen
 from handover_marl.datasets.dexycb.rotations import MIN_KEYFRAMES, Float32, Float64, can_original_resample
 from handover_marl.datasets.scene_files import check_scene_meta, require_integer
 from handover_marl.errors import DataFormatError, DataNotFoundError
-from handover_marl.execution.files import read_arrays, read_yaml, shorten_text
+from handover_marl.execution.files import shorten_text
+from handover_marl.execution.reading import read_arrays, read_yaml
 
 _MAX_YAML_BYTES = 64_000  # official files have a few thousand
 _MAX_POSE_BYTES = 2_000_000  # unpacked; official files have some ten thousand

@@ -21,8 +21,9 @@ from handover_marl.datasets.dexycb.raw_sequence import RawSequence, read_betas, 
 from handover_marl.datasets.dexycb.rotations import Float32, TagFrame
 from handover_marl.datasets.scene_files import CACHE_FOLDER, MAX_MOTION_BYTES
 from handover_marl.errors import DataFormatError, DataNotFoundError, HandoverError, ResultsError
-from handover_marl.execution.files import create_exclusively, has_content, read_arrays
+from handover_marl.execution.files import create_exclusively, has_content
 from handover_marl.execution.pool import PoolConfig
+from handover_marl.execution.reading import read_arrays
 from handover_marl.execution.tasks import map_with_progress
 
 #: MANO's 10 shape parameters by subject and side.

@@ -31,6 +31,7 @@ from handover_marl.datasets.official_files import (
 from handover_marl.errors import DataFormatError
 from handover_marl.execution.archives import read_members
 from handover_marl.execution.pool import PoolConfig
+from handover_marl.execution.reading import read_plain_file
 from handover_marl.execution.tasks import map_with_progress
 from handover_marl.geometry.meshes import convex_hull, extreme_points
 from handover_marl.geometry.obj_files import format_obj, read_obj
@@ -170,12 +171,14 @@ def _copy_models(models: Path, assets: Path) -> list[str]:
     for name in CLASS_NAMES.values():
         for file in _VISUAL_FILES:
             source = models / name / file
-            if not source.is_file() or (assets / name / file).exists():
+            if not source.exists() or (assets / name / file).exists():
                 continue
-            if source.stat().st_size > _MAX_MODEL_BYTES:
-                faults.append(f"{source} has more than {_MAX_MODEL_BYTES // 1_000_000} MB; copy it again")
+            try:
+                content = read_plain_file(source, _MAX_MODEL_BYTES)
+            except (OSError, ValueError) as error:
+                faults.append(f"{source} cannot be read ({error}); copy it again")
                 continue
-            write_missing_files(assets, {f"{name}/{file}": source.read_bytes()})
+            write_missing_files(assets, {f"{name}/{file}": content})
     return faults
 
 

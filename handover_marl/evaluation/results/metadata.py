@@ -15,9 +15,10 @@ from handover_marl.datasets.splits import SETUPS, SPLITS
 from handover_marl.episode.spaces import STATE
 from handover_marl.errors import ResultsError
 from handover_marl.evaluation.config import EvaluationConfig, require_policy_reference
-from handover_marl.execution.files import read_yaml, shorten_text
+from handover_marl.execution.files import shorten_text
 from handover_marl.execution.old_keys import upgrade_keys
 from handover_marl.execution.options import is_pybullet_installed
+from handover_marl.execution.reading import read_yaml
 from handover_marl.geometry.panda import PANDA, PANDA_CAMERA
 
 CONFIG_FILE = "config.yaml"

@@ -30,7 +30,8 @@ from handover_marl.evaluation.results.metadata import (
     read_result_metadata,
 )
 from handover_marl.evaluation.writers import EpisodeRecorder, EpisodeWriter
-from handover_marl.execution.files import check_archive, create_exclusively, has_content, write_atomically
+from handover_marl.execution.files import create_exclusively, has_content, write_atomically
+from handover_marl.execution.reading import read_arrays
 from handover_marl.policies.policy import Policy
 
 #: Report files beside the results of the scenes.
@@ -246,9 +247,7 @@ def load_result_arrays(path: Path) -> dict[str, npt.NDArray[Any]]:
         ResultsError: The file is damaged or too large.
     """
     try:
-        check_archive(path, _MAX_BYTES)
-        with np.load(path, allow_pickle=False) as archive:
-            return dict(archive)
+        return read_arrays(path, largest=_MAX_BYTES)
     except Exception as error:  # NumPy and zipfile raise errors of many types on damaged files
         raise _make_read_error(path, error) from error
 

@@ -11,7 +11,8 @@ from handover_marl.evaluation.reports.report import Report
 from handover_marl.evaluation.reports.report_files import evaluate
 from handover_marl.evaluation.results.metadata import ResultMetadata
 from handover_marl.evaluation.verification.differences import Difference, compare_json
-from handover_marl.execution.files import read_small_file, shorten_text
+from handover_marl.execution.files import has_content, shorten_text
+from handover_marl.execution.reading import read_plain_file
 from handover_marl.policies.reference import PolicyReference
 
 _MAX_REPORT_BYTES = 64_000_000
@@ -41,7 +42,7 @@ def check_reports(path: Path) -> list[Difference]:
     except ResultsError as error:
         return [Difference("results", shorten_text(error), "readable results")]
     try:
-        stored = json.loads(read_small_file(path / "report.json", _MAX_REPORT_BYTES))
+        stored = json.loads(read_plain_file(path / "report.json", _MAX_REPORT_BYTES))
         n_resumed = stored["n_resumed"]
         report = replace(report, n_resumed=min(max(int(n_resumed), 0), len(report.episodes)))
     except FileNotFoundError:
@@ -50,10 +51,9 @@ def check_reports(path: Path) -> list[Difference]:
         return [Difference("report.json", shorten_text(error), "a report")]
     differences = _compare_report(stored, report)
     text = path / "report.md"
-    if report.metadata.version == __version__ and text.is_file():
-        expected = report.to_markdown().encode()
-        if text.stat().st_size != len(expected) or text.read_bytes() != expected:
-            differences.append(Difference("report.md", "other text", "the text of these results"))
+    is_comparable = report.metadata.version == __version__ and text.is_file()
+    if is_comparable and not has_content(text, report.to_markdown().encode()):
+        differences.append(Difference("report.md", "other text", "the text of these results"))
     return differences
 
 

@@ -14,9 +14,11 @@ from typing import Any
 import numpy as np
 
 from handover_marl.config import CameraConfig
-from handover_marl.errors import DataFormatError, SimulationError
+from handover_marl.errors import SimulationError
 from handover_marl.execution.options import require_pybullet
-from handover_marl.geometry.obj_files import check_obj
+from handover_marl.execution.reading import check_plain_file
+from handover_marl.geometry.kinematic_tree import MAX_URDF_BYTES
+from handover_marl.geometry.obj_files import check_mesh
 from handover_marl.geometry.urdf import list_mesh_references
 
 
@@ -190,10 +192,11 @@ def load_urdf(client: BulletClient, path: Path | str, **options: object) -> int:
     """
     urdf = Path(path)
     try:
+        check_plain_file(urdf, MAX_URDF_BYTES)
         _check_meshes(urdf, urdf.stat().st_mtime_ns)
-    except DataFormatError as error:
-        raise SimulationError(f"{urdf}: {error}") from error
-    except (OSError, ValueError):
+    except ValueError as error:
+        raise SimulationError(f"{urdf}: PyBullet cannot load this model ({error}); check the file") from error
+    except OSError:
         # A missing file may still be in PyBullet's own data folder.
         pass
     try:
@@ -206,10 +209,10 @@ def load_urdf(client: BulletClient, path: Path | str, **options: object) -> int:
 
 @functools.lru_cache(maxsize=256)
 def _check_meshes(urdf: Path, changed: int) -> None:
-    """Check the vertex numbers in a model's OBJ files; invalid ones crash PyBullet."""
+    """Check a model's mesh files: invalid vertex numbers crash PyBullet, a pipe would let it wait for ever."""
     for _, mesh in list_mesh_references(urdf):
-        if mesh.suffix.lower() == ".obj" and mesh.exists():
-            check_obj(mesh)
+        if mesh.exists():
+            check_mesh(mesh)
 
 
 def float32_list(values: Sequence[float]) -> list[float]:

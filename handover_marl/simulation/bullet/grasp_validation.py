@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from handover_marl.assets.robot_model import PANDA_URDF
 from handover_marl.config import OBJECT_DOF, TIME_STEP, MotorConfig, ObjectConfig, PandaConfig
+from handover_marl.geometry.kinematic_tree import parse_urdf
 from handover_marl.geometry.panda import FINGER_LINKS, HAND_LINK, OPEN
 from handover_marl.geometry.poses import inverse_transform_points
 from handover_marl.simulation.bullet.client import BulletClient, connect, load_urdf
@@ -120,7 +121,7 @@ def _load_hand(client: BulletClient, urdf: Path) -> int:
     Its joints 0 and 1 are the fingers.
     """
     folder = urdf.parent
-    panda = ET.parse(urdf).getroot()
+    panda = parse_urdf(urdf)
     robot = ET.Element("robot", name="panda_hand")
     for element in panda:
         child = element.find("child")

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from handover_marl.errors import DataFormatError
+from handover_marl.execution.reading import read_plain_file
 from handover_marl.geometry.kinematic_tree import BoundingSphere, KinematicTree
 from handover_marl.geometry.obj_files import read_obj
 from handover_marl.geometry.poses import IDENTITY, transform_points
@@ -97,7 +98,7 @@ def _read_stl_vertices(mesh: Path) -> Array:
     """Return the corners (n, 3) of the triangles of a binary STL file."""
     record = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("color", "<u2")])
     try:
-        content = mesh.read_bytes()
+        content = read_plain_file(mesh)
         count = int(np.frombuffer(content, "<u4", 1, 80)[0])
         triangles = np.frombuffer(content, record, count, 84)
     except (OSError, ValueError) as error:

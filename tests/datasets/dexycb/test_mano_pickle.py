@@ -89,7 +89,7 @@ def test_huge_files_are_not_read(tmp_path: Path) -> None:
     path = write(tmp_path / "MANO_RIGHT.pkl", b"\x80\x02")
     with path.open("r+b") as stream:
         stream.truncate(1 << 40)
-    with ends_within(5), pytest.raises(DataFormatError, match="more than 50 MB"):
+    with ends_within(5), pytest.raises(DataFormatError, match="larger than 50 MB"):
         read_mano_model(path, "right")
 
 

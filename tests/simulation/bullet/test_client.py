@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +16,9 @@ import pytest
 from handover_marl.config import CameraConfig
 from handover_marl.errors import SimulationError
 from handover_marl.simulation.bullet import client as client_module
-from handover_marl.simulation.bullet.client import BulletClient, aim_window, connect, pause_window_rendering
+from handover_marl.simulation.bullet.client import BulletClient, aim_window, connect, load_urdf, pause_window_rendering
+from tests.geometry.test_unreadable_models import write_model
+from tests.unreadable import UNREADABLE, refuses_within, replace_by
 
 on_linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="X11 is Linux's way to a screen")
 
@@ -145,4 +148,15 @@ def test_real_window() -> None:
     time.sleep(1.0)
     assert np.isfinite(view_matrix(client)).all()
     client.close()
+    client.close()
+
+
+@pytest.mark.parametrize("kind", UNREADABLE)
+@pytest.mark.parametrize("file", ["body.urdf", "body.obj", "body.stl", "body.mtl"])
+def test_unreadable_files_of_a_model(file: str, kind: str, tmp_path: Path) -> None:
+    client = connect()
+    urdf = write_model(tmp_path, "body.stl" if file == "body.stl" else "body.obj")
+    replace_by(kind, tmp_path / file)
+    with refuses_within(5.0, SimulationError, kind):
+        load_urdf(client, urdf)
     client.close()

@@ -12,14 +12,17 @@ import mujoco
 from handover_marl.config import PANDA_DOF, PandaConfig, PhysicsConfig
 from handover_marl.datasets.dataset import SceneAssets
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.errors import SimulationError
+from handover_marl.errors import HandoverError, SimulationError
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.panda import LOWER_LIMITS, UPPER_LIMITS
 from handover_marl.geometry.urdf import read_urdf_links
 from handover_marl.simulation.bullet.bodies import PandaBody
 from handover_marl.simulation.bullet.client import BulletClient, connect, load_urdf
+from handover_marl.simulation.mujoco.collision_shapes import load_link_parts
 from handover_marl.simulation.mujoco.engine import CollisionGroup, HandKinematics
 from handover_marl.simulation.mujoco.scene_model import SceneModel, load_scene_model
+from tests.geometry.test_unreadable_models import write_model
+from tests.unreadable import UNREADABLE, refuses_within, replace_by
 
 CONFIG = PhysicsConfig()
 ASSETS = SyntheticDataset().load_scene(209).assets
@@ -140,3 +143,13 @@ def test_robot_only_models_have_the_same_body_numbers() -> None:
     links = scene.robot_only.links.tolist()
     assert [scene.model.body(link).name for link in links] == [scene.robot_only.model.body(link).name for link in links]
     assert len(links) >= 9
+
+
+@pytest.mark.parametrize("kind", UNREADABLE)
+@pytest.mark.parametrize("file", ["body.urdf", "body.obj", "body.stl"])
+def test_unreadable_files_of_a_model(file: str, kind: str, tmp_path: Path) -> None:
+    urdf = write_model(tmp_path, "body.stl" if file == "body.stl" else "body.obj")
+    tree = read_tree(urdf)
+    replace_by(kind, tmp_path / file)
+    with refuses_within(5.0, HandoverError, kind):
+        load_link_parts(urdf, tree)

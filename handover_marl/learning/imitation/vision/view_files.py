@@ -10,8 +10,9 @@ import numpy as np
 
 from handover_marl.datasets import open_dataset
 from handover_marl.errors import DataFormatError, DataNotFoundError, ResultsError
-from handover_marl.execution.files import read_arrays, write_arrays, write_atomically
+from handover_marl.execution.files import write_arrays, write_atomically
 from handover_marl.execution.pool import PoolConfig
+from handover_marl.execution.reading import read_arrays
 from handover_marl.execution.tasks import map_with_progress
 from handover_marl.learning.imitation.vision.dagger import DaggerCollector
 from handover_marl.learning.imitation.vision.grasp_labels import GraspLabelConfig, GraspLabeller

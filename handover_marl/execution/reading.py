@@ -1,0 +1,159 @@
+"""Bounded reading of plain files from untrusted sources: bytes, zip archives, arrays and YAML.
+
+Pipes, sockets, devices and folders are refused before they are opened, since opening or reading them
+may never end; files and archives that are too large are refused before they are read.
+"""
+
+import io
+import stat
+import zipfile
+from collections import Counter
+from collections.abc import Hashable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import yaml
+
+from handover_marl.execution.files import shorten_text
+
+#: Largest accepted size of a file of data or weights without a limit of its own (bytes).
+MAX_FILE_BYTES = 500_000_000
+_MAX_ARCHIVE_OVERHEAD = 1_000_000  # bytes that an archive may have beyond its contents
+
+
+def check_plain_file(path: Path, largest: int = MAX_FILE_BYTES) -> int:
+    """Check that a path is a plain file that is not too large, and return its size (bytes).
+
+    For readers that open paths themselves.
+
+    Args:
+        path: File, or link to a file.
+        largest: Largest allowed size (bytes).
+
+    Raises:
+        ValueError: The path is a folder, pipe, socket or device, or the file is too large.
+        OSError: The path does not exist or cannot be looked up.
+    """
+    state = path.stat()
+    if not stat.S_ISREG(state.st_mode):
+        raise ValueError("it is not a plain file")
+    _check_size(state.st_size, largest)
+    return state.st_size
+
+
+def read_plain_file(path: Path, largest: int = MAX_FILE_BYTES) -> bytes:
+    """Return the content of a plain file.
+
+    Args:
+        path: File, or link to a file.
+        largest: Largest allowed size (bytes).
+
+    Raises:
+        ValueError: The path is a folder, pipe, socket or device, or the file is too large.
+        OSError: The file cannot be read.
+    """
+    size = check_plain_file(path, largest)
+    with path.open("rb") as stream:
+        return stream.read(size)  # which may be less than the file has by now
+
+
+def check_archive(source: Path | bytes, largest: int) -> None:
+    """Check that a zip archive cannot exhaust memory when it is read.
+
+    Args:
+        source: Archive file, or its content.
+        largest: Largest allowed size after unpacking (bytes).
+
+    Raises:
+        ValueError: The file is not a plain file or not an archive, is too large, or is compressed
+            by a method that NumPy never uses.
+        OSError: The file cannot be opened.
+    """
+    # Checked before opening, since even the list of contents may be huge.
+    if isinstance(source, bytes):
+        _check_size(len(source), largest + _MAX_ARCHIVE_OVERHEAD)
+    else:
+        check_plain_file(source, largest + _MAX_ARCHIVE_OVERHEAD)
+    with zipfile.ZipFile(_open_source(source)) as archive:
+        parts = archive.infolist()
+    if sum(part.file_size for part in parts) > largest:
+        raise ValueError(f"it unpacks to more than {_format_size(largest)}")
+    if len({part.filename for part in parts}) < len(parts):
+        raise ValueError("it contains two files of the same name")
+    # With other methods Python ignores the size that the archive states.
+    if any(part.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) for part in parts):
+        raise ValueError("it is compressed by another method than deflate")
+
+
+def read_arrays(
+    source: Path | bytes, names: tuple[str, ...] | None = None, largest: int = MAX_FILE_BYTES
+) -> dict[str, npt.NDArray[Any]]:
+    """Return arrays of an `.npz` file, by name, without unpickling objects.
+
+    Args:
+        source: The file, or its content.
+        names: Arrays that the file must contain; None for all its arrays.
+        largest: Largest allowed size after unpacking (bytes).
+
+    Raises:
+        Exception: The file is damaged; NumPy and zipfile then raise exceptions of many kinds.
+    """
+    check_archive(source, largest)
+    with np.load(_open_source(source), allow_pickle=False) as archive:
+        arrays = {name: archive[name] for name in (archive.files if names is None else names)}
+    for name, array in arrays.items():
+        if not isinstance(array, np.ndarray):  # NumPy returns unknown members as bytes
+            raise TypeError(f"{name} is not an array")
+    return arrays
+
+
+def read_yaml(path: Path, largest: int) -> object:
+    """Return the content of a YAML file of numbers, text, lists and mappings, without aliases.
+
+    Args:
+        path: The file.
+        largest: Largest allowed size (bytes).
+
+    Raises:
+        ValueError: The file is not a plain file, is too large, or is not such YAML; or a mapping has
+            a key twice.
+        OSError: The file cannot be opened.
+    """
+    data = read_plain_file(path, largest)
+    try:
+        return yaml.load(data.decode(), _StrictLoader)
+    except Exception as error:  # PyYAML passes on errors of its constructors
+        raise ValueError(shorten_text(error)) from error
+
+
+class _StrictLoader(yaml.SafeLoader):
+    """YAML loader without duplicate keys and aliases, with which a few lines can expand to gigabytes."""
+
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        """Return a node, see `yaml.SafeLoader`; raise an error for an alias."""
+        if self.check_event(yaml.AliasEvent):
+            raise yaml.YAMLError("aliases are not allowed")
+        return super().compose_node(parent, index)
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
+        """Return a mapping, see `yaml.SafeLoader`; raise an error for a key that it has twice."""
+        mapping = super().construct_mapping(node, deep)
+        if len(mapping) < len(node.value):
+            ((name, _),) = Counter(str(key.value) for key, _ in node.value).most_common(1)
+            raise yaml.YAMLError(f"a mapping has the key {name!r} twice")
+        return mapping
+
+
+def _open_source(source: Path | bytes) -> Path | io.BytesIO:
+    return io.BytesIO(source) if isinstance(source, bytes) else source
+
+
+def _check_size(size: int, largest: int) -> None:
+    if size > largest:
+        raise ValueError(f"it is larger than {_format_size(largest)}")
+
+
+def _format_size(size: int) -> str:
+    return f"{size / 1e6:g} MB"

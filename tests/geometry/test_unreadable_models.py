@@ -1,0 +1,94 @@
+"""Pipes, devices, folders and huge files in the place of models and meshes are refused, not opened."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from handover_marl.errors import HandoverError
+from handover_marl.geometry.array_cache import load_cached_arrays
+from handover_marl.geometry.kinematic_tree import KinematicTree, read_tree
+from handover_marl.geometry.meshes import check_collision_meshes, check_model, read_collision_mesh, read_visual_meshes
+from handover_marl.geometry.obj_files import check_mesh, read_obj
+from handover_marl.geometry.urdf import list_mesh_references, read_urdf_links, read_urdf_shapes
+from tests.unreadable import UNREADABLE, refuses_within, replace_by
+
+TREE = KinematicTree([])
+URDF_READERS: dict[str, Callable[[Path], object]] = {
+    "tree": read_tree,
+    "links": lambda urdf: read_urdf_links(urdf, TREE),
+    "shapes": lambda urdf: read_urdf_shapes(urdf, TREE, "visual"),
+    "check": check_collision_meshes,
+}
+MESH_READERS: dict[str, Callable[[Path], object]] = {
+    "check": lambda urdf: check_model(urdf, 0),
+    "collision": read_collision_mesh,
+    "visual": lambda urdf: read_visual_meshes(urdf, TREE),
+}
+TETRAHEDRON = "mtllib body.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 3 4\n"
+
+
+def write_model(folder: Path, mesh: str) -> Path:
+    """Write a model of one link with a mesh, of whatever content, and an OBJ mesh with material and texture."""
+    (folder / mesh).write_text(TETRAHEDRON)
+    (folder / "body.mtl").write_text("newmtl one\nmap_Kd body.png\n")
+    shape = f'<geometry><mesh filename="package://{mesh}"/></geometry>'
+    urdf = folder / "body.urdf"
+    urdf.write_text(
+        f'<robot name="body"><link name="body"><collision>{shape}</collision><visual>{shape}</visual></link></robot>'
+    )
+    return urdf
+
+
+@pytest.mark.parametrize("kind", UNREADABLE)
+@pytest.mark.parametrize("reader", URDF_READERS)
+def test_unreadable_urdf(reader: str, kind: str, tmp_path: Path) -> None:
+    UNREADABLE[kind](tmp_path / "body.urdf")
+    with refuses_within(5.0, HandoverError, kind):
+        URDF_READERS[reader](tmp_path / "body.urdf")
+    with refuses_within(5.0, ValueError, kind):
+        list_mesh_references(tmp_path / "body.urdf")
+
+
+@pytest.mark.parametrize("kind", UNREADABLE)
+@pytest.mark.parametrize("mesh", ["body.obj", "body.stl"])
+@pytest.mark.parametrize("reader", MESH_READERS)
+def test_unreadable_mesh(reader: str, mesh: str, kind: str, tmp_path: Path) -> None:
+    urdf = write_model(tmp_path, mesh)
+    replace_by(kind, tmp_path / mesh)
+    with refuses_within(5.0, HandoverError, kind):
+        MESH_READERS[reader](urdf)
+
+
+@pytest.mark.parametrize("kind", UNREADABLE)
+@pytest.mark.parametrize("file", ["body.mtl", "body.png"])
+def test_unreadable_material(file: str, kind: str, tmp_path: Path) -> None:
+    write_model(tmp_path, "body.obj")
+    check_mesh(tmp_path / "body.obj", solid=True)
+    UNREADABLE[kind](tmp_path / file) if file == "body.png" else replace_by(kind, tmp_path / file)
+    with refuses_within(5.0, HandoverError, kind):
+        check_mesh(tmp_path / "body.obj", solid=True)
+
+
+@pytest.mark.parametrize("kind", UNREADABLE)
+def test_unreadable_cache_is_computed_again(kind: str, tmp_path: Path) -> None:
+    UNREADABLE[kind](tmp_path / "cache.npz")
+    assert load_cached_arrays(tmp_path / "cache.npz", ["values"], "field") is None
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"\x00\xff junk", b'<?xml version="1.0" encoding="none"?><robot/>', b"<robot/>"]
+)
+def test_what_is_no_urdf(content: bytes, tmp_path: Path) -> None:
+    (tmp_path / "body.urdf").write_bytes(content)
+    for read in (read_tree, check_collision_meshes):
+        with pytest.raises(HandoverError, match=r"body\.urdf.*check the file"):
+            read(tmp_path / "body.urdf")
+
+
+def test_missing_material_and_foreign_mesh_are_accepted(tmp_path: Path) -> None:
+    write_model(tmp_path, "body.obj")
+    (tmp_path / "body.mtl").unlink()
+    check_mesh(tmp_path / "body.obj", solid=True)
+    check_mesh(tmp_path / "camera.stl")
+    assert len(read_obj(tmp_path / "body.obj").faces) == 4

@@ -1,0 +1,54 @@
+"""What may stand where a plain file is expected: opening or reading it would never end, or fill the memory."""
+
+import contextlib
+import os
+import shutil
+import socket
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.evaluation.deadline import ends_within
+
+
+def _bind_socket(path: Path) -> None:
+    # The address of a socket has at most 107 characters, fewer than the paths of some temporary folders.
+    here = Path.cwd()
+    os.chdir(path.parent)
+    try:
+        socket.socket(socket.AF_UNIX).bind(path.name)
+    finally:
+        os.chdir(here)
+
+
+def _make_large(path: Path) -> None:
+    with path.open("wb") as file:
+        file.truncate(30_000_000_000)  # takes no space on the disk
+
+
+#: Functions that make something unreadable at a path that does not exist, by its kind.
+UNREADABLE: dict[str, Callable[[Path], object]] = {
+    "folder": Path.mkdir,
+    "pipe": os.mkfifo,
+    "socket": _bind_socket,
+    "device": lambda path: path.symlink_to("/dev/zero"),
+    "large": _make_large,
+}
+
+
+def replace_by(kind: str, path: Path) -> None:
+    """Replace a file by something unreadable."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
+    UNREADABLE[kind](path)
+
+
+@contextlib.contextmanager
+def refuses_within(seconds: float, error: type[Exception], kind: str) -> Iterator[None]:
+    """Check that a block ends soon, with an error that names what is wrong."""
+    match = "larger than" if kind == "large" else "not a plain file"
+    with ends_within(seconds), pytest.raises(error, match=match):
+        yield
