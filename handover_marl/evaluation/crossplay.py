@@ -208,16 +208,17 @@ def crossplay(
     # All names are resolved before the first scene, so that misspelled ones are reported at once.
     resolved_givers = _resolve_policies("giver", givers, dataset, config, execution.trust)
     resolved_receivers = _resolve_policies("receiver", receivers, dataset, config, execution.trust)
-    reports: dict[PolicyPair, Report] = {}
+    # All folders are checked before the first scene, too.
+    evaluations: dict[PolicyPair, Evaluation] = {}
     for giver in resolved_givers:
         for receiver in resolved_receivers:
             pair = giver.label, receiver.label
             pair_config = replace(config, giver=giver, receiver=receiver)
-            reports[pair] = Evaluation(pair_config, execution.for_subfolder(format_pair_folder(pair))).run()
+            evaluations[pair] = Evaluation(pair_config, execution.for_subfolder(format_pair_folder(pair)))
     result = CrossPlay(
         tuple(giver.label for giver in resolved_givers),
         tuple(receiver.label for receiver in resolved_receivers),
-        reports,
+        {pair: evaluation.run() for pair, evaluation in evaluations.items()},
     )
     if execution.folder is not None:
         result.write(execution.folder)
@@ -232,7 +233,7 @@ def read_crossplay_pairs(folder: Path) -> list[PolicyPair]:
     """
     path = folder / CROSSPLAY_CSV
     try:
-        with path.open(newline="") as file:
+        with path.open(newline="", encoding="utf-8") as file:
             return [(row["giver"], row["receiver"]) for row in csv.DictReader(file)]
     except FileNotFoundError as error:
         raise ResultsError(
@@ -252,9 +253,9 @@ def _resolve_policies(
     agent: str, policies: Sequence[PolicyLike] | PolicyLike, dataset: Dataset, config: EvaluationConfig, trust: bool
 ) -> list[PolicyReference]:
     """Resolve the policies of one agent, without duplicates, in the given order."""
-    requested = [policies] if isinstance(policies, (str, type, Policy, PolicyReference)) else list(policies)
-    if not requested:
-        raise OptionError(f"{agent}s must name at least one {agent}")
+    requested = [policies] if isinstance(policies, (str, type, Policy, PolicyReference)) else policies
+    if not isinstance(requested, Sequence) or not requested:
+        raise OptionError(f"{agent}s must name at least one {agent}, got {policies!r}")
     references: dict[str, PolicyReference] = {}
     for policy in requested:
         reference = parse_policy(agent, policy, trust).resolve(dataset, config.world_config, config.setup)

@@ -15,6 +15,7 @@ from handover_marl.datasets.dataset import Dataset
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.spaces import STATE
 from handover_marl.errors import OptionError
+from handover_marl.execution.files import shorten_text
 
 Action = npt.NDArray[np.float32]
 
@@ -214,7 +215,7 @@ def milliseconds_from_wait(wait: float) -> int:
         OptionError: The time is not a number from 0 to 60.
     """
     if isinstance(wait, bool) or not isinstance(wait, (int, float)) or not 0.0 <= wait <= _MAX_WAIT:
-        raise OptionError(f"wait must be a time from 0 to {_MAX_WAIT:g} s, got {wait!r}")
+        raise OptionError(f"wait must be a time from 0 to {_MAX_WAIT:g} s, got {shorten_text(repr(wait))}")
     return round(1000.0 * wait)
 
 

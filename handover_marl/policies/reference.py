@@ -37,6 +37,7 @@ from handover_marl.policies.registry import import_policy, list_available, load_
 from handover_marl.policies.source_hash import hash_policy, is_library_class
 from handover_marl.policies.state_hash import hash_constructed_state, record_opened_files
 
+_MAX_TEXT = 1000  # characters of a label or a hash of weights
 _OPTIONS = re.compile(r"[A-Za-z_]\w*=[^=,]*(,[A-Za-z_]\w*=[^=,]*)*")
 Options: TypeAlias = tuple[tuple[str, Any], ...]
 
@@ -122,26 +123,51 @@ class PolicyReference:
             setup: Official setup that is played.
 
         Raises:
+            PolicyError: An attribute of the policy fails.
+            OptionError: An attribute of the policy has a wrong type, or its label cannot be printed.
             HandoverError: The policy cannot be constructed; see `make`.
         """
         with record_opened_files() as opened:
             policy = self.make(dataset, config, setup)
-        check_obs_mode(policy.obs_mode)
+        obs_mode, wait = self._read_attribute(policy, "obs_mode"), self._read_attribute(policy, "wait")
+        check_obs_mode(obs_mode)
         listed = ",".join(f"{key}={_format_value(value)}" for key, value in self.options)
+        label = self._check_text("label", self._read_attribute(policy, "label"))
+        label = self._check_text("label", label + (f":{listed}" if listed else ""))
         # The state of an instance; its class would be pickled differently in every process.
         state = cloudpickle.dumps(vars(self._load())) if isinstance(self._load(), Policy) else b""
-        weights = policy.weights_hash.encode()
+        weights = self._check_text("weights_hash", self._read_attribute(policy, "weights_hash")).encode()
         if self.file is not None:
             weights += Path(self.file).expanduser().read_bytes()
         if not is_library_class(type(policy)):
             weights += hash_constructed_state(policy, opened)
         return replace(
             self,
-            label=policy.label + (f":{listed}" if listed else ""),
+            label=label,
             code_hash=hash_policy(type(policy), repr(self.options).encode() + state, weights),
-            wait=None if policy.wait is None else milliseconds_from_wait(policy.wait) / 1000.0,
-            obs_mode=policy.obs_mode,
+            wait=None if wait is None else milliseconds_from_wait(wait) / 1000.0,
+            obs_mode=obs_mode,
         )
+
+    def _read_attribute(self, policy: Policy, name: str) -> Any:
+        """Return an attribute of the policy, which may be a property of the user's class."""
+        try:
+            return getattr(policy, name)
+        except HandoverError:
+            raise
+        except Exception as error:
+            raise PolicyError(
+                f"{name} of {self.agent} {self.name!r} cannot be read ({type(error).__name__}: {error})"
+            ) from error
+
+    def _check_text(self, name: str, text: object) -> str:
+        """Return a text for result files, checked so that they can be written and printed."""
+        if not isinstance(text, str) or not text.isprintable() or len(text) > _MAX_TEXT:
+            raise OptionError(
+                f"{name} of {self.agent} {self.name!r} must be text without control characters, at most {_MAX_TEXT} "
+                f"characters, got {ascii(text)[:100]}"
+            )
+        return text
 
     def _load(self) -> Any:
         if self.pickled:
@@ -254,14 +280,18 @@ def _parse_options(agent: str, text: str, tail: str) -> dict[str, Any]:
         return {}
     if not _OPTIONS.fullmatch(tail):
         raise OptionError(f"options of {agent} {text!r} must be key=value,key=value, got {tail!r}")
-    return {key: _parse_value(value) for key, _, value in (part.partition("=") for part in tail.split(","))}
+    parts = [part.partition("=") for part in tail.split(",")]
+    options = {key: _parse_value(value) for key, _, value in parts}
+    if len(options) < len(parts):
+        raise OptionError(f"options of {agent} {text!r} must have different names, got {tail!r}")
+    return options
 
 
 def _parse_value(text: str) -> Any:
     """Parse an option's text as a JSON number, boolean or null; return other text unchanged."""
     try:
         return json.loads(text)
-    except ValueError:
+    except (ValueError, RecursionError):  # deeply nested lists
         return text
 
 

@@ -5,6 +5,7 @@ import hashlib
 import importlib.util
 import inspect
 import sys
+import sysconfig
 from collections.abc import Iterable
 from pathlib import Path
 from types import CodeType
@@ -14,6 +15,8 @@ import handover_marl
 _LIBRARY = "handover_marl"
 # Packages of the library that may be installed from folders beside its own.
 _SEPARATE = ("assets", "givers", "receivers")
+_SITE_FOLDERS = ("site-packages", "dist-packages")
+_STANDARD_LIBRARY = Path(sysconfig.get_path("stdlib"))
 _PLAIN = (int, float, str, bytes, tuple, type(None))
 
 
@@ -31,8 +34,8 @@ def hash_policy(policy_class: type, state: bytes = b"", weights: bytes = b"") ->
     digest = hashlib.sha256(state)
     digest.update(f"{policy_class.__module__}:{policy_class.__qualname__}".encode())
     digest.update(hash_packages(policy_class).encode())
-    for base in policy_class.__mro__[:-1]:
-        if not _has_source_file(base) or "<locals>" in base.__qualname__:
+    for base in _list_own_classes(policy_class):
+        if _find_source_file(base.__module__) is None or "<locals>" in base.__qualname__:
             digest.update(_describe_class(base).encode())
     parts = [hash_library(), digest.hexdigest()[:8]]
     if weights:
@@ -42,7 +45,7 @@ def hash_policy(policy_class: type, state: bytes = b"", weights: bytes = b"") ->
 
 def is_library_class(policy_class: type) -> bool:
     """Check whether a class is defined in this library, so that `hash_library` covers it."""
-    return policy_class.__module__.partition(".")[0] == _LIBRARY
+    return _get_package(policy_class) == _LIBRARY
 
 
 @functools.cache
@@ -62,21 +65,28 @@ def hash_packages(policy_class: type) -> str:
     outside a package, all in its folder. This library and the standard library are left out.
     """
     digest = hashlib.sha256()
-    for top in sorted({base.__module__.partition(".")[0] for base in policy_class.__mro__[:-1]}):
-        if top != _LIBRARY and top not in sys.stdlib_module_names:
-            digest.update(_hash_package(top).encode())
+    for top in sorted({_get_package(base) for base in _list_own_classes(policy_class)} - {_LIBRARY}):
+        digest.update(_hash_package(top).encode())
     return digest.hexdigest()[:8]
 
 
+def _list_own_classes(policy_class: type) -> list[type]:
+    """Return a class and its base classes, without those of the standard library."""
+    return [base for base in policy_class.__mro__ if _get_package(base) not in sys.stdlib_module_names]
+
+
+def _get_package(policy_class: type) -> str:
+    return policy_class.__module__.partition(".")[0]
+
+
 def _hash_package(name: str) -> str:
-    module = sys.modules.get(name)
-    folders = getattr(module, "__path__", None)
+    folders = getattr(sys.modules.get(name), "__path__", None)
     if folders is not None:
         return _hash_folders(map(Path, folders), "**/*.py")
-    path = Path(getattr(module, "__file__", None) or "")
-    if not path.is_file():
-        return ""  # typed at a prompt or in a notebook
-    if path.parent.name in ("site-packages", "dist-packages"):
+    path = _find_source_file(name)
+    if path is None:
+        return ""
+    if path.parent.name in _SITE_FOLDERS:
         return hashlib.sha256(path.read_bytes()).hexdigest()
     return _hash_folders([path.parent], "*.py")
 
@@ -91,9 +101,16 @@ def _hash_folders(folders: Iterable[Path], pattern: str) -> str:
     return digest.hexdigest()
 
 
-def _has_source_file(policy_class: type) -> bool:
-    path = getattr(sys.modules.get(policy_class.__module__), "__file__", None)
-    return isinstance(path, str) and Path(path).is_file()
+def _find_source_file(module: str) -> Path | None:
+    """Return the file of a user's module; None for code typed at a prompt or run by a profiler."""
+    name = getattr(sys.modules.get(module), "__file__", None)
+    if not isinstance(name, str):
+        return None
+    path = Path(name)
+    # The standard library, whose files need not be readable, has the main module of a profiled script.
+    if _STANDARD_LIBRARY in path.parents and not any(folder in path.parts for folder in _SITE_FOLDERS):
+        return None
+    return path if path.is_file() else None
 
 
 def _describe_class(policy_class: type) -> str:

@@ -8,9 +8,19 @@ from PIL import Image
 import handover_marl
 from handover_marl.cli import main
 from handover_marl.episode.referee import EpisodeStatus
-from handover_marl.errors import OptionError, UnknownNameError
+from handover_marl.errors import OptionError, ResultsError, UnknownNameError
+from handover_marl.evaluation.benchmark import Evaluation
+from handover_marl.policies.policy import PolicyContext
+from tests.evaluation.quick import QuickReceiver
 
 SCENES = "9,14"
+
+
+class Named(QuickReceiver):
+    """Has its option in its label."""
+
+    def __init__(self, context: PolicyContext, text: str) -> None:
+        super().__init__(context)
 
 
 def test_command_writes_tables_and_a_picture(
@@ -39,8 +49,17 @@ def test_unknown_names_are_reported_before_the_first_scene(fake_data: Path, tmp_
     with pytest.raises(UnknownNameError, match="receiver 'nobody'"):
         handover_marl.crossplay(["replay"], ["hold", "nobody"], data_dir=fake_data, out=tmp_path / "out")
     assert not (tmp_path / "out").exists()
-    with pytest.raises(OptionError, match="at least one"):
-        handover_marl.crossplay([], ["hold"], data_dir=fake_data)
+    for givers in ([], None, 5):
+        with pytest.raises(OptionError, match="givers must name at least one giver, got"):
+            handover_marl.crossplay(givers, ["hold"], data_dir=fake_data)  # type: ignore[arg-type]
+
+
+def test_folders_that_cannot_be_written_are_reported_before_the_first_scene(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Evaluation, "run", lambda *_: pytest.fail("a scene was simulated"))
+    with pytest.raises(ResultsError, match="File name too long"):
+        handover_marl.crossplay(["replay"], ["hold", (Named, {"text": "x" * 300})], dataset="synthetic", out=tmp_path)
 
 
 @pytest.mark.slow

@@ -238,6 +238,18 @@ def test_malformed_options(tail: str) -> None:
             parse_policy(agent, f"{name}:{tail}")
 
 
+def test_an_option_may_be_given_once() -> None:
+    with pytest.raises(OptionError, match=r"options of .* must have different names, got 'speed=1,speed=2'"):
+        parse_policy("giver", f"{HERE}:Mine:speed=1,speed=2")
+
+
+def test_lists_that_are_nested_too_deeply_are_text() -> None:
+    deep = "[" * 100_000
+    assert parse_policy("giver", f"{HERE}:Mine:word={deep}").options == (("word", deep),)
+    with pytest.raises(OptionError, match=r"wait must be a time from 0 to 60 s, got .{203}$"):
+        make(f"omg:wait={deep}", "receiver")
+
+
 @pytest.mark.parametrize("tail", ["speed=2,", "word=a,b", ",speed=2"])
 def test_commas_separate_options(tail: str) -> None:
     with pytest.raises(OptionError, match=r"no option|must be key=value"):
@@ -423,6 +435,28 @@ def test_labels() -> None:
     assert resolve(f"{HERE}:Mine:word=x,speed=2").label == "mine:speed=2,word=x"
     assert resolve((Mine, {"word": "x", "speed": 2})).label == "mine:speed=2,word=x"
     assert resolve(f"learned:{DEFAULT_GIVER_FILE}").label.startswith("learned:for_yang2021@")
+
+
+@pytest.mark.parametrize("name", ["label", "weights_hash"])
+@pytest.mark.parametrize("value", [5, None, b"x", "two\nlines", "\udcff", "\x1b[2J", "x" * 1001], ids=ascii)
+def test_labels_and_hashes_that_cannot_be_printed_are_refused(name: str, value: object) -> None:
+    with pytest.raises(OptionError, match=rf"{name} of giver 'Odd' must be text without control characters"):
+        resolve(type("Odd", (Mine,), {name: property(lambda self: value)}))
+
+
+@pytest.mark.parametrize("name", ["label", "weights_hash", "wait", "obs_mode"])
+def test_attributes_that_fail_are_reported_before_the_first_scene(name: str) -> None:
+    def fail(self: Policy) -> object:
+        raise KeyError("nothing")
+
+    with pytest.raises(PolicyError, match=rf"{name} of giver 'Odd' cannot be read \(KeyError: 'nothing'\)"):
+        resolve(type("Odd", (Mine,), {name: property(fail)}))
+
+
+@pytest.mark.parametrize("text", ["two\nlines", "\udcff"])
+def test_options_that_cannot_be_printed_are_refused(text: str) -> None:
+    with pytest.raises(OptionError, match=r"label of giver .* must be text without control characters"):
+        resolve((Mine, {"word": text}))
 
 
 def test_hashes_of_different_policies_differ() -> None:

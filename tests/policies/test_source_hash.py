@@ -1,8 +1,14 @@
 """Hashes of the library's files, of an author's package, and of weights."""
 
+import collections.abc
 import subprocess
 import sys
+import sysconfig
 import time
+from pathlib import Path
+from types import ModuleType
+
+import pytest
 
 from handover_marl.policies.source_hash import hash_library, hash_packages, hash_policy
 from handover_marl.receivers import Receiver
@@ -27,6 +33,30 @@ def test_parts() -> None:
 def test_packages_of_authors() -> None:
     assert hash_packages(HoldReceiver) == hash_packages(Receiver)
     assert hash_packages(Mine) != hash_packages(HoldReceiver)
+
+
+def test_the_standard_library_is_not_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    library = Path(sysconfig.get_path("stdlib"))
+
+    class Mixed(Mine, collections.abc.Sized, metaclass=type(Mine)):
+        pass
+
+    expected = hash_policy(Mixed)
+    stat = Path.stat
+
+    def refuse(path: Path, **options: bool) -> object:
+        if path.parent == library:
+            raise PermissionError(13, "Permission denied", str(path))
+        return stat(path, **options)
+
+    monkeypatch.setattr(Path, "stat", refuse)
+    assert hash_policy(Mixed) == expected
+    # A profiler is the main module of the script that it runs.
+    profiled = type("Profiled", (Mine,), {"__module__": "profiled_script"})
+    monkeypatch.setitem(sys.modules, "profiled_script", ModuleType("profiled_script"))
+    expected = hash_policy(profiled)
+    sys.modules["profiled_script"].__file__ = str(library / "cProfile.py")
+    assert hash_policy(profiled) == expected
 
 
 def test_hashing_imports_nothing_and_is_quick() -> None:

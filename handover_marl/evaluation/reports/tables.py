@@ -47,7 +47,7 @@ def format_table(
         n_keys: Number of first columns that identify a row.
         max_width: Number of characters that fit; a single column may be wider.
     """
-    cells = [[str(cell) for cell in row] for row in (header, *rows)]
+    cells = [[str(cell).replace("|", "\\|") for cell in row] for row in (header, *rows)]
     sizes = [max(len(row[column]) for row in cells) + 3 for column in range(len(header))]
     key_width = sum(sizes[:n_keys]) + 1
     parts: list[list[int]] = [[]]

@@ -5,6 +5,7 @@ import pytest
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.evaluation.reports.published import PUBLISHED, SOURCES
 from handover_marl.evaluation.reports.report import Report
+from handover_marl.evaluation.reports.tables import format_table
 from handover_marl.evaluation.results.episode_result import EpisodeResult
 from handover_marl.evaluation.results.metadata import ResultMetadata
 
@@ -121,3 +122,7 @@ def test_every_published_row_has_its_wait_and_source() -> None:
             assert row.source in SOURCES
             total = row.success + row.contact + row.drop + row.timeout
             assert total == pytest.approx(100.0, abs=0.03)
+
+
+def test_bars_in_cells_do_not_end_them() -> None:
+    assert format_table(["a|b", "c"], [["1", "2|3"]]).splitlines()[::2] == [r"| a\|b | c    |", r"| 1    | 2\|3 |"]
