@@ -21,13 +21,16 @@ from gymnasium import spaces
 
 from handover_marl.episode.spaces import giver_action_space, receiver_action_space
 from handover_marl.errors import DataFormatError, OptionError, UnsafeFileError
+from handover_marl.execution.files import shorten_text
+from handover_marl.execution.reading import MAX_FILE_BYTES, check_archive
 from handover_marl.learning.features import n_features
 from handover_marl.learning.policy_spec import DenseNetwork, PolicyFunction
-from handover_marl.learning.training_record import read_training_record
+from handover_marl.learning.training_record import Sb3TrainingRecord, read_training_record
 
 Array = npt.NDArray[np.float32]
 
 _WEIGHTS, _ABOUT = "policy.pth", "data"
+_MAX_WEIGHTS = 100_000_000
 _SPACES = {"giver": giver_action_space, "receiver": receiver_action_space}
 # Prefix of hidden layers, last layer, default activation, whether outputs are squashed by tanh:
 # on-policy methods, SAC, TD3 and DDPG.
@@ -100,8 +103,7 @@ def read_stable_baselines(path: Path, content: bytes, agent: str) -> tuple[Polic
             f"{path}: a {agent}'s policy must have {sizes[0]} inputs and {sizes[1]} outputs, got {network.n_inputs} "
             f"and {network.n_outputs}; export one trained on an encoded environment as .npz"
         )
-    record = read_training_record(about)
-    record.check(path, agent, space)
+    record = _read_record(path, about, agent, space)
     network = replace(network, output="tanh") if squashed else network
     return BoundedNetwork(network, space, squashed), record.control_period
 
@@ -128,7 +130,10 @@ def dense_network_from_state(
         layers = _collect_layers(state, hidden, last)
         if layers:
             weights, biases = zip(*layers, strict=True)
-            return DenseNetwork(weights, biases, _parse_activation(about) or default), squashed
+            try:
+                return DenseNetwork(weights, biases, _parse_activation(about) or default), squashed
+            except DataFormatError as error:
+                raise DataFormatError(f"{where}: {error}") from error
     raise DataFormatError(f"{where}: no dense policy of PPO, A2C, SAC, TD3 or DDPG found")
 
 
@@ -163,19 +168,35 @@ def read_torch_script(path: Path, content: bytes, agent: str, trust: bool) -> Po
 
 
 def _read_zip(path: Path, content: bytes) -> tuple[dict[str, Array], dict[str, Any]]:
-    torch = _import_torch()
+    _import_torch()
+    # Imports PyTorch, too.
+    from handover_marl.learning.networks.weights import load_tensors
+
     try:
+        check_archive(content, MAX_FILE_BYTES)
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             about = json.loads(archive.read(_ABOUT), parse_constant=float)
-            state = torch.load(io.BytesIO(archive.read(_WEIGHTS)), map_location="cpu", weights_only=True)
+            state = load_tensors(archive.read(_WEIGHTS))
+        # Tensors may repeat the few numbers that are stored.
+        if sum(value.numel() for value in state.values()) > _MAX_WEIGHTS:
+            raise ValueError(f"it has more than {_MAX_WEIGHTS} weights")
         arrays = {str(name): np.asarray(value.numpy(), dtype=np.float32) for name, value in state.items()}
     except pickle.UnpicklingError as error:
         raise UnsafeFileError(f"{path}: {_WEIGHTS} holds more than weights and was not loaded") from error
     except Exception as error:  # damaged zips, JSON and tensors raise many kinds
-        raise DataFormatError(
-            f"{path}: not a policy file of Stable-Baselines3 ({type(error).__name__}: {error})"
-        ) from error
+        raise DataFormatError(f"{path}: not a policy file of Stable-Baselines3 ({shorten_text(error)})") from error
     return arrays, about if isinstance(about, dict) else {}
+
+
+def _read_record(path: Path, about: Mapping[str, Any], agent: str, space: spaces.Box) -> Sb3TrainingRecord:
+    try:
+        record = read_training_record(about)
+        record.check(path, agent, space)
+    except DataFormatError:
+        raise
+    except Exception as error:  # arrays of any shape and type
+        raise DataFormatError(f"{path}: not a record of a training ({shorten_text(error)})") from error
+    return record
 
 
 def _collect_layers(state: Mapping[str, Array], hidden: str, last: str) -> list[tuple[Array, Array]]:

@@ -8,7 +8,6 @@
 """
 
 import hashlib
-import io
 import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -17,11 +16,11 @@ from typing import Any
 import numpy as np
 
 from handover_marl.errors import DataFormatError, DataNotFoundError, HandoverError, OptionError
-from handover_marl.execution.files import write_arrays
+from handover_marl.execution.files import shorten_text, write_arrays
+from handover_marl.execution.reading import read_arrays, read_plain_file
 from handover_marl.learning.policy_spec import DenseNetwork, PolicyFunction, PolicySpec
 
 _FORMAT = 1
-_MAX_BYTES = 500_000_000
 #: Features and action scheme of policies from other libraries: flat observations, physical units.
 RAW_ENCODINGS = {"giver": ("flat_giver", "giver"), "receiver": ("flat_receiver", "receiver")}
 
@@ -95,15 +94,13 @@ def read_policy(path: Path, agent: str, trust: bool = False, control_period: flo
 
 def _read_bytes(path: Path) -> bytes:
     try:
-        if not path.is_file():
-            raise DataNotFoundError(f"{path}: no such policy file")
-        if path.stat().st_size > _MAX_BYTES:
-            raise DataFormatError(f"{path}: policy files must have at most {_MAX_BYTES // 1_000_000} MB")
-        return path.read_bytes()
-    except HandoverError:
-        raise
-    except (OSError, ValueError) as error:
-        raise DataNotFoundError(f"{path}: cannot read this policy file ({error})") from error
+        return read_plain_file(path)
+    except FileNotFoundError as error:
+        raise DataNotFoundError(f"{path}: no such policy file") from error
+    except OSError as error:
+        raise DataNotFoundError(f"{path}: cannot read this policy file ({error.strerror or error})") from error
+    except ValueError as error:
+        raise DataFormatError(f"{path}: cannot read this policy file ({error})") from error
 
 
 def _resolve_control_period(path: Path, recorded: float | None, requested: float | None) -> float:
@@ -114,26 +111,26 @@ def _resolve_control_period(path: Path, recorded: float | None, requested: float
             f"learned:{path}:control_period=0.1"
         )
     if isinstance(period, bool) or not isinstance(period, (int, float)) or not 0.001 <= period <= 60.0:
-        raise OptionError(f"control_period must be a time from 0.001 to 60 s, got {period!r}")
+        raise OptionError(f"{path}: control_period must be a time from 0.001 to 60 s, got {shorten_text(repr(period))}")
     return float(period)
 
 
 def _read_npz(path: Path, content: bytes) -> tuple[PolicySpec, DenseNetwork]:
     try:
-        with np.load(io.BytesIO(content), allow_pickle=False) as archive:
-            about = json.loads(str(archive["about"]))
-            spec = _parse_spec(about)
-            count = sum(name.startswith("weight_") for name in archive.files)
-            weights, biases = (
-                tuple(archive[f"{part}_{number}"].astype(np.float32) for number in range(count))
-                for part in ("weight", "bias")
-            )
-            return spec, DenseNetwork(weights, biases, about["activation"], about["output"])
+        arrays = read_arrays(content)
+        about = json.loads(str(arrays["about"]))
+        spec = _parse_spec(about)
+        count = sum(name.startswith("weight_") for name in arrays)
+        weights, biases = (
+            tuple(arrays[f"{part}_{number}"].astype(np.float32) for number in range(count))
+            for part in ("weight", "bias")
+        )
+        return spec, DenseNetwork(weights, biases, about["activation"], about["output"])
     except HandoverError as error:
         raise DataFormatError(f"{path}: {error}") from error
     except Exception as error:  # NumPy and zipfile raise many kinds on damaged bytes
         raise DataFormatError(
-            f"{path}: not a policy file of handover_marl ({type(error).__name__}: {error}); "
+            f"{path}: not a policy file of handover_marl ({shorten_text(error)}); "
             "the scripts in experiments/ write them"
         ) from error
 
@@ -144,7 +141,7 @@ def _parse_spec(about: dict[str, Any]) -> PolicySpec:
     spec = PolicySpec(**about["spec"])
     for name, value in asdict(spec).items():
         if not isinstance(value, (int, float) if name == "control_period" else str):
-            raise DataFormatError(f"{name} has the wrong type: {value!r}")
+            raise DataFormatError(f"{name} has the wrong type: {shorten_text(repr(value))}")
     if not 0.001 <= spec.control_period <= 60.0:
         raise DataFormatError(f"control_period must be from 0.001 to 60 s, got {spec.control_period}")
     return spec

@@ -7,7 +7,7 @@ from pathlib import Path
 from platform import node
 
 from handover_marl.errors import DataNotFoundError, PolicyError
-from handover_marl.policies.reference import PolicyReference
+from handover_marl.policies.reference import PolicyReference, read_policy_file
 from handover_marl.policies.source_hash import hash_library, hash_packages
 
 # Key of the reference's own policy file among the options that name files.
@@ -36,6 +36,7 @@ class PolicyBundle:
 
         Raises:
             DataNotFoundError: A file cannot be read.
+            DataFormatError: A file is a pipe or device, or too large.
         """
         policy_class = reference.policy_class
         options = dict(reference.options)
@@ -83,13 +84,13 @@ class PolicyBundle:
 
 
 def _read_files(option: str, path: Path) -> list[tuple[str, str, bytes]]:
+    if not path.is_dir():
+        return [(option, path.name, read_policy_file(path))]
     try:
-        if path.is_dir():
-            inside = sorted(entry for entry in path.iterdir() if entry.is_file())
-            return [(option, f"{path.name}/{entry.name}", entry.read_bytes()) for entry in inside]
-        return [(option, path.name, path.read_bytes())]
+        inside = sorted(entry for entry in path.iterdir() if entry.is_file())
     except OSError as error:
         raise DataNotFoundError(f"{path} cannot be read ({error.strerror or error})") from error
+    return [(option, f"{path.name}/{entry.name}", read_policy_file(entry)) for entry in inside]
 
 
 def _hash_code(policy_class: type) -> str:

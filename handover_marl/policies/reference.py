@@ -23,8 +23,16 @@ import cloudpickle
 from handover_marl.config import OFFICIAL_CONFIG, WorldConfig
 from handover_marl.datasets import Dataset, open_dataset
 from handover_marl.episode.spaces import STATE, check_obs_mode
-from handover_marl.errors import HandoverError, OptionError, PolicyError, UnknownNameError
+from handover_marl.errors import (
+    DataFormatError,
+    DataNotFoundError,
+    HandoverError,
+    OptionError,
+    PolicyError,
+    UnknownNameError,
+)
 from handover_marl.execution.options import check_boolean
+from handover_marl.execution.reading import read_plain_file
 from handover_marl.policies.policy import (
     Policy,
     check_policy_class,
@@ -39,6 +47,7 @@ from handover_marl.policies.state_hash import hash_constructed_state, record_ope
 
 _MAX_TEXT = 1000  # characters of a label or a hash of weights
 _OPTIONS = re.compile(r"[A-Za-z_]\w*=[^=,]*(,[A-Za-z_]\w*=[^=,]*)*")
+_MAX_FILE_BYTES = 20_000_000_000
 Options: TypeAlias = tuple[tuple[str, Any], ...]
 
 
@@ -138,7 +147,7 @@ class PolicyReference:
         state = cloudpickle.dumps(vars(self._load())) if isinstance(self._load(), Policy) else b""
         weights = self._check_text("weights_hash", self._read_attribute(policy, "weights_hash")).encode()
         if self.file is not None:
-            weights += Path(self.file).expanduser().read_bytes()
+            weights += read_policy_file(Path(self.file).expanduser())
         if not is_library_class(type(policy)):
             weights += hash_constructed_state(policy, opened)
         return replace(
@@ -174,6 +183,21 @@ class PolicyReference:
             return pickle.loads(self.pickled)
         module, colon, attribute = self.name.partition(":")
         return import_policy(self.agent, module, attribute) if colon else load_registered(self.agent, module)
+
+
+def read_policy_file(path: Path) -> bytes:
+    """Return the content of a file of a policy, for its hash or for other machines.
+
+    Raises:
+        DataNotFoundError: The file cannot be read.
+        DataFormatError: The path is a folder, pipe or device, or the file is too large.
+    """
+    try:
+        return read_plain_file(path, _MAX_FILE_BYTES)
+    except OSError as error:
+        raise DataNotFoundError(f"{path} cannot be read ({error.strerror or error})") from error
+    except ValueError as error:
+        raise DataFormatError(f"{path} cannot be read ({error})") from error
 
 
 PolicyLike: TypeAlias = str | type[Policy] | Policy | PolicyReference | tuple[Any, Mapping[str, Any]]

@@ -1,5 +1,6 @@
 """Reading policy files of all kinds, without running code in them."""
 
+import base64
 import contextlib
 import io
 import itertools
@@ -20,6 +21,7 @@ import handover_marl
 from handover_marl import givers, receivers
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.observations import Observation
+from handover_marl.episode.spaces import receiver_action_space
 from handover_marl.errors import DataFormatError, DataNotFoundError, HandoverError, OptionError, UnsafeFileError
 from handover_marl.geometry import panda
 from handover_marl.learning.features import n_features
@@ -186,8 +188,6 @@ def test_pickles_in_the_json_are_not_loaded(tmp_path: Path) -> None:
     env = gymnasium.make("HandoverMARL/Giver-v0", partner="hold", dataset="synthetic", physics="fast")
     model = sb3.PPO("MultiInputPolicy", env, n_steps=8, batch_size=8, policy_kwargs={"net_arch": [16]})
     model.save(tmp_path / "ppo.zip")
-    import base64
-
     with zipfile.ZipFile(tmp_path / "ppo.zip") as archive:
         about, weights = json.loads(archive.read("data")), archive.read("policy.pth")
     for value in about.values():
@@ -367,6 +367,33 @@ def test_activations(tmp_path: Path, name: str, known: bool) -> None:
     else:
         with pytest.raises(DataFormatError, match="activation must be Tanh or ReLU"):
             make_policy(path, "receiver")
+
+
+@pytest.mark.parametrize(
+    ("about", "weight", "fault"),
+    [
+        ({"policy_kwargs": {"activation_fn": "SiLU"}}, 0.0, "activation must be Tanh or ReLU, got SiLU"),
+        ({}, np.nan, "layer 0 has numbers that are not finite"),
+        ({"_last_obs": {"object_mask": 1.0}}, 0.0, "not a record of a training"),
+        ({"_last_obs": {"object_classes": "mug"}}, 0.0, "not a record of a training"),
+        ({"_last_obs": {"robot_joint_position": np.zeros(3)}}, 0.0, "not a record of a training"),
+    ],
+)
+def test_errors_of_stable_baselines_files_name_the_file(
+    about: dict[str, Any], weight: float, fault: str, tmp_path: Path
+) -> None:
+    torch = pytest.importorskip("torch", reason="needs the extra `train`")
+    shape, space = (9, n_features("receiver", "flat_receiver")), receiver_action_space()
+    weights = io.BytesIO()
+    torch.save({"action_net.weight": torch.full(shape, weight), "action_net.bias": torch.zeros(9)}, weights)
+    if "_last_obs" in about:
+        observations = {name: np.array(value) for name, value in about["_last_obs"].items()}
+        about = {"_last_obs": {":serialized:": base64.b64encode(pickle.dumps(observations)).decode()}}
+    bounds = {name: str(getattr(space, name).tolist()) for name in ("low", "high")}
+    content = json.dumps({**about, "action_space": {**bounds, "control_period": 0.1}}).encode()
+    path = zipped(tmp_path / "policy.zip", weights.getvalue(), content)
+    with pytest.raises(DataFormatError, match=rf"policy\.zip: {fault}"):
+        read_policy(path, "receiver")
 
 
 def test_policy_of_the_other_agent_is_refused(tmp_path: Path) -> None:

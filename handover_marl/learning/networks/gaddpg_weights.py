@@ -6,22 +6,20 @@ holds the weights of the actor's head and of the encoders. Critic and optimizers
 """
 
 import hashlib
-import io
 import pickle
 import re
 from collections.abc import Mapping
 from pathlib import Path
 
-import torch
 from torch import Tensor, nn
 
 from handover_marl.errors import DataFormatError, DataNotFoundError, UnsafeFileError
 from handover_marl.execution.files import shorten_text
+from handover_marl.execution.reading import read_plain_file
 from handover_marl.learning.networks.gaddpg_network import GaddpgNetwork
-from handover_marl.learning.networks.weights import check_finite_weights
+from handover_marl.learning.networks.weights import check_finite_weights, load_tensors
 
 _ACTOR, _FEATURES = "_actor_", "_state_feat_"
-_MAX_BYTES = 500_000_000
 # Names of the encoder's parts in the original code, which wraps its encoders for several GPUs.
 _STAGES, _DENSE = re.compile(r"^(module\.)?encoder\.0\."), re.compile(r"^(module\.)?encoder\.1\.")
 
@@ -70,18 +68,18 @@ def _find_files(path: Path) -> tuple[Path, Path]:
 
 def _read_bytes(file: Path) -> bytes:
     try:
-        if file.stat().st_size > _MAX_BYTES:
-            raise DataFormatError(f"{file}: checkpoints must have at most {_MAX_BYTES // 1_000_000} MB")
-        return file.read_bytes()
+        return read_plain_file(file)
     except OSError as error:
         raise DataNotFoundError(
             f"{file}: cannot read one of the two files of a checkpoint ({error.strerror or error})"
         ) from error
+    except ValueError as error:
+        raise DataFormatError(f"{file}: cannot read one of the two files of a checkpoint ({error})") from error
 
 
 def _parse_weights(file: Path, content: bytes) -> dict[str, Tensor]:
     try:
-        found = torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
+        found = load_tensors(content)
     except pickle.UnpicklingError as error:
         raise UnsafeFileError(f"{file}: holds more than weights and was not loaded ({shorten_text(error)})") from error
     except Exception as error:  # damaged files raise many kinds

@@ -19,11 +19,13 @@ import torch
 from torch import nn
 
 from handover_marl.errors import DataFormatError, DataNotFoundError
-from handover_marl.execution.files import check_archive, shorten_text, write_arrays
+from handover_marl.execution.files import shorten_text, write_arrays
+from handover_marl.execution.reading import MAX_FILE_BYTES, check_archive, read_arrays, read_plain_file
 
 _FORMAT, _ABOUT = "handover_marl weights 1", "about"
 _MAX_BYTES = 100_000_000
 _COUNTERS = "num_batches_tracked"
+_ZIP_HEADER = b"PK"
 _SCALE_SUFFIX, _INT8_MAX = ":scale", 127
 _MIN_INT8_SIZE = 100_000
 
@@ -101,8 +103,7 @@ def read_network_weights(path: str | Path, network_class: type[_Network]) -> tup
     """
     file = Path(path).expanduser()
     try:
-        check_archive(file, _MAX_BYTES)
-        content = file.read_bytes()
+        content = read_plain_file(file, _MAX_BYTES)
         about, arrays = _decode_archive(content)
         if (about["format"], about["kind"]) != (_FORMAT, network_class.kind):
             raise ValueError(f"format {about['format']!r} for {about['kind']!r}, expected {_FORMAT!r}")
@@ -120,6 +121,18 @@ def read_network_weights(path: str | Path, network_class: type[_Network]) -> tup
     return network.eval(), hashlib.sha256(content).hexdigest()[:8]
 
 
+def load_tensors(content: bytes) -> Any:
+    """Load tensors, and containers of them, from the content of a file of PyTorch; run no code from it.
+
+    Raises:
+        pickle.UnpicklingError: The file contains other objects.
+        Exception: The file is damaged or too large; PyTorch raises exceptions of many kinds.
+    """
+    if content.startswith(_ZIP_HEADER):  # files of PyTorch before 1.6 are no archives
+        check_archive(content, MAX_FILE_BYTES)
+    return torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
+
+
 def check_finite_weights(file: Path, module: nn.Module) -> None:
     """Check that all parameters and buffers of a module that was read from a file are finite.
 
@@ -132,9 +145,9 @@ def check_finite_weights(file: Path, module: nn.Module) -> None:
 
 def _decode_archive(content: bytes) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return the JSON description and the arrays in single precision."""
-    with np.load(io.BytesIO(content), allow_pickle=False) as archive:
-        about = json.loads(str(archive[_ABOUT]))
-        arrays = {name: archive[name].astype(np.float32) for name in archive.files if name != _ABOUT}
+    stored = read_arrays(content, largest=_MAX_BYTES)
+    about = json.loads(str(stored.pop(_ABOUT)))
+    arrays = {name: array.astype(np.float32) for name, array in stored.items()}
     for name in [name for name in arrays if name.endswith(_SCALE_SUFFIX)]:
         arrays[name.removesuffix(_SCALE_SUFFIX)] *= arrays.pop(name)
     return about, arrays

@@ -16,11 +16,13 @@ import numpy as np
 import torch
 
 from handover_marl.errors import OptionError, ResultsError
-from handover_marl.execution.files import write_atomically
+from handover_marl.execution.files import shorten_text, write_atomically
+from handover_marl.execution.reading import check_archive, read_plain_file
 from handover_marl.learning.training.learning_curve import CurvePoint, draw_curve
 
 POLICY, CHECKPOINT, CURVE = "policy.npz", "checkpoint.pt", "learning_curve"
 _ARGUMENTS = "arguments.json"
+_MAX_CHECKPOINT_BYTES = 20_000_000_000
 # Every tenth scene of a training split is held out.
 _HELD_OUT = 10
 # Arguments that the description of a policy's training omits: paths, and those without effect.
@@ -96,10 +98,11 @@ def read_checkpoint(path: Path, restore: Callable[[dict[str, Any]], None]) -> No
         ResultsError: The file is damaged, or `restore` cannot use the state.
     """
     try:
+        check_archive(path, _MAX_CHECKPOINT_BYTES)
         restore(torch.load(path, weights_only=True))
     except Exception as error:  # damaged files raise many kinds
         raise ResultsError(
-            f"{path}: not a checkpoint of this run ({type(error).__name__}); remove it to start anew"
+            f"{path}: not a checkpoint of this run ({shorten_text(error)}); remove it to start anew"
         ) from error
 
 
@@ -191,11 +194,10 @@ class RunFolder:
         if not path.exists():
             return []
         try:
-            with path.open(newline="") as stream:
-                reader = csv.DictReader(stream)
-                if reader.fieldnames != [part.name for part in fields(CurvePoint)]:
-                    raise ValueError(f"columns {reader.fieldnames}")
-                return [_parse_point(row) for row in reader]
+            reader = csv.DictReader(io.StringIO(read_plain_file(path).decode(), newline=""))
+            if reader.fieldnames != [part.name for part in fields(CurvePoint)]:
+                raise ValueError(f"columns {reader.fieldnames}")
+            return [_parse_point(row) for row in reader]
         except (OSError, ValueError, KeyError, TypeError, csv.Error) as error:
             raise ResultsError(
                 f"{path}: not a learning curve of this library ({type(error).__name__}: {error}); remove it to "
@@ -205,7 +207,7 @@ class RunFolder:
 
 def _read_arguments(path: Path) -> dict[str, Any]:
     try:
-        found = json.loads(path.read_text())
+        found = json.loads(read_plain_file(path))
         if not isinstance(found, dict):
             raise TypeError("not a dict")
     except (OSError, ValueError, TypeError, RecursionError) as error:

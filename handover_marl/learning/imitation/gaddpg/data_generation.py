@@ -21,8 +21,9 @@ from handover_marl.datasets import Dataset, open_dataset
 from handover_marl.datasets.dataset import SceneAssets
 from handover_marl.datasets.location import DataLocation, check_scene_fingerprint
 from handover_marl.errors import OptionError, ResultsError
-from handover_marl.execution.files import write_arrays
+from handover_marl.execution.files import shorten_text, write_arrays
 from handover_marl.execution.pool import PoolConfig
+from handover_marl.execution.reading import read_arrays
 from handover_marl.execution.tasks import open_pool
 from handover_marl.geometry.panda import PANDA_CAMERA
 from handover_marl.geometry.ycb import CLASS_NAMES, SCENE_CLASSES
@@ -30,7 +31,7 @@ from handover_marl.learning.imitation.gaddpg.expert import ExpertPlan, GraspExpe
 from handover_marl.learning.imitation.gaddpg.grasp_costs import GraspCostConfig, GraspCostTable
 from handover_marl.learning.imitation.gaddpg.rollouts import ImitationRolloutConfig, ImitationRollouts, StepPolicy
 from handover_marl.learning.imitation.gaddpg.scenarios import ImitationScenarioConfig, ImitationScenarios
-from handover_marl.learning.imitation.gaddpg.states import ImitationStates, concatenate_states
+from handover_marl.learning.imitation.gaddpg.states import MAX_STATES_BYTES, ImitationStates, concatenate_states
 from handover_marl.policies.policy import make_policy_context
 
 #: Number of plans in a file, and of scenarios in the task of a worker.
@@ -282,10 +283,10 @@ def _write_plans(path: Path, plans: ExpertPlans) -> None:
 
 def _read_plans(path: Path) -> ExpertPlans:
     try:
-        with np.load(path, allow_pickle=False) as content:
-            return {
-                number: ExpertPlan(*(content[f"{name}_{number}"] for name in ("goals", "costs", "trajectory")))
-                for number in content["numbers"].tolist()
-            }
+        arrays = read_arrays(path, largest=MAX_STATES_BYTES)
+        return {
+            number: ExpertPlan(*(arrays[f"{name}_{number}"] for name in ("goals", "costs", "trajectory")))
+            for number in arrays["numbers"].tolist()
+        }
     except Exception as error:  # NumPy and zipfile raise many kinds on damaged bytes
-        raise ResultsError(f"{path}: not a file of plans ({type(error).__name__}); remove it and resume") from error
+        raise ResultsError(f"{path}: not a file of plans ({shorten_text(error)}); remove it and resume") from error

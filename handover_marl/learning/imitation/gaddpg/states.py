@@ -13,8 +13,12 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.errors import ResultsError
-from handover_marl.execution.files import write_arrays
+from handover_marl.execution.files import shorten_text, write_arrays
+from handover_marl.execution.reading import read_arrays
 from handover_marl.learning.networks.point_encoders import GADDPG_GROUPINGS, PADDING_SQUARED_NORM, BallGrouping
+
+#: Largest accepted size of a file of states or plans (bytes, unpacked).
+MAX_STATES_BYTES = 8_000_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,14 +121,13 @@ def read_states(path: Path) -> ImitationStates:
         ResultsError: The file is damaged.
     """
     try:
-        with np.load(path, allow_pickle=False) as content:
-            names = _NAMES if _NAMES[4] in content.files else _OLD_NAMES
-            states = ImitationStates(*(content[name] for name in names))
-            if int(states.n_points.sum()) != len(states.points) or len(states.goals) != len(states):
-                raise ValueError("arrays of different lengths")
-            return states
+        arrays = read_arrays(path, largest=MAX_STATES_BYTES)
+        states = ImitationStates(*(arrays[name] for name in (_NAMES if _NAMES[4] in arrays else _OLD_NAMES)))
+        if int(states.n_points.sum()) != len(states.points) or len(states.goals) != len(states):
+            raise ValueError("arrays of different lengths")
     except Exception as error:  # NumPy and zipfile raise many kinds on damaged bytes
-        raise ResultsError(f"{path}: not a file of states ({type(error).__name__}); remove it and resume") from error
+        raise ResultsError(f"{path}: not a file of states ({shorten_text(error)}); remove it and resume") from error
+    return states
 
 
 def _sample_farthest_points(positions: npt.NDArray[np.float32], count: int) -> npt.NDArray[np.int_]:

@@ -10,9 +10,9 @@ import numpy as np
 
 from handover_marl.datasets import open_dataset
 from handover_marl.errors import DataFormatError, DataNotFoundError, ResultsError
-from handover_marl.execution.files import write_arrays, write_atomically
+from handover_marl.execution.files import shorten_text, write_arrays, write_atomically
 from handover_marl.execution.pool import PoolConfig
-from handover_marl.execution.reading import read_arrays
+from handover_marl.execution.reading import read_arrays, read_plain_file
 from handover_marl.execution.tasks import map_with_progress
 from handover_marl.learning.imitation.vision.dagger import DaggerCollector
 from handover_marl.learning.imitation.vision.grasp_labels import GraspLabelConfig, GraspLabeller
@@ -130,7 +130,7 @@ def _read_scene(path: Path) -> GraspViews:
         except KeyError:
             arrays = read_arrays(path, _OLD_NAMES, _MAX_BYTES)
     except Exception as error:  # NumPy and zipfile raise many kinds on damaged bytes
-        raise DataFormatError(f"{path}: not a file of views ({type(error).__name__}); remove it") from error
+        raise DataFormatError(f"{path}: not a file of views ({shorten_text(error)}); remove it") from error
     return GraspViews(*arrays.values())
 
 
@@ -141,8 +141,15 @@ def _check_config(config: ViewDatasetConfig, folder: Path) -> None:
     if not file.exists():
         write_atomically(file, json.dumps(expected, indent=2))
     # Version 0.7 had other names for the same settings in the same order.
-    elif _list_values(json.loads(file.read_text())) != _list_values(expected):
+    elif _list_values(_read_config(file)) != _list_values(expected):
         raise ResultsError(f"{folder} has views of another configuration ({_SOURCE}); choose another folder")
+
+
+def _read_config(file: Path) -> Any:
+    try:
+        return json.loads(read_plain_file(file))
+    except (OSError, ValueError, RecursionError) as error:
+        raise ResultsError(f"{file}: not the configuration of views ({shorten_text(error)}); remove it") from error
 
 
 def _list_values(settings: Any) -> list[Any]:

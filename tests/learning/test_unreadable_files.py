@@ -1,0 +1,97 @@
+"""Policies, weights and files of trainings that would wait for ever or fill the memory are refused at once."""
+
+import io
+import struct
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("torch")
+
+import torch
+
+from handover_marl.errors import DataFormatError, HandoverError
+from handover_marl.learning.imitation.gaddpg.states import read_states
+from handover_marl.learning.imitation.vision.view_files import read_views, view_file
+from handover_marl.learning.networks.gaddpg_network import GaddpgNetwork
+from handover_marl.learning.networks.gaddpg_weights import read_gaddpg_checkpoint
+from handover_marl.learning.networks.weights import read_network_weights
+from handover_marl.learning.policy_files import read_policy
+from handover_marl.learning.training.run_folder import read_checkpoint
+from handover_marl.policies.reference import read_policy_file
+from tests.unreadable import UNREADABLE, refuses_within
+
+READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
+    "policy": ("policy.npz", lambda path: read_policy(path, "giver")),
+    "Stable-Baselines3": ("policy.zip", lambda path: read_policy(path, "giver")),
+    "TorchScript": ("policy.pt", lambda path: read_policy(path, "giver", trust=True)),
+    "own policy": ("weights.bin", read_policy_file),
+    "weights": ("weights.npz", lambda path: read_network_weights(path, GaddpgNetwork)),
+    "GA-DDPG": ("DDPG_actor_PandaYCBEnv_latest", lambda path: read_gaddpg_checkpoint(path.parent)),
+    "checkpoint": ("checkpoint.pt", lambda path: read_checkpoint(path, print)),
+    "states": ("states.npz", read_states),
+    "views": (view_file(Path(), 9).name, lambda path: read_views([9], path.parent)),
+}
+
+
+@pytest.mark.parametrize("kind", UNREADABLE)
+@pytest.mark.parametrize("reader", READERS)
+def test_unreadable_file(reader: str, kind: str, tmp_path: Path) -> None:
+    name, read = READERS[reader]
+    UNREADABLE[kind](tmp_path / name)
+    with refuses_within(5.0, HandoverError, kind):
+        read(tmp_path / name)
+
+
+def pack(members: dict[str, bytes], claims: str = "") -> bytes:
+    """Return a zip archive, in which one member claims to have 4 GB."""
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in members.items():
+            archive.writestr(name, content)
+    packed = bytearray(stream.getvalue())
+    if claims:
+        # The list of contents, at the end, has the size 22 bytes before the name.
+        size = packed.rindex(claims.encode()) - 22
+        packed[size : size + 4] = struct.pack("<I", 4_000_000_000)
+    return bytes(packed)
+
+
+def save(value: object) -> bytes:
+    stream = io.BytesIO()
+    torch.save(value, stream)
+    return stream.getvalue()
+
+
+def save_array(value: np.ndarray) -> bytes:
+    stream = io.BytesIO()
+    np.save(stream, value)
+    return stream.getvalue()
+
+
+ABOUT, WEIGHTS = b"{}", save({"actor.mu.0.weight": torch.zeros(1)})
+BOMBS: dict[str, tuple[str, bytes]] = {
+    "array": ("policy", pack({"about.npy": save_array(np.zeros(3))}, claims="about.npy")),
+    "weights array": ("weights", pack({"about.npy": save_array(np.zeros(3))}, claims="about.npy")),
+    "JSON": ("Stable-Baselines3", pack({"policy.pth": WEIGHTS, "data": ABOUT}, claims="data")),
+    "weights": ("Stable-Baselines3", pack({"data": ABOUT, "policy.pth": WEIGHTS}, claims="policy.pth")),
+    "tensors": ("Stable-Baselines3", pack({"data": ABOUT, "policy.pth": pack({"data": b""}, claims="data")})),
+    "repeated": (
+        "Stable-Baselines3",
+        pack({"data": ABOUT, "policy.pth": save({"actor.mu.0.weight": torch.zeros(1).expand(100_000, 100_000)})}),
+    ),
+    "checkpoint": ("GA-DDPG", pack({"data": b""}, claims="data")),
+}
+
+
+@pytest.mark.parametrize("bomb", BOMBS)
+def test_archives_that_unpack_to_gigabytes(bomb: str, tmp_path: Path) -> None:
+    reader, content = BOMBS[bomb]
+    name, read = READERS[reader]
+    (tmp_path / name).write_bytes(content)
+    (tmp_path / name.replace("_actor_", "_state_feat_")).write_bytes(content)
+    with pytest.raises(DataFormatError, match=f"{tmp_path}/.*(more than [0-9]* MB|more than [0-9]* weights)"):
+        read(tmp_path / name)
