@@ -139,7 +139,7 @@ def play(
         episode: Episode at the start of a scene, after `Episode.reset`.
         receiver: Policy of the robot.
         giver: Policy of the person; None replays the recording.
-        seed: Seed from which, with the scene number, the seeds of policies and camera are derived.
+        seed: Seed of the run, from which the seeds of policies and camera are derived.
         until: Largest number of physics steps, or a predicate that ends the loop; it is evaluated
             after each decision, before the actions are applied.
         callbacks: Callbacks, called in this order.
@@ -152,12 +152,11 @@ def play(
     horizon = episode.config.protocol.horizon_steps
     end = min(until, horizon) if isinstance(until, int) else horizon
     scene_id, objects = episode.scene.info.scene_id, episode.scene.info.object_names
-    receiver_scheduler = PolicyScheduler(receiver)
+    receiver_scheduler, receiver_has_started = PolicyScheduler(receiver), False
     giver_scheduler = None if giver is None else PolicyScheduler(giver)
-    receiver_scheduler.reset(derive_policy_seed(seed, scene_id, "receiver"), objects)
-    episode.seed_camera(derive_policy_seed(seed, scene_id, "camera"))
+    episode.seed_camera(derive_scene_seed(seed, scene_id, "camera"))
     if giver_scheduler is not None:
-        giver_scheduler.reset(derive_policy_seed(seed, scene_id, "giver"), objects)
+        giver_scheduler.reset(derive_scene_seed(seed, scene_id, "giver"), objects)
     giver_space = giver_action_space(episode.config.giver)
     giver_action = NO_DEVIATION
     step_hooks = [callback.on_step for callback in callbacks]
@@ -176,10 +175,13 @@ def play(
         if receiver_decides:
             started = time.perf_counter()
             observation = episode.observe_for_policy(receiver, state)
-            rendered = time.perf_counter()
+            rendering_time = time.perf_counter() - started
+            if not receiver_has_started:
+                receiver_scheduler.reset(derive_receiver_seed(seed, observation), objects)
+                receiver_has_started = True
+            started = time.perf_counter()
             action = receiver_scheduler.decide(observation, now)
-            planning_time = time.perf_counter() - rendered
-            rendering_time = rendered - started
+            planning_time = time.perf_counter() - started
             receiver_action = check_receiver_action(action)
         if callable(until) and until():
             break
@@ -194,10 +196,30 @@ def play(
         callback.on_end(episode)
 
 
-def derive_policy_seed(seed: int | None, scene_id: int, agent: str) -> int:
-    """Derive the seed of an agent's policy in a scene: a hash of the run's seed, scene number and agent.
+def derive_scene_seed(seed: int | None, scene_id: int, user: str) -> int:
+    """Derive a seed for a scene: a hash of the run's seed, the scene number and the user of the seed.
 
-    A policy that knows the run's seed can find the scene number by trying all of them.
+    Receivers must not get it, since they could find the scene number by trying all of them.
+
+    Args:
+        seed: Seed of the run; None is 0.
+        scene_id: Scene number.
+        user: "giver" or "camera".
     """
-    digest = hashlib.sha256(f"handover_marl {seed or 0} {scene_id} {agent}".encode()).digest()
-    return int.from_bytes(digest[:4], "big")
+    digest = hashlib.sha256(f"handover_marl {seed or 0} {scene_id} {user}".encode())
+    return int.from_bytes(digest.digest()[:4], "big")
+
+
+def derive_receiver_seed(seed: int | None, observation: Observation) -> int:
+    """Derive the seed of a receiver: a hash of the run's seed and the receiver's first observation.
+
+    The seed differs between scenes and tells the receiver nothing that it does not observe.
+
+    Args:
+        seed: Seed of the run; None is 0.
+        observation: First observation of the receiver.
+    """
+    digest = hashlib.sha256(f"handover_marl {seed or 0} receiver".encode())
+    for key in sorted(observation):
+        digest.update(key.encode() + np.ascontiguousarray(observation[key]).tobytes())
+    return int.from_bytes(digest.digest()[:4], "big")

@@ -102,8 +102,8 @@ class Policy(ABC):
         """Start an episode; forget all earlier episodes.
 
         Args:
-            seed: Seed of the policy's random generator, a hash of the run's seed, the scene number and the
-                agent. Policies must not identify the scene by it.
+            seed: Seed of the policy's random generator. In evaluations it is a hash of the run's seed and
+                a receiver's first observation or a giver's scene.
         """
 
     @abstractmethod

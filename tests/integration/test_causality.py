@@ -1,0 +1,178 @@
+"""Actions and observations do not depend on motion that is still to come."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from handover_marl import givers, receivers
+from handover_marl.config import OFFICIAL_CONFIG
+from handover_marl.datasets import open_dataset
+from handover_marl.datasets.dataset import Dataset, Scene
+from handover_marl.episode.camera_observations import WristCameraConfig
+from handover_marl.episode.episode import Episode
+from handover_marl.episode.giver_motion import NO_DEVIATION
+from handover_marl.episode.loop import play
+from handover_marl.episode.observations import Observation
+from handover_marl.geometry.panda import PANDA, PANDA_CAMERA
+from handover_marl.policies.policy import Giver, Policy, make_policy_context
+from handover_marl.receivers.reactive.config import ReactiveConfig
+from handover_marl.receivers.reactive.receiver import ReactiveReceiver
+from tests.receivers.quick import QUICK_PREPARATION
+
+SCENE = 209
+#: Largest time that a giver sees ahead (physics steps of 1 ms).
+PREVIEW = round(1000 * max(OFFICIAL_CONFIG.giver.preview))
+RECEIVERS = ("random", "yang2021:wait=0.1", "omg:wait=0.1", "reactive", "gaddpg:wait=0.1", "vision")
+Motion = npt.NDArray[np.float32]
+
+
+def freeze(motion: Motion, step: int) -> Motion:
+    """Stay at the pose of a step."""
+    return np.concatenate([motion[: step + 1], np.repeat(motion[step : step + 1], len(motion) - step - 1, axis=0)])
+
+
+def move(motion: Motion, step: int) -> Motion:
+    """Move all positions upwards at 1 m/s after a step."""
+    changed = motion.copy()
+    changed[step + 1 :, ..., 2] += 0.001 * np.arange(1, len(motion) - step).reshape((-1,) + (1,) * (motion.ndim - 2))
+    return changed
+
+
+def cut(motion: Motion, step: int) -> Motion:
+    """End the recording at a step."""
+    return motion[: step + 1].copy()
+
+
+def lengthen(motion: Motion, step: int) -> Motion:
+    """Move at half the speed after a step."""
+    return np.concatenate([motion[: step + 1], np.repeat(motion[step + 1 :], 2, axis=0)])
+
+
+class UndeviatingGiver(Giver):
+    """Giver that is asked ten times a second and replays the recording at its own rate."""
+
+    name = "undeviating"
+
+    def reset(self, seed: int | None = None) -> None:
+        pass
+
+    def act(self, observation: Observation) -> np.ndarray:
+        return NO_DEVIATION
+
+
+#: Givers, and the largest rate at which they play a recording, relative to the recorded one.
+GIVERS: dict[str | type[Giver], float] = {
+    UndeviatingGiver: 1.0,
+    "cooperative": 2.0,
+    "hesitant": 2.0,
+    "hurried": 2.0,
+    "noisy": 2.0,
+    "stop_when_near": 2.0,
+    "withdrawing": 2.0,
+}
+CHANGES: tuple[Callable[[Motion, int], Motion], ...] = (freeze, move, cut, lengthen)
+
+
+@dataclass
+class Recorder:
+    """Policy that records what another policy observes and does.
+
+    Attributes:
+        policy: The other policy.
+        events: Time (physics steps), observation and action of each decision.
+    """
+
+    policy: Policy
+
+    def __post_init__(self) -> None:
+        self.name, self.obs_mode = self.policy.name, self.policy.obs_mode
+        self.prepare = self.policy.prepare
+
+    @property
+    def hold_time(self) -> float:
+        return self.policy.hold_time
+
+    def reset(self, seed: int | None = None) -> None:
+        self.events: list[tuple[int, Observation, np.ndarray]] = []
+        self.policy.reset(seed)
+
+    def act(self, observation: Observation) -> np.ndarray:
+        step = round(1000 * float(observation["time"][0]))
+        copies = {key: value.copy() for key, value in observation.items()}
+        action = self.policy.act(observation)
+        self.events.append((step, copies, action.copy()))
+        return action
+
+
+def change_motion(scene: Scene, step: int, change: Callable[[Motion, int], Motion]) -> Scene:
+    """Return the scene with other motion after a step; the hand disappears half a second after it."""
+    hand_last = scene.hand_last if scene.hand_last is None else min(scene.hand_last, step + 500)
+    return replace(
+        scene,
+        object_dof=change(scene.object_dof, step),
+        hand_dof=change(scene.hand_dof, step),
+        hand_last=hand_last,
+    )
+
+
+def make_receiver(reference: str, dataset: Dataset) -> Policy:
+    """Make a receiver; `reactive` with a short validation of its grasps."""
+    if reference == "reactive":
+        return ReactiveReceiver(make_policy_context(dataset), config=ReactiveConfig(preparation=QUICK_PREPARATION))
+    return receivers.make(reference, dataset)
+
+
+def assert_same_until(end: int, recorded: Recorder, other: list[tuple[int, Observation, np.ndarray]]) -> None:
+    """Check that observations and actions until a step are equal."""
+    first = [event for event in recorded.events if event[0] <= end]
+    second = [event for event in other if event[0] <= end]
+    assert [event[0] for event in first] == [event[0] for event in second]
+    for (step, before, action), (_, after, same_action) in zip(first, second, strict=True):
+        assert before.keys() == after.keys()
+        for key in before:
+            np.testing.assert_array_equal(before[key], after[key], err_msg=f"{key} at step {step}")
+        np.testing.assert_array_equal(action, same_action, err_msg=f"action at step {step}")
+
+
+@pytest.mark.parametrize("reference", RECEIVERS)
+def test_receivers_do_not_know_motion_that_is_still_to_come(reference: str) -> None:
+    robot = PANDA_CAMERA if reference.startswith(("gaddpg", "vision")) else PANDA
+    dataset = open_dataset("synthetic", robot=robot)
+    receiver, scene = Recorder(make_receiver(reference, dataset)), dataset.load_scene(SCENE)
+    episode = Episode("fast", wrist_camera=WristCameraConfig("rays"))
+    rng = np.random.default_rng(0)
+    end = 1000 if reference.startswith("omg") else 2500
+    episode.reset(scene)
+    play(episode, receiver, until=end)
+    events = receiver.events
+    # Just after a decision, so that a look 50 ms ahead would see other motion.
+    decisions = rng.choice([step for step, *_ in events if step > end // 4], len(CHANGES), replace=False)
+    for decision, change in zip(decisions.tolist(), CHANGES, strict=True):
+        last = decision + int(rng.integers(0, 40))
+        episode.reset(change_motion(scene, last, change))
+        play(episode, receiver, until=last + 1)
+        assert_same_until(last, receiver, events)
+    episode.close()
+
+
+@pytest.mark.parametrize("policy", GIVERS)
+def test_givers_see_no_further_ahead_than_their_preview(policy: str | type[Giver]) -> None:
+    dataset = open_dataset("synthetic")
+    giver, receiver = Recorder(givers.make(policy, dataset)), receivers.make("yang2021:wait=0.1", dataset)
+    scene = dataset.load_scene(SCENE)
+    episode = Episode("fast")
+    rng = np.random.default_rng(0)
+    episode.reset(scene)
+    play(episode, receiver, giver, until=1500)
+    events = giver.events
+    decisions = rng.choice([step for step, *_ in events if 500 < step < 1500], len(CHANGES), replace=False)
+    for decision, change in zip(decisions.tolist(), CHANGES, strict=True):
+        later = int(rng.integers(0, 40))
+        frame = round(GIVERS[policy] * decision) + PREVIEW + later
+        episode.reset(change_motion(scene, frame, change))
+        play(episode, receiver, giver, until=decision + later + 1)
+        assert_same_until(decision, giver, events)
+    episode.close()
