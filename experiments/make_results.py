@@ -30,7 +30,7 @@ HEADER = (
     "receiver",
     "setup",
     "wait s",
-    "episodes",
+    "n episodes",
     "success %",
     "exec s",
     "contact %",

@@ -110,9 +110,13 @@ class EpisodeTrace:
         steps: Number of physics steps of the episode.
         release_step: Physics step after which the person released the object; None without a
             release.
-        peak_force: Largest sum of the normal forces between robot and object in one physics step (N).
+        max_object_force: Largest sum of the normal forces between robot and object in one physics step (N).
         min_distance: Smallest distance between robot and human hand (m), 0 after contact, None
             without a hand.
+        max_hand_force: Largest sum of the normal forces between robot and human hand in one physics
+            step (N); None without contact.
+        hand_impulse: Sum over all physics steps of these forces times the duration of a step (N s);
+            None without contact.
         sample_steps: Physics steps between two samples.
     """
 
@@ -121,8 +125,10 @@ class EpisodeTrace:
     wrist: Array
     steps: int
     release_step: int | None
-    peak_force: float
+    max_object_force: float
     min_distance: float | None
+    max_hand_force: float | None = None
+    hand_impulse: float | None = None
     sample_steps: int = SAMPLE_STEPS
 
     @property
@@ -158,21 +164,22 @@ class TraceRecorder(EpisodeCallback):
         self._monitors: dict[Path, ClearanceMonitor] = {}
         self._robot: list[npt.NDArray[np.float32]] = []
         self._hand: list[npt.NDArray[np.float32] | None] = []
-        self._peak_force = 0.0
-        self._touched_hand = False
+        self._max_object_force = 0.0
+        self._hand_forces: list[float] = []
 
     def on_reset(self, episode: "Episode") -> None:
         """Discard the records of the last episode."""
         self._robot, self._hand = [], []
-        self._peak_force, self._touched_hand = 0.0, False
+        self._max_object_force, self._hand_forces = 0.0, []
         self._sample(episode)
 
     def on_step(self, episode: "Episode") -> None:
         """Record contacts in every step, and joint positions every `SAMPLE_STEPS` steps."""
         contacts = episode.contacts
-        if contacts.robot_object_force > self._peak_force:
-            self._peak_force = contacts.robot_object_force
-        self._touched_hand = self._touched_hand or contacts.robot_touches_hand
+        if contacts.robot_object_force > self._max_object_force:
+            self._max_object_force = contacts.robot_object_force
+        if contacts.robot_touches_hand:
+            self._hand_forces.append(contacts.robot_hand_force)
         if episode.steps % SAMPLE_STEPS == 0:
             self._sample(episode)
 
@@ -202,8 +209,10 @@ class TraceRecorder(EpisodeCallback):
             wrist=wrist[:n_samples],
             steps=episode.steps,
             release_step=episode.release_step,
-            peak_force=self._peak_force,
-            min_distance=0.0 if self._touched_hand else min_distance,
+            max_object_force=self._max_object_force,
+            min_distance=0.0 if self._hand_forces else min_distance,
+            max_hand_force=max(self._hand_forces, default=None),
+            hand_impulse=sum(self._hand_forces) * TIME_STEP if self._hand_forces else None,
         )
 
     def close(self) -> None:

@@ -10,7 +10,8 @@ from typing_extensions import Unpack
 from handover_marl.errors import check_name
 from handover_marl.evaluation.benchmark import Evaluation
 from handover_marl.evaluation.config import REPLAY, EvaluationConfig, EvaluationOptions, ExecutionConfig, build_configs
-from handover_marl.evaluation.reports.report import REPORTED_STATUSES, Report, build_difference_table
+from handover_marl.evaluation.reports.pair_tables import build_difference_table, build_rate_table
+from handover_marl.evaluation.reports.report import Report
 from handover_marl.evaluation.reports.tables import ReportTable, format_percent_interval, join_sections
 from handover_marl.evaluation.results.episode_result import EpisodeResult
 from handover_marl.execution.files import write_atomically
@@ -67,9 +68,18 @@ class Agreement:
         write_atomically(folder / AGREEMENT_FILE, f"# Exact and {self.other_physics} physics\n\n{self}\n")
 
     def __str__(self) -> str:
-        tables = self._build_confusion_table(), self._build_rate_table()
-        differences = build_difference_table(self._pairs, ("exact", self.other_physics))
-        return join_sections(self._format_heading(), *tables, self._format_step_differences(), differences)
+        confusion, rates, differences = self.build_tables()
+        return join_sections(self._format_heading(), confusion, rates, self._format_step_differences(), differences)
+
+    def build_tables(self) -> list[ReportTable]:
+        """Build the tables of pairs of outcomes, of rates, and of scenes with different outcomes."""
+        pairs, names = self._pairs, (self.other_physics, EXACT)
+        swapped = [(other, exact) for exact, other in pairs]
+        return [
+            self._build_confusion_table(),
+            build_rate_table(swapped, names),
+            build_difference_table(pairs, (EXACT, self.other_physics)),
+        ]
 
     @property
     def _pairs(self) -> list[tuple[EpisodeResult, EpisodeResult]]:
@@ -88,14 +98,7 @@ class Agreement:
         counts = self.confusion
         labels = sorted({label for pair in counts for label in pair})
         rows = [[f"exact: {exact}", *(counts[exact, other] for other in labels)] for exact in labels]
-        return ReportTable(["", *(f"{self.other_physics}: {label}" for label in labels)], rows)
-
-    def _build_rate_table(self) -> ReportTable:
-        rows, n = [], len(self.exact.episodes)
-        for flag in REPORTED_STATUSES:
-            exact, other = (100 * report.count(flag) / n for report in (self.exact, self.other))
-            rows.append([flag.label, f"{exact:.2f}", f"{other:.2f}", f"{other - exact:+.2f}"])
-        return ReportTable(["rate %", "exact", self.other_physics, "difference"], rows)
+        return ReportTable(["n episodes", *(f"{self.other_physics}: {label}" for label in labels)], rows)
 
     def _format_step_differences(self) -> str:
         differences = np.abs(self.step_differences)

@@ -7,20 +7,14 @@ from dataclasses import dataclass
 from handover_marl import __version__
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import ResultsError
-from handover_marl.evaluation.reports.report import (
-    REPORTED_STATUSES,
-    Report,
+from handover_marl.evaluation.reports.pair_tables import (
     build_difference_table,
+    build_rate_table,
     compute_rate_difference,
 )
+from handover_marl.evaluation.reports.report import Report
 from handover_marl.evaluation.reports.report_files import evaluate
-from handover_marl.evaluation.reports.tables import (
-    ReportTable,
-    format_percent_difference,
-    format_percent_mean,
-    format_percent_rate,
-    join_sections,
-)
+from handover_marl.evaluation.reports.tables import ReportTable, join_sections
 from handover_marl.evaluation.results.episode_result import EpisodeResult
 from handover_marl.visualization.web_page import render_page
 
@@ -60,22 +54,15 @@ class Comparison:
         first, second = zip(*self.pairs, strict=True)
         return compute_rate_difference(first, second, flag)
 
-    def build_rate_table(self) -> ReportTable:
-        """Build the table of outcome rates in A and B and of their differences."""
-        n, rows = len(self.pairs), []
-        for flag in REPORTED_STATUSES:
-            counts = [sum(bool(pair[side].status & flag) for pair in self.pairs) for side in (0, 1)]
-            cells = [format_percent_rate(count, n, digits=2) for count in counts]
-            rows.append([flag.label, *cells, format_percent_difference(self.compute_difference(flag), digits=2)])
-        scores = [[result.speed_score for result in results] for results in zip(*self.pairs, strict=True)]
-        gains = [first - second for first, second in zip(*scores, strict=True)]
-        rows.append(["AS", *map(format_percent_mean, scores), format_percent_mean(gains, signed=True)])
-        return ReportTable(["%", "A", "B", "A minus B, points"], rows)
+    def build_tables(self) -> list[ReportTable]:
+        """Build the tables of rates in A and B, and of scenes with different outcomes."""
+        names = ("A", "B")
+        return [build_rate_table(self.pairs, names), build_difference_table(self.pairs, names)]
 
     def __str__(self) -> str:
         headings = f"A: {self.first.heading}\nB: {self.second.heading}"
-        differences = str(build_difference_table(self.pairs, ("A", "B"))) or "Every scene has the same outcome."
-        return join_sections(headings, self.note, self.build_rate_table(), differences)
+        rates, differences = self.build_tables()
+        return join_sections(headings, self.note, rates, str(differences) or "Every scene has the same outcome.")
 
 
 def compare(first: str | os.PathLike[str], second: str | os.PathLike[str]) -> Comparison:
@@ -121,7 +108,7 @@ def render_comparison_page(
         version=__version__,
         title=f"{names[0]} (A) and {names[1]} (B)",
         sides=[("A", comparison.first.heading), ("B", comparison.second.heading)],
-        rates=comparison.build_rate_table(),
+        rates=comparison.build_tables()[0],
         note=comparison.note,
         changes=comparison.changes,
         replays=replays,

@@ -14,22 +14,31 @@ from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import OptionError, ResultsError
 from handover_marl.evaluation.benchmark import Evaluation
 from handover_marl.evaluation.config import EvaluationConfig, EvaluationOptions, ExecutionConfig, build_configs
+from handover_marl.evaluation.reports.columns import (
+    AVERAGE_SUCCESS,
+    COUNTS,
+    FLUENCY,
+    N_EPISODES,
+    RATES,
+    REPORTED_STATUSES,
+    TIMES,
+    WAIT,
+)
 from handover_marl.evaluation.reports.fluency_tables import (
     FLUENCY_NOTE,
-    FLUENCY_UNITS,
-    compute_fluency_means,
+    estimate_fluency,
     format_fluency_header,
     format_fluency_row,
 )
-from handover_marl.evaluation.reports.report import REPORTED_STATUSES, Report, compute_rate_difference
-from handover_marl.evaluation.reports.statistics import compute_mean_interval, compute_wilson_interval
+from handover_marl.evaluation.reports.pair_tables import compute_rate_difference
+from handover_marl.evaluation.reports.report import Report
+from handover_marl.evaluation.reports.statistics import MeanEstimate, compute_wilson_interval
 from handover_marl.evaluation.reports.tables import (
+    ReportTable,
     append_interval,
     format_percent_difference,
-    format_percent_mean,
     format_percent_rate,
     format_seconds,
-    format_table,
     join_sections,
 )
 from handover_marl.execution.files import shorten_text, write_atomically
@@ -39,6 +48,9 @@ from handover_marl.policies.reference import PolicyLike, PolicyReference, parse_
 
 PolicyPair = tuple[str, str]
 CROSSPLAY_CSV = "crossplay.csv"
+_CSV_IDENTITY = ("setup", "split", "dataset", "physics")
+_GAIN_HEADER = (N_EPISODES.title, "success gain, points", "contact gain, points")
+_CSV_MEANS = (AVERAGE_SUCCESS, *TIMES, *FLUENCY)
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,16 +99,14 @@ class CrossPlay:
     def to_csv(self) -> str:
         """Return CSV text with one row per pair of policies.
 
-        Rates and intervals are in 0..1, times in s, fluency metrics in the units of
-        `FluencyMetrics`.
+        Rates are in 0..1, times in s, fluency metrics in the units of `FluencyMetrics`. KEY_low and
+        KEY_high are the ends of a 95 % interval, KEY_n is the number of episodes of a mean.
         """
+        rates = [f"{column.key}{suffix}" for column in RATES for suffix in ("", "_low", "_high")]
+        means = [f"{column.key}{suffix}" for column in _CSV_MEANS for suffix in ("", "_low", "_high", "_n")]
         stream = io.StringIO()
         writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(
-            ["giver", "receiver", "setup", "split", "dataset", "physics", "episodes"]
-            + [f"{flag.label}{suffix}" for flag in REPORTED_STATUSES for suffix in ("", "_low", "_high")]
-            + ["exec_s", "plan_s", "average_success", "wait_s", *FLUENCY_UNITS]
-        )
+        writer.writerow(["giver", "receiver", *_CSV_IDENTITY, "data", N_EPISODES.key, *rates, WAIT.key, *means])
         writer.writerows(_format_csv_row(pair, report) for pair, report in self.reports.items())
         return stream.getvalue()
 
@@ -113,11 +123,18 @@ class CrossPlay:
         picture = draw_heat_map(self.success_rates, self.givers, self.receivers, self.title)
         write_atomically(folder / "crossplay.png", picture)
 
+    def build_tables(self) -> list[ReportTable]:
+        """Build the matrix of success rates and the tables of rates, gains and fluency metrics."""
+        return [
+            self._build_matrix(),
+            self._build_rate_table(),
+            self._build_giver_gains(),
+            self._build_receiver_gains(),
+            self._build_fluency_table(),
+        ]
+
     def __str__(self) -> str:
-        gains = self._format_giver_gains(), self._format_receiver_gains()
-        return join_sections(
-            self._format_heading(), self._format_matrix(), self._format_rates(), *gains, self._format_fluency()
-        )
+        return join_sections(self._format_heading(), *self.build_tables(), FLUENCY_NOTE)
 
     @property
     def _first_report(self) -> Report:
@@ -128,51 +145,57 @@ class CrossPlay:
         metadata = report.metadata
         return (
             f"Cross-play on {metadata.setup} {metadata.split}, {report.extent}, {metadata.physics} "
-            f"physics, data: {report.data_label}. Success in percent with Wilson's 95 % interval."
+            f"physics, data: {report.data_label}.\n"
+            "95 % intervals: Wilson for rates, bootstrap for means, Agresti and Min for differences, paired by scene."
         )
 
-    def _format_matrix(self) -> str:
+    def _build_matrix(self) -> ReportTable:
         rows = []
         for giver in self.givers:
             reports = [self.reports[giver, receiver] for receiver in self.receivers]
             cells = [format_percent_rate(each.count(EpisodeStatus.SUCCESS), len(each.episodes)) for each in reports]
-            rows.append([giver, *cells])
-        return format_table(["giver \\ receiver", *self.receivers], rows)
+            rows.append([giver, *cells, len(reports[0].episodes)])
+        return ReportTable(["giver", *(f"{name}: {RATES[0].title}" for name in self.receivers), N_EPISODES.title], rows)
 
-    def _format_rates(self) -> str:
+    def _build_rate_table(self) -> ReportTable:
         rows = []
-        for (giver, receiver), report in self.reports.items():
+        for pair, report in self.reports.items():
             rates = [f"{100 * report.compute_rate(flag):.1f}" for flag in REPORTED_STATUSES]
-            exec_s = append_interval(
-                format_seconds(report.time_exec), compute_mean_interval(report.exec_times), ".3f", 1.0
-            )
-            rows.append([giver, receiver, *rates, exec_s, format_percent_mean(report.speed_scores), report.wait_label])
-        header = [f"{flag.label} %" for flag in REPORTED_STATUSES]
-        return format_table(["giver", "receiver", *header, "exec s", "AS %", "wait s"], rows)
+            score, exec_s = (report.official_means[column.key] for column in (AVERAGE_SUCCESS, TIMES[0]))
+            cells = [
+                append_interval(f"{100 * (score.mean or 0.0):.2f}", score.interval_95),
+                append_interval(format_seconds(exec_s.mean), exec_s.interval_95, ".3f", 1.0),
+            ]
+            rows.append([*pair, len(report.episodes), *rates, report.wait_label, *cells, exec_s.n])
+        columns = [N_EPISODES, *RATES, WAIT, AVERAGE_SUCCESS, TIMES[0], COUNTS[0]]
+        return ReportTable(["giver", "receiver", *(column.title for column in columns)], rows, n_keys=2)
 
-    def _format_giver_gains(self) -> str:
+    def _build_giver_gains(self) -> ReportTable:
         baseline = self.givers[0]
-        pairs = [((giver, receiver), (baseline, receiver)) for giver in self.givers[1:] for receiver in self.receivers]
-        rows = [[*pair, *self._format_gains(pair, other)] for pair, other in pairs]
-        return format_table(["giver", "receiver", *_format_gain_header(baseline)], rows) if rows else ""
+        rows = [
+            [giver, baseline, receiver, *self._format_gains((giver, receiver), (baseline, receiver))]
+            for giver in self.givers[1:]
+            for receiver in self.receivers
+        ]
+        return ReportTable(["giver", "other giver", "receiver", *_GAIN_HEADER], rows, n_keys=3)
 
-    def _format_receiver_gains(self) -> str:
+    def _build_receiver_gains(self) -> ReportTable:
         combinations = [(receiver, other) for n, receiver in enumerate(self.receivers) for other in self.receivers[:n]]
         rows = [
-            [giver, receiver, other, *self._format_gains((giver, receiver), (giver, other))]
+            [receiver, other, giver, *self._format_gains((giver, receiver), (giver, other))]
             for giver in self.givers
             for receiver, other in combinations
         ]
-        return format_table(["giver", "receiver", "other", *_format_gain_header("the other")], rows) if rows else ""
+        return ReportTable(["receiver", "other receiver", "giver", *_GAIN_HEADER], rows, n_keys=3)
 
-    def _format_gains(self, pair: PolicyPair, baseline: PolicyPair) -> list[str]:
+    def _format_gains(self, pair: PolicyPair, baseline: PolicyPair) -> list[object]:
         statuses = (EpisodeStatus.SUCCESS, EpisodeStatus.HUMAN_CONTACT)
-        return [format_percent_difference(self.compute_gain(pair, baseline, status)) for status in statuses]
+        gains = [format_percent_difference(self.compute_gain(pair, baseline, status)) for status in statuses]
+        return [len(self.reports[pair].episodes), *gains]
 
-    def _format_fluency(self) -> str:
+    def _build_fluency_table(self) -> ReportTable:
         rows = [[*pair, *format_fluency_row(report.episodes)] for pair, report in self.reports.items()]
-        table = format_table(["giver", "receiver", *format_fluency_header()], rows, n_keys=2)
-        return f"{table}\n\n{FLUENCY_NOTE}"
+        return ReportTable(["giver", "receiver", *format_fluency_header()], rows, n_keys=2)
 
 
 @forward_signature(EvaluationConfig, ExecutionConfig, without=("giver", "receiver"))
@@ -266,22 +289,21 @@ def _resolve_policies(
 
 
 def _format_csv_row(pair: PolicyPair, report: Report) -> list[object]:
-    metadata, n = report.metadata, len(report.episodes)
-    means = compute_fluency_means(report.episodes)
+    n, means = len(report.episodes), report.official_means | estimate_fluency(report.episodes)
     rates = [
-        f"{value:.6f}"
+        _format_csv_number(value)
         for flag in REPORTED_STATUSES
         for value in (report.compute_rate(flag), *compute_wilson_interval(report.count(flag), n))
     ]
-    times = [_format_csv_number(value) for value in (report.time_exec, report.time_plan, report.average_success)]
-    fluency = [_format_csv_number(means[key].mean if means else None) for key in FLUENCY_UNITS]
-    identity = [metadata.setup, metadata.split, report.data_label, metadata.physics]
-    return [*pair, *identity, n, *rates, *times, metadata.wait_s, *fluency]
+    estimates = [means.get(column.key, MeanEstimate(None, None, 0)) for column in _CSV_MEANS]
+    cells = [
+        cell
+        for each in estimates
+        for cell in (*map(_format_csv_number, (each.mean, *(each.interval_95 or (None, None)))), each.n)
+    ]
+    identity = [getattr(report.metadata, key) for key in _CSV_IDENTITY]
+    return [*pair, *identity, report.data_label, n, *rates, report.metadata.wait_s, *cells]
 
 
 def _format_csv_number(value: float | None) -> str:
     return "" if value is None else f"{value:.6f}"
-
-
-def _format_gain_header(baseline: str) -> list[str]:
-    return [f"{name} over {baseline}, points (95 %, paired by scene)" for name in ("success", "contact")]

@@ -108,7 +108,7 @@ class EpisodeRunner:
             index=task.index,
             status=self._episode.status,
             steps=self._episode.steps,
-            plan_time_s=float(self._action_recorder.times.sum()),
+            plan_s=float(self._action_recorder.times.sum()),
             scene_id=task.scene_id,
             release_step=self._episode.release_step,
             object_name=info.target_name,

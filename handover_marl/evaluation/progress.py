@@ -13,11 +13,11 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from handover_marl.evaluation.reports.report import format_scene_cells
+from handover_marl.evaluation.reports.scene_tables import format_scene_cells
 from handover_marl.evaluation.results.episode_result import EpisodeResult
 
 # The sum of the widths fits a terminal of 80 columns.
-_COLUMN_WIDTHS = {"scene": 5, "object": 22, "subject": 10, "hand": 5, "outcome": 15, "steps": 5, "plan s": 6}
+_COLUMN_WIDTHS = {"scene id": 8, "object name": 22, "subject": 10, "side": 5, "outcome": 15, "steps": 5, "plan s": 6}
 _COLORS = {"success": "green", "contact": "red", "drop": "yellow", "timeout": "magenta"}
 
 

@@ -23,6 +23,21 @@ _KEYS = {
     "settings": "evaluation",
     "played": "simulated",
 }
+#: Keys of fluency metrics that 0.7.0 named differently.
+FLUENCY_KEYS = {"peak_force": "max_robot_object_force"}
+# Keys at any depth of a report that 0.7.0 named differently.
+_REPORT_KEYS = {
+    **_KEYS,
+    **FLUENCY_KEYS,
+    "episodes_run": "n_episodes",
+    "episodes_from_an_earlier_run": "n_resumed",
+    "episodes_in_split": "n_split_scenes",
+    "plan_time": "plan_s",
+    "exec": "exec_s",
+    "plan": "plan_s",
+    "total": "total_s",
+    "interval": "interval_95",
+}
 # As version 0.7.0 wrote it, e.g. "sees points alone, rays, true geometry, CameraImperfections(...)".
 _SIGHT = re.compile(
     r"sees (points|images|clouds)(?: (alone|and poses), (\w+), (reference|true) geometry(.*))?", re.DOTALL
@@ -44,6 +59,25 @@ def upgrade_keys(section: Mapping[str, Any]) -> dict[str, Any]:
     if "evaluation" in upgraded:
         upgraded["evaluation"] = upgrade_keys(upgraded["evaluation"])
     return upgraded
+
+
+def upgrade_report(report: Mapping[str, Any]) -> dict[str, Any]:
+    """Convert the content of a `report.json` to the current keys.
+
+    Args:
+        report: The content as it was read, written by this version or by 0.7.0.
+
+    Raises:
+        ValueError: The value under `sight` does not have the format of version 0.7.0.
+    """
+    upgraded: dict[str, Any] = _rename_report_keys(report)
+    return upgraded | _split_sight(upgraded.pop("sight")) if "sight" in upgraded else upgraded
+
+
+def _rename_report_keys(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {_REPORT_KEYS.get(key, key): _rename_report_keys(part) for key, part in value.items()}
+    return [_rename_report_keys(part) for part in value] if isinstance(value, list) else value
 
 
 def _split_sight(sight: Any) -> dict[str, str]:

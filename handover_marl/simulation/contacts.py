@@ -31,6 +31,8 @@ class Contacts(NamedTuple):
             while the robot touches the object.
         robot_object_force: Sum of the normal forces between Panda and target object (N). The rules
             of the task do not use it.
+        robot_hand_force: Sum of the normal forces between Panda and human hand (N). The rules of the
+            task do not use it.
     """
 
     robot_touches_hand: bool = False
@@ -40,6 +42,7 @@ class Contacts(NamedTuple):
     object_height: float = float("inf")
     gripper_position: tuple[float, float, float] = (float("inf"),) * 3
     robot_object_force: float = 0.0
+    robot_hand_force: float = 0.0
 
     @property
     def both_fingers_touch(self) -> bool:

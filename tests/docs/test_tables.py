@@ -1,6 +1,8 @@
 """The tables of the documentation agree with the code."""
 
 import ast
+import csv
+import dataclasses
 import inspect
 import re
 from dataclasses import asdict
@@ -17,7 +19,17 @@ from handover_marl.envs.config import EnvConfig
 from handover_marl.envs.rewards import SHAPED, SPARSE
 from handover_marl.episode.camera_observations import camera_observation_space
 from handover_marl.episode.observations import giver_observation_space, observation_space
+from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.episode.spaces import giver_action_space, receiver_action_space
+from handover_marl.evaluation.agreement import Agreement
+from handover_marl.evaluation.comparison import Comparison, render_comparison_page
+from handover_marl.evaluation.crossplay import CrossPlay
+from handover_marl.evaluation.reports import columns
+from handover_marl.evaluation.reports.columns import Column
+from handover_marl.evaluation.reports.pages import render_report_page
+from handover_marl.evaluation.reports.report import Report
+from handover_marl.evaluation.reports.scene_tables import SCENE_HEADER, build_scene_table
+from handover_marl.evaluation.verification.differences import Difference, EpisodeCheck, Verification
 from tests.docs.pages import PAGES, REPOSITORY, checked_table, marks, name
 
 ENVIRONMENT = REPOSITORY / "docs" / "reference" / "environment.md"
@@ -33,7 +45,14 @@ CHECKED = {
         "rewards",
         "arguments",
     },
-    "docs/reference/rules_and_metrics.md": {"rules"},
+    "docs/reference/rules_and_metrics.md": {
+        "rules",
+        "official metrics",
+        "fluency metrics",
+        "episode columns",
+        "identity",
+        "comparison columns",
+    },
 }
 CAMERA_DATA = ("pointcloud", "full_pointcloud", "rgbd")
 
@@ -136,3 +155,98 @@ def test_evaluations_are_whole_splits() -> None:
     for evaluation in make_results.read_evaluations():
         outcomes = evaluation.success + evaluation.contact + evaluation.drop + evaluation.timeout
         assert outcomes == evaluation.episodes == {"s0": 144, "s1": 180, "s2": 360, "s3": 100}[evaluation.setup]
+
+
+def code_spans(cell: str) -> list[str]:
+    return re.findall(r"`([^`]+)`", cell)
+
+
+def documented_names(mark: str, column: int = 0) -> list[str]:
+    return [word for row in checked_table(BENCHMARK, mark) for word in code_spans(row[column])]
+
+
+def sample_report(physics: str = "exact", *statuses: int) -> Report:
+    stored = handover_marl.evaluate(REPOSITORY / "tests" / "data" / "v0_7_0" / "benchmark")
+    metadata = dataclasses.replace(stored.metadata, physics=physics)
+    episodes = zip(stored.episodes, statuses or (1, 2), strict=True)
+    ended = tuple(dataclasses.replace(episode, status=EpisodeStatus(status)) for episode, status in episodes)
+    return Report(metadata, ended, stored.n_split_scenes)
+
+
+def sample_crossplay() -> CrossPlay:
+    givers, receivers = ("one", "two"), ("RECEIVER", "OTHER")
+    return CrossPlay(givers, receivers, {(g, r): sample_report() for g in givers for r in receivers})
+
+
+@pytest.mark.parametrize(
+    ("mark", "group", "columns"),
+    [
+        (
+            "official metrics",
+            "",
+            (
+                columns.N_EPISODES,
+                *columns.RATES,
+                *columns.COUNTS,
+                columns.AVERAGE_SUCCESS,
+                columns.WAIT,
+                *columns.TIMES,
+            ),
+        ),
+        ("fluency metrics", "fluency.", columns.FLUENCY),
+    ],
+)
+def test_metrics_have_one_name(mark: str, group: str, columns: tuple[Column, ...]) -> None:
+    """Title in tables, key in JSON and key in CSV are made from the same words."""
+    rows = checked_table(BENCHMARK, mark)
+    assert [bare(row[0]) for row in rows] == [column.title for column in columns]
+    report, header = sample_report().to_json(), next(csv.reader(sample_crossplay().to_csv().splitlines()))
+    for column, row in zip(columns, rows, strict=True):
+        path, csv_key = bare(row[1]), bare(row[2])
+        if column.key.startswith("n_") and column.key != "n_episodes":
+            continue
+        assert column.key in path.split(".")
+        assert csv_key == column.key
+        assert csv_key in header
+        value: Any = report
+        for key in f"{group}{path}".split("."):
+            value = value[key]
+
+
+def test_every_printed_column_is_documented() -> None:
+    first, other = sample_report(), sample_report("fast", 2, 1)
+    compared = Comparison(first, other, tuple(zip(first.episodes, other.episodes, strict=True)))
+    page = render_report_page(first) + render_comparison_page(compared)
+    check = EpisodeCheck(0, 209, (Difference("steps", "1", "2"),))
+    verified = str(Verification(first.metadata, (check,), (), 144)).split("\n\n")
+    (row,) = [part.splitlines()[0] for part in verified if part.startswith("|")]
+    tables = [
+        *first.build_tables(),
+        build_scene_table(first.episodes),
+        *sample_crossplay().build_tables(),
+        *compared.build_tables(),
+        *Agreement(first, other).build_tables(),
+    ]
+    titles = {str(title) for table in tables for title in table.header}
+    titles |= {cell.strip() for cell in row.strip("|").split("|")}
+    titles |= set(re.findall(r"<th[^>]*>([^<]+)</th>", page))
+    # The agreement compares fast (A) with exact physics (B).
+    names = {"OTHER": "RECEIVER", "fast: success": "A: OUTCOME", "fast: contact": "A: OUTCOME"}
+    for old, new in {**names, "fast": "A", "exact": "B"}.items():
+        titles = {re.sub(rf"\b{old}\b", new, title) for title in titles}
+    marks = ("official metrics", "fluency metrics", "episode columns", "comparison columns")
+    documented = {name for mark in marks for name in documented_names(mark)}
+    assert titles <= documented, titles - documented
+    assert documented_names("episode columns")[: len(SCENE_HEADER)] == list(SCENE_HEADER)
+
+
+def test_every_key_is_documented() -> None:
+    report = sample_report().to_json()
+    identity = set(documented_names("identity"))
+    assert set(report) == identity
+    assert set(report["episodes"][0]) == set(documented_names("episode columns", 1))  # type: ignore[index]
+    fluency = documented_names("fluency metrics", 1)
+    assert list(report["fluency"]) == list(report["episodes"][0]["fluency"]) == fluency  # type: ignore[index, call-overload]
+    header = next(csv.reader(sample_crossplay().to_csv().splitlines()))
+    keys = {re.sub("_(low|high|n)$", "", key) for key in header}
+    assert keys == {*header} & identity | set(documented_names("official metrics", 2)) - {"exec_s_n"} | set(fluency)

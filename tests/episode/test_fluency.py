@@ -15,17 +15,21 @@ from handover_marl.episode.episode import Episode
 from handover_marl.episode.metrics import (
     FluencyMetrics,
     compute_fluency,
+    compute_rms_jerk,
     compute_spectral_arc_length,
     find_activities,
 )
+from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.evaluation.config import EvaluationConfig, resolve_config
 from handover_marl.evaluation.episode_runner import EpisodeRunner, SceneTask
-from handover_marl.evaluation.reports.fluency_tables import FLUENCY_UNITS, compute_fluency_means
+from handover_marl.evaluation.reports.columns import FLUENCY
+from handover_marl.evaluation.reports.fluency_tables import estimate_fluency
 from handover_marl.geometry.link_trajectory import LinkFrameTrajectory, compute_link_trajectory
 from handover_marl.geometry.panda import ROBOTS
 from handover_marl.receivers import make
 from handover_marl.simulation.bullet.kinematics import BulletDistanceQuery
 from handover_marl.simulation.clearance import ClearanceMonitor, DistanceQuery
+from handover_marl.simulation.contacts import Contacts
 from handover_marl.simulation.engines import make_distance_query
 from tests.playing import play
 
@@ -60,7 +64,7 @@ def test_a_handover_one_after_the_other() -> None:
     assert found.robot_idle == exactly(1.0 - 78 / N)  # from 2.98 to 4.52 s, samples 149 to 226
     assert found.concurrent == 0.0
     assert found.functional_delay == exactly((2.98 - 2.02) / 5.0)
-    assert (found.peak_force, found.min_distance) == (12.0, 0.03)
+    assert (found.max_robot_object_force, found.min_distance) == (12.0, 0.03)
     assert found.giver_path == exactly(0.5)
     assert found.reach == exactly(0.5)
 
@@ -156,6 +160,82 @@ def test_smoothness_is_as_published() -> None:
 def test_smoothness_does_not_depend_on_speed(factor: float) -> None:
     speed = minimum_jerk(0.8)
     assert compute_spectral_arc_length(factor * speed, 50.0) == pytest.approx(compute_spectral_arc_length(speed, 50.0))
+
+
+def quintic(length: float, duration: float, samples: int) -> np.ndarray:
+    """(n, 3) positions of a minimum-jerk movement in a direction that is not an axis."""
+    t = np.arange(samples) * PERIOD / duration
+    way = length * (10.0 * t**3 - 15.0 * t**4 + 6.0 * t**5)
+    return way[:, None] * np.array([2.0, -1.0, 2.0]) / 3.0
+
+
+@pytest.mark.parametrize(("length", "duration"), [(0.3, 1.0), (0.5, 0.8), (0.3, 2.0)])
+def test_jerk_of_a_minimum_jerk_movement(length: float, duration: float) -> None:
+    """The third derivative is 60 A / T^3 (1 - 6 t/T + 6 (t/T)^2) (Flash and Hogan, 1985)."""
+    n = round(duration / PERIOD) + 1
+    t = np.arange(n)[6:-6] * PERIOD / duration
+    expected = 60.0 * length / duration**3 * (1.0 - 6.0 * t + 6.0 * t**2)
+    found = compute_rms_jerk(quintic(length, duration, n), PERIOD)
+    assert found == pytest.approx(np.sqrt(np.mean(expected**2)), rel=1e-6)
+
+
+def test_jerk_of_constant_jerk_and_of_motion_without_jerk() -> None:
+    t = PERIOD * np.arange(100)[:, None]
+    direction = np.array([[3.0, 0.0, 4.0]]) / 5.0
+    assert compute_rms_jerk(direction * (7.0 * t**3 / 6.0), PERIOD) == pytest.approx(7.0, rel=1e-6)
+    assert compute_rms_jerk(direction * (0.3 + 2.0 * t - t**2), PERIOD) == pytest.approx(0.0, abs=1e-6)
+
+
+def test_jerk_of_slow_and_fast_oscillations() -> None:
+    """Motion of 1 Hz counts in full, vibration above 12 Hz hardly."""
+    t = PERIOD * np.arange(500)[:, None]
+    for frequency, low, high in ((1.0, 0.99, 1.01), (5.0, 0.8, 0.9), (13.0, 0.0, 0.06)):
+        omega = 2.0 * np.pi * frequency
+        found = compute_rms_jerk(0.1 * np.sin(omega * t), PERIOD)
+        assert found is not None
+        assert low < found / (0.1 * omega**3 / np.sqrt(2.0)) < high
+
+
+def test_jerk_needs_thirteen_samples() -> None:
+    assert compute_rms_jerk(np.zeros((12, 3)), PERIOD) is None
+    assert compute_rms_jerk(np.zeros((13, 3)), PERIOD) == 0.0
+
+
+def test_jerk_weights_are_those_of_scipy() -> None:
+    signal = pytest.importorskip("scipy.signal")
+    positions = np.random.default_rng(0).normal(size=(40, 3))
+    jerk = signal.savgol_filter(positions, 13, 5, deriv=3, delta=PERIOD, axis=0)[6:-6]
+    assert compute_rms_jerk(positions, PERIOD) == pytest.approx(np.sqrt((jerk**2).sum(axis=1).mean()))
+
+
+def test_jerk_of_the_hand_counts_until_the_release_and_of_the_gripper_to_the_end() -> None:
+    still = np.zeros((N, 3))
+    late = still.copy()
+    late[201:] = quintic(0.3, 1.0, 50)
+    before = compute_fluency(made_up(wrist=late, gripper=late))
+    assert before.giver_jerk == exactly(0.0)
+    assert before.gripper_jerk == pytest.approx(compute_rms_jerk(late, PERIOD))
+    assert before.gripper_jerk is not None
+    assert before.gripper_jerk > 1.0
+    assert compute_fluency(made_up(wrist=late, release_step=None)).giver_jerk == before.gripper_jerk
+    absent = np.full_like(still, np.nan)
+    absent[-12:] = 0.0
+    assert compute_fluency(made_up(wrist=absent, release_step=None)).giver_jerk is None
+
+
+def test_path_and_speeds_of_the_gripper() -> None:
+    """0.6 m from 3 to 4.5 s of an episode of 5 s."""
+    found = compute_fluency(made_up())
+    assert found.gripper_path == exactly(0.6)
+    assert found.gripper_max_speed == exactly(0.4)
+    assert found.gripper_mean_speed == exactly(0.6 / 5.0)
+
+
+def test_force_on_the_person_is_none_without_contact() -> None:
+    found = compute_fluency(made_up())
+    assert found.max_robot_hand_force is found.robot_hand_impulse is None
+    touched = compute_fluency(made_up(max_hand_force=30.0, hand_impulse=0.03))
+    assert (touched.max_robot_hand_force, touched.robot_hand_impulse) == (30.0, 0.03)
 
 
 def test_gap_is_what_the_world_says() -> None:
@@ -270,9 +350,53 @@ def played() -> FluencyMetrics:
 def test_a_played_scene_has_all_metrics(played: FluencyMetrics) -> None:
     assert 0.0 < played.human_idle < 1.0
     assert 0.0 < played.robot_idle < 1.0
-    assert played.peak_force > 0.0
+    assert played.max_robot_object_force > 0.0
     assert played.min_distance is not None
     assert played.giver_path >= played.reach > 0.1
+    assert played.max_robot_hand_force is played.robot_hand_impulse is None, "no contact"
+    others = dataclasses.asdict(played) | {"max_robot_hand_force": 1.0, "robot_hand_impulse": 1.0}
+    assert None not in others.values()
+    assert played.gripper_max_speed > played.gripper_mean_speed > 0.0
+
+
+@pytest.mark.parametrize("physics", ["fast", "mujoco", pytest.param("exact", marks=pytest.mark.slow)])
+def test_every_engine_measures_the_force_on_the_person(physics: str) -> None:
+    """A contact ends the episode, so that the impulse is that of one step of 1 ms."""
+    if physics == "mujoco":
+        pytest.importorskip("mujoco")
+    dataset, recorder, episode = SyntheticDataset(), TraceRecorder(), Episode(physics)
+    play(episode, dataset.load_scene(14), make("yang2021", dataset), None, recorder)
+    assert episode.status is EpisodeStatus.HUMAN_CONTACT
+    found = compute_fluency(recorder.trace)
+    assert found.max_robot_hand_force == episode.contacts.robot_hand_force
+    assert found.max_robot_hand_force is not None
+    assert found.max_robot_hand_force > 1.0
+    assert found.robot_hand_impulse == pytest.approx(TIME_STEP * found.max_robot_hand_force)
+    if physics != "mujoco":
+        client, world = episode.world._client, episode.world  # type: ignore[attr-defined]
+        hand = [world._hand.id] if physics == "exact" else world._hand.bodies  # type: ignore[attr-defined]
+        points = client.getContactPoints(world._loaded_workcell.panda.id)  # type: ignore[attr-defined]
+        force = sum(point[9] for point in points if point[2] in hand)
+        assert found.max_robot_hand_force == pytest.approx(force)
+    recorder.close()
+    episode.close()
+
+
+class PushedEpisode:
+    """Stand-in for an episode, whose contacts a test sets."""
+
+    contacts, steps = Contacts(), 1
+
+
+def test_forces_of_several_steps_are_collected() -> None:
+    """Under other rules an episode may go on after a contact."""
+    recorder, episode = TraceRecorder(), PushedEpisode()
+    for object_force, hand_force in [(0.0, 0.0), (5.0, 20.0), (40.0, 10.0), (3.0, 0.0)]:
+        touches = hand_force > 0.0
+        episode.contacts = Contacts(touches, robot_object_force=object_force, robot_hand_force=hand_force)
+        recorder.on_step(episode)  # type: ignore[arg-type]
+    assert recorder._max_object_force == 40.0
+    assert recorder._hand_forces == [20.0, 10.0]
 
 
 class Sketch(EpisodeCallback):
@@ -311,5 +435,5 @@ def test_recording_changes_nothing_and_notes_what_can_be_seen() -> None:
 
 
 def test_every_metric_has_a_column() -> None:
-    assert list(FLUENCY_UNITS) == [part.name for part in dataclasses.fields(FluencyMetrics)]
-    assert compute_fluency_means([]) == {}
+    assert [column.key for column in FLUENCY] == [part.name for part in dataclasses.fields(FluencyMetrics)]
+    assert estimate_fluency([]) == {}

@@ -1,5 +1,7 @@
 """Files that version 0.7.0 wrote stay readable."""
 
+import re
+import shutil
 from pathlib import Path
 
 import pytest
@@ -9,6 +11,7 @@ from handover_marl.evaluation.crossplay import read_crossplay_pairs
 from handover_marl.evaluation.demonstrations.reader import Demonstrations
 from handover_marl.evaluation.merge import merge
 from handover_marl.evaluation.results.metadata import read_result_metadata
+from handover_marl.evaluation.verification.folder_checks import check_reports
 from handover_marl.policies.reference import parse_policy
 
 OLD = Path(__file__).parents[1] / "data" / "v0_7_0"
@@ -30,6 +33,30 @@ def test_result_folders_are_evaluated(folder: str, outcomes: list[str]) -> None:
     assert [episode.status.label for episode in report.episodes] == outcomes
     assert report.metadata.version == "0.7.0"
     assert all(episode.fluency is not None for episode in report.episodes)
+
+
+def test_metrics_of_a_result_folder() -> None:
+    """The largest force has another name, and seven metrics are missing."""
+    found = handover_marl.evaluate(OLD / "benchmark").episodes[0].fluency
+    assert found is not None
+    assert found.max_robot_object_force == pytest.approx(593.8567745478858)
+    assert found.reach == pytest.approx(0.4497887554653681)
+    assert found.gripper_jerk is found.gripper_path is found.max_robot_hand_force is None
+
+
+@pytest.mark.parametrize("folder", ["benchmark", "pair", "vision", "agreement/exact", "crossplay/replay-yang2021"])
+def test_reports_agree_with_their_results(folder: str) -> None:
+    assert check_reports(OLD / folder) == []
+
+
+@pytest.mark.parametrize("key", ["plan_time", "peak_force", "exec"])
+def test_forged_values_under_old_keys_are_found(key: str, tmp_path: Path) -> None:
+    shutil.copytree(OLD / "benchmark", tmp_path, dirs_exist_ok=True)
+    report = tmp_path / "report.json"
+    text, n = re.subn(rf'("{key}": (?:{{\s*"mean": )?)(\d)', r"\g<1>9\g<2>", report.read_text())
+    assert n
+    report.write_text(text)
+    assert check_reports(tmp_path)
 
 
 def test_identity_of_a_result_folder() -> None:

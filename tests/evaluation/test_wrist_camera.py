@@ -75,7 +75,7 @@ def test_rendering_time_is_not_planning_time(monkeypatch: pytest.MonkeyPatch) ->
 
     monkeypatch.setattr(Episode, "observe_camera", slowly)
     report = handover_marl.evaluate_pair(receiver=Seeing, scenes=SCENES[:1], workers=1, **OPTIONS)
-    assert report.episodes[0].plan_time_s < 0.2
+    assert report.episodes[0].plan_s < 0.2
 
 
 def test_nothing_is_rendered_without_camera_observations(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,8 +8,10 @@ from typing import Any
 
 from handover_marl import __version__
 from handover_marl.episode.referee import EpisodeStatus
+from handover_marl.evaluation.reports.columns import REPORTED_STATUSES
 from handover_marl.evaluation.reports.fluency_tables import FLUENCY_NOTE
-from handover_marl.evaluation.reports.report import REPORTED_STATUSES, Report, build_scene_table
+from handover_marl.evaluation.reports.report import Report
+from handover_marl.evaluation.reports.scene_tables import build_scene_table
 from handover_marl.evaluation.reports.statistics import compute_wilson_interval
 from handover_marl.evaluation.reports.tables import format_interval
 from handover_marl.evaluation.results.result_folder import find_replays
@@ -28,6 +30,7 @@ def render_report_page(report: Report, replays: Mapping[int, str] | None = None)
     links = dict(replays or {})
     scenes = build_scene_table(report.episodes)
     metadata = report.metadata
+    official, objects, fluency = report.build_tables()
     return render_page(
         "report.html",
         version=__version__,
@@ -36,11 +39,11 @@ def render_report_page(report: Report, replays: Mapping[int, str] | None = None)
         kinds=[_group_episodes(report, flag, scenes.rows) for flag in REPORTED_STATUSES],
         n_episodes=len(report.episodes),
         n_replays=sum(episode.scene_id in links for episode in report.episodes),
-        official=report.build_official_table(),
+        official=official,
         notes=report.format_notes().splitlines(),
         settings=_list_settings(report),
-        objects=report.build_object_table(),
-        fluency=report.build_fluency_table(),
+        objects=objects,
+        fluency=fluency,
         fluency_note=FLUENCY_NOTE,
         scene_header=scenes.header,
         outcome_column=list(scenes.header).index(_OUTCOME_COLUMN),
@@ -83,7 +86,7 @@ def _list_settings(report: Report) -> list[tuple[str, str]]:
     stored = {key.replace("_", " "): value for key, value in asdict(report.metadata).items() if value}
     computed = {
         "data": report.data_label,
-        "scenes": report.extent,
-        "planning timed on": report.machine_label,
+        "n episodes": report.extent,
+        "machine": report.machine_label,
     }
     return list({**stored, **computed}.items())

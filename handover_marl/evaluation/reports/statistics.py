@@ -1,4 +1,4 @@
-"""95 % intervals of rates and means, and the correlation of two rankings."""
+"""Means, 95 % intervals of rates and means, and the correlation of two rankings."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,6 +10,26 @@ from scipy import stats
 
 _N_RESAMPLES = 2000
 _MIN_RANKED, _MAX_RANKED = 3, 9  # items; the permutation test visits all orders
+
+
+@dataclass(frozen=True)
+class MeanEstimate:
+    """Mean of a metric over episodes, with its confidence interval.
+
+    Attributes:
+        mean: Mean over the episodes that have a value; None if none has.
+        interval_95: Bootstrap 95 % interval, or None for fewer than two values.
+        n: Number of episodes that have a value.
+    """
+
+    mean: float | None
+    interval_95: tuple[float, float] | None
+    n: int
+
+
+def estimate_mean(values: Sequence[float]) -> MeanEstimate:
+    """Estimate a mean with its 95 % interval."""
+    return MeanEstimate(float(np.mean(values)) if values else None, compute_mean_interval(values), len(values))
 
 
 def compute_wilson_interval(count: int, n: int) -> tuple[float, float]:

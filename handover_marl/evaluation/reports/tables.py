@@ -20,18 +20,23 @@ class ReportTable:
         rows: Cells, one sequence per row.
         split_column: Column before which the Markdown table is split in two, so that related
             columns stay together; 0 splits only tables that are too wide.
+        n_keys: Number of first columns that identify a row; every part of a split table has them.
     """
 
     header: Sequence[str]
     rows: Sequence[Sequence[object]]
     split_column: int = 0
+    n_keys: int = 1
 
     def __str__(self) -> str:
         if not self.rows:
             return ""
-        parts = [slice(1, self.split_column), slice(self.split_column, None)] if self.split_column else [slice(1, None)]
+        keys, split = self.n_keys, self.split_column
+        parts = [slice(keys, split), slice(split, None)] if split else [slice(keys, None)]
         return "\n\n".join(
-            format_table([*self.header[:1], *self.header[part]], [[*row[:1], *row[part]] for row in self.rows])
+            format_table(
+                [*self.header[:keys], *self.header[part]], [[*row[:keys], *row[part]] for row in self.rows], keys
+            )
             for part in parts
         )
 

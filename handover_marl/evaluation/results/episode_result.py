@@ -15,7 +15,7 @@ class EpisodeResult:
         index: Position of the scene in its split; names the official result file.
         status: Outcome flags.
         steps: Physics steps (1 ms) until the end of the episode.
-        plan_time_s: Wall-clock time spent in the receiver's policy (s).
+        plan_s: Wall-clock time spent in the receiver's policy (s).
         scene_id: Scene number, or None if unknown (results of HandoverSim's code).
         release_step: Physics step whose contacts made the giver release the object, or None.
         object_name: YCB class of the object handed over, or None if unknown.
@@ -25,14 +25,14 @@ class EpisodeResult:
         models: Description of the hand model and of other substitutes for HandoverSim's models, or
             None if unknown.
         fingerprint: Hash of the scene's data files, or None if unknown.
-        machine: Machine on which `plan_time_s` was measured, or None if unknown.
+        machine: Machine on which `plan_s` was measured, or None if unknown.
         fluency: Metrics beyond the official ones, or None if unknown.
     """
 
     index: int
     status: EpisodeStatus
     steps: int
-    plan_time_s: float
+    plan_s: float
     scene_id: int | None = None
     release_step: int | None = None
     object_name: str | None = None

@@ -8,7 +8,7 @@ official readers ignore.
 import io
 import re
 from collections.abc import Mapping
-from dataclasses import asdict, fields
+from dataclasses import MISSING, asdict, fields
 from pathlib import Path
 from types import NoneType
 from typing import Any, get_args, get_type_hints
@@ -31,6 +31,7 @@ from handover_marl.evaluation.results.metadata import (
 )
 from handover_marl.evaluation.writers import EpisodeRecorder, EpisodeWriter
 from handover_marl.execution.files import create_exclusively, has_content, write_atomically
+from handover_marl.execution.old_keys import FLUENCY_KEYS
 from handover_marl.execution.reading import read_arrays
 from handover_marl.policies.policy import Policy
 
@@ -261,18 +262,16 @@ def read_result(path: Path) -> EpisodeResult:
     arrays = load_result_arrays(path)
     try:
         status, steps = int(arrays["result"]), int(arrays["elapsed_frame"])
-        plan_time_s = float(np.sum(arrays["elapsed_time"]))
+        plan_s = float(np.sum(arrays["elapsed_time"]))
         extras: dict[str, Any] = {
             key: check_scalar(key, arrays[key].item(), kind) for key, kind in _EXTRAS.items() if key in arrays
         }
         extras["fluency"] = _read_fluency(arrays)
     except (KeyError, TypeError, ValueError) as error:
         raise _make_read_error(path, error) from error
-    if not 0 < status < 16 or (status & 1 and status != 1) or steps < 1 or not 0.0 <= plan_time_s < np.inf:
+    if not 0 < status < 16 or (status & 1 and status != 1) or steps < 1 or not 0.0 <= plan_s < np.inf:
         raise ResultsError(f"{path}: impossible result {status} after {steps} steps; run its scene again")
-    return EpisodeResult(
-        index=int(path.stem), status=EpisodeStatus(status), steps=steps, plan_time_s=plan_time_s, **extras
-    )
+    return EpisodeResult(index=int(path.stem), status=EpisodeStatus(status), steps=steps, plan_s=plan_s, **extras)
 
 
 def _make_read_error(path: Path, error: Exception) -> ResultsError:
@@ -292,9 +291,18 @@ def _arrays_from_fluency(fluency: FluencyMetrics | None) -> dict[str, npt.NDArra
 
 
 def _read_fluency(archive: Mapping[str, npt.NDArray[Any]]) -> FluencyMetrics | None:
-    if _FLUENCY_PREFIX + fields(FluencyMetrics)[0].name not in archive:
+    stored = {
+        FLUENCY_KEYS.get(key := name.removeprefix(_FLUENCY_PREFIX), key): float(value)
+        for name, value in archive.items()
+        if name.startswith(_FLUENCY_PREFIX)
+    }
+    if not stored:
         return None
-    values = {field.name: float(archive[_FLUENCY_PREFIX + field.name]) for field in fields(FluencyMetrics)}
+    # Version 0.7.0 had fewer metrics; those without a default are in every file.
+    values = {
+        field.name: stored[field.name] if field.default is MISSING else stored.get(field.name, np.nan)
+        for field in fields(FluencyMetrics)
+    }
     if np.isinf(list(values.values())).any():
         raise ValueError("a metric is infinite")
     return FluencyMetrics(**{key: None if np.isnan(value) else value for key, value in values.items()})  # type: ignore[arg-type]

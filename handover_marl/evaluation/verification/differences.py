@@ -9,7 +9,7 @@ from handover_marl.evaluation.results.episode_result import EpisodeResult
 from handover_marl.evaluation.results.metadata import ResultMetadata
 
 # Fields of a result that cannot be simulated: wall-clock times and the machine they were measured on.
-_UNVERIFIED = ("plan_time_s", "machine")
+_UNVERIFIED = ("plan_s", "machine")
 _TOLERANCE = 1e-6
 
 
@@ -81,7 +81,7 @@ class Verification:
             "Not verified: planning times, and that the actions are those of the named receiver.",
         ]
         if rows:
-            parts.append(format_table(["scene", "value", "stored", "simulated"], rows, max_width=200))
+            parts.append(format_table(["scene id", "value", "stored", "simulated"], rows, max_width=200))
             n_changed, n_folder = len(self.changed_episodes), len(self.folder_differences)
             parts.append(f"Not equal: {n_changed} of {n} episodes and {n_folder} values of the folder.")
         else:
@@ -96,7 +96,7 @@ def compare_results(stored: EpisodeResult, simulated: EpisodeResult, same_versio
         stored: Result in the folder.
         simulated: Result of simulating the stored actions.
         same_version: Whether the present version of the library made the folder; other versions may
-            compute hashes of data and descriptions of models differently.
+            compute hashes of data and descriptions of models differently, and lack metrics.
     """
     skipped = (*_UNVERIFIED, "fluency", *(() if same_version else ("fingerprint", "models")))
     pairs = {
@@ -113,27 +113,31 @@ def compare_results(stored: EpisodeResult, simulated: EpisodeResult, same_versio
     if stored.fluency is not None and simulated.fluency is not None:
         for field in fields(stored.fluency):
             found, expected = getattr(stored.fluency, field.name), getattr(simulated.fluency, field.name)
-            if not _is_close(found, expected):
+            is_new = field.default is None and found is None  # version 0.7.0 lacks metrics that have a default
+            if not _is_close(found, expected) and (same_version or not is_new):
                 differences.append(_make_difference(field.name, found, expected))
     elif stored.fluency is None and not is_official:
         differences.append(Difference("fluency", "missing", "present"))
     return differences
 
 
-def compare_json(stored: Any, expected: Any, key: str = "") -> list[Difference]:
+def compare_json(stored: Any, expected: Any, key: str = "", same_keys: bool = True) -> list[Difference]:
     """Compare two values of JSON types; numbers may differ by rounding.
 
     Args:
         stored: Value in a file.
         expected: Computed value.
         key: Name of the value.
+        same_keys: Whether keys that only one of the two values has are differences.
     """
     if isinstance(stored, dict) and isinstance(expected, dict):
-        names = sorted(stored.keys() | expected.keys())
-        parts = [compare_json(stored.get(name), expected.get(name), f"{key}.{name}".lstrip(".")) for name in names]
+        names = sorted(stored.keys() | expected.keys() if same_keys else stored.keys() & expected.keys())
+        parts = [
+            compare_json(stored.get(name), expected.get(name), f"{key}.{name}".lstrip("."), same_keys) for name in names
+        ]
     elif isinstance(stored, list) and isinstance(expected, list) and len(stored) == len(expected):
         pairs = enumerate(zip(stored, expected, strict=True))
-        parts = [compare_json(found, wanted, f"{key}[{index}]") for index, (found, wanted) in pairs]
+        parts = [compare_json(found, wanted, f"{key}[{index}]", same_keys) for index, (found, wanted) in pairs]
     else:
         return [] if _is_close(stored, expected) else [_make_difference(key, stored, expected)]
     return [difference for part in parts for difference in part]

@@ -12,6 +12,7 @@ from handover_marl.evaluation.reports.report_files import evaluate
 from handover_marl.evaluation.results.metadata import ResultMetadata
 from handover_marl.evaluation.verification.differences import Difference, compare_json
 from handover_marl.execution.files import has_content, shorten_text
+from handover_marl.execution.old_keys import upgrade_report
 from handover_marl.execution.reading import read_plain_file
 from handover_marl.policies.reference import PolicyReference
 
@@ -42,12 +43,12 @@ def check_reports(path: Path) -> list[Difference]:
     except ResultsError as error:
         return [Difference("results", shorten_text(error), "readable results")]
     try:
-        stored = json.loads(read_plain_file(path / "report.json", _MAX_REPORT_BYTES))
+        stored = upgrade_report(json.loads(read_plain_file(path / "report.json", _MAX_REPORT_BYTES)))
         n_resumed = stored["n_resumed"]
         report = replace(report, n_resumed=min(max(int(n_resumed), 0), len(report.episodes)))
     except FileNotFoundError:
         return []
-    except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
+    except (OSError, ValueError, TypeError, AttributeError, KeyError, RecursionError) as error:
         return [Difference("report.json", shorten_text(error), "a report")]
     differences = _compare_report(stored, report)
     text = path / "report.md"
@@ -60,6 +61,5 @@ def check_reports(path: Path) -> list[Difference]:
 def _compare_report(stored: dict[str, Any], report: Report) -> list[Difference]:
     expected = json.loads(json.dumps(report.to_json()))
     # Other versions write fewer or other keys.
-    keys = expected.keys() if report.metadata.version == __version__ else expected.keys() & stored.keys()
-    differences = compare_json({key: stored.get(key) for key in keys}, {key: expected[key] for key in keys})
+    differences = compare_json(stored, expected, same_keys=report.metadata.version == __version__)
     return [replace(difference, key=f"report.json: {difference.key}") for difference in differences]

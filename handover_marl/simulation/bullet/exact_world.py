@@ -136,10 +136,11 @@ class BulletWorld(World):
         """
         panda = self._loaded_workcell.panda
         touching = [point for point in self._client.getContactPoints(panda.id) if point[_NORMAL_FORCE] > 0.0]
-        robot_touches_hand = any(point[_BODY_B] in hand for point in touching)
+        hand_forces = [point[_NORMAL_FORCE] for point in touching if point[_BODY_B] in hand]
+        robot_touches_hand, robot_hand_force = bool(hand_forces), sum(hand_forces)
         points = [] if target is None else [point for point in touching if point[_BODY_B] == target.id]
         if target is None or not (points or supports):
-            return Contacts(robot_touches_hand=robot_touches_hand)
+            return Contacts(robot_touches_hand=robot_touches_hand, robot_hand_force=robot_hand_force)
         left, right = panda.finger_links
         gripper_pose, *finger_poses = panda.read_link_poses([panda.hand_link, left, right])
         x, y, z = gripper_pose[:3].tolist()
@@ -154,6 +155,7 @@ class BulletWorld(World):
             object_height=float(target.read_pose()[2]),
             gripper_position=(x, y, z),
             robot_object_force=sum(point[_NORMAL_FORCE] for point in points),
+            robot_hand_force=robot_hand_force,
         )
 
     def _is_supported(self, target: ObjectBody, supports: Collection[int]) -> bool:

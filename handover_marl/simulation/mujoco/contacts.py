@@ -18,8 +18,9 @@ from handover_marl.simulation.contacts import NO_POINTS, ContactBatch, Contacts,
 
 Array = npt.NDArray[np.float64]
 
-# Number of strongest contacts recorded with the object, for each finger and for the whole robot.
-_FINGER_SLOTS, _ROBOT_SLOTS = 8, 12
+# Number of strongest contacts recorded with the object, for each finger and for the whole robot, and with the robot,
+# for each link of the human hand.
+_FINGER_SLOTS, _ROBOT_SLOTS, _HAND_SLOTS = 8, 12, 4
 _FORCE = 1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE)
 _POINT = _FORCE | sum(
     1 << int(field)
@@ -66,7 +67,7 @@ def add_contact_sensors(
         add(f"touch/{side}", (body, finger), target, _POINT, _FINGER_SLOTS)
     add("touch/robot", (subtree, robot), target, _FORCE, _ROBOT_SLOTS)
     for number, name in enumerate(hand):
-        add(f"touch/hand{number}", (body, name), None, _FORCE, 1)
+        add(f"touch/hand{number}", (body, name), None, _FORCE, _HAND_SLOTS)
     for number, name in enumerate(supports):
         add(f"touch/support{number}", (body, name), target, _FORCE, 1)
 
@@ -140,6 +141,10 @@ class ContactSensors:
             robot_object_force=force,
             object_supported=data[..., self._supports].max(axis=-1) > 0.0,
         )
+
+    def read_hand_force(self, data: Array) -> float:
+        """Return the sum of the normal forces between robot and human hand (N) from sensor data (n,)."""
+        return float(data[self._hand].sum())
 
     def read_finger_forces(self, data: Array) -> Array:
         """Return the fingers' normal forces (..., 2, 8) on the object (N), 0 without contact."""
@@ -217,6 +222,7 @@ class SensorReadings:
             object_height=float(self.qpos[sensors.height_index]),
             gripper_position=(x, y, z),
             robot_object_force=force,
+            robot_hand_force=sensors.read_hand_force(data) if readings.robot_touches_hand else 0.0,
         )
 
     def compute_contact_batch(self, config: ProtocolConfig) -> ContactBatch:

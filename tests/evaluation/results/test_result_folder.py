@@ -23,7 +23,7 @@ RESULT = EpisodeResult(
     index=0,
     status=EpisodeStatus.TIMEOUT,
     steps=50,
-    plan_time_s=0.5,
+    plan_s=0.5,
     scene_id=9,
     object_name="003_cracker_box",
     subject="20200709-subject-01",
@@ -48,9 +48,9 @@ def folder(tmp_path: Path) -> ResultFolder:
 def test_results_are_read_as_written(folder: ResultFolder) -> None:
     assert read_result_metadata(folder.path) == SETTINGS
     [result] = read_results(folder.path)
-    assert result.plan_time_s == pytest.approx(0.5)
+    assert result.plan_s == pytest.approx(0.5)
     assert result == folder.read(0, "abc")
-    assert {**vars(result), "plan_time_s": 0.5} == vars(RESULT)
+    assert {**vars(result), "plan_s": 0.5} == vars(RESULT)
     assert folder.read(1, "abc") is None
 
 

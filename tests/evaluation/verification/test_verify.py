@@ -133,10 +133,11 @@ VALUE_FORGERIES: dict[str, Callable[[Arrays], object]] = {
     "no object": lambda arrays: arrays.pop("object_name"),
     "other models": replaced("models", "MANO hands"),
     "other data": replaced("fingerprint", "0123456789abcdef"),
+    "no jerk": lambda arrays: arrays.pop("fluency_gripper_jerk"),
     "no fluency": lambda arrays: [arrays.pop(key) for key in list(arrays) if key.startswith("fluency_")],
     **{
         f"{field.name} {word}": lambda arrays, key=f"fluency_{field.name}", factor=factor: arrays.update(
-            {key: arrays[key] * factor + 1e-4}
+            {key: np.nan_to_num(arrays[key]) * factor + 1e-4}
         )
         for field in fields(FluencyMetrics)
         for word, factor in (("higher", 1.01), ("lower", 0.99))
@@ -156,8 +157,8 @@ REPORT_FORGERIES: dict[str, Callable[[Path], object]] = {
     "interval": lambda folder: change_json(
         folder, lambda report: report["rates"]["drop"].update(interval_95=[0, 0.01])
     ),
-    "average success": lambda folder: change_json(folder, lambda report: report["average_success"].update(mean=0.99)),
-    "time": lambda folder: change_json(folder, lambda report: report["times"]["exec"].update(mean=1.0)),
+    "average success": lambda folder: change_json(folder, lambda report: report["AS"].update(mean=0.99)),
+    "time": lambda folder: change_json(folder, lambda report: report["times"]["exec_s"].update(mean=1.0)),
     "episodes": lambda folder: change_json(folder, lambda report: report.update(n_episodes=144)),
     "receiver": lambda folder: change_json(folder, lambda report: report.update(receiver="mine")),
     "an episode": lambda folder: change_json(folder, lambda report: report["episodes"][0].update(steps=1)),
@@ -196,6 +197,14 @@ def test_forged_values_are_found(forgery: str, folder: Path, simulated: EpisodeR
     assert compare_results(read_result(folder / "002.npz"), simulated, same_version=True) == []
     change_arrays(folder, VALUE_FORGERIES[forgery])
     assert compare_results(read_result(folder / "002.npz"), simulated, same_version=True)
+
+
+def test_metrics_that_earlier_versions_lack_are_skipped(folder: Path, simulated: EpisodeResult) -> None:
+    change_arrays(folder, VALUE_FORGERIES["no jerk"])
+    assert compare_results(read_result(folder / "002.npz"), simulated, same_version=False) == []
+    change_arrays(folder, VALUE_FORGERIES["gripper_path higher"])
+    (found,) = compare_results(read_result(folder / "002.npz"), simulated, same_version=False)
+    assert found.key == "gripper_path", "those that are stored are compared"
 
 
 @pytest.mark.parametrize("forgery", REPORT_FORGERIES)

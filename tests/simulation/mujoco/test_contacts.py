@@ -102,6 +102,13 @@ def test_the_hand_is_sensed(scene: SceneModel) -> None:
     data.mocap_pos[scene.hand] = NOWHERE
     mujoco.mj_step(scene.model, data)
     assert not scene.contact_sensors.read_contacts(data.sensordata).robot_touches_hand
-    data.mocap_pos[scene.hand.stop - 1] = data.xpos[scene.gripper]
+    data.mocap_pos[scene.hand.stop - 3 : scene.hand.stop] = data.xpos[scene.gripper]
     mujoco.mj_step(scene.model, data)
     assert scene.contact_sensors.read_contacts(data.sensordata).robot_touches_hand
+    model, forces, force = scene.model, [], np.zeros(6)
+    for number in range(data.ncon):
+        if np.isin(model.geom_bodyid[data.contact[number].geom], np.arange(model.nbody)[scene.hand]).any():
+            mujoco.mj_contactForce(model, data, number, force)
+            forces.append(force[0])
+    assert len(forces) > 3
+    assert scene.contact_sensors.read_hand_force(data.sensordata) == pytest.approx(sum(forces))
