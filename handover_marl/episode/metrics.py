@@ -158,8 +158,8 @@ def compute_rms_jerk(positions: Array, period: float) -> float | None:
 def _compute_jerk_weights() -> Array:
     """Compute the weights (13,) of equally spaced samples in the third derivative at the middle one."""
     offsets = np.arange(_JERK_SAMPLES) - _JERK_SAMPLES // 2
-    coefficients: Array = np.linalg.pinv(np.vander(offsets, _JERK_DEGREE + 1, increasing=True))
-    return 6.0 * coefficients[3]
+    weights: Array = 6.0 * np.linalg.pinv(np.vander(offsets, _JERK_DEGREE + 1, increasing=True))[3]
+    return weights
 
 
 def compute_spectral_arc_length(

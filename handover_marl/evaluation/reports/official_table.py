@@ -43,7 +43,7 @@ def build_official_table(metadata: ResultMetadata, episodes: Sequence[EpisodeRes
     rate_intervals = [format_percent_interval(count, n) for count in counts]
     # The interval of the total would not fit into the width.
     time_intervals = [*(format_interval(each.interval_95, ".3f", 1.0) for each in times[:-1]), NO_VALUE]
-    rows = [
+    rows: list[list[object]] = [
         [
             metadata.receiver,
             *rates,
@@ -65,7 +65,7 @@ def find_comparable_rows(metadata: ResultMetadata) -> tuple[PublishedResult, ...
     return PUBLISHED[metadata.setup] if identity == ("test", "dexycb", "exact", OFFICIAL_WORLD) else ()
 
 
-def _format_published_row(row: PublishedResult) -> list[str]:
+def _format_published_row(row: PublishedResult) -> list[object]:
     rates = [f"{rate:.2f}" for rate in (row.success, row.contact, row.drop, row.timeout)]
     times = [format_seconds(value) for value in (row.time_exec, row.time_plan, row.time_total)]
     return [f"published: {row.method}", *rates, f"{row.average_success:.2f}", f"{row.wait_s:g}", *times]

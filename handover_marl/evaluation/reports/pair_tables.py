@@ -47,7 +47,8 @@ def build_rate_table(pairs: Sequence[EpisodePair], names: tuple[str, str]) -> Re
     sides = list(zip(*pairs, strict=True))
     for flag in REPORTED_STATUSES:
         cells = [format_percent_rate(sum(bool(each.status & flag) for each in side), n, digits=2) for side in sides]
-        rows.append([flag.label, *cells, format_percent_difference(compute_rate_difference(*sides, flag), digits=2), n])
+        difference = compute_rate_difference(sides[0], sides[1], flag)
+        rows.append([flag.label, *cells, format_percent_difference(difference, digits=2), n])
     scores = [[result.speed_score for result in side] for side in sides]
     gains = [first - second for first, second in zip(*scores, strict=True)]
     means = [*map(format_percent_mean, scores), format_percent_mean(gains, signed=True)]
