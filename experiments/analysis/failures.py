@@ -19,6 +19,7 @@ import numpy.typing as npt
 import tyro
 
 from handover_marl import givers, receivers
+from handover_marl.cli.options import SceneNumbers
 from handover_marl.config import ARM_DOF
 from handover_marl.episode.callbacks import EpisodeCallback, PolicyDecision
 from handover_marl.episode.camera_observations import WristCameraConfig
@@ -67,7 +68,7 @@ class Args(EvaluationArgs):
     camera_noise: str | None = None
     stride: int = 1
     offset: int = 0
-    scenes: tuple[int, ...] = ()
+    scenes: SceneNumbers = None
     giver: str = "replay"
     workers: int | None = 1
     all: bool = False

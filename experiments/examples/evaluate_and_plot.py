@@ -13,6 +13,7 @@ import tyro
 from matplotlib.figure import Figure
 
 import handover_marl
+from handover_marl.cli.options import SceneNumbers
 
 OUTCOMES = ("success", "contact", "drop", "timeout")
 
@@ -41,7 +42,7 @@ class Args:
     data_dir: str | None = None
     setup: str = "s0"
     split: str = "val"
-    scenes: tuple[int, ...] | None = None
+    scenes: SceneNumbers = None
     physics: str = "fast"
     workers: int | None = None
 

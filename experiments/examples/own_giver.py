@@ -14,6 +14,7 @@ import numpy as np
 import tyro
 
 import handover_marl
+from handover_marl.cli.options import SceneNumbers
 from handover_marl.givers import Giver, make_giver_action
 from handover_marl.testing import check_giver
 
@@ -38,7 +39,7 @@ class Args:
     data_dir: str | None = None
     setup: str = "s0"
     split: str = "val"
-    scenes: tuple[int, ...] | None = None
+    scenes: SceneNumbers = None
     physics: str = "fast"
     workers: int | None = None
 

@@ -13,6 +13,7 @@ import numpy as np
 import tyro
 
 import handover_marl
+from handover_marl.cli.options import SceneNumbers
 from handover_marl.learning.schemes import make_scheme
 from handover_marl.receivers import PolicyContext, Receiver
 from handover_marl.testing import check_receiver
@@ -36,7 +37,7 @@ class Args:
     data_dir: str | None = None
     setup: str = "s0"
     split: str = "val"
-    scenes: tuple[int, ...] | None = None
+    scenes: SceneNumbers = None
     physics: str = "fast"
     workers: int | None = None
 

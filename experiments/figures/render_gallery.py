@@ -13,6 +13,7 @@ from PIL import Image
 from rich.console import Console
 from rich.progress import track
 
+from handover_marl.cli.options import SceneNumbers
 from handover_marl.config import CameraConfig, PandaConfig
 from handover_marl.datasets import Dataset
 from handover_marl.episode.episode import Episode
@@ -33,7 +34,7 @@ class Args(DatasetArgs):
     """
 
     out: Path
-    scenes: tuple[int, ...] = tuple(100 * (n % 10) + 5 * n + (n * 7) % 5 for n in range(20))
+    scenes: SceneNumbers = tuple(100 * (n % 10) + 5 * n + (n * 7) % 5 for n in range(20))
     columns: int = 5
     size: int = 240
     dataset: str = "synthetic"

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import tyro
 
+from handover_marl.cli.options import SceneNumbers
 from handover_marl.evaluation.benchmark import evaluate_pair
 from handover_marl.geometry.panda import PANDA_CAMERA
 from handover_marl.learning.imitation.gaddpg.expert_receiver import ExpertReceiver
@@ -27,7 +28,7 @@ class Args(EvaluationArgs):
     """
 
     split: str = "val"
-    scenes: tuple[int, ...] | None = None
+    scenes: SceneNumbers = None
     wait: float = 3.0
 
 

@@ -6,7 +6,8 @@ from typing import Annotated
 
 import tyro
 
-from handover_marl.cli.options import SceneNumbers, parse_scenes
+from handover_marl.cli.options import SceneNumbers
+from handover_marl.cli.streams import print_result
 
 
 def run_import(
@@ -17,8 +18,10 @@ def run_import(
     scenes: SceneNumbers = None,
     workers: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
     progress: bool = True,
-) -> None:
+) -> int:
     """Create HandoverSim's data folder from raw DexYCB, MANO and HandoverSim's third-party archive.
+
+    The exit status is 1 if no scene could be imported, else 0.
 
     Args:
         dexycb: Folder into which DexYCB's archives were unpacked.
@@ -34,9 +37,10 @@ def run_import(
     from handover_marl.datasets.dexycb.importer import import_dexycb
 
     report = import_dexycb(
-        dexycb, mano, out, third_party=third_party, scenes=parse_scenes(scenes), workers=workers, progress=progress
+        dexycb, mano, out, third_party=third_party, scenes=scenes, workers=workers, progress=progress
     )
-    print(f"{report}\n\nData folder: {report.out}")
+    print_result(f"{report}\n\nData folder: {report.out}")
+    return int(not report.scenes)
 
 
 def run_doctor(data_dir: Annotated[str | None, tyro.conf.arg(metavar="DIR")] = None, progress: bool = True) -> int:
@@ -58,9 +62,9 @@ def run_doctor(data_dir: Annotated[str | None, tyro.conf.arg(metavar="DIR")] = N
     chosen = data_dir or os.environ.get(DATA_DIR_VARIABLE)
     if chosen:
         findings += examine_data_folder(Path(chosen).expanduser(), progress)
-    print(format_findings(findings))
+    print_result(format_findings(findings))
     if chosen:
-        print(f"\nData folder: {chosen}")
+        print_result(f"\nData folder: {chosen}")
     else:
-        print(f"\nNo data folder (--data-dir or {DATA_DIR_VARIABLE}): synthetic scenes are used.")
+        print_result(f"\nNo data folder (--data-dir or {DATA_DIR_VARIABLE}): synthetic scenes are used.")
     return int(any(finding.severity is Severity.FAULT for finding in findings))

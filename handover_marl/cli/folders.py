@@ -5,7 +5,8 @@ from typing import Annotated
 
 import tyro
 
-from handover_marl.cli.options import SceneNumbers, parse_scenes
+from handover_marl.cli.options import SceneNumbers
+from handover_marl.cli.streams import print_result
 from handover_marl.execution.files import write_atomically
 
 _PagePath = Annotated[str | None, tyro.conf.arg(metavar="FILE.html")]
@@ -22,7 +23,7 @@ def run_evaluate(folder: Annotated[str, tyro.conf.arg(metavar="DIR")], /, out: _
 
     path = _check_page_path(out)
     report = evaluate(folder)
-    print(report)
+    print_result(report)
     if path is not None:
         from handover_marl.evaluation.reports.pages import find_replay_links, render_report_page
 
@@ -60,13 +61,13 @@ def run_verify(
     verification = verify(
         folder,
         data_dir=data_dir,
-        scenes=parse_scenes(scenes),
+        scenes=scenes,
         giver=giver,
         workers=workers,
         progress=progress,
         trust=trust,
     )
-    print(f"{verification}\n\nFolder: {Path(folder).expanduser()}")
+    print_result(f"{verification}\n\nFolder: {Path(folder).expanduser()}")
     return int(not verification.is_verified)
 
 
@@ -87,7 +88,7 @@ def run_compare(
 
     path = _check_page_path(out)
     comparison = compare(first, second)
-    print(comparison)
+    print_result(comparison)
     if path is not None:
         from handover_marl.evaluation.comparison import render_comparison_page
         from handover_marl.evaluation.reports.pages import find_replay_links
@@ -109,12 +110,12 @@ def run_merge(
     """
     from handover_marl.evaluation.merge import merge
 
-    print(f"{merge(folders, out)}\n\nResults: {Path(out).expanduser()}")
+    print_result(f"{merge(folders, out)}\n\nResults: {Path(out).expanduser()}")
 
 
 def _print_page_path(path: Path | None) -> None:
     """Print, as the last line, the path of the page."""
-    print("\nPage not saved; add --out FILE.html." if path is None else f"\nPage: {path}")
+    print_result("\nPage not saved; add --out FILE.html." if path is None else f"\nPage: {path}")
 
 
 def _check_page_path(out: str | None) -> Path | None:

@@ -1,14 +1,21 @@
 """Command-line options made from the fields of `EvaluationConfig` and `ExecutionConfig`."""
 
-import os
+import contextlib
+from collections.abc import Iterator, Sequence
 from dataclasses import fields
 from typing import Annotated, Any, Literal
 
 import tyro
 from docstring_parser import parse
-from tyro.constructors import ConstructorRegistry, StructConstructorSpec, StructFieldSpec, StructTypeInfo
+from tyro.constructors import (
+    ConstructorRegistry,
+    PrimitiveConstructorSpec,
+    StructConstructorSpec,
+    StructFieldSpec,
+    StructTypeInfo,
+)
 
-from handover_marl.errors import OptionError
+from handover_marl.errors import HandoverError, OptionError
 from handover_marl.evaluation.config import MULTI_SCENE_FIELDS, EvaluationConfig, ExecutionConfig
 
 #: Rules with which tyro builds options from configurations.
@@ -40,8 +47,32 @@ _HIDDEN_FIELDS: dict[type, tuple[str, ...]] = {
     ExecutionConfig: (),
     RenderExecutionArguments: MULTI_SCENE_FIELDS,
 }
+
+
+def parse_scenes(words: Sequence[str]) -> tuple[int, ...]:
+    """Return the scene numbers in words such as "209" or "209,214".
+
+    Raises:
+        OptionError: A part of a word is not a number.
+    """
+    text = " ".join(words)
+    try:
+        return tuple(int(part) for part in text.replace(", ", ",").replace(" ", ",").split(","))
+    except ValueError as error:
+        raise OptionError(f"must be numbers separated by spaces or commas, such as 209,214, got {text!r}") from error
+
+
 #: Type of an option with scene numbers, separated by spaces or commas.
-SceneNumbers = Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="N [N ...]")]
+SceneNumbers = Annotated[
+    tuple[int, ...] | None,
+    PrimitiveConstructorSpec(
+        nargs="*",
+        metavar="N [N ...]",
+        instance_from_str=parse_scenes,
+        is_instance=lambda value: value is None or isinstance(value, tuple),
+        str_from_instance=lambda value: ["None"] if value is None else list(map(str, value)),
+    ),
+]
 _OPTION_TYPES: dict[str, Any] = {
     "giver": Annotated[str, tyro.conf.arg(metavar="POLICY")],
     "receiver": Annotated[str, tyro.conf.arg(metavar="POLICY")],
@@ -81,34 +112,23 @@ def _struct_spec_from_config(info: StructTypeInfo) -> StructConstructorSpec | No
     )
 
 
-class ArgumentError(Exception):
+class ArgumentError(HandoverError):
     """Invalid option, reported without the help text that tyro adds to other errors."""
 
 
 def _make_evaluation_config(**options: Any) -> EvaluationConfig:
+    with _report_directly():
+        return EvaluationConfig(**options)
+
+
+def _make_execution_config(**options: Any) -> ExecutionConfig:
+    with _report_directly():
+        return ExecutionConfig(**options)
+
+
+@contextlib.contextmanager
+def _report_directly() -> Iterator[None]:
     try:
-        scenes = parse_scenes(options.pop("scenes", None))
+        yield
     except OptionError as error:
         raise ArgumentError(str(error)) from error
-    return EvaluationConfig(scenes=None if scenes is None else tuple(scenes), **options)
-
-
-def _make_execution_config(out: str | None = None, **options: Any) -> ExecutionConfig:
-    return ExecutionConfig(out=None if out is None else os.path.expanduser(out), **options)  # noqa: PTH111  (stays text)
-
-
-def parse_scenes(words: tuple[str, ...] | None) -> list[int] | None:
-    """Return the scene numbers in words such as "209" or "209,214"; None stays None.
-
-    Raises:
-        OptionError: A part of a word is not a number.
-    """
-    if words is None:
-        return None
-    text = " ".join(words)
-    try:
-        return [int(part) for part in text.replace(", ", ",").replace(" ", ",").split(",")]
-    except ValueError as error:
-        raise OptionError(
-            f"--scenes must be numbers separated by spaces or commas, such as 209,214, got {text!r}"
-        ) from error

@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from handover_marl.cli.options import RenderArguments, RenderExecutionArguments
+from handover_marl.cli.streams import print_result
 
 _SCENE, _EXECUTION = RenderArguments(), RenderExecutionArguments()
 # Fields of `EvaluationConfig` that apply to a single scene.
@@ -49,9 +50,9 @@ def run_render(
         from handover_marl.evaluation.rendering.plan import PLAN_CAMERA, render_plan
 
         options["camera"] = replace(PLAN_CAMERA, **size)
-        print(render_plan(scene, out, receiver=receiver or "omg", **options))
+        print_result(render_plan(scene, out, receiver=receiver or "omg", **options))
         return
     # Without a size, each kind of file has its own default camera.
     options |= {"camera": CameraConfig(**size) if size else None}
     options |= {"progress": execution.progress, "view": view, "key_frames": key_frames}
-    print(render_scene(scene, out, receiver=receiver, **options))
+    print_result(render_scene(scene, out, receiver=receiver, **options))

@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 import tyro
 
 from handover_marl.cli.options import BenchmarkArguments, CrossPlayArguments
+from handover_marl.cli.streams import print_result
 from handover_marl.evaluation.config import EvaluationConfig, ExecutionConfig
 
 _OFFICIAL, _CROSSPLAY = BenchmarkArguments(), CrossPlayArguments(split="val")
@@ -20,7 +21,7 @@ def run_benchmark(evaluation: BenchmarkArguments = _OFFICIAL, execution: Executi
     """
     from handover_marl.evaluation.benchmark import benchmark
 
-    _print_result(benchmark(evaluation, execution=execution), execution, "report.html")
+    _print_with_report(benchmark(evaluation, execution=execution), execution, "report.html")
 
 
 def run_pair(
@@ -34,7 +35,7 @@ def run_pair(
     """
     from handover_marl.evaluation.benchmark import evaluate_pair
 
-    _print_result(evaluate_pair(evaluation, execution=execution), execution, "report.html")
+    _print_with_report(evaluate_pair(evaluation, execution=execution), execution, "report.html")
 
 
 def run_agreement(
@@ -51,7 +52,7 @@ def run_agreement(
     """
     from handover_marl.evaluation.agreement import AGREEMENT_FILE, compare_physics
 
-    _print_result(compare_physics(evaluation, against=against, execution=execution), execution, AGREEMENT_FILE)
+    _print_with_report(compare_physics(evaluation, against=against, execution=execution), execution, AGREEMENT_FILE)
 
 
 def run_crossplay(
@@ -72,7 +73,7 @@ def run_crossplay(
     from handover_marl.policies.reference import split_policy_list
 
     rows, columns = split_policy_list("giver", givers), split_policy_list("receiver", receivers)
-    _print_result(crossplay(rows, columns, evaluation, execution=execution), execution, "crossplay.md")
+    _print_with_report(crossplay(rows, columns, evaluation, execution=execution), execution, "crossplay.md")
 
 
 def run_demonstrate(
@@ -99,10 +100,12 @@ def run_demonstrate(
     """
     from handover_marl.evaluation.demonstrations.record import demonstrate
 
-    _print_result(demonstrate(evaluation, obs_mode=obs_mode, keep=keep, execution=execution), execution, "report.html")
+    _print_with_report(
+        demonstrate(evaluation, obs_mode=obs_mode, keep=keep, execution=execution), execution, "report.html"
+    )
 
 
-def _print_result(result: object, execution: ExecutionConfig, report: str) -> None:
+def _print_with_report(result: object, execution: ExecutionConfig, report: str) -> None:
     """Print a result and, as the last line, the path of its report."""
-    print(result)
-    print(f"\nReport: {execution.folder / report}" if execution.folder else "\nReport not saved; add --out DIR.")
+    place = f"Report: {execution.folder / report}" if execution.folder else "Report not saved; add --out DIR."
+    print_result(f"{result}\n\n{place}")

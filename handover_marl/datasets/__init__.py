@@ -5,11 +5,11 @@
 """
 
 import os
-from pathlib import Path
 
 from handover_marl.datasets.dataset import Dataset
 from handover_marl.datasets.official import OfficialDataset
 from handover_marl.errors import DataNotFoundError, OptionError, check_name
+from handover_marl.execution.options import check_path
 from handover_marl.geometry.panda import PANDA
 
 #: Environment variable with the data folder, for calls without the argument `data_dir`.
@@ -40,9 +40,8 @@ def open_dataset(dataset: str = "auto", data_dir: str | os.PathLike[str] | None 
     check_name("dataset", dataset, DATASETS)
     if dataset == "synthetic" and data_dir:
         raise OptionError(f"synthetic scenes need no data folder, but data_dir is {data_dir}; leave one of them out")
-    if data_dir is not None and not isinstance(data_dir, (str, os.PathLike)):
-        raise OptionError(f"data_dir must be a path, got {data_dir!r}")
-    chosen = data_dir or os.environ.get(DATA_DIR_VARIABLE)
+    given = None if data_dir is None else check_path("data_dir", data_dir)
+    chosen = given or os.environ.get(DATA_DIR_VARIABLE)
     if dataset == "synthetic" or (dataset == "auto" and not chosen):
         # DexYCB needs none of the generator's imports, which take long.
         from handover_marl.datasets.synthetic import SyntheticDataset
@@ -54,7 +53,7 @@ def open_dataset(dataset: str = "auto", data_dir: str | os.PathLike[str] | None 
             "layout (dex-ycb-cache/ and assets/), or take the synthetic scenes (dataset='synthetic')."
         )
     try:
-        folder = Path(chosen).expanduser().resolve()
+        folder = check_path("data_dir", chosen).resolve()
     except (OSError, ValueError, RuntimeError) as error:
         raise DataNotFoundError(f"data folder {str(chosen)[:200]!r} cannot be used ({error})") from error
     return OfficialDataset(folder, robot)

@@ -7,6 +7,7 @@ objects or as keyword arguments.
 import os
 from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
+from numbers import Integral
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,8 @@ from handover_marl.datasets.splits import check_setup_and_split, choose_scenes
 from handover_marl.episode.camera_observations import WristCameraConfig
 from handover_marl.episode.spaces import get_camera_data
 from handover_marl.errors import OptionError
+from handover_marl.execution.files import shorten_text
+from handover_marl.execution.options import check_boolean, check_path
 from handover_marl.execution.pool import LOCAL, PoolConfig
 from handover_marl.geometry.panda import PANDA
 from handover_marl.policies.reference import PolicyLike, PolicyReference, parse_policy
@@ -33,6 +36,8 @@ REPLAYS_NONE, REPLAYS_FAILED, REPLAYS_ALL = "none", "failed", "all"
 REPLAY_CHOICES = (REPLAYS_NONE, REPLAYS_FAILED, REPLAYS_ALL)
 #: Fields of `ExecutionConfig` that do not apply to a single scene.
 MULTI_SCENE_FIELDS = ("workers", "backend", "ray_address", "shard", "out", "fresh", "replays")
+
+_SEED_LIMIT = 2**63  # Data sets store seeds with 64 bits.
 
 
 @dataclass(frozen=True)
@@ -54,6 +59,9 @@ class EvaluationConfig:
         camera_noise: Noise and latency of the wrist camera: default none, or realsense.
         seed: Seed of the random draws of policies and camera.
         world_config: World and rules; published results exist only for the default.
+
+    Raises:
+        OptionError: The seed is not an integer, or the data folder not a path.
     """
 
     setup: str = "s0"
@@ -70,6 +78,17 @@ class EvaluationConfig:
     camera_noise: str | CameraNoise | None = None
     seed: int = 0
     world_config: WorldConfig = OFFICIAL_CONFIG
+
+    def __post_init__(self) -> None:
+        if isinstance(self.seed, bool) or not isinstance(self.seed, Integral) or abs(int(self.seed)) >= _SEED_LIMIT:
+            raise OptionError(f"seed must be an integer of at most 64 bits, got {shorten_text(repr(self.seed))}")
+        # Plain values, so that configurations compare, hash and pickle.
+        object.__setattr__(self, "seed", int(self.seed))
+        if self.data_dir is not None:
+            object.__setattr__(self, "data_dir", str(check_path("data_dir", self.data_dir)))
+        if isinstance(self.scenes, Iterable):
+            # Other types are reported by choose_scenes, where the split is known.
+            object.__setattr__(self, "scenes", tuple(self.scenes))
 
     def open_dataset(self) -> Dataset:
         """Open the dataset of the evaluated scenes.
@@ -105,6 +124,9 @@ class ExecutionConfig:
         fresh: Delete the results in the output folder instead of resuming.
         replays: Episodes with a 3D replay page: none, failed or all. Episodes that are finished already are simulated
             again for it, and must end with the same outcome.
+
+    Raises:
+        OptionError: A switch is not a boolean, or the output folder not a path.
     """
 
     workers: int | None = None
@@ -116,6 +138,12 @@ class ExecutionConfig:
     trust: bool = False
     fresh: bool = False
     replays: str = REPLAYS_NONE
+
+    def __post_init__(self) -> None:
+        for name in ("progress", "trust", "fresh"):
+            check_boolean(name, getattr(self, name))
+        if self.out is not None:
+            object.__setattr__(self, "out", str(check_path("out", self.out)))
 
     @property
     def pool(self) -> PoolConfig:
@@ -174,7 +202,7 @@ def build_configs(
 
     Raises:
         TypeError: Unknown option.
-        OptionError: A configuration and one of its fields are both given, or a path is malformed.
+        OptionError: A configuration and one of its fields are both given, or a value is malformed.
     """
     evaluation_fields = {field.name for field in fields(EvaluationConfig)}
     execution_fields = {field.name for field in fields(ExecutionConfig)}
@@ -187,9 +215,9 @@ def build_configs(
         _check_no_duplicates(evaluation_options, EvaluationConfig)
         config = setup
     else:
-        config = EvaluationConfig(setup=setup, **_normalize_options(evaluation_options | arguments))
+        config = EvaluationConfig(setup=setup, **(evaluation_options | arguments))
     if execution is None:
-        return config, ExecutionConfig(**_normalize_options(execution_options))
+        return config, ExecutionConfig(**execution_options)
     _check_no_duplicates(execution_options, ExecutionConfig)
     return config, execution
 
@@ -241,26 +269,3 @@ def _check_no_duplicates(options: dict[str, Any], config_class: type) -> None:
         raise OptionError(
             f"pass either a config or keyword arguments, not both; set {name} in the {config_class.__name__}"
         )
-
-
-def _normalize_options(options: dict[str, Any]) -> dict[str, Any]:
-    """Convert paths to text and scenes to a tuple, so that configurations compare, hash and pickle."""
-    normalized = dict(options)
-    for key in ("data_dir", "out"):
-        if normalized.get(key) is not None:
-            normalized[key] = _normalize_path(key, normalized[key])
-    if isinstance(normalized.get("scenes"), Iterable):
-        # Other types are reported by choose_scenes, where the split is known.
-        normalized["scenes"] = tuple(normalized["scenes"])
-    return normalized
-
-
-def _normalize_path(name: str, path: Any) -> str:
-    try:
-        text = os.fspath(path)
-        text = text.decode() if isinstance(text, bytes) else text
-        if "\0" in text:
-            raise ValueError("the path has a zero byte")
-        return str(Path(text).expanduser())
-    except (TypeError, ValueError, RuntimeError) as error:
-        raise OptionError(f"{name} must be a path, got {path!r} ({error})") from error

@@ -43,6 +43,16 @@ def forward_signature(
     return decorate
 
 
+def open_missing_descriptors() -> None:
+    """Open the null device on closed descriptors 0 to 2, so that no pipe or file of the library gets their numbers.
+
+    Worker processes take these numbers for their standard streams.
+    """
+    while (handle := os.open(os.devnull, os.O_RDWR)) <= 2:
+        os.set_inheritable(handle, True)
+    os.close(handle)
+
+
 def count_available_cores() -> int:
     """Return the number of processor cores that the current process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
@@ -59,6 +69,21 @@ def resolve_worker_count(workers: int | None) -> int:
     if isinstance(workers, bool) or not isinstance(workers, int) or workers < 1:
         raise OptionError(f"workers must be an integer of at least 1, got {workers!r}")
     return workers
+
+
+def check_path(name: str, path: object) -> Path:
+    """Check that an option is a path, and return it with `~` expanded.
+
+    Raises:
+        OptionError: The value has another type, is empty, or cannot be a path.
+    """
+    try:
+        text = os.fsdecode(path)  # type: ignore[arg-type]
+        if not text or "\0" in text:
+            raise ValueError("it is empty" if not text else "it has a zero byte")
+        return Path(text).expanduser()
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise OptionError(f"{name} must be a path, got {path!r} ({error})") from error
 
 
 def check_boolean(name: str, value: object) -> None:

@@ -18,7 +18,7 @@ from rich.console import Console
 from rich.progress import track
 
 from handover_marl.errors import WorkerError
-from handover_marl.execution.options import resolve_worker_count
+from handover_marl.execution.options import open_missing_descriptors, resolve_worker_count
 from handover_marl.execution.pool import RAY, Job, OpenWorker, Pool, PoolConfig, Result, Task
 from handover_marl.execution.worker import run_local_task, start_local_worker, unpickle_result
 
@@ -90,6 +90,7 @@ def _run_until_crash(
     No more tasks are submitted than workers exist, so that the submitted ones are those that ran
     when a worker died.
     """
+    open_missing_descriptors()
     executor = ProcessPoolExecutor(n_workers, initializer=start_local_worker, initargs=(job,))
     running: dict[Future[bytes], int] = {}
     waiting = list(reversed(pending))

@@ -15,7 +15,7 @@ from rich.progress import Progress
 from handover_marl.episode.callbacks import EpisodeCallback
 from handover_marl.episode.episode import Episode
 from handover_marl.errors import OptionError, ResultsError
-from handover_marl.execution.options import require_modules
+from handover_marl.execution.options import check_path, require_modules
 
 Picture = npt.NDArray[np.uint8]
 
@@ -84,22 +84,20 @@ def check_output_path(out: str | os.PathLike[str], suffixes: Sequence[str]) -> P
         OptionError: The suffix is not allowed, or needs a library that is not installed.
         ResultsError: The folder cannot be created or written to.
     """
-    try:
-        path = Path(out).expanduser()
-    except (TypeError, RuntimeError) as error:
-        raise OptionError(f"out must be a path, got {out!r} ({error})") from error
+    path = check_path("out", out)
     suffix = path.suffix.lower()
     if suffix not in suffixes:
         raise OptionError(f"out must end in {', '.join(suffixes)}, got {str(path)!r}")
     require_modules(f"a {suffix} file", "render", *_REQUIRED_MODULES.get(suffix, ()))
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        # Permissions alone do not suffice: some file systems are read-only for everybody.
-        with tempfile.TemporaryFile(dir=path.parent):
-            pass
+        # Permissions alone do not suffice: some file systems are read-only for everybody. The name of the temporary
+        # file is as long as that which the file is written under.
+        with tempfile.NamedTemporaryFile(prefix=f".{path.name}.", suffix=".part", dir=path.parent):
+            is_folder = path.is_dir()
     except (OSError, ValueError) as error:
-        raise ResultsError(f"cannot write {path} ({error}); choose another folder") from error
-    if path.is_dir():
+        raise ResultsError(f"cannot write {path} ({error}); choose another folder or name") from error
+    if is_folder:
         raise ResultsError(f"cannot write {path}, which is a folder; choose another name")
     return path
 

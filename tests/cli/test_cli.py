@@ -1,13 +1,19 @@
+import contextlib
+import importlib
+import io
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+import tyro
 
 from handover_marl.cli import main
 from handover_marl.cli.options import parse_scenes
+from handover_marl.cli.streams import prepare_streams, print_result
 from handover_marl.errors import OptionError
 from handover_marl.evaluation import episode_runner
+from handover_marl.evaluation.reports.report_files import evaluate
 
 
 def test_benchmark_and_evaluate(fake_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -28,16 +34,15 @@ def test_benchmark_and_evaluate(fake_data: Path, tmp_path: Path, capsys: pytest.
         (["benchmark", "--dataset", "dexycb"], "HANDOVER_MARL_DATA"),
         (["benchmark", "--data-dir", "/nowhere"], "/nowhere does not exist"),
         (["benchmark", "--setup", "s9"], "unknown setup 's9'; valid: s0, s1, s2, s3"),
-        (
-            ["benchmark", "--scenes", "1,x"],
-            "--scenes must be numbers separated by spaces or commas, such as 209,214, got '1,x'",
-        ),
         (["benchmark", "--workers", "0"], "workers must be an integer of at least 1, got 0"),
         (["benchmark", "--receiver", "nobody"], "unknown receiver 'nobody'; valid: gaddpg, hold"),
         (["pair", "--giver", "nobody"], "unknown giver 'nobody'; valid: cooperative"),
         (["crossplay", "--givers", "replay,nobody"], "unknown giver 'nobody'"),
         (["agreement", "--physics", "nuclear", "--scenes", "1"], "scene 1 is not in s0 val"),
         (["evaluate", "/nowhere"], "/nowhere does not exist"),
+        (["benchmark", "--out", ""], "out must be a path, got '' (it is empty)"),
+        (["benchmark", "--data-dir", ""], "data_dir must be a path, got '' (it is empty)"),
+        (["benchmark", "--seed", "9" * 30], "seed must be an integer of at most 64 bits, got 999"),
     ],
 )
 def test_error_messages(arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -48,6 +53,21 @@ def test_error_messages(arguments: list[str], message: str, capsys: pytest.Captu
     assert not printed.out
 
 
+@pytest.mark.parametrize("module", ["examples.own_giver", "examples.own_receiver", "analysis.failures"])
+def test_scripts_take_scene_numbers_alike(module: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    script = importlib.import_module(f"experiments.{module}")
+    for words in (["35", "36"], ["35,36"], ["35,", "36"]):
+        assert tyro.cli(script.Args, args=["--scenes", *words]).scenes == (35, 36)
+
+
+def test_malformed_scene_numbers(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["benchmark", "--scenes", "1,x"])
+    assert ended.value.code == 2
+    printed = " ".join(capsys.readouterr().err.replace("│", " ").split())
+    assert "--scenes: must be numbers separated by spaces or commas, such as 209,214, got '1,x'" in printed
+
+
 def test_ctrl_c(fake_data: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
@@ -55,6 +75,42 @@ def test_ctrl_c(fake_data: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest
     monkeypatch.setattr(episode_runner, "play", interrupted)
     assert main(["benchmark", "--split", "val", "--scenes", "9", "--data-dir", str(fake_data)]) == 130
     assert "same command resumes" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("output", "reason"), [("/dev/full", "No space left on device"), (None, "standard output is closed")]
+)
+def test_output_that_cannot_be_written(
+    output: str | None,
+    reason: str,
+    fake_data: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    command = ["benchmark", "--split", "val", "--receiver", "hold", "--scenes", "9", "--physics", "fast"]
+    command += ["--workers", "1", "--no-progress"]
+    with contextlib.ExitStack() as stack:
+        monkeypatch.setattr(sys, "stdout", None if output is None else stack.enter_context(Path(output).open("w")))
+        assert main([*command, "--data-dir", str(fake_data), "--out", str(tmp_path)]) == 2
+    assert capsys.readouterr().err == (
+        f"handover-marl: cannot print the result ({reason}); files in --out are complete\n"
+    )
+    assert evaluate(tmp_path).episodes[0].scene_id == 9
+
+
+def test_characters_that_the_terminal_lacks_are_escaped(monkeypatch: pytest.MonkeyPatch) -> None:
+    printed = io.BytesIO()
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(printed, encoding="ascii"))
+    prepare_streams()
+    print_result("robot \U0001f916 \udcff")
+    assert printed.getvalue() == b"robot \\U0001f916 \\udcff\n"
+
+
+def test_commands_are_imported_after_the_handler_of_ctrl_c() -> None:
+    code = "import sys; from handover_marl.cli import main; print('tyro' in sys.modules, 'scipy' in sys.modules)"
+    finished = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert finished.stdout == "False False\n"
 
 
 @pytest.mark.slow
@@ -101,8 +157,7 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_parse_scenes() -> None:
-    assert parse_scenes(None) is None
-    assert parse_scenes(("209,", "214")) == parse_scenes(("209,214",)) == parse_scenes(("209", "214")) == [209, 214]
+    assert parse_scenes(("209,", "214")) == parse_scenes(("209,214",)) == parse_scenes(("209", "214")) == (209, 214)
     for text in ("", "1,", "a", "1.5"):
         with pytest.raises(OptionError):
             parse_scenes((text,))

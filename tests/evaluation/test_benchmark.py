@@ -1,4 +1,5 @@
 import json
+import math
 import os
 from pathlib import Path
 from typing import Any
@@ -389,3 +390,30 @@ def test_folders_that_are_no_result_folders(tmp_path: Path) -> None:
         make(tmp_path / "run")
         with pytest.raises(ResultsError, match=message):
             evaluate(tmp_path / "run")
+
+
+@pytest.mark.parametrize(
+    "seed", ["x", None, math.nan, [1], 1.0, True, 2**63, 10**5000], ids=lambda seed: str(type(seed))
+)
+def test_seeds_must_be_integers(seed: Any) -> None:
+    with pytest.raises(OptionError, match="seed must be an integer of at most 64 bits"):
+        EvaluationConfig(seed=seed)
+
+
+def test_numpy_seeds_become_plain_numbers() -> None:
+    assert type(EvaluationConfig(seed=np.int64(3)).seed) is int  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("name", ["trust", "fresh", "progress"])
+@pytest.mark.parametrize("value", ["no", 0, None])
+def test_switches_must_be_booleans(name: str, value: Any) -> None:
+    with pytest.raises(OptionError, match=f"{name} must be True or False"):
+        ExecutionConfig(**{name: value})
+
+
+@pytest.mark.parametrize("path", ["", 5, "a\0b", "~no_such_user/a", ["a"]])
+def test_folders_must_be_paths(path: Any) -> None:
+    with pytest.raises(OptionError, match="out must be a path"):
+        ExecutionConfig(out=path)
+    with pytest.raises(OptionError, match="data_dir must be a path"):
+        EvaluationConfig(data_dir=path)

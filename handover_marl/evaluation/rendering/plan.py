@@ -5,7 +5,7 @@ from pathlib import Path
 
 from typing_extensions import Unpack
 
-from handover_marl.config import CameraConfig
+from handover_marl.config import CameraConfig, check_config
 from handover_marl.errors import OptionError
 from handover_marl.evaluation.config import (
     MULTI_SCENE_FIELDS,
@@ -64,6 +64,7 @@ def render_plan(
     """
     path = check_output_path(out, (".png",))
     require_matplotlib("a plan")
+    check_config("camera", camera, CameraConfig)
     player = ScenePlayer(scene_id, receiver, giver, options)
     policy, dataset = player.receiver, player.dataset
     if not isinstance(policy, OmgReceiver):

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from typing_extensions import Unpack
 
-from handover_marl.config import CameraConfig
+from handover_marl.config import CameraConfig, check_config
 from handover_marl.episode.episode import Episode
 from handover_marl.errors import OptionError, check_name
 from handover_marl.evaluation.config import (
@@ -85,6 +85,8 @@ def render_scene(
     path = check_output_path(out, SUFFIXES)
     suffix = path.suffix.lower()
     _check_view(view, path)
+    if camera is not None:
+        check_config("camera", camera, CameraConfig)
     draw = _make_draw_function(view, camera or CameraConfig())
     if isinstance(key_frames, bool) or not isinstance(key_frames, int) or key_frames < 1:
         raise OptionError(f"key_frames must be an integer of at least 1, got {key_frames!r}")

@@ -176,6 +176,8 @@ def test_episode_ends(tmp_path: Path) -> None:
         ("x", {}, OptionError),
         ("x.png", {"key_frames": 0}, OptionError),
         ("x.png", {"receiver": "nobody"}, UnknownNameError),
+        ("x.png", {"camera": {"width": 5}}, OptionError),
+        ("x\0.png", {}, OptionError),
     ],
 )
 def test_bad_options(tmp_path: Path, out: str, options: dict[str, object], error: type[HandoverError]) -> None:
@@ -231,7 +233,14 @@ def refuse_to_draw(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(Episode, name, fail)
 
 
-@pytest.mark.parametrize("out", ["file/x.png", "folder.png", "file/deeper/x.gif", "/proc/x.png", "/proc/none/x.png"])
+@pytest.mark.parametrize(
+    "out",
+    [
+        *("file/x.png", "folder.png", "file/deeper/x.gif", "/proc/x.png", "/proc/none/x.png"),
+        *("x" * 300 + ".png", "x" * 240 + ".png", "x" * 300 + "/x.png"),
+    ],
+    ids=lambda out: out[-30:],
+)
 def test_invalid_output_paths_are_reported_before_rendering(
     tmp_path: Path, out: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -1,0 +1,51 @@
+"""Standard streams of the command line, which may be closed, full or of a poor encoding."""
+
+import contextlib
+import io
+import os
+import sys
+
+from handover_marl.errors import HandoverError
+
+
+class OutputError(HandoverError):
+    """Error for results that cannot be printed; those in an output folder are kept."""
+
+
+def prepare_streams() -> None:
+    """Let text that the terminal's encoding lacks be printed as escape sequences."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+
+
+def print_result(text: object) -> None:
+    """Print a result of a command at once.
+
+    Raises:
+        OutputError: Nothing can be printed, e.g. because the disk is full.
+        BrokenPipeError: The reader of the output closed it.
+    """
+    if sys.stdout is None:
+        raise OutputError("cannot print the result (standard output is closed); files in --out are complete")
+    try:
+        print(text, flush=True)
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        raise OutputError(
+            f"cannot print the result ({error.strerror or error}); files in --out are complete"
+        ) from error
+
+
+def print_message(text: str) -> None:
+    """Print a message on stderr, if that is possible."""
+    if sys.stderr is not None:
+        with contextlib.suppress(OSError):
+            print(f"handover-marl: {text}", file=sys.stderr, flush=True)
+
+
+def discard_output() -> None:
+    """Discard what is printed from now on: Python flushes stdout at exit, which must not fail again."""
+    if sys.stdout is not None:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
