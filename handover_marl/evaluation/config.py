@@ -81,7 +81,7 @@ class EvaluationConfig:
 
     def __post_init__(self) -> None:
         if isinstance(self.seed, bool) or not isinstance(self.seed, Integral) or abs(int(self.seed)) >= _SEED_LIMIT:
-            raise OptionError(f"seed must be an integer of at most 64 bits, got {shorten_text(repr(self.seed))}")
+            raise OptionError(f"seed must be an integer of at most 64 bits, got {shorten_text(self.seed)}")
         # Plain values, so that configurations compare, hash and pickle.
         object.__setattr__(self, "seed", int(self.seed))
         if self.data_dir is not None:
