@@ -5,6 +5,7 @@
 # make check       lint and types
 # make slow-tests  measures which tests are slow and writes tests/slow.txt
 # make loops       a venv with other RL libraries, then the tests of their training loops
+# make lerobot     a venv with LeRobot, then its reader on data sets in its format
 # make newer       a venv without PyBullet, then its tests: for Python 3.12 and later
 # make docs        the site in build/site, with the notebook executed; a warning is an error
 # make smoke       wheel and sdist in clean environments, one episode with each
@@ -14,8 +15,9 @@
 PYTHON ?= python3
 VENV ?= .venv
 LOOPS ?= .venv-loops
+LEROBOT ?= .venv-lerobot
 NEWER ?= .venv-newer
-EXTRAS ?= assets,demonstrations,dev,docs,import,mujoco,planning,plot,ray,render,replay,torchrl,train,vision
+EXTRAS ?= assets,demonstrations,dev,docs,import,lerobot,mujoco,planning,plot,ray,render,replay,torchrl,train,vision
 SETUP ?= s3
 DATA ?= $(HANDOVER_MARL_DATA)
 DATASET := $(if $(DATA),dexycb,synthetic)
@@ -24,7 +26,7 @@ OUT ?= results/$(DATASET)-$(SETUP)-yang2021
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 
-.PHONY: test benchmark quick fast types lint slow-tests check loops newer docs smoke release lowest clean
+.PHONY: test benchmark quick fast types lint slow-tests check loops lerobot newer docs smoke release lowest clean
 
 test: $(VENV)/.tested-with
 	$(BIN)/python -m pytest -n auto --dist worksteal
@@ -65,6 +67,23 @@ $(LOOPS)/.installed: setup.cfg constraints-loops.txt
 	$(PYTHON) -m venv $(LOOPS)
 	$(LOOPS)/bin/python -m pip --disable-pip-version-check install --progress-bar on -c constraints-loops.txt \
 		-e ".[benchmarl,mujoco,plot,rllib,supersuit,tianshou]" hypothesis pytest pytest-timeout
+	touch $@
+
+# LeRobot's reader of data sets. torchcodec needs FFmpeg's libraries, which are in PyAV's package under other names.
+lerobot: $(LEROBOT)/.installed
+	LD_LIBRARY_PATH="$(abspath $(LEROBOT))/ffmpeg" HF_HUB_OFFLINE=1 HF_HOME="$(abspath $(LEROBOT))/cache" \
+		$(LEROBOT)/bin/python -m pytest tests/evaluation/demonstrations/lerobot/test_reading_with_lerobot.py
+
+# LeRobot 0.4 asks for PyTorch before 2.11 and for packages that only robots and training need, hence --no-deps.
+$(LEROBOT)/.installed: setup.cfg constraints-lerobot.txt
+	$(PYTHON) -m venv $(LEROBOT)
+	$(LEROBOT)/bin/python -m pip --disable-pip-version-check install --progress-bar on -c constraints-lerobot.txt \
+		-e ".[lerobot,vision]" accelerate av datasets h5py torch torchcodec torchvision pytest pytest-timeout
+	$(LEROBOT)/bin/python -m pip --disable-pip-version-check install --no-deps -c constraints-lerobot.txt lerobot
+	mkdir -p $(LEROBOT)/ffmpeg
+	for file in $(abspath $(LEROBOT))/lib/python3*/site-packages/av.libs/lib[as][vw]*.so.*; do \
+		ln -sf "$$file" $(LEROBOT)/ffmpeg/"$$(basename "$$file" | sed -E 's/-[0-9a-f]+(\.so\.[0-9]+).*/\1/')"; \
+	done
 	touch $@
 
 # Without pins: they are for versions of Python with PyBullet wheels.
@@ -108,4 +127,4 @@ lowest: $(VENV)/.tested-with
 	cd build/lowest && bin/handover-marl benchmark --dataset synthetic --split val --scenes 9
 
 clean:
-	rm -rf $(VENV) $(LOOPS) $(NEWER) build dist *.egg-info
+	rm -rf $(VENV) $(LOOPS) $(LEROBOT) $(NEWER) build dist *.egg-info

@@ -87,22 +87,25 @@ def run_demonstrate(
         "full_pointcloud",
     ] = "state",
     keep: Literal["all", "success"] = "all",
+    format: Literal["minari", "lerobot"] = "minari",  # noqa: A002 - the name of the option
+    fps: int | None = None,
     evaluation: EvaluationConfig = EvaluationConfig(split="train", receiver="reactive"),
     execution: ExecutionConfig = ExecutionConfig(),
 ) -> None:
-    """Record episodes of a train split as a data set in Minari's layout (--out DIR).
+    """Record episodes of a train split as a data set (--out DIR).
 
     Args:
         obs_mode: Observation mode of the data set, independent of the receiver's.
         keep: Episodes to store: all, with their outcomes, or success.
+        format: minari (HDF5; every decision, for exact replay) or lerobot (Parquet and video; constant frame rate).
+        fps: Frames per second of the format lerobot, 1 to 1000; default: 20.
         evaluation: Scenes, policies and simulation.
         execution: Workers and output; the data do not depend on them.
     """
     from handover_marl.evaluation.demonstrations.record import demonstrate
 
-    _print_with_report(
-        demonstrate(evaluation, obs_mode=obs_mode, keep=keep, execution=execution), execution, "report.html"
-    )
+    result = demonstrate(evaluation, obs_mode=obs_mode, keep=keep, format=format, fps=fps, execution=execution)
+    _print_with_report(result, execution, "report.html")
 
 
 def _print_with_report(result: object, execution: ExecutionConfig, report: str) -> None:

@@ -1,12 +1,12 @@
 """Assembly of a data set from recorded episodes or from the data sets of shards."""
 
-from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from gymnasium import spaces
 
 from handover_marl.errors import ResultsError
+from handover_marl.evaluation.demonstrations.data_card import CARD_FILE, DataCard, FeatureRow, count_outcomes
 from handover_marl.evaluation.demonstrations.files import EpisodeLocation, open_hdf5
 from handover_marl.evaluation.demonstrations.minari_layout import (
     DATA_FOLDER,
@@ -16,11 +16,31 @@ from handover_marl.evaluation.demonstrations.minari_layout import (
     format_group_name,
     format_metadata,
 )
+from handover_marl.evaluation.demonstrations.observation_meanings import (
+    GIVER_ACTION_MEANING,
+    OBSERVATION_MEANINGS,
+    RECEIVER_ACTION_MEANING,
+)
 from handover_marl.evaluation.demonstrations.reader import Demonstrations
 from handover_marl.evaluation.results.episode_result import EpisodeResult
 from handover_marl.evaluation.results.metadata import read_result_metadata
 from handover_marl.evaluation.results.result_folder import read_results
 from handover_marl.execution.files import replace_atomically, write_atomically
+
+_CONTENTS = """\
+`main_data.hdf5` has one group per episode, `metadata.json` the spaces and the outcomes of all episodes; see
+[Minari](https://minari.farama.org). One row is one decision of the receiver. Receivers decide at varying periods,
+so `infos/steps` gives the time. Observations and steps have one more row, the end of the episode. Attributes of
+a group have scene, object, outcome and policies."""
+_OTHER_ARRAYS = (
+    FeatureRow("actions", "(9,)", "float32", RECEIVER_ACTION_MEANING),
+    FeatureRow("rewards", "()", "float64", "1 for the decision that completes the handover, else 0"),
+    FeatureRow("terminations", "()", "bool", "success, contact of robot and hand, or drop"),
+    FeatureRow("truncations", "()", "bool", "end at the time limit"),
+    FeatureRow("infos/steps", "()", "int64", "physics steps (1 ms) since the start at each observation"),
+    FeatureRow("attribute giver_steps", "()", "int64", "physics steps of the giver's decisions, if it decides"),
+    FeatureRow("attribute giver_actions", "(8,)", "float32", GIVER_ACTION_MEANING),
+)
 
 
 def join_data_sets(parts: Sequence[Demonstrations], folder: Path) -> None:
@@ -52,11 +72,11 @@ def assemble_data_set(
     folder: Path,
     observation_space: spaces.Dict,
     action_space: spaces.Box,
-    simulated: Iterable[EpisodeResult],
+    simulated: Sequence[EpisodeResult],
     recorded: Mapping[EpisodeResult, EpisodeLocation],
     present: Sequence[EpisodeLocation] | None = None,
 ) -> None:
-    """Write a data set and its `metadata.json`; episodes are copied without decompressing them.
+    """Write a data set, its `metadata.json` and its card; episodes are copied without decompressing them.
 
     Args:
         folder: Result folder of the evaluation, with its subfolder for data.
@@ -79,11 +99,12 @@ def assemble_data_set(
         evaluation=read_result_metadata(folder),
         observation_space=observation_space,
         action_space=action_space,
-        simulated=_count_outcomes(simulated),
-        recorded=_count_outcomes(recorded),
+        simulated=count_outcomes(simulated),
+        recorded=count_outcomes(recorded),
         decisions=decisions,
         megabytes=round(path.stat().st_size / 1e6, 1),
     )
+    write_atomically(path.with_name(CARD_FILE), _make_card(metadata, simulated, list(recorded)).format())
     write_atomically(path.with_name(METADATA_FILE), format_metadata(metadata))
 
 
@@ -95,5 +116,23 @@ def _copy_episodes(locations: Sequence[EpisodeLocation], target: Path) -> None:
             file[format_group_name(number)].attrs["id"] = number
 
 
-def _count_outcomes(results: Iterable[EpisodeResult]) -> dict[str, int]:
-    return dict(sorted(Counter(result.status.label for result in results).items()))
+def _make_card(
+    metadata: DataSetMetadata, simulated: Sequence[EpisodeResult], recorded: Sequence[EpisodeResult]
+) -> DataCard:
+    return DataCard(
+        evaluation=metadata.evaluation,
+        format_name="Minari's layout (HDF5)",
+        simulated=simulated,
+        recorded=recorded,
+        contents=f"{metadata.n_episodes} episodes with {metadata.decisions} decisions. {_CONTENTS}",
+        row="decision",
+        features=[*_list_observations(metadata.observation_space), *_OTHER_ARRAYS],
+        front_matter="- Minari\n",
+    )
+
+
+def _list_observations(space: spaces.Dict) -> list[FeatureRow]:
+    return [
+        FeatureRow(f"observations/{name}", str(part.shape), str(part.dtype), OBSERVATION_MEANINGS.get(name, ""))
+        for name, part in space.items()
+    ]

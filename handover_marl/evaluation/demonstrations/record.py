@@ -1,5 +1,7 @@
 """Recording of demonstrations: evaluation on a train split with a data set of its episodes."""
 
+from typing import Literal, overload
+
 from typing_extensions import Unpack
 
 from handover_marl.datasets.splits import check_setup_and_split
@@ -8,6 +10,10 @@ from handover_marl.errors import OptionError, check_name
 from handover_marl.evaluation.benchmark import Evaluation
 from handover_marl.evaluation.config import REPLAY, EvaluationConfig, EvaluationOptions, ExecutionConfig, build_configs
 from handover_marl.evaluation.demonstrations.files import require_h5py
+from handover_marl.evaluation.demonstrations.lerobot.arrow_files import require_lerobot_packages
+from handover_marl.evaluation.demonstrations.lerobot.recorder import MAX_FPS
+from handover_marl.evaluation.demonstrations.lerobot.summary import LeRobotSummary
+from handover_marl.evaluation.demonstrations.lerobot.writer import open_lerobot_writer
 from handover_marl.evaluation.demonstrations.reader import Demonstrations
 from handover_marl.evaluation.demonstrations.recorder import RecordingConfig
 from handover_marl.evaluation.demonstrations.writer import open_demonstration_writer
@@ -18,7 +24,44 @@ from handover_marl.simulation.camera.renderers import resolve_renderer
 #: Choices of the episodes to record.
 ALL, SUCCESS = "all", "success"
 KEEP_CHOICES = (ALL, SUCCESS)
+#: File formats of data sets: every decision, for exact replay; and frames at a constant rate.
+MINARI, LEROBOT = "minari", "lerobot"
+FORMATS = (MINARI, LEROBOT)
+#: Frames per second of LeRobot's format.
+DEFAULT_FPS = 20
 _TRAIN = "train"
+
+
+@overload
+def demonstrate(
+    setup: str | EvaluationConfig = ...,
+    split: str = ...,
+    receiver: PolicyLike = ...,
+    giver: PolicyLike = ...,
+    *,
+    obs_mode: str = ...,
+    keep: str = ...,
+    format: Literal["minari"] = ...,
+    fps: int | None = ...,
+    execution: ExecutionConfig | None = ...,
+    **options: Unpack[EvaluationOptions],
+) -> Demonstrations: ...
+
+
+@overload
+def demonstrate(
+    setup: str | EvaluationConfig = ...,
+    split: str = ...,
+    receiver: PolicyLike = ...,
+    giver: PolicyLike = ...,
+    *,
+    obs_mode: str = ...,
+    keep: str = ...,
+    format: Literal["lerobot"],
+    fps: int | None = ...,
+    execution: ExecutionConfig | None = ...,
+    **options: Unpack[EvaluationOptions],
+) -> LeRobotSummary: ...
 
 
 @forward_signature(EvaluationConfig, ExecutionConfig)
@@ -30,9 +73,11 @@ def demonstrate(
     *,
     obs_mode: str = STATE,
     keep: str = ALL,
+    format: str = MINARI,  # noqa: A002 - the name of the option
+    fps: int | None = None,
     execution: ExecutionConfig | None = None,
     **options: Unpack[EvaluationOptions],
-) -> Demonstrations:
+) -> Demonstrations | LeRobotSummary:
     """Record observations and actions of a receiver on the scenes of a train split.
 
     Args:
@@ -43,14 +88,17 @@ def demonstrate(
         obs_mode: Observation mode of the data set, whatever that of the receiver: "state", or wrist
             camera data such as "pointcloud" or "state+rgbd".
         keep: Episodes to record: "all", with their outcome, or only those that end in "success".
+        format: "minari" (HDF5; every decision, for exact replay) or "lerobot" (Parquet and video; frames
+            at a constant rate).
+        fps: Frames per second of the format "lerobot", 1 to 1000; default: 20.
         execution: Execution settings. The output folder gets the data set, results and a report; an
             interrupted recording resumes there.
         options: Fields of `handover_marl.EvaluationConfig` and `handover_marl.ExecutionConfig`.
 
     Raises:
-        OptionError: The split is not the train split, no output folder is given, or a required
-            package is not installed.
-        UnknownNameError: Unknown observation mode or choice of episodes.
+        OptionError: The split is not the train split, no output folder is given, a required package is
+            not installed, or an option does not apply to the format.
+        UnknownNameError: Unknown observation mode, format or choice of episodes.
         HandoverError: The same errors as `evaluate_pair`.
     """
     config, execution = build_configs(setup, options, execution, split=split, receiver=receiver, giver=giver)
@@ -64,11 +112,42 @@ def demonstrate(
         )
     if execution.folder is None:
         raise OptionError("demonstrations need an output folder; pass out= (--out DIR)")
-    require_h5py()
+    recording = RecordingConfig(obs_mode, keep == SUCCESS, _check_format(format, fps, execution))
     resolve_renderer(config.camera.renderer, config.physics, installed=get_camera_data(obs_mode) is not None)
-    recording = RecordingConfig(obs_mode, keep == SUCCESS)
     evaluation = Evaluation(config, execution, recording.describe(config))
+    if recording.fps:
+        with open_lerobot_writer(execution.folder, evaluation.config, recording, execution.fresh) as lerobot_writer:
+            evaluation.run([lerobot_writer])
+            return lerobot_writer.assemble()
     with open_demonstration_writer(execution.folder, evaluation.config, recording, execution.fresh) as writer:
         evaluation.run([writer])
         writer.assemble()
     return Demonstrations(execution.folder)
+
+
+def _check_format(name: str, fps: int | None, execution: ExecutionConfig) -> int:
+    """Check the options of a file format; return its frames per second, 0 for "minari".
+
+    Raises:
+        UnknownNameError: Unknown format.
+        OptionError: An option does not apply to the format, or a package is not installed.
+    """
+    check_name("format", name, FORMATS)
+    if name == MINARI:
+        if fps is not None:
+            raise OptionError(
+                f"fps must be left out with format={MINARI!r}, got {fps!r}: it records every decision; choose "
+                f"format={LEROBOT!r} (--format {LEROBOT})"
+            )
+        require_h5py()
+        return 0
+    fps = DEFAULT_FPS if fps is None else fps
+    if isinstance(fps, bool) or not isinstance(fps, int) or not 1 <= fps <= MAX_FPS:
+        raise OptionError(f"fps must be an integer from 1 to {MAX_FPS}, got {fps!r}")
+    if execution.shard is not None:
+        raise OptionError(
+            f"shard must be left out with format={LEROBOT!r}, got {execution.shard!r}: its data sets cannot be merged; "
+            "select scenes and record into several folders, or use backend='ray' (--backend ray)"
+        )
+    require_lerobot_packages()
+    return fps

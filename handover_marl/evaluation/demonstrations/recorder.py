@@ -25,10 +25,12 @@ class RecordingConfig:
         obs_mode: Observation mode of the recorded observations, whatever that of the receiver; see
         `handover_marl.episode.spaces.OBS_MODES`.
         successes_only: Whether only successful episodes are recorded.
+        fps: Frames per second of LeRobot's format; 0 records every decision, in Minari's layout.
     """
 
     obs_mode: str = STATE
     successes_only: bool = False
+    fps: int = 0
 
     def includes(self, status: EpisodeStatus) -> bool:
         """Return whether an episode with this outcome is recorded."""
@@ -37,7 +39,14 @@ class RecordingConfig:
     def describe(self, config: EvaluationConfig) -> str:
         """Describe the recording in text that is part of the identity of the result folder."""
         camera = config.camera.describe(self.obs_mode, config.physics)
-        return f"demonstrations, obs_mode {self.obs_mode}{f', {camera}' if camera else ''}"
+        parts = ["demonstrations", *([f"lerobot, {self.fps} fps"] if self.fps else [])]
+        return ", ".join([*parts, f"obs_mode {self.obs_mode}", *([camera] if camera else [])])
+
+
+def observe(episode: Episode, obs_mode: str) -> Observation:
+    """Return the receiver's present observation in an observation mode."""
+    state = {name: value.copy() for name, value in episode.observe().items()}
+    return select_receiver_observation(state, episode.observe_camera(obs_mode), obs_mode)
 
 
 class DemonstrationRecorder(EpisodeRecorder):
@@ -80,9 +89,7 @@ class DemonstrationRecorder(EpisodeRecorder):
         return encode_episode(self._build(result)) if self._recording.includes(result.status) else b""
 
     def _record_observation(self, episode: Episode) -> None:
-        obs_mode = self._recording.obs_mode
-        state = {name: value.copy() for name, value in episode.observe().items()}
-        self._observations.append(select_receiver_observation(state, episode.observe_camera(obs_mode), obs_mode))
+        self._observations.append(observe(episode, self._recording.obs_mode))
         self._steps.append(episode.steps)
 
     def _build(self, result: EpisodeResult) -> Demonstration:

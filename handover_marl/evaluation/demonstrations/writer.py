@@ -5,7 +5,7 @@ There is one file per episode during the recording, and one data set after it:
 ```
 config.yaml, 000.npz, ..., report.json, report.md   results, as of every evaluation
 episodes/000.hdf5, ...                              episodes that are not in the data set yet
-data/main_data.hdf5, data/metadata.json             data set in Minari's layout
+data/main_data.hdf5, metadata.json, README.md       data set in Minari's layout, and its card
 ```
 """
 
@@ -18,6 +18,7 @@ from handover_marl.episode.observations import receiver_observation_space
 from handover_marl.episode.spaces import receiver_action_space
 from handover_marl.errors import ResultsError
 from handover_marl.evaluation.config import EvaluationConfig
+from handover_marl.evaluation.demonstrations.data_card import CARD_FILE
 from handover_marl.evaluation.demonstrations.demonstration import EpisodeMetadata
 from handover_marl.evaluation.demonstrations.episode_groups import SINGLE_EPISODE_GROUP, read_episode_metadata
 from handover_marl.evaluation.demonstrations.files import EpisodeLocation, open_hdf5
@@ -70,7 +71,7 @@ def open_demonstration_writer(
             for subfolder in (data, episodes):
                 remove_stale_temporaries(subfolder)
             if fresh:
-                for name in (METADATA_FILE, MAIN_FILE):
+                for name in (METADATA_FILE, MAIN_FILE, CARD_FILE):
                     (data / name).unlink(missing_ok=True)
                 _delete_episode_files(episodes)
         except OSError as error:

@@ -58,7 +58,7 @@ def test_data_do_not_depend_on_workers(tmp_path: Path) -> None:
     for workers in (1, 2):
         record(None, tmp_path / str(workers), workers=workers, **options)
     assert contents(tmp_path / "1") == contents(tmp_path / "2")
-    assert sorted(contents(tmp_path / "1")) == ["main_data.hdf5", "metadata.json"]
+    assert sorted(contents(tmp_path / "1")) == ["README.md", "main_data.hdf5", "metadata.json"]
     assert not (tmp_path / "1" / "episodes").exists()
 
 

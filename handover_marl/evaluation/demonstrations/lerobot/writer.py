@@ -1,0 +1,202 @@
+"""Writer of demonstrations in LeRobot's format, in a result folder.
+
+There is one archive per episode during the recording, and one data set after it:
+
+```
+config.yaml, 000.npz, ..., report.json, report.md   results, as of every evaluation
+episodes/000.zip, ...                               episodes that are not in the data set yet
+lerobot/meta, lerobot/data, lerobot/videos          data set, replaced as a whole
+```
+"""
+
+import contextlib
+import re
+import shutil
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+from handover_marl.errors import ResultsError
+from handover_marl.evaluation.config import EvaluationConfig
+from handover_marl.evaluation.demonstrations.data_card import count_outcomes
+from handover_marl.evaluation.demonstrations.demonstration import EpisodeMetadata
+from handover_marl.evaluation.demonstrations.lerobot.data_set import (
+    ENTRIES,
+    DataSetContent,
+    EpisodeFiles,
+    read_episodes,
+    write_data_set,
+    write_description,
+)
+from handover_marl.evaluation.demonstrations.lerobot.encoded_episode import read_metadata
+from handover_marl.evaluation.demonstrations.lerobot.recorder import LeRobotRecorder
+from handover_marl.evaluation.demonstrations.lerobot.summary import LeRobotSummary
+from handover_marl.evaluation.demonstrations.recorder import RecordingConfig
+from handover_marl.evaluation.results.episode_result import EpisodeResult
+from handover_marl.evaluation.results.metadata import read_result_metadata
+from handover_marl.evaluation.results.result_folder import read_results
+from handover_marl.evaluation.writers import EpisodeRecorder, EpisodeWriter
+from handover_marl.execution.files import exclusive_lock, remove_stale_temporaries, shorten_text, write_atomically
+from handover_marl.policies.policy import Policy
+
+LEROBOT_FOLDER = "lerobot"
+_EPISODES_FOLDER = "episodes"
+_EPISODE_FILE = re.compile(r"[0-9]{3}\.zip")
+_PREVIOUS, _TEMPORARY_PREFIX = ".lerobot.previous", ".lerobot.part."
+
+
+@contextlib.contextmanager
+def open_lerobot_writer(
+    folder: Path, config: EvaluationConfig, recording: RecordingConfig, fresh: bool
+) -> Iterator["LeRobotWriter"]:
+    """Open the writer of a data set in a result folder, locked against other processes.
+
+    Args:
+        folder: Result folder of the evaluation.
+        config: Resolved configuration of the evaluation.
+        recording: Observation mode, frame rate, and choice of the episodes to record.
+        fresh: Whether to delete the recordings of an earlier run first.
+
+    Raises:
+        ResultsError: The data set in the folder is damaged or has other files, another process records
+            in this folder, or it cannot be written.
+    """
+    data, episodes = folder / LEROBOT_FOLDER, folder / _EPISODES_FOLDER
+    with contextlib.ExitStack() as stack:
+        try:
+            stack.enter_context(exclusive_lock(folder))
+            _restore_interrupted(folder)
+            foreign = sorted(path.name for path in data.iterdir() if path.name not in ENTRIES) if data.exists() else []
+            if foreign:
+                raise ResultsError(f"{data} is replaced as a whole, but it has other files: {foreign[0]}; move them")
+            episodes.mkdir(exist_ok=True)
+            remove_stale_temporaries(episodes)
+            if fresh:
+                _delete_episode_files(episodes)
+                shutil.rmtree(data, ignore_errors=True)
+        except OSError as error:
+            raise ResultsError(f"cannot use {folder} for demonstrations: {error.strerror or error}") from error
+        yield LeRobotWriter(folder, config, recording)
+
+
+class LeRobotWriter(EpisodeWriter):
+    """Writer of one archive per recorded episode, and of the data set made of these archives.
+
+    Opened by `open_lerobot_writer`.
+
+    Args:
+        folder: Result folder of the evaluation, with its subfolder for episodes.
+        config: Resolved configuration of the evaluation.
+        recording: Observation mode, frame rate, and choice of the episodes to record.
+
+    Raises:
+        ResultsError: The data set in the folder is damaged.
+    """
+
+    def __init__(self, folder: Path, config: EvaluationConfig, recording: RecordingConfig) -> None:
+        self._folder, self._config, self._recording = folder, config, recording
+        self._assembled = _read_assembled(folder / LEROBOT_FOLDER)
+
+    def create_recorder(self, config: EvaluationConfig, receiver: Policy) -> EpisodeRecorder:
+        """Create the recorder of demonstrations in one worker process."""
+        return LeRobotRecorder(self._recording, config)
+
+    def contains(self, result: EpisodeResult) -> bool:
+        """Return whether the episode is recorded already, or is not to be recorded."""
+        return not self._recording.includes(result.status) or self._find_episode(result) is not None
+
+    def write(self, result: EpisodeResult, content: bytes) -> None:
+        """Write the archive of a recorded episode.
+
+        Raises:
+            ResultsError: The file cannot be written.
+        """
+        if content:
+            write_atomically(self._get_episode_path(result), content)
+
+    def assemble(self) -> LeRobotSummary:
+        """Write the data set of all recorded episodes in the split's order; delete single archives.
+
+        Raises:
+            ResultsError: A file in the folder is damaged, or the folder cannot be written.
+        """
+        target, results = self._folder / LEROBOT_FOLDER, read_results(self._folder)
+        recorded = {
+            result: episode
+            for result in results
+            if self._recording.includes(result.status) and (episode := self._find_episode(result))
+        }
+        metadata = read_result_metadata(self._folder)
+        content = DataSetContent(metadata, self._recording.obs_mode, self._recording.fps, results, list(recorded))
+        episodes = list(recorded.values())
+        frames = sum(episode.row["length"] for episode in episodes)
+        try:
+            if not target.exists() or episodes != list(self._assembled.values()):
+                self._replace(target, content, episodes)
+            write_description(target, content, frames)
+        except OSError as error:
+            raise ResultsError(
+                f"cannot write {target} ({error.strerror or error}); recorded episodes are kept: free space or fix the "
+                "folder, then run the same command again to resume"
+            ) from error
+        self._assembled = _read_assembled(target)
+        # Archives that cannot be deleted do no harm: their episodes are in the data set.
+        with contextlib.suppress(OSError):
+            _delete_episode_files(self._folder / _EPISODES_FOLDER)
+            (self._folder / _EPISODES_FOLDER).rmdir()
+        counts = count_outcomes(results), count_outcomes(recorded)
+        return LeRobotSummary(target, self._recording.fps, frames, metadata, *counts)
+
+    def _replace(self, target: Path, content: DataSetContent, episodes: list[EpisodeFiles]) -> None:
+        """Write the data set under a temporary name, then rename it."""
+        temporary = Path(tempfile.mkdtemp(prefix=_TEMPORARY_PREFIX, dir=self._folder))
+        try:
+            write_data_set(temporary, content, episodes)
+            temporary.chmod(0o755)
+            if target.exists():
+                target.rename(self._folder / _PREVIOUS)
+            temporary.rename(target)
+        finally:
+            _restore_interrupted(self._folder)
+
+    def _get_episode_path(self, result: EpisodeResult) -> Path:
+        return self._folder / _EPISODES_FOLDER / f"{result.index:03d}.zip"
+
+    def _find_episode(self, result: EpisodeResult) -> EpisodeFiles | None:
+        """Return the location of an episode's recording; None if it does not exist."""
+        metadata = EpisodeMetadata.from_result(result, self._config)
+        # Damaged archives raise errors of many types; their episodes are simulated again.
+        with contextlib.suppress(Exception):
+            episode = EpisodeFiles.from_archive(self._get_episode_path(result))
+            if read_metadata(episode.row) == metadata:
+                return episode
+        return self._assembled.get(metadata)
+
+
+def _read_assembled(folder: Path) -> dict[EpisodeMetadata, EpisodeFiles]:
+    """Read the locations of a data set's episodes, by their metadata."""
+    try:
+        return {read_metadata(episode.row): episode for episode in read_episodes(folder)}
+    except Exception as error:  # pyarrow raises errors of many types on damaged files
+        raise ResultsError(
+            f"{folder} is damaged or no data set of this library ({shorten_text(error)}); remove it and run again to "
+            "record its episodes again, or choose another folder"
+        ) from error
+
+
+def _restore_interrupted(folder: Path) -> None:
+    """Undo an interrupted replacement of the data set, and delete what replacements leave."""
+    previous, target = folder / _PREVIOUS, folder / LEROBOT_FOLDER
+    if previous.exists():
+        if target.exists():
+            shutil.rmtree(previous)
+        else:
+            previous.rename(target)
+    for path in folder.glob(f"{_TEMPORARY_PREFIX}*"):
+        shutil.rmtree(path)
+
+
+def _delete_episode_files(folder: Path) -> None:
+    for path in folder.iterdir():
+        if _EPISODE_FILE.fullmatch(path.name):
+            path.unlink()
