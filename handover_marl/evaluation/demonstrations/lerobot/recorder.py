@@ -79,8 +79,8 @@ class LeRobotRecorder(EpisodeRecorder):
         observations = {
             name: np.stack([observation[name] for observation in self._observations]) for name in self._observations[0]
         }
-        actions = (hold_actions(recorded, steps) for recorded in (self._receiver_actions, self._giver_actions))
-        columns = make_columns(observations, *actions, result.success)
+        actions = hold_actions(self._receiver_actions, steps)
+        columns = make_columns(observations, actions, hold_actions(self._giver_actions, steps), result.success)
         metadata = EpisodeMetadata.from_result(result, self._config)
         return EncodedEpisode.from_columns(columns, metadata, self._fps).to_archive()
 
