@@ -7,6 +7,9 @@ from handover_marl.datasets import DATA_DIR_VARIABLE, OfficialDataset
 from tests.fake_layout import write_layout
 from tests.slow import read_slow_tests, test_name
 
+# Tests run side by side, one per core; those of several worker processes name a number of workers.
+os.environ.setdefault("LOKY_MAX_CPU_COUNT", "1")
+
 #: Folder with recordings of the reference simulator (`scene*.npz`, `yang_s0_val.json`).
 RECORDINGS_VARIABLE = "HANDOVER_MARL_RECORDINGS"
 

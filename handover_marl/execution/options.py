@@ -9,6 +9,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, TypeVar
 
+import loky
+
 from handover_marl.errors import OptionError
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
@@ -54,8 +56,11 @@ def open_missing_descriptors() -> None:
 
 
 def count_available_cores() -> int:
-    """Return the number of processor cores that the current process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    """Return the number of processor cores that the current process may use.
+
+    Limits of containers and of the environment variable LOKY_MAX_CPU_COUNT count as well.
+    """
+    return int(loky.cpu_count())
 
 
 def resolve_worker_count(workers: int | None) -> int:
