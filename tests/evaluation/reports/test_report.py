@@ -73,10 +73,15 @@ def test_published_rows_only_with_comparable_results(settings: dict[str, str]) -
 
 
 def test_breakdown_by_object() -> None:
-    episodes = (episode(0, 1), episode(1, 2, object_name="025_mug"), episode(2, 4, object_name="025_mug"))
-    lines = str(Report(SETTINGS, episodes, 144)).splitlines()
-    mug = next(line for line in lines if "025_mug" in line)
-    assert [cell.strip() for cell in mug.split("|")[2:7]] == ["2", "0.0 (0.0 to 65.8)", "1", "1", "0"]
+    # Of the mug: one success, two contacts, three drops, four timeouts.
+    statuses = (1, 2, 2, 4, 4, 4, 8, 8, 8, 8)
+    mugs = tuple(episode(index, status, object_name="025_mug") for index, status in enumerate(statuses))
+    lines = str(Report(SETTINGS, (*mugs, episode(10, 1)), 144)).splitlines()
+    mug = next(number for number, line in enumerate(lines) if "025_mug" in line)
+    header = next(line for line in reversed(lines[:mug]) if "object name" in line)
+    cells = {title.strip(): cell.strip() for title, cell in zip(header.split("|"), lines[mug].split("|"), strict=True)}
+    assert cells["success %"] == "10.0 (1.8 to 40.4)"
+    assert [cells[title] for title in ("n episodes", "n contact", "n drop", "n timeout")] == ["10", "2", "3", "4"]
 
 
 def test_average_success_rewards_speed() -> None:

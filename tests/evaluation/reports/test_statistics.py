@@ -60,6 +60,15 @@ def test_paired_differences_against_a_worked_example() -> None:
     assert (low, high) == (pytest.approx(0.021, abs=1e-3), pytest.approx(0.059, abs=1e-3))
 
 
+def test_paired_differences_of_few_scenes_add_half_an_episode_to_each_kind_of_pair() -> None:
+    """Of 10 scenes, 4 are won by the first only and 1 by the second only: 4.5 and 1.5 of 12 after the addition."""
+    first = [True] * 4 + [False] + [True] * 5
+    second = [False] * 4 + [True] + [True] * 5
+    mean, low, high = compute_paired_difference(first, second)
+    half = 1.959964 * (((4.5 + 1.5) / 12 - (3 / 12) ** 2) / 12) ** 0.5
+    assert (mean, low, high) == pytest.approx((0.3, 0.25 - half, 0.25 + half), abs=1e-5)
+
+
 @given(st.lists(st.tuples(st.booleans(), st.booleans()), min_size=1, max_size=200))
 def test_paired_differences_contain_their_mean_and_are_antisymmetric(pairs: list[tuple[bool, bool]]) -> None:
     first, second = zip(*pairs, strict=True)

@@ -210,8 +210,18 @@ def test_invalid_risk(risk: object) -> None:
 def test_risk_scales_speeds_and_costs() -> None:
     careful, usual, bold = (apply_risk(ReactiveConfig(), risk) for risk in (0.0, 0.5, 1.0))
     assert usual == ReactiveConfig()
-    assert careful.approach.speed < usual.approach.speed < bold.approach.speed
-    assert careful.selection.clearance_cost > usual.selection.clearance_cost > bold.selection.clearance_cost
+    for part, name in (("approach", "speed"), ("approach", "close_speed"), ("retreat", "speed")):
+        values = [getattr(getattr(config, part), name) for config in (careful, usual, bold)]
+        assert values == pytest.approx([values[1] / 4.0, values[1], 4.0 * values[1]])
+    # A careful robot slows down from farther away, and prefers grasps that are clear of the hand.
+    for part, name in (
+        ("separation", "time_constant"),
+        ("separation", "approach_time_constant"),
+        ("selection", "clearance_cost"),
+        ("selection", "partial_hold_cost"),
+    ):
+        values = [getattr(getattr(config, part), name) for config in (careful, usual, bold)]
+        assert values == pytest.approx([4.0 * values[1], values[1], values[1] / 4.0])
 
 
 def test_name_with_options() -> None:
