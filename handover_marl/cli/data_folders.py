@@ -1,13 +1,13 @@
 """Commands that create and check data folders."""
 
 import os
-from pathlib import Path
 from typing import Annotated
 
 import tyro
 
 from handover_marl.cli.options import SceneNumbers
 from handover_marl.cli.streams import print_result
+from handover_marl.execution.options import check_path
 
 
 def run_import(
@@ -59,9 +59,9 @@ def run_doctor(data_dir: Annotated[str | None, tyro.conf.arg(metavar="DIR")] = N
     from handover_marl.datasets.folder_check import Severity, examine_data_folder, format_findings
 
     findings = list(examine_installation())
-    chosen = data_dir or os.environ.get(DATA_DIR_VARIABLE)
+    chosen = os.environ.get(DATA_DIR_VARIABLE) if data_dir is None else str(check_path("data_dir", data_dir))
     if chosen:
-        findings += examine_data_folder(Path(chosen).expanduser(), progress)
+        findings += examine_data_folder(check_path("data_dir", chosen), progress)
     print_result(format_findings(findings))
     if chosen:
         print_result(f"\nData folder: {chosen}")

@@ -257,13 +257,17 @@ def read_crossplay_pairs(folder: Path) -> list[PolicyPair]:
     path = folder / CROSSPLAY_CSV
     try:
         with path.open(newline="", encoding="utf-8") as file:
-            return [(row["giver"], row["receiver"]) for row in csv.DictReader(file)]
+            pairs = [(row["giver"], row["receiver"]) for row in csv.DictReader(file)]
     except FileNotFoundError as error:
         raise ResultsError(
             f"{path} does not exist: the cross-play is not finished; run the same command to resume"
         ) from error
     except (OSError, ValueError, KeyError, csv.Error) as error:
         raise ResultsError(f"{path}: not a cross-play table ({shorten_text(error)})") from error
+    givers, receivers = (list(dict.fromkeys(column)) for column in zip(*pairs, strict=True)) if pairs else ([], [])
+    if not pairs or pairs != [(giver, receiver) for giver in givers for receiver in receivers]:
+        raise ResultsError(f"{path}: not a cross-play table (it must have every pair of giver and receiver once)")
+    return pairs
 
 
 def format_pair_folder(pair: PolicyPair) -> str:

@@ -6,10 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from handover_marl.errors import OptionError, ResultsError
+from handover_marl.errors import HandoverError, OptionError, ResultsError
 from handover_marl.evaluation.agreement import AGREEMENT_FILE, Agreement
 from handover_marl.evaluation.crossplay import CROSSPLAY_CSV, CrossPlay, format_pair_folder, read_crossplay_pairs
-from handover_marl.evaluation.demonstrations.join import join_data_sets
+from handover_marl.evaluation.demonstrations.files import EpisodeLocation
+from handover_marl.evaluation.demonstrations.join import join_data_sets, locate_episodes
 from handover_marl.evaluation.demonstrations.minari_layout import DATA_FOLDER
 from handover_marl.evaluation.demonstrations.reader import Demonstrations
 from handover_marl.evaluation.reports.report import Report
@@ -30,6 +31,7 @@ from handover_marl.evaluation.results.result_folder import (
 )
 from handover_marl.evaluation.shards import Shard
 from handover_marl.execution.files import write_atomically
+from handover_marl.execution.options import check_path
 from handover_marl.simulation.engines import EXACT, PHYSICS
 
 _MAX_LISTED = 8  # missing scenes that an error lists
@@ -51,24 +53,22 @@ def merge(
         The result that the whole evaluation would have returned.
 
     Raises:
-        ResultsError: The folders are not all shards of one evaluation, or `out` holds another
-            evaluation or cannot be written.
+        ResultsError: The folders are not all shards of one evaluation, one cannot be read, or `out`
+            holds another evaluation or cannot be written.
+        OptionError: `folders` is not a list of paths, or `out` is not a path.
         DataNotFoundError, DataFormatError: Demonstrations are unfinished or damaged.
     """
-    paths, target = [Path(folder).expanduser() for folder in folders], Path(out).expanduser()
+    if isinstance(folders, (str, bytes)) or not isinstance(folders, Sequence):
+        raise OptionError(f"folders must be a list of paths, got {folders!r}")
+    paths, target = [check_path("folders", folder) for folder in folders], check_path("out", out)
     if not paths:
         raise ResultsError("folders must name at least one shard, got none")
-    if target.resolve() in [path.resolve() for path in paths]:
-        raise ResultsError(f"{target} is one of the shards; choose another output folder")
-    if any((path / CONFIG_FILE).exists() for path in paths):
-        return _merge_results(paths, target)
-    if any((path / CROSSPLAY_CSV).exists() for path in paths):
-        return _merge_crossplay(paths, target)
-    if any((path / AGREEMENT_FILE).exists() for path in paths):
-        return _merge_agreement(paths, target)
-    raise ResultsError(
-        f"{paths[0]} is no finished shard: it has neither {CONFIG_FILE}, {CROSSPLAY_CSV} nor {AGREEMENT_FILE}"
-    )
+    try:
+        return _merge(paths, target)
+    except HandoverError:
+        raise
+    except (OSError, RuntimeError) as error:  # RuntimeError: links in a circle
+        raise ResultsError(f"cannot read the shards: {error}") from error
 
 
 @dataclass(frozen=True)
@@ -182,6 +182,21 @@ def _write_merged(folders: Sequence[ShardFolder], out: Path) -> Report:
     return report
 
 
+def _merge(paths: list[Path], target: Path) -> Report | CrossPlay | Agreement | Demonstrations:
+    if target.resolve() in [path.resolve() for path in paths]:
+        raise ResultsError(f"{target} is one of the shards; choose another output folder")
+    for file, merge_shards in (
+        (CONFIG_FILE, _merge_results),
+        (CROSSPLAY_CSV, _merge_crossplay),
+        (AGREEMENT_FILE, _merge_agreement),
+    ):
+        if any((path / file).exists() for path in paths):
+            return merge_shards(paths, target)
+    raise ResultsError(
+        f"{paths[0]} is no finished shard: it has neither {CONFIG_FILE}, {CROSSPLAY_CSV} nor {AGREEMENT_FILE}"
+    )
+
+
 def _merge_agreement(paths: list[Path], target: Path) -> Agreement:
     others = [physics for physics in PHYSICS if physics != EXACT and (paths[0] / physics).is_dir()]
     if len(others) != 1:
@@ -203,10 +218,13 @@ def _merge_results(paths: list[Path], target: Path) -> Report | Demonstrations:
     shards = _read_shards(paths)
     if not any((path / DATA_FOLDER).is_dir() for path in paths):
         return _write_merged(shards, target)
-    # All data sets are opened, and so checked, before anything is written.
-    parts = [Demonstrations(path) for path in paths]
+    # All data sets are checked before anything is written.
+    parts = [Demonstrations(shard.path) for shard in shards]
+    locations: dict[int, EpisodeLocation] = {}
+    for shard, part in zip(shards, parts, strict=True):
+        locations |= locate_episodes(part, shard.results)
     _write_merged(shards, target)
-    join_data_sets(parts, target)
+    join_data_sets(parts[0], locations, target)
     return Demonstrations(target)
 
 

@@ -50,18 +50,21 @@ def read_members(source: Path) -> Iterator[ArchiveMember]:
         UnsafeFileError: The archive contains links, devices or paths outside itself, or is too large.
         DataFormatError: The archive is damaged, or the file is not an archive.
     """
-    if source.is_dir():
-        yield from _iterate_folder(source)
-        return
     try:
-        if not stat.S_ISREG(source.stat().st_mode):
+        is_folder = source.is_dir()
+        if not is_folder and not stat.S_ISREG(source.stat().st_mode):
             raise DataNotFoundError(f"{source} is neither a folder nor an archive")
-        with source.open("rb") as file:
-            beginning = file.read(512)
+        beginning = b""
+        if not is_folder:
+            with source.open("rb") as file:
+                beginning = file.read(512)
     except OSError as error:
         if isinstance(error, DataNotFoundError):
             raise
         raise DataNotFoundError(f"cannot read {source} ({error.strerror or error})") from error
+    if is_folder:
+        yield from _iterate_folder(source)
+        return
     with _translate_errors(source):
         yield from _iterate_zip(source) if beginning.startswith(b"PK\x03\x04") else _iterate_tar(source, beginning)
 

@@ -1,5 +1,6 @@
 """The folder of all shards is the folder of one run, to the byte where times stand still."""
 
+import re
 import shutil
 from pathlib import Path
 from types import SimpleNamespace
@@ -11,7 +12,7 @@ import yaml
 import handover_marl
 from handover_marl.cli import main
 from handover_marl.episode import loop as play
-from handover_marl.errors import DataNotFoundError, OptionError, ResultsError
+from handover_marl.errors import DataFormatError, DataNotFoundError, HandoverError, OptionError, ResultsError
 from handover_marl.evaluation.results.result_folder import read_results
 from tests.evaluation import quick
 from tests.evaluation.quick import SHORT, QuickReceiver
@@ -173,7 +174,15 @@ def test_cross_play(tmp_path: Path) -> None:
     merged = handover_marl.merge(parts, tmp_path / "merged")
     assert str(merged) == str(whole)
     assert contents(tmp_path / "merged") == contents(tmp_path / "whole")
-    (parts[1] / "crossplay.csv").unlink()
+    table = parts[1] / "crossplay.csv"
+    lines = table.read_text().splitlines(keepends=True)
+    for damaged in ([], lines[:1], lines[:-1], [*lines, lines[-1]], [*lines[:-1], "replay\n"], ["a,b\n", *lines[1:]]):
+        table.write_text("".join(damaged))
+        for folders in (parts, parts[::-1]):
+            with pytest.raises(ResultsError, match=r"crossplay\.csv: not a cross-play table"):
+                handover_marl.merge(folders, tmp_path / "again")
+    assert not (tmp_path / "again").exists()
+    table.unlink()
     with pytest.raises(ResultsError, match=r"crossplay\.csv does not exist: the cross-play is not finished"):
         handover_marl.merge(parts, tmp_path / "again")
 
@@ -204,10 +213,46 @@ def test_demonstrations(tmp_path: Path) -> None:
     for one, other in zip(merged, whole, strict=True):
         assert_same(one, other)
     assert contents(tmp_path / "merged") == contents(tmp_path / "whole")
-    (parts[0] / "data" / "metadata.json").unlink()
+    assert len(handover_marl.Demonstrations(parts[0])) == 2
+    again = tmp_path / "again"
+    description = parts[0] / "data" / "metadata.json"
+    before = description.read_text()
+    description.write_text(re.sub(r'("recorded": {"\w+": )2', r"\g<1>1", before))
+    with pytest.raises(
+        DataFormatError, match=r"has 2 episodes, but metadata\.json states 1; run the same command again"
+    ):
+        handover_marl.merge(parts, again)
+    description.write_text(before)
+    lost = next(iter(read_results(parts[0])))
+    (parts[0] / f"{lost.index:03d}.npz").rename(tmp_path / "lost.npz")
+    with pytest.raises(ResultsError, match="lacks 1 of 2 scenes"):
+        handover_marl.merge(parts, again)
+    (tmp_path / "lost.npz").rename(parts[0] / f"{lost.index:03d}.npz")
+    shutil.copytree(parts[1] / "data", parts[0] / "data", dirs_exist_ok=True)
+    with pytest.raises(ResultsError, match=r"must have the episodes of all results, .* got 1 episodes for 2 results"):
+        handover_marl.merge(parts, again)
+    description.unlink()
     with pytest.raises(DataNotFoundError, match="not finished"):
-        handover_marl.merge(parts, tmp_path / "again")
-    assert not (tmp_path / "again").exists()
+        handover_marl.merge(parts, again)
+    assert not again.exists()
+
+
+@pytest.mark.parametrize(
+    ("folders", "error", "message"),
+    [
+        (None, OptionError, "folders must be a list of paths, got None"),
+        ("results/1", OptionError, "folders must be a list of paths, got 'results/1'"),
+        ([None], OptionError, "folders must be a path, got None"),
+        (["a\0b"], OptionError, "folders must be a path"),
+        (["~no_such_user/a"], OptionError, "folders must be a path"),
+        (["x" * 300], ResultsError, "cannot read the shards"),
+    ],
+)
+def test_malformed_folders(folders: Any, error: type[HandoverError], message: str, tmp_path: Path) -> None:
+    with pytest.raises(error, match=message):
+        handover_marl.merge(folders, tmp_path / "out")
+    with pytest.raises(OptionError, match="out must be a path"):
+        handover_marl.merge([tmp_path], "")
 
 
 def test_replays_are_merged(three: list[Path], tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """Import of raw DexYCB, MANO and HandoverSim's third-party archive into a data folder."""
 
+import operator
 import os
 from collections.abc import Iterable, Sequence
 from contextlib import closing
@@ -22,7 +23,7 @@ from handover_marl.datasets.scene_files import CACHE_FOLDER
 from handover_marl.datasets.splits import N_SCENES
 from handover_marl.errors import DataNotFoundError, HandoverError, ResultsError, SceneError
 from handover_marl.execution.files import remove_stale_temporaries
-from handover_marl.execution.options import resolve_worker_count
+from handover_marl.execution.options import check_path, resolve_worker_count
 
 
 @dataclass(frozen=True)
@@ -102,20 +103,26 @@ def import_dexycb(
         UnsafeFileError: One of MANO's files may run code, or the archive has unsafe paths.
         DataFormatError: One of MANO's files or the archive is damaged.
         SceneError: A scene number does not exist.
-        OptionError: `workers` is less than one, or PyBullet, which has the table, is not installed.
+        OptionError: `workers` is less than one, a folder is not a path, or PyBullet, which has the table, is
+            not installed.
         ResultsError: The data folder cannot be written, or has models made from other data.
     """
     n_workers = resolve_worker_count(workers)
     find_table_folder()
-    raw, target = Path(dexycb).expanduser(), Path(out).expanduser()
+    raw, target = check_path("dexycb", dexycb), check_path("out", out)
+    archive = None if third_party is None else check_path("third_party", third_party)
     layout = find_sequences(raw)
-    folder = _find_mano_folder(Path(mano).expanduser())
+    folder = _find_mano_folder(check_path("mano", mano))
     models = read_mano_models(folder)
     chosen = _select_sequences(layout.sequences, scenes)
     assets = target / "assets"
+    try:
+        assets.is_dir()
+    except OSError as error:
+        raise ResultsError(f"cannot write {target} ({error.strerror or error}); choose another folder") from error
     notes = [*layout.ignored, *check_hand_sides(models["right"], models["left"])]
-    if third_party is not None:
-        notes += install_third_party(Path(third_party).expanduser(), assets)
+    if archive is not None:
+        notes += install_third_party(archive, assets)
     hands, faults = _write_models(layout.sequences, models, assets)
     remove_stale_temporaries(target / CACHE_FOLDER)
     imported: list[int] = []
@@ -130,7 +137,7 @@ def import_dexycb(
     finally:
         # Temporary files of killed or interrupted workers.
         remove_stale_temporaries(target / CACHE_FOLDER)
-    if third_party is None:
+    if archive is None:
         faults += write_stand_ins(raw / "models", assets, n_workers, progress)
     required = list_required_files()
     return ImportReport(
@@ -146,8 +153,13 @@ def import_dexycb(
 
 def _find_mano_folder(mano: Path) -> Path:
     for folder in (mano, mano / "models"):
-        if (folder / "MANO_RIGHT.pkl").is_file():
-            return folder
+        try:
+            if (folder / "MANO_RIGHT.pkl").is_file():
+                return folder
+        except OSError as error:
+            raise DataNotFoundError(
+                f"{mano} cannot be read ({error.strerror or error}); check name and rights"
+            ) from error
     raise DataNotFoundError(
         f"{mano} holds no MANO_RIGHT.pkl, nor does its models/. Register at MANO's site, download mano_v1_2.zip and "
         "give the folder that it was expanded into."
@@ -157,8 +169,11 @@ def _find_mano_folder(mano: Path) -> Path:
 def _select_sequences(sequences: Sequence[SequenceFolder], scenes: Iterable[int] | None) -> list[SequenceFolder]:
     if scenes is None:
         return list(sequences)
-    wanted = set(scenes)
-    foreign = sorted(wanted - set(range(N_SCENES)), key=str)
+    try:
+        wanted = {operator.index(scene) for scene in scenes}
+    except TypeError as error:
+        raise SceneError(f"scenes must be scene numbers such as [209, 214], got {scenes!r}") from error
+    foreign = sorted(wanted - set(range(N_SCENES)))
     if foreign:
         raise SceneError(f"scene {foreign[0]} does not exist; scenes are numbered 0 to {N_SCENES - 1}")
     return [sequence for sequence in sequences if sequence.scene_id in wanted]

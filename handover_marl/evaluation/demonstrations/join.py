@@ -5,6 +5,7 @@ from pathlib import Path
 
 from gymnasium import spaces
 
+from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import ResultsError
 from handover_marl.evaluation.demonstrations.data_card import CARD_FILE, DataCard, FeatureRow, count_outcomes
 from handover_marl.evaluation.demonstrations.files import EpisodeLocation, open_hdf5
@@ -43,29 +44,50 @@ _OTHER_ARRAYS = (
 )
 
 
-def join_data_sets(parts: Sequence[Demonstrations], folder: Path) -> None:
+def locate_episodes(part: Demonstrations, results: Sequence[EpisodeResult]) -> dict[int, EpisodeLocation]:
+    """Return the locations of a shard's recorded episodes by scene number.
+
+    Args:
+        part: Data set of the shard.
+        results: Results of the shard.
+
+    Raises:
+        DataFormatError: The data set is damaged.
+        ResultsError: Episodes are neither those of all results nor those of all successes.
+    """
+    episodes = part.read_metadata()
+    statuses = {episode.scene_id: episode.status for episode in episodes}
+    simulated = {result.scene_id: int(result.status) for result in results}
+    successes = {scene: status for scene, status in simulated.items() if status == EpisodeStatus.SUCCESS}
+    if len(statuses) < len(episodes) or statuses not in (simulated, successes):
+        raise ResultsError(
+            f"{part.folder}: the data set must have the episodes of all results, or of all successes, got "
+            f"{len(episodes)} episodes for {len(simulated)} results; run the same command again to record them again"
+        )
+    file = part.folder / DATA_FOLDER / MAIN_FILE
+    return {
+        episode.scene_id: EpisodeLocation(file, format_group_name(number)) for number, episode in enumerate(episodes)
+    }
+
+
+def join_data_sets(first: Demonstrations, locations: Mapping[int, EpisodeLocation], folder: Path) -> None:
     """Write the data set of a whole evaluation, joined from the data sets of all its shards.
 
     Args:
-        parts: Data sets of the shards.
+        first: Data set of a shard, whose spaces are those of all.
+        locations: Location of each recorded episode, by scene number.
         folder: Result folder of the whole evaluation, with its results.
 
     Raises:
-        DataFormatError: A data set is damaged.
         ResultsError: The folder cannot be written.
     """
-    locations: dict[int | None, EpisodeLocation] = {
-        metadata.scene_id: EpisodeLocation(part.folder / DATA_FOLDER / MAIN_FILE, format_group_name(number))
-        for part in parts
-        for number, metadata in enumerate(part.read_metadata())
-    }
     results = read_results(folder)
     try:
         (folder / DATA_FOLDER).mkdir(exist_ok=True)
     except OSError as error:
         raise ResultsError(f"cannot use {folder} for demonstrations: {error.strerror or error}") from error
-    episodes = {result: locations[result.scene_id] for result in results if result.scene_id in locations}
-    assemble_data_set(folder, parts[0].observation_space, parts[0].action_space, results, episodes)
+    episodes = {result: locations[result.scene_id] for result in results if result.scene_id in locations}  # type: ignore[index]
+    assemble_data_set(folder, first.observation_space, first.action_space, results, episodes)
 
 
 def assemble_data_set(

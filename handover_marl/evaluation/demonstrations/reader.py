@@ -3,7 +3,6 @@
 import operator
 import os
 from collections.abc import Callable, Iterable, Iterator
-from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
@@ -23,13 +22,16 @@ from handover_marl.evaluation.demonstrations.files import open_hdf5, require_h5p
 from handover_marl.evaluation.demonstrations.minari_layout import (
     DATA_FOLDER,
     MAIN_FILE,
+    METADATA_FILE,
     format_group_name,
     read_metadata,
 )
 from handover_marl.evaluation.results.metadata import ResultMetadata
 from handover_marl.execution.files import shorten_text
+from handover_marl.execution.options import check_path
 
 _Value = TypeVar("_Value")
+_RECORD_AGAIN = "remove the file and run the same command again to record its episodes again"
 
 
 class Demonstrations:
@@ -49,9 +51,15 @@ class Demonstrations:
 
     def __init__(self, folder: str | os.PathLike[str]) -> None:
         require_h5py()
-        self.folder = Path(folder)
+        self.folder = check_path("folder", folder)
         self._metadata = read_metadata(self.folder / DATA_FOLDER)
         self._file = self.folder / DATA_FOLDER / MAIN_FILE
+        found = self._open(len)
+        if found != len(self):
+            raise DataFormatError(
+                f"{self._file} has {found} episodes, but {METADATA_FILE} states {len(self)}; run the same command "
+                "again to write it again"
+            )
 
     @property
     def observation_space(self) -> spaces.Dict:
@@ -139,15 +147,17 @@ class Demonstrations:
         return read_observations(group, names, self.observation_space), read_actions(group)
 
     def _read(self, number: int, read: Callable[[Any], _Value]) -> _Value:
+        return self._open(lambda file: read(file[format_group_name(number)]), f": episode {number}")
+
+    def _open(self, read: Callable[[Any], _Value], part: str = "") -> _Value:
         try:
             with open_hdf5(self._file, "r") as file:
-                return read(file[format_group_name(number)])
+                return read(file)
         except (PermissionError, MemoryError) as error:  # the file itself may be whole
-            raise DataFormatError(f"{self._file}: episode {number} cannot be read ({shorten_text(error)})") from error
+            raise DataFormatError(f"{self._file}{part} cannot be read ({shorten_text(error)})") from error
         except Exception as error:  # h5py raises errors of many types on damaged files
             raise DataFormatError(
-                f"{self._file}: episode {number} cannot be read ({shorten_text(error)}); remove the file and run the "
-                "same command again to record its episodes again"
+                f"{self._file}{part} cannot be read ({shorten_text(error)}); {_RECORD_AGAIN}"
             ) from error
 
 

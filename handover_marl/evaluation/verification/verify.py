@@ -27,6 +27,7 @@ from handover_marl.evaluation.verification.differences import (
 from handover_marl.evaluation.verification.folder_checks import check_giver, check_reports
 from handover_marl.evaluation.verification.stored_actions import StoredActions, read_actions
 from handover_marl.execution.files import shorten_text
+from handover_marl.execution.options import check_path
 from handover_marl.execution.pool import PoolConfig
 from handover_marl.execution.tasks import open_pool
 from handover_marl.policies.reference import PolicyLike
@@ -66,14 +67,14 @@ def verify(
         SceneError: A scene is not in the split.
         DataNotFoundError, DataFormatError: Files are missing or damaged.
     """
-    path = Path(folder).expanduser()
+    path = check_path("folder", folder)
     metadata = read_result_metadata(path)
     if metadata.world != format_world_label(world_config):
         raise ResultsError(
             f"{path} was made with world {metadata.world!r}, not with {format_world_label(world_config)!r}; pass the "
             "evaluation's world_config"
         )
-    data_dir = None if data_dir is None else str(Path(data_dir).expanduser())
+    data_dir = None if data_dir is None else str(check_path("data_dir", data_dir))
     dataset = open_dataset(metadata.dataset, data_dir, metadata.robot)
     split = dataset.list_scenes(metadata.setup, metadata.split)
     wanted = choose_scenes(split, scenes, f"{metadata.setup} {metadata.split}")

@@ -3,6 +3,7 @@
 import hashlib
 import shutil
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -97,6 +98,23 @@ def test_invalid_arguments(given: Path, tmp_path: Path) -> None:
         import_dexycb(raw, mano, out, scenes=[1000])
     with pytest.raises(OptionError, match=r"workers must be .* got 0"):
         import_dexycb(raw, mano, out, workers=0)
+    for scenes in (300, [300.5], [None]):
+        with pytest.raises(SceneError, match="scenes must be scene numbers"):
+            import_dexycb(raw, mano, out, scenes=scenes)  # type: ignore[arg-type]
+    long = tmp_path / ("x" * 300)
+    for folders in ((long, mano), (raw, long)):
+        with pytest.raises(DataNotFoundError, match="x" * 300):
+            import_dexycb(*folders, out)
+    with pytest.raises(ResultsError, match=r"cannot write .*File name too long"):
+        import_dexycb(raw, mano, long)
+    with pytest.raises(DataNotFoundError, match="x" * 300):
+        import_dexycb(raw, mano, out, third_party=long)
+    for wrong in (None, 5, "", "a\0b"):
+        for position, name in enumerate(("dexycb", "mano", "out")):
+            arguments: list[Any] = [raw, mano, out]
+            arguments[position] = wrong
+            with pytest.raises(OptionError, match=f"{name} must be a path"):
+                import_dexycb(*arguments)
     hostile = tmp_path / "mano"
     shutil.copytree(mano / "models", hostile)
     (hostile / "MANO_LEFT.pkl").write_bytes(b"cos\nsystem\n(S'touch /tmp/no'\ntR.")
