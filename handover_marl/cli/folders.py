@@ -6,30 +6,42 @@ from typing import Annotated
 import tyro
 
 from handover_marl.cli.options import SceneNumbers
+from handover_marl.cli.printing import TableFormat, print_tables
 from handover_marl.cli.streams import print_result
 from handover_marl.execution.files import write_atomically
 
 _PagePath = Annotated[str | None, tyro.conf.arg(metavar="FILE.html")]
 
 
-def run_evaluate(folder: Annotated[str, tyro.conf.arg(metavar="DIR")], /, out: _PagePath = None) -> None:
+def run_evaluate(
+    folder: Annotated[str, tyro.conf.arg(metavar="DIR")],
+    /,
+    out: _PagePath = None,
+    episodes: Annotated[str | None, tyro.conf.arg(metavar="FILE.csv")] = None,
+    table_format: TableFormat = "markdown",
+) -> None:
     """Print the table of a result folder, written by this library or by HandoverSim.
 
     Args:
         folder: Result folder (config.yaml and 000.npz, 001.npz, ...).
         out: Output file (.html) for the report as a web page; default: none.
+        episodes: Output file (.csv) with one row per episode; default: none.
+        table_format: Format of the printed tables.
     """
     from handover_marl.evaluation.reports.report_files import evaluate
 
-    path = _check_page_path(out)
+    path, csv_path = _check_path(out, ".html"), _check_path(episodes, ".csv")
     report = evaluate(folder)
-    print_result(report)
+    if csv_path is not None:
+        from handover_marl.evaluation.reports.scene_tables import format_episodes_csv
+
+        write_atomically(csv_path, format_episodes_csv(report.metadata, report.episodes))
     if path is not None:
         from handover_marl.evaluation.reports.pages import find_replay_links, render_report_page
 
         links = find_replay_links(Path(folder).expanduser(), path.parent)
         write_atomically(path, render_report_page(report, links))
-    _print_page_path(path)
+    print_tables(report, table_format, _describe_page(path))
 
 
 def run_verify(
@@ -41,6 +53,7 @@ def run_verify(
     workers: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
     progress: bool = True,
     trust: bool = False,
+    table_format: TableFormat = "markdown",
 ) -> int:
     """Verify a result folder: simulate its stored actions again and compare outcomes and metrics.
 
@@ -55,6 +68,7 @@ def run_verify(
         workers: Number of worker processes; default: one per core.
         progress: Show a progress bar on stderr.
         trust: Allow policy files (learned:FILE) to run code.
+        table_format: Format of the printed table.
     """
     from handover_marl.evaluation.verification.verify import verify
 
@@ -67,7 +81,7 @@ def run_verify(
         progress=progress,
         trust=trust,
     )
-    print_result(f"{verification}\n\nFolder: {Path(folder).expanduser()}")
+    print_tables(verification, table_format, f"Folder: {Path(folder).expanduser()}")
     return int(not verification.is_verified)
 
 
@@ -76,6 +90,7 @@ def run_compare(
     second: Annotated[str, tyro.conf.arg(metavar="DIR")],
     /,
     out: _PagePath = None,
+    table_format: TableFormat = "markdown",
 ) -> None:
     """Compare two result folders scene by scene.
 
@@ -83,44 +98,50 @@ def run_compare(
         first: Result folder.
         second: Result folder of the same setup, split and data.
         out: Output file (.html) for the comparison as a web page; default: none.
+        table_format: Format of the printed tables.
     """
     from handover_marl.evaluation.comparison import compare
 
-    path = _check_page_path(out)
+    path = _check_path(out, ".html")
     comparison = compare(first, second)
-    print_result(comparison)
     if path is not None:
         from handover_marl.evaluation.comparison import render_comparison_page
         from handover_marl.evaluation.reports.pages import find_replay_links
 
         one, other = (find_replay_links(Path(side).expanduser(), path.parent) for side in (first, second))
         write_atomically(path, render_comparison_page(comparison, (one, other)))
-    _print_page_path(path)
+    print_tables(comparison, table_format, _describe_page(path))
 
 
 def run_merge(
     folders: Annotated[tuple[str, ...], tyro.conf.arg(metavar="DIR"), tyro.conf.Positional],
     out: Annotated[str, tyro.conf.arg(metavar="DIR")],
+    table_format: TableFormat = "markdown",
 ) -> None:
     """Merge the result folders of all shards (--shard) into one, and print its table.
 
     Args:
         folders: Result folders of the shards, in any order.
         out: Result folder to create, equal to that of an evaluation without shards.
+        table_format: Format of the printed tables; demonstrations have none.
     """
     from handover_marl.evaluation.merge import merge
+    from handover_marl.evaluation.reports.tables import TabularResult
 
-    print_result(f"{merge(folders, out)}\n\nResults: {Path(out).expanduser()}")
+    result, note = merge(folders, out), f"Results: {Path(out).expanduser()}"
+    if isinstance(result, TabularResult):
+        print_tables(result, table_format, note)
+    else:
+        print_result(f"{result}\n\n{note}")
 
 
-def _print_page_path(path: Path | None) -> None:
-    """Print, as the last line, the path of the page."""
-    print_result("\nPage not saved; add --out FILE.html." if path is None else f"\nPage: {path}")
+def _describe_page(path: Path | None) -> str:
+    return "Page not saved; add --out FILE.html." if path is None else f"Page: {path}"
 
 
-def _check_page_path(out: str | None) -> Path | None:
+def _check_path(out: str | None, suffix: str) -> Path | None:
     if out is None:
         return None
     from handover_marl.visualization.film import check_output_path
 
-    return check_output_path(out, (".html",))
+    return check_output_path(out, (suffix,))

@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 import tyro
 
 from handover_marl.cli.options import BenchmarkArguments, CrossPlayArguments
+from handover_marl.cli.printing import TableFormat, print_tables
 from handover_marl.cli.streams import print_result
 from handover_marl.evaluation.config import EvaluationConfig, ExecutionConfig
 
@@ -12,36 +13,45 @@ _OFFICIAL, _CROSSPLAY = BenchmarkArguments(), CrossPlayArguments(split="val")
 _Names = Annotated[str, tyro.conf.arg(metavar="POLICY,...")]
 
 
-def run_benchmark(evaluation: BenchmarkArguments = _OFFICIAL, execution: ExecutionConfig = ExecutionConfig()) -> None:
+def run_benchmark(
+    evaluation: BenchmarkArguments = _OFFICIAL,
+    execution: ExecutionConfig = ExecutionConfig(),
+    table_format: TableFormat = "markdown",
+) -> None:
     """Run HandoverSim's official protocol and print its table.
 
     Args:
         evaluation: Scenes, policies and simulation.
         execution: Workers and output; outcomes do not depend on them.
+        table_format: Format of the printed tables.
     """
     from handover_marl.evaluation.benchmark import benchmark
 
-    _print_with_report(benchmark(evaluation, execution=execution), execution, "report.html")
+    print_tables(benchmark(evaluation, execution=execution), table_format, _describe_path(execution, "report.html"))
 
 
 def run_pair(
-    evaluation: EvaluationConfig = EvaluationConfig(split="val"), execution: ExecutionConfig = ExecutionConfig()
+    evaluation: EvaluationConfig = EvaluationConfig(split="val"),
+    execution: ExecutionConfig = ExecutionConfig(),
+    table_format: TableFormat = "markdown",
 ) -> None:
     """Evaluate a giver with a receiver on a split and print the table.
 
     Args:
         evaluation: Scenes, policies and simulation.
         execution: Workers and output; outcomes do not depend on them.
+        table_format: Format of the printed tables.
     """
     from handover_marl.evaluation.benchmark import evaluate_pair
 
-    _print_with_report(evaluate_pair(evaluation, execution=execution), execution, "report.html")
+    print_tables(evaluate_pair(evaluation, execution=execution), table_format, _describe_path(execution, "report.html"))
 
 
 def run_agreement(
     evaluation: EvaluationConfig = EvaluationConfig(split="val"),
     against: str = "fast",
     execution: ExecutionConfig = ExecutionConfig(),
+    table_format: TableFormat = "markdown",
 ) -> None:
     """Compare outcomes of the same scenes in exact and in other physics.
 
@@ -49,10 +59,12 @@ def run_agreement(
         evaluation: Scenes, policies and simulation; the physics option is ignored.
         against: Physics to compare with exact physics, fast or mujoco.
         execution: Workers and output; outcomes do not depend on them.
+        table_format: Format of the printed tables.
     """
     from handover_marl.evaluation.agreement import AGREEMENT_FILE, compare_physics
 
-    _print_with_report(compare_physics(evaluation, against=against, execution=execution), execution, AGREEMENT_FILE)
+    result = compare_physics(evaluation, against=against, execution=execution)
+    print_tables(result, table_format, _describe_path(execution, AGREEMENT_FILE))
 
 
 def run_crossplay(
@@ -60,6 +72,7 @@ def run_crossplay(
     receivers: _Names = "hold,yang2021",
     evaluation: CrossPlayArguments = _CROSSPLAY,
     execution: ExecutionConfig = ExecutionConfig(),
+    table_format: TableFormat = "markdown",
 ) -> None:
     """Evaluate every giver with every receiver and print the success rates.
 
@@ -68,12 +81,14 @@ def run_crossplay(
         receivers: Comma-separated receivers.
         evaluation: Scenes, policies and simulation.
         execution: Workers and output; outcomes do not depend on them.
+        table_format: Format of the printed tables.
     """
     from handover_marl.evaluation.crossplay import crossplay
     from handover_marl.policies.reference import split_policy_list
 
     rows, columns = split_policy_list("giver", givers), split_policy_list("receiver", receivers)
-    _print_with_report(crossplay(rows, columns, evaluation, execution=execution), execution, "crossplay.md")
+    result = crossplay(rows, columns, evaluation, execution=execution)
+    print_tables(result, table_format, _describe_path(execution, "crossplay.md"))
 
 
 def run_demonstrate(
@@ -105,10 +120,8 @@ def run_demonstrate(
     from handover_marl.evaluation.demonstrations.record import demonstrate
 
     result = demonstrate(evaluation, obs_mode=obs_mode, keep=keep, format=format, fps=fps, execution=execution)
-    _print_with_report(result, execution, "report.html")
+    print_result(f"{result}\n\n{_describe_path(execution, 'report.html')}")
 
 
-def _print_with_report(result: object, execution: ExecutionConfig, report: str) -> None:
-    """Print a result and, as the last line, the path of its report."""
-    place = f"Report: {execution.folder / report}" if execution.folder else "Report not saved; add --out DIR."
-    print_result(f"{result}\n\n{place}")
+def _describe_path(execution: ExecutionConfig, report: str) -> str:
+    return f"Report: {execution.folder / report}" if execution.folder else "Report not saved; add --out DIR."

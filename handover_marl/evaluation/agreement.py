@@ -12,7 +12,7 @@ from handover_marl.evaluation.benchmark import Evaluation
 from handover_marl.evaluation.config import REPLAY, EvaluationConfig, EvaluationOptions, ExecutionConfig, build_configs
 from handover_marl.evaluation.reports.pair_tables import build_difference_table, build_rate_table
 from handover_marl.evaluation.reports.report import Report
-from handover_marl.evaluation.reports.tables import ReportTable, format_percent_interval, join_sections
+from handover_marl.evaluation.reports.tables import ReportTable, TabularResult, format_percent_interval
 from handover_marl.evaluation.results.episode_result import EpisodeResult
 from handover_marl.execution.files import write_atomically
 from handover_marl.execution.options import forward_signature
@@ -23,7 +23,7 @@ AGREEMENT_FILE = "agreement.md"
 
 
 @dataclass(frozen=True)
-class Agreement:
+class Agreement(TabularResult):
     """Outcomes of the same policies in two physics engines. `str(agreement)` is tables in Markdown.
 
     Attributes:
@@ -67,9 +67,10 @@ class Agreement:
         """
         write_atomically(folder / AGREEMENT_FILE, f"# Exact and {self.other_physics} physics\n\n{self}\n")
 
-    def __str__(self) -> str:
+    def build_sections(self) -> list[str | ReportTable]:
+        """Build heading, tables and the sentence on numbers of steps."""
         confusion, rates, differences = self.build_tables()
-        return join_sections(self._format_heading(), confusion, rates, self._format_step_differences(), differences)
+        return [self._format_heading(), confusion, rates, self._format_step_differences(), differences]
 
     def build_tables(self) -> list[ReportTable]:
         """Build the tables of pairs of outcomes, of rates, and of scenes with different outcomes."""

@@ -14,7 +14,7 @@ from handover_marl.evaluation.reports.pair_tables import (
 )
 from handover_marl.evaluation.reports.report import Report
 from handover_marl.evaluation.reports.report_files import evaluate
-from handover_marl.evaluation.reports.tables import ReportTable, join_sections
+from handover_marl.evaluation.reports.tables import ReportTable, TabularResult
 from handover_marl.evaluation.results.episode_result import EpisodeResult
 from handover_marl.visualization.web_page import render_page
 
@@ -22,7 +22,7 @@ _NOTE = "{n} scenes that both folders have, paired. 95 % intervals: Wilson; diff
 
 
 @dataclass(frozen=True)
-class Comparison:
+class Comparison(TabularResult):
     """Two evaluations, A and B, on their common scenes. `str(comparison)` is tables in Markdown.
 
     Attributes:
@@ -59,10 +59,11 @@ class Comparison:
         names = ("A", "B")
         return [build_rate_table(self.pairs, names), build_difference_table(self.pairs, names)]
 
-    def __str__(self) -> str:
+    def build_sections(self) -> list[str | ReportTable]:
+        """Build headings, note and tables."""
         headings = f"A: {self.first.heading}\nB: {self.second.heading}"
         rates, differences = self.build_tables()
-        return join_sections(headings, self.note, rates, str(differences) or "Every scene has the same outcome.")
+        return [headings, self.note, rates, differences if differences.rows else "Every scene has the same outcome."]
 
 
 def compare(first: str | os.PathLike[str], second: str | os.PathLike[str]) -> Comparison:

@@ -1,7 +1,6 @@
 """Cross-play: evaluation of every giver with every receiver on the same scenes."""
 
 import csv
-import io
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -35,11 +34,12 @@ from handover_marl.evaluation.reports.report import Report
 from handover_marl.evaluation.reports.statistics import MeanEstimate, compute_wilson_interval
 from handover_marl.evaluation.reports.tables import (
     ReportTable,
+    TabularResult,
     append_interval,
+    format_csv,
     format_percent_difference,
     format_percent_rate,
     format_seconds,
-    join_sections,
 )
 from handover_marl.execution.files import shorten_text, write_atomically
 from handover_marl.execution.options import forward_signature, require_modules
@@ -54,7 +54,7 @@ _CSV_MEANS = (AVERAGE_SUCCESS, *TIMES, *FLUENCY)
 
 
 @dataclass(frozen=True, eq=False)
-class CrossPlay:
+class CrossPlay(TabularResult):
     """Reports of all pairs of giver and receiver on the same scenes. `str` returns Markdown tables.
 
     Attributes:
@@ -104,11 +104,8 @@ class CrossPlay:
         """
         rates = [f"{column.key}{suffix}" for column in RATES for suffix in ("", "_low", "_high")]
         means = [f"{column.key}{suffix}" for column in _CSV_MEANS for suffix in ("", "_low", "_high", "_n")]
-        stream = io.StringIO()
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(["giver", "receiver", *_CSV_IDENTITY, "data", N_EPISODES.key, *rates, WAIT.key, *means])
-        writer.writerows(_format_csv_row(pair, report) for pair, report in self.reports.items())
-        return stream.getvalue()
+        header = ["giver", "receiver", *_CSV_IDENTITY, "data", N_EPISODES.key, *rates, WAIT.key, *means]
+        return format_csv([header, *(_format_csv_row(pair, report) for pair, report in self.reports.items())])
 
     def write(self, folder: Path) -> None:
         """Write tables (Markdown, CSV) and heat map; requires the extra `plot`.
@@ -133,8 +130,9 @@ class CrossPlay:
             self._build_fluency_table(),
         ]
 
-    def __str__(self) -> str:
-        return join_sections(self._format_heading(), *self.build_tables(), FLUENCY_NOTE)
+    def build_sections(self) -> list[str | ReportTable]:
+        """Build heading, tables and note."""
+        return [self._format_heading(), *self.build_tables(), FLUENCY_NOTE]
 
     @property
     def _first_report(self) -> Report:

@@ -110,7 +110,7 @@ def test_results_are_official_files(fake_data: Path, tmp_path: Path) -> None:
     assert json.loads((tmp_path / "out" / "report.json").read_text())["rates"]["timeout"]["rate"] == 1.0
     assert "| 14 " in (tmp_path / "out" / "report.md").read_text()
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
-        *("000.npz", "001.npz", "config.yaml", "report.html", "report.json", "report.md"),
+        *("000.npz", "001.npz", "config.yaml", "episodes.csv", "report.html", "report.json", "report.md"),
     ]
 
 

@@ -98,7 +98,7 @@ def test_changed_code_cannot_resume(fake_data: Path, tmp_path: Path, write: Writ
     anew = play(changed, fresh=True, scenes=[9])
     assert anew.n_resumed == 0
     assert sorted(path.name for path in out.iterdir()) == [
-        *("000.npz", "config.yaml", "notes.txt", "report.html", "report.json", "report.md")
+        *("000.npz", "config.yaml", "episodes.csv", "notes.txt", "report.html", "report.json", "report.md")
     ]
     assert (out / "notes.txt").read_text() == "precious"
     again = play(changed)

@@ -18,16 +18,16 @@ from handover_marl.evaluation.reports.official_table import (
     find_comparable_rows,
 )
 from handover_marl.evaluation.reports.published import SOURCES
-from handover_marl.evaluation.reports.scene_tables import build_object_table, build_scene_table
+from handover_marl.evaluation.reports.scene_tables import build_object_table, build_scene_table, describe_episode
 from handover_marl.evaluation.reports.statistics import MeanEstimate, compute_wilson_interval
-from handover_marl.evaluation.reports.tables import NO_VALUE, ReportTable, join_sections
+from handover_marl.evaluation.reports.tables import NO_VALUE, ReportTable, TabularResult
 from handover_marl.evaluation.results.episode_result import EpisodeResult
 from handover_marl.evaluation.results.metadata import OFFICIAL_WORLD, ResultMetadata
 from handover_marl.geometry.panda import PANDA
 
 
 @dataclass(frozen=True)
-class Report:
+class Report(TabularResult):
     """Report of an evaluation, with all its metrics. `str(report)` is tables in Markdown.
 
     Attributes:
@@ -188,11 +188,11 @@ class Report:
             build_fluency_table(episodes),
         ]
 
-    def __str__(self) -> str:
-        """Format heading, tables and notes."""
+    def build_sections(self) -> list[str | ReportTable]:
+        """Build heading, tables and notes."""
         official, objects, fluency = self.build_tables()
-        further = (fluency, FLUENCY_NOTE) if fluency.rows else ()
-        return join_sections(self.heading, official, objects, self.format_notes(), *further)
+        note = FLUENCY_NOTE if fluency.rows else ""
+        return [self.heading, official, objects, self.format_notes(), fluency, note]
 
     def to_markdown(self) -> str:
         """Return the report as a Markdown page, with a table that has one row per scene."""
@@ -219,10 +219,7 @@ class Report:
             AVERAGE_SUCCESS.key: asdict(means[AVERAGE_SUCCESS.key]),
             "times": {column.key: asdict(means[column.key]) for column in TIMES},
             "fluency": {key: asdict(mean) for key, mean in estimate_fluency(self.episodes).items()},
-            "episodes": [
-                {**asdict(episode), "status": int(episode.status), "outcome": episode.status.label}
-                for episode in self.episodes
-            ],
+            "episodes": [describe_episode(episode) for episode in self.episodes],
         }
 
 

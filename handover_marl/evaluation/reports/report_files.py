@@ -9,9 +9,10 @@ from handover_marl.datasets.splits import SPLIT_SIZES, list_split_scenes
 from handover_marl.errors import ResultsError
 from handover_marl.evaluation.reports.pages import find_replay_links, render_report_page
 from handover_marl.evaluation.reports.report import Report
+from handover_marl.evaluation.reports.scene_tables import format_episodes_csv
 from handover_marl.evaluation.results.episode_result import EpisodeResult
 from handover_marl.evaluation.results.metadata import read_result_metadata
-from handover_marl.evaluation.results.result_folder import read_results
+from handover_marl.evaluation.results.result_folder import EPISODES_CSV, read_results
 from handover_marl.execution.files import write_atomically
 from handover_marl.geometry.ycb import CLASS_NAMES, SCENE_CLASSES, SUBJECTS
 
@@ -42,13 +43,14 @@ def evaluate(folder: str | os.PathLike[str]) -> Report:
 
 
 def write_report(folder: Path, report: Report) -> None:
-    """Write a report as JSON, Markdown and web page, with links to existing replay pages.
+    """Write a report as JSON, Markdown and web page, with links to existing replay pages, and all episodes as CSV.
 
     Raises:
         ResultsError: The folder cannot be written.
     """
     write_atomically(folder / "report.json", json.dumps(report.to_json(), indent=2, allow_nan=False) + "\n")
     write_atomically(folder / "report.md", report.to_markdown())
+    write_atomically(folder / EPISODES_CSV, format_episodes_csv(report.metadata, report.episodes))
     write_atomically(folder / "report.html", render_report_page(report, find_replay_links(folder, folder)))
 
 

@@ -1,13 +1,39 @@
-"""Tables with one row per scene or per object class."""
+"""Tables with one row per scene or per object class, and the CSV file of all episodes."""
 
 from collections.abc import Iterable, Sequence
+from dataclasses import asdict
+from typing import Any
 
-from handover_marl.evaluation.reports.columns import COUNTS, N_EPISODES, RATES, REPORTED_STATUSES
-from handover_marl.evaluation.reports.tables import NO_VALUE, ReportTable, format_percent_rate
+from handover_marl.evaluation.reports.columns import COUNTS, FLUENCY, N_EPISODES, RATES, REPORTED_STATUSES
+from handover_marl.evaluation.reports.tables import NO_VALUE, ReportTable, format_csv, format_percent_rate
 from handover_marl.evaluation.results.episode_result import EpisodeResult
+from handover_marl.evaluation.results.metadata import ResultMetadata
 
 #: Titles of the cells of an episode: its keys in `report.json`.
 SCENE_HEADER = ("scene id", "object name", "subject", "side", "outcome", "steps", "release step", "plan s")
+
+# Fields of an evaluation with which each row of the CSV file starts.
+_IDENTITY = ("receiver", "giver", "setup", "split", "dataset", "physics", "seed", "version")
+
+
+def describe_episode(episode: EpisodeResult) -> dict[str, Any]:
+    """Return the values of an episode as JSON types, by key; metrics are in the dictionary `fluency`."""
+    return {**asdict(episode), "status": int(episode.status), "outcome": episode.status.label}
+
+
+def format_episodes_csv(metadata: ResultMetadata, episodes: Sequence[EpisodeResult]) -> str:
+    """Return CSV text with one row per episode, under the keys of `report.json`.
+
+    Every row starts with the identity of the evaluation. Numbers have full precision, in the units
+    of `report.json`; missing values are empty.
+    """
+    identity = {key: getattr(metadata, key) for key in _IDENTITY}
+    rows: list[dict[str, Any]] = []
+    for episode in episodes:
+        values = describe_episode(episode)
+        fluency = values.pop("fluency") or {column.key: None for column in FLUENCY}
+        rows.append({**identity, **values, **fluency})
+    return format_csv([list(rows[0]), *(list(row.values()) for row in rows)])
 
 
 def build_scene_table(episodes: Iterable[EpisodeResult]) -> ReportTable:

@@ -1,19 +1,27 @@
-"""Formatting of Markdown tables and of numbers with their 95 % intervals."""
+"""Formatting of tables as Markdown, CSV or LaTeX, and of numbers with their 95 % intervals."""
 
+import csv
+import io
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import tabulate
 
+from handover_marl.errors import check_name
 from handover_marl.evaluation.reports.statistics import compute_mean_interval, compute_wilson_interval
 
 NO_VALUE = "-"
+#: Formats of printed tables.
+TableFormat = Literal["markdown", "csv", "latex"]
+TABLE_FORMATS: tuple[TableFormat, ...] = ("markdown", "csv", "latex")
 _MAX_WIDTH = 100  # characters
 
 
 @dataclass(frozen=True)
 class ReportTable:
-    """Table of a report. `str(table)` is Markdown, or empty if there are no rows.
+    """Table of a report. `str(table)` is Markdown.
 
     Attributes:
         header: Column titles.
@@ -29,8 +37,21 @@ class ReportTable:
     n_keys: int = 1
 
     def __str__(self) -> str:
+        return self.format()
+
+    def format(self, style: TableFormat = "markdown") -> str:
+        """Return the table as text; empty without rows. Only Markdown splits wide tables.
+
+        Args:
+            style: "markdown", "csv" or "latex" (booktabs, special characters escaped).
+        """
         if not self.rows:
             return ""
+        if style == "csv":
+            return format_csv([self.header, *self.rows]).rstrip("\n")
+        if style == "latex":
+            cells = [[str(cell) for cell in row] for row in self.rows]
+            return str(tabulate.tabulate(cells, self.header, tablefmt="latex_booktabs", disable_numparse=True))
         keys, split = self.n_keys, self.split_column
         parts = [slice(keys, split), slice(split, None)] if split else [slice(keys, None)]
         return "\n\n".join(
@@ -39,6 +60,44 @@ class ReportTable:
             )
             for part in parts
         )
+
+
+class TabularResult(ABC):
+    """Base class of results that are printed as texts and tables. `str(result)` is Markdown."""
+
+    @abstractmethod
+    def build_sections(self) -> Sequence[str | ReportTable]:
+        """Build the texts and tables of the result, in order; empty ones are not printed."""
+
+    def __str__(self) -> str:
+        return self.format()
+
+    def format(self, style: TableFormat = "markdown") -> str:
+        """Return the result as text, with an empty line between two parts.
+
+        Args:
+            style: "markdown"; "csv" for the tables alone; or "latex", in which texts are comments.
+
+        Raises:
+            UnknownNameError: Unknown style.
+        """
+        check_name("table format", style, TABLE_FORMATS)
+        parts = []
+        for section in self.build_sections():
+            if isinstance(section, ReportTable):
+                parts.append(section.format(style))
+            elif style == "latex":
+                parts.append("\n".join(f"% {line}" for line in section.splitlines()))
+            elif style == "markdown":
+                parts.append(section)
+        return "\n\n".join(filter(None, parts))
+
+
+def format_csv(rows: Sequence[Sequence[object]]) -> str:
+    """Return rows as CSV text; missing values (None) are empty cells."""
+    stream = io.StringIO()
+    csv.writer(stream, lineterminator="\n").writerows(rows)
+    return stream.getvalue()
 
 
 def format_table(
@@ -67,11 +126,6 @@ def format_table(
 def format_seconds(value: float | None) -> str:
     """Format a time (s)."""
     return NO_VALUE if value is None else f"{value:.3f}"
-
-
-def join_sections(*parts: object) -> str:
-    """Join texts and tables, except empty ones, with an empty line between two."""
-    return "\n\n".join(filter(None, map(str, parts)))
 
 
 def format_interval(interval: Sequence[float] | None, spec: str = ".1f", scale: float = 100.0) -> str:

@@ -36,7 +36,8 @@ from handover_marl.execution.reading import read_arrays
 from handover_marl.policies.policy import Policy
 
 #: Report files beside the results of the scenes.
-REPORT_FILES = ("report.json", "report.md", "report.html")
+EPISODES_CSV = "episodes.csv"
+REPORT_FILES = ("report.json", "report.md", "report.html", EPISODES_CSV)
 _REPLAYS = "episodes"
 _RESULT_FILE = re.compile(r"([0-9]{3})\.npz")
 _MAX_BYTES = 64_000_000  # unpacked size of one scene's result

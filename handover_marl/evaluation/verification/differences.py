@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass, fields
 from typing import Any
 
-from handover_marl.evaluation.reports.tables import format_table
+from handover_marl.evaluation.reports.tables import ReportTable, TabularResult
 from handover_marl.evaluation.results.episode_result import EpisodeResult
 from handover_marl.evaluation.results.metadata import ResultMetadata
 
@@ -44,7 +44,7 @@ class EpisodeCheck:
 
 
 @dataclass(frozen=True)
-class Verification:
+class Verification(TabularResult):
     """Result of verifying a result folder. `str(verification)` is text with a Markdown table.
 
     Attributes:
@@ -69,24 +69,25 @@ class Verification:
         """Episodes with at least one difference."""
         return tuple(episode for episode in self.episodes if episode.differences)
 
-    def __str__(self) -> str:
+    def build_sections(self) -> list[str | ReportTable]:
+        """Build the description of what was verified, the table of differences and the conclusion."""
         metadata, n = self.metadata, len(self.episodes)
         rows = [["folder", *_format_cells(difference)] for difference in self.folder_differences]
         for episode in self.changed_episodes:
             rows += [[str(episode.scene_id), *_format_cells(difference)] for difference in episode.differences]
-        parts = [
+        parts: list[str | ReportTable] = [
             f"{metadata.setup} {metadata.split}, {metadata.dataset}, receiver {metadata.receiver}, giver "
             f"{metadata.giver}, {metadata.physics} physics, handover_marl {metadata.version}: {n} of "
             f"{self.n_split_scenes} scenes simulated again from their stored actions.",
             "Not verified: planning times, and that the actions are those of the named receiver.",
         ]
         if rows:
-            parts.append(format_table(["scene id", "value", "stored", "simulated"], rows, max_width=200))
+            parts.append(ReportTable(["scene id", "value", "stored", "simulated"], rows, n_keys=2))
             n_changed, n_folder = len(self.changed_episodes), len(self.folder_differences)
             parts.append(f"Not equal: {n_changed} of {n} episodes and {n_folder} values of the folder.")
         else:
             parts.append(f"Verified: all {n} episodes are equal.")
-        return "\n\n".join(parts)
+        return parts
 
 
 def compare_results(stored: EpisodeResult, simulated: EpisodeResult, same_version: bool) -> list[Difference]:

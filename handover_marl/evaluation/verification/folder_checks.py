@@ -9,7 +9,9 @@ from handover_marl import __version__
 from handover_marl.errors import ResultsError
 from handover_marl.evaluation.reports.report import Report
 from handover_marl.evaluation.reports.report_files import evaluate
+from handover_marl.evaluation.reports.scene_tables import format_episodes_csv
 from handover_marl.evaluation.results.metadata import ResultMetadata
+from handover_marl.evaluation.results.result_folder import EPISODES_CSV
 from handover_marl.evaluation.verification.differences import Difference, compare_json
 from handover_marl.execution.files import has_content, shorten_text
 from handover_marl.execution.old_keys import upgrade_report
@@ -33,7 +35,7 @@ def check_giver(giver: PolicyReference, metadata: ResultMetadata) -> list[Differ
 
 
 def check_reports(path: Path) -> list[Difference]:
-    """Compare `report.json` and `report.md` with the reports of the result files beside them.
+    """Compare `report.json`, `report.md` and `episodes.csv` with the reports of the result files beside them.
 
     Args:
         path: Result folder. Missing reports, and texts of other versions, are not compared.
@@ -51,10 +53,11 @@ def check_reports(path: Path) -> list[Difference]:
     except (OSError, ValueError, TypeError, AttributeError, KeyError, RecursionError) as error:
         return [Difference("report.json", shorten_text(error), "a report")]
     differences = _compare_report(stored, report)
-    text = path / "report.md"
-    is_comparable = report.metadata.version == __version__ and text.is_file()
-    if is_comparable and not has_content(text, report.to_markdown().encode()):
-        differences.append(Difference("report.md", "other text", "the text of these results"))
+    episodes = format_episodes_csv(report.metadata, report.episodes)
+    for name, text in (("report.md", report.to_markdown()), (EPISODES_CSV, episodes)):
+        is_comparable = report.metadata.version == __version__ and (path / name).is_file()
+        if is_comparable and not has_content(path / name, text.encode()):
+            differences.append(Difference(name, "other text", "the text of these results"))
     return differences
 
 

@@ -165,6 +165,9 @@ REPORT_FORGERIES: dict[str, Callable[[Path], object]] = {
     "missing key": lambda folder: change_json(folder, lambda report: report.pop("rates")),
     "no report": lambda folder: (folder / "report.json").write_text("[]"),
     "no JSON": lambda folder: (folder / "report.json").write_text("{"),
+    "an episode in CSV": lambda folder: (folder / "episodes.csv").write_text(
+        (folder / "episodes.csv").read_text().replace("success", "contact")
+    ),
     "text": lambda folder: (folder / "report.md").write_text(
         (folder / "report.md").read_text().replace("0.00", "0.01")
     ),

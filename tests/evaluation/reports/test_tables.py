@@ -1,0 +1,119 @@
+import csv
+import io
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+import handover_marl
+from handover_marl.cli import main
+from handover_marl.errors import UnknownNameError
+from handover_marl.evaluation.agreement import Agreement
+from handover_marl.evaluation.comparison import Comparison
+from handover_marl.evaluation.crossplay import CrossPlay
+from handover_marl.evaluation.reports.scene_tables import format_episodes_csv
+from handover_marl.evaluation.reports.tables import TABLE_FORMATS, ReportTable, TabularResult
+from tests.evaluation.reports.test_report import report
+from tests.evaluation.test_old_files import OLD
+
+WIDE = ReportTable(["giver", "receiver", *(f"column_{n} %" for n in range(9))], [["a_b", "50 %", *["x & y"] * 9]], 0, 2)
+
+
+def test_parts_of_a_wide_table_repeat_its_key_columns() -> None:
+    parts = str(WIDE).split("\n\n")
+    assert len(parts) > 1
+    for part in parts:
+        assert [cell.strip() for cell in part.splitlines()[0].split("|")[1:3]] == ["giver", "receiver"]
+        assert max(map(len, part.splitlines())) <= 100
+
+
+def test_other_formats_are_not_split() -> None:
+    assert list(csv.reader(io.StringIO(WIDE.format("csv")))) == [list(WIDE.header), list(WIDE.rows[0])]
+    latex = WIDE.format("latex")
+    assert latex.count("\\begin{tabular}") == 1
+    assert r"column\_8 \%" in latex
+    assert r" a\_b" in latex
+    assert r"x \& y" in latex
+    assert ReportTable(["a"], []).format("latex") == ReportTable(["a"], []).format("csv") == ""
+
+
+def results() -> list[TabularResult]:
+    """One result of every kind that commands print."""
+    first, other = report(1, 2), report(2, 1, physics="fast")
+    pairs = tuple(zip(first.episodes, other.episodes, strict=True))
+    both = {("replay", name): first for name in ("hold", "yang2021")}
+    return [
+        first,
+        Comparison(first, other, pairs),
+        Agreement(first, other),
+        CrossPlay(("replay",), ("hold", "yang2021"), both),
+    ]
+
+
+@pytest.mark.parametrize("result", results(), ids=lambda result: type(result).__name__)
+def test_every_result_has_every_format(result: TabularResult) -> None:
+    sections = result.build_sections()
+    tables = [section for section in sections if isinstance(section, ReportTable) and section.rows]
+    texts = [section for section in sections if isinstance(section, str) and section]
+    assert tables
+    assert texts
+    assert str(result) == result.format("markdown")
+    assert result.format("csv").split("\n\n") == [table.format("csv") for table in tables]
+    latex = result.format("latex")
+    assert latex.count("\\begin{tabular}") == len(tables)
+    for text in texts:
+        assert all(f"% {line}" in latex.splitlines() for line in text.splitlines())
+
+
+@pytest.mark.skipif(shutil.which("pdflatex") is None, reason="needs pdflatex")
+def test_latex_compiles(tmp_path: Path) -> None:
+    body = "\n".join(result.format("latex") for result in results())
+    text = f"\\documentclass{{article}}\\usepackage{{booktabs}}\\begin{{document}}{body}\\end{{document}}"
+    (tmp_path / "t.tex").write_text(text)
+    subprocess.run(["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "t.tex"], cwd=tmp_path, check=True)
+
+
+def test_unknown_formats_are_refused() -> None:
+    with pytest.raises(UnknownNameError, match="markdown, csv, latex"):
+        report(1).format("html")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("table_format", TABLE_FORMATS)
+def test_stdout_of_a_command_is_the_result(table_format: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """A redirected table in CSV or LaTeX ends with the table."""
+    folder = OLD / "benchmark"
+    expected = handover_marl.evaluate(folder).format(table_format)  # type: ignore[arg-type]
+    assert main(["evaluate", str(folder), "--format", table_format]) == 0
+    printed = capsys.readouterr()
+    note = "Page not saved; add --out FILE.html.\n"
+    if table_format == "markdown":
+        assert printed.out == f"{expected}\n\n{note}"
+    else:
+        assert (printed.out, printed.err) == (f"{expected}\n", f"handover-marl: {note}")
+    assert main(["compare", str(folder), str(folder), "--format", table_format]) == 0
+
+
+def test_episodes_as_csv(tmp_path: Path) -> None:
+    """One row an episode, with the keys and values of report.json."""
+    made = handover_marl.evaluate(OLD / "benchmark")
+    content = made.to_json()
+    assert main(["evaluate", str(OLD / "benchmark"), "--episodes", str(tmp_path / "all.csv")]) == 0
+    text = (tmp_path / "all.csv").read_text()
+    assert text == format_episodes_csv(made.metadata, made.episodes)
+    rows = list(csv.DictReader(io.StringIO(text)))
+    assert len(rows) == 2
+    for row, episode in zip(rows, content["episodes"], strict=True):  # type: ignore[call-overload]
+        values = {**content, **episode, **episode["fluency"]}
+        assert row == {key: "" if values[key] is None else str(values[key]) for key in row}
+        missing = {*episode, *episode["fluency"]} - {*row}
+        assert missing == {"fluency"}
+    assert main(["evaluate", str(OLD / "benchmark"), "--episodes", str(tmp_path / "all.txt")]) == 2
+
+
+def test_episodes_without_metrics_as_csv() -> None:
+    """Results of HandoverSim have no fluency metrics; the columns are the same."""
+    first = report(1, 2)
+    (header, *rows) = csv.reader(io.StringIO(format_episodes_csv(first.metadata, first.episodes)))
+    assert header == next(csv.reader(io.StringIO(format_episodes_csv(first.metadata, first.episodes[:1]))))
+    assert dict(zip(header, rows[0], strict=True))["gripper_jerk"] == ""
