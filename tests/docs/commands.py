@@ -36,6 +36,12 @@ TARGETS = (
     "handover_marl.evaluation.rendering.scene.render_scene",
     "handover_marl.evaluation.verification.verify.verify",
 )
+#: What would write the files that a command names, and what it returns instead.
+NOT_WRITTEN = {
+    "handover_marl.evaluation.reports.scene_tables.format_episodes_csv": "",
+    "handover_marl.visualization.film.check_output_path": Path("episodes.csv"),
+    "handover_marl.cli.folders.write_atomically": None,
+}
 _PYTHONS = ("python", ".venv/bin/python")
 _SHELL = ("tar", "done", "pytest")
 
@@ -46,6 +52,8 @@ def commands(text: str) -> Iterator[list[str]]:
     for line in text.replace("\\\n", " ").splitlines():
         for part in re.split(r";\s+", line.strip()):
             words = shlex.split(part, comments=True)
+            if ">" in words:
+                words = words[: words.index(">")]
             if words[:1] == ["do"]:
                 words = words[1:]
             if words[:1] == ["for"]:
@@ -83,9 +91,14 @@ def _check_own(arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
         called.append((args, kwargs))
         return MagicMock()
 
+    # A module that is imported while others are patched would keep what stands in for them.
+    for target in (*TARGETS, *NOT_WRITTEN):
+        importlib.import_module(target.rpartition(".")[0])
     with monkeypatch.context() as patch:
         for target in TARGETS:
             patch.setattr(target, note)
+        for target, result in NOT_WRITTEN.items():
+            patch.setattr(target, lambda *_, result=result: result)
         try:
             status = main(arguments)
         except SystemExit as refusal:

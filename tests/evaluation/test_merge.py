@@ -54,7 +54,7 @@ def test_the_merged_folder_is_that_of_one_run(three: list[Path], tmp_path: Path)
     merged = handover_marl.merge([three[2], three[0], three[1]], tmp_path / "merged")
     assert contents(tmp_path / "merged") == contents(tmp_path / "whole")
     assert str(merged) == str(whole)
-    assert len(contents(tmp_path / "merged")) == 4 + len(SCENES)
+    assert len(contents(tmp_path / "merged")) == 5 + len(SCENES)
     # And it goes on as that folder would.
     more = handover_marl.evaluate_pair("noisy", out=tmp_path / "merged", scenes=SCENES, **OPTIONS)
     assert more.n_resumed == len(SCENES)
