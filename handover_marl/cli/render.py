@@ -5,12 +5,14 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from handover_marl.cli.options import RenderArguments, RenderExecutionArguments
+from handover_marl.cli.options import ArgumentError, RenderArguments, RenderExecutionArguments
 from handover_marl.cli.streams import print_result
 
 _SCENE, _EXECUTION = RenderArguments(), RenderExecutionArguments()
 # Fields of `EvaluationConfig` that apply to a single scene.
 _SCENE_FIELDS = ("dataset", "data_dir", "physics", "robot", "renderer", "camera_model", "camera_noise", "seed", "giver")
+
+_Point = Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z")]
 
 
 def run_render(
@@ -20,8 +22,12 @@ def run_render(
     plan: bool = False,
     view: Literal["outside", "wrist"] = "outside",
     key_frames: int = 6,
+    caption: bool = True,
     width: int | None = None,
     height: int | None = None,
+    position: _Point = None,
+    target: _Point = None,
+    vertical_fov: float | None = None,
     evaluation: RenderArguments = _SCENE,
     execution: RenderExecutionArguments = _EXECUTION,
 ) -> None:
@@ -34,8 +40,12 @@ def run_render(
         plan: Render the plan of a receiver such as omg (.png): start, goals, chosen goal, hand path.
         view: outside, or wrist for depth, segmentation and point cloud of the wrist camera beside it.
         key_frames: Number of key frames of a .png.
+        caption: Show the time and the state of the episode (released, contact, goal reached) in images and films.
         width: Width of an image in pixels.
         height: Height of an image in pixels.
+        position: Position of the outside camera in the world frame (m); default: 1.95 -0.2 1.75.
+        target: Point at the center of its image in the world frame (m); default: 0.45 -0.2 1.15.
+        vertical_fov: Vertical field of view of the outside camera (degrees); default: 54.
         evaluation: Scene data, giver and simulation.
         execution: Progress bar, and trust in policy files.
     """
@@ -43,16 +53,18 @@ def run_render(
     from handover_marl.evaluation.rendering.scene import render_scene
 
     options: Any = {key: getattr(evaluation, key) for key in _SCENE_FIELDS} | {"trust": execution.trust}
-    size: dict[str, Any] = {
-        name: pixels for name, pixels in (("width", width), ("height", height)) if pixels is not None
-    }
+    size, pose = {"width": width, "height": height}, {"position": position, "target": target}
+    given = {**size, **pose, "vertical_fov": vertical_fov}
+    camera: Any = {name: value for name, value in given.items() if value is not None}
     if plan:
         from handover_marl.evaluation.rendering.plan import PLAN_CAMERA, render_plan
 
-        options["camera"] = replace(PLAN_CAMERA, **size)
+        if not camera.keys() <= size.keys():
+            raise ArgumentError("--position, --target and --vertical-fov do not apply to --plan; leave them out")
+        options["camera"] = replace(PLAN_CAMERA, **camera)
         print_result(render_plan(scene, out, receiver=receiver or "omg", **options))
         return
-    # Without a size, each kind of file has its own default camera.
-    options |= {"camera": CameraConfig(**size) if size else None}
-    options |= {"progress": execution.progress, "view": view, "key_frames": key_frames}
+    # Without these options, each kind of file has its own default camera.
+    options |= {"camera": CameraConfig(**camera) if camera else None}
+    options |= {"progress": execution.progress, "view": view, "key_frames": key_frames, "caption": caption}
     print_result(render_scene(scene, out, receiver=receiver, **options))

@@ -1,4 +1,4 @@
-"""Recording of frames of an episode, and their encoding as an image grid or a film."""
+"""Recording of frames of an episode, their captions, and their encoding as an image grid or a film."""
 
 import io
 import os
@@ -8,12 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from PIL import Image
+from PIL import Image, ImageDraw, ImageFont
 from rich.console import Console
 from rich.progress import Progress
 
+from handover_marl.config import TIME_STEP
 from handover_marl.episode.callbacks import EpisodeCallback
 from handover_marl.episode.episode import Episode
+from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import OptionError, ResultsError
 from handover_marl.execution.options import check_path, require_modules
 
@@ -30,6 +32,8 @@ _REQUIRED_MODULES: dict[str, tuple[str, ...]] = {
 SUFFIXES = tuple(_REQUIRED_MODULES)
 #: Simulated time between two frames of a film (ms).
 FRAME_PERIOD_MS = 80
+# Height of a caption's letters as share of the image's height, and their smallest height (pixels).
+_CAPTION_SHARE, _MIN_CAPTION_HEIGHT = 1 / 22, 8
 
 
 class FrameRecorder(EpisodeCallback):
@@ -100,6 +104,31 @@ def check_output_path(out: str | os.PathLike[str], suffixes: Sequence[str]) -> P
     if is_folder:
         raise ResultsError(f"cannot write {path}, which is a folder; choose another name")
     return path
+
+
+def format_caption(episode: Episode) -> str:
+    """Return simulated time and state of an episode: contact, drop, timeout, goal reached, released or touching."""
+    time = f"{episode.steps * TIME_STEP:.2f} s"
+    if episode.status is EpisodeStatus.SUCCESS:
+        return f"{time}, goal reached"
+    if episode.status:
+        return f"{time}, {episode.status.label}"
+    if episode.release_step is not None:
+        return f"{time}, released"
+    return f"{time}, object touched" if episode.contacts.robot_touches_object else time
+
+
+def draw_caption(frame: Picture, text: str) -> Picture:
+    """Return a copy of an RGB image with a caption in its lower left corner."""
+    image = Image.fromarray(frame)
+    size = max(frame.shape[0] * _CAPTION_SHARE, _MIN_CAPTION_HEIGHT)
+    draw, place = ImageDraw.Draw(image), (0.6 * size, frame.shape[0] - 0.6 * size)
+    font = ImageFont.load_default(size)
+    left, top, right, bottom = draw.textbbox(place, text, font, anchor="lb")
+    edge = 0.25 * size
+    draw.rectangle((left - edge, top - edge, right + edge, bottom + edge), fill=(255, 255, 255))
+    draw.text(place, text, (0, 0, 0), font, anchor="lb")
+    return np.asarray(image)
 
 
 def encode_grid(frames: list[Picture], columns: int) -> bytes:

@@ -17,7 +17,7 @@ def describe_frame(log: EpisodeLog, frame: ReplayFrame) -> str:
     if frame.step == log.frames[-1].step and log.status:
         parts.append(log.status.label)
     elif frame.released:
-        parts.append("let go")
+        parts.append("released")
     else:
         parts.append("held out" if frame.object_offered else "lies")
     if frame.touches_hand:

@@ -12,6 +12,7 @@ from handover_marl.execution.options import require_modules
 from handover_marl.geometry.panda import GRIPPER_OUTLINE
 from handover_marl.simulation.camera.frames import EMPTY_DEPTH, FAR, SegmentationLabel
 from handover_marl.visualization.colors import LABEL_COLORS
+from handover_marl.visualization.film import format_caption
 
 Picture = npt.NDArray[np.uint8]
 
@@ -64,7 +65,7 @@ class WristCameraFigure:
         from matplotlib.colors import ListedColormap
 
         frame = episode.capture_wrist_camera()
-        outside_title = f"scene {episode.scene.info.scene_id}, {episode.steps / 1000.0:.2f} s"
+        outside_title = f"scene {episode.scene.info.scene_id}, {format_caption(episode)}"
         _draw_image(self._outside_axes, episode.render(self._camera), outside_title)
         depth = np.ma.masked_greater_equal(frame.depth, EMPTY_DEPTH)
         _draw_image(self._depth_axes, depth, f"depth, 0 to {FAR:g} m", cmap="viridis_r", vmin=0.0, vmax=FAR)

@@ -19,7 +19,7 @@ from handover_marl.evaluation.config import (
 )
 from handover_marl.evaluation.rendering.player import ScenePlayer
 from handover_marl.execution.files import write_atomically
-from handover_marl.execution.options import forward_signature
+from handover_marl.execution.options import check_boolean, forward_signature
 from handover_marl.policies.reference import PolicyLike
 from handover_marl.simulation.camera.renderers import check_rendering, resolve_renderer
 from handover_marl.visualization.film import (
@@ -28,8 +28,10 @@ from handover_marl.visualization.film import (
     FrameRecorder,
     Picture,
     check_output_path,
+    draw_caption,
     encode_film,
     encode_grid,
+    format_caption,
 )
 from handover_marl.visualization.replay_scene import require_replay_extra
 from handover_marl.visualization.wrist_figure import WristCameraFigure
@@ -54,6 +56,7 @@ def render_scene(
     key_frames: int = 6,
     camera: CameraConfig | None = None,
     view: str = "outside",
+    caption: bool = True,
     **options: Unpack[EpisodeOptions],
 ) -> Path:
     """Render a scene, or the episode of two policies in it, to a file.
@@ -68,6 +71,8 @@ def render_scene(
         camera: Pose and image size of the outside camera.
         view: "outside", or "wrist" for the outside image beside depth, segmentation and point cloud
             of the wrist camera.
+        caption: Whether images and films show the simulated time and the state of the episode:
+            "object touched", "released", "contact", "drop", "timeout" or "goal reached".
         options: `dataset`, `data_dir`, `physics`, `robot`, `renderer`, `camera_model`,
             `camera_noise`, `seed`, `progress` and `trust`, see `handover_marl.EvaluationConfig`
             and `handover_marl.ExecutionConfig`.
@@ -87,7 +92,8 @@ def render_scene(
     _check_view(view, path)
     if camera is not None:
         check_config("camera", camera, CameraConfig)
-    draw = _make_draw_function(view, camera or CameraConfig())
+    check_boolean("caption", caption)
+    draw = _make_draw_function(view, camera or CameraConfig(), caption)
     if isinstance(key_frames, bool) or not isinstance(key_frames, int) or key_frames < 1:
         raise OptionError(f"key_frames must be an integer of at least 1, got {key_frames!r}")
     player = ScenePlayer(scene_id, "hold" if receiver is None else receiver, giver, options)
@@ -124,7 +130,9 @@ def _check_view(view: str, path: Path) -> None:
         raise OptionError(f"view of a replay (.html) must be 'outside', got {view!r}")
 
 
-def _make_draw_function(view: str, camera: CameraConfig) -> Callable[[Episode], Picture]:
+def _make_draw_function(view: str, camera: CameraConfig, caption: bool) -> Callable[[Episode], Picture]:
     if view == "wrist":
         return WristCameraFigure(camera).draw
-    return lambda episode: episode.render(camera)
+    if not caption:
+        return lambda episode: episode.render(camera)
+    return lambda episode: draw_caption(episode.render(camera), format_caption(episode))

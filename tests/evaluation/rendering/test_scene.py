@@ -15,11 +15,13 @@ from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.callbacks import EpisodeCallback
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import play
+from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import HandoverError, OptionError, ResultsError, SceneError, UnknownNameError
 from handover_marl.evaluation.rendering import scene as scene_rendering
 from handover_marl.evaluation.rendering.scene import render_scene
 from handover_marl.policies.policy import PolicyContext
 from handover_marl.receivers.hold import HoldReceiver
+from handover_marl.simulation.contacts import Contacts
 from handover_marl.visualization import film as film_module
 
 CAMERA = CameraConfig(width=96, height=72)
@@ -327,6 +329,72 @@ def test_missing_libraries(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
 def test_scene_numbers(tmp_path: Path) -> None:
     with pytest.raises(SceneError):
         render_scene(1000, tmp_path / "x.png", dataset="synthetic", progress=False)
+
+
+def test_camera_options(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    calls: list[dict[str, Any]] = []
+    monkeypatch.setattr(scene_rendering, "render_scene", lambda *_, **options: calls.append(options))
+    command = ["render", "--scene", "209", "--dataset", "synthetic", "--out", str(tmp_path / "x.png")]
+    place = ["--position", "1.0", "-0.5", "2.0", "--target", "0.4", "0", "1.1", "--vertical-fov", "30"]
+    assert main([*command, *place, "--width", "320", "--no-caption"]) == 0
+    assert main(command) == 0
+    assert calls[0]["camera"] == CameraConfig(
+        width=320, position=(1.0, -0.5, 2.0), target=(0.4, 0.0, 1.1), vertical_fov=30.0
+    )
+    assert [(options["camera"] is None, options["caption"]) for options in calls] == [(False, False), (True, True)]
+    assert main([*command, "--receiver", "omg", "--plan", *place]) == 2
+    assert "do not apply to --plan" in capsys.readouterr().err
+    assert main([*command, "--vertical-fov", "180"]) == 2
+    assert "vertical_fov of CameraConfig must be" in capsys.readouterr().err
+
+
+def test_captions_are_in_the_corner(tmp_path: Path) -> None:
+    options: dict[str, Any] = {"key_frames": 2, "physics": "fast", "camera": replace(CAMERA, width=320, height=240)}
+    with Image.open(draw(tmp_path / "with.png", **options)) as first:
+        captioned = np.asarray(first)
+    with Image.open(draw(tmp_path / "without.png", **options, caption=False)) as second:
+        plain = np.asarray(second)
+    rows, columns = np.nonzero((captioned != plain).any(axis=2))
+    assert len(rows) > 100
+    assert rows.min() > 210
+    assert columns[columns < 320].max() < 100
+    with pytest.raises(OptionError, match="caption must be"):
+        draw(tmp_path / "x.png", caption="no")
+
+
+@pytest.mark.parametrize("height", [48, 480, 1080])
+def test_captions_fit_into_images_of_any_size(height: int) -> None:
+    blank = np.full((height, 4 * height // 3, 3), 100, dtype=np.uint8)
+    shown = film_module.draw_caption(blank, "12.34 s, contact+drop")
+    rows, columns = np.nonzero((shown != blank).any(axis=2))
+    assert (blank == 100).all()
+    assert 8 <= np.ptp(rows) + 1 <= max(20, height // 8)
+    assert rows.min() > 0.5 * height
+    assert columns.max() < blank.shape[1]
+
+
+class AtStep:
+    """Stand-in for an episode at a time."""
+
+    def __init__(self, status: EpisodeStatus, release_step: int | None = None, touching: bool = False) -> None:
+        self.steps, self.status, self.release_step = 4250, status, release_step
+        self.contacts = Contacts(robot_touches_object=touching)
+
+
+@pytest.mark.parametrize(
+    ("episode", "state"),
+    [
+        (AtStep(EpisodeStatus.RUNNING), ""),
+        (AtStep(EpisodeStatus.RUNNING, None, True), ", object touched"),
+        (AtStep(EpisodeStatus.RUNNING, 4000, True), ", released"),
+        (AtStep(EpisodeStatus.SUCCESS, 4000, True), ", goal reached"),
+        (AtStep(EpisodeStatus.HUMAN_CONTACT), ", contact"),
+        (AtStep(EpisodeStatus.HUMAN_CONTACT | EpisodeStatus.OBJECT_DROP, 4000), ", contact+drop"),
+        (AtStep(EpisodeStatus.TIMEOUT), ", timeout"),
+    ],
+)
+def test_caption_of_every_state(episode: Any, state: str) -> None:
+    assert film_module.format_caption(episode) == f"4.25 s{state}"
 
 
 def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
