@@ -11,7 +11,7 @@ import pytest
 
 import handover_marl
 from handover_marl import Demonstrations
-from handover_marl.errors import DataFormatError, DataNotFoundError, UnknownNameError
+from handover_marl.errors import DataFormatError, DataNotFoundError, OptionError, UnknownNameError
 from handover_marl.evaluation.demonstrations.minari_layout import METADATA_FILE
 from tests.evaluation.demonstrations.recording import SCENES, assert_same, main_file, record
 
@@ -136,10 +136,15 @@ def test_missing_data_sets(tmp_path: Path, own: Path) -> None:
     for folder in (tmp_path / "nowhere", tmp_path):
         with pytest.raises(DataNotFoundError, match="has no demonstrations"):
             Demonstrations(folder)
-    main_file(own).unlink()
+    for wrong in (None, 5, "", "a\0b"):
+        with pytest.raises(OptionError, match="folder must be a path"):
+            Demonstrations(wrong)  # type: ignore[arg-type]
     demonstrations = Demonstrations(own)
+    main_file(own).unlink()
     with pytest.raises(DataFormatError, match=r"main_data\.hdf5: episode 0 cannot be read"):
         demonstrations[0]
+    with pytest.raises(DataFormatError, match=r"main_data\.hdf5 cannot be read .* run the same command again"):
+        Demonstrations(own)
 
 
 def test_flipped_bytes_are_detected(own: Path) -> None:
