@@ -4,6 +4,8 @@ Nodes may join and leave. Ray runs a task once more when its process or node die
 existing connection of this process to Ray is used; a new connection lasts as long as the process.
 """
 
+import os
+import socket
 import sys
 import uuid
 import warnings
@@ -26,6 +28,10 @@ from handover_marl.execution.worker import TaskFailure, activate_job, unpickle_r
 _PACKAGES = ("numpy", "scipy", "pybullet", "mujoco")
 _OPTIONAL, _MISSING = ("mujoco",), "none"
 _RETRIES = 1
+_CONNECTION_TIMEOUT_S = 20.0
+# First bytes of every connection to a gRPC server, as which Ray listens: HTTP/2 with empty settings (RFC 9113, 3.4).
+_HTTP2_PREFACE = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes([0, 0, 0, 4, 0, 0, 0, 0, 0])
+_HTTP2_SETTINGS = 4  # type of the frame with which a server begins
 _POLL_S = 1.0
 
 
@@ -46,11 +52,13 @@ class RayPool(Pool):
         import ray
 
         if not ray.is_initialized():
+            address = config.address or os.environ.get("RAY_ADDRESS")
             try:
+                _check_server(address or "")
                 ray.init(config.address, include_dashboard=False, logging_level="error")
             except Exception as error:  # Ray raises exceptions of several packages
                 raise WorkerError(
-                    f"Ray cannot be reached at {config.address or 'the default address'} "
+                    f"Ray cannot be reached at {address or 'the default address'} "
                     f"({type(error).__name__}: {error}); start it there (ray start --head), or "
                     "leave out ray_address for a Ray on this machine"
                 ) from error
@@ -179,6 +187,24 @@ def _get(reference: Any, description: str) -> bytes:
             "with the same extras as this machine"
         ) from error
     return answer
+
+
+def _check_server(address: str) -> None:
+    """Check that a server that may be Ray's answers at an address; Ray itself would try for a quarter of an hour.
+
+    Args:
+        address: "host:port" or "ray://host:port"; other addresses such as "auto" are left to Ray.
+
+    Raises:
+        OSError: Nothing answers, or something else than Ray.
+    """
+    host, _, port = address.removeprefix("ray://").rpartition(":")
+    if not port.isdecimal() or os.environ.get("RAY_USE_TLS", "0").lower() in ("1", "true"):
+        return
+    with socket.create_connection((host.strip("[]"), int(port)), _CONNECTION_TIMEOUT_S) as connection:
+        connection.sendall(_HTTP2_PREFACE)
+        if connection.recv(4)[3:] != bytes([_HTTP2_SETTINGS]):
+            raise ConnectionError("another program than Ray answers")
 
 
 def _count_cores() -> int:

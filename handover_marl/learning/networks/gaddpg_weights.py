@@ -43,7 +43,7 @@ def read_gaddpg_checkpoint(path: str | Path) -> tuple[GaddpgNetwork, str]:
     network = GaddpgNetwork()
     _load_weights(actor, network.policy, _parse_weights(actor, contents[0]))
     _load_weights(features, network.features, _rename_encoder(_parse_weights(features, contents[1])))
-    return network.eval(), hashlib.sha256(b"".join(contents)).hexdigest()[:8]
+    return network.float().eval(), hashlib.sha256(b"".join(contents)).hexdigest()[:8]
 
 
 def _find_files(path: Path) -> tuple[Path, Path]:

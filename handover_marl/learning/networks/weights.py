@@ -118,7 +118,7 @@ def read_network_weights(path: str | Path, network_class: type[_Network]) -> tup
     except Exception as error:  # NumPy, zipfile and PyTorch raise many kinds on damaged bytes
         raise DataFormatError(f"{file}: not weights of {network_class.kind} ({shorten_text(error)})") from error
     check_finite_weights(file, network)
-    return network.eval(), hashlib.sha256(content).hexdigest()[:8]
+    return network.float().eval(), hashlib.sha256(content).hexdigest()[:8]
 
 
 def load_tensors(content: bytes) -> Any:

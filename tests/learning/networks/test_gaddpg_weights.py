@@ -3,6 +3,7 @@
 import pickle
 import shutil
 from collections import OrderedDict
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -10,13 +11,20 @@ import numpy as np
 import pytest
 import torch
 
+from handover_marl.assets.shipped import find_vision_weights
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.errors import DataFormatError, DataNotFoundError, UnsafeFileError
 from handover_marl.learning.networks.gaddpg_weights import read_gaddpg_checkpoint
+from handover_marl.learning.networks.grasp_network import GraspNetwork
+from handover_marl.learning.networks.weights import read_network_weights
 from handover_marl.receivers import make
 
 ACTOR, FEATURES = "DDPG_actor_PandaYCBEnv_latest", "DDPG_state_feat_PandaYCBEnv_latest"
 STAGES = ((7, 64, 64, 128), (131, 128, 128, 256), (259, 256, 256, 512))
+
+
+def read_own(file: Path) -> tuple[torch.nn.Module, str]:
+    return read_network_weights(file, GraspNetwork)
 
 
 def encoder_weights(prefix: str, channels: int, rng: torch.Generator) -> dict[str, torch.Tensor]:
@@ -110,6 +118,24 @@ def test_either_file_names_the_checkpoint(made_up: Path, name: str) -> None:
     other, same = read_gaddpg_checkpoint(made_up)
     np.testing.assert_array_equal(network.predict_step(cloud(), 3), other.predict_step(cloud(), 3))
     assert fingerprint == same
+
+
+@pytest.fixture
+def double_precision() -> Iterator[None]:
+    torch.set_default_dtype(torch.float64)
+    yield
+    torch.set_default_dtype(torch.float32)
+
+
+def test_the_default_precision_of_the_process_has_no_effect(made_up: Path, request: pytest.FixtureRequest) -> None:
+    files = [(read_gaddpg_checkpoint, made_up), *[(read_own, find_vision_weights(setup)) for setup in ("s0", "s1")]]
+    before = [read(file)[0].state_dict() for read, file in files]
+    request.getfixturevalue("double_precision")
+    for (read, file), expected in zip(files, before, strict=True):
+        for name, value in read(file)[0].state_dict().items():
+            assert value.dtype == expected[name].dtype
+            assert torch.equal(value, expected[name])
+    read_gaddpg_checkpoint(made_up)[0].predict_step(cloud(), 3)
 
 
 def test_names_without_the_wrapper_will_do(own: Path) -> None:
