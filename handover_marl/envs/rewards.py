@@ -149,7 +149,7 @@ class RewardFunction:
         self._only_outcomes = not any(weight for name, weight in weights if name not in _OUTCOME_TERMS)
 
     def reset(self, state: RewardState) -> dict[str, Terms]:
-        """Start an episode in a state; return reward terms of 0 by agent."""
+        """Start an episode in a state; return the reward terms, all 0, by agent."""
         self._last = state
         return {
             GIVER: dict.fromkeys(vars(self._config.giver), 0.0),
@@ -157,11 +157,14 @@ class RewardFunction:
         }
 
     def compute_terms(self, status: EpisodeStatus, read_state: Callable[[], RewardState]) -> dict[str, Terms]:
-        """Compute the weighted reward terms of a control step by agent, and start the next step.
+        """Return the weighted reward terms of a control step by agent, and store the state after it.
+
+        The shaping terms of the next step are computed from the stored state.
 
         Args:
             status: Status of the episode after the step.
-            read_state: Returns the state after the step; not called if no term depends on it.
+            read_state: Function that returns the simulation's state after the step; not called if
+                no term with a weight depends on the state.
 
         Raises:
             ResetNeededError: No episode has been started.
@@ -191,7 +194,12 @@ class RewardFunction:
 
 
 def compute_potentials(state: RewardState, goal: tuple[float, ...]) -> Terms:
-    """Compute the potentials of the shaping terms in a state, by the name of the term."""
+    """Return the potential of each shaping term in a state, by the name of the term.
+
+    Args:
+        state: State of the simulation.
+        goal: (3,) position to which the gripper must bring the object, world frame (m).
+    """
     return {
         "distance": 1.0 if state.grasped else 1.0 - math.dist(state.fingertip_center, state.object_position),
         "grasp": float(state.grasped),

@@ -134,9 +134,10 @@ def quaternions_from_euler(angles: npt.ArrayLike) -> Array:
 
 
 def unwrap_euler(angles: Array, previous: Array) -> Array:
-    """Unwrap XYZ Euler angles (n, 3): the same rotations without jumps from row to row.
+    """Return XYZ Euler angles (n, 3) of the same rotations without jumps from row to row.
 
-    Each row is the solution nearest to the row before it, in the sum of absolute differences.
+    Of all angles of a rotation, each row has those nearest to the row before it, in the sum of
+    absolute differences.
 
     Args:
         angles: (n, 3) XYZ Euler angles (rad).

@@ -24,8 +24,8 @@ class ActionScheme(ABC):
         name: Name of the scheme in policy files.
         agent: Agent that acts, "giver" or "receiver".
         size: Number of outputs.
-        wait: Time at the start of an episode during which the agent does not act (s); can be
-            changed only in schemes whose default is not zero.
+        wait: Time at the start of an episode during which the agent does not act (s); may be changed
+            only in schemes in which it is not zero by default.
 
     Args:
         context: Robot, task and known grasps of the objects.
@@ -45,7 +45,7 @@ class ActionScheme(ABC):
         self._outputs: npt.NDArray[np.float64] = np.zeros(self.size)
 
     def needs_outputs(self, observation: Observation) -> bool:
-        """Return whether the network must be evaluated now; else its previous outputs are used."""
+        """Return whether the network must be evaluated now; else its previous outputs remain in use."""
         return True
 
     def set_outputs(self, outputs: Outputs) -> None:

@@ -31,7 +31,7 @@ _GIVER_SPACE, _RECEIVER_SPACE = giver_observation_space(), observation_space()
 
 
 def handover_frame(observation: Observation) -> tuple[Array, Array]:
-    """Return a frame at the object's recorded position 0.5 s ahead, with x towards the gripper.
+    """Return the frame at the object's recorded position 0.5 s later, with x towards the gripper.
 
     Returns:
         (3,) origin in the world (m) and (3, 3) axes as columns in the world: x points horizontally
@@ -47,9 +47,10 @@ def handover_frame(observation: Observation) -> tuple[Array, Array]:
 def giver_features(observation: Observation, protocol: ProtocolConfig) -> Vector:
     """Return the (39,) features from which a giver can choose a handover pose.
 
-    They are expressed in the frame of `handover_frame`: distance and height of the gripper,
-    position of the object relative to the goal (world frame), recorded wrist position, mean finger
-    position and object orientation 0.5 s ahead, the release flag, and the object class (one-hot).
+    In the frame of `handover_frame`: horizontal distance and height of the gripper; origin of the
+    frame relative to the goal (in the world frame); wrist position, mean finger position and object
+    orientation 0.5 s later in the recording; whether the object was released; and the object class
+    (one-hot).
     """
     origin, axes = handover_frame(observation)
     wrist = observation["replay_wrist_poses"][-1]
@@ -74,9 +75,10 @@ def giver_features(observation: Observation, protocol: ProtocolConfig) -> Vector
 def receiver_features(observation: Observation, protocol: ProtocolConfig) -> Vector:
     """Return the (56,) features from which a receiver can take an object to the goal.
 
-    They are expressed in the gripper frame: positions of object, wrist, mean finger and goal,
-    object orientation, and the world's vertical; then finger joints and their velocities, arm
-    joints, release flag, elapsed share of the episode, presence of a hand, and class (one-hot).
+    In the gripper frame: positions of the object, the person's wrist, the mean of the person's
+    fingers and the goal, the object's orientation, and the world's vertical. Then follow the robot's
+    finger joints and their velocities, its arm joints, whether the object was released, the elapsed
+    share of the episode, whether a hand is present, and the object class (one-hot).
     """
     gripper, object_pose = observation["gripper_pose"].astype(np.float64), observation["object_poses"][0]
     rotation = Rotation.from_quat(gripper[3:]).as_matrix()
@@ -102,10 +104,10 @@ def receiver_features(observation: Observation, protocol: ProtocolConfig) -> Vec
 
 
 class GraspFeatures:
-    """Function that appends the best reachable grasp to `receiver_features`.
+    """Function that appends features (8,) of the best reachable grasp to `receiver_features`.
 
-    The grasp is expressed in the gripper frame: scaled translation (3), rotation vector (3), scaled
-    clearance to the person's hand (1), and whether a grasp exists (1).
+    In the gripper frame: translation to the grasp (3, scaled), rotation vector to it (3), clearance
+    of the gripper to the person's hand at the grasp (1, scaled), and whether a grasp exists (1).
 
     Args:
         context: Robot, task and known grasps of the objects.
@@ -135,13 +137,14 @@ class GraspFeatures:
 class GraspProximityFeatures:
     """Function from an observation to 12 features that suffice to decide when to close the gripper.
 
-    In the gripper frame: translation (3) and rotation vector (3) to the grasp, exponentially
-    decaying position and orientation proximity (2), finger joints (2), release flag, and whether
-    a grasp exists. With so few features closing is learned from few episodes.
+    In the gripper frame: translation (3) and rotation vector (3) to the best reachable grasp. Then
+    follow the proximity of position and orientation to the grasp, which decay exponentially (2), the
+    finger joints (2), whether the object was released (1), and whether a grasp exists (1). With so
+    few features a policy learns to close the gripper from few episodes.
 
     Attributes:
-        position_scale: Distance (m) at which the position proximity is 1/e.
-        angle_scale: Angle (rad) at which the orientation proximity is 1/e.
+        position_scale: Distance from the grasp at which the proximity of the position is 1/e (m).
+        angle_scale: Angle to the grasp at which the proximity of the orientation is 1/e (rad).
 
     Args:
         context: Robot, task and known grasps of the objects.

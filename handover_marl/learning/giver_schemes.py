@@ -31,13 +31,14 @@ class GiverScheme(ActionScheme):
 class DeviationScheme(GiverScheme):
     """Deviation from the recorded motion: the giver's action Box(8), scaled to [-1, 1].
 
-    Zero follows the recording; the last output releases the object above 0.5.
+    The giver follows the recording if all outputs are 0, and releases the object if the last output
+    exceeds 0.5.
     """
 
     name, agent, size = "deviation", "giver", GIVER_ACTION_SIZE
 
     def compute_action(self, observation: Observation) -> Action:
-        """Return the giver's action (8,), the outputs in physical units."""
+        """Return the giver's action (8,): the outputs in physical units, within the action's bounds."""
         space = giver_action_space(self.context.config.giver)
         return np.clip(self._outputs * space.high, space.low, space.high).astype(np.float32)
 
@@ -49,10 +50,10 @@ class DeviationScheme(GiverScheme):
 class HandoverPoseScheme(GiverScheme):
     """Scheme with one decision per episode: handover pose, and withdrawal after the release.
 
-    Outputs are requested when the recorded hand is about to stop at its own handover pose. Before,
-    the recording is followed; afterwards the pose is held until the object is released, because
-    robots take resting objects best. After two seconds without approach `OfferTimer` varies the
-    pose.
+    Outputs are requested when the recorded hand is about to stop at its own handover pose. Before
+    that time the giver follows the recording; afterwards it holds the chosen pose until the object
+    is released, because robots take resting objects best. If the gripper does not approach for two
+    seconds, `OfferTimer` varies the pose.
 
     | outputs | meaning at 1, in the frame of `handover_frame` |
     |---|---|
@@ -61,10 +62,11 @@ class HandoverPoseScheme(GiverScheme):
     | 6 | withdrawal of the hand by 0.3 m after the release; at -1 it stays |
 
     Attributes:
-        max_shift: Translation at output 1 (m).
-        turn: Rotation at output 1 (rad).
-        withdraw: Withdrawal at output 1 (m).
-        arrival_tolerance: Remaining motion of the recorded wrist at which outputs are requested (m).
+        max_shift: Translation of the object at output 1 (m).
+        turn: Rotation of hand and object at output 1 (rad).
+        withdraw: Distance by which the hand withdraws at output 1 (m).
+        arrival_tolerance: Largest distance that the recorded wrist may still move along an axis when
+            outputs are requested (m).
         latest_decision_s: Episode time at which outputs are requested at the latest (s).
     """
 
@@ -90,12 +92,15 @@ class HandoverPoseScheme(GiverScheme):
         return is_arriving or float(observation["time"][0]) >= self.latest_decision_s
 
     def set_outputs(self, outputs: Outputs) -> None:
-        """Set the outputs of this episode, (7,), clipped to [-1, 1]."""
+        """Store the outputs (7,) of this episode, clipped to [-1, 1]."""
         super().set_outputs(outputs)
         self._decided = True
 
     def compute_action(self, observation: Observation) -> Action:
-        """Return the deviation from the recorded motion, for handover pose or withdrawal."""
+        """Return the giver's action (8,): deviation from the recorded motion to the chosen pose.
+
+        After the release, the deviation withdraws the hand.
+        """
         if self._decided and not self._chosen:
             self._choose_pose(observation)
         if self._chosen and observation["released"][0]:
@@ -106,7 +111,10 @@ class HandoverPoseScheme(GiverScheme):
         return make_giver_action(displacement=share * self._shift, rotation=share * self._turn)
 
     def outputs_from_action(self, action: Action, observation: Observation) -> Outputs:
-        """Return the outputs for the handover pose of an action, with half of the full withdrawal."""
+        """Return the outputs (7,) that choose the handover pose of a giver's action (8,).
+
+        An action contains no withdrawal, so its output is 0: half of the full withdrawal.
+        """
         target = GiverAction.from_array(action)
         center, axes, rotated = self._rotate_about_wrist(target.rotation, observation)
         shift = axes.T @ (rotated + target.displacement - center) / self.max_shift

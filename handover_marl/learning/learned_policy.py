@@ -24,7 +24,8 @@ class LearnedPolicy(Policy):
         path: Policy file, see `handover_marl.learning.policy_files`.
         trust: Whether code in the file may run.
         control_period: Time between two decisions in training (s), for files that do not record it.
-        wait: Time at the waiting pose (s); default as in training. Only for schemes with a wait.
+        wait: Time for which the robot stays at its waiting pose at the start of an episode (s);
+            default: as in training. Only action schemes that wait have this option.
 
     Raises:
         DataNotFoundError: The file does not exist.
@@ -71,7 +72,7 @@ class LearnedPolicy(Policy):
 
     @property
     def wait(self) -> float:
-        """Time at the waiting pose at the start of an episode (s)."""
+        """Time for which the robot stays at its waiting pose at the start of an episode (s)."""
         return self._scheme.wait
 
     def reset(self, seed: int | None = None) -> None:

@@ -34,7 +34,9 @@ class JointPositionScheme(ActionScheme):
 
 
 class JointDeltaScheme(ActionScheme):
-    """Scheme of increments of the seven arm joints, and a gripper output that closes above 0.
+    """Scheme of position increments of the seven arm joints, and an output that closes the gripper.
+
+    The gripper closes while the last output exceeds 0.
 
     Attributes:
         step: Joint increment at output 1 (rad).
@@ -50,11 +52,11 @@ class JointDeltaScheme(ActionScheme):
 
 
 class CartesianDeltaScheme(ActionScheme):
-    """Scheme of motions of the hand link in its frame, and a gripper output that closes above 0.
+    """Scheme of motions of the hand link in its own frame, and an output that closes the gripper.
 
-    Joint increments follow by damped least squares on the Jacobian, so that singular and
-    unreachable poses are approached rather than refused. The motors complete 63 % of a motion
-    in 0.1 s.
+    The gripper closes while the last output exceeds 0. Joint increments follow from the motion by
+    damped least squares on the Jacobian, so that the arm approaches singular and unreachable poses as
+    near as it can. The motors complete 63 % of a motion in 0.1 s.
 
     Attributes:
         step: Translation at output 1 (m).
@@ -85,12 +87,13 @@ class CartesianDeltaScheme(ActionScheme):
 
 
 class GraspServoScheme(CartesianDeltaScheme):
-    """Servo to the best known grasp, corrected by the outputs; then carry the object to the goal.
+    """Scheme that moves to the best known grasp, which the outputs correct, and then to the goal.
 
     The arm stays at the waiting pose during `wait`. Then it approaches the grasp chosen by
-    `handover_marl.receivers.grasp_library` along the grasp's axis: the larger its lateral or angular
-    error, the longer the standoff. With zero outputs the gripper never closes, so that the policy
-    has to learn when to close and how to correct the approach.
+    `handover_marl.receivers.grasp_library` along the grasp's z axis: the farther the gripper is from
+    this axis or from the grasp's orientation, the longer the standoff. After the release it moves the
+    gripper to the goal. With zero outputs the gripper never closes, so that the policy has to learn
+    when to close and how to correct the approach. The target is the grasp or its standoff pose.
 
     | outputs | meaning at 1, in the frame of the target |
     |---|---|
@@ -102,13 +105,13 @@ class GraspServoScheme(CartesianDeltaScheme):
         shift: Translation of the target at output 1 (m).
         tilt: Rotation of the target at output 1 (rad).
         close_threshold: Output above which the gripper closes.
-        max_translation: Largest distance of the commanded from the present position (m).
-        max_rotation: Largest angle between commanded and present orientation (rad).
-        aligned: Lateral error up to which no standoff is needed (m).
-        aligned_angle: Angular error up to which no standoff is needed (rad).
-        standoff_per_offset: Standoff per lateral error (m/m).
-        standoff_per_angle: Standoff per angular error (m/rad).
-        max_standoff: Largest standoff (m).
+        max_translation: Largest distance of the commanded from the present gripper position (m).
+        max_rotation: Largest angle between commanded and present gripper orientation (rad).
+        aligned: Distance of the gripper from the grasp's z axis up to which no standoff is needed (m).
+        aligned_angle: Angle to the grasp's orientation up to which no standoff is needed (rad).
+        standoff_per_offset: Increase of the standoff per distance beyond `aligned` (m/m).
+        standoff_per_angle: Increase of the standoff per angle beyond `aligned_angle` (m/rad).
+        max_standoff: Largest distance of the standoff pose from the grasp (m).
     """
 
     name = "grasp_servo"

@@ -34,7 +34,8 @@ class Sb3TrainingRecord:
         high: Upper bounds of the action space, or None if not recorded.
         control_period: Time between two decisions (s), or None if not recorded.
         squashed_by_policy: Whether the policy squashes its outputs itself (gSDE).
-        last_observations: Last batch of observations in training by name, or None if not recorded.
+        last_observations: Last batch of observations in training, as arrays by name; None if not
+            recorded.
     """
 
     low: npt.NDArray[np.float64] | None

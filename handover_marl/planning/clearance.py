@@ -106,7 +106,13 @@ def sample_surface_spheres(vertices: Array, faces: npt.NDArray[np.int_], count: 
 
 
 def find_farthest_points(points: Array, count: int, first: int) -> list[int]:
-    """Return the indices of `count` of the points (n, 3) by farthest point sampling from one."""
+    """Return the indices of `count` of the points (n, 3), chosen by farthest point sampling.
+
+    Args:
+        points: (n, 3) points (m).
+        count: Number of points to choose.
+        first: Index of the point with which the sampling begins.
+    """
     chosen, distances = [first], np.full(len(points), np.inf)
     while len(chosen) < count:
         distances = np.minimum(distances, np.linalg.norm(points - points[chosen[-1]], axis=1))

@@ -57,12 +57,12 @@ class SeparationConfig:
         object_clearance: Minimum clearance to the object on the way to a standoff pose (m).
         grasp_hand_clearance: Minimum clearance to the person's hand during the final approach (m).
         table_clearance: Minimum clearance above the table (m).
-        time_constant: Shortest time in which the robot may use up clearance beyond the minimum (s).
+        time_constant: Shortest time in which the robot may use up the clearance beyond the minimum (s).
         approach_time_constant: Value of `time_constant` during the final approach to a grasp (s).
         max_evasion_speed: Maximum speed at which the robot moves away from a body whose clearance
             is below the minimum (m/s).
-        lookahead: Time for which clearances are predicted (s), since the clearance to a body that
-            passes by quickly shrinks abruptly.
+        lookahead: Time for which clearances are predicted (s), because the clearance to a body that
+            passes by quickly may shrink abruptly.
         slack: Amount by which a predicted clearance may fall below the minimum before the robot
             slows down (m).
     """
@@ -170,14 +170,14 @@ class PathObstacles:
 def is_path_clear(arm: ArmInWorld, start: Array, goal: Array, obstacles: PathObstacles) -> bool:
     """Return whether arm and open gripper keep clear of obstacles on a straight joint path.
 
-    If the start has less than the wanted clearance, the path is clear where no point of it has
+    If the start has less than the wanted clearance, a path counts as clear if no point of it has
     less clearance than the start.
 
     Args:
         arm: Kinematics of the arm.
         start: (7,) start of the path (rad).
         goal: (7,) end of the path (rad).
-        obstacles: What to keep clear of.
+        obstacles: Obstacles to keep clear of.
     """
     path = start + _SHARES[:, None] * (goal - start)
     return bool(_are_clear(arm, start, path[None], obstacles)[0])
@@ -201,9 +201,10 @@ def find_via_point(
         arm: Kinematics of the arm.
         start: (7,) present configuration (rad).
         goal: (7,) wanted configuration (rad).
-        known: (n, 7) candidates besides those around the middle of the path (rad).
-        speeds: (7,) joint speeds (rad/s).
-        obstacles: What to keep clear of.
+        known: (n, 7) candidate via points in addition to random ones around the middle of the path
+            (rad).
+        speeds: (7,) largest joint speeds (rad/s), from which the duration of a path is computed.
+        obstacles: Obstacles to keep clear of.
         max_candidates: Maximum number of candidates that are checked, the fastest ones first.
     """
     candidates = np.clip(np.concatenate([known, 0.5 * (start + goal) + _OFFSETS]), *arm.limits)

@@ -60,7 +60,7 @@ class GoalSet:
 
     Attributes:
         tails: (g, t, 7) configurations on the approach from the standoff to the grasp (rad).
-        grasps: (g,) index of the grasp of each goal.
+        grasps: (g,) index of each goal's grasp among the grasps that were given to the builder.
         clearances: (g,) smallest clearance of the gripper to the person's hand in the tail (m),
             infinite where the hand is ignored.
     """
@@ -228,7 +228,7 @@ class GoalSelector:
     Args:
         cost: Obstacle cost of straight paths.
         goals: (g, 7) goal configurations (rad).
-        goal_costs: (g,) cost of each goal in addition to its path.
+        goal_costs: (g,) cost of each goal in addition to the cost of the path to it.
         n_waypoints: Number of waypoints of a trajectory.
         config: Learning rates and weights.
         unchecked_last: Whether to reproduce the indexing error that `PlannerConfig` describes.
@@ -251,7 +251,11 @@ class GoalSelector:
         self._expert_weights = np.full(len(config.learning_rates), 1.0 / len(config.learning_rates))
 
     def select_first(self, trajectory: Array) -> int:
-        """Return the index of the cheapest goal from the first waypoint of a trajectory (w, 7)."""
+        """Return the index of the goal that is cheapest to reach from a trajectory's first waypoint.
+
+        Args:
+            trajectory: (w, 7) waypoints (rad).
+        """
         return int(np.argmin(self._costs(trajectory, 0)))
 
     def select_next(self, trajectory: Array, round_number: int) -> int:
@@ -285,10 +289,14 @@ class GoalSelector:
 
 
 def update_weights(weights: Array, losses: Array) -> Array:
-    """Return the mirror descent update (n,) of weights on the simplex with shifted entropy.
+    """Return weights (n,) after a step of mirror descent on the simplex with shifted entropy.
 
-    Each weight becomes max(0, (w + d) exp(l - loss) - d) with d = 1 / (4 n + 1), and l such that
+    Each weight w becomes max(0, (w + d) exp(l - loss) - d) with d = 1 / (4 n + 1), and l such that
     the new weights add up to one.
+
+    Args:
+        weights: (n,) present weights, which add up to one.
+        losses: (n,) loss of each weight, scaled by the learning rate.
     """
     shift = 1.0 / (4 * len(weights) + 1)
     scaled = (weights + shift) * np.exp(-losses)

@@ -131,12 +131,14 @@ class HandTracker:
         self.spheres = Spheres(centers, np.append(fingers.radii, np.full(3, _HEEL_RADIUS)))
 
     def predict_attached_pose(self, points: Array, pose: Array, ahead: float) -> Array:
-        """Return the present world pose (7,) of a frame that moves rigidly with the person's hand.
+        """Return the present world pose (7,) of a frame that is fixed to the person's hand.
+
+        The pose follows from the frame's pose at an earlier time and the hand's motion since then.
 
         Args:
             points: (k, 3) value of `reference_points` at the earlier time (m).
             pose: (7,) world pose of the frame at the earlier time.
-            ahead: Additional time for which the present velocity is extrapolated (s).
+            ahead: Additional time for which the hand's present velocity is extrapolated (s).
         """
         if points.shape != self.points.shape or not len(points):
             return pose
@@ -156,5 +158,8 @@ class HandTracker:
         return float(np.linalg.norm(self.velocity))
 
     def distance(self, position: Array) -> float:
-        """Return the distance (m) from a world position (3,) to the hand's nearest keypoint."""
+        """Return the distance (m) from a world position (3,) to the hand's nearest keypoint.
+
+        Without a hand the distance is infinite.
+        """
         return float(np.linalg.norm(self.points - position, axis=1).min()) if len(self.points) else np.inf

@@ -148,20 +148,37 @@ class IkSolver(Protocol):
     def solve(
         self, start: npt.ArrayLike, position: npt.ArrayLike, orientation: npt.ArrayLike | None = None
     ) -> Array | None:
-        """Return arm joints (7,) in rad that bring the hand link to a world pose, or None."""
+        """Return arm joints (7,) in rad that bring the hand link to a world pose, or None.
+
+        None is returned if the search does not converge.
+
+        Args:
+            start: (9,) joints at which the search starts (rad, m); the fingers are ignored.
+            position: (3,) world position of the hand link (m).
+            orientation: World quaternion xyzw of the hand link; None leaves the rotation free.
+        """
 
 
 class IkStepper(Protocol):
     """Interface of inverse kinematics solvers that make one query, which may not converge."""
 
     def solve_step(self, joints: npt.ArrayLike, position: npt.ArrayLike, orientation: Array | None = None) -> Array:
-        """Return joints (9,) that bring the hand link to a world pose or closer to that pose."""
+        """Return joints (9,) that bring the hand link to a world pose or closer to that pose.
+
+        Args:
+            joints: (9,) joints at which the search starts (rad, m).
+            position: (3,) world position of the hand link (m).
+            orientation: World quaternion xyzw of the hand link; None leaves the rotation free.
+
+        Returns:
+            Seven arm joints (rad) and two finger positions without meaning.
+        """
 
     def to_base_frame(self, world_from_hand: npt.NDArray[np.floating]) -> Array:
-        """Return a world pose (7,) in the robot's base frame."""
+        """Transform a pose (7,) of the hand link from the world to the robot's base frame."""
 
     def to_world_frame(self, base_from_hand: Array) -> Array:
-        """Return a pose (7,) in the robot's base frame as a world pose."""
+        """Transform a pose (7,) of the hand link from the robot's base frame to the world."""
 
 
 def make_ik_solver(urdf: Path, config: PandaConfig) -> IkSolver:
@@ -179,7 +196,10 @@ def make_ik_solver(urdf: Path, config: PandaConfig) -> IkSolver:
 
 
 def make_ik_stepper(urdf: Path, config: PandaConfig) -> IkStepper:
-    """Create a solver of single queries, with arguments and errors of `make_ik_solver`."""
+    """Create a solver of single queries, PyBullet's where PyBullet is installed.
+
+    Arguments and errors are those of `make_ik_solver`.
+    """
     stepper: IkStepper = _find_solver("BulletIKStep")(urdf, config)
     return stepper
 
@@ -245,11 +265,11 @@ class PandaIkSolver:
         return np.concatenate([closest, np.zeros(PANDA_DOF - ARM_DOF)])
 
     def to_base_frame(self, world_from_hand: npt.NDArray[np.floating]) -> Array:
-        """Return a world pose (7,) in the robot's base frame, rounded to single precision."""
+        """Transform a pose (7,) from the world to the robot's base frame, rounded to float32."""
         return compose(self._base_from_world, world_from_hand).astype(np.float32).astype(np.float64)
 
     def to_world_frame(self, base_from_hand: Array) -> Array:
-        """Return a base frame pose (7,) as a world pose, rounded to single precision."""
+        """Transform a pose (7,) from the robot's base frame to the world, rounded to float32."""
         return compose(self._base, base_from_hand).astype(np.float32).astype(np.float64)
 
     def _search(

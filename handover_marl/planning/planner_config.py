@@ -21,10 +21,11 @@ class GoalConfig:
             inverse kinematics has jumped between arm configurations.
         max_rotation: Maximum rotation of the robot's hand relative to its start orientation, on the
             straight joint path to the grasp (rad).
-        min_hand_x_z: Minimum z component of the hand's x axis on the straight joint path.
+        min_hand_x_z: Minimum z component, in the base frame, of the hand's unit x axis on the straight
+            joint path to the grasp.
         n_path_checks: Number of points of the path at which the hand's orientation is checked.
-        collision_distance: Distance below which a body point collides with an object (m).
-        max_collisions: Maximum number of colliding pairs of body point and object at a standoff.
+        collision_distance: Distance below which a point of the robot collides with an object (m).
+        max_collisions: Maximum number of colliding pairs of robot point and object at a standoff.
         min_goal_distance: Minimum distance between the standoffs of two goals (rad).
         max_goals: Maximum number of goals in a goal set.
     """
@@ -64,7 +65,7 @@ class CostConfig:
 
     Attributes:
         time_step: Time between waypoints (s), which only scales velocities and accelerations.
-        padding: Distance up to which an object has a cost (m).
+        padding: Distance of a robot point from an object's surface below which it has a cost (m).
         obstacle_weight: Weight of the obstacle cost's gradient.
         smoothness_weight: Initial weight of the smoothness cost's gradient.
         smoothness_growth: Factor by which the smoothness weight grows in every optimization step.
@@ -137,7 +138,7 @@ class HandAvoidanceConfig:
     """Configuration of the person's hand as an obstacle of the planner.
 
     Attributes:
-        padding: Distance up to which the hand has a cost (m).
+        padding: Distance of a robot point from the person's hand below which it has a cost (m).
         weight: Weight of the hand's obstacle cost relative to that of an object.
         min_clearance: Minimum clearance of the gripper to the hand (m); goals with less are
             excluded unless there are no others.

@@ -72,7 +72,7 @@ class Obstacle:
         """Return signed distances (n,) in m to the obstacle and their gradients (3, n).
 
         Args:
-            points: (3, n) points in the robot's base frame (m), as the gradients.
+            points: (3, n) points in the robot's base frame (m); the gradients are in this frame too.
         """
         distances, gradients = self.field.distances_and_gradients(self._to_field_frame(points))
         return distances, self._rotation() @ gradients
@@ -88,9 +88,14 @@ class Obstacle:
 
 
 def proximity_cost(distances: Floats, padding: float) -> Floats:
-    """Return the CHOMP cost of signed distances (m) to an obstacle.
+    """Return the CHOMP cost of points at given signed distances from an obstacle.
 
-    The cost is 0 beyond `padding` (m), quadratic below it, and linear inside the obstacle.
+    The cost is 0 beyond `padding`, quadratic between `padding` and the surface, and linear inside
+    the obstacle.
+
+    Args:
+        distances: Signed distances (m), of any shape; the costs have the same shape.
+        padding: Distance from the surface up to which the obstacle has a cost (m).
     """
     quadratic = (distances - padding) ** 2 / (2.0 * padding)
     outside = np.where(distances <= padding, quadratic, 0.0)
@@ -114,7 +119,8 @@ class ObstacleCost:
         arm: Kinematics of the arm.
         body: (m, 3) points on each link of the arm, in the link's frame (m).
         obstacles: Obstacles in the robot's base frame.
-        n_tail: Number of last waypoints, the approach to the grasp, at which objects have no cost.
+        n_tail: Number of last waypoints, the approach to the grasp, at which only obstacles with
+            `in_tail` have a cost.
         config: Time step, padding and weights of the costs.
     """
 
@@ -133,7 +139,7 @@ class ObstacleCost:
             start: (7,) start of all paths (rad).
             goals: (g, 7) ends of the paths (rad).
             count: Number of points between start and goal.
-            tails: (g, count) whether objects have no cost at each point.
+            tails: (g, count) mask of the points at which objects have no cost.
         """
         shares = np.arange(count + 1) / (count + 1)
         line = start + shares[:, None, None] * (goals - start)
@@ -144,9 +150,13 @@ class ObstacleCost:
         return total
 
     def count_collisions(self, trajectory: Array, distance: float) -> int:
-        """Return the number of pairs of body point and obstacle closer than `distance` (m).
+        """Return the number of pairs of robot point and obstacle closer than `distance`.
 
-        At the last `n_tail` waypoints of the trajectory (w, 7), objects to grasp are not counted.
+        Pairs are counted at every waypoint; at the last `n_tail` ones, objects are left out.
+
+        Args:
+            trajectory: (w, 7) waypoints (rad).
+            distance: Distance below which a pair is counted (m).
         """
         points = self._points(trajectory)
         pairs = 0

@@ -79,7 +79,7 @@ def make_worlds(physics: str, config: PhysicsConfig, count: int, threads: int) -
 
     Raises:
         UnknownNameError: There is no physics of that name.
-            OptionError: The engine is not installed.
+        OptionError: The engine is not installed.
     """
     if physics != MUJOCO:
         return [make_world(physics, config) for _ in range(count)]

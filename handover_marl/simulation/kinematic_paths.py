@@ -184,7 +184,7 @@ class HandTrajectory:
         return np.where(self._present[row + 1 :, None], self._path[row + 1 :, :3], np.inf)
 
     def find_changes(self) -> npt.NDArray[np.bool_]:
-        """Return for each of n steps whether the hand moves, appears or disappears."""
+        """Return a mask (n,) of the n steps in which the hand moves, appears or disappears."""
         moved = (self._path[1:] != self._path[:-1]).any(axis=1)
         return np.asarray(moved | (self._present[1:] != self._present[:-1]))
 
@@ -226,7 +226,12 @@ class HandTrajectory:
 
 
 def set_hand_references(hands: Sequence[HandTrajectory], motions: Sequence[ReferenceMotion]) -> None:
-    """Set the reference motions of several hands at once, each with its own motion."""
+    """Set the reference motions of several hands, and compute the hands' trajectories.
+
+    Args:
+        hands: Trajectories of the hands.
+        motions: Reference motion of each hand.
+    """
     tracked: list[list[tuple[MotorModel, slice]]] = []
     for hand, motion in zip(hands, motions, strict=True):
         tracked.append(hand.start_tracking(motion))
@@ -258,7 +263,10 @@ class ObjectTrajectory:
         set_object_references([self], [targets])
 
     def extend(self) -> None:
-        """Replace the trajectory by its last two rows and the new path of the motor model."""
+        """Append the motor model's path in the new reference motion to the trajectory.
+
+        Of the trajectory so far only the last two rows are kept, the states after the last two steps.
+        """
         self._path = np.concatenate([self._path[-2:], self.motor_model.path])
 
     def predict_positions(self, row: int) -> Array:
@@ -286,7 +294,12 @@ class ObjectTrajectory:
 
 
 def set_object_references(objects: Sequence[ObjectTrajectory], targets: Sequence[npt.NDArray[np.float32]]) -> None:
-    """Set the joint targets (n, 6) of several objects at once for n coming steps."""
+    """Set the joint targets of several objects for n coming steps, and compute their trajectories.
+
+    Args:
+        objects: Trajectories of the objects.
+        targets: (n, 6) joint targets of each object (m, rad).
+    """
     simulate_motors([item.motor_model for item in objects], targets)
     for item in objects:
         item.extend()

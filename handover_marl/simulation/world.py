@@ -148,8 +148,8 @@ class RolloutResult(NamedTuple):
 
     Attributes:
         contacts: Contacts of all steps and worlds.
-        truncate: Function of a world's number and a step count (1 to k - 1): sets that world back
-            to its state after so many of the steps.
+        truncate: Function `truncate(number, steps)` that sets the world with index `number` back to
+            its state after `steps` of the k steps (1 to k - 1).
     """
 
     contacts: ContactBatch

@@ -68,12 +68,23 @@ class MotionController:
         return self.move_open(self._separate(velocity, self._config.hand_clearance, surface=surface))
 
     def approach(self, velocity: Array) -> Action:
-        """Return the action with joint velocities (7,) that may come close to hand and object."""
+        """Return the action for the final approach with open fingers, clear of the person's hand.
+
+        The required clearance to the hand is smaller than on the way to the standoff, and none is
+        required to the object.
+
+        Args:
+            velocity: (7,) wanted joint velocities (rad/s).
+        """
         config = replace(self._config, time_constant=self._config.approach_time_constant)
         return self.move_open(self._separate(velocity, config.grasp_hand_clearance, config))
 
     def carry(self, velocity: Array) -> Action:
-        """Return the action with joint velocities (7,) that carries the object away."""
+        """Return the action that carries the object away from the person with closed fingers.
+
+        Args:
+            velocity: (7,) wanted joint velocities (rad/s).
+        """
         velocity = self.servo.limit_speed(velocity)
         return self.move_closed(self._separate(velocity, self._config.hand_clearance, leaving=True))
 

@@ -104,7 +104,10 @@ class RankCorrelation:
 
 
 def compute_rank_correlation(first: Sequence[float], second: Sequence[float]) -> RankCorrelation:
-    """Compute rank correlations with an exact one-sided permutation test.
+    """Return Spearman's and Kendall's rank correlation of two sequences, tested for being positive.
+
+    The p-value is that of Spearman's coefficient in an exact permutation test: the share of the
+    orders of one sequence for which the coefficient is at least as large.
 
     Raises:
         ValueError: The sequences differ in length, have fewer than three or more than nine values,

@@ -42,25 +42,29 @@ _NAMES_0_7 = {
 class ApproachFieldConfig:
     """Configuration of the approach field, which leads the robot's hand to a grasp.
 
-    The error of a pose is the distance of the pads' middle from the approach axis plus the weighted
-    rotation error.
+    The approach axis is the z axis of the hand at the grasp. The error of a hand pose is the distance
+    of the middle between its pads from this axis plus the weighted angle to the hand's orientation at
+    the grasp. The hand "moves in" when it leaves the standoff and moves straight to the grasp.
 
     Attributes:
-        standoff: Distance of the standoff from the grasp, back along the hand's z axis (m).
-        standoff_band: Width of the band beyond the standoff from which the hand may move in (m).
+        standoff: Distance of the standoff from the grasp, back along the approach axis (m).
+        standoff_band: Range of distances beyond the standoff in which the hand may start to move in (m).
         pad_distance: Distance from the hand's origin to the middle between its pads (m).
-        min_error: Error up to which the hand moves all the way in (m).
-        max_error: Error from which the hand moves to the standoff; linear in between (m).
-        rotation_weight: Weight of the rotation error (m/rad).
-        cone_slope: Additional standoff distance per metre of error beyond `max_error`.
-        max_standoff: Largest standoff distance (m).
+        min_error: Largest error with which the hand moves in to the grasp (m).
+        max_error: Error from which the hand moves to the standoff instead; with errors between
+            `min_error` and `max_error` the target changes linearly (m).
+        rotation_weight: Weight of the angle in the error (m/rad).
+        cone_slope: Additional distance of the standoff per metre of error beyond `max_error`.
+        max_standoff: Largest distance of the standoff from the grasp (m).
         max_translation: Largest translation of a step along each axis (m).
         max_rotation: Largest rotation of a step about each axis (rad).
-        gain: Share of the remaining motion that a step covers before the hand moves in; more than 1
-            compensates for the lag of the arm.
-        spare_steps: Number of decisions that should be left at the end.
-        min_translation: Lower bound of the largest translation of a step (m).
-        near_distance: Distance below which steps may be as long as `max_translation` (m).
+        gain: Factor on the commanded motion before the hand moves in; more than 1 compensates for the
+            lag of the arm.
+        spare_steps: Number of decisions that should be left when the hand reaches its target.
+        min_translation: Smallest value to which the remaining decisions reduce the largest translation
+            of a step (m).
+        near_distance: Distance from the target below which steps may be as long as `max_translation`
+            (m).
     """
 
     standoff: float = 0.055
@@ -80,17 +84,17 @@ class ApproachFieldConfig:
 
     @classmethod
     def from_settings(cls, settings: dict[str, Any]) -> "ApproachFieldConfig":
-        """Create the configuration from the settings in a weight file, of this version or 0.7.0."""
+        """Create the configuration from settings in a weight file of this version or of 0.7.0."""
         return cls(**{_NAMES_0_7.get(name, name): value for name, value in settings.items()})
 
 
 def compute_approach_steps(hands: Array, goals: Array, remaining: Array, config: ApproachFieldConfig) -> Array:
-    """Return the steps (n, 6) of n hands towards their grasps, in the frames of the hands.
+    """Return the next motion (n, 6) of each of n hands towards its grasp, in that hand's frame.
 
     Args:
         hands: (n, 7) poses of the hand link.
         goals: (n, 7) poses of the hand link at the grasps, in the same frame.
-        remaining: (n,) remaining decisions, including this one.
+        remaining: (n,) numbers of remaining decisions, including this one.
         config: Configuration of the field.
 
     Returns:

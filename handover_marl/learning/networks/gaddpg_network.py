@@ -109,14 +109,22 @@ class GaddpgNetwork(SavedNetwork):
         return output
 
     def predict_step(self, points: npt.NDArray[np.float64], remaining: int) -> npt.NDArray[np.float32]:
-        """Return the next motion (6,) of the hand for one cloud (4, 1030), as `predict_steps`."""
+        """Return the next hand motion (6,) for one cloud, as `predict_steps` does for several.
+
+        Args:
+            points: (4, 1024 or 1030) cloud as in `forward`.
+            remaining: Number of remaining decisions.
+
+        Returns:
+            Translation (m) and extrinsic xyz Euler angles (rad) in the hand link's frame.
+        """
         step: npt.NDArray[np.float32] = self.predict_steps(points[None], np.array([float(remaining)]))[0]
         return step
 
     def predict_steps(
         self, clouds: npt.NDArray[np.float64], remaining: npt.NDArray[np.float64]
     ) -> npt.NDArray[np.float32]:
-        """Return the next motions of the hand, without gradients and on one thread.
+        """Return the next hand motion for each of B clouds, without gradients and on one thread.
 
         Args:
             clouds: (B, 4, 1024 or 1030) clouds as in `forward`.
@@ -138,7 +146,7 @@ class GaddpgNetwork(SavedNetwork):
         return compute_approach_steps(present, goals, remaining, self.approach).astype(np.float32)
 
     def settings(self) -> dict[str, Any]:
-        """Return the approach rule and the number of decisions in JSON types."""
+        """Return the constructor's arguments, approach rule and number of decisions, in JSON types."""
         approach = None if self.approach is None else asdict(self.approach)
         return {"approach": approach, "max_steps": self.max_steps}
 

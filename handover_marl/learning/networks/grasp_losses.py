@@ -49,7 +49,13 @@ class GraspLosses(NamedTuple):
 
 
 def grasp_targets_from_poses(poses: Tensor, quality: Tensor) -> GraspTargets:
-    """Return targets for poses (B, K, 7) of the hand link, quaternions xyzw, and qualities (B, K)."""
+    """Return targets of the grasp network, made from hand poses at good grasps and their qualities.
+
+    Args:
+        poses: (B, K, 7) poses of the hand link at the grasps, in the cloud's frame: xyz (m) and
+            quaternion xyzw.
+        quality: (B, K) quality from 0 (padding) to 1.
+    """
     x, y, z, w = func.normalize(poses[..., 3:], dim=-1).unbind(dim=-1)
     y_axis = torch.stack([2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)], dim=-1)
     z_axis = torch.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], dim=-1)
@@ -58,9 +64,14 @@ def grasp_targets_from_poses(poses: Tensor, quality: Tensor) -> GraspTargets:
 
 
 def compute_grasp_distances(found: GraspOutputs, targets: GraspTargets) -> Tensor:
-    """Return mean distances (B, C, K) of three gripper points between predicted and good grasps (m).
+    """Return the distance (B, C, K) in m between each predicted and each good grasp.
 
-    A rotation of the gripper by pi about its z axis counts as no difference.
+    A distance is the mean over three points of the gripper (hand and both finger pads). A rotation
+    of the gripper by pi about its z axis does not change the distance.
+
+    Args:
+        found: Predicted grasps at C centers of each of B clouds.
+        targets: K good grasps for each cloud.
     """
     return _gripper_distances(
         found.positions[:, :, None],
@@ -71,7 +82,12 @@ def compute_grasp_distances(found: GraspOutputs, targets: GraspTargets) -> Tenso
 
 
 def find_enclosed_centers(centers: Tensor, targets: GraspTargets) -> Tensor:
-    """Return whether the pads of good grasps close over points (B, C, 3) of the object, (B, C, K)."""
+    """Return a mask (B, C, K) of the good grasps whose closing pads enclose each object point.
+
+    Args:
+        centers: (B, C, 3) points of the object (m).
+        targets: K good grasps for each of B clouds.
+    """
     offsets = centers[:, :, None] - targets.positions[:, None]
     local = torch.einsum("bcki,bkij->bckj", offsets, targets.rotations)
     is_enclosed = (local.abs() < local.new_tensor(_PAD_VOLUME_HALF_SIZES)).all(dim=-1)
@@ -81,17 +97,18 @@ def find_enclosed_centers(centers: Tensor, targets: GraspTargets) -> Tensor:
 def compute_grasp_losses(
     found: GraspOutputs, centers: Tensor, targets: GraspTargets, object_center: Tensor, object_motion: Tensor
 ) -> GraspLosses:
-    """Compute the mean losses of the grasp network on a batch of clouds.
+    """Return the losses of the grasp network, averaged over a batch of clouds.
 
-    Each center is matched to the nearest good grasp whose pads close over it, good ones preferred;
-    centers without such a grasp only contribute to the loss of the quality.
+    Each center is matched to the nearest good grasp whose closing pads enclose it, where grasps of
+    higher quality are preferred. Centers without such a grasp only contribute to the loss of the
+    quality.
 
     Args:
         found: Predictions of the grasp network.
         centers: (B, C, 3) points at which grasps were predicted (m).
         targets: Good grasps.
         object_center: (B, 3) centers of the objects (m).
-        object_motion: (B, 3) displacements of the objects (m).
+        object_motion: (B, 3) displacements of the objects within the prediction time (m).
     """
     with torch.no_grad():
         distances = compute_grasp_distances(found, targets)

@@ -30,13 +30,13 @@ class GraspNetworkConfig:
     """Widths of the layers, and inputs of the grasp network.
 
     Attributes:
-        points: Number of features of a point.
-        group: Number of features of a group of points.
-        whole: Number of features of a whole cloud.
+        points: Number of features that the network computes of each point.
+        group: Number of features that the network computes of each group of points.
+        whole: Number of features that the network computes of the whole cloud.
         grasp: Width of the layers that predict grasps.
         hand: Whether points of the person's hand are an input.
-        groups: Numbers of points in the groups around a center, from fine to coarse; with none,
-            predictions use the point and the whole cloud only, as in PointNet.
+        groups: Numbers of points in the groups around each center, from fine to coarse; if empty,
+            predictions use the center's point and the whole cloud only, as in PointNet.
     """
 
     points: int = 128
@@ -55,7 +55,8 @@ class GraspOutputs(NamedTuple):
         positions: (B, C, 3) points between the pads (m).
         rotations: (B, C, 3, 3) orientations of the hand link; a rotation by pi about z is equivalent.
         object_center: (B, 3) center of the whole object, with its unobserved parts (m).
-        object_motion: (B, 3) displacement of the object in the prediction time of the training (m).
+        object_motion: (B, 3) displacement of the object within the prediction time, which the training
+            data fix (m).
     """
 
     quality: Tensor

@@ -129,8 +129,8 @@ class SetAbstraction(nn.Module):
             features: (B, channels[0], N) features.
 
         Returns:
-            (B, M, 3) centers of the groups (m), the origin for one group of all points, and
-            (B, channels[-1], M) features.
+            (B, M, 3) centers of the M groups (m), or the origin for one group of all points; and
+            (B, channels[-1], M) features of the groups.
         """
         xyz = positions.transpose(1, 2)
         if self.grouping is None:

@@ -34,9 +34,9 @@ _Network = TypeVar("_Network", bound="SavedNetwork")
 
 @contextlib.contextmanager
 def single_threaded_inference() -> Iterator[None]:
-    """Disable gradients and use one thread in a `with` block.
+    """Disable PyTorch's gradients and use one thread of it in a `with` block.
 
-    Rounding then does not depend on the number of cores.
+    Results then do not depend on the number of cores, not even by rounding.
     """
     before = torch.get_num_threads()
     torch.set_num_threads(1)

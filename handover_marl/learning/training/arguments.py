@@ -18,23 +18,23 @@ class TrainingArgs(SetupArgs):
 
     Attributes:
         seed: Seed of all random numbers.
-        width: Width of the two hidden layers.
-        time_limit: Length of training episodes (s).
+        width: Width of the two hidden layers of each network.
+        time_limit: Time after which training episodes are truncated (s).
         control_period: Time between two decisions (s).
         physics: Simulation: fast, exact, or mujoco, which simulates environments in batches.
-        envs: Number of environments.
+        envs: Number of environments simulated in parallel.
         steps: Largest number of decisions of an agent.
         minutes: Largest wall-clock time (min).
         val_scenes: Number of validation scenes per evaluation, evenly chosen.
         out: Folder of the run.
-        batch_size: Number of decisions in all environments between updates.
+        batch_size: Number of decisions in all environments together between updates.
         eval_interval: Number of decisions between evaluations.
         epochs: Number of passes over the collected data between updates.
         learning_rate: Learning rate of Adam.
         rewards: Reward: sparse or shaped.
         discount: Discount factor; potential-based rewards use it too.
         gae_lambda: Lambda of generalized advantage estimation.
-        initial_std: Initial standard deviation of the outputs.
+        initial_std: Initial standard deviation of the network outputs, for exploration.
     """
 
     seed: int = 0
@@ -82,7 +82,7 @@ class ResumableArgs(TrainingArgs):
     """Arguments of training scripts that write checkpoints.
 
     Attributes:
-        resume: Continue the run in the folder.
+        resume: Whether to continue the run in the folder `out`.
     """
 
     resume: bool = False
@@ -93,9 +93,9 @@ class PpoArgs(ResumableArgs):
     """Arguments of the scripts that train one agent with Stable-Baselines3's PPO.
 
     Attributes:
-        features: Name of the features.
-        actions: Name of the action scheme.
-        envs: Number of environments; 0 stands for 64 in batches (mujoco), else 8.
+        features: Name of the features that the learning agent observes.
+        actions: Name of the learning agent's action scheme.
+        envs: Number of environments simulated in parallel; 0 means 64 with mujoco, else 8.
     """
 
     features: str = "close"
@@ -119,8 +119,8 @@ class PairArgs(TrainingArgs):
         receiver_features: Name of the receiver's features.
         receiver_actions: Name of the receiver's action scheme.
         minibatch_size: Number of decisions per gradient step.
-        clip_range: Clipping range of PPO.
-        smoke_test: Run with the smallest sizes, to test that everything works.
+        clip_range: Largest deviation from 1 of the probability ratio in PPO's objective.
+        smoke_test: Whether to run with the smallest sizes, to test that everything works.
     """
 
     giver_features: str = "giver"
@@ -133,7 +133,7 @@ class PairArgs(TrainingArgs):
 
     @property
     def encodings(self) -> dict[str, tuple[str, str]]:
-        """Names of features and action scheme of each agent, "giver" and "receiver"."""
+        """Pair of the names of features and action scheme, for each of "giver" and "receiver"."""
         return {
             "giver": (self.giver_features, self.giver_actions),
             "receiver": (self.receiver_features, self.receiver_actions),

@@ -81,7 +81,12 @@ def describe_origin(script: str, arguments: object) -> str:
 
 
 def write_checkpoint(path: Path, state: dict[str, Any]) -> None:
-    """Write a state of tensors and numbers; an interruption leaves the previous file intact."""
+    """Write a checkpoint file; an interruption leaves the previous file intact.
+
+    Args:
+        path: File to write.
+        state: Dict of tensors and numbers.
+    """
     temporary = path.with_suffix(".part")
     torch.save(state, temporary)
     temporary.replace(path)
@@ -112,7 +117,7 @@ class RunFolder:
     Args:
         path: Path of the folder.
         arguments: Dataclass of the run's arguments; only the same run can be resumed.
-        resume: Whether to continue an existing run; None if the script cannot.
+        resume: Whether to continue an existing run; None if the script cannot resume runs.
         dataset: Name of the dataset, to which "auto" was resolved.
         free: Names of further arguments that may change when a run is resumed.
 

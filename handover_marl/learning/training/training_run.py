@@ -23,8 +23,8 @@ class TrainingRun:
     Args:
         args: Arguments of the training.
         script: Name of the script, which the policy files record.
-        encodings: Names of features and action scheme of each learning agent.
-        partners: Name of the policy of each other agent.
+        encodings: Pair of the names of features and action scheme, by learning agent.
+        partners: Name of the policy of each agent that does not learn, by agent.
 
     Attributes:
         folder: Folder of the run.
@@ -57,7 +57,10 @@ class TrainingRun:
         return self.seconds > 60.0 * self._args.minutes
 
     def is_finished(self, steps: int) -> bool:
-        """Return whether the limit of decisions or of wall-clock time is reached."""
+        """Return whether training must end after a number of decisions.
+
+        Training ends when the limit of decisions or the limit of wall-clock time is reached.
+        """
         return steps >= self._args.steps or self.is_out_of_time
 
     def policy_path(self, agent: str) -> Path:

@@ -43,12 +43,17 @@ class Sleepable(Protocol):
 
     @property
     def reach(self) -> float:
-        """Largest distance (m) of any point of the body from its reference point."""
+        """Largest distance (m) of any point of the body from its reference point.
+
+        The reference point is the one whose positions `predict_positions` returns.
+        """
 
     def predict_positions(self, row: int) -> npt.NDArray[np.float64]:
-        """Predict the body's reference point (n - row, 3) after each step from `row` on (m).
+        """Predict the world positions of the body's reference point after each step from `row` on.
 
-        The current reference motion has n steps. Points are inf while the body is absent.
+        Returns:
+            (n - row, 3) positions (m), for n steps of the current reference motion; inf while the
+            body is absent.
         """
 
     def wake(self, row: int) -> None:

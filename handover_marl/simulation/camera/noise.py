@@ -23,9 +23,9 @@ class CameraNoise(CheckedConfig):
             for Intel RealSense depth camera D400 series" (Intel). A D435 with images 848 pixels wide has a focal length
             of 450 pixels and a baseline of 0.05 m; an assumed subpixel error of 0.08 gives 0.0036 m.
         edge_threshold: Depth difference of neighbouring pixels that counts as an edge (m).
-        edge_dropout: Share of the pixels beside edges without depth, where only one of a
-            stereo camera's two imagers sees the surface. The share depends on the scene; 0.5 is an
-            assumption.
+        edge_dropout: Share of the pixels beside depth edges that lose their depth, because only one
+            of a stereo camera's two imagers sees the surface there. The share depends on the scene;
+            0.5 is an assumption.
         latency: Age of an image when it arrives (s); the assumed 0.05 s are 1.5 frames at 30 Hz.
         pixel_stride: Step between the rows and columns that have depth: 2 simulates a camera of
             112 x 112 pixels.

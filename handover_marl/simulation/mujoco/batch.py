@@ -38,16 +38,17 @@ class ModelGroup:
     Attributes:
         scene: Scene model with the layout of the group.
         batch: MuJoCo batch; each row is a world.
-        models: Model of each row.
+        models: MuJoCo model of each row.
         free_rows: Heap of the numbers of the rows without a world.
-        scratch: MuJoCo data for computations without a step.
-        qpos: Joint positions of all rows; all arrays here are views of the batch's state.
+        scratch: MuJoCo data for computations that do not change a world.
+        qpos: Joint positions of all rows; this array and the following ones are views of the state
+            of the batch.
         qvel: Joint velocities of all rows.
         forces: External forces on the bodies of all rows.
         ctrl: Actuator targets of all rows.
         mocap_pos: Positions of the mocap bodies of all rows (m).
         mocap_quat: Quaternions wxyz of the mocap bodies of all rows.
-        recorded: Sensor data and positions of all rows.
+        recorded: Sensor data and joint positions of all rows.
     """
 
     def __init__(self, scene: SceneModel, capacity: int) -> None:
@@ -65,7 +66,14 @@ class ModelGroup:
         self._buffers: dict[str, Array] = {}
 
     def get_record_buffers(self, worlds: int, steps: int) -> dict[str, Array]:
-        """Return reused arrays for the sensor data and positions recorded in a rollout."""
+        """Return uninitialized arrays for the sensor data and joint positions of a rollout, by name.
+
+        Their memory is reused by the next rollout.
+
+        Args:
+            worlds: Number of worlds in the rollout.
+            steps: Number of physics steps.
+        """
         names = zip(_RECORDED, self.recorded, strict=True)
         return {name: self.get_buffer(name, (worlds, steps, *one.shape[1:])) for name, one in names}
 

@@ -135,7 +135,11 @@ class SleepState:
         self._first, self._free, self._elapsed = 0, 0, 0
 
     def advance_rows(self, rows: int) -> None:
-        """Start the next reference motion after a number of rows of the current one."""
+        """Start to count rows from the next reference motion, which follows the current one.
+
+        Args:
+            rows: Number of simulated rows of the current reference motion.
+        """
         self._first -= rows
 
     def simulate_robot(self, row: int, target: list[float], hand: HandTrajectory) -> None:
@@ -161,7 +165,7 @@ class SleepState:
         self._free = int(near.argmax()) if near.any() else len(near)
 
     def count_free_steps(self, row: int) -> int:
-        """Return the number of steps from `row` on without a body near the robot."""
+        """Return the number of steps from `row` on before a body comes near the robot."""
         return self._free - (row - self._first)
 
     def get_robot_state(self, row: int) -> tuple[Array, Array]:

@@ -18,16 +18,18 @@ class ImitationBatch:
     """Tensors of B imitation states; indices refer to the points and centers of the whole batch.
 
     Attributes:
-        points: (P, 3) points in the hands' frames (m).
+        points: (P, 3) points of all states, each in the frame of its state's hand link (m).
         centers: (C,) indices of the centers of groups, among all points.
         neighbors: (N,) indices of the points of the groups, among all points.
         n_neighbors: (C,) numbers of points of the groups.
         center_neighbors: (M,) indices of the centers in groups of groups, among all centers.
         n_center_neighbors: (C,) numbers of centers of the groups of groups.
         n_centers: (B,) numbers of centers of the states.
-        remaining: (B,) numbers of remaining decisions.
-        steps: (B, 6) expert's steps: translation (m) and extrinsic xyz Euler angles (rad).
-        goals: (B, 7) grasps in the hands' frames: xyz (m) and quaternion xyzw.
+        remaining: (B,) numbers of decisions that remain in the approach.
+        steps: (B, 6) motions of the hand by the expert's next decision, in the hands' frames:
+            translation (m) and extrinsic xyz Euler angles (rad).
+        goals: (B, 7) poses of the hand link at the grasps, in the hands' frames: xyz (m) and
+            quaternion xyzw.
     """
 
     points: Tensor
@@ -55,8 +57,9 @@ class StateAugmentationConfig:
     Attributes:
         position_std: Standard deviation of the hand's displacement along each axis (m).
         rotation_std: Standard deviation of the hand's rotation about each axis (rad).
-        counter_range: Largest change of the number of remaining decisions, which changes labels too.
-        max_remaining: Largest number of remaining decisions.
+        counter_range: Largest random change of the number of remaining decisions; the expert's step
+            changes with this number.
+        max_remaining: Largest number of remaining decisions after the change.
         max_neighbors: Largest number of points of a group; further points are dropped.
     """
 
@@ -102,7 +105,7 @@ class ImitationBatches:
 
     Args:
         states: Stored states.
-        approach: Rule of the expert's steps.
+        approach: Rule by which the expert's steps follow from hand pose, grasp and remaining decisions.
         config: Configuration of the augmentation.
     """
 

@@ -53,8 +53,8 @@ class DataGeneratorConfig:
         data_dir: Folder in HandoverSim's layout.
         seed: Seed of all random numbers.
         scenarios: Distribution of the scenarios.
-        costs: Costs of grasps.
-        expert: Choice of goals by the expert.
+        costs: Configuration of the costs of grasps.
+        expert: Configuration of the expert's selection of grasps.
         rollouts: Configuration of the rollouts.
     """
 
@@ -128,7 +128,7 @@ class DataGenerator:
 
 @functools.lru_cache(maxsize=1)
 def get_data_generator(config: DataGeneratorConfig) -> DataGenerator:
-    """Return the data generator of this process, created at the first call."""
+    """Return this process's data generator for a configuration, created at the first call."""
     return DataGenerator(config)
 
 
@@ -153,12 +153,12 @@ def make_plans(
     pool: PoolConfig,
     report: Callable[[int], None] = lambda n: None,
 ) -> ExpertPlans:
-    """Return the expert's plans in scenarios 0 to `count` - 1; read those that are on disk.
+    """Return the expert's plans in scenarios 0 to `count` - 1; compute those that are not on disk.
 
     Scenarios without a reachable grasp are left out.
 
     Args:
-        folder: Folder of the files.
+        folder: Folder of the files of plans.
         config: Configuration of the data generation.
         count: Number of scenarios.
         pool: Worker processes.
@@ -192,8 +192,8 @@ def collect_states(
 
     Args:
         config: Configuration of the data generation.
-        tasks: Rollouts.
-        weights: Content of the network's file of weights; None for rollouts of the expert.
+        tasks: Scenarios of the rollouts, with the expert's plans.
+        weights: Content of the weight file of the network that acts; None lets the expert act.
         pool: Worker processes.
         report: Function that is called when a task is finished.
     """

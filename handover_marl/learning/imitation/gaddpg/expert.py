@@ -35,7 +35,7 @@ class KinematicArm:
     """Kinematic model of the arm with lagging motors, controlled as by the receiver `gaddpg`.
 
     Args:
-        context: Context with the robot's model.
+        context: Model and base pose of the robot.
 
     Raises:
         SimulationError: The robot's model cannot be loaded.
@@ -49,11 +49,12 @@ class KinematicArm:
         self._stepper = make_ik_stepper(context.panda_urdf, context.panda)
 
     def move(self, joints: Array, step: Array) -> Array:
-        """Return the arm joints (7,) after one step of the hand (rad).
+        """Return the arm joints (7,) in rad at the end of a decision that commands a hand motion.
 
         Args:
             joints: (7,) present arm joints (rad).
-            step: (6,) translation (m) and extrinsic xyz Euler angles (rad) in the hand's frame.
+            step: (6,) commanded motion in the hand's frame: translation (m) and extrinsic xyz Euler
+                angles (rad).
         """
         rotation = Rotation.from_euler("xyz", step[3:]).as_quat()
         target = compose(self.arm.hand(joints), np.concatenate([step[:3], rotation]))
@@ -66,21 +67,24 @@ class GraspExpertConfig:
     """Configuration of the expert's selection of grasps.
 
     Attributes:
-        candidates: Number of the cheapest reachable grasps whose approach is simulated.
-        planner_goals: Number of the best candidates among which the planner chooses.
-        max_decisions: Largest number of decisions of an approach.
-        tolerance: Distance from the goal at which an approach ends (m), rotation included.
+        candidates: Number of grasps, the cheapest reachable ones, whose approach is simulated.
+        planner_goals: Number of candidates, the cheapest ones, among which the planner chooses.
+        max_decisions: Largest number of decisions of a simulated approach.
+        tolerance: Distance of the hand from the grasp at which a simulated approach ends (m); the
+            distance includes the weighted rotation.
         rotation_weight: Weight of the rotation in distances between poses of the hand (m/rad).
-        miss_cost: Cost per metre of remaining distance at the end of an approach.
-        max_miss: Remaining distance above which there is no plan (m).
-        decision_cost: Cost of a decision (m).
-        max_excess_cost: Largest excess of a goal's cost over the cheapest goal's (m).
-        switch_margin: Cost by which another goal must be cheaper to replace the planner's (m).
-        standoff: Distance of the standoff from a grasp, which must be reachable too (m).
-        max_joint_change: Largest change of a joint between standoff and grasp (rad).
-        approach: Rule for the steps to a goal.
-        use_planner: Whether the planner chooses the goal; otherwise the cheapest is approached by
-            the receiver's own control.
+        miss_cost: Cost per metre of distance from the grasp beyond `tolerance` at the end of the
+            simulated approach.
+        max_miss: Distance from the cheapest grasp at the end of its simulated approach above which
+            the scenario gets no plan (m).
+        decision_cost: Cost of each decision of the simulated approach (m).
+        max_excess_cost: Largest difference between a goal's cost and the cheapest goal's cost (m).
+        switch_margin: Cost by which another goal must be cheaper to replace the planner's goal (m).
+        standoff: Distance of the standoff pose from the grasp, which the arm must reach too (m).
+        max_joint_change: Largest difference of a joint between standoff pose and grasp (rad).
+        approach: Rule for the steps of an approach to a grasp.
+        use_planner: Whether the planner chooses the goal; otherwise the cheapest grasp is the goal,
+            and the trajectory is its simulated approach.
         planner: Configuration of the planner.
     """
 
@@ -107,8 +111,8 @@ class ExpertPlan:
 
     Attributes:
         goals: (g, 7) world poses of the hand link, the planner's goal first.
-        costs: (g,) costs of the goals, without the motion (m).
-        trajectory: (w, 7) arm joints of the planner (rad).
+        costs: (g,) costs of the goals without the motion to them, relative to the cheapest goal (m).
+        trajectory: (w, 7) arm joints at the waypoints of the planned motion to the first goal (rad).
     """
 
     goals: Array
@@ -116,7 +120,15 @@ class ExpertPlan:
     trajectory: Array
 
     def choose_goal(self, hand: Array, config: GraspExpertConfig) -> Array:
-        """Return the goal grasp (7,) to approach from a pose (7,) of the hand."""
+        """Return the cheapest goal to approach from a present hand pose.
+
+        Args:
+            hand: (7,) present world pose of the hand link.
+            config: Configuration with the switch margin.
+
+        Returns:
+            (7,) world pose of the hand link at the grasp.
+        """
         costs = self.costs + compute_travel_costs(hand, self.goals)
         costs[0] -= config.switch_margin
         chosen: Array = self.goals[int(np.argmin(costs))]
@@ -128,7 +140,7 @@ class GraspExpert:
 
     Args:
         context: Robot and objects.
-        table: Grasps of the objects with their costs.
+        table: Table of the objects' grasps and their costs.
         arm: Model of the arm as the receiver `gaddpg` controls it.
         config: Configuration of the selection of grasps.
     """
@@ -165,13 +177,13 @@ class GraspExpert:
         return ExpertPlan(goals[order], costs[order] - costs.min(), plan.trajectory)
 
     def find_goals(self, object_name: str, object_pose: Array, joints: Array, occluder: Array) -> tuple[Array, Array]:
-        """Return the best grasps to approach, cheapest first, and their costs without the motion.
+        """Return the cheapest grasps to approach, and their costs without the motion to them.
 
         Args:
             object_name: Class of the object.
             object_pose: (7,) world pose of the object, quaternion xyzw.
-            joints: (7,) arm joints (rad).
-            occluder: (4,) center and radius of the occluding sphere (m); radius 0 for none.
+            joints: (7,) present arm joints (rad).
+            occluder: (4,) world center and radius of the occluding sphere (m); radius 0 for none.
 
         Returns:
             (g, 7) world poses of the hand link and (g,) costs (m).
@@ -194,11 +206,13 @@ class GraspExpert:
         return world[order], costs[order] - compute_travel_costs(hand, world[order])
 
     def compute_step(self, hand: Array, goal: Array, remaining: int) -> Array:
-        """Return the step (6,) of one decision from a pose of the hand towards a goal grasp.
+        """Return the hand motion (6,) that one decision commands towards a goal grasp.
+
+        The motion is a translation (m) and extrinsic xyz Euler angles (rad) in the hand's frame.
 
         Args:
-            hand: (7,) present pose of the hand.
-            goal: (7,) pose to approach.
+            hand: (7,) present world pose of the hand link.
+            goal: (7,) world pose of the hand link at the grasp.
             remaining: Number of remaining decisions.
         """
         step: Array = compute_approach_steps(hand[None], goal[None], np.array([remaining]), self._config.approach)[0]

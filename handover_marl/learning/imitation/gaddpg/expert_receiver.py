@@ -25,10 +25,11 @@ class ExpertReceiver(GaddpgReceiver):
 
     Args:
         context: Robot and objects.
-        wait: Time at the start pose (s).
-        replan_distance: Motion of the object after which goals are chosen anew, which is slow (m).
+        wait: Time for which the robot waits at its start pose (s).
+        replan_distance: Distance of the object from its position at the last choice of goals above
+            which the expert chooses goals anew (m); the choice takes much processor time.
         config: Configuration of the expert's selection of grasps.
-        costs: Costs of grasps.
+        costs: Configuration of the costs of grasps.
     """
 
     name = "gaddpg_expert"

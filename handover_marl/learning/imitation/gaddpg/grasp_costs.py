@@ -32,15 +32,17 @@ class GraspCostConfig:
         validated: Whether grasps are validated and improved in simulation first (20 to 90 s per
             object, once); otherwise the known grasps are used unchanged.
         validation: Configuration of the validation.
-        pad_offset: Distance of the pads, whose travel counts, from the hand's origin (m).
+        pad_offset: Distance from the hand's origin to the finger pads, whose travel is the cost of
+            a motion (m).
         rotation_cost: Cost of a rotation of the hand (m/rad).
-        hold: Costs of a loose hold, as for the receiver `reactive` (s).
-        pace: Factor that converts the costs `hold` to metres (m/s).
-        clearance: Clearance to the occluding sphere below which grasps cost more (m).
-        sweep: Length of the last straight motion, on which `clearance` is required too (m).
-        clearance_cost: Cost per metre of missing clearance.
-        table_clearance: Clearance to the table below which a grasp costs more (m).
-        table_cost: Cost of a grasp with less clearance to the table (m).
+        hold: Costs of grasps that hold the object loosely, as for the receiver `reactive` (s).
+        pace: Factor that converts the costs `hold` from seconds to metres (m/s).
+        clearance: Clearance of the gripper to the occluding sphere below which grasps cost more (m).
+        sweep: Length of the straight approach to the grasp, on which `clearance` is required too (m).
+        clearance_cost: Cost per metre by which the clearance to the sphere is below `clearance`.
+        table_clearance: Clearance of the gripper to the table below which grasps cost more (m).
+        table_cost: Additional cost of a grasp whose clearance to the table is below
+            `table_clearance` (m).
     """
 
     validated: bool = True
@@ -62,7 +64,7 @@ class CostedGrasps:
 
     Attributes:
         poses: (n, 7) poses of the hand link in the object's frame, quaternion xyzw.
-        costs: (n,) costs of a loose hold in these grasps (m).
+        costs: (n,) costs of the grasps, higher the less likely a grasp holds the object (m).
     """
 
     poses: Array
@@ -81,7 +83,7 @@ class GraspCostTable:
         self._context, self._config = context, config
 
     def load_grasps(self, object_name: str) -> CostedGrasps | None:
-        """Return the known grasps of an object class with costs, or None if it has no grasps.
+        """Return the usable grasps of an object class and their costs, or None if there are none.
 
         Raises:
             SimulationError: The object's model cannot be loaded.
@@ -100,13 +102,13 @@ class GraspCostTable:
         return CostedGrasps(both, np.concatenate([costs, costs]))
 
     def compute_costs(self, grasps: CostedGrasps, world: Array, hand: Array, occluder: Array) -> Array:
-        """Return the costs (n,) of n grasps (m), with the motion to them from a pose of the hand.
+        """Return the total costs (n,) of n grasps (m), including the motion of the hand to them.
 
         Args:
             grasps: Grasps of the object.
-            world: (n, 7) poses of these grasps in the world.
-            hand: (7,) present pose of the hand.
-            occluder: (4,) center and radius of the occluding sphere (m); radius 0 for none.
+            world: (n, 7) world poses of the hand link at these grasps.
+            hand: (7,) present world pose of the hand link.
+            occluder: (4,) world center and radius of the occluding sphere (m); radius 0 for none.
         """
         config = self._config
         costs: Array = grasps.costs + compute_travel_costs(hand, world, config.pad_offset, config.rotation_cost)
@@ -122,7 +124,16 @@ class GraspCostTable:
 def compute_travel_costs(
     hand: Array, goals: Array, pad_offset: float = PAD_OFFSET, rotation_cost: float = ROTATION_COST
 ) -> Array:
-    """Return the costs (n,) of the motion from a pose (7,) of the hand to goals (n, 7) (m)."""
+    """Return the costs (n,) in m of moving the hand to each of n goals.
+
+    A cost is the distance that the finger pads travel plus the weighted rotation of the hand.
+
+    Args:
+        hand: (7,) present pose of the hand link.
+        goals: (n, 7) poses of the hand link at the goals, in the same frame.
+        pad_offset: Distance from the hand's origin to the finger pads (m).
+        rotation_cost: Weight of the rotation (m/rad).
+    """
     to_pads = np.array([0.0, 0.0, pad_offset, 0.0, 0.0, 0.0, 1.0])
     distances = np.linalg.norm(compose(goals, to_pads)[:, :3] - compose(hand, to_pads)[:3], axis=1)
     angles = (Rotation.from_quat(hand[3:]).inv() * Rotation.from_quat(goals[:, 3:])).magnitude()

@@ -18,7 +18,10 @@ from handover_marl.learning.networks.point_encoders import PointNetPlusPlus, Set
 
 
 def evaluate_network(network: GaddpgNetwork, batch: ImitationBatch) -> ActorOutput:
-    """Evaluate GA-DDPG's network on a batch of states, in its training or evaluation mode."""
+    """Return the outputs of GA-DDPG's network for a batch of states, in the network's present mode.
+
+    The mode (training or evaluation) determines the statistics of batch normalization.
+    """
     output: ActorOutput = network.policy(_encode(network.features, batch), batch.remaining)
     return output
 

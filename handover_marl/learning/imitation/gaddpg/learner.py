@@ -33,9 +33,14 @@ _HALF_TURNED_POINTS = _GRIPPER_POINTS * torch.tensor([-1.0, -1.0, 1.0])
 
 
 def compute_action_losses(steps: Tensor, targets: Tensor) -> Tensor:
-    """Return the gripper distances (B,) between predicted and target steps (B, 6) (m).
+    """Return GA-DDPG's loss (B,) of predicted hand motions: mean distances of gripper points (m).
 
-    A step is a translation (m) and extrinsic xyz Euler angles (rad).
+    Six points of the gripper are moved by the predicted and by the target motion; the loss is the
+    mean L1 distance between both positions of a point.
+
+    Args:
+        steps: (B, 6) predicted motions: translation (m) and extrinsic xyz Euler angles (rad).
+        targets: (B, 6) target motions, in the same form.
     """
     points = _QUARTER_TURNED_POINTS.to(steps.device)
     return _mean_l1_distance(
@@ -45,13 +50,15 @@ def compute_action_losses(steps: Tensor, targets: Tensor) -> Tensor:
 
 
 def compute_goal_losses(goals: Tensor, targets: Tensor) -> Tensor:
-    """Return the gripper distances (B,) between predicted and target grasps (m).
+    """Return GA-DDPG's loss (B,) of predicted grasps: mean distances of gripper points (m).
 
-    A rotation by pi about the hand's z axis counts as no difference.
+    The loss is the mean L1 distance between the positions of six points of the gripper at the
+    predicted and at the target grasp. A rotation of the target by pi about the hand's z axis does
+    not change the loss.
 
     Args:
-        goals: (B, 7) outputs of the network: quaternion wxyz, then xyz (m).
-        targets: (B, 7) poses: xyz (m), then quaternion xyzw.
+        goals: (B, 7) predicted poses of the hand link: quaternion wxyz, then xyz (m).
+        targets: (B, 7) target poses of the hand link: xyz (m), then quaternion xyzw.
     """
     points, turned = _GRIPPER_POINTS.to(goals.device), _HALF_TURNED_POINTS.to(goals.device)
     found = _transform_points(points, _rotations_from_quaternions(goals[:, :4]), goals[:, 4:])
@@ -98,15 +105,15 @@ class GaddpgLearnerConfig:
     """Hyperparameters of the training of GA-DDPG's network.
 
     Attributes:
-        encoder_rate: Largest learning rate of the encoder.
-        head_rate: Largest learning rate of the head.
+        encoder_rate: Largest learning rate of the point cloud encoder.
+        head_rate: Largest learning rate of the layers after the encoder.
         final_share: Learning rates at the end of their cosine decay, as fraction of the largest.
-        warmup: Number of updates in which the learning rates rise.
+        warmup: Number of updates at the start in which the learning rates rise.
         decay: Weight decay.
-        action: Weight of the loss of actions relative to that of goals.
-        half_distance: Distance from the gripper to the goal pose at which the goal's loss has half its
-            weight (m).
-        clip: Largest norm of the gradient.
+        action: Weight of the loss of the actions relative to the loss of the predicted grasps.
+        half_distance: Distance from the hand to the target grasp at which the loss of the predicted
+            grasp has half its weight (m).
+        clip: Largest norm of the gradient; longer gradients are scaled down.
         averaging: Decay of the exponential average of the weights.
         use_bfloat16: Whether matrix products are computed in bfloat16.
     """
@@ -127,12 +134,12 @@ class GaddpgLearner:
     """Trainer of GA-DDPG's network, with optimizer and exponentially averaged weights.
 
     Args:
-        updates: Number of updates of the whole training, for the learning rates.
+        updates: Number of updates of the whole training, over which the learning rates decay.
         seed: Seed of the initial weights.
         device: Device to train on.
         config: Hyperparameters.
         approach: Rule by which the network approaches the grasps that it predicts.
-        max_steps: Number of decisions of an approach.
+        max_steps: Number of decisions of an approach; None leaves it to the receiver.
 
     Attributes:
         done: Number of updates so far.
@@ -161,7 +168,7 @@ class GaddpgLearner:
         self.done = 0
 
     def update(self, batch: ImitationBatch) -> dict[str, float]:
-        """Update the network on a batch of states; return the losses (m)."""
+        """Update the network on a batch of states; return the losses "action" and "goal" (m)."""
         self._network.train()
         for group in self._optimizer.param_groups:
             group["lr"] = group["rate"] * self._rate_share()
@@ -176,7 +183,7 @@ class GaddpgLearner:
         return {"action": float(action.detach()), "goal": float(goal.detach())}
 
     def evaluate(self, batch: ImitationBatch) -> dict[str, float]:
-        """Return the losses of the averaged network on a batch of states (m)."""
+        """Return the losses "action" and "goal" of the averaged network on a batch of states (m)."""
         with torch.no_grad():
             action, goal, _ = self._compute_losses(self.averaged, batch)
         return {"action": float(action.detach()), "goal": float(goal.detach())}

@@ -35,13 +35,13 @@ class ImitationRolloutConfig:
     """Configuration of the imitation rollouts.
 
     Attributes:
-        max_decisions: Largest number of decisions.
-        under_way: Share of rollouts that start at a waypoint of the planned trajectory.
+        max_decisions: Largest number of decisions in a rollout.
+        under_way: Share of rollouts in which the arm starts at a waypoint of the planned trajectory.
         expert_decisions: Largest number of the expert's decisions before the network acts.
         with_expert: Share of the network's rollouts in which the expert makes the first decisions.
-        disturbed: Share of the expert's decisions that are disturbed.
-        position_noise: Standard deviation of a disturbance along each axis (m).
-        rotation_noise: Standard deviation of a disturbance about each axis (rad).
+        disturbed: Share of the expert's decisions to whose motion random noise is added.
+        position_noise: Standard deviation of this noise on the translation along each axis (m).
+        rotation_noise: Standard deviation of this noise on the rotation about each axis (rad).
     """
 
     max_decisions: int = 24
@@ -74,7 +74,7 @@ class ImitationRollouts:
         arm: Model of the arm as the receiver `gaddpg` controls it.
         expert: Expert that labels states.
         physics: Poses of robot and table.
-        load_assets: Function from an object class to the models to render.
+        load_assets: Function that returns the models to render for a YCB class name.
         config: Configuration of the rollouts.
         expert_config: Configuration of the expert's selection of grasps.
     """
@@ -97,10 +97,10 @@ class ImitationRollouts:
         """Return the imitation states of one rollout of each scenario.
 
         Args:
-            scenarios: Scenarios.
+            scenarios: Initial states of the rollouts.
             plans: Plan of the expert in each scenario.
-            policy: Policy of the network, or None for rollouts of the expert.
-            seed: Seed of the random numbers, together with the numbers of the scenarios.
+            policy: Policy of the network; None lets the expert act in all decisions.
+            seed: Number that seeds the random numbers, together with the numbers of the scenarios.
         """
         rollouts = [
             self._start_rollout(scenario, plan, policy is not None, np.random.default_rng((seed, scenario.number)))

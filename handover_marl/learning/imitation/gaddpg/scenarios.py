@@ -27,19 +27,25 @@ class ImitationScenarioConfig:
     """Distribution of the random scenarios for imitation rollouts.
 
     Attributes:
-        handover: Share of objects at the handover pose.
-        carried: Share of objects on the way to the handover pose; the others are on the table.
-        position_std: Standard deviation of the object's position along each axis (m).
-        rotation_std: Standard deviation of the object's rotation about each axis (rad).
-        table_range: Largest offset along the table of objects on it, which have any heading (m).
-        at_start: Share of arms at the start pose.
-        joint_std: Standard deviation of every joint for half of the arms at the start pose (rad).
-        min_distance: Shortest distance of the robot's hand from the object, at random poses (m).
-        max_distance: Largest distance of the robot's hand from the object, at random poses (m).
-        min_cosine: Smallest cosine of the angle between the directions from the object to the hand
-            and to the robot's base.
-        aim_error: Largest distance of the line of sight from the object's origin along each axis (m).
-        occluded: Share of objects that are partly occluded by a sphere.
+        handover: Share of scenarios with the object at the handover pose of a recording.
+        carried: Share of scenarios with the object on the way to the handover pose; in the others it
+            is on the table.
+        position_std: Standard deviation of the random displacement of an object at the handover pose
+            or on the way there, along each axis (m).
+        rotation_std: Standard deviation of the random rotation of such an object about each axis (rad).
+        table_range: Largest random displacement of an object on the table along x and along y (m); its
+            rotation about the vertical is uniformly random.
+        at_start: Share of scenarios with the arm at its start pose; in the others the arm observes the
+            object from a random pose.
+        joint_std: Standard deviation of the noise on every arm joint in half of the scenarios with the
+            arm at its start pose (rad).
+        min_distance: Smallest distance of the robot's hand from the object at a random pose (m).
+        max_distance: Largest distance of the robot's hand from the object at a random pose (m).
+        min_cosine: Smallest cosine, at a random pose, of the angle between the direction from the object
+            to the robot's hand and the direction from the object to the robot's base, raised slightly.
+        aim_error: Largest distance along each axis of the point at which the camera aims from the
+            object's origin (m).
+        occluded: Share of scenarios in which a sphere occludes the object partly.
         radii: Smallest and largest radius of the occluding sphere (m).
     """
 
@@ -64,9 +70,9 @@ class ImitationScenario:
 
     Attributes:
         number: Number of the scenario, which seeds its random numbers.
-        object_name: Class of the object.
+        object_name: YCB class name of the object.
         dof: (6,) float32 position xyz (m) and intrinsic XYZ Euler angles (rad) of the object in the world.
-        joints: (7,) arm joints (rad).
+        joints: (7,) positions of the arm joints (rad).
         occluder: (4,) center in the world and radius of the occluding sphere (m); radius 0 for none.
     """
 
@@ -174,7 +180,7 @@ class ImitationScenarios:
 def find_occluded_points(
     points: npt.NDArray[np.float32], hand: Array, camera: Array, occluder: Array
 ) -> npt.NDArray[np.bool_]:
-    """Return which points of a cloud are inside or behind a sphere, (n,).
+    """Return a mask (n,) of the points of a cloud that are inside a sphere or hidden behind it.
 
     Args:
         points: (n, 3) points in the hand link's frame (m).

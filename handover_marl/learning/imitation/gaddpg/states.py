@@ -34,8 +34,8 @@ class ImitationStates:
         n_neighbors: (C,) numbers of points of the groups.
         center_neighbors: (M,) indices of the centers in groups of groups, among the state's centers.
         n_center_neighbors: (C,) numbers of centers of the groups of groups.
-        goals: (S, 7) float32 poses of the hand link at the grasp, in its present frame.
-        remaining: (S,) numbers of remaining decisions.
+        goals: (S, 7) float32 poses of the hand link at the grasp, in the present frame of the hand link.
+        remaining: (S,) numbers of decisions that remain in the approach.
     """
 
     points: npt.NDArray[np.float16]
@@ -75,7 +75,7 @@ def make_state(points: npt.NDArray[np.floating], goal: npt.NDArray[np.floating],
     Args:
         points: (n, 3) distinct points in the hand link's frame, in the network's order, n > 0 (m).
         goal: (7,) pose of the hand link at the grasp in the same frame, quaternion xyzw.
-        remaining: Number of remaining decisions.
+        remaining: Number of decisions that remain in the approach.
     """
     rounded = points.astype(np.float16)
     positions = rounded.astype(np.float32)

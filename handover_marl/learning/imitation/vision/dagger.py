@@ -21,14 +21,14 @@ _OPEN = 0.03
 
 
 class DaggerCollector:
-    """Collector of arm poses in rollouts of the receiver `vision`.
+    """Collector of arm joint positions in rollouts of the receiver `vision`.
 
-    Rollouts run in fast physics with the recorded giver.
+    Rollouts run in fast physics; the giver replays the recording.
 
     Args:
         context: Robot and task.
-        weights: File of a grasp network.
-        wait: Time that the receiver waits (s).
+        weights: Weight file of the receiver's grasp network.
+        wait: Time for which the receiver waits at the start of an episode (s).
 
     Raises:
         HandoverError: The receiver cannot be created.
@@ -39,7 +39,19 @@ class DaggerCollector:
         self._episode = Episode("fast", context.config)
 
     def collect_poses(self, scene: Scene, count: int, rng: np.random.Generator) -> list[tuple[int, Array]]:
-        """Return up to `count` random pairs of a frame and arm joints (7,), ordered by time."""
+        """Return the time and the arm joints at up to `count` random decisions in a rollout.
+
+        Decisions after the gripper has started to close are left out.
+
+        Args:
+            scene: Scene of the rollout.
+            count: Largest number of decisions.
+            rng: Random generator.
+
+        Returns:
+            Pairs of the index of a frame (1 ms) of the recording and the arm joints (7,) (rad), in
+            order of time.
+        """
         recorder = _PoseRecorder()
         self._episode.reset(scene)
         play(self._episode, self._receiver, seed=int(rng.integers(2**31)), callbacks=[recorder])

@@ -23,11 +23,12 @@ class GraspLabelConfig:
     """Configuration of the conversion of grasp costs into qualities.
 
     Attributes:
-        scale: Cost at which the quality is 1/e (s).
-        min_clearance: Clearance to the hand below which the quality is 0 (m).
-        min_quality: Quality below which a grasp is not a target.
-        max_offset_grasps: Largest number of offset grasps next to a hand.
-        receiver: Configuration of the receiver whose costs are used.
+        scale: Cost of a grasp at which its quality is 1/e (s).
+        min_clearance: Clearance of the gripper to the person's hand below which a grasp's quality is
+            0 (m).
+        min_quality: Quality below which a grasp is not a target of the network.
+        max_offset_grasps: Largest number of shifted copies of grasps that are added next to a hand.
+        receiver: Configuration of the receiver `reactive`, whose costs of grasps are used.
     """
 
     scale: float = 3.0
@@ -43,7 +44,7 @@ class LabelledGrasps:
 
     Attributes:
         poses: (n, 7) poses of the hand link.
-        costs: (n,) costs without a hand nearby (s).
+        costs: (n,) costs of the grasps if no hand is nearby (s).
         object_center: (3,) center of the object's bounding box (m).
     """
 
@@ -53,7 +54,7 @@ class LabelledGrasps:
 
 
 class GraspLabeller:
-    """Labeller of the grasps of objects with qualities from 0 to 1.
+    """Labeller that rates the grasps of objects with qualities from 0 (bad) to 1 (good).
 
     Grasps are validated in simulation at first use.
 
@@ -66,7 +67,7 @@ class GraspLabeller:
         self._context, self.config = context, config
 
     def load_grasps(self, object_name: str) -> LabelledGrasps:
-        """Return the grasps of an object class with costs; empty for a class without known grasps.
+        """Return the grasps of an object class and their costs; no grasps if none are known.
 
         Raises:
             DataNotFoundError: Files of the object do not exist.
@@ -77,12 +78,12 @@ class GraspLabeller:
         costs = compute_hold_costs(found.grasps, found.pad_margins, config.selection)
         return LabelledGrasps(found.grasps.poses, costs, found.center)
 
-    def grasps_beside(self, object_name: str, hand: Spheres | None, object_pose: Array) -> LabelledGrasps:
-        """Return an object's grasps, and offset copies that are clear of the person's hand.
+    def load_grasps_near_hand(self, object_name: str, hand: Spheres | None, object_pose: Array) -> LabelledGrasps:
+        """Return an object's grasps, and shifted copies of them that are clear of the person's hand.
 
         Args:
             object_name: Class of the object.
-            hand: Person's hand in the world, or None.
+            hand: Spheres that cover the person's hand in the world; None adds no copies.
             object_pose: (7,) pose of the object in the world, quaternion xyzw.
         """
         known, config = self.load_grasps(object_name), self.config.receiver
@@ -103,7 +104,7 @@ class GraspLabeller:
 
         Args:
             known: Grasps of the object.
-            hand: Person's hand in the world, or None.
+            hand: Spheres that cover the person's hand in the world, or None without a hand.
             object_pose: (7,) pose of the object in the world, quaternion xyzw.
         """
         if hand is None or not len(known.poses):

@@ -24,17 +24,17 @@ class GraspTrainingConfig:
     """Hyperparameters of the training of the grasp network.
 
     Attributes:
-        batch: Number of views per step.
+        batch: Number of views per training step.
         centers: Number of points per view at which grasps are predicted.
         learning_rate: Initial learning rate of AdamW; it decays to 0 as half a cosine.
         decay: Weight decay.
-        grasp: Weight of the loss of the grasps (1/m).
-        quality: Weight of the loss of the grasps' quality.
-        center: Weight of the loss of the object's center (1/m).
-        motion: Weight of the loss of the object's displacement (1/m).
-        roll: Standard deviation of a random rotation about the line of sight (rad).
-        noise: Standard deviation of noise on points (m).
-        clip: Largest norm of the gradient.
+        grasp: Weight of the loss of the predicted grasps (1/m).
+        quality: Weight of the loss of the grasps' predicted quality.
+        center: Weight of the loss of the object's predicted center (1/m).
+        motion: Weight of the loss of the object's predicted displacement (1/m).
+        roll: Standard deviation of the random rotation of each view about the line of sight (rad).
+        noise: Standard deviation of the noise that is added to the coordinates of points (m).
+        clip: Largest norm of the gradient; longer gradients are scaled down.
     """
 
     batch: int = 64
@@ -80,7 +80,7 @@ class LabelledClouds(NamedTuple):
         clouds: Inputs of the network.
         targets: Good grasps.
         object_center: (B, 3) centers of the objects (m).
-        object_motion: (B, 3) displacements of the objects (m).
+        object_motion: (B, 3) displacements of the objects within the prediction time (m).
     """
 
     clouds: PointCloudBatch
@@ -109,7 +109,13 @@ class ViewBatches:
         return len(self._tensors[0])
 
     def select(self, numbers: Tensor, centers: int, generator: torch.Generator) -> LabelledClouds:
-        """Return a batch of the views with given indices (B,), each with random centers."""
+        """Return a batch of the views with given indices, each with random centers.
+
+        Args:
+            numbers: (B,) indices of the views.
+            centers: Number of object points per view at which grasps are predicted.
+            generator: Generator that draws the centers.
+        """
         parts = [tensor[numbers.to(tensor.device)].float() for tensor in self._tensors]
         objects, hands, n_hands, grasps, quality, object_center, velocity, motion = parts
         indices = torch.rand(objects.shape[:2], generator=generator).argsort(dim=1)[:, :centers].to(objects.device)
@@ -141,7 +147,7 @@ class GraspTrainer:
         self._generator = torch.Generator().manual_seed(seed)
 
     def step(self, views: ViewBatches) -> GraspLosses:
-        """Update the network on a random batch of views; return the losses."""
+        """Update the network on a random batch of views; return its losses before the update."""
         config = self.config
         for group in self._optimizer.param_groups:
             group["lr"] = 0.5 * config.learning_rate * (1.0 + math.cos(math.pi * min(1.0, self.done / self._steps)))

@@ -40,23 +40,26 @@ class GraspViewConfig:
     """Distribution and size of the rendered views for the grasp network.
 
     Attributes:
-        objects: Number of points of the object in a view.
-        hands: Largest number of points of the person's hand.
-        grasps: Largest number of grasps in a view; the best ones are kept.
-        min_points: Number of visible object points below which a view is discarded.
-        last: Share of views at the end of a recording, where the object is held still.
-        lying: Share of views before the object is picked up.
-        waiting: Share of views from a camera near the arm's waiting pose.
-        part: Share of views from a camera between waiting pose and grasp.
-        max_distance: Largest distance of a view before a grasp (m).
-        lateral: Standard deviation of the lateral offset at the grasp (m).
-        lateral_slope: Increase of `lateral` with the distance before the grasp (m/m).
-        angle: Standard deviation of the orientation offset at the grasp (rad).
-        angle_slope: Increase of `angle` with the distance before the grasp (rad/m).
-        joints: Standard deviation of every joint at a waiting pose (rad).
-        lifted: Distance from the initial position at which an object counts as picked up (m).
-        velocity_window: Time before a frame over which the velocity is averaged (ms).
-        motion_window: Time after a frame over which the displacement is measured (ms).
+        objects: Number of the object's points that a view stores.
+        hands: Largest number of the person's hand's points that a view stores.
+        grasps: Largest number of good grasps that a view stores, the best ones.
+        min_points: Smallest number of visible object points; views with fewer are discarded.
+        last: Share of views of the last frame of a recording, in which the object is held out.
+        lying: Share of views of frames before the object is picked up.
+        waiting: Share of views for which the arm is near one of its two waiting poses.
+        part: Share of views for which the arm is between a waiting pose and a pose before a grasp;
+            for the rest it is at a random pose before a grasp.
+        max_distance: Largest distance of such a pose from the grasp, back along the hand's z axis (m).
+        lateral: Root mean square of the length of the random displacement that is added to the pose,
+            at distance 0 from the grasp (m).
+        lateral_slope: Increase of `lateral` per metre of distance from the grasp (m/m).
+        angle: Root mean square of the angle of the random rotation that is added to the pose, at
+            distance 0 from the grasp (rad).
+        angle_slope: Increase of `angle` per metre of distance from the grasp (rad/m).
+        joints: Standard deviation of every arm joint near a waiting pose (rad).
+        lifted: Distance from its initial position at which the object counts as picked up (m).
+        velocity_window: Time before a frame over which the object's velocity is averaged (ms).
+        motion_window: Time after a frame for which the object's displacement is stored (ms).
     """
 
     objects: int = 256
@@ -79,13 +82,13 @@ class GraspViewConfig:
 
 
 class GraspViews(NamedTuple):
-    """Arrays of n views, each in the frame of the hand link at which it was rendered.
+    """Arrays of n views, each in the frame of the robot's hand link when it was rendered.
 
     Attributes:
         object_points: (n, N, 3) points of the object, repeated if few are visible (m).
         hand_points: (n, M, 3) points of the person's hand, then zeros (m).
-        n_hand_points: (n,) number of points of the hand.
-        grasps: (n, K, 7) poses of the hand link at grasps, best first, then zeros.
+        n_hand_points: (n,) numbers of points of the person's hand.
+        grasps: (n, K, 7) poses of the robot's hand link at good grasps, best first, then zeros.
         quality: (n, K) qualities of the grasps from 0 to 1, then zeros.
         object_center: (n, 3) centers of the objects (m).
         object_velocity: (n, 3) velocities of the objects (m/s).
@@ -107,7 +110,7 @@ class LabelledFrame:
     """Frame of a recording with the object's grasps and their qualities.
 
     Attributes:
-        frame: Index of the frame.
+        frame: Index of the frame in the recording (1 ms).
         object_pose: (7,) pose of the object in the world.
         known: Known grasps of the object.
         quality: (n,) qualities of the grasps at this frame.
@@ -120,12 +123,12 @@ class LabelledFrame:
 
 
 class ViewRenderer:
-    """Renderer of labelled views of scenes.
+    """Renderer of wrist-camera views of recorded scenes, labelled with good grasps.
 
     Args:
         context: Robot, objects and their known grasps.
         arm: Kinematics of the robot's arm.
-        labels: Grasps of the objects with their qualities.
+        labels: Labeller that rates the grasps of the objects.
         config: Distribution and size of the views.
     """
 
@@ -139,7 +142,7 @@ class ViewRenderer:
         self._context, self._arm, self._labels, self.config = context, arm, labels, config
 
     def render_random(self, scene: Scene, count: int, rng: Rng) -> GraspViews:
-        """Render up to `count` random views of a scene; discard those with few object points.
+        """Return up to `count` random views of a scene; views with few object points are discarded.
 
         Raises:
             SimulationError: A model cannot be loaded.
@@ -151,7 +154,13 @@ class ViewRenderer:
         return self._render(scene, poses, rng)
 
     def render_poses(self, scene: Scene, poses: Iterable[tuple[int, Array]], rng: Rng) -> GraspViews:
-        """Render views of a scene at given pairs of a frame and arm joints (7,) (rad)."""
+        """Return views of a scene at given times, rendered with the arm at given joints.
+
+        Args:
+            scene: Recorded scene.
+            poses: Pairs of the index of a frame (1 ms) and the arm joints (7,) (rad).
+            rng: Random generator that selects the points to keep.
+        """
         known = self._load_grasps(scene)
         return self._render(scene, ((self._label_frame(scene, known, frame), joints) for frame, joints in poses), rng)
 
@@ -173,7 +182,7 @@ class ViewRenderer:
     def _load_grasps(self, scene: Scene) -> LabelledGrasps:
         """Return the grasps of the object, with offset ones for its final pose in the recording."""
         last = scene.n_frames - 1
-        return self._labels.grasps_beside(
+        return self._labels.load_grasps_near_hand(
             scene.info.target_name, read_hand_spheres(scene, last), read_object_pose(scene, last)
         )
 
@@ -255,13 +264,13 @@ class ViewRenderer:
 
 
 def read_object_pose(scene: Scene, frame: int) -> Array:
-    """Return the world pose (7,) of the handed-over object at a frame."""
+    """Return the world pose (7,) of the handed-over object in a frame (1 ms) of a recording."""
     dof = scene.object_dof[frame, 0].astype(np.float64)
     return np.concatenate([dof[:3], Rotation.from_euler("XYZ", dof[3:]).as_quat()])
 
 
 def read_hand_spheres(scene: Scene, frame: int) -> Spheres | None:
-    """Return spheres that cover the recorded hand at a frame in the world, or None without a hand.
+    """Return spheres in the world that cover the recorded hand in a frame; None without a hand.
 
     Raises:
         SimulationError: The model of the hand cannot be read.

@@ -105,7 +105,7 @@ def test_offset_grasps_are_clear_of_the_hand_and_cost_more(labels: GraspLabeller
     last = SCENE.n_frames - 1
     pose, hand = read_object_pose(SCENE, last), read_hand_spheres(SCENE, last)
     known = labels.load_grasps(SCENE.info.target_name)
-    more = labels.grasps_beside(SCENE.info.target_name, hand, pose)
+    more = labels.load_grasps_near_hand(SCENE.info.target_name, hand, pose)
     count, added = len(known.poses), len(more.poses) - len(known.poses)
     assert 0 < added <= labels.config.max_offset_grasps
     np.testing.assert_array_equal(more.poses[:count], known.poses)
