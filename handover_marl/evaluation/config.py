@@ -37,7 +37,7 @@ REPLAY_CHOICES = (REPLAYS_NONE, REPLAYS_FAILED, REPLAYS_ALL)
 #: Fields of `ExecutionConfig` that do not apply to a single scene.
 MULTI_SCENE_FIELDS = ("workers", "backend", "ray_address", "shard", "out", "fresh", "replays")
 
-_SEED_LIMIT = 2**63  # Data sets store seeds with 64 bits.
+_SEED_LIMIT = 2**63
 
 
 @dataclass(frozen=True)
@@ -80,10 +80,8 @@ class EvaluationConfig:
     world_config: WorldConfig = OFFICIAL_CONFIG
 
     def __post_init__(self) -> None:
-        if isinstance(self.seed, bool) or not isinstance(self.seed, Integral) or abs(int(self.seed)) >= _SEED_LIMIT:
-            raise OptionError(f"seed must be an integer of at most 64 bits, got {shorten_text(self.seed)}")
         # Plain values, so that configurations compare, hash and pickle.
-        object.__setattr__(self, "seed", int(self.seed))
+        object.__setattr__(self, "seed", _check_seed(self.seed))
         if self.data_dir is not None:
             object.__setattr__(self, "data_dir", str(check_path("data_dir", self.data_dir)))
         if isinstance(self.scenes, Iterable):
@@ -269,3 +267,10 @@ def _check_no_duplicates(options: dict[str, Any], config_class: type) -> None:
         raise OptionError(
             f"pass either a config or keyword arguments, not both; set {name} in the {config_class.__name__}"
         )
+
+
+def _check_seed(seed: object) -> int:
+    """Return a seed as a plain integer; data sets store it with 64 bits."""
+    if isinstance(seed, bool) or not isinstance(seed, Integral) or abs(int(seed)) >= _SEED_LIMIT:
+        raise OptionError(f"seed must be an integer of at most 64 bits, got {shorten_text(seed)}")
+    return int(seed)

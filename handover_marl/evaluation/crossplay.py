@@ -5,6 +5,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from typing_extensions import Unpack
 
@@ -278,7 +279,7 @@ def _resolve_policies(
     agent: str, policies: Sequence[PolicyLike] | PolicyLike, dataset: Dataset, config: EvaluationConfig, trust: bool
 ) -> list[PolicyReference]:
     """Resolve the policies of one agent, without duplicates, in the given order."""
-    requested = [policies] if isinstance(policies, (str, type, Policy, PolicyReference)) else policies
+    requested: Any = [policies] if isinstance(policies, (str, type, Policy, PolicyReference)) else policies
     if not isinstance(requested, Sequence) or not requested:
         raise OptionError(f"{agent}s must name at least one {agent}, got {policies!r}")
     references: dict[str, PolicyReference] = {}
