@@ -8,6 +8,10 @@ cause of a contact names the robot link nearest to the hand and the phase of the
 object was pushed out of the hand, slipped at the release, or was lost during the retreat. Causes of
 a timeout of `reactive` or `vision` are: no clear grasp, no reachable grasp, a grasp that was not
 reached, or no path to the goal. The phase of other receivers is derived from their finger targets.
+
+In scenes with several objects, the script counts the episodes in which the robot touched an object
+besides the target, or in which the held target touched another object or the table. A failed episode
+counts as lost by touching whenever such a contact came before its end, whatever its cause.
 """
 
 import resource
@@ -84,12 +88,15 @@ class FailureRecorder(EpisodeCallback):
         gripped: Last physics step with both fingers in contact with the object, or None if there
             was none.
         closing: Whether the last targets of the fingers close the gripper.
+        touched_others: Whether the robot touched an object besides the target, or the held target
+            touched another object or the table.
     """
 
     def __init__(self) -> None:
         self.times: list[tuple[float, float]] = []
         self.gripped: int | None = None
         self.closing = False
+        self.touched_others = False
 
     def on_decision(self, episode: Episode, decision: PolicyDecision) -> None:
         self.closing = bool(decision.receiver_action[FINGER] < HALF_OPEN)
@@ -97,8 +104,11 @@ class FailureRecorder(EpisodeCallback):
             self.times.append((decision.planning_time, decision.rendering_time))
 
     def on_step(self, episode: Episode) -> None:
-        if episode.grasped:
+        contacts = episode.contacts
+        if contacts.both_fingers_touch:
             self.gripped = episode.steps
+        is_held_target_touched = contacts.both_fingers_touch and contacts.object_supported
+        self.touched_others |= contacts.robot_touches_others or is_held_target_touched
 
 
 class FailureClassifier:
@@ -161,7 +171,10 @@ class FailureClassifier:
 
 @dataclass(frozen=True, eq=False)
 class FinishedEpisode:
-    """Outcome of an episode with the cause of failure, times (n, 2) (s) and peak memory (MB)."""
+    """Outcome of an episode with the cause of failure, times (n, 2) (s) and peak memory (MB).
+
+    `touched_others` is that of `FailureRecorder`.
+    """
 
     scene: int
     target: str
@@ -170,6 +183,7 @@ class FinishedEpisode:
     cause: str
     times: Array
     memory: float
+    touched_others: bool
 
 
 class SceneRunner:
@@ -190,7 +204,8 @@ class SceneRunner:
         cause = self._causes.classify(episode, recorder)
         memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
         times = np.reshape(recorder.times, (-1, 2))
-        return FinishedEpisode(number, scene.info.target_name, episode.status, episode.steps, cause, times, memory)
+        target, touched = scene.info.target_name, recorder.touched_others
+        return FinishedEpisode(number, target, episode.status, episode.steps, cause, times, memory, touched)
 
 
 def main(args: Args) -> None:
@@ -203,7 +218,8 @@ def main(args: Args) -> None:
     ):
         finished.append(played)
         if args.all or played.status is not EpisodeStatus.SUCCESS:
-            print(f"{played.scene:4d} {played.target:24s} {played.steps:6d} {played.cause}", flush=True)
+            touched = ", touched another object" if played.touched_others else ""
+            print(f"{played.scene:4d} {played.target:24s} {played.steps:6d} {played.cause}{touched}", flush=True)
     count = len(scenes)
     share = sum(1.0 - played.steps / horizon for played in finished if played.status is EpisodeStatus.SUCCESS)
     times = np.concatenate([played.times for played in finished])
@@ -213,6 +229,9 @@ def main(args: Args) -> None:
     )
     causes = Counter(played.cause for played in finished).most_common()
     print(format_table(["cause", "episodes", "%"], [[name, n, f"{100 * n / count:.1f}"] for name, n in causes]))
+    touched = [played for played in finished if played.touched_others]
+    n_lost = sum(played.status is not EpisodeStatus.SUCCESS for played in touched)
+    print(f"touched another object: {len(touched)} episodes, {n_lost} of them failed")
     print(f"AS {100 * share / count:.1f} %; decisions: {format_times(times[:, 0])}")
     if times[:, 1].any():
         memory = max(played.memory for played in finished)

@@ -100,6 +100,8 @@ def run_demonstrate(
         "rgbd",
         "state+full_pointcloud",
         "full_pointcloud",
+        "state+scene_pointcloud",
+        "scene_pointcloud",
     ] = "state",
     keep: Literal["all", "success"] = "all",
     format: Literal["minari", "lerobot"] = "minari",  # noqa: A002 - the name of the option

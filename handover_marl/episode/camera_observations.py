@@ -10,7 +10,14 @@ from gymnasium import spaces
 
 from handover_marl.config import ARM_DOF, PANDA_DOF, TIME_STEP, PhysicsConfig
 from handover_marl.datasets.dataset import Scene
-from handover_marl.episode.spaces import FULL_POINTCLOUD, POINTCLOUD, RGBD, check_obs_mode, get_camera_data
+from handover_marl.episode.spaces import (
+    FULL_POINTCLOUD,
+    POINTCLOUD,
+    RGBD,
+    SCENE_POINTCLOUD,
+    check_obs_mode,
+    get_camera_data,
+)
 from handover_marl.errors import ResetNeededError
 from handover_marl.geometry.arm import ArmKinematics
 from handover_marl.geometry.kinematic_tree import read_tree
@@ -34,8 +41,16 @@ Cloud = npt.NDArray[np.float32]
 #: Points of a subsampled cloud in an observation.
 N_POINTS = 1024
 
-# Random streams of one step: 0 and 1 subsample the clouds of object and hand, 2 is the noise.
+# Clouds of an observation: key, segmentation label, and random stream that subsamples the cloud in a step.
+_CLOUDS = (
+    ("wrist_object_points", SegmentationLabel.TARGET, 0),
+    ("wrist_hand_points", SegmentationLabel.HAND, 1),
+    ("wrist_other_points", SegmentationLabel.OTHER_OBJECT, 3),
+)
+_N_CLOUDS = {POINTCLOUD: 2, FULL_POINTCLOUD: 2, SCENE_POINTCLOUD: 3}
 _NOISE_STREAM = 2
+# Contents of an image; a later one contains the pixels of those before it.
+_TARGETS, _OBJECTS, _WHOLE = range(3)
 
 
 def camera_observation_space(obs_mode: str) -> dict[str, spaces.Space[Any]]:
@@ -46,6 +61,8 @@ def camera_observation_space(obs_mode: str) -> dict[str, spaces.Space[Any]]:
     | pointcloud | wrist_object_points | (1024, 3) float32 | points of the object to be given, hand link's frame, m |
     | pointcloud | wrist_hand_points | (1024, 3) float32 | points of the human hand, hand link's frame, m |
     | pointcloud | wrist_point_counts | (2,) float32 | number of pixels on object and hand |
+    | scene_pointcloud | wrist_other_points | (1024, 3) float32 | points of the other objects, hand link's frame, m |
+    | scene_pointcloud | wrist_point_counts | (3,) float32 | number of pixels on object, hand and other objects |
     | rgbd | wrist_depth | (224, 224, 1) float32 | depth along the viewing axis, m |
     | rgbd | wrist_segmentation | (224, 224, 1) uint8 | values of `SegmentationLabel` |
     | rgbd | wrist_rgb | (224, 224, 3) uint8 | colours |
@@ -54,8 +71,9 @@ def camera_observation_space(obs_mode: str) -> dict[str, spaces.Space[Any]]:
     | full_pointcloud | wrist_point_counts | (2,) float32 | number of pixels on object and hand |
     | full_pointcloud | robot_joint_position_exact | (9,) float64 | robot joints before rounding to float32 |
 
-    Clouds of more than 1024 points are subsampled without replacement, shorter ones padded with zeros; full clouds
-    are padded, too. A camera with latency shows earlier images; their points are in the hand link's present frame.
+    "scene_pointcloud" has the clouds of "pointcloud", too. Clouds of more than 1024 points are subsampled without
+    replacement, shorter ones padded with zeros; full clouds are padded, too. A camera with latency shows earlier
+    images; their points are in the hand link's present frame.
     "full_pointcloud" is for methods that subsample themselves and need unrounded joints, as HandoverSim's scripts for
     GA-DDPG do.
 
@@ -64,10 +82,10 @@ def camera_observation_space(obs_mode: str) -> dict[str, spaces.Space[Any]]:
     """
     check_obs_mode(obs_mode)
     data = get_camera_data(obs_mode)
-    counts = spaces.Box(0.0, float(IMAGE_SIZE * IMAGE_SIZE), (2,), np.float32)
-    if data == POINTCLOUD:
+    counts = spaces.Box(0.0, float(IMAGE_SIZE * IMAGE_SIZE), (_N_CLOUDS.get(data or "", 0),), np.float32)
+    if data in (POINTCLOUD, SCENE_POINTCLOUD):
         cloud = spaces.Box(-np.inf, np.inf, (N_POINTS, 3), np.float32)
-        return {"wrist_object_points": cloud, "wrist_hand_points": cloud, "wrist_point_counts": counts}
+        return {**{key: cloud for key, *_ in _CLOUDS[: _N_CLOUDS[data]]}, "wrist_point_counts": counts}
     if data == FULL_POINTCLOUD:
         whole = spaces.Box(-np.inf, np.inf, (IMAGE_SIZE * IMAGE_SIZE, 3), np.float32)
         joints = spaces.Box(-np.inf, np.inf, (PANDA_DOF,), np.float64)
@@ -176,8 +194,8 @@ class WristCamera:
         self._renderer: str | None = None
         self._ray_camera: RayCamera | None = None
         self._history: deque[JointSnapshot] = deque(maxlen=self._delay + 1)
-        # Last image of all bodies, last image of object and human hand only, each with its step.
-        self._images: dict[bool, tuple[int, CameraImage]] = {}
+        # Last image of each content, with its step.
+        self._images: dict[int, tuple[int, CameraImage]] = {}
 
     def reset(self, scene: Scene, world: World) -> None:
         """Prepare the camera for an episode of a scene; the world must be at the scene's start."""
@@ -200,10 +218,10 @@ class WristCamera:
 
     def capture(self, world: World, steps: int) -> CameraFrame:
         """Return images and point clouds that are available after `steps` physics steps."""
-        image = self._get_image(world, steps, is_whole=True)
+        image = self._get_image(world, steps, _WHOLE)
         # Whole images have colours.
         rgb = np.array(image.rgb, dtype=np.uint8)
-        return CameraFrame(image.depth.copy(), image.segmentation.copy(), rgb, *self._compute_clouds(image, world))
+        return CameraFrame(image.depth.copy(), image.segmentation.copy(), rgb, *self._compute_clouds(image, world, 2))
 
     def observe(self, obs_mode: str, world: World, steps: int) -> dict[str, npt.NDArray[Any]]:
         """Return the camera data of an observation mode; see `camera_observation_space`."""
@@ -217,7 +235,8 @@ class WristCamera:
                 "wrist_segmentation": frame.segmentation[..., None],
                 "wrist_rgb": frame.rgb,
             }
-        clouds = self._compute_clouds(self._get_image(world, steps, is_whole=False), world)
+        content = _OBJECTS if data == SCENE_POINTCLOUD else _TARGETS
+        clouds = self._compute_clouds(self._get_image(world, steps, content), world, _N_CLOUDS[data])
         counts = np.array([len(cloud) for cloud in clouds], dtype=np.float32)
         if data == FULL_POINTCLOUD:
             return {
@@ -226,14 +245,16 @@ class WristCamera:
                 "wrist_point_counts": counts,
                 "robot_joint_position_exact": world.read_joints_float64(),
             }
-        item, hand = (self._subsample(cloud, steps, stream) for stream, cloud in enumerate(clouds))
-        return {"wrist_object_points": item, "wrist_hand_points": hand, "wrist_point_counts": counts}
+        points = {
+            key: self._subsample(cloud, steps, stream) for (key, _, stream), cloud in zip(_CLOUDS, clouds, strict=False)
+        }
+        return {**points, "wrist_point_counts": counts}
 
-    def _compute_clouds(self, image: CameraImage, world: World) -> list[Cloud]:
-        """Compute the point clouds of object and human hand in the robot's hand link frame."""
+    def _compute_clouds(self, image: CameraImage, world: World, count: int) -> list[Cloud]:
+        """Compute the first `count` point clouds of `_CLOUDS` in the robot's hand link frame."""
         clouds = [
             deproject(image.depth, image.compute_mask(label), self._config.camera_model)
-            for label in (SegmentationLabel.TARGET, SegmentationLabel.HAND)
+            for _, label, _ in _CLOUDS[:count]
         ]
         if not self.has_latency or self._scene is None:
             return clouds
@@ -245,23 +266,20 @@ class WristCamera:
         (old_origin, origin), (old_rotation, rotation) = chain.origins[-1].T, np.moveaxis(chain.rotations[-1], -1, 0)
         return [((cloud @ old_rotation.T + old_origin - origin) @ rotation).astype(np.float32) for cloud in clouds]
 
-    def _get_image(self, world: World, steps: int, is_whole: bool) -> CameraImage:
-        """Return the image of this step, rendered if necessary.
-
-        `is_whole` renders all bodies, else only object and human hand; a whole image serves both.
-        """
-        for kind in (True,) if is_whole else (False, True):
+    def _get_image(self, world: World, steps: int, content: int) -> CameraImage:
+        """Return an image of this step with at least some content, rendered if necessary."""
+        for kind in range(content, _WHOLE + 1):
             known = self._images.get(kind)
             if known is not None and known[0] == steps:
                 return known[1]
         # Noise at edges needs the whole image.
-        image = self._render(world, color=is_whole, only_targets=not is_whole and self._noise is None)
+        image = self._render(world, color=content == _WHOLE, content=content if self._noise is None else _WHOLE)
         if self._noise is not None:
             image = apply_camera_noise(image, self._noise, self._rng(steps, _NOISE_STREAM))
-        self._images[is_whole] = (steps, image)
+        self._images[content] = (steps, image)
         return image
 
-    def _render(self, world: World, color: bool, only_targets: bool) -> CameraImage:
+    def _render(self, world: World, color: bool, content: int) -> CameraImage:
         if self._scene is None:
             raise ResetNeededError("the episode has not started; call reset() first")
         if self._renderer is None:
@@ -275,9 +293,9 @@ class WristCamera:
 
             self._ray_camera = RayCamera(self._scene.assets, self._world_config)
         now = at or world.read_joint_snapshot()
-        return (
-            self._ray_camera.render_targets(now) if only_targets else self._ray_camera.render_wrist_camera(now, color)
-        )
+        if content == _WHOLE:
+            return self._ray_camera.render_wrist_camera(now, color)
+        return self._ray_camera.render_targets(now, with_others=content == _OBJECTS)
 
     def _subsample(self, cloud: Cloud, steps: int, stream: int) -> Cloud:
         """Return `N_POINTS` points: a random subset in image order, or all points and zero rows."""

@@ -12,6 +12,7 @@ from handover_marl.geometry.panda import LOWER_LIMITS, UPPER_LIMITS
 
 #: Parts of an observation mode: the simulator's state, and the wrist camera's data.
 STATE, POINTCLOUD, RGBD, FULL_POINTCLOUD = "state", "pointcloud", "rgbd", "full_pointcloud"
+SCENE_POINTCLOUD = "scene_pointcloud"
 #: Observation modes of the receiver, named as in ManiSkill; without "state" only proprioception is left beside the
 #: camera's data, so that a policy cannot use the true poses by accident.
 OBS_MODES = (
@@ -22,6 +23,8 @@ OBS_MODES = (
     RGBD,
     f"{STATE}+{FULL_POINTCLOUD}",
     FULL_POINTCLOUD,
+    f"{STATE}+{SCENE_POINTCLOUD}",
+    SCENE_POINTCLOUD,
 )
 
 #: Components of the giver's action: playback rate (1), wrist displacement (3), wrist rotation (3), release (1).
@@ -43,7 +46,7 @@ def has_state(obs_mode: str) -> bool:
 
 
 def get_camera_data(obs_mode: str) -> str | None:
-    """Return the wrist camera data of an observation mode: "pointcloud", "rgbd", "full_pointcloud", or None."""
+    """Return the wrist camera data of an observation mode, such as "pointcloud" or "rgbd", or None."""
     part = obs_mode.rpartition("+")[2]
     return None if part == STATE else part
 

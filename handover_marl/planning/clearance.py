@@ -6,6 +6,7 @@ penetration depth.
 """
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -71,6 +72,16 @@ class Spheres:
     def in_frame(self, pose: Array) -> "Spheres":
         """Return the spheres in another frame, whose pose (7,) in their present frame is given."""
         return Spheres(inverse_transform_points(pose, self.centers), self.radii)
+
+    def within(self, position: Array, distance: float) -> "Spheres":
+        """Return the spheres with centers within a distance (m) of a position (3,)."""
+        is_near = np.linalg.norm(self.centers - position, axis=1) < distance
+        return Spheres(self.centers[is_near], self.radii[is_near])
+
+    @classmethod
+    def join(cls, parts: Sequence["Spheres"]) -> "Spheres":
+        """Return the spheres of all parts, which have the same frame, as one body."""
+        return cls(np.concatenate([part.centers for part in parts]), np.concatenate([part.radii for part in parts]))
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,6 +33,8 @@ class Contacts(NamedTuple):
             of the task do not use it.
         robot_hand_force: Sum of the normal forces between Panda and human hand (N). The rules of the
             task do not use it.
+        robot_touches_others: Whether the Panda touches an object besides the target. The rules of
+            the task do not use it.
     """
 
     robot_touches_hand: bool = False
@@ -43,6 +45,7 @@ class Contacts(NamedTuple):
     gripper_position: tuple[float, float, float] = (float("inf"),) * 3
     robot_object_force: float = 0.0
     robot_hand_force: float = 0.0
+    robot_touches_others: bool = False
 
     @property
     def both_fingers_touch(self) -> bool:

@@ -165,7 +165,7 @@ def _observed_clouds(episode: Episode, obs_mode: str) -> tuple[Points, Points]:
     observation = episode.observe_camera(obs_mode)
     kind = "cloud" if data == FULL_POINTCLOUD else "points"
     counts = observation["wrist_point_counts"].astype(int)
-    object_count, hand_count = counts
+    object_count, hand_count = counts[:2]
     return (observation[f"wrist_object_{kind}"][:object_count], observation[f"wrist_hand_{kind}"][:hand_count])
 
 

@@ -19,6 +19,8 @@ class GraspSelectorConfig:
         desired_clearance: Desired clearance of the gripper to the person's hand (m).
         clearance_cost: Cost of clearance below `desired_clearance` (s/m).
         min_clearance: Initial minimum clearance of a grasp to the person's hand (m).
+        desired_obstacle_clearance: Desired clearance of the gripper to the other objects (m).
+        obstacle_cost: Cost of clearance below `desired_obstacle_clearance` (s/m).
         clearance_relaxation: Rate at which the minimum clearance decreases while no grasp satisfies
             that clearance (m/s).
         hard_min_clearance: Lower bound of the decreasing minimum clearance (m).
@@ -58,6 +60,8 @@ class GraspSelectorConfig:
     desired_clearance: float = 0.045
     clearance_cost: float = 40.0
     min_clearance: float = 0.008
+    desired_obstacle_clearance: float = 0.02
+    obstacle_cost: float = 100.0
     clearance_relaxation: float = 0.01
     hard_min_clearance: float = 0.002
     unreachable_relaxation: float = 0.3
@@ -236,6 +240,9 @@ class ReactiveConfig:
         limit_padding: Amount by which joint limits are narrowed on each side (rad).
         n_surface_spheres: Number of spheres that approximate an object.
         surface_radius: Radius of the spheres that approximate an object (m).
+        n_obstacle_spheres: Number of spheres that approximate another object.
+        obstacle_radius: Radius of the spheres that approximate another object (m).
+        obstacle_reach: Distance from the robot's base beyond which other objects are ignored (m).
         n_surface_points: Number of random points on an object's surface from which finger contacts
             are computed, in addition to the vertices of the mesh.
         selection: Configuration of grasp selection.
@@ -261,6 +268,9 @@ class ReactiveConfig:
     limit_padding: float = 0.03
     n_surface_spheres: int = 200
     surface_radius: float = 0.01
+    n_obstacle_spheres: int = 80
+    obstacle_radius: float = 0.015
+    obstacle_reach: float = 1.1
     n_surface_points: int = 5000
     selection: GraspSelectorConfig = GraspSelectorConfig()
     offsets: GraspOffsets = field(default_factory=GraspOffsets)

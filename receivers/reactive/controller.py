@@ -116,8 +116,9 @@ class HandoverController:
         if is_released:
             self.phase = ReactivePhase.RETREAT
             held = inverse_transform_points(scene.hand, transform_points(scene.object, self._selector.surface.centers))
+            person, others = scene.person.spheres, scene.obstacles
             self._retreat = RetreatController(
-                motion.arm, motion.servo, self._goal, self._config.retreat, scene.hand, held, scene.person.spheres
+                motion.arm, motion.servo, self._goal, self._config.retreat, scene.hand, held, person, others
             )
             return self._carry(self._retreat)
         since = scene.time - self._phase_start

@@ -78,6 +78,22 @@ def load_graspable_object(
     return GraspableObject(grasps, compute_pad_margins(grasps.poses, points), surface, points, center)
 
 
+@functools.lru_cache(maxsize=64)
+def load_obstacle(context: PolicyContext, object_name: str, config: ReactiveConfig) -> Spheres:
+    """Load few spheres at the surface of an object class, in its own frame; cached.
+
+    Args:
+        context: The robot and the objects.
+        object_name: Object class.
+        config: Configuration of the spheres.
+
+    Raises:
+        SimulationError: The model cannot be loaded.
+    """
+    vertices, faces = read_collision_mesh(context.object_urdf(object_name))
+    return sample_surface_spheres(vertices, faces, config.n_obstacle_spheres, config.obstacle_radius)
+
+
 def find_offset_grasps(item: GraspableObject, hand: Spheres, config: ReactiveConfig) -> tuple[ValidatedGrasps, Array]:
     """Return offset copies of an object's grasps beside a person's hand, and their pad margins (n,).
 

@@ -116,11 +116,13 @@ class MotionController:
         surface: Spheres | None = None,
         leaving: bool = False,
     ) -> Array:
-        """Return the velocity (7,) that keeps clear of the hand, and of a given object surface."""
+        """Return the velocity (7,) that keeps clear of hand, other objects and a given object surface."""
         scene, bodies, config = self.scene, list[MovingBody](), config or self._config
         if surface is not None:
             item = Spheres(transform_points(scene.object, surface.centers), surface.radii)
             bodies.append(MovingBody(item, scene.motion.latest_velocity, config.object_clearance))
+        if scene.obstacles is not None:
+            bodies.append(MovingBody(scene.obstacles, np.zeros(3), config.obstacle_clearance))
         if scene.person.spheres is not None:
             bodies.append(MovingBody(scene.person.spheres, scene.person.velocity, clearance))
         separated = enforce_separation(velocity, self.arm, scene.joints, bodies, config, leaving)

@@ -7,7 +7,7 @@ from handover_marl.policies.policy import Action, PolicyContext
 from handover_marl.receivers.phases import require_reset
 from handover_marl.receivers.reactive.config import ReactiveConfig, apply_risk
 from handover_marl.receivers.reactive.controller import ControllerReceiver
-from handover_marl.receivers.reactive.grasp_contact import load_graspable_object
+from handover_marl.receivers.reactive.grasp_contact import load_graspable_object, load_obstacle
 from handover_marl.receivers.reactive.scene_estimate import PoseSceneEstimate
 
 
@@ -47,7 +47,9 @@ class ReactiveReceiver(ControllerReceiver):
     def reset(self, seed: int | None = None) -> None:
         """Start an episode; the receiver is deterministic."""
         self._object_name = ""
-        self._scene = PoseSceneEstimate(self.arm, self.config)
+        self._scene = PoseSceneEstimate(
+            self.arm, self.config, lambda name: load_obstacle(self.context, name, self.config)
+        )
         self.start_episode(self._scene)
 
     def act(self, observation: Observation) -> Action:

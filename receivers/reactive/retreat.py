@@ -4,11 +4,14 @@ import itertools
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from handover_marl.geometry.poses import IDENTITY, inverse_transform_points, rotate_points
+from handover_marl.config import TABLE_HEIGHT
+from handover_marl.geometry.poses import IDENTITY, inverse_transform_points, rotate_points, transform_points
 from handover_marl.planning.arm_control import ArmInWorld, ArmServo
 from handover_marl.planning.clearance import Spheres, compute_grasp_clearances
+from handover_marl.planning.collision_avoidance import PathObstacles, is_path_clear
 from handover_marl.receivers.reactive.config import RetreatConfig
 from handover_marl.receivers.reactive.reachability import HOME, IK_SEEDS
 
@@ -41,6 +44,7 @@ class RetreatController:
         start: (7,) world pose of the hand link when the person released the object.
         held: (k, 3) points of the object in the hand link's frame (m).
         person: Spheres that approximate the person's hand in the world, or None without a hand.
+        obstacles: Spheres that approximate the other objects in the world, or None without any.
     """
 
     def __init__(
@@ -52,9 +56,10 @@ class RetreatController:
         start: Array,
         held: Array,
         person: Spheres | None,
+        obstacles: Spheres | None = None,
     ) -> None:
         self._arm, self._servo, self._goal, self._config = arm, servo, goal, config
-        self._start, self._held, self._person = start, held, person
+        self._start, self._held, self._person, self._obstacles = start, held, person, obstacles
         self._back = -rotate_points(start[3:], np.array([0.0, 0.0, 1.0]))
         self._blend, self._speed = 0.0, 0.0
         self._end: Array | None = None
@@ -100,10 +105,11 @@ class RetreatController:
         order = np.argsort(times, kind="stable")
         fastest = order[: self._config.max_path_checks]
         clear = [n for n in fastest if times[n] < 0.5 * _UNREACHABLE and self._is_clear_of_arm(joints, ends[n])]
-        for number in clear:
+        beside = [n for n in clear if self._is_clear_of_obstacles(joints, ends[n])] or clear
+        for number in beside:
             if self._is_clear_of_person(joints, ends[number]):
                 return np.asarray(ends[number])
-        return np.asarray(ends[clear[0] if clear else order[0]])
+        return np.asarray(ends[beside[0] if beside else order[0]])
 
     def _solve_ends(self, joints: Array, hand: Array) -> tuple[Array, Array]:
         """Return configurations (n, 7) around the goal, and their costs (n,) by travel time (s)."""
@@ -129,6 +135,17 @@ class RetreatController:
         hands = self._arm.hands(joints + np.array([0.0, *_CHECKED_SHARES])[:, None] * (goal - joints))
         clearances = compute_grasp_clearances(hands, self._person)
         return bool(clearances[1:].min() > min(float(clearances[0]), self._config.desired_clearance))
+
+    def _is_clear_of_obstacles(self, joints: Array, goal: Array) -> bool:
+        """Return whether arm and held object keep clear of the other objects on the straight path."""
+        if self._obstacles is None:
+            return True
+        line, obstacles = joints + _CHECKED_SHARES[:, None] * (goal - joints), self._obstacles
+        if not is_path_clear(self._arm, joints, goal, PathObstacles(obstacles, TABLE_HEIGHT, 0.0)):
+            return False
+        held = np.concatenate([transform_points(hand, self._held) for hand in self._arm.hands(line)])
+        distances, nearest = cKDTree(obstacles.centers).query(held)
+        return bool((distances > obstacles.radii[nearest]).all())
 
     def _is_clear_of_arm(self, joints: Array, goal: Array) -> bool:
         """Return whether gripper and object keep clear of the arm itself on the straight path."""

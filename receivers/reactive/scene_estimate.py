@@ -1,14 +1,17 @@
 """Estimated state of robot, object and person's hand, used by the receiver `reactive`."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
 
 from handover_marl.config import ARM_DOF
 from handover_marl.episode.observations import Observation
+from handover_marl.geometry.poses import transform_points
 from handover_marl.geometry.ycb import CLASS_NAMES
 from handover_marl.planning.arm_control import ArmInWorld
+from handover_marl.planning.clearance import Spheres
 from handover_marl.planning.hand_tracker import HandTracker
 from handover_marl.planning.handover_prediction import HandoverPosePredictor
 from handover_marl.receivers.reactive.config import ReactiveConfig
@@ -32,11 +35,14 @@ class SceneEstimate(ABC):
         object: (7,) world pose of the object that is handed over.
         motion: Motion of the object and its predicted handover pose.
         person: Tracker of the person's hand.
+        obstacles: Spheres that approximate the other objects within reach, in the world, or None
+            without any.
         config: Configuration of the receiver.
     """
 
     def __init__(self, arm: ArmInWorld, config: ReactiveConfig, person: HandTracker) -> None:
         self._arm, self.config = arm, config
+        self.obstacles: Spheres | None = None
         self.time = 0.0
         self.joints, self.fingers = np.zeros(ARM_DOF), np.zeros(2)
         self.hand = self.object = np.zeros(7)
@@ -48,6 +54,11 @@ class SceneEstimate(ABC):
         self.time = round(float(observation["time"][0]), 3)
         self.joints, self.fingers = joints[:ARM_DOF], joints[ARM_DOF:]
         self.hand = self._arm.hand(self.joints)
+
+    def set_obstacles(self, spheres: Spheres) -> None:
+        """Set the other objects to the spheres in the world that are within reach of the arm."""
+        reachable = spheres.within(self._arm.base[:3], self.config.obstacle_reach)
+        self.obstacles = reachable if len(reachable.radii) else None
 
     @abstractmethod
     def has_released(self, closing_since: float) -> bool:
@@ -106,13 +117,16 @@ class PoseSceneEstimate(SceneEstimate):
     Args:
         arm: Kinematics of the arm.
         config: Configuration of the receiver.
+        load_obstacle: Function that returns spheres at the surface of an object class, in the
+            object's frame.
 
     Attributes:
         object_name: Class of the object that is handed over.
     """
 
-    def __init__(self, arm: ArmInWorld, config: ReactiveConfig) -> None:
+    def __init__(self, arm: ArmInWorld, config: ReactiveConfig, load_obstacle: Callable[[str], Spheres]) -> None:
         super().__init__(arm, config, HandTracker())
+        self._load_obstacle = load_obstacle
         self.object_name = ""
         self._is_released = False
 
@@ -124,7 +138,20 @@ class PoseSceneEstimate(SceneEstimate):
         self._is_released = bool(observation["released"][0])
         self.motion.update(self.time, self.object)
         self.person.update(self.time, observation)
+        self._update_obstacles(observation)
 
     def has_released(self, closing_since: float) -> bool:
         """Return whether the observation says that the person has released the object."""
         return self._is_released
+
+    def _update_obstacles(self, observation: Observation) -> None:
+        """Locate the objects besides the first one, which is handed over."""
+        others = np.flatnonzero(observation["object_mask"][1:]) + 1
+        if not len(others):
+            return
+        bodies = []
+        for number in others:
+            surface = self._load_obstacle(CLASS_NAMES[int(observation["object_classes"][number])])
+            pose = observation["object_poses"][number].astype(np.float64)
+            bodies.append(Spheres(transform_points(pose, surface.centers), surface.radii))
+        self.set_obstacles(Spheres.join(bodies))

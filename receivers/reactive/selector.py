@@ -26,6 +26,8 @@ _NO_HAND_CLEARANCE = 0.2  # m
 _FORBIDDEN = 100.0
 # After this many batches of candidates without a reachable one, only every tenth decision searches.
 _MAX_BATCHES, _RARE_SEARCH_PERIOD = 40, 10
+# Largest distance of the gripper, on its approach, from the grasped object's origin (m).
+_GRIPPER_REACH = 0.45
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,6 +128,7 @@ class GraspSelector:
         handover_pose = scene.motion.predict_handover_pose()
         world = compose(handover_pose, self.grasps)
         rough = self._rough_costs(world, self._clearances(scene), scene.time)
+        rough = rough + self._obstacle_costs(world, scene, handover_pose)
         numbers = self._candidates(rough)
         if not len(numbers):
             self._report_failure("no clearance", scene.is_settled, 1.0)
@@ -223,6 +226,18 @@ class GraspSelector:
                 costs[number] += config.failed_cost
         return costs
 
+    def _obstacle_costs(self, world: Array, scene: SceneEstimate, handover_pose: Array) -> Array | float:
+        """Return the costs (n,) in s of the gripper's clearance to the other objects, 0 if none is near."""
+        if scene.obstacles is None:
+            return 0.0
+        near = scene.obstacles.within(handover_pose[:3], _GRIPPER_REACH)
+        if not len(near.radii):
+            return 0.0
+        clearances = compute_grasp_clearances(world, near, self._receiver.approach.standoff)
+        missing = np.maximum(0.0, self._config.desired_obstacle_clearance - clearances)
+        costs: Array = self._config.obstacle_cost * missing
+        return costs
+
     def _candidates(self, costs: Array) -> Indices:
         """Return the cheapest grasps, the next ones while none is reachable, and the selected."""
         order = np.argsort(costs, kind="stable")
@@ -234,16 +249,13 @@ class GraspSelector:
         return numbers
 
     def _bodies(self, scene: SceneEstimate, handover_pose: Array) -> Spheres:
-        """Return object and hand where the object is expected to be held out."""
-        centers, radii, hand = (
-            transform_points(handover_pose, self.surface.centers),
-            self.surface.radii,
-            scene.person.spheres,
-        )
-        if hand is None:
-            return Spheres(centers, radii)
-        moved = transform_points(compose(handover_pose, invert_pose(scene.object)), hand.centers)
-        return Spheres(np.concatenate([centers, moved]), np.concatenate([radii, hand.radii]))
+        """Return object and hand where the object is expected to be held out, and other objects."""
+        hand, obstacles = scene.person.spheres, scene.obstacles
+        bodies = [Spheres(transform_points(handover_pose, self.surface.centers), self.surface.radii)]
+        if hand is not None:
+            moved = transform_points(compose(handover_pose, invert_pose(scene.object)), hand.centers)
+            bodies.append(Spheres(moved, hand.radii))
+        return Spheres.join(bodies if obstacles is None else [*bodies, obstacles])
 
     def _add_path_costs(
         self, costs: Array, standoffs: Array, old: int | None, joints: Array, obstacles: PathObstacles

@@ -92,19 +92,25 @@ class VisionConfig:
     Attributes:
         tracker: Configuration of the tracker of object, hand and grasps.
         search_timeout: Time out of sight after which the object is searched for (s).
+        hidden_timeout: Value of `search_timeout` for an object that was at rest when it was last
+            visible, in scenes with other objects, around which the paths are longer (s).
         finger_rest_distance: Finger motion between two decisions below which fingers are at rest
             (m).
         release_delay: Time for which the fingers rest before the person is assumed to have released
             the object (s).
         release_timeout: Time after the start of closing at which the person is assumed to have
             released the object, provided that the fingers are not fully closed (s).
+        obstacle_voxel_size: Edge length of the voxels that keep one point each of the other objects
+            (m).
     """
 
     tracker: GraspTrackerConfig = field(default_factory=GraspTrackerConfig)
     search_timeout: float = 0.25
+    hidden_timeout: float = 1.5
     finger_rest_distance: float = 0.0004
     release_delay: float = 0.15
     release_timeout: float = 0.5
+    obstacle_voxel_size: float = 0.025
 
 
 def make_vision_reactive_config() -> ReactiveConfig:

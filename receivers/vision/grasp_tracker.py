@@ -34,6 +34,8 @@ class GraspTracker:
             visible.
         selected: (7,) grasp that is tracked, relative to the object's center, or None.
         use_all: Whether the candidates are all predicted grasps and tilted copies of them.
+        lost_timeout: Time without a view of the object after which the tracker is reset at the next
+            view (s).
     """
 
     def __init__(self, predict: GraspPredictor, config: GraspTrackerConfig, seed: int | None) -> None:
@@ -43,6 +45,7 @@ class GraspTracker:
         self.surface = Spheres(np.zeros((1, 3)), np.zeros(1))
         self.hand: Spheres | None = None
         self.use_all = False
+        self.lost_timeout = config.lost_timeout
         self._seen_at = -np.inf
         self.selected: Array | None = None
         self._selected_cost = 0.0
@@ -107,7 +110,7 @@ class GraspTracker:
             self._update_maps(time, link, item, hand)
             self._set_candidates(np.zeros((0, 7)), np.zeros(0), time, config.far_gains)
             return
-        if self.unseen_time(time) > config.lost_timeout:
+        if self.unseen_time(time) > self.lost_timeout:
             self._restart()
         self._seen_at = time
         velocity = Rotation.from_quat(link[3:]).inv().apply(self.position.velocity)

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from handover_marl.assets.shipped import find_vision_weights
 from handover_marl.episode.observations import Observation
-from handover_marl.episode.spaces import POINTCLOUD
+from handover_marl.episode.spaces import SCENE_POINTCLOUD
 from handover_marl.errors import OptionError
 from handover_marl.execution.options import require_modules
 from handover_marl.policies.policy import Action, PolicyContext
@@ -50,7 +50,7 @@ class VisionReceiver(ControllerReceiver):
 
     name = "vision"
     file_options = ("weights",)
-    obs_mode = POINTCLOUD
+    obs_mode = SCENE_POINTCLOUD
 
     def __init__(
         self,

@@ -4,12 +4,15 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.episode.observations import Observation
+from handover_marl.geometry.poses import transform_points
 from handover_marl.planning.arm_control import ArmInWorld
+from handover_marl.planning.clearance import Spheres
 from handover_marl.planning.hand_tracker import HandTracker
 from handover_marl.receivers.reactive.config import ReactiveConfig
 from handover_marl.receivers.reactive.scene_estimate import SceneEstimate
 from handover_marl.receivers.vision.config import VisionConfig
 from handover_marl.receivers.vision.grasp_tracker import GraspTracker
+from handover_marl.receivers.vision.point_map import PointMap
 
 Array = npt.NDArray[np.float64]
 
@@ -69,20 +72,26 @@ class PointCloudSceneEstimate(SceneEstimate):
         self._vision, self.tracker = vision, tracker
         self._last_fingers = np.zeros(2)
         self._closing_since, self._moved_at = -np.inf, np.inf
+        self._search_timeout = vision.search_timeout
+        self._obstacle_map = PointMap(vision.obstacle_voxel_size, np.inf)
 
     def update(self, observation: Observation) -> None:
         """Update robot, object and person's hand from an observation."""
         self.update_robot(observation)
         counts = observation["wrist_point_counts"].astype(int)
-        item, hand = (
-            observation[key][:count].astype(np.float64)
-            for key, count in zip(("wrist_object_points", "wrist_hand_points"), counts, strict=True)
+        item, hand, others = (
+            observation[f"wrist_{name}_points"][:count].astype(np.float64)
+            for name, count in zip(("object", "hand", "other"), counts, strict=True)
         )
         self.tracker.update(self.time, self.hand, item, hand)
         self._person.update_from_tracker(self.tracker)
         if self.tracker.is_initialized:
             self.object = self.tracker.object_pose
             self.motion.update(self.time, self.object)
+        if self.obstacles is not None and self.tracker.unseen_time(self.time) == 0.0:
+            self._set_patience()
+        if len(others):
+            self._update_obstacles(others)
 
     def has_released(self, closing_since: float) -> bool:
         """Return whether the fingers show that the person has released the object.
@@ -102,10 +111,24 @@ class PointCloudSceneEstimate(SceneEstimate):
         is_holding = float(self.fingers.max()) > self.config.approach.empty_finger_position
         return (is_late and is_holding) or self.time - self._moved_at > self._vision.release_delay
 
+    def _set_patience(self) -> None:
+        """Keep the estimate of an object at rest for longer if paths lead around other objects."""
+        vision = self._vision
+        timeouts = vision.search_timeout, vision.tracker.lost_timeout
+        if self.is_settled:
+            timeouts = vision.hidden_timeout, vision.hidden_timeout
+        self._search_timeout, self.tracker.lost_timeout = timeouts
+
+    def _update_obstacles(self, points: Array) -> None:
+        """Add visible points (n, 3) of the other objects, which do not move, in the hand link's frame (m)."""
+        self._obstacle_map.update(self.time, transform_points(self.hand, points), forget=False)
+        centers = self._obstacle_map.points
+        self.set_obstacles(Spheres(centers, np.full(len(centers), self.config.obstacle_radius)))
+
     @property
     def is_lost(self) -> bool:
         """Whether the object has been out of sight for too long and must be searched for."""
-        return self.tracker.unseen_time(self.time) > self._vision.search_timeout
+        return self.tracker.unseen_time(self.time) > self._search_timeout
 
     @property
     def has_dropped(self) -> bool:

@@ -25,6 +25,7 @@ from handover_marl.episode.spaces import (
     OBS_MODES,
     POINTCLOUD,
     RGBD,
+    SCENE_POINTCLOUD,
     STATE,
     check_obs_mode,
     get_camera_data,
@@ -115,6 +116,8 @@ def test_parts_of_observation_modes() -> None:
         (False, RGBD),
         (True, FULL_POINTCLOUD),
         (False, FULL_POINTCLOUD),
+        (True, SCENE_POINTCLOUD),
+        (False, SCENE_POINTCLOUD),
     ]
 
 
@@ -134,6 +137,8 @@ def test_spaces_are_as_documented() -> None:
         "wrist_hand_cloud": ((224 * 224, 3), np.float32),
         "robot_joint_position_exact": ((9,), np.float64),
     }
+    scene = {key: space.shape for key, space in camera_observation_space(SCENE_POINTCLOUD).items()}
+    assert scene == {OBJECT: (1024, 3), HAND: (1024, 3), "wrist_other_points": (1024, 3), COUNTS: (3,)}
     for key, high in ((COUNTS, 224 * 224), ("wrist_segmentation", 5), ("wrist_rgb", 255)):
         space = {**points, **images}[key]
         assert isinstance(space, spaces.Box)
@@ -216,6 +221,23 @@ def test_clouds_are_subsampled_or_padded(world: World, camera: CameraNoise | Non
     assert 50 < count < 1024
     np.testing.assert_array_equal(seen[HAND][:count], view.hand_points)
     assert not seen[HAND][count:].any()
+
+
+@pytest.mark.parametrize("camera", [None, NOISY])
+@pytest.mark.parametrize("renderer", ["rays", "bullet"])
+def test_scene_clouds_have_points_of_other_objects(world: World, camera: CameraNoise | None, renderer: str) -> None:
+    options = {"camera_noise": camera, "renderer": renderer}
+    seen = make_wrist_camera(world, **options).observe(SCENE_POINTCLOUD, world, STEPS)
+    targets = make_wrist_camera(world, **options).observe(POINTCLOUD, world, STEPS)
+    for key in (OBJECT, HAND):
+        np.testing.assert_array_equal(seen[key], targets[key])
+    np.testing.assert_array_equal(seen[COUNTS][:2], targets[COUNTS])
+    view = make_wrist_camera(world, **options).capture(world, STEPS)
+    cloud = deproject(view.depth, view.segmentation == SegmentationLabel.OTHER_OBJECT)
+    count = int(seen[COUNTS][2])
+    assert len(cloud) == count > 20
+    places = places_in(seen["wrist_other_points"][: min(count, 1024)], cloud)
+    assert places == sorted(set(places))
 
 
 @pytest.mark.parametrize("camera", [None, NOISY])

@@ -126,21 +126,29 @@ class BulletWorld(World):
         except pybullet_error as error:
             raise _make_connection_error(error) from error
 
-    def _read_contacts(self, hand: Collection[int], target: ObjectBody | None, supports: Collection[int]) -> Contacts:
+    def _read_contacts(
+        self, hand: Collection[int], target: ObjectBody | None, others: set[int], released: bool
+    ) -> Contacts:
         """Return the contacts of the last step with a normal force above zero.
 
         Args:
             hand: PyBullet body numbers of the human hand.
             target: Target object; None while it is not simulated.
-            supports: PyBullet body numbers of table and other objects; empty before the release.
+            others: PyBullet body numbers of the simulated objects besides the target.
+            released: Whether contacts of the target with table and other objects are read.
         """
         panda = self._loaded_workcell.panda
         touching = [point for point in self._client.getContactPoints(panda.id) if point[_NORMAL_FORCE] > 0.0]
         hand_forces = [point[_NORMAL_FORCE] for point in touching if point[_BODY_B] in hand]
         robot_touches_hand, robot_hand_force = bool(hand_forces), sum(hand_forces)
+        robot_touches_others = any(point[_BODY_B] in others for point in touching)
         points = [] if target is None else [point for point in touching if point[_BODY_B] == target.id]
-        if target is None or not (points or supports):
-            return Contacts(robot_touches_hand=robot_touches_hand, robot_hand_force=robot_hand_force)
+        if target is None or not (points or released):
+            return Contacts(
+                robot_touches_hand=robot_touches_hand,
+                robot_hand_force=robot_hand_force,
+                robot_touches_others=robot_touches_others,
+            )
         left, right = panda.finger_links
         gripper_pose, *finger_poses = panda.read_link_poses([panda.hand_link, left, right])
         x, y, z = gripper_pose[:3].tolist()
@@ -151,11 +159,12 @@ class BulletWorld(World):
                 _select_link_points(left, finger_poses[0], points),
                 _select_link_points(right, finger_poses[1], points),
             ),
-            object_supported=bool(supports) and self._is_supported(target, supports),
+            object_supported=released and self._is_supported(target, {self._loaded_workcell.table_id, *others}),
             object_height=float(target.read_pose()[2]),
             gripper_position=(x, y, z),
             robot_object_force=sum(point[_NORMAL_FORCE] for point in points),
             robot_hand_force=robot_hand_force,
+            robot_touches_others=robot_touches_others,
         )
 
     def _is_supported(self, target: ObjectBody, supports: Collection[int]) -> bool:
@@ -229,8 +238,7 @@ class ExactWorld(BulletWorld):
         Contacts of the target object with table and other objects are read only if `released`.
         """
         hand = () if self._hand is None else (self._hand.id,)
-        supports = {self._loaded_workcell.table_id, *(body.id for body in self._objects[1:])} if released else ()
-        return self._read_contacts(hand, self._objects[0], supports)
+        return self._read_contacts(hand, self._objects[0], {body.id for body in self._objects[1:]}, released)
 
     def read_object_joints(self) -> npt.NDArray[np.float32]:
         """Return the joint positions (n, 6) of n objects: xyz (m), Euler angles (rad), float32."""

@@ -115,11 +115,10 @@ class FastWorld(BulletWorld):
         Contacts of the target object with table and other objects are read only if `released`.
         """
         target, *others = (item.body for item in self._objects)
-        hand = self._loaded_hand.bodies
-        if target is None and not hand:
+        hand, awake = self._loaded_hand.bodies, {other.id for other in others if other is not None}
+        if target is None and not hand and not awake:
             return _NO_CONTACTS
-        supports = {self._loaded_workcell.table_id, *(other.id for other in others if other is not None)}
-        return self._read_contacts(hand, target, supports if released else ())
+        return self._read_contacts(hand, target, awake, released)
 
     def read_object_joints(self) -> npt.NDArray[np.float32]:
         """Return the joint positions (n, 6) of n objects: xyz (m), Euler angles (rad), float32."""

@@ -54,14 +54,20 @@ class RayCamera:
             buffer.add(meshes)
         return buffer.to_image()
 
-    def render_targets(self, now: JointSnapshot) -> CameraImage:
-        """Render the visible pixels of target object and human hand; all others are background."""
+    def render_targets(self, now: JointSnapshot, with_others: bool = False) -> CameraImage:
+        """Render the visible pixels of target object and human hand; all others are background.
+
+        Args:
+            now: Joint positions of all bodies.
+            with_others: Whether to render the other objects, too.
+        """
         buffer = Framebuffer(*self._compute_camera_frame(now))
+        drawn = [*self._pose_targets(now), *(self._pose_others(now) if with_others else [])]
         # Pixels of the object that the hand occludes appear twice, which does no harm.
-        pixels = np.concatenate([buffer.add(meshes) for meshes in self._pose_targets(now)])
+        pixels = np.concatenate([buffer.add(meshes) for meshes in drawn])
         pixels = buffer.remove_below_ground(pixels)
         corners = buffer.compute_frustum_corners(pixels)
-        for meshes in self._pose_occluders(now):
+        for meshes in self._pose_occluders(now, with_others=not with_others):
             pixels = buffer.remove_occluded_by(meshes, pixels, corners)
         return buffer.to_image()
 
@@ -73,6 +79,9 @@ class RayCamera:
         hand = [] if now.hand is None else [self._hand.pose_meshes(now.hand)]
         return [self._target.pose_meshes(now.objects[0]), *hand]
 
-    def _pose_occluders(self, now: JointSnapshot) -> list[PosedMeshes]:
-        others = [body.pose_meshes(joints) for body, joints in zip(self._others, now.objects[1:], strict=True)]
+    def _pose_others(self, now: JointSnapshot) -> list[PosedMeshes]:
+        return [body.pose_meshes(joints) for body, joints in zip(self._others, now.objects[1:], strict=True)]
+
+    def _pose_occluders(self, now: JointSnapshot, with_others: bool = True) -> list[PosedMeshes]:
+        others = self._pose_others(now) if with_others else []
         return [self._panda.pose_meshes(now.robot), *others, self._table.pose_meshes(_NO_JOINTS)]

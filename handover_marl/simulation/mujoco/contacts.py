@@ -41,6 +41,7 @@ def add_contact_sensors(
     fingers: Sequence[str],
     target: str,
     hand: Sequence[str],
+    others: Sequence[str],
     supports: Sequence[str],
 ) -> None:
     """Add sensors to a MuJoCo model for the contacts and poses that the task's rules need.
@@ -52,7 +53,8 @@ def add_contact_sensors(
         fingers: Names of the bodies of the left and the right finger.
         target: Name of the target object's body.
         hand: Names of the human hand's bodies, which collide with the robot only.
-        supports: Names of the bodies that the object can lie on.
+        others: Names of the bodies of the objects besides the target.
+        supports: Names of further bodies that the target can lie on.
     """
 
     def add(name: str, first: tuple[int, str], second: str | None, fields: int, slots: int) -> None:
@@ -68,7 +70,9 @@ def add_contact_sensors(
     add("touch/robot", (subtree, robot), target, _FORCE, _ROBOT_SLOTS)
     for number, name in enumerate(hand):
         add(f"touch/hand{number}", (body, name), None, _FORCE, _HAND_SLOTS)
-    for number, name in enumerate(supports):
+    for number, name in enumerate(others):
+        add(f"touch/other{number}", (subtree, robot), name, _FORCE, 1)
+    for number, name in enumerate((*supports, *others)):
         add(f"touch/support{number}", (body, name), target, _FORCE, 1)
 
     def add_frame(name: str, of: str, axes: Sequence["mujoco.mjtSensor"]) -> None:
@@ -87,11 +91,13 @@ class ContactReadings(NamedTuple):
     Attributes:
         robot_touches_hand: Whether the robot touches the hand, (...).
         robot_object_force: Sum of the normal forces between robot and target object (N), (...).
+        robot_touches_others: Whether the robot touches an object besides the target, (...).
         object_supported: Whether the target object touches the table or another object, (...).
     """
 
     robot_touches_hand: npt.NDArray[np.bool_]
     robot_object_force: Array
+    robot_touches_others: npt.NDArray[np.bool_]
     object_supported: npt.NDArray[np.bool_]
 
 
@@ -112,9 +118,8 @@ class ContactSensors:
 
         def list_columns(prefix: str) -> npt.NDArray[np.int_]:
             found = [number for number, name in enumerate(names) if name.startswith(prefix)]
-            return np.concatenate(
-                [model.sensor_adr[number] + np.arange(model.sensor_dim[number]) for number in found]
-            ).astype(np.int_)
+            columns = [model.sensor_adr[number] + np.arange(model.sensor_dim[number]) for number in found]
+            return np.concatenate(columns or [[]]).astype(np.int_)
 
         # A contact is force (3, the normal first), distance, position (3) and normal (3) from
         # finger to object.
@@ -122,8 +127,8 @@ class ContactSensors:
         self._forces, self._distances = points[..., 0], points[..., 3]
         self._positions, self._normals = points[..., 4:7], points[..., 7:10]
         # A force has three components, the normal first.
-        self._robot, self._hand, self._supports = (
-            list_columns(f"touch/{name}")[::3] for name in ("robot", "hand", "support")
+        self._robot, self._hand, self._others, self._supports = (
+            list_columns(f"touch/{name}")[::3] for name in ("robot", "hand", "other", "support")
         )
         self._gripper = list_columns("frame/gripper")
         self._frames = np.stack([list_columns("frame/left"), list_columns("frame/right")])
@@ -139,6 +144,7 @@ class ContactSensors:
         return ContactReadings(
             robot_touches_hand=data[..., self._hand].max(axis=-1) > 0.0,
             robot_object_force=force,
+            robot_touches_others=(data[..., self._others] > 0.0).any(axis=-1),
             object_supported=data[..., self._supports].max(axis=-1) > 0.0,
         )
 
@@ -223,6 +229,7 @@ class SensorReadings:
             gripper_position=(x, y, z),
             robot_object_force=force,
             robot_hand_force=sensors.read_hand_force(data) if readings.robot_touches_hand else 0.0,
+            robot_touches_others=bool(readings.robot_touches_others),
         )
 
     def compute_contact_batch(self, config: ProtocolConfig) -> ContactBatch:

@@ -133,8 +133,8 @@ class SceneModelBuilder:
             self._add_object(number, urdf)
         self.hand_links = self._add_hand(hand)
         hands = [hand_name(number) for number in range(len(self.hand_links))]
-        supports = [TABLE, *(object_name(number) for number in range(1, len(objects)))]
-        add_contact_sensors(self.spec, ROBOT_BASE, HAND_LINK, FINGER_LINKS, object_name(0), hands, supports)
+        target, *others = (object_name(number) for number in range(len(objects)))
+        add_contact_sensors(self.spec, ROBOT_BASE, HAND_LINK, FINGER_LINKS, target, hands, others, [TABLE])
 
     def _add_ground(self) -> None:
         ground = self.spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 1.0])

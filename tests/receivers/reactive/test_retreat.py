@@ -7,7 +7,7 @@ import pytest
 
 from handover_marl.config import ProtocolConfig
 from handover_marl.geometry.panda import LOWER_LIMITS, UPPER_LIMITS
-from handover_marl.geometry.poses import rotate_points
+from handover_marl.geometry.poses import compose, rotate_points
 from handover_marl.planning.arm_control import ArmInWorld, ArmServo
 from handover_marl.planning.clearance import Spheres, compute_grasp_clearances
 from handover_marl.receivers.reactive.config import ReactiveConfig, RetreatConfig
@@ -24,13 +24,16 @@ START = HOME + np.array([0.6, 0.5, 0.0, 0.4, 0.0, 0.0, 0.0])
 
 
 def simulate_retreat(
-    person: Spheres | None = None, config: RetreatConfig | None = None, seconds: float = 2.5
+    person: Spheres | None = None,
+    config: RetreatConfig | None = None,
+    seconds: float = 2.5,
+    obstacles: Spheres | None = None,
 ) -> np.ndarray:
     """Return the hand poses (n, 7) of a retreat with ideal motors."""
     arm, servo = ArmInWorld(ARM, BASE, LIMITS), ArmServo(ReactiveConfig().servo, 0.01, 0.05, 0.001)
     joints = START.copy()
     held = np.array([[0.0, 0.0, 0.1]])
-    retreat = RetreatController(arm, servo, GOAL, config or RetreatConfig(), arm.hand(joints), held, person)
+    retreat = RetreatController(arm, servo, GOAL, config or RetreatConfig(), arm.hand(joints), held, person, obstacles)
     hands = [arm.hand(joints)]
     for step in range(round(seconds / PERIOD)):
         velocity = servo.limit_speed(retreat.compute_velocity(PERIOD * step, joints, hands[-1]))
@@ -63,4 +66,15 @@ def test_path_is_clear_of_the_hand(offset: tuple[float, float, float]) -> None:
     assert compute_grasp_clearances(free, person).min() < RetreatConfig().desired_clearance
     other = simulate_retreat(person)
     assert compute_grasp_clearances(other, person).min() > RetreatConfig().desired_clearance
+    assert np.linalg.norm(other[-1, :3] - GOAL) < ProtocolConfig().goal_radius
+
+
+def test_held_object_keeps_clear_of_other_objects() -> None:
+    free = simulate_retreat()
+    tip = np.array([0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0])
+    path = compose(free, tip)[:, :3]
+    obstacles = Spheres(path[len(path) // 4][None], np.array([0.05]))
+    assert np.linalg.norm(path - obstacles.centers, axis=1).min() < 0.01
+    other = simulate_retreat(obstacles=obstacles)
+    assert np.linalg.norm(compose(other, tip)[:, :3] - obstacles.centers, axis=1).min() > 0.05
     assert np.linalg.norm(other[-1, :3] - GOAL) < ProtocolConfig().goal_radius

@@ -42,6 +42,7 @@ ALLOWED = {
     "gripper_pose",
     "wrist_object_points",
     "wrist_hand_points",
+    "wrist_other_points",
     "wrist_point_counts",
 }
 

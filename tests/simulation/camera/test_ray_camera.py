@@ -255,6 +255,10 @@ def assert_targets_equal_the_whole_image(rays: RayCamera, now: JointSnapshot) ->
     wanted = whole.compute_mask(SegmentationLabel.TARGET) | whole.compute_mask(SegmentationLabel.HAND)
     np.testing.assert_array_equal(part.segmentation, np.where(wanted, whole.segmentation, 0))
     np.testing.assert_array_equal(part.depth, np.where(wanted, whole.depth, EMPTY_DEPTH))
+    objects = rays.render_targets(now, with_others=True)
+    wanted |= whole.compute_mask(SegmentationLabel.OTHER_OBJECT)
+    np.testing.assert_array_equal(objects.segmentation, np.where(wanted, whole.segmentation, 0))
+    np.testing.assert_array_equal(objects.depth, np.where(wanted, whole.depth, EMPTY_DEPTH))
     return part
 
 

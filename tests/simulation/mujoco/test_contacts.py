@@ -93,6 +93,22 @@ def test_many_worlds_are_read_like_one(scene: SceneModel) -> None:
     np.testing.assert_array_equal(points[0], scene.contact_sensors.compute_finger_points(rows[0], origins[0], turns[0]))
 
 
+def test_other_objects_are_sensed(scene: SceneModel) -> None:
+    data = mujoco.MjData(scene.model)
+    data.qpos[scene.robot_qpos] = data.ctrl[scene.robot_ctrl] = WAITING_JOINTS
+    data.mocap_pos[scene.hand] = NOWHERE
+    places = [scene.object_qpos.start + 7 * number for number in range(len(scene.objects))]
+    for number, place in enumerate(places):
+        data.qpos[place : place + 3] = (5.0, float(number), 1.0)
+    mujoco.mj_step(scene.model, data)
+    assert not scene.contact_sensors.read_contacts(data.sensordata).robot_touches_others
+    data.qpos[places[-1] : places[-1] + 3] = data.xpos[scene.gripper]
+    mujoco.mj_step(scene.model, data)
+    readings = scene.contact_sensors.read_contacts(data.sensordata)
+    assert readings.robot_touches_others
+    assert readings.robot_object_force == 0.0
+
+
 def test_the_hand_is_sensed(scene: SceneModel) -> None:
     data = mujoco.MjData(scene.model)
     data.qpos[scene.robot_qpos] = data.ctrl[scene.robot_ctrl] = WAITING_JOINTS
