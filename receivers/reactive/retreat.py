@@ -7,11 +7,14 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from handover_marl.config import TABLE_HEIGHT
 from handover_marl.geometry.poses import IDENTITY, inverse_transform_points, rotate_points, transform_points
 from handover_marl.planning.arm_control import ArmInWorld, ArmServo
-from handover_marl.planning.clearance import Spheres, compute_grasp_clearances
-from handover_marl.planning.collision_avoidance import PathObstacles, is_path_clear
+from handover_marl.planning.clearance import (
+    Spheres,
+    compute_arm_clearances,
+    compute_grasp_clearances,
+    compute_open_gripper_clearances,
+)
 from handover_marl.receivers.reactive.config import RetreatConfig
 from handover_marl.receivers.reactive.reachability import HOME, IK_SEEDS
 
@@ -24,6 +27,8 @@ _DIRECTIONS = np.array(
 _ROTATION_SHARES = (0.0, 0.25, 0.5, 1.0)
 # Shares of the path at which clearances are checked.
 _CHECKED_SHARES = np.array([0.35, 0.7, 1.0])
+# The same for other objects, which may be narrow.
+_OBSTACLE_SHARES = np.linspace(0.1, 1.0, 10)
 # Radii of column, upper arm and forearm, the lines between base, shoulder, elbow and wrist (m).
 _LINK_RADII = np.array([0.1, 0.09, 0.075])
 _SPHERES_PER_LINK = 6
@@ -140,10 +145,12 @@ class RetreatController:
         """Return whether arm and held object keep clear of the other objects on the straight path."""
         if self._obstacles is None:
             return True
-        line, obstacles = joints + _CHECKED_SHARES[:, None] * (goal - joints), self._obstacles
-        if not is_path_clear(self._arm, joints, goal, PathObstacles(obstacles, TABLE_HEIGHT, 0.0)):
+        line, obstacles = joints + _OBSTACLE_SHARES[:, None] * (goal - joints), self._obstacles
+        hands = self._arm.hands(line)
+        arm = compute_arm_clearances(self._arm, line, obstacles)
+        if min(arm.min(), compute_open_gripper_clearances(hands, obstacles).min()) < 0.0:
             return False
-        held = np.concatenate([transform_points(hand, self._held) for hand in self._arm.hands(line)])
+        held = np.concatenate([transform_points(hand, self._held) for hand in hands])
         distances, nearest = cKDTree(obstacles.centers).query(held)
         return bool((distances > obstacles.radii[nearest]).all())
 

@@ -21,7 +21,7 @@ from tests.receivers.quick import QUICK_PREPARATION, observe_handover
 DATA = SyntheticDataset()
 CONTEXT = make_policy_context(DATA)
 CONFIG = ReactiveConfig(preparation=QUICK_PREPARATION)
-SCENE, TIMES = 5, np.arange(2.0, 3.0, 0.05)
+SCENE, TIMES = 5, np.arange(2.0, 2.6, 0.05)
 FAR_AWAY = np.array([5.0, 5.0, 5.0, 0.0, 0.0, 0.0, 1.0], dtype=np.float32)
 
 
@@ -61,7 +61,7 @@ def remove_others(observation: Observation) -> Observation:
 
 
 def act(receiver: ReactiveReceiver, observation: Observation) -> np.ndarray:
-    """Return the actions for an observation that stays the same for a second."""
+    """Return the actions for an observation that stays the same for some time."""
     times = (np.array([time], dtype=np.float32) for time in TIMES)
     return np.array([receiver.act({**observation, "time": time}) for time in times])
 
@@ -70,10 +70,10 @@ def test_other_objects_are_located(handover_observation: Observation) -> None:
     obstacles = make_estimate(handover_observation).obstacles
     assert obstacles is not None
     n_others = int(handover_observation["object_mask"].sum()) - 1
-    assert len(obstacles.radii) == n_others * CONFIG.n_obstacle_spheres
-    nearest = np.linalg.norm(obstacles.centers[:, None] - handover_observation["object_poses"][1:, :3], axis=-1)
-    assert nearest.min(axis=1).max() < 0.2
-    assert set(nearest.argmin(axis=1)) == set(range(n_others))
+    assert (n_others - 1) * CONFIG.n_obstacle_spheres < len(obstacles.radii) <= n_others * CONFIG.n_obstacle_spheres
+    distances = np.linalg.norm(obstacles.centers[:, None] - handover_observation["object_poses"][1:, :3], axis=-1)
+    assert distances.min(axis=1).max() < 0.2
+    assert set(distances.argmin(axis=1)) == set(range(n_others))
 
 
 def test_objects_that_are_absent_or_out_of_reach_change_nothing(handover_observation: Observation) -> None:

@@ -65,7 +65,7 @@ def test_visible_points_of_other_objects_are_kept() -> None:
 
 def test_points_out_of_reach_are_no_obstacles() -> None:
     estimate = make_estimate()
-    estimate.update(observe(0.0, OBJECT, OTHERS + [3.0, 0.0, 0.0]))
+    estimate.update(observe(0.0, OBJECT, OTHERS + np.array([3.0, 0.0, 0.0])))
     assert estimate.obstacles is None
 
 
