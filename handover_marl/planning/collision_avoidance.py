@@ -57,6 +57,7 @@ class SeparationConfig:
         object_clearance: Minimum clearance to the object on the way to a standoff pose (m).
         grasp_hand_clearance: Minimum clearance to the person's hand during the final approach (m).
         obstacle_clearance: Minimum clearance to the other objects (m).
+        grasp_obstacle_clearance: Minimum clearance to the other objects during the final approach (m).
         table_clearance: Minimum clearance above the table (m).
         time_constant: Shortest time in which the robot may use up the clearance beyond the minimum (s).
         approach_time_constant: Value of `time_constant` during the final approach to a grasp (s).
@@ -72,6 +73,7 @@ class SeparationConfig:
     object_clearance: float = 0.015
     grasp_hand_clearance: float = 0.003
     obstacle_clearance: float = 0.01
+    grasp_obstacle_clearance: float = 0.0
     table_clearance: float = 0.01
     time_constant: float = 0.15
     approach_time_constant: float = 0.05

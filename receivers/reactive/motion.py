@@ -70,13 +70,17 @@ class MotionController:
     def approach(self, velocity: Array) -> Action:
         """Return the action for the final approach with open fingers, clear of the person's hand.
 
-        The required clearance to the hand is smaller than on the way to the standoff, and none is
+        The required clearances to the hand and to other objects are smaller than on the way to the standoff, and none is
         required to the object.
 
         Args:
             velocity: (7,) wanted joint velocities (rad/s).
         """
-        config = replace(self._config, time_constant=self._config.approach_time_constant)
+        config = replace(
+            self._config,
+            time_constant=self._config.approach_time_constant,
+            obstacle_clearance=self._config.grasp_obstacle_clearance,
+        )
         return self.move_open(self._separate(velocity, config.grasp_hand_clearance, config))
 
     def carry(self, velocity: Array) -> Action:
