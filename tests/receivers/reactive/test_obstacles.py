@@ -115,7 +115,7 @@ def test_robot_slows_down_before_other_objects(handover_observation: Observation
         return float(ahead @ (receiver.arm.jacobian(estimate.joints)[:3] @ receiver.servo.velocity))
 
     free = speed_ahead()
-    tips = transform_points(estimate.hand, np.array([[0.0, 0.05, 0.15], [0.0, -0.05, 0.15]]))
+    tips = transform_points(estimate.hand, np.array([[0.0, 0.05, 0.135], [0.0, -0.05, 0.135]]))
     estimate.set_obstacles(Spheres(tips, np.full(2, 0.015)))
     assert free > 0.2
     assert speed_ahead() < 0.5 * free
