@@ -70,8 +70,8 @@ class MotionController:
     def approach(self, velocity: Array) -> Action:
         """Return the action for the final approach with open fingers, clear of the person's hand.
 
-        The required clearances to the hand and to other objects are smaller than on the way to the standoff, and none is
-        required to the object.
+        The required clearances to the hand and to other objects are smaller than on the way to the
+        standoff, and none is required to the object.
 
         Args:
             velocity: (7,) wanted joint velocities (rad/s).
