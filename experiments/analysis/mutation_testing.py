@@ -9,6 +9,7 @@ tests pass. The output folder gets a table and the differences of the survivors.
 """
 
 import ast
+import importlib.util
 import os
 import random
 import shlex
@@ -25,7 +26,6 @@ from tqdm import tqdm
 from handover_marl.errors import OptionError
 from handover_marl.evaluation.reports.tables import format_percent_rate, format_table
 from handover_marl.execution.files import write_atomically
-from handover_marl.execution.options import require_modules
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 #: Unit tests of each module.
@@ -126,11 +126,13 @@ def measure_modules(args: Args) -> Iterator[ModuleResult]:
 
 def main(args: Args) -> None:
     """Test the mutants and write the table and the survivors."""
-    require_modules("mutation testing", "cosmic-ray", "cosmic_ray")
+    if importlib.util.find_spec("cosmic_ray") is None:
+        raise SystemExit("mutation testing needs Cosmic Ray: pip install cosmic-ray")
     unknown = set(args.modules) - set(TESTS)
     if unknown:
         raise SystemExit(f"modules must be of {', '.join(TESTS)}; got {', '.join(sorted(unknown))}")
     out = args.out.resolve()
+    out.mkdir(parents=True, exist_ok=True)
     results = []
     for result in measure_modules(args):
         results.append(result)
