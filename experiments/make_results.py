@@ -33,6 +33,8 @@ HEADER = (
     "n episodes",
     "success %",
     "exec s",
+    "plan s",
+    "total s",
     "contact %",
     "drop %",
     "timeout %",
@@ -75,6 +77,7 @@ class Evaluation:
         as_percent: Average success (AS): mean over all episodes of 1 - t / 13 s for a success at
             time t and 0 for a failure, in percent.
         version: Version of the library.
+        plan_s: Mean wall-clock time of the policy in successes (s), or None if it was not stored.
     """
 
     receiver: str
@@ -90,6 +93,7 @@ class Evaluation:
     exec_s: float
     as_percent: float
     version: str
+    plan_s: float | None = None
 
     @property
     def key(self) -> tuple[str, str, str, str, float]:
@@ -134,6 +138,7 @@ def evaluation_of(folder: Path) -> Evaluation:
         exec_s=round(float(report.time_exec or 0.0), 3),
         as_percent=round(100 * report.average_success, 1),
         version=metadata.version,
+        plan_s=round(float(report.time_plan or 0.0), 3),
     )
 
 
@@ -148,14 +153,17 @@ def own_row(evaluation: Evaluation) -> list[str]:
     rates = [evaluation.percent(name) for name in ("success", "contact", "drop", "timeout")]
     start = [f"`{evaluation.receiver}`", evaluation.setup, f"{evaluation.wait_s:g}", str(evaluation.episodes)]
     end = [f"{evaluation.as_percent:.1f}", evaluation.version]
-    return [*start, rates[0], f"{evaluation.exec_s:.3f}", *rates[1:], *end]
+    plan_s = evaluation.plan_s
+    planning = ["", ""] if plan_s is None else [f"{plan_s:.3f}", f"{evaluation.exec_s + plan_s:.3f}"]
+    return [*start, rates[0], f"{evaluation.exec_s:.3f}", *planning, *rates[1:], *end]
 
 
 def published_row(row: PublishedResult, setup: str, episodes: int) -> list[str]:
     """Return the cells of the table row of a published result."""
     cells = [f"{value:.2f}" for value in (row.contact, row.drop, row.timeout)]
     start = [f"published: {row.method}", setup, f"{row.wait_s:g}", str(episodes), f"{row.success:.2f}"]
-    return [*start, f"{row.time_exec:.3f}", *cells, f"{row.average_success:.1f}", ""]
+    times = [f"{value:.3f}" for value in (row.time_exec, row.time_plan, row.time_total)]
+    return [*start, *times, *cells, f"{row.average_success:.1f}", ""]
 
 
 def table(evaluations: list[Evaluation], receivers: tuple[str, ...], dataset: str = "dexycb") -> str:
