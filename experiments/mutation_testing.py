@@ -1,7 +1,7 @@
 """Measure which share of small changes of the code the tests detect (mutation testing).
 
     pip install cosmic-ray
-    python experiments/analysis/mutation_testing.py --sample 100 --out runs/mutants
+    python experiments/mutation_testing.py --sample 100 --out runs/mutants
 
 Every mutant is one change by Cosmic Ray, such as another operator, comparison or number. It is
 tested with the unit tests of its module in a copy of the repository. A mutant survives if these
@@ -27,7 +27,7 @@ from handover_marl.errors import OptionError
 from handover_marl.evaluation.reports.tables import format_percent_rate, format_table
 from handover_marl.execution.files import write_atomically
 
-REPOSITORY = Path(__file__).resolve().parents[2]
+REPOSITORY = Path(__file__).resolve().parents[1]
 #: Unit tests of each module.
 TESTS = {
     "handover_marl/episode/referee.py": ("tests/episode/test_protocol.py",),
