@@ -46,12 +46,12 @@ _SCENE = 209
 
 @dataclass
 class TouchedCode:
-    """Library code executed while a profiler was active.
+    """Library code that was executed while a `Profiler` was active.
 
     Attributes:
-        files: Paths of the files with an executed function.
-        classes: Pairs of file and name of the classes with an executed method.
-        deepest: Functions on the deepest call stack, outermost first.
+        files: Paths of the library's files with at least one executed function.
+        classes: Pairs of file and class name of the classes with at least one executed method.
+        deepest: Names of the library functions on the deepest call stack, outermost first.
     """
 
     files: set[str] = field(default_factory=set)
@@ -103,7 +103,7 @@ class Profiler:
 
 
 def get_class_name(code: CodeType) -> str:
-    """Return the class whose method a code object is, or an empty string for other functions."""
+    """Return the name of the class whose method a code object is; empty for other functions."""
     names = code.co_qualname.split(".")
     owners = [name for name in names[:-1] if name.lstrip("_")[:1].isupper()]
     return owners[-1] if owners else ""
@@ -136,7 +136,11 @@ class _StepProfiler(EpisodeCallback):
 
 
 def count_step(physics: str) -> TouchedCode:
-    """Return the library code that one physics step executes, with contacts and referee."""
+    """Return the library code that one physics step executes, including contacts and referee.
+
+    Args:
+        physics: Physics engine: exact, fast or mujoco.
+    """
     dataset = open_dataset("synthetic")
     episode, profiler = Episode(physics), _StepProfiler()
     receiver = parse_policy("receiver", "yang2021").resolve(dataset).make(dataset)

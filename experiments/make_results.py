@@ -60,7 +60,7 @@ class Args:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """A receiver on a test split with the giver `replay` in exact physics.
+    """Evaluation of a receiver on a test split with the giver `replay` in exact physics.
 
     Attributes:
         receiver: Name of the receiver.
@@ -97,11 +97,15 @@ class Evaluation:
 
     @property
     def key(self) -> tuple[str, str, str, str, float]:
-        """Fields that identify an evaluation."""
+        """Receiver, dataset, setup, split and waiting time, which identify an evaluation."""
         return self.receiver, self.dataset, self.setup, self.split, self.wait_s
 
-    def percent(self, name: str) -> str:
-        """Return the rate of the outcome `name` in percent with its 95 % Wilson interval."""
+    def format_rate(self, name: str) -> str:
+        """Return the rate of an outcome with its 95 % Wilson interval (%), as text.
+
+        Args:
+            name: Field with the number of episodes: success, contact, drop or timeout.
+        """
         count = getattr(self, name)
         low, high = compute_wilson_interval(count, self.episodes)
         return f"{100 * count / self.episodes:.2f} ({100 * low:.1f} to {100 * high:.1f})"
@@ -112,7 +116,7 @@ def read_evaluations() -> list[Evaluation]:
     return [Evaluation(**entry) for entry in json.loads((DATA / "evaluations.json").read_text())]
 
 
-def evaluation_of(folder: Path) -> Evaluation:
+def read_evaluation(folder: Path) -> Evaluation:
     """Return the evaluation whose results are stored in a result folder.
 
     Raises:
@@ -142,15 +146,15 @@ def evaluation_of(folder: Path) -> Evaluation:
     )
 
 
-def store(evaluations: Iterable[Evaluation]) -> None:
-    """Add or replace evaluations in `evaluations.json`; new ones are appended."""
+def write_evaluations(evaluations: Iterable[Evaluation]) -> None:
+    """Write evaluations to `evaluations.json`, in place of its present content."""
     text = json.dumps([asdict(evaluation) for evaluation in evaluations], indent=1)
     (DATA / "evaluations.json").write_text(f"{text}\n")
 
 
-def own_row(evaluation: Evaluation) -> list[str]:
-    """Return the cells of the table row of an evaluation with this library."""
-    rates = [evaluation.percent(name) for name in ("success", "contact", "drop", "timeout")]
+def format_row(evaluation: Evaluation) -> list[str]:
+    """Return the cells of the table row of an evaluation that was made with this library."""
+    rates = [evaluation.format_rate(name) for name in ("success", "contact", "drop", "timeout")]
     start = [f"`{evaluation.receiver}`", evaluation.setup, f"{evaluation.wait_s:g}", str(evaluation.episodes)]
     end = [f"{evaluation.as_percent:.1f}", evaluation.version]
     plan_s = evaluation.plan_s
@@ -158,24 +162,36 @@ def own_row(evaluation: Evaluation) -> list[str]:
     return [*start, rates[0], f"{evaluation.exec_s:.3f}", *planning, *rates[1:], *end]
 
 
-def published_row(row: PublishedResult, setup: str, episodes: int) -> list[str]:
-    """Return the cells of the table row of a published result."""
+def format_published_row(row: PublishedResult, setup: str, episodes: int) -> list[str]:
+    """Return the cells of the table row of a published result.
+
+    Args:
+        row: Published result.
+        setup: Official setup of the result.
+        episodes: Number of episodes of the test split.
+    """
     cells = [f"{value:.2f}" for value in (row.contact, row.drop, row.timeout)]
     start = [f"published: {row.method}", setup, f"{row.wait_s:g}", str(episodes), f"{row.success:.2f}"]
     times = [f"{value:.3f}" for value in (row.time_exec, row.time_plan, row.time_total)]
     return [*start, *times, *cells, f"{row.average_success:.1f}", ""]
 
 
-def table(evaluations: list[Evaluation], receivers: tuple[str, ...], dataset: str = "dexycb") -> str:
-    """Return a Markdown table of receivers by setup, with the published results of each setup."""
+def make_setup_table(evaluations: list[Evaluation], receivers: tuple[str, ...], dataset: str = "dexycb") -> str:
+    """Return a Markdown table of the results of some receivers, with the published results.
+
+    Args:
+        evaluations: All stored evaluations.
+        receivers: Names of the receivers in the table.
+        dataset: Dataset of the evaluations in the table.
+    """
     chosen = [one for one in evaluations if one.receiver in receivers and one.dataset == dataset]
     rows = []
     for setup, wait in sorted({(one.setup, one.wait_s) for one in chosen}, key=lambda key: (-key[1], key[0])):
         group = [one for one in chosen if (one.setup, one.wait_s) == (setup, wait)]
-        rows += [own_row(one) for one in group]
+        rows += [format_row(one) for one in group]
         methods = METHODS.get(receivers[0], ()) if dataset == "dexycb" else ()
         rows += [
-            published_row(row, setup, group[0].episodes)
+            format_published_row(row, setup, group[0].episodes)
             for row in PUBLISHED[setup]
             if row.wait_s == wait and row.source == "HandoverSim" and any(method in row.method for method in methods)
         ]
@@ -188,7 +204,7 @@ def format_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
-def csv_table(name: str) -> str:
+def make_csv_table(name: str) -> str:
     """Return a CSV file of the folder `docs/results/data` as a Markdown table."""
     header, *rows = csv.reader((DATA / name).read_text().splitlines())
     return format_table(header, rows)
@@ -199,7 +215,9 @@ def render_page(evaluations: list[Evaluation]) -> str:
     environment = Environment(loader=FileSystemLoader(DATA), undefined=StrictUndefined, keep_trailing_newline=True)
     template = environment.get_template("index.md.jinja")
     return template.render(
-        evaluations=evaluations, table=lambda *args, **kw: table(evaluations, *args, **kw), csv_table=csv_table
+        evaluations=evaluations,
+        table=lambda *args, **kw: make_setup_table(evaluations, *args, **kw),
+        csv_table=make_csv_table,
     )
 
 
@@ -246,8 +264,8 @@ def main(args: Args) -> None:
     """Store new evaluations, then write the results page and its figure."""
     stored = {one.key: one for one in read_evaluations()}
     if args.add:
-        stored |= {one.key: one for one in map(evaluation_of, args.add)}
-        store(stored.values())
+        stored |= {one.key: one for one in map(read_evaluation, args.add)}
+        write_evaluations(stored.values())
     evaluations = list(stored.values())
     args.out.mkdir(parents=True, exist_ok=True)
     (args.out / "index.md").write_text(render_page(evaluations))

@@ -52,7 +52,7 @@ class Args:
 
 
 def measure_receiver(receiver: str, args: Args) -> Iterable[Report]:
-    """Evaluate a receiver on the splits of all setups, and yield a report for each."""
+    """Evaluate a receiver on the split of each setup, and yield a report for each setup."""
     has_camera = parse_policy("receiver", receiver).policy_class.obs_mode != STATE
     paths: dict[int, Path] = {}  # result file of each scene that has been simulated
     for setup in args.setups:

@@ -11,11 +11,11 @@ import pytest
 from experiments.figures.draw_architecture import (
     FOLDERS,
     REPOSITORY,
+    build_import_graph,
+    build_package_graph,
     find_modules,
-    import_graph,
-    layers,
-    package_graph,
-    transitive_reduction,
+    remove_implied_edges,
+    sort_into_layers,
 )
 
 ROOT = REPOSITORY / "handover_marl"
@@ -40,7 +40,7 @@ def strongly_connected(edges: dict[str, set[str]]) -> list[list[str]]:
 
 
 def test_no_modules_import_each_other_in_a_circle() -> None:
-    edges = import_graph()
+    edges = build_import_graph()
     # The library's own __init__ imports lazily, by name.
     edges = {name: found - {"handover_marl"} for name, found in edges.items() if name != "handover_marl"}
     assert strongly_connected(edges) == []
@@ -51,8 +51,8 @@ def test_circles_are_found() -> None:
 
 
 def test_packages_are_in_layers() -> None:
-    edges = package_graph()
-    assert sorted(name for row in layers(edges) for name in row) == sorted(edges)
+    edges = build_package_graph()
+    assert sorted(name for row in sort_into_layers(edges) for name in row) == sorted(edges)
 
 
 def test_at_most_twelve_packages() -> None:
@@ -107,7 +107,7 @@ def test_test_folders_mirror_packages() -> None:
 
 def test_the_picture_shows_the_imports() -> None:
     drawn = set(re.findall(r'id="([\w.]+ imports [\w.]+)"', PICTURE.read_text()))
-    edges = transitive_reduction(package_graph())
+    edges = remove_implied_edges(build_package_graph())
     assert drawn == {f"{start} imports {end}" for start, ends in edges.items() for end in ends}, (
         "run experiments/figures/draw_architecture.py"
     )

@@ -38,7 +38,8 @@ class Args(EvaluationArgs):
         receiver: Name of the receiver, with options if there are any.
         givers: Names of the givers; each is simulated in every scene.
         together: Number of episodes that the vectorized referee evaluates at once.
-        segments: Numbers of steps that the vectorized referee evaluates at once.
+        segments: Numbers of steps that the vectorized referee evaluates at once; the comparison is
+            made for each number.
     """
 
     episodes: int = 1000
@@ -48,38 +49,60 @@ class Args(EvaluationArgs):
     segments: tuple[int, ...] = (1, 100)
 
 
-class Stream(NamedTuple):
-    """Contacts of every physics step of an episode, and the referee states after each step."""
+class RefereeRecord(NamedTuple):
+    """Contacts in every physics step of an episode, and the referee's state after every step.
+
+    Attributes:
+        contacts: Contacts in each step.
+        referee_states: State of the stepwise referee after each step.
+    """
 
     contacts: list[Contacts]
     referee_states: list[RefereeState]
 
 
-class TraceRecorder(EpisodeCallback):
-    """Callback that records the contacts of every step and the states of a referee."""
+class RefereeRecorder(EpisodeCallback):
+    """Callback that records the contacts in every step and a referee's state after every step.
+
+    Args:
+        referee: Stepwise referee, which the callback updates.
+
+    Attributes:
+        record: Recorded contacts and states.
+    """
 
     def __init__(self, referee: Referee) -> None:
-        self._referee, self.stream = referee, Stream([], [])
+        self._referee, self.record = referee, RefereeRecord([], [])
 
     def on_step(self, episode: Episode) -> None:
         self._referee.update(episode.contacts)
-        self.stream.contacts.append(episode.contacts)
-        self.stream.referee_states.append(self._referee.get_state())
+        self.record.contacts.append(episode.contacts)
+        self.record.referee_states.append(self._referee.get_state())
 
     def on_end(self, episode: Episode) -> None:
         assert self._referee.status == episode.status
 
 
-class Checked(NamedTuple):
-    """Outcomes of episodes, number of compared referee states, and messages on differences."""
+class ComparisonResult(NamedTuple):
+    """Result of the comparison of both implementations of the referee in some episodes.
 
-    ends: list[int]
-    compared: int
-    wrong: list[str]
+    Attributes:
+        statuses: Outcome of each episode as bits of `EpisodeStatus`.
+        n_compared: Number of compared pairs of referee states.
+        differences: Message on each pair of states that differ.
+    """
+
+    statuses: list[int]
+    n_compared: int
+    differences: list[str]
 
 
-class Checker:
-    """Simulator that compares both implementations of the referee in one process."""
+class RefereeComparator:
+    """Comparator of both implementations of the referee on simulated episodes, in one process.
+
+    Args:
+        args: Options of the script.
+    """
 
     def __init__(self, args: Args) -> None:
         self._args, self._data = args, args.open_dataset()
@@ -87,57 +110,63 @@ class Checker:
         self._givers = {name: givers.make(name, self._data, setup=args.setup) for name in args.givers}
         self._episode = Episode(args.physics)
 
-    def check(self, tasks: Sequence[tuple[str, int]]) -> Checked:
-        """Compare both implementations of the referee on pairs of giver name and scene number."""
-        streams = [self._stream(*task) for task in tasks]
+    def compare(self, tasks: Sequence[tuple[str, int]]) -> ComparisonResult:
+        """Simulate episodes and compare both implementations of the referee on their contacts.
+
+        Args:
+            tasks: Name of the giver and scene number of each episode.
+        """
+        records = [self._simulate(*task) for task in tasks]
         compared, wrong = 0, []
         for segment in self._args.segments:
-            for number, step, found, expected in self._judged(streams, segment):
+            for number, step, found, expected in self._judge_segments(records, segment):
                 compared += 1
                 if found != expected:
                     wrong.append(f"{tasks[number]}, step {step}, {segment} at once: {found}, not {expected}")
-        return Checked([stream.referee_states[-1].status for stream in streams], compared, wrong)
+        return ComparisonResult([record.referee_states[-1].status for record in records], compared, wrong)
 
-    def _stream(self, giver: str, scene: int) -> Stream:
-        recorder = TraceRecorder(Referee(self._episode.config.protocol))
+    def _simulate(self, giver: str, scene: int) -> RefereeRecord:
+        recorder = RefereeRecorder(Referee(self._episode.config.protocol))
         self._episode.reset(self._data.load_scene(scene))
         play(self._episode, self._receiver, self._givers[giver], seed=0, callbacks=[recorder])
-        return recorder.stream
+        return recorder.record
 
-    def _judged(self, streams: Sequence[Stream], most: int) -> list[tuple[int, int, RefereeState, RefereeState]]:
+    def _judge_segments(
+        self, records: Sequence[RefereeRecord], most: int
+    ) -> list[tuple[int, int, RefereeState, RefereeState]]:
         """Return episode index, last step and referee states (vectorized, stepwise) by segment."""
         rules = self._episode.config.protocol
-        arrays = [ContactBatch.from_contacts(stream.contacts, rules) for stream in streams]
-        referee_states = [Referee(rules).get_state() for _ in streams]
+        arrays = [ContactBatch.from_contacts(record.contacts, rules) for record in records]
+        referee_states = [Referee(rules).get_state() for _ in records]
         found = []
-        while running := [number for number, stands in enumerate(referee_states) if not stands.status]:
-            begun = [referee_states[number].steps for number in running]
+        while running := [number for number, state in enumerate(referee_states) if not state.status]:
+            starts = [referee_states[number].steps for number in running]
             steps = min(
-                most, *(len(streams[number].contacts) - first for number, first in zip(running, begun, strict=True))
+                most, *(len(records[number].contacts) - first for number, first in zip(running, starts, strict=True))
             )
             parts = [
                 [field[first : first + steps] for field in arrays[number]]
-                for number, first in zip(running, begun, strict=True)
+                for number, first in zip(running, starts, strict=True)
             ]
-            seen = ContactBatch(*(np.concatenate(fields, axis=1) for fields in zip(*parts, strict=True)))
-            last, verdicts = judge_steps(
-                RefereeStateBatch.from_states([referee_states[number] for number in running]), seen, rules
+            contacts = ContactBatch(*(np.concatenate(fields, axis=1) for fields in zip(*parts, strict=True)))
+            last, judged = judge_steps(
+                RefereeStateBatch.from_states([referee_states[number] for number in running]), contacts, rules
             )
             for place, number in enumerate(running):
-                referee_states[number] = verdicts.select(place)
-                step = begun[place] + int(last[place])
+                referee_states[number] = judged.select(place)
+                step = starts[place] + int(last[place])
                 found.append(
                     (
                         number,
                         step,
-                        _trimmed(referee_states[number]),
-                        _trimmed(streams[number].referee_states[step]),
+                        _drop_idle_counters(referee_states[number]),
+                        _drop_idle_counters(records[number].referee_states[step]),
                     )
                 )
         return found
 
 
-def _trimmed(state: RefereeState) -> RefereeState:
+def _drop_idle_counters(state: RefereeState) -> RefereeState:
     """Return a referee state without counters that cannot influence the outcome any more."""
     state = state._replace(goal_steps=0) if state.status else state
     return state._replace(active_steps=0, passive_steps=0) if state.release >= 0 else state
@@ -150,17 +179,17 @@ def main(args: Args) -> None:
     groups = [tasks[first : first + args.together] for first in range(0, len(tasks), args.together)]
     ends: Counter[int] = Counter()
     compared, wrong = 0, []
-    for _, checked in map_with_progress(
-        lambda: Checker(args).check, groups, "checking", PoolConfig(args.workers), True
+    for _, result in map_with_progress(
+        lambda: RefereeComparator(args).compare, groups, "checking", PoolConfig(args.workers), True
     ):
-        ends.update(checked.ends)
-        compared += checked.compared
-        wrong += checked.wrong
+        ends.update(result.statuses)
+        compared += result.n_compared
+        wrong += result.differences
     for line in wrong:
         print(line)
-    played = Counter(giver for giver, _ in tasks)
+    counts = Counter(giver for giver, _ in tasks)
     print(
-        f"{data.name}, {args.setup} train, {len(tasks)} episodes ({', '.join(f'{n} {g}' for g, n in played.items())}), "
+        f"{data.name}, {args.setup} train, {len(tasks)} episodes ({', '.join(f'{n} {g}' for g, n in counts.items())}), "
         f"receiver {args.receiver}, {args.physics} physics"
     )
     names = [(EpisodeStatus(status).name or "", str(count)) for status, count in ends.most_common()]

@@ -52,7 +52,7 @@ class Args:
 
     Attributes:
         data_dir: Folder in HandoverSim's layout; default: environment variable HANDOVER_MARL_DATA.
-        stride: Measure every n-th scene.
+        stride: Use every n-th scene of both data sets.
     """
 
     data_dir: str | None = None
@@ -61,35 +61,35 @@ class Args:
 
 def main(args: Args) -> None:
     scenes = range(0, N_SCENES, args.stride)
-    synthetic = measure_all(open_dataset("synthetic"), scenes)
+    synthetic = measure_scenes(open_dataset("synthetic"), scenes)
     folder = args.data_dir or os.environ.get(DATA_DIR_VARIABLE)
-    real = measure_all(open_dataset("dexycb", folder), scenes) if folder else None
+    real = measure_scenes(open_dataset("dexycb", folder), scenes) if folder else None
     rows = []
     for column, (name, aimed_at) in enumerate(QUANTITIES.items()):
-        row = [name, quartiles(synthetic[:, column])]
+        row = [name, format_quartiles(synthetic[:, column])]
         if real is not None:
             distance = ks_2samp(real[:, column], synthetic[:, column]).statistic
-            row += [quartiles(real[:, column]), f"{distance:.3f}", "at most 0.100" if aimed_at else "-"]
+            row += [format_quartiles(real[:, column]), f"{distance:.3f}", "at most 0.100" if aimed_at else "-"]
         rows.append(row)
     header = ["quantity", "synthetic: quartiles", "DexYCB: quartiles", "KS distance", "aim"]
     print(f"{len(scenes)} synthetic scenes" + ("" if real is None else f", {len(scenes)} of DexYCB") + ".\n")
     print(tabulate(rows, headers=header[: len(rows[0])], tablefmt="github", disable_numparse=True))
 
 
-def measure_all(dataset: Dataset, scenes: Iterable[int]) -> Array:
-    shown = track(list(scenes), dataset.name, console=Console(stderr=True))
-    return np.array([measure(dataset.load_scene(scene)) for scene in shown])
+def measure_scenes(dataset: Dataset, scenes: Iterable[int]) -> Array:
+    progress = track(list(scenes), dataset.name, console=Console(stderr=True))
+    return np.array([measure_scene(dataset.load_scene(scene)) for scene in progress])
 
 
-def measure(scene: Scene) -> list[float]:
-    """Return the measured values of one scene in the order of `QUANTITIES`."""
+def measure_scene(scene: Scene) -> list[float]:
+    """Return the values of all `QUANTITIES` in one scene, in their order."""
     assert scene.hand_first is not None
     assert scene.hand_last is not None
     sign = 1.0 if scene.info.side == "left" else -1.0
     target = scene.object_dof[:, 0].astype(np.float64)
-    shown = scene.hand_dof[scene.hand_first : scene.hand_last + 1].astype(np.float64)
-    hand = Rotation.from_euler("XYZ", shown[:, 3:6])
-    wrist = shown[:, :3] + hand.apply(palm_offset(scene.assets.hand))
+    visible = scene.hand_dof[scene.hand_first : scene.hand_last + 1].astype(np.float64)
+    hand = Rotation.from_euler("XYZ", visible[:, 3:6])
+    wrist = visible[:, :3] + hand.apply(read_palm_position(scene.assets.hand))
     speeds = np.linalg.norm(np.diff(wrist[::KEY_STRIDE], axis=0), axis=1) / KEY_PERIOD
     start, offer = (Rotation.from_euler("XYZ", target[frame, 3:]) for frame in (0, -1))
     up = np.array([0.0, 0.0, 1.0])
@@ -108,8 +108,12 @@ def measure(scene: Scene) -> list[float]:
     ]
 
 
-def palm_offset(urdf: Path) -> Array:
-    """Return the wrist's position (m) in the frame of the hand's base, read from the hand's URDF."""
+def read_palm_position(urdf: Path) -> Array:
+    """Return the position (3,) of the palm, at the wrist, in the frame of the hand's base (m).
+
+    Args:
+        urdf: URDF file of the hand, from which the position is read.
+    """
     from xml.etree import ElementTree
 
     origin = ElementTree.parse(urdf).find(PALM_JOINT)
@@ -117,7 +121,7 @@ def palm_offset(urdf: Path) -> Array:
     return np.array(str(origin.get("xyz")).split(), dtype=np.float64)
 
 
-def quartiles(values: Array) -> str:
+def format_quartiles(values: Array) -> str:
     return " / ".join(f"{value:.3f}" for value in np.quantile(values, (0.25, 0.5, 0.75)))
 
 

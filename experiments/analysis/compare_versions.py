@@ -82,13 +82,18 @@ class Compare:
     new: Path
 
 
-def scene_list(data_dir: str, every: int) -> str:
-    """Return every n-th scene number of s0 train as text for the option `--scenes`."""
+def format_scene_numbers(data_dir: str, every: int) -> str:
+    """Return the numbers of every n-th scene of s0 train as text for the option `--scenes`.
+
+    Args:
+        data_dir: Data folder in HandoverSim's layout.
+        every: Number n.
+    """
     scenes = open_dataset("dexycb", data_dir, "panda").list_scenes("s0", "train")
     return ",".join(str(scene) for scene in scenes[::every])
 
 
-def evaluations(physics: str) -> list[tuple[str, str]]:
+def list_evaluations(physics: str) -> list[tuple[str, str]]:
     """Return the pairs of giver and receiver that are evaluated with a physics engine."""
     if physics == "mujoco":
         return list(MUJOCO)
@@ -97,9 +102,9 @@ def evaluations(physics: str) -> list[tuple[str, str]]:
 
 def record(args: Record) -> None:
     """Run the evaluations whose results are missing in the output folder."""
-    scenes = scene_list(args.data_dir, args.every)
+    scenes = format_scene_numbers(args.data_dir, args.every)
     for physics in args.physics:
-        for giver, receiver in evaluations(physics):
+        for giver, receiver in list_evaluations(physics):
             command = ["pair", "--scenes", scenes, "--giver", giver, "--receiver", receiver, "--physics", physics]
             command += ["--robot", "panda_camera" if receiver in WITH_CAMERA else "panda"]
             _run(args, command, args.out / f"{physics}-{giver}-{receiver}")

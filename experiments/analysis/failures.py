@@ -83,11 +83,11 @@ class FailureRecorder(EpisodeCallback):
     """Callback that records the data from which causes of failures are derived.
 
     Attributes:
-        times: Wall-clock times of all calls of the receiver's policy, and of rendering the wrist
-            camera before each of them (s).
+        times: Pair of wall-clock times (s) for each call of the receiver's policy: of the call, and
+            of rendering the wrist camera before it.
         gripped: Last physics step with both fingers in contact with the object, or None if there
-            was none.
-        closing: Whether the last targets of the fingers close the gripper.
+            was no such step.
+        closing: Whether the last finger targets of the receiver close the gripper.
         touched_others: Whether the robot touched an object besides the target, or the held target
             touched another object or the table.
     """
@@ -127,7 +127,12 @@ class FailureClassifier:
         self._base_from_world = invert_pose(np.array([*panda.base_position, *panda.base_orientation]))
 
     def classify(self, episode: Episode, recorder: FailureRecorder) -> str:
-        """Return the cause of failure of a finished episode, as text for the table."""
+        """Return the cause of failure of a finished episode, as text for the table.
+
+        Args:
+            episode: Finished episode.
+            recorder: Callback that recorded this episode.
+        """
         status = episode.status
         if status & EpisodeStatus.HUMAN_CONTACT:
             return f"contact of {self._nearest_link(episode)} {self._describe_phase(recorder)}"
@@ -171,9 +176,18 @@ class FailureClassifier:
 
 @dataclass(frozen=True, eq=False)
 class FinishedEpisode:
-    """Outcome of an episode with the cause of failure, times (n, 2) (s) and peak memory (MB).
+    """Outcome of an episode, and the cause of its failure.
 
-    `touched_others` is that of `FailureRecorder`.
+    Attributes:
+        scene: Scene number.
+        target: YCB class name of the handed-over object.
+        status: Outcome of the episode.
+        steps: Number of physics steps until the end.
+        cause: Cause of the failure; the name of the outcome for a success.
+        times: (n, 2) wall-clock times of each decision and of rendering before it (s).
+        memory: Peak memory of the process (MiB).
+        touched_others: Whether the robot touched an object besides the target, or the held target
+            touched another object or the table.
     """
 
     scene: int
@@ -239,9 +253,9 @@ def main(args: Args) -> None:
 
 
 def format_times(seconds: Array) -> str:
-    """Return the median, 95th percentile and maximum of times (s) as text."""
-    low, middle, high = 1000.0 * np.quantile(seconds, [0.5, 0.95, 1.0])
-    return f"median {low:.1f}, 95 % {middle:.1f}, max {high:.0f} ms"
+    """Return the median, 95th percentile and maximum (ms) of times (s) as text."""
+    median, percentile, longest = 1000.0 * np.quantile(seconds, [0.5, 0.95, 1.0])
+    return f"median {median:.1f}, 95 % {percentile:.1f}, max {longest:.0f} ms"
 
 
 if __name__ == "__main__":

@@ -45,7 +45,7 @@ class Args(EvaluationArgs):
     out: str | None = None
 
 
-def play(giver: str, args: Args) -> list[EpisodeResult]:
+def evaluate_giver(giver: str, args: Args) -> list[EpisodeResult]:
     data = args.open_dataset()
     # Policies of one file name must not share a folder.
     label = parse_policy("giver", giver).resolve(data).label
@@ -64,21 +64,23 @@ def play(giver: str, args: Args) -> list[EpisodeResult]:
     return episodes
 
 
-def outcomes(played: dict[str, list[EpisodeResult]]) -> str:
+def format_outcomes(episodes_by_giver: dict[str, list[EpisodeResult]]) -> str:
     rows = []
-    for giver, episodes in played.items():
+    for giver, episodes in episodes_by_giver.items():
         counts = [sum(bool(episode.status & flag) for episode in episodes) for flag in FLAGS]
         n = len(episodes)
         rows.append([giver, n, *(format_percent_rate(count, n) for count in counts)])
     return format_table(["giver", "episodes", *(f"{flag.label} %" for flag in FLAGS)], rows)
 
 
-def gains(played: dict[str, list[EpisodeResult]]) -> str:
-    first, *others = played
+def format_gains(episodes_by_giver: dict[str, list[EpisodeResult]]) -> str:
+    first, *others = episodes_by_giver
     rows = []
     for giver in others:
         cells = [
-            compute_paired_difference(*([bool(e.status & flag) for e in played[name]] for name in (giver, first)))
+            compute_paired_difference(
+                *([bool(e.status & flag) for e in episodes_by_giver[name]] for name in (giver, first))
+            )
             for flag in FLAGS
         ]
         rows.append([f"{giver} less {first}", *map(format_percent_difference, cells)])
@@ -86,7 +88,7 @@ def gains(played: dict[str, list[EpisodeResult]]) -> str:
 
 
 def main(args: Args) -> None:
-    played = {giver: play(giver, args) for giver in args.givers.split(",")}
+    episodes_by_giver = {giver: evaluate_giver(giver, args) for giver in args.givers.split(",")}
     data = args.open_dataset().name
     heading = (
         f"Receiver {args.receiver}, {args.physics} physics, {data}, {args.setup} "
@@ -94,9 +96,12 @@ def main(args: Args) -> None:
         "95 % intervals (Wilson; Agresti and Min for paired differences)."
     )
     fluency = format_table(
-        ["giver", *format_fluency_header()], [[name, *format_fluency_row(played[name])] for name in played]
+        ["giver", *format_fluency_header()],
+        [[name, *format_fluency_row(episodes_by_giver[name])] for name in episodes_by_giver],
     )
-    text = "\n\n".join([heading, outcomes(played), gains(played), fluency, FLUENCY_NOTE])
+    text = "\n\n".join(
+        [heading, format_outcomes(episodes_by_giver), format_gains(episodes_by_giver), fluency, FLUENCY_NOTE]
+    )
     print(text)
     if args.out is not None:
         write_atomically(Path(args.out) / "gains.md", text + "\n")

@@ -47,45 +47,56 @@ class Args(SetupArgs):
 
 
 class Observations(NamedTuple):
-    """Objects at n times of recordings, with the predictions of their final positions.
+    """Motion of handed-over objects at n times of recordings, with predicted final positions.
 
     Attributes:
-        time: (n,) times in the recordings (ms).
-        place: (n, 3) current positions (m).
-        velocity: (n, 3) current velocities (m/s).
-        predicted: (n, 3) predicted final positions (m).
+        time: (n,) times since the starts of the recordings (ms).
+        position: (n, 3) current positions (m).
+        velocity: (n, 3) current filtered velocities (m/s).
+        predicted: (n, 3) final positions predicted from the motion until then (m).
         end: (n, 3) final positions in the recordings (m).
     """
 
     time: npt.NDArray[np.int64]
-    place: Array
+    position: Array
     velocity: Array
     predicted: Array
     end: Array
 
 
-def follow(scene: Scene) -> list[tuple[int, Array, Array, Array, Array]]:
-    """Return the fields of `Observations` at each time after the object of a scene is lifted."""
+def predict_along_motion(scene: Scene) -> list[tuple[int, Array, Array, Array, Array]]:
+    """Predict the final position of a scene's object every 50 ms after it was lifted.
+
+    Returns:
+        Fields of one row of `Observations` for each time.
+    """
     dof = scene.object_dof[:, 0].astype(np.float64)
     poses = np.concatenate([dof[:, :3], Rotation.from_euler("XYZ", dof[:, 3:]).as_quat()], axis=1)
     prediction, found = HandoverPosePredictor(HandoverPosePredictorConfig()), []
     for time in range(0, len(poses), PERIOD):
         prediction.update(time / 1000.0, poses[time])
         if prediction.lift_distance > LIFTED:
-            place = prediction.predict_handover_pose()[:3]
-            found.append((time, poses[time, :3], prediction.velocity.copy(), place, poses[-1, :3]))
+            predicted = prediction.predict_handover_pose()[:3]
+            found.append((time, poses[time, :3], prediction.velocity.copy(), predicted, poses[-1, :3]))
     return found
 
 
-def rows(seen: Observations, groups: list[tuple[str, npt.NDArray[np.bool_]]]) -> str:
-    """Return a table of the median and 90th percentile of the errors (cm) by group.
+def make_error_table(observations: Observations, groups: list[tuple[str, npt.NDArray[np.bool_]]]) -> str:
+    """Return a table of the median and 90th percentile of prediction errors (cm) by group of times.
+
+    An error is the distance from the object's final position. Beside the prediction the table has
+    the object's current position and the mean final position in place of a prediction.
 
     Args:
-        seen: Objects and predictions at n times.
+        observations: Motion and predicted final positions of objects at n times.
         groups: Name and mask (n,) of every group of times.
     """
-    places = {"predicted": seen.predicted, "present place": seen.place, "middle place": seen.end.mean(axis=0)}
-    found = [np.linalg.norm(place - seen.end, axis=1) for place in places.values()]
+    places = {
+        "predicted": observations.predicted,
+        "present place": observations.position,
+        "middle place": observations.end.mean(axis=0),
+    }
+    found = [np.linalg.norm(place - observations.end, axis=1) for place in places.values()]
     lines = []
     for name, chosen in groups:
         if chosen.any():
@@ -94,12 +105,16 @@ def rows(seen: Observations, groups: list[tuple[str, npt.NDArray[np.bool_]]]) ->
     return format_table(["", "n", *places], lines)
 
 
-def fit(seen: Observations) -> str:
-    """Return the constants of the handover pose predictor fitted by least squares, as text."""
+def fit_constants(observations: Observations) -> str:
+    """Fit constants of the handover pose predictor by least squares; return them as text.
+
+    Args:
+        observations: Motion and true final positions of objects at n times.
+    """
     scale = HandoverPosePredictorConfig().attraction_speed
-    drawn = np.tanh(np.linalg.norm(seen.velocity, axis=1) / scale)[:, None]
-    columns = [seen.velocity, drawn * seen.place, *(drawn * axis for axis in np.eye(3))]
-    left = seen.end - seen.place
+    drawn = np.tanh(np.linalg.norm(observations.velocity, axis=1) / scale)[:, None]
+    columns = [observations.velocity, drawn * observations.position, *(drawn * axis for axis in np.eye(3))]
+    left = observations.end - observations.position
     weights = np.linalg.lstsq(np.stack([column.ravel() for column in columns], axis=1), left.ravel(), rcond=None)[0]
     place = weights[2:] / -weights[1]
     return (
@@ -111,16 +126,20 @@ def fit(seen: Observations) -> str:
 def main(args: Args) -> None:
     data = args.open_dataset()
     scenes = data.list_scenes(args.setup, args.split)[:: args.stride]
-    found = [moment for scene in track(scenes, "following") for moment in follow(data.load_scene(scene))]
-    seen = Observations(*map(np.array, zip(*found, strict=True)))
-    speeds = np.linalg.norm(seen.velocity, axis=1)
+    found = [moment for scene in track(scenes, "following") for moment in predict_along_motion(data.load_scene(scene))]
+    observations = Observations(*map(np.array, zip(*found, strict=True)))
+    speeds = np.linalg.norm(observations.velocity, axis=1)
     what = f"{len(scenes)} scenes of {args.setup} {args.split}, {data.name}"
     print(f"Distance to the last place in cm, median / 90 %: {what}")
-    print(rows(seen, [(f"{time / 1000:.2f} s", seen.time == time) for time in TIMES]))
+    print(make_error_table(observations, [(f"{time / 1000:.2f} s", observations.time == time) for time in TIMES]))
     bands = itertools.pairwise(SPEEDS)
-    print(rows(seen, [(f"{low:g} to {high:g} m/s", (speeds >= low) & (speeds < high)) for low, high in bands]))
+    print(
+        make_error_table(
+            observations, [(f"{low:g} to {high:g} m/s", (speeds >= low) & (speeds < high)) for low, high in bands]
+        )
+    )
     if args.fit:
-        print(fit(seen))
+        print(fit_constants(observations))
 
 
 if __name__ == "__main__":

@@ -47,8 +47,12 @@ class Args(EvaluationArgs):
     stride: int = 1
 
 
-class Scenes:
-    """Simulator of scenes with perturbed joint targets, in one process."""
+class PerturbedSimulator:
+    """Simulator of episodes with perturbed joint targets, in one process.
+
+    Args:
+        args: Options of the script.
+    """
 
     def __init__(self, args: Args) -> None:
         self._data = args.open_dataset()
@@ -56,24 +60,34 @@ class Scenes:
         self._episode = Episode(args.physics)
         self._nudges = args.nudges
 
-    def play(self, number: int) -> list[EpisodeStatus]:
-        """Return the outcomes of a scene without and with each perturbation."""
-        scene, found = self._data.load_scene(number), []
-        ways = np.random.default_rng(number).choice([-1.0, 1.0], ARM_DOF)
+    def simulate(self, number: int) -> list[EpisodeStatus]:
+        """Simulate a scene without perturbation and with each size; return the outcomes in order.
+
+        Args:
+            number: Scene number, which also seeds the signs of the perturbations.
+        """
+        scene, statuses = self._data.load_scene(number), []
+        signs = np.random.default_rng(number).choice([-1.0, 1.0], ARM_DOF)
         for nudge in (0.0, *self._nudges):
             self._episode.reset(scene)
             with mock.patch.object(
-                self._receiver, "act", functools.partial(act_nudged, self._receiver.act, nudge * ways)
+                self._receiver, "act", functools.partial(act_perturbed, self._receiver.act, nudge * signs)
             ):
                 play(self._episode, self._receiver, seed=0)
-            found.append(self._episode.status)
-        return found
+            statuses.append(self._episode.status)
+        return statuses
 
 
-def act_nudged(act: Callable[[Observation], Action], shifts: np.ndarray, observation: Observation) -> Action:
-    """Return a receiver's action with the offsets (7,) (rad) added to the arm's joint targets."""
+def act_perturbed(act: Callable[[Observation], Action], offsets: np.ndarray, observation: Observation) -> Action:
+    """Return a receiver's action (9,) with offsets added to the arm's joint targets.
+
+    Args:
+        act: Method `act` of the receiver.
+        offsets: (7,) offsets of the arm's joint targets (rad).
+        observation: Observation of the receiver.
+    """
     action = np.array(act(observation), dtype=np.float32)
-    action[:ARM_DOF] += shifts.astype(np.float32)
+    action[:ARM_DOF] += offsets.astype(np.float32)
     return action
 
 
@@ -81,16 +95,19 @@ def main(args: Args) -> None:
     data = args.open_dataset()
     numbers = data.list_scenes(args.setup, args.split)[:: args.stride]
     pool = PoolConfig(args.workers)
-    ends = [found for _, found in map_with_progress(lambda: Scenes(args).play, numbers, "playing", pool, True)]
+    outcomes = [
+        statuses
+        for _, statuses in map_with_progress(lambda: PerturbedSimulator(args).simulate, numbers, "playing", pool, True)
+    ]
     rows = []
     for place, nudge in enumerate((0.0, *args.nudges)):
-        alike = sum(found[place] == found[0] for found in ends)
-        counts = Counter(found[place].label for found in ends)
-        rates = ", ".join(f"{name} {100 * count / len(ends):.1f}" for name, count in sorted(counts.items()))
-        rows.append([f"{nudge:g}", format_percent_rate(alike, len(ends)), rates])
+        alike = sum(statuses[place] == statuses[0] for statuses in outcomes)
+        counts = Counter(statuses[place].label for statuses in outcomes)
+        rates = ", ".join(f"{name} {100 * count / len(outcomes):.1f}" for name, count in sorted(counts.items()))
+        rows.append([f"{nudge:g}", format_percent_rate(alike, len(outcomes)), rates])
     print(
-        f"{args.setup} {args.split}, {len(ends)} episodes each, receiver {args.receiver}, giver replay, {data.name}, "
-        f"{args.physics} physics, version {__version__}; Wilson's 95 % intervals.\n"
+        f"{args.setup} {args.split}, {len(outcomes)} episodes each, receiver {args.receiver}, giver replay, "
+        f"{data.name}, {args.physics} physics, version {__version__}; Wilson's 95 % intervals.\n"
     )
     print(format_table(["nudge (rad)", "ends as without, %", "ends, %"], rows))
 

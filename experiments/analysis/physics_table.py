@@ -61,16 +61,16 @@ class Args(SetupArgs):
 def main(args: Args) -> Path:
     rows = {}
     for receiver in args.receivers:
-        rows[receiver] = {physics: play(args, receiver, physics) for physics in args.physics}
-    report = text(args, rows)
+        rows[receiver] = {physics: evaluate_receiver(args, receiver, physics) for physics in args.physics}
+    report = format_report(args, rows)
     write_atomically(args.out / f"{NAME}.md", report.encode())
-    write_atomically(args.out / f"{NAME}.png", picture(args, rows))
+    write_atomically(args.out / f"{NAME}.png", draw_success_rates(args, rows))
     print(report)
     return args.out / f"{NAME}.md"
 
 
-def play(args: Args, receiver: str, physics: str) -> Report:
-    """Evaluate one receiver with one physics engine."""
+def evaluate_receiver(args: Args, receiver: str, physics: str) -> Report:
+    """Return the report of an evaluation of one receiver with one physics engine."""
     run = EvaluationConfig(args.setup, args.split, None, args.dataset, args.data_dir, physics, args.giver, receiver)
     if parse_policy("receiver", receiver).policy_class.obs_mode != "state":
         run = replace(run, robot=PANDA_CAMERA)
@@ -80,44 +80,66 @@ def play(args: Args, receiver: str, physics: str) -> Report:
     return evaluate_pair(run, execution=ExecutionConfig(workers=args.workers, out=str(args.out / folder)))
 
 
-def text(args: Args, rows: dict[str, dict[str, Report]]) -> str:
-    """Return the table of success rates and agreement, with a caption, as Markdown text."""
+def format_report(args: Args, rows: dict[str, dict[str, Report]]) -> str:
+    """Return a table of success rates and shares of equal outcomes, with a caption, as Markdown.
+
+    Args:
+        args: Options of the script.
+        rows: Reports by physics engine, by receiver.
+    """
     cells = []
     for receiver, reports in rows.items():
-        rates = [percent(report) for report in reports.values()]
-        alike = [agreed(reports[EXACT], reports[kind]) for kind in args.physics if kind != EXACT and EXACT in reports]
-        cells.append([receiver, *rates, *alike])
+        rates = [format_success_rate(report) for report in reports.values()]
+        agreements = [
+            format_agreement(reports[EXACT], reports[kind])
+            for kind in args.physics
+            if kind != EXACT and EXACT in reports
+        ]
+        cells.append([receiver, *rates, *agreements])
     others = [kind for kind in args.physics if kind != EXACT] if EXACT in args.physics else []
     header = ["receiver", *(f"{kind}, success %" for kind in args.physics), *(f"{kind} as exact %" for kind in others)]
-    some = next(report for reports in rows.values() for report in reports.values())
-    count = len(some.episodes)
+    any_report = next(report for reports in rows.values() for report in reports.values())
+    count = len(any_report.episodes)
     return (
-        f"{args.setup} {args.split}, {count} episodes each, giver {args.giver}, {some.data_label}, version "
-        f"{some.metadata.version}; Wilson's 95 % intervals. As exact: episodes that end alike.\n\n"
+        f"{args.setup} {args.split}, {count} episodes each, giver {args.giver}, {any_report.data_label}, version "
+        f"{any_report.metadata.version}; Wilson's 95 % intervals. As exact: episodes that end alike.\n\n"
         f"{format_table(header, cells)}\n"
     )
 
 
-def percent(report: Report) -> str:
-    """Return the success rate of a report as text, with its confidence interval (%)."""
+def format_success_rate(report: Report) -> str:
+    """Return the success rate of a report with its 95 % interval (%), as text."""
     return format_percent_rate(report.count(EpisodeStatus.SUCCESS), len(report.episodes))
 
 
-def agreed(exact: Report, other: Report) -> str:
-    """Return the share of episodes (%) with the same outcome in two reports, as text."""
-    both = Agreement(exact, other)
-    return format_percent_rate(both.n_same_outcome, len(exact.episodes))
+def format_agreement(exact: Report, other: Report) -> str:
+    """Return the share of episodes (%) with the same outcome in two reports of the same scenes.
+
+    Args:
+        exact: Report of exact physics.
+        other: Report of another physics engine.
+
+    Returns:
+        Share with its 95 % interval, as text.
+    """
+    agreement = Agreement(exact, other)
+    return format_percent_rate(agreement.n_same_outcome, len(exact.episodes))
 
 
-def picture(args: Args, rows: dict[str, dict[str, Report]]) -> bytes:
-    """Return a PNG image of the success rates of all receivers with all physics engines."""
+def draw_success_rates(args: Args, rows: dict[str, dict[str, Report]]) -> bytes:
+    """Return a PNG image of the success rates of all receivers with all physics engines.
+
+    Args:
+        args: Options of the script.
+        rows: Reports by physics engine, by receiver.
+    """
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(7.0, 0.6 * len(rows) + 1.4), layout="constrained")
     axes = figure.add_subplot()
-    for place, physics in enumerate(args.physics):
-        rates, lows, highs = np.array([interval(reports[physics]) for reports in rows.values()]).T
-        levels = np.arange(len(rows)) + 0.2 * (place - (len(args.physics) - 1) / 2.0)
+    for number, physics in enumerate(args.physics):
+        rates, lows, highs = np.array([compute_success_interval(reports[physics]) for reports in rows.values()]).T
+        levels = np.arange(len(rows)) + 0.2 * (number - (len(args.physics) - 1) / 2.0)
         axes.errorbar(rates, levels, xerr=[rates - lows, highs - rates], fmt="o", ms=4, capsize=2, label=physics)
     axes.set_yticks(range(len(rows)), list(rows))
     axes.invert_yaxis()
@@ -130,10 +152,10 @@ def picture(args: Args, rows: dict[str, dict[str, Report]]) -> bytes:
     return drawn.getvalue()
 
 
-def interval(report: Report) -> Sequence[float]:
-    """Return the success rate and the bounds of its confidence interval (%)."""
-    wins, count = report.count(EpisodeStatus.SUCCESS), len(report.episodes)
-    return [100.0 * value for value in (wins / count, *compute_wilson_interval(wins, count))]
+def compute_success_interval(report: Report) -> Sequence[float]:
+    """Return the success rate of a report, and the lower and upper end of its 95 % interval (%)."""
+    n_successes, count = report.count(EpisodeStatus.SUCCESS), len(report.episodes)
+    return [100.0 * value for value in (n_successes / count, *compute_wilson_interval(n_successes, count))]
 
 
 if __name__ == "__main__":

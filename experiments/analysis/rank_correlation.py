@@ -39,8 +39,8 @@ class Args:
     setup: str = "s0"
 
 
-def measured(path: Path) -> dict[str, float]:
-    """Read the success rate of every receiver from the CSV file of a study.
+def read_success_rates(path: Path) -> dict[str, float]:
+    """Return the success rate of every receiver in the CSV file of a study, by name.
 
     Raises:
         OptionError: The file cannot be read, or a line is no name and number.
@@ -59,8 +59,8 @@ def measured(path: Path) -> dict[str, float]:
     return found
 
 
-def simulated(args: Args) -> dict[str, tuple[float, str]]:
-    """Return the simulated success rate (%) and the description of its source by receiver."""
+def load_simulated_rates(args: Args) -> dict[str, tuple[float, str]]:
+    """Return the simulated success rate (%) of every receiver, and its table cell, by name."""
     if not args.simulated:
         return {row.method: (row.success, f"{row.success:.2f}") for row in PUBLISHED[args.setup]}
     found = {}
@@ -78,7 +78,7 @@ def main(args: Args) -> str:
     Raises:
         OptionError: Fewer than three receivers are in both rankings.
     """
-    real, other = measured(Path(args.real)), simulated(args)
+    real, other = read_success_rates(Path(args.real)), load_simulated_rates(args)
     names = [name for name in real if name in other]
     if len(names) < 3:
         raise OptionError(f"only {names} are in both; simulated are {sorted(other)}. Three or more are needed")

@@ -42,8 +42,8 @@ class Args(EvaluationArgs):
     results: str | None = None
 
 
-def play(risk: float, args: Args) -> list[EpisodeResult]:
-    """Return the episodes of the receiver `reactive` with a value of its option `risk`."""
+def evaluate_risk(risk: float, args: Args) -> list[EpisodeResult]:
+    """Evaluate `reactive` with a value of its option `risk`; return the results of all episodes."""
     data = args.open_dataset()
     episodes: list[EpisodeResult] = []
     for split, stride in (("val", 1), ("train", args.stride)):
@@ -58,29 +58,39 @@ def play(risk: float, args: Args) -> list[EpisodeResult]:
     return episodes
 
 
-def measure(episodes: list[EpisodeResult]) -> npt.NDArray[np.float64]:
-    """Return success rate and AS (%), each with the ends of its 95 % interval, as an array (2, 3)."""
+def compute_rates(episodes: list[EpisodeResult]) -> npt.NDArray[np.float64]:
+    """Return success rate and average success (AS) of episodes, with 95 % intervals (%).
+
+    Returns:
+        (2, 3) value, lower and upper end of the interval, for success rate and AS.
+    """
     scores = [episode.speed_score for episode in episodes]
     n, n_successes = len(episodes), sum(episode.success for episode in episodes)
     success = (n_successes / n, *compute_wilson_interval(n_successes, n))
     return 100 * np.array([success, (sum(scores) / n, *(compute_mean_interval(scores) or (0.0, 0.0)))])
 
 
-def row(risk: float, episodes: list[EpisodeResult]) -> list[str]:
-    """Return the cells of the table row of a value of `risk`."""
-    success, score = (f"{value:.1f} ({low:.1f} to {high:.1f})" for value, low, high in measure(episodes))
+def format_row(risk: float, episodes: list[EpisodeResult]) -> list[str]:
+    """Return the cells of the table row for a value of `risk`."""
+    success, score = (f"{value:.1f} ({low:.1f} to {high:.1f})" for value, low, high in compute_rates(episodes))
     counts = [sum(bool(episode.status & flag) for episode in episodes) for flag in FLAGS]
     return [f"{risk:g}", success, *(f"{100 * count / len(episodes):.1f}" for count in counts), score]
 
 
-def draw(played: dict[float, list[EpisodeResult]], path: Path, heading: str) -> None:
-    """Plot success rate and average success (AS) over the option `risk`."""
+def plot_rates(episodes_by_risk: dict[float, list[EpisodeResult]], path: Path, heading: str) -> None:
+    """Plot success rate and average success (AS) over the option `risk` and write the image.
+
+    Args:
+        episodes_by_risk: Results of the episodes by value of `risk`.
+        path: Image file to write.
+        heading: Title of the plot.
+    """
     figure = Figure(figsize=(6.0, 3.6), layout="constrained")
     axes = figure.subplots()
-    measured = np.array([measure(episodes) for episodes in played.values()])
+    measured = np.array([compute_rates(episodes) for episodes in episodes_by_risk.values()])
     for number, label in enumerate(("success", "AS (success and speed in one)")):
         values, low, high = measured[:, number].T
-        axes.errorbar(list(played), values, [values - low, high - values], marker="o", capsize=3, label=label)
+        axes.errorbar(list(episodes_by_risk), values, [values - low, high - values], marker="o", capsize=3, label=label)
     axes.set(xlabel="risk", ylabel="%", title=heading.replace("replay, ", "replay,\n"), ylim=(0, 102))
     axes.title.set_fontsize(9)
     axes.legend(loc="lower right")
@@ -89,18 +99,18 @@ def draw(played: dict[float, list[EpisodeResult]], path: Path, heading: str) -> 
 
 
 def main(args: Args) -> None:
-    played = {risk: play(risk, args) for risk in map(float, args.risks.split(","))}
+    episodes_by_risk = {risk: evaluate_risk(risk, args) for risk in map(float, args.risks.split(","))}
     data = args.open_dataset()
-    count = len(next(iter(played.values())))
+    count = len(next(iter(episodes_by_risk.values())))
     heading = (
         f"reactive, wait 0, {args.physics} physics, giver replay, {data.name}, "
         f"{args.setup} val and every {args.stride}th of train, {count} episodes"
     )
     print(f"{heading}; 95 % intervals (Wilson; bootstrap for AS).")
     names = ["risk", "success %", *(f"{flag.label} %" for flag in FLAGS), "AS %"]
-    print(format_table(names, [row(risk, episodes) for risk, episodes in played.items()]))
+    print(format_table(names, [format_row(risk, episodes) for risk, episodes in episodes_by_risk.items()]))
     if args.out is not None:
-        draw(played, Path(args.out), heading)
+        plot_rates(episodes_by_risk, Path(args.out), heading)
 
 
 if __name__ == "__main__":

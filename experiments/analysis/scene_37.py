@@ -46,13 +46,16 @@ class RuleLog(EpisodeCallback):
     """Callback that records the measurements on which the referee bases an outcome.
 
     Attributes:
-        touched: Physics step of the first contact of robot and object, or None before it.
-        arrived: First step after the release with the gripper in the goal region, or None.
+        touched: Physics step of the first contact of robot and object; None before that contact.
+        arrived: First physics step after the release with the gripper in the goal region; None
+            before that step.
         gripped: Number of steps since the release with both fingers in contact with the object.
         supported: Number of steps since the release in which the object is supported by the table
             or by another object.
-        grips: Poses (7,) of the object in the Panda's hand link in every step since the release.
-        forces: Contact forces (N) between Panda and object in every step since the release.
+        grips: Pose (7,) of the object in the frame of the Panda's hand link, in every step since the
+            release.
+        forces: Sum of the normal forces between Panda and object (N), in every step since the
+            release.
     """
 
     def on_reset(self, episode: Episode) -> None:
@@ -81,14 +84,20 @@ class RuleLog(EpisodeCallback):
 
     @property
     def slip(self) -> tuple[float, float]:
-        """Translation (m) and rotation (rad) of the object in the gripper since the release."""
+        """Translation (m) and rotation (rad) of the object relative to the gripper since the release."""
         first, last = self.grips[0], self.grips[-1]
         return float(np.linalg.norm(last[:3] - first[:3])), rotation_angle(first[3:], last[3:])
 
 
-def row(name: str, episode: Episode, log: RuleLog) -> list[str]:
-    """Return the cells of the table row of a receiver."""
-    release = "" if episode.release is None else f"{seconds(episode.release_step)} ({episode.release.value})"
+def format_row(name: str, episode: Episode, log: RuleLog) -> list[str]:
+    """Return the cells of a receiver's table row.
+
+    Args:
+        name: Name of the receiver.
+        episode: Finished episode.
+        log: Measurements in that episode.
+    """
+    release = "" if episode.release is None else f"{format_seconds(episode.release_step)} ({episode.release.value})"
     after = episode.steps - (episode.release_step or episode.steps)
     slip = turned = gripped = force = ""
     if log.grips:
@@ -96,12 +105,22 @@ def row(name: str, episode: Episode, log: RuleLog) -> list[str]:
         slip, turned = f"{1000 * moved:.0f}", f"{np.degrees(angle):.0f}"
         gripped = f"{log.gripped} of {after + 1}"
         force = f"{np.median(log.forces):.1f}"
-    verdict = f"{episode.status.label} at {seconds(episode.steps)}"
-    return [name, seconds(log.touched), release, gripped, force, slip, turned, seconds(log.arrived), verdict]
+    verdict = f"{episode.status.label} at {format_seconds(episode.steps)}"
+    return [
+        name,
+        format_seconds(log.touched),
+        release,
+        gripped,
+        force,
+        slip,
+        turned,
+        format_seconds(log.arrived),
+        verdict,
+    ]
 
 
-def seconds(steps: int | None) -> str:
-    """Return a number of physics steps as text in seconds, empty for None."""
+def format_seconds(steps: int | None) -> str:
+    """Return the time of a number of physics steps in seconds, as text; empty for None."""
     return "" if steps is None else f"{steps * TIME_STEP:.3f}"
 
 
@@ -115,7 +134,7 @@ def main(args: Args) -> None:
         log = RuleLog()
         episode.reset(data.load_scene(args.scene))
         play(episode, receivers.make(name, data), seed=0, callbacks=[log])
-        rows.append(row(name, episode, log))
+        rows.append(format_row(name, episode, log))
     print(
         f"Scene {args.scene}, {', '.join(info.object_names)}, {info.side} hand; {data.name}, {args.physics} physics, "
     )

@@ -50,7 +50,7 @@ class MeetingGiver(Giver):
     Args:
         share: Fraction of the distance from object to gripper by which the object is moved.
         max_shift: Largest displacement of the object (m).
-        near: Largest distance (m) from gripper to object at which the gripper can hold the object.
+        near: Distance from gripper to object (m) above which the gripper cannot hold the object.
         release_after: Time (s) for which the robot's fingers must be still before the release.
     """
 

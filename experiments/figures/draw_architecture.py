@@ -60,14 +60,18 @@ def find_imports(path: Path, modules: dict[str, Path]) -> set[str]:
     return names & modules.keys()
 
 
-def import_graph() -> dict[str, set[str]]:
-    """Return for every module of the library the other modules that it imports."""
+def build_import_graph() -> dict[str, set[str]]:
+    """Return the library's modules that each module of the library imports, by module name."""
     modules = find_modules()
     return {name: find_imports(path, modules) - {name} for name, path in modules.items()}
 
 
-def package_of(module: str) -> str | None:
-    """Return the package in which a module is drawn; None for modules at the root."""
+def find_package(module: str) -> str | None:
+    """Return the package to which a module belongs in the figure; None for modules at the root.
+
+    Args:
+        module: Full name of the module.
+    """
     parts = module.split(".")[1:]
     for apart in DRAWN_APART:
         if parts[:2] == apart.split("."):
@@ -76,19 +80,23 @@ def package_of(module: str) -> str | None:
     return parts[0] if is_package else None
 
 
-def package_graph() -> dict[str, set[str]]:
-    """Return for every package of the library the other packages that it imports."""
+def build_package_graph() -> dict[str, set[str]]:
+    """Return the other packages that each package of the library imports, by package name."""
     edges: dict[str, set[str]] = defaultdict(set)
-    packages = {module: package_of(module) for module in find_modules()}
-    for module, imported in import_graph().items():
+    packages = {module: find_package(module) for module in find_modules()}
+    for module, imported in build_import_graph().items():
         package = packages[module]
         if package is not None:
             edges[package] |= {other for name in imported if (other := packages[name]) not in (None, package)}
     return dict(edges)
 
 
-def layers(edges: dict[str, set[str]]) -> list[list[str]]:
-    """Sort packages into layers, lowest first; packages in import cycles are left out."""
+def sort_into_layers(edges: dict[str, set[str]]) -> list[list[str]]:
+    """Sort packages into layers, lowest first; packages in import cycles are left out.
+
+    Args:
+        edges: Packages that each package imports, by package name.
+    """
     placed: list[list[str]] = []
     below: set[str] = set()
     while True:
@@ -99,8 +107,12 @@ def layers(edges: dict[str, set[str]]) -> list[list[str]]:
         below |= set(free)
 
 
-def transitive_reduction(edges: dict[str, set[str]]) -> dict[str, set[str]]:
-    """Return the edges of a graph that are not implied by a path of other edges."""
+def remove_implied_edges(edges: dict[str, set[str]]) -> dict[str, set[str]]:
+    """Return the edges of a graph without those that a path of other edges implies.
+
+    Args:
+        edges: Names to which edges lead, by the name from which they start; without cycles.
+    """
 
     def reach(name: str) -> set[str]:
         return edges[name].union(*(reach(other) for other in edges[name]))
@@ -109,12 +121,12 @@ def transitive_reduction(edges: dict[str, set[str]]) -> dict[str, set[str]]:
 
 
 def draw(out: Path) -> None:
-    """Write the figure as SVG, without arrows that are implied by other arrows."""
+    """Write the figure as an SVG file; arrows that other arrows imply are left out."""
     import matplotlib as mpl
     from matplotlib import pyplot as plt
 
-    edges = package_graph()
-    rows = layers(edges)
+    edges = build_package_graph()
+    rows = sort_into_layers(edges)
     centers = {
         name: ((column - (len(row) - 1) / 2) * (_BOX_WIDTH + 0.5), height * _ROW_HEIGHT)
         for height, row in enumerate(rows)
@@ -122,7 +134,7 @@ def draw(out: Path) -> None:
     }
     with mpl.rc_context({"svg.hashsalt": "architecture", "svg.fonttype": "none"}):
         figure, axes = plt.subplots(figsize=(8.0, 0.8 * len(rows)))
-        for start, ends in transitive_reduction(edges).items():
+        for start, ends in remove_implied_edges(edges).items():
             for end in ends:
                 (x0, y0), (x1, y1) = centers[start], centers[end]
                 arrow = axes.annotate(

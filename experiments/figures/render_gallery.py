@@ -43,7 +43,10 @@ class Args(DatasetArgs):
 def main(args: Args) -> None:
     dataset = args.open_dataset()
     episode = Episode()
-    pictures = [offer(episode, dataset, scene, args.size) for scene in track(args.scenes, console=Console(stderr=True))]
+    pictures = [
+        render_handover_pose(episode, dataset, scene, args.size)
+        for scene in track(args.scenes, console=Console(stderr=True))
+    ]
     episode.close()
     rows = [
         np.concatenate(pictures[start : start + args.columns], axis=1)
@@ -53,8 +56,15 @@ def main(args: Args) -> None:
     Image.fromarray(np.concatenate(rows)).quantize(128).save(args.out, optimize=True)
 
 
-def offer(episode: Episode, dataset: Dataset, scene_id: int, size: int) -> Picture:
-    """Render the object at the end of a scene's motion, seen from the robot's side."""
+def render_handover_pose(episode: Episode, dataset: Dataset, scene_id: int, size: int) -> Picture:
+    """Return an image of the handed-over object at its final pose, seen from the robot's side.
+
+    Args:
+        episode: Simulator; the scene is loaded into it.
+        dataset: Dataset of the scene.
+        scene_id: Scene number.
+        size: Width of the image (pixels).
+    """
     episode.reset(dataset.load_scene(scene_id))
     start = np.array(PandaConfig().start_joints, dtype=np.float32)
     episode.advance(start, episode.scene.n_frames)

@@ -41,8 +41,8 @@ class Args(DatasetArgs):
     out: str = "wrist.png"
 
 
-def view_at(args: Args) -> handover_marl.CameraFrame:
-    """Return the wrist camera's frame at the chosen time of the chosen scene."""
+def capture_frame(args: Args) -> handover_marl.CameraFrame:
+    """Return the wrist camera's frame at the time and in the scene that the options choose."""
     env = handover_marl.parallel_env(
         split="test",
         dataset=args.dataset,
@@ -61,7 +61,7 @@ def view_at(args: Args) -> handover_marl.CameraFrame:
 
 
 def draw(view: handover_marl.CameraFrame) -> Figure:
-    """Draw color image, depth image, segmentation mask and point cloud side by side."""
+    """Return a figure of color image, depth image, segmentation mask and point cloud."""
     figure = Figure(figsize=(13.0, 4.2), dpi=110, layout="constrained")
     grid = figure.add_gridspec(1, 4, width_ratios=[1.0, 1.0, 1.0, 1.5])
     pictures: list[tuple[str, Any, dict[str, Any]]] = [
@@ -99,7 +99,7 @@ def draw(view: handover_marl.CameraFrame) -> Figure:
 def main(args: Args) -> None:
     """Capture a frame of the wrist camera and write the figure."""
     stream = io.BytesIO()
-    draw(view_at(args)).savefig(stream, format="png")
+    draw(capture_frame(args)).savefig(stream, format="png")
     write_atomically(Path(args.out), stream.getvalue())
 
 

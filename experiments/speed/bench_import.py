@@ -45,7 +45,7 @@ class Args(OutputArgs):
         mano: Folder with MANO's two model files.
         workers: Number of worker processes of the import.
         as_is: Whether to import the recordings unchanged instead of a thousand made from them.
-        longest: Number of the longest recordings from which the thousand are made.
+        longest: Number of recordings, the longest ones, from which the thousand are made.
         work: Folder for about 600 MB of temporary files; default: the system's temporary folder.
         seed: Random seed of the order of the recordings' lengths.
     """
@@ -60,19 +60,23 @@ class Args(OutputArgs):
 
 
 @dataclass
-class Peaks:
+class PeakMemory:
     """Peak memory (MiB) of a process and its descendants.
 
     Attributes:
-        together: Peak memory of all processes together; shared pages count once.
-        apart: Peak memory of every process by process id, shared pages included.
+        total: Peak of the memory of all processes together; shared pages count once.
+        by_process: Peak memory of each process, with shared pages, by process id.
     """
 
-    together: float = 0.0
-    apart: dict[int, float] = field(default_factory=dict)
+    total: float = 0.0
+    by_process: dict[int, float] = field(default_factory=dict)
 
     def sample(self, root: int) -> None:
-        """Update the peaks with the current memory of a process and its descendants."""
+        """Update the peaks with the current memory of a process and its descendants.
+
+        Args:
+            root: Process id of the ancestor.
+        """
         total = 0.0
         for process in _tree(root):
             try:
@@ -80,8 +84,8 @@ class Peaks:
                 total += read_memory("Pss:", f"/proc/{process}/smaps_rollup")
             except OSError:  # it has ended
                 continue
-            self.apart[process] = max(self.apart.get(process, 0.0), peak)
-        self.together = max(self.together, total)
+            self.by_process[process] = max(self.by_process.get(process, 0.0), peak)
+        self.total = max(self.total, total)
 
 
 def main(args: Args) -> None:
@@ -90,17 +94,17 @@ def main(args: Args) -> None:
         work = Path(folder)
         raw = Path(args.dexycb) if args.as_is else work / "dex-ycb"
         if not args.as_is:
-            repeat(Path(args.dexycb), raw, args.longest, args.seed)
-        args.publish("Import of raw DexYCB", *measured(raw, args, work / "out"))
+            write_repeated_recordings(Path(args.dexycb), raw, args.longest, args.seed)
+        args.publish("Import of raw DexYCB", *measure_import(raw, args, work / "out"))
 
 
-def repeat(source: Path, raw: Path, longest: int, seed: int) -> None:
+def write_repeated_recordings(source: Path, raw: Path, longest: int, seed: int) -> None:
     """Write a raw data set of a thousand recordings with the names and lengths of DexYCB.
 
     Args:
         source: Folder of raw DexYCB with at least one recording.
         raw: Folder to write; must not exist.
-        longest: Number of the longest recordings of `source` that are repeated in turn.
+        longest: Number of recordings of `source`, the longest ones, that are repeated in turn.
         seed: Random seed of the order of the recordings' lengths.
     """
     found = [(sequence, read_sequence(sequence)) for sequence in find_sequences(source).sequences]
@@ -128,11 +132,17 @@ def _forth_and_back(n: int, length: int) -> npt.NDArray[np.int64]:
     return np.minimum(phase, 2 * (n - 1) - phase)
 
 
-def measured(raw: Path, args: Args, out: Path) -> tuple[str, str]:
-    """Import recordings in a subprocess; return a caption and a table of its time and memory."""
+def measure_import(raw: Path, args: Args, out: Path) -> tuple[str, str]:
+    """Import recordings in a subprocess; return a caption and a table of time and memory.
+
+    Args:
+        raw: Folder of raw DexYCB.
+        args: Options of the script.
+        out: Data folder to create.
+    """
     options = {"--dexycb": raw, "--mano": args.mano, "--out": out, "--workers": args.workers}
     command = [sys.executable, "-c", _COMMAND, "import", *(str(part) for option in options.items() for part in option)]
-    before, start, peaks = os.times(), time.perf_counter(), Peaks()
+    before, start, peaks = os.times(), time.perf_counter(), PeakMemory()
     with subprocess.Popen([*command, "--no-progress"], stdout=subprocess.DEVNULL) as process:
         while process.poll() is None:
             peaks.sample(process.pid)
@@ -148,10 +158,10 @@ def measured(raw: Path, args: Args, out: Path) -> tuple[str, str]:
         ["time", f"{wall:.0f} s"],
         ["processor time", f"{cpu:.0f} s"],
         ["written", f"{size:.0f} MB, {size / wall:.1f} MB/s"],
-        ["peak memory of all processes", f"{peaks.together:.0f} MiB"],
+        ["peak memory of all processes", f"{peaks.total:.0f} MiB"],
         [
             "peak memory of each process",
-            ", ".join(f"{one:.0f} MiB" for one in sorted(peaks.apart.values(), reverse=True)),
+            ", ".join(f"{one:.0f} MiB" for one in sorted(peaks.by_process.values(), reverse=True)),
         ],
     ]
     what = f"{raw} as it is" if args.as_is else f"the {args.longest} longest recordings of {args.dexycb}, repeated"

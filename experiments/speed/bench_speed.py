@@ -53,7 +53,7 @@ class Args(DatasetArgs, OutputArgs):
         scene: Scene number in s0 train that is simulated.
         steps: Number of physics steps of one run; the episode must last that long.
         control_period: Time (s) for which an action is applied.
-        turn: Number of control steps of one environment before the next one is measured.
+        turn: Number of control steps for which one environment is measured before the next one.
         repeats: Number of runs; the table gives median ratios and their range.
         episodes: Number of scenes of s0 val for whole episodes of `yang2021`; 0 skips them.
         workers: Numbers of worker processes to compare; empty skips this comparison.
@@ -73,8 +73,17 @@ class Args(DatasetArgs, OutputArgs):
 
 
 @dataclass
-class Contestant:
-    """Measured environment or engine, with its CPU time (s) per environment in every run."""
+class MeasuredEnv:
+    """Environment, batch of environments, or engine whose steps are timed.
+
+    Attributes:
+        label: Name in the table.
+        physics: Physics engine.
+        engine_only: Whether only PyBullet's `stepSimulation` is timed.
+        envs: Number of environments in the batch.
+        mixed: Whether the environments of a batch simulate different scenes.
+        seconds: CPU time of each run, per environment (s).
+    """
 
     label: str
     physics: str
@@ -85,43 +94,45 @@ class Contestant:
 
 
 def main(args: Args) -> None:
-    sections = [f"{describe_conditions()}.", step_table(args), reset_table(args)]
+    sections = [f"{describe_conditions()}.", make_step_table(args), make_reset_table(args)]
     if args.episodes:
-        sections.append(episode_table(args))
+        sections.append(make_episode_table(args))
     if args.workers:
-        sections.append(worker_table(args))
+        sections.append(make_worker_table(args))
     if args.processes:
-        sections.append(vector_table(args))
+        sections.append(describe_vector_speed(args))
     args.publish("Speed", *sections)
 
 
-def step_table(args: Args) -> str:
-    """Return a table of physics steps per second during small random arm motions."""
-    contestants = [
-        Contestant("exact, env.step", "exact"),
-        Contestant("fast, env.step", "fast"),
-        Contestant("stepSimulation alone, with hand", "exact", engine_only=True),
-        Contestant("stepSimulation alone, without hand", "fast", engine_only=True),
+def make_step_table(args: Args) -> str:
+    """Return a table of the physics steps per second of all variants in small random motions."""
+    variants = [
+        MeasuredEnv("exact, env.step", "exact"),
+        MeasuredEnv("fast, env.step", "fast"),
+        MeasuredEnv("stepSimulation alone, with hand", "exact", engine_only=True),
+        MeasuredEnv("stepSimulation alone, without hand", "fast", engine_only=True),
     ]
     if MUJOCO in PHYSICS:
         many = [
-            Contestant(f"mujoco, batch of {args.vector_envs}", MUJOCO, envs=args.vector_envs),
-            Contestant(f"mujoco, batch of {args.vector_envs}, mixed scenes", MUJOCO, envs=args.vector_envs, mixed=True),
+            MeasuredEnv(f"mujoco, batch of {args.vector_envs}", MUJOCO, envs=args.vector_envs),
+            MeasuredEnv(
+                f"mujoco, batch of {args.vector_envs}, mixed scenes", MUJOCO, envs=args.vector_envs, mixed=True
+            ),
         ]
-        contestants[2:2] = [Contestant("mujoco, env.step", MUJOCO), *(many if args.vector_envs else [])]
+        variants[2:2] = [MeasuredEnv("mujoco, env.step", MUJOCO), *(many if args.vector_envs else [])]
     for _ in progress(range(args.repeats), "steps"):
-        race(args, contestants)
-    exact, fast = (np.array(contestant.seconds) for contestant in contestants[:2])
+        measure_run(args, variants)
+    exact, fast = (np.array(variant.seconds) for variant in variants[:2])
     rows = []
-    for contestant in contestants:
-        seconds = np.array(contestant.seconds)
+    for variant in variants:
+        seconds = np.array(variant.seconds)
         rate, ratios = args.steps / np.median(seconds), exact / seconds
         memory = "-"
-        if not contestant.engine_only and contestant.envs == 1:
-            memory = f"{measure_peak_memory(act_alone, args, contestant.physics):.0f} MB"
+        if not variant.engine_only and variant.envs == 1:
+            memory = f"{measure_peak_memory(step_single_env, args, variant.physics):.0f} MB"
         rows.append(
             [
-                contestant.label,
+                variant.label,
                 f"{rate:.0f}",
                 f"{np.median(ratios):.2f}",
                 f"{ratios.min():.2f} to {ratios.max():.2f}",
@@ -138,42 +149,42 @@ def step_table(args: Args) -> str:
     )
 
 
-def race(args: Args, contestants: list[Contestant]) -> None:
-    """Measure one run of all contestants, which alternate every few control steps."""
+def measure_run(args: Args, variants: list[MeasuredEnv]) -> None:
+    """Measure one run of every variant, in turns of a few control steps; append the CPU times."""
     envs, clocks = [], []
-    for contestant in contestants:
-        with time_engine() if contestant.engine_only else contextlib.nullcontext() as clock:
-            envs.append(entrant(args, contestant))
+    for variant in variants:
+        with time_engine() if variant.engine_only else contextlib.nullcontext() as clock:
+            envs.append(make_measured_env(args, variant))
         if clock is not None:
             clock[0] = 0.0  # without the reset
         clocks.append(clock)
-    seconds = np.zeros(len(contestants))
-    draws = [np.random.default_rng(0) for _ in envs]
+    seconds = np.zeros(len(variants))
+    generators = [np.random.default_rng(0) for _ in envs]
     control_steps = args.steps // round(args.control_period * REAL_TIME)
     for first in range(0, control_steps, args.turn):
         for number, env in enumerate(envs):
             started = time.process_time()
-            act(env, min(args.turn, control_steps - first), draws[number])
-            seconds[number] += (time.process_time() - started) / contestants[number].envs
-    for contestant, env, clock, taken in zip(contestants, envs, clocks, seconds, strict=True):
-        contestant.seconds.append(float(taken) if clock is None else clock[0])
+            step_randomly(env, min(args.turn, control_steps - first), generators[number])
+            seconds[number] += (time.process_time() - started) / variants[number].envs
+    for variant, env, clock, taken in zip(variants, envs, clocks, seconds, strict=True):
+        variant.seconds.append(float(taken) if clock is None else clock[0])
         env.close()
 
 
-def entrant(args: Args, contestant: Contestant) -> HandoverEnv | ParallelVectorEnv:
-    """Create the environment, or batch of environments, that is measured."""
-    if contestant.envs == 1:
-        return make_env(args, contestant.physics)
+def make_measured_env(args: Args, variant: MeasuredEnv) -> HandoverEnv | ParallelVectorEnv:
+    """Create and reset the environment, or batch of environments, of a variant."""
+    if variant.envs == 1:
+        return make_env(args, variant.physics)
     envs = handover_marl.vector_env(
-        contestant.envs,
+        variant.envs,
         None,
         threads=1,
         data_dir=args.data_dir,
         dataset=args.dataset,
         control_period=args.control_period,
-        physics=contestant.physics,
+        physics=variant.physics,
     )
-    envs.reset(seed=0, options=None if contestant.mixed else {"scene_id": args.scene})
+    envs.reset(seed=0, options=None if variant.mixed else {"scene_id": args.scene})
     return envs
 
 
@@ -201,8 +212,8 @@ def time_engine() -> Iterator[list[float]]:
         yield seconds
 
 
-def reset_table(args: Args) -> str:
-    """Return a table of the time of `env.reset` with another scene in every call."""
+def make_reset_table(args: Args) -> str:
+    """Return a table of the wall-clock time of `env.reset`, with another scene in every call."""
     envs = {physics: make_env(args, physics) for physics in PHYSICS}
     scenes = envs["exact"].scene_ids[: 100 * 7 : 7]
     times: dict[str, list[float]] = {physics: [] for physics in PHYSICS}
@@ -221,8 +232,8 @@ def reset_table(args: Args) -> str:
     )
 
 
-def episode_table(args: Args) -> str:
-    """Return a table of the time of whole episodes with and without a trace recorder."""
+def make_episode_table(args: Args) -> str:
+    """Return a table of the wall-clock time of whole episodes, with and without trace recorder."""
     data = args.open_dataset()
     policy = receivers.make("yang2021", data)
     scenes = data.list_scenes("s0", "val")[: args.episodes]
@@ -255,8 +266,8 @@ def episode_table(args: Args) -> str:
     )
 
 
-def worker_table(args: Args) -> str:
-    """Return a table of the time of the same episodes by number of worker processes."""
+def make_worker_table(args: Args) -> str:
+    """Return a table of the wall-clock time of the same episodes by number of worker processes."""
     rows = []
     for physics in PHYSICS:
         config = EvaluationConfig("s0", "val", dataset=args.dataset, data_dir=args.data_dir, physics=physics)
@@ -278,7 +289,7 @@ def worker_table(args: Args) -> str:
     return f"The benchmark of yang2021 on s0 val, {len(tasks)} scenes, start-up included:\n\n{format_table(head, rows)}"
 
 
-def vector_table(args: Args) -> str:
+def describe_vector_speed(args: Args) -> str:
     """Return a sentence on the speed of fast environments in Gymnasium's AsyncVectorEnv."""
     envs = gymnasium.make_vec(
         "handover_marl:HandoverMARL/Receiver-v0",
@@ -309,19 +320,27 @@ def make_env(args: Args, physics: str) -> HandoverEnv:
     return env
 
 
-def act(env: HandoverEnv | ParallelVectorEnv, control_steps: int, draw: np.random.Generator) -> None:
-    """Step with random joint targets, so that no result of an earlier step is reused."""
+def step_randomly(env: HandoverEnv | ParallelVectorEnv, control_steps: int, rng: np.random.Generator) -> None:
+    """Step environments with random joint targets near the start pose.
+
+    No step can reuse the result of an earlier one.
+
+    Args:
+        env: Environment or batch of environments.
+        control_steps: Number of control steps.
+        rng: Random generator of the targets.
+    """
     shape = (env.num_envs,) if isinstance(env, ParallelVectorEnv) else ()
     start = np.array(PandaConfig().start_joints, dtype=np.float32)
     for _ in range(control_steps):
         targets = np.tile(start, (*shape, 1))
-        targets[..., :ARM_DOF] += draw.uniform(-STIR, STIR, (*shape, ARM_DOF))
+        targets[..., :ARM_DOF] += rng.uniform(-STIR, STIR, (*shape, ARM_DOF))
         env.step({"giver": np.tile(NO_DEVIATION, (*shape, 1)), "receiver": targets})
 
 
-def act_alone(args: Args, physics: str) -> None:
-    """Step one environment, of which the memory is measured."""
-    act(make_env(args, physics), 20, np.random.default_rng(0))
+def step_single_env(args: Args, physics: str) -> None:
+    """Step one environment in a process of its own, whose memory is measured."""
+    step_randomly(make_env(args, physics), 20, np.random.default_rng(0))
 
 
 def progress(items: Iterable[Any], label: str, total: int | None = None) -> Iterable[Any]:

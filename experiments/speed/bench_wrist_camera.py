@@ -57,8 +57,11 @@ class Args(DatasetArgs, OutputArgs):
     turns: int = 10
 
 
-class Decisions(EpisodeCallback):
+class PointCloudTimer(EpisodeCallback):
     """Callback that measures the time to compute point clouds at a constant period.
+
+    Args:
+        period: Number of physics steps between two point clouds.
 
     Attributes:
         times: CPU time (s) of every point cloud.
@@ -67,38 +70,42 @@ class Decisions(EpisodeCallback):
     def __init__(self, period: int) -> None:
         self.times: list[float] = []
         self._period = period
-        self._sight = WristCamera(WristCameraConfig(renderer="rays"), "fast", OFFICIAL_CONFIG.physics)
+        self._wrist_camera = WristCamera(WristCameraConfig(renderer="rays"), "fast", OFFICIAL_CONFIG.physics)
 
     def on_reset(self, episode: Episode) -> None:
         """Load the scene's models, so that loading is not part of the measured times."""
-        self._sight.reset(episode.scene, episode.world)
-        self._sight.observe("pointcloud", episode.world, 0)
+        self._wrist_camera.reset(episode.scene, episode.world)
+        self._wrist_camera.observe("pointcloud", episode.world, 0)
 
     def on_step(self, episode: Episode) -> None:
         """Compute a point cloud and record its CPU time, if a period has passed."""
         if episode.steps % self._period == 0:
-            on_reset = time.process_time()
-            self._sight.observe("pointcloud", episode.world, episode.steps)
-            self.times.append(time.process_time() - on_reset)
+            started = time.process_time()
+            self._wrist_camera.observe("pointcloud", episode.world, episode.steps)
+            self.times.append(time.process_time() - started)
 
 
-class Views(EpisodeCallback):
+class RendererComparison(EpisodeCallback):
     """Callback that renders frames of one episode with both renderers.
+
+    Args:
+        steps: Physics steps at which frames are rendered.
+        camera: Ray caster of the episode's scene.
 
     Attributes:
         pairs: Images of the same frame by PyBullet and by the ray caster.
-        times: CPU times (s) per frame: object and hand by the ray caster, the whole image by the
-            ray caster, and the whole image by PyBullet.
+        times: Three CPU times (s) for each frame: of object and hand by the ray caster, of the whole
+            image by the ray caster, and of the whole image by PyBullet.
     """
 
-    def __init__(self, moments: list[int], camera: RayCamera) -> None:
+    def __init__(self, steps: list[int], camera: RayCamera) -> None:
         self.pairs: list[tuple[CameraImage, CameraImage]] = []
         self.times: list[tuple[float, ...]] = []
-        self._moments, self._camera = set(moments), camera
+        self._steps, self._camera = set(steps), camera
 
     def on_step(self, episode: Episode) -> None:
         """Render the frame with both renderers at the chosen physics steps."""
-        if episode.steps not in self._moments:
+        if episode.steps not in self._steps:
             return
         world, now = episode.world, episode.world.read_joint_snapshot()
         stamps = [time.process_time()]
@@ -112,32 +119,36 @@ class Views(EpisodeCallback):
         self.times.append(tuple(np.diff(stamps).tolist()))
 
 
-def look(args: Args, data: Dataset) -> tuple[Decisions, Views]:
-    """Simulate all scenes; return the callbacks with rendered frames and CPU times."""
+def compare_renderers(args: Args, data: Dataset) -> tuple[PointCloudTimer, RendererComparison]:
+    """Simulate all scenes with both callbacks; return them with their images and CPU times."""
     scenes = list(dict.fromkeys(scene for setup in SETUPS for scene in data.list_scenes(setup, "val")))
     chosen = [scenes[int(place)] for place in np.linspace(0, len(scenes) - 1, min(args.scenes, len(scenes)))]
     episode = Episode("fast")
     robot = parse_policy("receiver", args.receiver).make(data)
-    decisions, found = (
-        Decisions(round(1000 * args.period)),
-        Views([], RayCamera(data.load_scene(0).assets, OFFICIAL_CONFIG.physics)),
+    cloud_timer, found = (
+        PointCloudTimer(round(1000 * args.period)),
+        RendererComparison([], RayCamera(data.load_scene(0).assets, OFFICIAL_CONFIG.physics)),
     )
     for scene_id in track(chosen, "views", console=Console(stderr=True)):
         scene = data.load_scene(scene_id)
         episode.reset(scene)
-        play(episode, robot, seed=0, callbacks=[decisions])
-        moments = np.linspace(0, episode.steps, args.views + 1)[1:].astype(int).tolist()
-        views = Views(moments, RayCamera(scene.assets, OFFICIAL_CONFIG.physics))
+        play(episode, robot, seed=0, callbacks=[cloud_timer])
+        steps = np.linspace(0, episode.steps, args.views + 1)[1:].astype(int).tolist()
+        comparison = RendererComparison(steps, RayCamera(scene.assets, OFFICIAL_CONFIG.physics))
         episode.reset(scene)
-        play(episode, robot, seed=0, callbacks=[views])
-        found.pairs += views.pairs
-        found.times += views.times
+        play(episode, robot, seed=0, callbacks=[comparison])
+        found.pairs += comparison.pairs
+        found.times += comparison.times
     episode.close()
-    return decisions, found
+    return cloud_timer, found
 
 
-def agreement_table(pairs: list[tuple[CameraImage, CameraImage]]) -> str:
-    """Return a table of the renderers' agreement in mask and depth by segmentation label."""
+def make_agreement_table(pairs: list[tuple[CameraImage, CameraImage]]) -> str:
+    """Return a table of the agreement of two renderers in mask and depth, by segmentation label.
+
+    Args:
+        pairs: Images of the same frames by both renderers.
+    """
     rows = []
     for seen in SegmentationLabel:
         shown = [(first.compute_mask(seen), second.compute_mask(seen)) for first, second in pairs]
@@ -158,12 +169,12 @@ def agreement_table(pairs: list[tuple[CameraImage, CameraImage]]) -> str:
     return format_table(header, rows)
 
 
-def time_table(decisions: Decisions, views: Views) -> str:
+def make_time_table(cloud_timer: PointCloudTimer, comparison: RendererComparison) -> str:
     """Return a table of the CPU times of point clouds and rendered frames."""
-    targets, whole, bullet = zip(*views.times, strict=True)
+    targets, whole, bullet = zip(*comparison.times, strict=True)
     rows = []
     for name, seconds in (
-        ("cloud of a decision (rays)", decisions.times),
+        ("cloud of a decision (rays)", cloud_timer.times),
         ("object and hand (rays)", targets),
         ("whole picture (rays)", whole),
         ("whole picture (bullet)", bullet),
@@ -174,7 +185,7 @@ def time_table(decisions: Decisions, views: Views) -> str:
     return format_table(["224 x 224", "views", "median ms", "95 % ms", "mean ms"], rows)
 
 
-def environment(args: Args, physics: str) -> HandoverEnv:
+def make_env(args: Args, physics: str) -> HandoverEnv:
     """Create an environment with point clouds in its observations."""
     return HandoverEnv(
         split="val",
@@ -187,40 +198,40 @@ def environment(args: Args, physics: str) -> HandoverEnv:
     )
 
 
-def take_turn(env: HandoverEnv, steps: int) -> float:
-    """Return the CPU time (s) of some control steps at the start pose, without resets."""
+def time_steps(env: HandoverEnv, steps: int) -> float:
+    """Return the CPU time (s) of a number of control steps at the start pose, without resets."""
     action = {"giver": np.zeros(8, dtype=np.float32), "receiver": np.zeros(PANDA_DOF, dtype=np.float32)}
     action["receiver"][:] = env.config.world_config.physics.panda.start_joints
     seconds = 0.0
     for _ in range(steps):
         if not env.agents:
             env.reset()
-        on_reset = time.process_time()
+        started = time.process_time()
         env.step(action)
-        seconds += time.process_time() - on_reset
+        seconds += time.process_time() - started
     return seconds
 
 
-def play_alone(args: Args, physics: str) -> None:
-    """Simulate three episodes of one environment, of which the memory is measured."""
-    env = environment(args, physics)
+def simulate_single_env(args: Args, physics: str) -> None:
+    """Simulate three episodes in a process of its own, whose memory is measured."""
+    env = make_env(args, physics)
     for seed in range(3):
         env.reset(seed=seed)
-        take_turn(env, args.steps)
+        time_steps(env, args.steps)
 
 
-def environment_table(args: Args) -> str:
-    """Return a table of step times and peak memory of whole environments."""
-    contestants, rows = {}, []
+def make_env_table(args: Args) -> str:
+    """Return a table of the CPU time of a step and the peak memory of whole environments."""
+    envs, rows = {}, []
     for name, physics in (("exact, bullet", "exact"), ("fast, rays", "fast")):
-        rows.append([name, f"{measure_peak_memory(play_alone, args, physics):.0f}"])
-        contestants[name] = environment(args, physics)
-        contestants[name].reset(seed=0)
-        take_turn(contestants[name], args.steps)
-    seconds: dict[str, list[float]] = {name: [] for name in contestants}
+        rows.append([name, f"{measure_peak_memory(simulate_single_env, args, physics):.0f}"])
+        envs[name] = make_env(args, physics)
+        envs[name].reset(seed=0)
+        time_steps(envs[name], args.steps)
+    seconds: dict[str, list[float]] = {name: [] for name in envs}
     for _ in track(range(args.turns), "turns", console=Console(stderr=True)):
-        for name, env in contestants.items():
-            seconds[name].append(take_turn(env, args.steps))
+        for name, env in envs.items():
+            seconds[name].append(time_steps(env, args.steps))
     ratios = np.array(seconds["exact, bullet"]) / np.array(seconds["fast, rays"])
     for row in rows:
         times = 1000.0 * np.array(seconds[row[0]]) / args.steps
@@ -235,16 +246,16 @@ def environment_table(args: Args) -> str:
 def main(args: Args) -> None:
     """Print the tables and write them to the output file, if there is one."""
     data = args.open_dataset(args.robot)
-    decisions, found = look(args, data)
+    cloud_timer, found = compare_renderers(args, data)
     name = {"dexycb": "DexYCB", "synthetic": "synthetic scenes"}[data.name]
     parts = [
         f"{len(found.pairs)} views of {args.scenes} scenes of the validation splits, {name}, {args.robot}, receiver "
         f"{args.receiver}, fast physics. {describe_conditions()}.",
-        agreement_table(found.pairs),
-        time_table(decisions, found),
+        make_agreement_table(found.pairs),
+        make_time_table(cloud_timer, found),
     ]
     if args.turns:
-        parts.append(environment_table(args))
+        parts.append(make_env_table(args))
     args.publish("The wrist camera", *parts)
 
 

@@ -35,20 +35,20 @@ def describe_conditions() -> str:
 
 
 def measure_peak_memory(function: Callable[..., Any], *arguments: Any) -> float:
-    """Return the peak resident memory (MiB) of a new process that calls a function."""
+    """Call a function in a new process and return the peak resident memory (MiB) of that process."""
     with multiprocessing.get_context("spawn").Pool(1) as pool:
         pool.apply(function, arguments)
         return pool.apply(read_memory, ("VmHWM:",))
 
 
 def read_memory(name: str, file: str = "/proc/self/status") -> float:
-    """Return a memory figure (MiB) of a process from a file of Linux.
+    """Return a memory size (MiB) of a process from a file of Linux; 0 if the file lacks it.
 
-    Peaks of getrusage are no substitute: a new process takes over the one of its parent.
+    The peak of `getrusage` is no substitute: a new process takes over the peak of its parent.
 
     Args:
-        name: First word of the line with the figure.
-        file: File with lines of a name, a figure (KiB) and "kB".
+        name: First word of the line with the size, such as "VmHWM:".
+        file: File with lines of a name, a size (KiB) and "kB".
     """
     lines = Path(file).read_text().splitlines()
     return next((float(line.split()[1]) / 1024.0 for line in lines if line.startswith(name)), 0.0)

@@ -48,41 +48,44 @@ class Args(SetupArgs, OutputArgs):
     scenes: int | None = None
 
 
-def offered(episode: Episode, receiver: OmgReceiver) -> Observation:
-    """Return the observation at the end of the receiver's waiting time, when it plans."""
+def observe_after_wait(episode: Episode, receiver: OmgReceiver) -> Observation:
+    """Return the observation at the end of the receiver's waiting time, at which it plans."""
     wait = receiver.timing.wait_ms
     episode.advance(receiver.act(episode.observe()), wait)
     return episode.observe()
 
 
-def planning_time(receiver: OmgReceiver, observation: Observation) -> float:
+def measure_planning_time(receiver: OmgReceiver, observation: Observation) -> float:
     receiver.reset()
     start = time.perf_counter()
     receiver.act(observation)
     return time.perf_counter() - start
 
 
-def shares_by_package(profile: cProfile.Profile) -> list[list[str]]:
-    """Return the planner's files with their shares (%) of the time, library calls included."""
+def compute_time_shares(profile: cProfile.Profile) -> list[list[str]]:
+    """Return table rows of the planner's files and their shares (%) of the time.
+
+    The time of a call of another library counts for the file that makes the call.
+    """
     spent: dict[str, float] = defaultdict(float)
     statistics = pstats.Stats(profile).stats  # type: ignore[attr-defined]
     for (file, _, _), (_, _, own, _, callers) in statistics.items():
-        if is_ours(file):
+        if is_library_file(file):
             spent[Path(file).name] += own
             continue
         for (caller, _, _), (_, _, _, cumulative) in callers.items():
-            if is_ours(caller):
+            if is_library_file(caller):
                 spent[Path(caller).name] += cumulative
     total = sum(spent.values())
     rows = sorted(spent.items(), key=lambda item: -item[1])
     return [[name, f"{100 * seconds / total:.1f}"] for name, seconds in rows if seconds > 0.005 * total]
 
 
-def is_ours(file: str) -> bool:
+def is_library_file(file: str) -> bool:
     return "handover_marl" in file or Path(file).name == "omg.py"
 
 
-def quantiles(name: str, values: Sequence[float], digits: int) -> list[str]:
+def format_quantiles(name: str, values: Sequence[float], digits: int) -> list[str]:
     return [name, *(f"{value:.{digits}f}" for value in np.quantile(values, [0.05, 0.5, 0.95, 1.0]))]
 
 
@@ -101,10 +104,10 @@ def main(args: Args) -> None:
         episode = Episode("fast")
         episode.reset(data.load_scene(scene))
         receiver.reset()
-        observation = offered(episode, receiver)
+        observation = observe_after_wait(episode, receiver)
         episode.close()
-        first.append(planning_time(receiver, observation))
-        again.append(planning_time(receiver, observation))
+        first.append(measure_planning_time(receiver, observation))
+        again.append(measure_planning_time(receiver, observation))
         if receiver.plan is not None:
             steps.append(receiver.plan.steps)
             goals.append(len(receiver.plan.goals))
@@ -112,10 +115,10 @@ def main(args: Args) -> None:
         profile.runcall(receiver.act, observation)
     peak = read_memory("VmHWM:")
     times = [
-        quantiles("first time, s", first, 3),
-        quantiles("again, s", again, 3),
-        quantiles("goals", goals, 0),
-        quantiles("optimisation steps", steps, 0),
+        format_quantiles("first time, s", first, 3),
+        format_quantiles("again, s", again, 3),
+        format_quantiles("goals", goals, 0),
+        format_quantiles("optimisation steps", steps, 0),
     ]
     args.publish(
         "Planning",
@@ -125,7 +128,7 @@ def main(args: Args) -> None:
         f"No goal in {len(first) - len(goals)} scenes. Peak memory {peak:.0f} MB, before the first scene "
         f"{before:.0f} MB.",
         "Share of planning by file, with the NumPy functions it calls (cProfile):",
-        format_table(["", "%"], shares_by_package(profile)),
+        format_table(["", "%"], compute_time_shares(profile)),
     )
 
 

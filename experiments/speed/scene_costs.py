@@ -39,7 +39,7 @@ class Args(DatasetArgs, OutputArgs):
 def main(args: Args) -> None:
     rows = []
     for receiver in args.receivers:
-        seconds, preparing = costs(args, receiver)
+        seconds, preparing = measure_scene_times(args, receiver)
         mean = float(np.mean(seconds))
         hours = [f"{mean * SPLIT_SIZES[setup, 'test'] / 3600:.2f}" for setup in SETUPS]
         total = sum(mean * SPLIT_SIZES[setup, "test"] for setup in SETUPS) / 3600
@@ -55,8 +55,13 @@ def main(args: Args) -> None:
     )
 
 
-def costs(args: Args, receiver: str) -> tuple[list[float], float]:
-    """Return the CPU time (s) of every scene, and the mean time (s) to prepare for a scene."""
+def measure_scene_times(args: Args, receiver: str) -> tuple[list[float], float]:
+    """Return the CPU time of every scene, and the mean CPU time of the preparation for a scene (s).
+
+    Args:
+        args: Options of the script.
+        receiver: Name of the receiver.
+    """
     config = EvaluationConfig(
         "s0", "test", dataset=args.dataset, data_dir=args.data_dir, physics=args.physics, receiver=receiver
     )

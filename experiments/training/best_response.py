@@ -33,8 +33,8 @@ class Args(SetupArgs):
         physics: Simulation: fast or exact.
         seed: Random seed of the first round; each round adds 1.
         val_scenes: Number of validation scenes, evenly chosen.
-        giver: Other arguments of `train_giver_sb3.py`.
-        receiver: Other arguments of `train_receiver_sb3.py`.
+        giver: Further arguments of `train_giver_sb3.py`.
+        receiver: Further arguments of `train_receiver_sb3.py`.
     """
 
     out: str = "runs/responses"
@@ -55,16 +55,28 @@ def main(args: Args) -> None:
     for number in range(1, args.rounds + 1):
         common = options | {"seed": args.seed + number - 1}
         givers.append(
-            respond(train_giver_sb3, args.giver, out / f"giver-{number}", common | {"receiver": receivers[-1]})
+            train_response(train_giver_sb3, args.giver, out / f"giver-{number}", common | {"receiver": receivers[-1]})
         )
         receivers.append(
-            respond(train_receiver_sb3, args.receiver, out / f"receiver-{number}", common | {"giver": givers[-1]})
+            train_response(
+                train_receiver_sb3, args.receiver, out / f"receiver-{number}", common | {"giver": givers[-1]}
+            )
         )
         print(crossplay(givers, receivers, split="val", scenes=val, out=out / "crossplay", **options))
 
 
-def respond(script: ModuleType, args: Any, folder: Path, changes: dict[str, Any]) -> str:
-    """Train an agent for the other's latest policy, unless done; return the policy's name."""
+def train_response(script: ModuleType, args: Any, folder: Path, changes: dict[str, Any]) -> str:
+    """Train one agent for the other agent's latest policy, unless that is done.
+
+    Args:
+        script: Training script of the agent, as a module.
+        args: Arguments of the script.
+        folder: Folder of the training run.
+        changes: Arguments that replace those in `args`, among them the other agent's policy.
+
+    Returns:
+        Name of the trained policy, `learned:FILE`.
+    """
     done = folder / "done"
     if not done.exists():
         # An interrupted run is resumed even before its first checkpoint.

@@ -45,7 +45,10 @@ class Args(PairArgs):
 
 
 class OutOfTimeError(KeyboardInterrupt):
-    """End of the time limit; BenchMARL closes the experiment and re-raises this exception."""
+    """Exception that ends the training when its time limit has passed.
+
+    BenchMARL closes the experiment and raises the exception again.
+    """
 
 
 class EvaluationCallback(Callback):
@@ -78,7 +81,7 @@ def scale_last_layers(experiment: Experiment) -> None:
 
 
 def policy_networks(experiment: Experiment) -> dict[str, DenseNetwork]:
-    """Return the networks of both policies' mean actions, tanh included, by agent."""
+    """Return the network of each agent's mean actions, tanh included, by agent."""
     return {
         agent: dense_network_from_module(
             actor_layers(experiment, agent).get_stateful_net(),

@@ -73,7 +73,7 @@ class RolloutCollector:
         self._returns = np.zeros(envs.num_envs)
 
     def collect(self, models: dict[str, ActorCritic], args: Args) -> dict[str, dict[str, torch.Tensor]]:
-        """Collect one batch; return tensors (steps, envs, ...) by agent and quantity."""
+        """Collect one batch of transitions; return tensors (steps, envs, ...) by agent and quantity."""
         steps = [self._step(models, args.discount) for _ in range(args.batch_size // args.envs)]
         return {
             agent: {key: torch.as_tensor(np.stack([step[agent][key] for step in steps])) for key in steps[0][agent]}
@@ -109,7 +109,13 @@ class RolloutCollector:
 
 
 def compute_advantages(batch: dict[str, torch.Tensor], last_value: torch.Tensor, args: Args) -> torch.Tensor:
-    """Return generalized advantage estimates (steps, envs) (Schulman et al., ICLR 2016)."""
+    """Return generalized advantage estimates (steps, envs) (Schulman et al., ICLR 2016).
+
+    Args:
+        batch: Transitions of one agent: tensors (steps, envs, ...) by quantity.
+        last_value: (envs,) values of the states after the last step.
+        args: Arguments with discount factor and lambda.
+    """
     advantages = torch.zeros_like(batch["reward"])
     next_value, next_advantage = last_value, torch.zeros_like(last_value)
     for step in reversed(range(len(advantages))):
@@ -127,7 +133,15 @@ def update(
     advantages: torch.Tensor,
     args: Args,
 ) -> dict[str, float]:
-    """Update one agent's networks by PPO; return losses and statistics for the log."""
+    """Update one agent's networks by PPO; return losses and statistics for the log.
+
+    Args:
+        model: Policy and value function of the agent.
+        optimizer: Optimizer of the model's parameters.
+        batch: Transitions of the agent: tensors (steps, envs, ...) by quantity.
+        advantages: (steps, envs) advantages of the agent's actions.
+        args: Arguments of the training.
+    """
     targets = (advantages + batch["value"]).flatten()
     observations, actions, old_log_probs = (batch[key].flatten(0, 1) for key in ("observation", "action", "log_prob"))
     advantages = advantages.flatten()

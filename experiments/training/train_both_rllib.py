@@ -43,7 +43,7 @@ _SAMPLE_TIMEOUT = 3600.0  # s
 
 @dataclass(frozen=True)
 class Args(PairArgs):
-    """Arguments of the training with RLlib; several environments run in own processes."""
+    """Arguments of the training with RLlib; with several environments each has its own process."""
 
     out: str = "runs/rllib"
 
@@ -94,7 +94,7 @@ def make_config(args: Args) -> PPOConfig:
 
 
 def policy_networks(algorithm: Algorithm) -> dict[str, DenseNetwork]:
-    """Return the networks of both policies' mean actions, unclipped, by agent."""
+    """Return the network of each agent's mean actions, which are not clipped, by agent."""
     return {agent: dense_network_from_module(algorithm.get_module(agent).actor) for agent in AGENTS}
 
 

@@ -49,7 +49,9 @@ class Args(PairArgs):
 
 
 class AgentsVectorEnv(BaseVectorEnv):
-    """Vector environment of single agents: index 2 w is the giver of world w, 2 w + 1 the receiver.
+    """Vector environment in which every agent of every two-agent environment is one environment.
+
+    Index 2 w is the giver of the two-agent environment w, and 2 w + 1 is its receiver.
 
     Args:
         worlds: Two-agent environments.
@@ -72,7 +74,14 @@ class AgentsVectorEnv(BaseVectorEnv):
         return [None if each is None else [each] for each in self._seeds for _ in AGENTS]
 
     def reset(self, env_id: Any = None, **kwargs: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Reset two-agent environments; both agents of one are always reset together."""
+        """Reset two-agent environments; return observations and infos of the chosen agents.
+
+        Both agents of a two-agent environment are reset, even if only one of them is chosen.
+
+        Args:
+            env_id: Indices of the chosen agents; default: all.
+            kwargs: Further arguments of Tianshou, which are ignored.
+        """
         chosen = list(self._wrap_id(env_id))
         results: dict[int, tuple[Any, ...]] = {}
         for number in self._worlds_of(chosen):
@@ -142,13 +151,18 @@ def _make_net(observations: Any, args: Args) -> Net:
 
 
 def policy_networks(algorithm: PPO, world: HomogeneousEnv) -> dict[str, DenseNetwork]:
-    """Return the networks of both policies' mean actions, unclipped, by agent."""
+    """Return the network of each agent's mean actions, which are not clipped, by agent."""
     shared = dense_network_from_module(algorithm.policy.actor)
     return {agent: extract_agent_network(shared, world, agent) for agent in AGENTS}
 
 
 def summarize(stats: CollectStats, steps: int) -> str:
-    """Return a message with the receiver's mean return in the finished episodes of a batch."""
+    """Return a message with the receiver's mean return in the episodes that ended in a batch.
+
+    Args:
+        stats: Statistics of the batch.
+        steps: Number of decisions so far.
+    """
     returns = stats.returns[1::2] if len(stats.returns) else np.zeros(0)
     return f"{steps} decisions" + (f", receiver's return {returns.mean():.2f}" if len(returns) else "")
 

@@ -54,7 +54,7 @@ class Args(PairArgs):
 
 
 class ConcatenatedInputs(nn.Sequential):
-    """Layers on the concatenated features of several agents."""
+    """Network whose input is the concatenation of the features of several agents."""
 
     def forward(self, *features: torch.Tensor) -> torch.Tensor:
         return super().forward(torch.cat(features, -1))
@@ -135,7 +135,12 @@ def update(batch: TensorDictBase, loss: ClipPPOLoss, optimizer: torch.optim.Opti
 
 
 def summarize(batch: TensorDictBase, steps: int) -> str:
-    """Return a message with mean return and outcome rates of a batch's finished episodes."""
+    """Return a message with mean return and outcome rates of the episodes that ended in a batch.
+
+    Args:
+        batch: Transitions of the batch.
+        steps: Number of decisions so far.
+    """
     ended = batch["next", "done"].flatten()
     count = max(int(ended.sum()), 1)
     returns = batch["next", "receiver", "episode_reward"].flatten()[ended].mean()
@@ -145,7 +150,7 @@ def summarize(batch: TensorDictBase, steps: int) -> str:
 
 
 def policy_networks(actors: dict[str, ProbabilisticActor]) -> dict[str, DenseNetwork]:
-    """Return the networks of both policies' mean actions, tanh included, by agent."""
+    """Return the network of each agent's mean actions, tanh included, by agent."""
     return {
         group: dense_network_from_module(actor, "tanh", actor.spec[group, "action"].shape[-1])
         for group, actor in actors.items()

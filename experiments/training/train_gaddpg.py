@@ -84,7 +84,7 @@ class Args(DatasetArgs):
         scenarios: Number of scenarios for which the expert plans.
         rounds: Number of rounds: rollouts of the expert in the first, of the network in the others.
         episodes: Number of rollouts of each scenario in the first round; one in later rounds.
-        repeated_share: Fraction of the scenarios with a rollout in each round after the first.
+        repeated_share: Share of the scenarios that have a rollout in each round after the first.
         updates: Total number of updates.
         batch_size: Number of states per update.
         val_scenes: Number of validation scenes, evenly chosen.

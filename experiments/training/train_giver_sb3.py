@@ -41,7 +41,7 @@ class Args(PpoArgs):
     Attributes:
         receiver: Name of the frozen receiver.
         teacher: Name of the giver to imitate before PPO; empty for no imitation.
-        demonstrations: Number of recorded actions of the teacher to imitate.
+        demonstrations: Number of episodes whose first decision by the teacher is imitated.
         imitation_epochs: Number of epochs of the imitation.
     """
 
@@ -87,7 +87,11 @@ def main(args: Args) -> Path:
 
 
 def imitate(model: PPO, args: Args) -> float:
-    """Fit the policy's means to the teacher's first actions; return the root mean square error."""
+    """Train the policy to imitate the teacher's first decision in each of many episodes.
+
+    Returns:
+        Root mean square of the difference between the policy's mean outputs and the teacher's.
+    """
     env = frozen_env_factory(args, "giver", args.receiver)()
     teacher = givers.make(args.teacher, env.unwrapped.dataset)
     observations, outputs = [], []

@@ -35,7 +35,7 @@ class Args(PpoArgs):
 
     Attributes:
         giver: Name of the frozen giver.
-        gripper_initial_std: Initial standard deviation of the action that closes the gripper.
+        gripper_initial_std: Initial standard deviation of the output that closes the gripper.
     """
 
     out: str = "runs/receiver"

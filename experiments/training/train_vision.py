@@ -85,7 +85,7 @@ class Args(VisionArgs):
 
     Attributes:
         out: Folder of the run.
-        rounds: Number of DAgger rounds, evenly over the training.
+        rounds: Number of DAgger rounds, evenly spread over the training.
         round_views: Number of views per scene in a DAgger round.
         hand: Whether points of the person's hand are an input.
         groups: Whether predictions use groups of neighboring points, as in PointNet++.

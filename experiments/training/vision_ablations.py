@@ -48,8 +48,8 @@ class Variant:
     """Variant of the training of `vision`, or of the camera noise in its evaluation.
 
     Attributes:
-        training: Arguments of `train_vision.py` that differ from the complete network's.
-        camera: Noise of the wrist camera in evaluation.
+        training: Arguments of `train_vision.py` that differ from those of the complete network.
+        camera: Noise of the wrist camera in the evaluation; None for no noise.
     """
 
     training: dict[str, Any] = field(default_factory=dict)
@@ -84,19 +84,20 @@ class Args(train_vision.VisionArgs):
 
 
 @dataclass(frozen=True)
-class Row:
-    """Results of one variant, a row of the table.
+class VariantResult:
+    """Results of one variant, which make a row of the table.
 
     Attributes:
-        reports: Reports on the validation split and on unseen training scenes.
-        metrics: Metrics of predicted grasps on held-out views.
+        reports: Reports of the evaluations on the validation split and on scenes of the training
+            split that the network was not trained on.
+        metrics: Accuracy of predicted grasps on held-out views.
     """
 
     reports: tuple[Report, ...]
     metrics: GraspMetrics
 
-    def successes(self) -> list[bool]:
-        """Return for every scene of both reports whether its episode succeeded."""
+    def list_successes(self) -> list[bool]:
+        """Return one flag for each scene of both reports: whether its episode succeeded."""
         return [bool(one.status & EpisodeStatus.SUCCESS) for report in self.reports for one in report.episodes]
 
 
@@ -110,38 +111,54 @@ def main(args: Args) -> Path:
     return args.out / "ablations.md"
 
 
-def evaluate_variant(args: Args, name: str, variant: Variant) -> Row:
-    """Train a variant, unless its network exists, and evaluate it."""
+def evaluate_variant(args: Args, name: str, variant: Variant) -> VariantResult:
+    """Train a variant, unless its network exists, and return the results of its evaluation.
+
+    Args:
+        args: Arguments of the ablations.
+        name: Name of the variant.
+        variant: The variant.
+    """
     trained = next(other for other, it in VARIANTS.items() if it.training == variant.training)
-    weights = train_vision.main(training_args(args, trained))
+    weights = train_vision.main(make_training_args(args, trained))
     data = args.open_dataset(args.robot)
     whole = data.list_scenes(args.setup, "train")
     scenes = whole[:: args.stride]
     used = set(training_scenes(scenes))
     val = select_scenes_evenly(data.list_scenes(args.setup, "val"), args.val_scenes)
     unseen = select_scenes_evenly([scene for scene in whole if scene not in used], args.unseen_scenes)
-    reports = tuple(evaluate(args, name, weights, split, some) for split, some in (("val", val), ("train", unseen)))
+    reports = tuple(
+        evaluate_weights(args, name, weights, split, chosen) for split, chosen in (("val", val), ("train", unseen))
+    )
     views = ViewBatches(read_views(held_out_scenes(scenes), args.out / "views"), torch.device("cpu"))
     network, _ = read_network_weights(weights, GraspNetwork)
-    return Row(reports, compute_grasp_metrics(network, views, GraspTrainingConfig()))
+    return VariantResult(reports, compute_grasp_metrics(network, views, GraspTrainingConfig()))
 
 
-def variant_folder(args: Args, name: str, part: str) -> Path:
+def get_variant_folder(args: Args, name: str, part: str) -> Path:
     """Return the subfolder `part` of a variant's folder."""
     return args.out / name.replace(" ", "_") / part
 
 
-def training_args(args: Args, name: str) -> train_vision.Args:
+def make_training_args(args: Args, name: str) -> train_vision.Args:
     """Return the arguments of a variant's training."""
     shared = {part.name: getattr(args, part.name) for part in fields(train_vision.VisionArgs)}
     options = {"rounds": 0, "round_views": args.views, "shared_views": str(args.out / "views"), "resume": True}
     return train_vision.Args(
-        out=str(variant_folder(args, name, "training")), **shared | options | VARIANTS[name].training
+        out=str(get_variant_folder(args, name, "training")), **shared | options | VARIANTS[name].training
     )
 
 
-def evaluate(args: Args, name: str, weights: Path, split: str, scenes: Sequence[int]) -> Report:
-    """Evaluate a network on scenes in fast physics."""
+def evaluate_weights(args: Args, name: str, weights: Path, split: str, scenes: Sequence[int]) -> Report:
+    """Return the report of an evaluation of a network on some scenes in fast physics.
+
+    Args:
+        args: Arguments of the ablations.
+        name: Name of the variant, which determines the camera noise.
+        weights: Weight file of the network.
+        split: Split of the scenes.
+        scenes: Scene numbers.
+    """
     return benchmark(
         args.setup,
         split,
@@ -153,15 +170,20 @@ def evaluate(args: Args, name: str, weights: Path, split: str, scenes: Sequence[
         physics="fast",
         camera_noise=VARIANTS[name].camera,
         workers=args.workers,
-        out=variant_folder(args, name, split),
+        out=get_variant_folder(args, name, split),
     )
 
 
-def format_page(args: Args, rows: dict[str, Row]) -> str:
-    """Return the table of all variants with a caption, as Markdown text."""
+def format_page(args: Args, rows: dict[str, VariantResult]) -> str:
+    """Return the table of all variants with a caption, as Markdown text.
+
+    Args:
+        args: Arguments of the ablations.
+        rows: Results by name of the variant.
+    """
     full, cells = rows[FULL], []
     for name, this in rows.items():
-        difference = compute_paired_difference(this.successes(), full.successes())
+        difference = compute_paired_difference(this.list_successes(), full.list_successes())
         gain = "" if this is full else format_percent_difference(difference)
         rates = [
             format_percent_rate(report.count(EpisodeStatus.SUCCESS), len(report.episodes)) for report in this.reports

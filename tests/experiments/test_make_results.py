@@ -13,7 +13,7 @@ FOLDER = Path(__file__).parents[1] / "data" / "v0_7_0" / "benchmark"
 
 def test_a_partial_folder_is_refused() -> None:
     with pytest.raises(SystemExit, match="whole test split"):
-        make_results.evaluation_of(FOLDER)
+        make_results.read_evaluation(FOLDER)
 
 
 def test_a_whole_folder_becomes_an_entry(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -22,8 +22,8 @@ def test_a_whole_folder_becomes_an_entry(monkeypatch: pytest.MonkeyPatch) -> Non
     official = replace(report.metadata, physics="exact", split="test")
     whole = replace(report, metadata=official, n_split_scenes=len(report.episodes))
     monkeypatch.setattr(handover_marl, "evaluate", lambda folder: whole)
-    entry = make_results.evaluation_of(FOLDER)
+    entry = make_results.read_evaluation(FOLDER)
     assert entry.episodes == len(report.episodes) == entry.success + entry.contact + entry.drop + entry.timeout
     assert (entry.receiver, entry.version, entry.wait_s) == (report.metadata.receiver, "0.7.0", 3.0)
     assert entry.as_percent == pytest.approx(100 * report.average_success, abs=0.05)
-    assert make_results.own_row(entry)[0] == f"`{report.metadata.receiver}`"
+    assert make_results.format_row(entry)[0] == f"`{report.metadata.receiver}`"

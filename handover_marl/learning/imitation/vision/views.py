@@ -59,7 +59,7 @@ class GraspViewConfig:
         joints: Standard deviation of every arm joint near a waiting pose (rad).
         lifted: Distance from its initial position at which the object counts as picked up (m).
         velocity_window: Time before a frame over which the object's velocity is averaged (ms).
-        motion_window: Time after a frame for which the object's displacement is stored (ms).
+        motion_window: Time after a frame over which the object's displacement is measured (ms).
     """
 
     objects: int = 256
