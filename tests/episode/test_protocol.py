@@ -156,3 +156,20 @@ def test_referee_reports_the_release_step() -> None:
     assert referee.release is ReleaseReason.ACTIVE
     referee.update(PUSH)
     assert referee.release_step == 110
+
+
+@given(st.lists(st.sampled_from([GRASP, PUSH, ONE_FINGER, NOTHING, AT_GOAL]), max_size=6), st.booleans())
+def test_a_restored_referee_continues_as_the_original(parts: list[Contacts], gives: bool) -> None:
+    """Before, at and after releases of all three kinds; each part is 60 steps."""
+    original = Referee(CONFIG)
+    if gives:
+        original.release_voluntarily()
+    for contacts in parts:
+        for _ in range(60):
+            original.update(contacts)
+        restored = Referee(CONFIG)
+        restored.restore(original.get_state())
+        assert restored.get_state() == original.get_state()
+        assert (restored.release, restored.released) == (original.release, original.released)
+        assert restored.update(contacts) == original.update(contacts)
+        assert restored.get_state() == original.get_state()
