@@ -2,6 +2,7 @@ import os
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 from handover_marl.datasets import DATA_DIR_VARIABLE, OfficialDataset
 from tests.fake_layout import write_layout
@@ -9,6 +10,10 @@ from tests.slow import read_slow_tests, test_name
 
 # Tests run side by side, one per core; those of several worker processes name a number of workers.
 os.environ.setdefault("LOKY_MAX_CPU_COUNT", "1")
+
+# The time of an example depends on what else the machine does.
+settings.register_profile("tests", deadline=None)
+settings.load_profile("tests")
 
 #: Folder with recordings of the reference simulator (`scene*.npz`, `yang_s0_val.json`).
 RECORDINGS_VARIABLE = "HANDOVER_MARL_RECORDINGS"

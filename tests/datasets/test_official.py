@@ -97,7 +97,7 @@ def test_other_files_as_meta(own_data: Path, text: str) -> None:
         OfficialDataset(own_data).load_info(5)
 
 
-@settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(share=st.floats(0.0, 0.999))
 def test_truncated_motion(own_data: Path, share: float) -> None:
     path = own_data / "dex-ycb-cache" / "pose_005.npz"

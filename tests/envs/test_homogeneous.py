@@ -87,7 +87,7 @@ def test_vectors_hold_all_that_dictionaries_show() -> None:
         env.unflatten("giver", seen["receiver"])
 
 
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 @given(seed=st.integers(0, 2**31 - 1), agent=st.sampled_from(AGENTS))
 def test_any_observation_comes_back_from_its_vector(seed: int, agent: str) -> None:
     world = handover_marl.parallel_env(**SYNTHETIC)
@@ -125,7 +125,7 @@ def test_padded_observations_are_ones_own_with_zeros() -> None:
         np.testing.assert_array_equal(env.own_observation(agent, seen[agent]), shown[agent])
 
 
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 @given(seed=st.integers(0, 2**31 - 1), agent=st.sampled_from(AGENTS), raw=st.booleans())
 def test_ones_own_action_comes_back_whatever_follows_it(seed: int, agent: str, raw: bool) -> None:
     env = ENVS[raw]

@@ -68,7 +68,7 @@ def without_final_count(last: int, state: RefereeState) -> tuple[int, RefereeSta
     return last, state._replace(goal_steps=0) if state.status else state
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(streams(), st.integers(1, 60), st.booleans())
 def test_arrays_give_the_states_of_the_referee(
     episodes: list[list[Contacts]], chunk: int, releases_voluntarily: bool

@@ -71,7 +71,7 @@ def test_pausing_stops_and_doubling_skips() -> None:
     assert played.deviation[0] == 1.0
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     st.tuples(*[st.floats(-0.3, 0.3)] * 3).filter(lambda shift: np.linalg.norm(shift) > 1e-3),
     st.tuples(*[st.floats(-1.0, 1.0)] * 3),
@@ -204,7 +204,7 @@ def apply_wrist_offset() -> Playback:
     return played
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.integers(1, 99), st.floats(-1.0, 1.0))
 def test_only_what_was_simulated_counts(done: int, rate: float) -> None:
     """What was planned beyond the episode's end never happened."""

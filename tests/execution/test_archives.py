@@ -187,7 +187,7 @@ def test_other_files_as_archives(tmp_path: Path) -> None:
         contents(tmp_path / "text.tar.gz")
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data(), kind=st.sampled_from(["w", "w:gz", "zip"]))
 def test_damaged_archives_are_reported(data: st.DataObject, kind: str, tmp_path: Path) -> None:
     """Cut or flipped bytes: an error of the library's own, or an archive that can be read."""

@@ -80,7 +80,7 @@ def test_shipped_meshes_are_whole() -> None:
         assert np.isfinite(read_obj(path).vertices).all()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.lists(st.integers(-6, 6), min_size=3, max_size=3))
 def test_check_and_reader_agree(tmp_path_factory: pytest.TempPathFactory, corners: list[int]) -> None:
     path = write(tmp_path_factory.mktemp("obj"), TRIANGLE + "f " + " ".join(map(str, corners)) + "\n")

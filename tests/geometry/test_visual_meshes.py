@@ -121,7 +121,7 @@ def test_invisible_links_have_no_mesh(tmp_path: Path) -> None:
     assert not read(write(tmp_path, collision))
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.integers(0, 2**32 - 1))
 def test_shapes_are_where_their_origin_puts_them(tmp_path_factory: pytest.TempPathFactory, seed: int) -> None:
     rng, folder = np.random.default_rng(seed), tmp_path_factory.mktemp("mesh")

@@ -21,7 +21,7 @@ from tests.evaluation.deadline import ends_within
 pytestmark = pytest.mark.filterwarnings("ignore:invalid (escape|octal):DeprecationWarning")
 
 WHOLE = official(made_up_hand())
-FUZZING = settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+FUZZING = settings(max_examples=200, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 def read(folder: Path, data: bytes) -> None:

@@ -14,7 +14,7 @@ from handover_marl.datasets.dexycb.rotations import STRIDE, KeyframeSpan, TagFra
 from tests.datasets.dexycb.raw_files import hand_model, hand_poses, object_poses, tag_pose
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(seed=st.integers(0, 10_000))
 def test_keyframes_in_the_tag_frame(seed: int) -> None:
     poses, pose = object_poses(6, seed=seed)[:, 0], tag_pose(seed)
@@ -52,7 +52,7 @@ def test_frames_without_a_hand_are_zero(first: int, last: int) -> None:
     assert find_hand_span(hand_poses(10, first, last)) == KeyframeSpan(first, last)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(seed=st.integers(0, 10_000))
 def test_wrist_position_is_the_recorded_one(seed: int) -> None:
     """MANO turns about the wrist, the articulated hand about its origin; both must put the wrist in one place."""
@@ -65,7 +65,7 @@ def test_wrist_position_is_the_recorded_one(seed: int) -> None:
     assert (base * turned.inv()).magnitude().max() < 1e-5
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(seed=st.integers(0, 10_000))
 def test_finger_rotations_are_the_recorded_ones(seed: int) -> None:
     poses = hand_poses(6, seed=seed)

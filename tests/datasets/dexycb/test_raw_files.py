@@ -160,7 +160,7 @@ def test_official_names_have_the_same_number_by_rank_and_by_list(tmp_path: Path,
 
 
 @given(ranks=st.sets(st.integers(0, 99), min_size=1, max_size=100))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_parts_of_dexycb_have_the_official_numbers(ranks: set[int]) -> None:
     with tempfile.TemporaryDirectory() as folder:
         names = read_sequence_names()[SUBJECTS[6]]

@@ -47,14 +47,14 @@ def one(a: float, b: float, c: float) -> np.float32:
     return fused_multiply_add(*(np.array([value], dtype=np.float32) for value in (a, b, c)))[0]
 
 
-@settings(max_examples=1000, deadline=None)
+@settings(max_examples=1000)
 @given(a=FLOATS, b=FLOATS, c=FLOATS)
 def test_fused_sums_round_once(a: float, b: float, c: float) -> None:
     assume(abs(a * b + c) < 3e38)
     assert one(a, b, c) == fused(np.float32(a), np.float32(b), np.float32(c))
 
 
-@settings(max_examples=1000, deadline=None)
+@settings(max_examples=1000)
 @given(steps=st.integers(0, 2**23), shift=st.integers(1, 30), sign=st.sampled_from([-1.0, 1.0]))
 def test_fused_sums_next_to_half_way_points(steps: int, shift: int, sign: float) -> None:
     """Half a unit in the last place of c and a very little more or less, which float64 alone cannot tell."""
@@ -71,7 +71,7 @@ def test_fused_sums_where_double_rounding_fails(sign: float) -> None:
     assert one(sign * a, b, sign * c) == sign * c == fused(sign * a, b, sign * c)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(entries=st.lists(TAME, min_size=9 + 6, max_size=9 + 6))
 def test_rotate_fused_and_unfused(entries: list[float]) -> None:
     matrix = np.array(entries[:9], dtype=np.float32).reshape(3, 3)

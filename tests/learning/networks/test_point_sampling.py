@@ -81,7 +81,7 @@ def test_the_ball_is_open() -> None:
     assert query_ball(points, points[:, :1] + 9.0, 0.5, 2).tolist() == [[[0, 0]]]
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(seed=st.integers(0, 10_000), order=st.permutations(range(1, 40)))
 def test_choices_go_with_their_points(seed: int, order: list[int]) -> None:
     """Whatever order the points behind the first are in, the same are chosen, and the same are neighbours."""
@@ -106,7 +106,7 @@ def test_columns_are_gathered() -> None:
 
 
 @given(seed=st.integers(0, 2**16), members=st.integers(1, 5))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_greatest_of_groups_and_its_gradient(seed: int, members: int) -> None:
     draw = torch.Generator().manual_seed(seed)
     features = torch.randn(3, 7, 4, generator=draw, requires_grad=True)

@@ -65,7 +65,7 @@ def test_tilted_copies_keep_the_pads_in_place() -> None:
 
 
 @given(st.data())
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_grasps_from_record(draw: st.DataObject) -> None:
     config, n = GraspPreparationConfig(), draw.draw(st.integers(1, 8))
     known = known_grasps(BRICK)[:n]

@@ -50,7 +50,7 @@ def test_points_beyond_the_fingers_are_ignored() -> None:
 
 
 @given(seed=st.integers(0, 2**16), offset=st.floats(-0.02, 0.02))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_shift_is_invariant_to_the_frame(seed: int, offset: float) -> None:
     rng = np.random.default_rng(seed)
     pose = np.concatenate([rng.normal(size=3), Rotation.random(random_state=seed).as_quat()])

@@ -36,7 +36,7 @@ def test_position_filter_tracks_and_coasts() -> None:
 
 
 @given(seed=st.integers(0, 2**16), size=st.floats(0.0, 0.012))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_registration_of_a_sphere(seed: int, size: float) -> None:
     rng = np.random.default_rng(seed)
     ball = rng.normal(size=(3000, 3))

@@ -37,7 +37,7 @@ def random_picture(seed: int) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.b
     return depth, rng.random(SHAPE) < rng.choice([0.001, 0.1, 0.9])
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(seeds)
 def test_pinhole_points_project_to_the_sampled_positions(seed: int) -> None:
     depth, seen = random_picture(seed)
@@ -48,7 +48,7 @@ def test_pinhole_points_project_to_the_sampled_positions(seed: int) -> None:
     np.testing.assert_allclose(points[:, 2] - 0.036, depth[seen], atol=3e-7)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(seeds)
 def test_handoversim_points_are_shifted_by_one_pixel(seed: int) -> None:
     depth, seen = random_picture(seed)

@@ -54,7 +54,7 @@ def taken(photo: CameraImage, camera: CameraNoise, seed: int = 0) -> CameraImage
 seeds = st.integers(0, 10_000)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(seeds)
 def test_zero_noise_changes_nothing(seed: int) -> None:
     photo = patches(seed)
@@ -106,7 +106,7 @@ def test_noisy_depth_is_not_negative() -> None:
     assert (depth == 0.0).mean() > 0.1
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(seeds, st.floats(0.0, 1.0), st.sampled_from([0.005, 0.02, 0.3]))
 def test_only_edge_pixels_are_dropped(seed: int, share: float, step: float) -> None:
     photo = patches(seed)
@@ -122,7 +122,7 @@ def test_only_edge_pixels_are_dropped(seed: int, share: float, step: float) -> N
     assert (worse.segmentation[lost] == SegmentationLabel.BACKGROUND).all()
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(seeds)
 def test_dropout_of_all_and_of_no_edge_pixels(seed: int) -> None:
     photo = patches(seed)
@@ -164,7 +164,7 @@ def test_noise_follows_the_seed() -> None:
     assert (first.segmentation != other.segmentation).any()
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(seeds)
 def test_noise_draws_do_not_depend_on_the_image(seed: int) -> None:
     """A pixel that shows the same in two pictures comes out the same, whatever is beside it."""

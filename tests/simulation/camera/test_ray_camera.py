@@ -262,7 +262,7 @@ def assert_targets_equal_the_whole_image(rays: RayCamera, now: JointSnapshot) ->
     return part
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.sampled_from(SCENES), seeds, st.sampled_from([(0.0, 0.3), (-0.1, 0.6), (0.3, 1.8)]))
 def test_targets_equal_those_of_the_whole_image(
     stands: dict[int, Stand], scene_id: int, seed: int, depths: tuple[float, float]
@@ -271,7 +271,7 @@ def test_targets_equal_those_of_the_whole_image(
     assert_targets_equal_the_whole_image(stands[scene_id].rays, now)
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(seeds)
 def test_full_occlusion_leaves_no_targets(stands: dict[int, Stand], seed: int) -> None:
     """The second object, a gelatin box, before the camera; object and hand behind it."""
@@ -391,7 +391,7 @@ def write_box(path: Path, size: str) -> Path:
     return path
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(seeds)
 def test_pinhole_points_are_on_the_surfaces(tmp_path_factory: pytest.TempPathFactory, seed: int) -> None:
     """From the picture of a box back into its own frame; HandoverSim's are a pixel beside it."""

@@ -62,7 +62,7 @@ def check_hits(hits: RayHits, expected: npt.NDArray[np.float64], clear: npt.NDAr
     np.testing.assert_allclose(depths[clear], expected[clear], rtol=1e-5, atol=3e-5)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(seeds)
 def test_the_outer_of_nested_boxes_is_hit(seed: int) -> None:
     """From outside, and from between any two of them."""
@@ -84,7 +84,7 @@ def test_the_outer_of_nested_boxes_is_hit(seed: int) -> None:
     check_hits(cast(boxes(*halves), start, ways), expected, clear)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(seeds)
 def test_a_closed_box_is_invisible_from_inside(seed: int) -> None:
     rng = np.random.default_rng(seed)

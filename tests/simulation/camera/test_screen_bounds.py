@@ -94,13 +94,13 @@ def triangles(draw: st.DrawFn) -> Array:
 FACES = np.array([[0, 1, 2], [0, 2, 1]], dtype=np.int32)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(triangles(), st.sampled_from([0, 1]))
 def test_no_pixel_of_a_triangle_is_missed(corners: Array, side: int) -> None:
     check_nothing_is_missed(corners, FACES[side : side + 1])
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.lists(triangles(), min_size=2, max_size=5), st.integers(0, 2**32 - 1))
 def test_no_pixel_of_a_mesh_is_missed(parts: list[Array], seed: int) -> None:
     """Triangles of all kinds together, some of whose corners are shared and some of no triangle."""
@@ -110,7 +110,7 @@ def test_no_pixel_of_a_mesh_is_missed(parts: list[Array], seed: int) -> None:
     check_nothing_is_missed(points, faces)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.integers(0, 2**32 - 1))
 def test_a_front_face_is_bounded_by_its_box(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -124,7 +124,7 @@ def test_a_front_face_is_bounded_by_its_box(seed: int) -> None:
     assert boxed(points, 0.02)[pixels].all()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.integers(0, 2**32 - 1))
 def test_back_faces_and_triangles_behind_have_no_pixels(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -147,7 +147,7 @@ def test_a_triangle_covers_a_pixel_only_at_its_sample_position() -> None:
         assert not len(find_candidate_pixels(tiny(column, row + 0.5), FACES))
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.integers(0, 2**32 - 1))
 def test_pixels_at_vertices_are_covered(seed: int) -> None:
     """However they are rounded."""
@@ -170,7 +170,7 @@ def test_a_floor_through_the_near_plane_covers_the_lower_half() -> None:
     assert set((shown // 224).tolist()) == set(range(112, 224))
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.lists(triangles(), min_size=1, max_size=6))
 def test_many_triangles_have_the_pixels_of_each(parts: list[Array]) -> None:
     points = np.concatenate(parts)
@@ -186,7 +186,7 @@ def test_no_triangles_have_no_pixels() -> None:
         assert not len(pixels)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.integers(0, 2**32 - 1))
 def test_points_project_to_sample_positions(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -196,7 +196,7 @@ def test_points_project_to_sample_positions(seed: int) -> None:
     np.testing.assert_allclose(project_points(points), expected, atol=1e-4)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.lists(triangles(), min_size=1, max_size=4), st.integers(0, 2**32 - 1))
 def test_no_part_loses_a_visible_pixel(parts: list[Array], seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -210,7 +210,7 @@ def test_no_part_loses_a_visible_pixel(parts: list[Array], seed: int) -> None:
         assert not np.setdiff1d(np.intersect1d(shown, pixels), share).size
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.lists(triangles(), min_size=1, max_size=5))
 def test_parts_get_the_pixels_of_their_boxes(parts: list[Array]) -> None:
     for part, share in zip(parts, split_pixels_by_part(PIXELS, parts), strict=True):
