@@ -5,14 +5,16 @@ import shutil
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+import handover_marl
 from handover_marl.cli import main
 from handover_marl.errors import OptionError, ResultsError, UnknownNameError
 from handover_marl.evaluation import episode_runner
 from handover_marl.evaluation.demonstrations.lerobot import writer
 from tests.evaluation.demonstrations.lerobot.reading import data_set_contents, read_rows
-from tests.evaluation.demonstrations.recording import SCENES, record
+from tests.evaluation.demonstrations.recording import SCENES, SHORT, MovingReceiver, record
 
 pytest.importorskip("pyarrow")
 pytest.importorskip("imageio_ffmpeg")
@@ -61,6 +63,19 @@ def test_data_do_not_depend_on_workers(recorded: Path, tmp_path: Path) -> None:
     ]
     assert not list(recorded.glob(".*"))
     assert not (recorded / "episodes").exists()
+
+
+@pytest.mark.parametrize("physics", ["exact", "fast"])
+def test_recording_does_not_change_the_results(tmp_path: Path, physics: str) -> None:
+    """Though frames are observed between decisions."""
+    options: dict[str, Any] = {"scenes": [5], "physics": physics, "giver": "noisy"}
+    record(None, tmp_path / "recorded", format="lerobot", obs_mode="state+pointcloud", **options)
+    options |= {"receiver": MovingReceiver, "split": "train", "dataset": "synthetic", "world_config": SHORT}
+    handover_marl.evaluate_pair(out=tmp_path / "plain", workers=1, progress=False, **options)
+    with np.load(tmp_path / "plain" / "000.npz") as plain, np.load(tmp_path / "recorded" / "000.npz") as recorded:
+        assert sorted(plain) == sorted(recorded)
+        for key in set(plain) - {"elapsed_time"}:
+            np.testing.assert_array_equal(plain[key], recorded[key], err_msg=key)
 
 
 def test_further_scenes_are_inserted_in_the_order_of_the_split(
