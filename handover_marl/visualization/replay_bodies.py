@@ -20,8 +20,9 @@ from handover_marl.visualization.replay_recorder import EpisodeLog
 
 Array = npt.NDArray[np.float64]
 
-# Largest number of triangles of a link; more make the page large without a visible difference.
-_MAX_FACES = 900
+# Largest number of triangles of a link of the robot and of other bodies; more make the page large without a visible
+# difference.
+_MAX_ROBOT_FACES, _MAX_FACES = 3000, 900
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,7 +142,8 @@ def _compute_body(
     base: Array = IDENTITY,
 ) -> Iterator[LinkTrajectory]:
     trajectory = compute_link_trajectory(urdf, joints, base)
-    for mesh in load_simplified_meshes(urdf, urdf.stat().st_mtime_ns):
+    max_faces = _MAX_ROBOT_FACES if label is SegmentationLabel.ROBOT else _MAX_FACES
+    for mesh in load_simplified_meshes(urdf, urdf.stat().st_mtime_ns, max_faces):
         poses, present = base[None], is_present[:1]
         if mesh.link >= 0:
             origins, rotations = trajectory.origins[:, mesh.link], trajectory.rotations[:, mesh.link]
@@ -150,22 +152,26 @@ def _compute_body(
 
 
 @functools.lru_cache(maxsize=64)
-def load_simplified_meshes(urdf: Path, changed: int) -> tuple[LinkMesh, ...]:
+def load_simplified_meshes(urdf: Path, changed: int, max_faces: int = _MAX_FACES) -> tuple[LinkMesh, ...]:
     """Return the visual meshes of a model's links with a reduced number of triangles.
 
     Args:
         urdf: URDF file of the model.
         changed: Modification time of the file (ns), part of the key of the cache.
+        max_faces: Largest number of triangles of a link.
 
     Raises:
         SimulationError, DataFormatError: The model or one of its meshes cannot be read.
     """
     return tuple(
-        _simplify_mesh(part.link, part.vertices, part.faces) for part in read_visual_meshes(urdf, read_tree(urdf))
+        _simplify_mesh(part.link, part.vertices, part.faces, max_faces)
+        for part in read_visual_meshes(urdf, read_tree(urdf))
     )
 
 
-def _simplify_mesh(link: int, vertices: npt.NDArray[np.float32], faces: npt.NDArray[np.int32]) -> LinkMesh:
+def _simplify_mesh(
+    link: int, vertices: npt.NDArray[np.float32], faces: npt.NDArray[np.int32], max_faces: int
+) -> LinkMesh:
     # Imported only here, because they are optional dependencies.
     import fast_simplification
     import trimesh
@@ -174,6 +180,6 @@ def _simplify_mesh(link: int, vertices: npt.NDArray[np.float32], faces: npt.NDAr
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     mesh.merge_vertices(merge_norm=True, merge_tex=True)
     points, triangles = mesh.vertices.astype(np.float32), mesh.faces.astype(np.int32)
-    if len(triangles) > _MAX_FACES:
-        points, triangles = fast_simplification.simplify(points, triangles, target_count=_MAX_FACES)
+    if len(triangles) > max_faces:
+        points, triangles = fast_simplification.simplify(points, triangles, target_count=max_faces)
     return LinkMesh(link, np.asarray(points, dtype=np.float32), np.asarray(triangles, dtype=np.int32))

@@ -33,10 +33,13 @@ _REQUIRED_MODULES = ("fast_simplification", "trimesh", "viser")
 # Resolution of stored positions (m) and quaternions: invisible, but the page compresses better.
 _POSITION_STEP, _ROTATION_STEP = 2.0**-13, 2.0**-12
 _ROBOT_COLOR, _GOAL_COLOR, _PLAN_COLOR = (205, 208, 214), (60, 160, 90), (190, 60, 200)
+_GROUND_COLOR = (120, 120, 130)  # of the light from below
 _FINGER_CONTACT_COLOR, _HAND_CONTACT_COLOR = (255, 200, 0), (230, 30, 40)
 _FINGER_CONTACT_RADIUS, _HAND_CONTACT_RADIUS, _CLOUD_POINT_RADIUS = 0.006, 0.025, 0.002  # m
 _LABEL_HEIGHT = 0.3  # m above the center of the goal region
 _FLAT_SHADING_FACES = 300  # meshes with fewer triangles look better with flat shading
+# Viser hides the scene until its map of the surroundings, from which light comes, has been decoded.
+_SHOW_AT_ONCE = "<style>canvas{opacity:1!important;animation:appear .3s}@keyframes appear{from{opacity:0}}</style>"
 #: Duration for which the end is shown before the animation starts again (s).
 END_PAUSE_S = 1.5
 
@@ -66,6 +69,7 @@ def build_viser_page(log: EpisodeLog, camera: CameraConfig) -> str:
     with _run_server() as server:
         scene, view = server.scene, server.initial_camera
         scene.set_up_direction("+z")
+        scene.add_light_hemisphere("/sky", ground_color=_GROUND_COLOR, intensity=1.2)
         view.position, view.look_at = camera.position, camera.target
         view.fov = np.radians(camera.vertical_fov)
         serializer = server.get_scene_serializer()
@@ -90,7 +94,7 @@ def build_viser_page(log: EpisodeLog, camera: CameraConfig) -> str:
         page = str(serializer.as_html())
     # Dark mode follows the browser's setting, as on the page around it.
     dark_mode = "{darkMode:matchMedia('(prefers-color-scheme: dark)').matches}"
-    return page.replace("{darkMode:false}", dark_mode, 1)
+    return page.replace("{darkMode:false}", dark_mode, 1).replace("</head>", f"{_SHOW_AT_ONCE}</head>", 1)
 
 
 def build_color_legend(log: EpisodeLog) -> list[tuple[str, str]]:

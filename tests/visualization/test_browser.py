@@ -71,6 +71,10 @@ def test_two_clicks_from_the_table_to_a_failed_episode(results: Path, browser: A
     assert page.evaluate("document.documentElement.scrollWidth") == width
     stage = page.frame_locator("iframe")
     stage.locator("canvas").first.wait_for()
+    # Viser would show it at 5 % until its map of the surroundings is decoded, in software half a minute.
+    opacities = stage.locator("canvas").evaluate_all("all => all.map(one => getComputedStyle(one).animationName)")
+    assert opacities
+    assert set(opacities) == {"appear"}
     time = stage.locator("input").first
     sync_api.expect(time).not_to_have_value("0.0", timeout=PATIENCE)
     for _ in range(60):

@@ -148,6 +148,23 @@ def test_simplified_meshes_are_close_to_the_originals(fake_data: Path, model: st
             np.testing.assert_allclose(end(part.vertices, axis=0), end(large[link].vertices, axis=0), atol=0.004)
 
 
+def test_robot_has_its_visual_meshes(log: EpisodeLog) -> None:
+    """In more detail than other bodies, and than its collision shapes."""
+    from handover_marl.geometry.kinematic_tree import read_tree
+
+    urdf = log.scene.assets.panda
+    visual = {part.link: len(part.faces) for part in read_visual_meshes(urdf, read_tree(urdf))}
+    shown = {
+        link.mesh.link: len(link.mesh.faces)
+        for link in compute_link_trajectories(log)
+        if link.label is SegmentationLabel.ROBOT
+    }
+    assert shown.keys() == visual.keys()
+    assert max(visual.values()) > 3000
+    for link, count in shown.items():
+        assert 0.9 * min(visual[link], 3000) <= count <= 3000
+
+
 def read_recording(page: str) -> dict[str, Any]:
     """What viser's page plays."""
     stage = unescape(re.search(r'srcdoc="(.*?)"', page, re.DOTALL).group(1))  # type: ignore[union-attr]
@@ -179,6 +196,9 @@ def test_page_plays_in_real_time_and_loads_no_files(log: EpisodeLog, capfd: pyte
     assert [time for time, _ in words] == pytest.approx([frame.step * TIME_STEP for frame in log.frames])
     assert words[10][1].startswith("0.40 s - ")
     assert words[-1][1] == "1.30 s - timeout"
+    lights = [message for _, message in recording["messages"] if "HemisphereLight" in message["type"]]
+    assert len(lights) == 1
+    assert "canvas{opacity:1!important" in unescape(page).partition("</head>")[2].partition("</head>")[0]
     names = {message.get("name") for _, message in recording["messages"]}
     assert {"/goal", "/planned_path", "/robot/9", "/object0/6", "/object1/6", "/status"} <= names
 
