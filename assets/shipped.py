@@ -84,7 +84,15 @@ def _load_grasps(path: Path) -> MappingProxyType[str, npt.NDArray[np.float64]]:
 
 
 def load_validation_record(name: str, path: Path = VALIDATION_PATH) -> ValidationRecord | None:
-    """Load a record (n, 4) of grasp validations by its name, or return None if it does not exist.
+    """Return the record (n, 4) of an object's grasp validations, or None if there is no such record.
+
+    Columns: index of the shifted copy of a grasp, or -1 for a known grasp; number of poses around
+    the grasp that held; number of the retreat motion that held, 0 for none; number of release poses
+    in which the fingers kept the object.
+
+    Args:
+        name: Name of the record.
+        path: File of the records.
 
     Raises:
         DataFormatError: The file is damaged.

@@ -14,8 +14,8 @@ class OfferTimer:
     """Timer that changes the handover pose whenever the gripper has not approached for 2 s.
 
     Attributes:
-        share: Factor, from -0.5 to 1, on the giver's deviation from the recorded handover pose; 0
-            is the recorded pose.
+        share: Factor, from -0.5 to 1, by which the giver multiplies its deviation from the recorded
+            handover pose; 0 gives the recorded pose.
     """
 
     timeout = 2.0  # s without an approach
@@ -29,7 +29,7 @@ class OfferTimer:
         self._since: float | None = None
 
     def update(self, observation: Observation) -> None:
-        """Update the share; call this in every decision once the hand is at its handover pose."""
+        """Update `share`; to be called in every decision once the hand is at its handover pose."""
         now = float(observation["time"][0])
         distance = float(np.linalg.norm(observation["gripper_pose"][:3] - observation["object_poses"][0, :3]))
         if self._since is None or distance < self._min_distance - self.min_approach:
@@ -69,7 +69,7 @@ class CooperativeGiver(Giver):
         self._withdrawn: Vector | None = None
 
     def act(self, observation: Observation) -> Action:
-        """Return the hand's deviation from the recording; after a release, withdraw the hand."""
+        """Return the action (8,): deviation towards the gripper, or withdrawal after a release."""
         if observation["released"][0]:
             return self._withdraw(observation)
         if not self._is_fixed and observation["hand_present"][0]:

@@ -21,7 +21,7 @@ class NoisyGiver(Giver):
         self._deviation = np.zeros(7)
 
     def act(self, observation: Observation) -> Action:
-        """Return the next random deviation from the recording."""
+        """Return the action (8,) with the next random deviation from the recording."""
         deviations = np.array([self.rate, *[self.displacement] * 3, *[self.rotation] * 3])
         decay = np.exp(-self.control_period / self.time_constant)
         noise = self._rng.standard_normal(7)

@@ -17,8 +17,8 @@ class ReplayGiver(Giver):
         return math.inf
 
     def reset(self, seed: int | None = None) -> None:
-        """Start an episode; there is no state."""
+        """Start an episode; this giver keeps no state."""
 
     def act(self, observation: Observation) -> Action:
-        """Return the action that follows the recording without deviation."""
+        """Return the action (8,) that follows the recording without deviation."""
         return make_giver_action()

@@ -16,12 +16,12 @@ class HesitantGiver(Giver):
     shortest_pause, longest_pause = 0.3, 1.0  # s
 
     def reset(self, seed: int | None = None) -> None:
-        """Start an episode without a pause, and seed the times of pauses."""
+        """Start an episode without a pause; the seed determines the times of later pauses."""
         self._rng = np.random.default_rng(seed)
         self._until = 0.0
 
     def act(self, observation: Observation) -> Action:
-        """Return the action that pauses, or that replays at the recorded speed."""
+        """Return the action (8,) that pauses, or the one that replays at the recorded speed."""
         now = float(observation["time"][0])
         if now >= self._until and self._rng.random() < self.pauses_per_second * self.control_period:
             self._until = now + self._rng.uniform(self.shortest_pause, self.longest_pause)
@@ -39,20 +39,23 @@ class HurriedGiver(Giver):
         self._rate = float(np.random.default_rng(seed).uniform(self.min_rate, self.max_rate))
 
     def act(self, observation: Observation) -> Action:
-        """Return the action that replays the recording at this episode's speed."""
+        """Return the action (8,) that replays the recording at the speed drawn for this episode."""
         return make_giver_action(rate=self._rate)
 
 
 class StopWhenNearGiver(Giver):
-    """Giver that pauses while the gripper is near the object (GenH2R; Wang et al., CVPR 2024)."""
+    """Giver that pauses the recording while the gripper is near the object.
+
+    GenH2R has such a giver (Wang et al., CVPR 2024).
+    """
 
     name = "stop_when_near"
     distance = 0.35  # m, from the Panda's hand link to the object's origin
 
     def reset(self, seed: int | None = None) -> None:
-        """Start an episode; there is no state."""
+        """Start an episode; this giver keeps no state."""
 
     def act(self, observation: Observation) -> Action:
-        """Return the action that pauses, or that replays at the recorded speed."""
+        """Return the action (8,) that pauses, or the one that replays at the recorded speed."""
         distance = np.linalg.norm(observation["gripper_pose"][:3] - observation["object_poses"][0, :3])
         return make_giver_action(rate=_PAUSE if distance < self.distance else _NORMAL)

@@ -22,7 +22,7 @@ class WithdrawingGiver(Giver):
         self._displacement = np.zeros(3)
 
     def act(self, observation: Observation) -> Action:
-        """Return the action that withdraws the hand, or that follows the recording."""
+        """Return the action (8,) that withdraws the hand, or the one that follows the recording."""
         now = float(observation["time"][0])
         away = observation["hand_keypoints"][0] - observation["gripper_pose"][:3]
         distance = float(np.linalg.norm(away))

@@ -34,11 +34,11 @@ class SamplingConfig:
     """Parameters of the grasp candidates.
 
     Attributes:
-        max_width: Largest distance (m) of the finger contacts; the Panda opens 0.08.
-        max_cone_angle: Largest angle (rad) between the closing direction and the surface normals.
-        depth_range: Range of the distance (m) from the gripper frame to the contacts. The finger
-            pads end at 0.112, the palm at 0.066.
-        max_bridged_gap: Largest gap (m) between convex parts that counts as solid.
+        max_width: Largest distance between the two finger contacts (m); the Panda opens to 0.08.
+        max_cone_angle: Largest angle between the closing direction and the surface normals (rad).
+        depth_range: Smallest and largest distance from the gripper frame's origin to the contacts along
+            the approach direction (m). The finger pads end at 0.112, the palm at 0.066.
+        max_bridged_gap: Largest gap between convex parts that counts as solid (m).
     """
 
     max_width: float = 0.076
@@ -120,9 +120,16 @@ class ConvexSolid:
 
 
 def sample_candidates(solid: ConvexSolid, n: int, seed: int, config: SamplingConfig | None = None) -> Array:
-    """Sample grasps `object_from_gripper` (k, 4, 4), k < n, that pinch opposite surface points.
+    """Sample grasps that pinch opposite points of an object's surface; collisions are not checked.
 
-    Collisions are not checked.
+    Args:
+        solid: Object.
+        n: Number of surface points from which grasps are tried.
+        seed: Random seed.
+        config: Parameters of the candidates; None for the defaults.
+
+    Returns:
+        (k, 4, 4) transforms `object_from_gripper`, at most n.
     """
     config = config or SamplingConfig()
     rng = np.random.default_rng(seed)
@@ -146,10 +153,15 @@ def sample_candidates(solid: ConvexSolid, n: int, seed: int, config: SamplingCon
 
 
 def farthest_point_order(grasps: Array, tip_depth: float = 0.1, length_per_turn: float = 0.05) -> npt.NDArray[np.intp]:
-    """Return indices that order grasps (k, 4, 4) so that each is farthest from all previous ones.
+    """Return indices that order grasps so that each grasp is farthest from all previous grasps.
 
-    The distance of two grasps combines the distance (m) of the contacts and the differences of the
-    approach directions and closing axes, weighted by `length_per_turn` (m).
+    The distance between two grasps combines the distance between the points between their fingers
+    with the differences of their approach directions and closing axes.
+
+    Args:
+        grasps: (k, 4, 4) transforms `object_from_gripper` (m).
+        tip_depth: Distance from the gripper frame's origin to the point between the fingers (m).
+        length_per_turn: Weight of the differences of directions (m).
     """
     if not len(grasps):
         return np.zeros(0, dtype=np.intp)
@@ -178,11 +190,12 @@ class Args:
 
     Attributes:
         out: Output file (`.npz`).
-        only: YCB class names to build, keeping the other ones of the file; all if empty.
-        n_grasps: Validated grasps per object.
-        n_free: Collision-free candidates per object.
-        n_drawn: Candidates per draw, before the collision check.
-        n_draws: Largest number of draws; objects with few places to grasp have fewer than `n_free`
+        only: YCB class names of the objects to build; other objects in the file are kept; if empty,
+            all objects are built.
+        n_grasps: Number of validated grasps per object.
+        n_free: Number of collision-free candidates per object.
+        n_drawn: Number of candidates per draw, before the collision check.
+        n_draws: Largest number of draws; objects with few places to grasp get fewer than `n_free`
             candidates.
         seed: Random seed; an object's grasps do not depend on other objects.
     """

@@ -78,7 +78,7 @@ class Openings(ArrayBatch):
 
 
 def measure_openings(model: HandGeometry, posture: Posture) -> Openings:
-    """Compute the gaps between thumb and fingers of some postures of a hand."""
+    """Return the gaps between thumb and fingers in n postures of a hand."""
     spheres = HandSpheres(model)
     centers, _ = spheres.phalanges(posture.angles())
     thumb, fingers = centers[:, 14, -1], (centers[:, 2, -1] + centers[:, 5, -1]) / 2
@@ -119,12 +119,12 @@ def sample_reference_openings() -> Openings:
 def find_candidates(
     target: GraspTarget, count: int, distances: tuple[float, float], rng: np.random.Generator
 ) -> tuple[Palms, Posture]:
-    """Sample open right hands of reference size around an object that are clear of it.
+    """Sample open right hands of reference size around an object, without contact with it.
 
     Args:
         target: Object.
-        count: Number of surface points to try, each with a pinch grasp, a quarter of them with a
-            palm grasp.
+        count: Number of surface points to try with a pinch grasp; a quarter of this number is tried
+            with a palm grasp.
         distances: Smallest and largest distance (m) of the wrist from the object's origin.
         rng: Random generator.
     """
@@ -171,7 +171,7 @@ def _sample_palm_grasps(target: GraspTarget, count: int, rng: np.random.Generato
 def keep_collision_free(
     field: DistanceField, model: HandGeometry, palms: Palms, posture: Posture
 ) -> tuple[Palms, Posture]:
-    """Return the open hands whose palm, forearm and fingers are outside of the object."""
+    """Return palm poses and postures of the open hands that are entirely outside of the object."""
     spheres = HandSpheres(model)
     for body, least in ((spheres.palm, -SKIN_YIELD), (spheres.forearm, 0.002)):
         keep = compute_body_clearance(field, palms, body) > least

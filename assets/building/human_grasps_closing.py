@@ -121,8 +121,9 @@ class HandSpheres:
         model: Geometry of the hand.
         radii: (15, 3) radii (m) of the phalanges' spheres.
         palm: Centers (k, 3) and radii (k,) (m) of the palm's spheres, in the palm's frame.
-        hull: Points of the palm's collision mesh, as spheres of radius 0.
-        forearm: Centers and radii of the forearm's spheres, in the palm's frame.
+        hull: Centers and radii, which are 0, of points on the palm's collision mesh, in the palm's
+            frame (m).
+        forearm: Centers and radii of the forearm's spheres, in the palm's frame (m).
     """
 
     def __init__(self, model: HandGeometry) -> None:
@@ -137,7 +138,15 @@ class HandSpheres:
         self.forearm = spheres_from_capsules(make_forearm_capsules(model), 4)
 
     def phalanges(self, angles: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the phalanges' sphere centers and rotations, both (n, 15, 3, 3), in the palm's frame."""
+        """Return the centers of the phalanges' spheres and the phalanges' rotations.
+
+        Args:
+            angles: (n, 45) finger joint angles (rad).
+
+        Returns:
+            (n, 15, 3, 3) positions of three spheres for each phalanx (m), and (n, 15, 3, 3) rotation
+            matrices, both in the palm's frame.
+        """
         dof = np.concatenate([np.zeros((len(angles), 6)), angles], axis=1)
         dof[:, :3] = -self.model.palm_offset
         positions, rotations = self.model.compute_link_poses(dof)
@@ -146,11 +155,11 @@ class HandSpheres:
 
 
 def compute_clearances(field: DistanceField, spheres: HandSpheres, palms: Palms, angles: FloatArray) -> FloatArray:
-    """Compute the distances (n, 15, 3) (m) from the phalanges' spheres to the object.
+    """Return the distances (n, 15, 3) in m between the phalanges' spheres and the object.
 
     Args:
         field: Signed distance field of the object.
-        spheres: Hand.
+        spheres: Spheres that approximate the hand.
         palms: Palm poses in the object's frame.
         angles: (n, 45) finger joint angles (rad).
     """
@@ -159,14 +168,29 @@ def compute_clearances(field: DistanceField, spheres: HandSpheres, palms: Palms,
 
 
 def compute_body_clearance(field: DistanceField, palms: Palms, body: tuple[FloatArray, FloatArray]) -> FloatArray:
-    """Compute the smallest distance (n,) (m) from the palm's or forearm's spheres to the object."""
+    """Return the smallest distance (n,) in m between a part of each hand and the object.
+
+    Args:
+        field: Signed distance field of the object.
+        palms: Palm poses in the object's frame.
+        body: Centers (k, 3) and radii (k,) of the part's spheres in the palm's frame (m).
+    """
     centers, radii = body
     points = palms.transform(np.broadcast_to(centers, (len(palms), *centers.shape)))
     return np.asarray((field.query_clamped(points) - radii).min(axis=1))
 
 
 def close_fingers(field: DistanceField, spheres: HandSpheres, palms: Palms, posture: Posture) -> Posture:
-    """Close digits until they touch the object; a digit without contact stays half open."""
+    """Return the postures in which the digits are closed until they touch the object.
+
+    A digit that does not reach the object stays half open.
+
+    Args:
+        field: Signed distance field of the object.
+        spheres: Spheres that approximate the hand.
+        palms: Palm poses in the object's frame.
+        posture: Open postures.
+    """
     bends, relaxed = posture.bends.copy(), posture.bends.copy()
     free = np.ones_like(bends, dtype=bool)
     rates = np.stack([_FINGER_CURL[0]] * 4 + [_THUMB_CURL[0]])

@@ -63,7 +63,17 @@ class HumanGraspSet(ArrayBatch):
 def close_and_filter(
     target: GraspTarget, model: HandGeometry, palms: Palms, opened: Posture, base: IntArray
 ) -> HumanGraspSet:
-    """Close open hands and return those whose thumb opposes at least two fingers, pads first."""
+    """Close the fingers of open hands and return the hands that grasp the object.
+
+    In a grasp the pads of the thumb and of at least two fingers touch the object, on opposite sides.
+
+    Args:
+        target: Object.
+        model: Geometry of the hand.
+        palms: Palm poses in the object's frame.
+        opened: Open postures.
+        base: (n,) indices of the original grasps, of which the hands are variants.
+    """
     spheres, field = HandSpheres(model), target.field
     closed = close_fingers(field, spheres, palms, opened)
     angles = closed.angles()
@@ -91,7 +101,15 @@ def close_and_filter(
 
 
 def sample_grasp_pool(target: GraspTarget, object_name: str, rng: np.random.Generator) -> HumanGraspSet:
-    """Sample grasps of the reference hand all over an object at DexYCB's wrist distances."""
+    """Sample grasps of the reference hand on all sides of an object.
+
+    The wrist's distances from the object's origin cover those in DexYCB.
+
+    Args:
+        target: Object.
+        object_name: YCB class name.
+        rng: Random generator.
+    """
     goals = interpolate_wrist_distance(object_name, np.linspace(0.0, 1.0, _N_BINS + 1))
     limits = (float(goals[0]) - 0.01, float(goals[-1]) + 0.01)
     found: list[HumanGraspSet] = []
@@ -121,7 +139,16 @@ def _assign_bins(positions: FloatArray, goals: FloatArray) -> IntArray:
 def fit_to_hand(
     target: GraspTarget, model: HandGeometry, grasps: HumanGraspSet, rng: np.random.Generator
 ) -> HumanGraspSet:
-    """Return variants of grasps by a hand of another size, with the finger gap in the same place."""
+    """Return variants of grasps for a hand of another size; grasps that fail are left out.
+
+    In a variant the gap between thumb and fingers is near its place in the original grasp.
+
+    Args:
+        target: Object.
+        model: Geometry of the hand.
+        grasps: Grasps of the reference hand.
+        rng: Random generator of the differences from the original grasps.
+    """
     row = np.repeat(np.arange(len(grasps)), _N_VARIANTS)
     base = grasps[row]
     first = np.arange(len(row)) % _N_VARIANTS == 0
@@ -143,17 +170,18 @@ def fit_to_hand(
 def select_grasps(
     grasps: HumanGraspSet, object_name: str, count: int, rng: np.random.Generator, free_shares: FloatArray | None = None
 ) -> HumanGraspSet:
-    """Select grasps with DexYCB's distribution of wrist distances that are varied and firm.
+    """Select varied and firm grasps whose wrist distances are distributed as in DexYCB.
 
-    The k-th grasp is the best one for a distance drawn between the quantiles k/count and (k+1)/count.
+    The k-th grasp is the best grasp for a wrist distance that is drawn between the quantiles k/count
+    and (k+1)/count of DexYCB.
 
     Args:
         grasps: Grasps to select from.
         object_name: YCB class name.
         count: Number of grasps to select.
         rng: Random generator.
-        free_shares: (n,) free fractions of the object's surface; values below DexYCB's median are
-            avoided.
+        free_shares: (n,) fractions of the object's surface that are far from the hand; grasps with
+            less than DexYCB's median are avoided. None does not consider them.
     """
     goals = interpolate_wrist_distance(object_name, (np.arange(count) + rng.random(count)) / count)
     quality = 0.35 * grasps.touching.sum(axis=1) - 100.0 * grasps.overlap

@@ -62,7 +62,7 @@ def _make_carton(rows: Sequence[tuple[float, float, float]], depth: float, color
 
 
 def make_cracker_box() -> tuple[Piece, ...]:
-    """Return 003_cracker_box (mm): 71.5 x 163.5 x 213.5, 63 wide at half its height."""
+    """Return the pieces of 003_cracker_box (mm): 71.5 x 163.5 x 213.5, 63 wide in the middle."""
     colors = ("red", "red", "yellow", "red", "white", "red")
     return (_make_carton(PROFILES["cracker_box"], 163.5, colors, 4).transform((0, -1.7, 0)),)
 
@@ -139,7 +139,7 @@ def _stack_downwards(outlines: list[Array], heights: list[float]) -> Array:
 
 
 def make_power_drill() -> tuple[Piece, ...]:
-    """Return 035_power_drill (mm): 184 x 187 x 57: barrel along x, handle towards -y."""
+    """Return the pieces of 035_power_drill (mm): 184 x 187 x 57; barrel along x, handle along -y."""
     circles = stack_outlines(
         [make_ellipse(radius, n=28) for _, radius in PROFILES["power_drill_barrel"]],
         [x for x, _ in PROFILES["power_drill_barrel"]],
@@ -157,7 +157,7 @@ def make_power_drill() -> tuple[Piece, ...]:
 
 
 def make_scissors() -> tuple[Piece, ...]:
-    """Return 037_scissors (mm): 96 x 201.5 x 15.7, closed: two loops, and blades towards +y."""
+    """Return the pieces of 037_scissors (mm): 96 x 201.5 x 15.7; closed, blades towards +y."""
     pieces = []
     for (x, y), direction, (long, short) in PROFILES["scissors_loops"]:
         along = np.array(direction) / np.hypot(*direction)
@@ -212,7 +212,7 @@ def make_large_marker() -> tuple[Piece, ...]:
 
 
 def make_mustard_bottle() -> tuple[Piece, ...]:
-    """Return 006_mustard_bottle (mm): 96 x 57.6 x 191.4, with a waist, a cap and a nozzle."""
+    """Return the pieces of 006_mustard_bottle (mm): 96 x 57.6 x 191.4, with cap and nozzle."""
     body = loft(
         stack_outlines(
             [make_ellipse(a, b, exponent=e) for _, a, b, e in PROFILES["mustard_bottle"]],
@@ -239,7 +239,7 @@ def make_bleach_cleanser() -> tuple[Piece, ...]:
 
 
 def make_bowl() -> tuple[Piece, ...]:
-    """Return 024_bowl (mm): diameter 161, height 55, wall thickness 3, open at the top."""
+    """Return the pieces of 024_bowl (mm): diameter 161, height 55, walls 3 thick, open at the top."""
     wall = revolve_wall(PROFILES["bowl"], "red", n_parts=18)
     rim = revolve_wall(((80.6, 26.5, 71.0, 26.5), (80.6, 30.0, 71.2, 30.4)), "red", n_parts=18)
     bottom = loft(stack_outlines([make_ellipse(44.0, n=48)] * 2, (-24.5, -22.0)), "red")
@@ -262,7 +262,10 @@ def make_mug() -> tuple[Piece, ...]:
 
 
 def make_pitcher_base() -> tuple[Piece, ...]:
-    """Return 019_pitcher_base (mm): height 242.7, with lid, spout (-x -y) and handle (+x +y)."""
+    """Return the pieces of 019_pitcher_base (mm): height 242.7, with lid, spout and handle.
+
+    The spout points to -x and -y, the handle to +x and +y.
+    """
     radii, heights = (50.0, 54.0, 62.9), (-147.0, -141.0, 71.0)
     body = loft(stack_outlines([make_ellipse(radius, n=48) for radius in radii], heights), "blue")
     wall = revolve_wall(((62.9, 71.0, 58.5, 71.0), (66.4, 87.9, 60.5, 87.9)), "white")

@@ -71,7 +71,14 @@ def make_rectangle(size_x: float, size_y: float, corner: float, n_corner: int = 
 
 
 def make_span(low: Sequence[float], high: Sequence[float], corner: float = 0.0, exponent: float = 0.0) -> Array:
-    """Return the outline in a bounding box: superelliptic if `exponent` is given, else a rectangle."""
+    """Return the outline (n, 2) of a rectangle or a superellipse with a given bounding box.
+
+    Args:
+        low: Smallest x and y (mm).
+        high: Largest x and y (mm).
+        corner: Radius of the rectangle's corners (mm).
+        exponent: Exponent of the superellipse, see `make_ellipse`; 0 makes a rectangle.
+    """
     lower, upper = np.asarray(low, dtype=float), np.asarray(high, dtype=float)
     x, y = (upper - lower).tolist()
     outline = make_ellipse(x / 2, y / 2, exponent=exponent) if exponent else make_rectangle(x, y, corner)
@@ -80,14 +87,21 @@ def make_span(low: Sequence[float], high: Sequence[float], corner: float = 0.0, 
 
 
 def stack_outlines(outlines: Iterable[Array], heights: Iterable[float]) -> Array:
-    """Return rings (m, n, 3) of outlines at heights along z."""
+    """Return rings (m, n, 3): m outlines (n, 2), each at its height z."""
     return np.stack(
         [np.c_[outline, np.full(len(outline), height)] for outline, height in zip(outlines, heights, strict=True)]
     )
 
 
 def sweep_outlines(path: npt.ArrayLike, outlines: Sequence[Array], up: Sequence[float], closed: bool = False) -> Array:
-    """Return rings (m, n, 3) along a path (m, 3); outlines' y axes point along `up`."""
+    """Return rings (m, n, 3): outlines placed along a path, perpendicular to the path.
+
+    Args:
+        path: (m, 3) centers of the rings.
+        outlines: m outlines (n, 2).
+        up: Direction (3,) of the outlines' y axes.
+        closed: Whether the path is closed.
+    """
     points = np.asarray(path, dtype=float)
     tangents = np.roll(points, -1, axis=0) - np.roll(points, 1, axis=0) if closed else np.gradient(points, axis=0)
     side = np.cross(tangents, np.asarray(up, dtype=float))
@@ -135,8 +149,8 @@ def loft(
     Args:
         rings: (m, n, 3) rings with the same winding.
         color: One color, or one for each band between rings.
-        breaks: Rings at which the collision body is split into convex parts; None splits at every
-            ring.
+        breaks: Indices of the rings at which the collision body is split into convex parts; None
+            splits it at every ring.
         closed: Whether the last ring is joined to the first.
         collides: Whether the piece has a collision body.
     """
@@ -160,7 +174,7 @@ def revolve_wall(stations: npt.ArrayLike, color: str, n: int = 48, n_parts: int 
     """Return a thin wall as a surface of revolution about the z axis.
 
     Args:
-        stations: (k, 4) outer radius, outer z, inner radius and inner z along the wall (m).
+        stations: (k, 4) outer radius, outer z, inner radius and inner z at k places along the wall (mm).
         color: Color of the wall.
         n: Number of sides of the visual mesh.
         n_parts: Number of sectors of the collision body, with k - 1 convex parts each.
@@ -175,7 +189,13 @@ def revolve_wall(stations: npt.ArrayLike, color: str, n: int = 48, n_parts: int 
 
 
 def make_block(size: Sequence[float], color: str, corner: float = 1.5) -> Piece:
-    """Return a box at the origin with rounded vertical and bevelled horizontal edges."""
+    """Return a box centered at the origin, with rounded vertical and bevelled horizontal edges.
+
+    Args:
+        size: Side lengths along x, y and z (mm).
+        color: Color of the box.
+        corner: Radius of the vertical edges and width of the bevels (mm).
+    """
     x, y, z = size
     full, inset = make_rectangle(x, y, corner), make_rectangle(x - 2 * corner, y - 2 * corner, corner * 0.5)
     heights = (-z / 2, -z / 2 + corner, z / 2 - corner, z / 2)
@@ -183,7 +203,13 @@ def make_block(size: Sequence[float], color: str, corner: float = 1.5) -> Piece:
 
 
 def make_label(low: Sequence[float], high: Sequence[float], color: str) -> Piece:
-    """Return a flat box without collision."""
+    """Return a box without collision body, such as a label on a surface.
+
+    Args:
+        low: Smallest x, y and z (mm).
+        high: Largest x, y and z (mm).
+        color: Color of the box.
+    """
     outline = make_rectangle(high[0] - low[0], high[1] - low[1], 0.05, 2)
     center = [(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, 0]
     return loft(stack_outlines([outline, outline], (low[2], high[2])), color, collides=False).transform(center)

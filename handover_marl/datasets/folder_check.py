@@ -91,7 +91,7 @@ def _wrap(text: str, start: str) -> list[str]:
 
 
 def examine_data_folder(data_dir: Path, progress: bool = False) -> tuple[Finding, ...]:
-    """Check a data folder in HandoverSim's layout; reads the motion of every scene.
+    """Check a data folder in HandoverSim's layout, including the motion of every scene.
 
     Args:
         data_dir: Data folder.

@@ -54,9 +54,10 @@ class GiverWeights(CheckedConfig):
 
     Attributes:
         task: Weight of the reward 1 in the step that completes the handover.
-        effort: Weight of the squared speed of the wrist's displacement, integrated over time (m^2/s).
-        discomfort: Weight of the wrist's offset from the recording (m, plus rad / 3), integrated over
-            time (s).
+        effort: Weight of the squared speed at which the wrist's displacement from the recording
+            changes, integrated over time (m^2/s).
+        discomfort: Weight of the wrist's offset from the recording, integrated over time; the offset
+            is the displacement (m) plus a third of the rotation (rad).
         waiting: Weight of the time (s) for which the object is held out and not yet taken.
         contact: Weight of the value 1 in the step in which the robot touches the person.
         drop: Weight of the value 1 in the step in which the object is dropped.

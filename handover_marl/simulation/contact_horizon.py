@@ -57,9 +57,9 @@ class RobotMotionBounds:
         centers: Array,
         radii: Array,
     ) -> npt.NDArray[np.int_]:
-        """Return lower bounds on the steps before the robot can touch each of m bodies.
+        """Return lower bounds on the number of steps before the robot can touch each of m bodies.
 
-        The bounds hold for any batch (...) of worlds.
+        All arrays may have the leading dimensions (...) of a batch of worlds.
 
         Args:
             joints: Current positions (..., 9) and velocities (..., 9) of the robot (rad, m).

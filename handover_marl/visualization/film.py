@@ -37,14 +37,14 @@ _CAPTION_SHARE, _MIN_CAPTION_HEIGHT = 1 / 22, 8
 
 
 class FrameRecorder(EpisodeCallback):
-    """Recorder of frames of an episode at chosen steps.
+    """Callback that records frames of an episode after chosen physics steps.
 
     Args:
         steps: Physics steps, ascending, after which a frame is recorded.
         draw: Function that returns a frame, a (height, width, 3) RGB image of the episode's
             current state.
         progress: Whether to show a progress bar on stderr.
-        with_end: Whether to record the end of the episode, too.
+        with_end: Whether to record the final state of the episode too.
 
     Attributes:
         frames: Recorded frames.

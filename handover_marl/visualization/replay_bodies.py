@@ -123,7 +123,16 @@ def get_robot_base_pose(log: EpisodeLog) -> Array:
 
 
 def compute_robot_link_poses(log: EpisodeLog, snapshots: Sequence[JointSnapshot], names: Sequence[str]) -> Array:
-    """Return the world poses (m, k, 7) of k named links of the robot in m snapshots."""
+    """Return the world poses (m, k, 7) of k links of the robot in m snapshots.
+
+    Args:
+        log: Recorded episode, with the models and the robot's base pose.
+        snapshots: Joint positions at m times.
+        names: Names of the k links.
+
+    Returns:
+        Positions xyz (m) and quaternions xyzw.
+    """
     trajectory = compute_link_trajectory(log.scene.assets.panda, _stack_robot(snapshots), get_robot_base_pose(log))
     chosen = [trajectory.names.index(name) for name in names]
     return poses_from_rotations(trajectory.origins[:, chosen], trajectory.rotations[:, chosen])

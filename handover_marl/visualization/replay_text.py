@@ -12,7 +12,7 @@ _RELEASE_PHRASES = {
 
 
 def describe_frame(log: EpisodeLog, frame: ReplayFrame) -> str:
-    """Describe time (s) and state of the episode at a frame in a few words."""
+    """Return a text of a few words on the time (s) and the state of an episode at a frame."""
     parts = [f"{frame.step * TIME_STEP:.2f} s"]
     if frame.step == log.frames[-1].step and log.status:
         parts.append(log.status.label)

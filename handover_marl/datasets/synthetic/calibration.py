@@ -1,7 +1,8 @@
 """Statistics of DexYCB that synthetic scenes are drawn from.
 
-`dexycb_statistics.json` has the source, the units and a description of every table. Left hands are
-mirrored to right ones (x -> 2 * MIRROR_X - x; directions x -> -x).
+`dexycb_statistics.json` has the source, the units and a description of every table. For the
+statistics, scenes with left hands are mirrored to right hands (positions x -> 2 * MIRROR_X - x,
+directions x -> -x).
 """
 
 import json

@@ -67,8 +67,8 @@ class HandoverTiming:
         grasp: Frame in which the hand reaches the object and starts to close.
         lift: Frame in which the fingers are closed and the object leaves the table.
         arrival: Frame in which the object reaches the handover pose.
-        onset_share: Fraction (0 to 1) of the reach's duration before the onset.
-        reach: Length (m) of the wrist's path from the onset to the grasp.
+        onset_share: Fraction (0 to 1) of the reach's duration that has passed at the onset.
+        reach: Length of the wrist's path from the onset to the grasp (m).
     """
 
     n_frames: int

@@ -66,14 +66,14 @@ class ObjectPlacement:
 
 @dataclass(frozen=True, eq=False)
 class HeldObject:
-    """Object with the human grasps of one subject and the robot grasps, in the object's frame.
+    """Object with its robot grasps and the human grasps of one subject, in the object's frame.
 
     Attributes:
         class_id: YCB class number.
         corners: (n, 3) corners of the object's hull (m).
         grasps: Grasps of the subject.
-        object_from_hand: (g, 3, 3) rotations of the hand's base.
-        keypoints: (g, 21, 3) wrist, finger joints and fingertips (m) of the closed hand.
+        object_from_hand: (g, 3, 3) rotations of the hand's base in the g human grasps.
+        keypoints: (g, 21, 3) wrist, finger joints and fingertips of the closed hand in these grasps (m).
         robot_grasps: (n, 7) poses of the gripper's hand link, or None for a class without grasps.
     """
 
@@ -159,7 +159,7 @@ def resting_rotation(axis: int, yaw: float) -> Array:
     """Return the rotation (3, 3) of an object with one of its axes up.
 
     Args:
-        axis: Index of the axis in +x, -x, +y, -y, +z, -z.
+        axis: Index of the object's axis that points up, in the list +x, -x, +y, -y, +z, -z.
         yaw: Rotation about the vertical (rad).
     """
     up = np.zeros(3)

@@ -53,7 +53,10 @@ class RandomStream:
         return len(weights) - 1
 
     def weighted_order(self, weights: Sequence[float]) -> list[int]:
-        """Draw all indices of positive weight one after another without replacement."""
+        """Draw the indices of all positive weights in random order, without replacement.
+
+        The next index is drawn with probability proportional to its weight.
+        """
         remaining = {index: weight for index, weight in enumerate(weights) if weight > 0.0}
         order = []
         while remaining:

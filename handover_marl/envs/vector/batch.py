@@ -35,17 +35,20 @@ class EnvBatch:
     Args:
         config: Configuration of each environment.
         num_envs: Number of environments.
-        autoreset: Time of the reset after an episode's end.
-        agent: Live agent, "receiver" or "giver"; None for both.
-        partner: Policy of the other agent if one is live; default: "replay" or "yang2021".
-        features: Name of the features by agent, or of the live agent's; None for plain observations.
-        schemes: Name of the action scheme by agent, or of the live agent's; None for plain actions.
+        autoreset: Gymnasium's mode of the reset after an episode's end.
+        agent: Agent that is controlled from outside, "receiver" or "giver"; None for both.
+        partner: Policy of the other agent if only one is controlled from outside; default: "replay"
+            for a giver, "yang2021" for a receiver.
+        features: Name of the features that replace observations; a mapping by agent if both agents
+            are controlled; None leaves observations as they are.
+        schemes: Name of the action scheme whose outputs replace actions; a mapping by agent if both
+            agents are controlled; None leaves actions as they are.
         threads: Number of simulation threads; default: one per core.
         trust: Whether a policy file may run code.
 
     Attributes:
         envs: Environments of the batch.
-        autoreset: Time of the reset after an episode's end.
+        autoreset: Gymnasium's mode of the reset after an episode's end.
         is_running: Whether every environment has been reset, and no reset or step has failed since.
 
     Raises:
@@ -101,9 +104,9 @@ class EnvBatch:
         """Start an episode in every environment, or in some, and return their observations and infos.
 
         Args:
-            seed: Environment k gets `seed + k`; or one seed for each; None keeps the state
-                of all random generators.
-            options: Options of every single environment.
+            seed: Seed of the first environment, environment k gets `seed + k`; or a sequence with a
+                seed for each environment; None keeps the state of all random generators.
+            options: Options of `reset` that every environment gets.
             chosen: (n,) mask of the environments to reset; default: all.
 
         Raises:
@@ -138,7 +141,7 @@ class EnvBatch:
             raise ResetNeededError("no episode is running; call reset() before step()")
 
     def step(self, actions: Sequence[ByAgent]) -> list[tuple[ParallelStep | None, ResetResult | None]]:
-        """Step every environment, and reset those whose episode has ended, as `autoreset` says.
+        """Step every environment, and reset those whose episode has ended as `autoreset` specifies.
 
         Args:
             actions: Actions by agent, for each environment.

@@ -66,8 +66,9 @@ class ParallelVectorEnv:
         """Start an episode in every environment.
 
         Args:
-            seed: Environment k gets `seed + k`; or one seed for each.
-            options: Options of every single environment: `{"scene_id": n}`.
+            seed: Seed of the first environment, environment k gets `seed + k`; or a list with a seed
+                for each environment.
+            options: Options that every environment gets: `{"scene_id": n}` chooses the scene.
 
         Raises:
             OptionError: The number of seeds is not the number of environments.

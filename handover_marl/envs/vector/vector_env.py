@@ -69,8 +69,10 @@ class HandoverVectorEnv(SyncVectorEnv):
         """Start an episode in every environment, or in some with `options={"reset_mask": (n,) bool}`.
 
         Args:
-            seed: Environment k gets `seed + k`; or one seed for each.
-            options: Options of every single environment: `{"scene_id": n}`; and `reset_mask`.
+            seed: Seed of the first environment, environment k gets `seed + k`; or a list with a seed
+                for each environment.
+            options: Options that every environment gets: `{"scene_id": n}` chooses the scene; and
+                `reset_mask`, the mask of the environments to reset.
 
         Raises:
             OptionError: The number of seeds or the shape of the mask is wrong.
@@ -163,11 +165,13 @@ def vector_env(
 
     Args:
         num_envs: Number of environments.
-        agent: Live agent, "receiver" or "giver", for a Gymnasium VectorEnv; None for both agents.
+        agent: Agent that is controlled from outside, "receiver" or "giver", for a Gymnasium VectorEnv;
+            None for both agents.
         partner: Policy of the other agent; default: "replay" for a giver, "yang2021" for a receiver.
-        features: Name of the features that replace observations, of the live agent or by agent.
-        schemes: Name of the action scheme that replaces actions, of the live agent or by agent.
-        autoreset: Time of the reset after an episode's end as in Gymnasium: "next_step", "same_step" or
+        features: Name of the features that replace observations; a mapping by agent for both agents.
+        schemes: Name of the action scheme whose outputs replace actions; a mapping by agent for both
+            agents.
+        autoreset: Gymnasium's mode of the reset after an episode's end: "next_step", "same_step" or
             "disabled".
         threads: Number of simulation threads; default: one per core.
         trust: Whether a policy file may run code.

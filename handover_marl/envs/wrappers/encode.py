@@ -38,8 +38,8 @@ class EncodedEnv(ParallelWrapper):
 
     Args:
         env: Environment to encode.
-        features: Name of the features, by agent, or of the only agent's features.
-        schemes: Name of the action scheme, by agent, or of the only agent's scheme.
+        features: Name of the features; a mapping from agents to names if `env` has two agents.
+        schemes: Name of the action scheme; a mapping from agents to names if `env` has two agents.
 
     Attributes:
         feature_names: Name of the features, by agent.
@@ -111,7 +111,9 @@ class EncodedEnv(ParallelWrapper):
         return self._observations[agent]
 
     def outputs_from_action(self, agent: str, action: Vector) -> Vector:
-        """Return the (size,) outputs that decode closest to a giver's action, for imitation.
+        """Return the outputs (size,) whose decoded action is closest to a given action of a giver.
+
+        Training by imitation needs these outputs.
 
         Raises:
             OptionError: The agent's action scheme cannot be inverted.
@@ -215,11 +217,12 @@ def encode(
 
     Args:
         env: `handover_marl.parallel_env(...)`, or `freeze(...)` of it.
-        features: Name of the features, by agent, or of the only agent's features; default: "giver" and
-            "receiver".
-        schemes: Name of the action scheme, by agent, or of the only agent's scheme; default:
-            "deviation" and "cartesian_delta".
-        api: "parallel" for a PettingZoo environment, "gymnasium" for a Gymnasium one of one agent.
+        features: Name of the features; a mapping from agents to names if `env` has two agents; default:
+            "giver" for the giver and "receiver" for the receiver.
+        schemes: Name of the action scheme; a mapping from agents to names if `env` has two agents;
+            default: "deviation" for the giver and "cartesian_delta" for the receiver.
+        api: "parallel" for a PettingZoo environment, "gymnasium" for a Gymnasium environment, which
+            has one agent.
 
     Raises:
         UnknownNameError: There are no such features, no such scheme or API.

@@ -63,9 +63,9 @@ class FrozenPartnerEnv(ParallelWrapper):
         self._rng, _ = seeding.np_random(None)
 
     def reset(self, seed: int | None = None, options: ByAgent | None = None) -> tuple[ByAgent, ByAgent]:
-        """Start an episode with a new seed for the partner; return the live agent's results.
+        """Start an episode with a new seed for the partner; return observation and info by agent.
 
-        The result is that of `HandoverEnv.reset` without the partner.
+        The result is that of `HandoverEnv.reset` without the entries of the partner.
         """
         if seed is not None:
             self._rng, _ = seeding.np_random(seed)
@@ -75,12 +75,12 @@ class FrozenPartnerEnv(ParallelWrapper):
         return self._select_live(observations), self._select_live(infos)
 
     def step(self, actions: dict[str, Any]) -> ParallelStep:
-        """Let both agents act for one control period; return the live agent's results.
+        """Let both agents act for one control period; the partner acts by its policy.
 
-        The result is that of `HandoverEnv.step` without the partner.
+        The result is that of `HandoverEnv.step` without the entries of the partner.
 
         Args:
-            actions: Action of the live agent, by agent; the partner acts on its last observation.
+            actions: Mapping from the name of the live agent to its action.
 
         Raises:
             ActionError: The live agent's action is missing or malformed, or the other agent's is

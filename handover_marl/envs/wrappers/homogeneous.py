@@ -20,9 +20,10 @@ Array = npt.NDArray[Any]
 class HomogeneousEnv(ParallelWrapper):
     """Wrapper whose agents share one observation space and one action space.
 
-    An observation is the agent's own vector, padded with zeros to the longest one, and a one-hot code
-    of the agent. An action holds the agent's own components first; the others are ignored. Bounds
-    include those of all agents; an action is clipped to the agent's own bounds. Made by `homogeneous`.
+    An observation is the agent's vector, padded with zeros to the length of the longest vector, and a
+    one-hot code of the agent. An action starts with the agent's components; further components are
+    ignored. The bounds of the shared spaces include the bounds of all agents; an action is clipped to
+    the agent's bounds. Made by `homogeneous`.
 
     Args:
         env: Environment to make homogeneous; dictionaries are flattened first.
@@ -56,15 +57,24 @@ class HomogeneousEnv(ParallelWrapper):
         return self._actions
 
     def sizes(self, agent: str) -> tuple[int, int]:
-        """Return the sizes of the agent's own observation and action, without padding."""
+        """Return the lengths of an agent's observation and of its action, both without padding."""
         return _size(self._own[agent]), _size(self.env.action_space(agent))
 
     def own_observation(self, agent: str, vector: Array) -> Array:
-        """Return the agent's own observation: the padded one without padding and one-hot code."""
+        """Return an agent's observation without padding and without the one-hot code of the agent.
+
+        Args:
+            agent: Name of the agent.
+            vector: Padded observation of the agent.
+        """
         return vector[: self.sizes(agent)[0]]
 
     def own_action(self, agent: str, action: Any) -> Array:
-        """Return the agent's own action: without padding, clipped to the agent's bounds.
+        """Return an agent's action without padding, clipped to the bounds of the agent's actions.
+
+        Args:
+            agent: Name of the agent.
+            action: Padded action of the agent.
 
         Raises:
             ActionError: The action has another shape, or a component of the agent is not finite.
@@ -76,7 +86,7 @@ class HomogeneousEnv(ParallelWrapper):
         return np.clip(values[:n], space.low, space.high)
 
     def convert_observation(self, agent: str, observation: Array) -> Array:
-        """Pad an agent's own observation with zeros and append the one-hot code of the agent."""
+        """Pad an agent's observation with zeros and append the one-hot code of the agent."""
         padded = np.zeros(self._observations.shape, dtype=self._observations.dtype)
         padded[: len(observation)] = observation
         padded[self.possible_agents.index(agent) - len(self.possible_agents)] = 1.0

@@ -49,7 +49,7 @@ class ParallelWrapper(BaseParallelWrapper, EzPickle):  # type: ignore[misc]
         return [agent for agent in self.env.agents if agent in self.possible_agents]
 
     def convert_observation(self, agent: str, observation: Any) -> Any:
-        """Convert an agent's observation of the wrapped environment to this wrapper's."""
+        """Convert an agent's observation in the wrapped environment to that of this wrapper."""
         return observation
 
     def reset(self, seed: int | None = None, options: ByAgent | None = None) -> tuple[ByAgent, ByAgent]:

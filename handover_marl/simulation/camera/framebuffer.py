@@ -71,7 +71,7 @@ class Framebuffer:
     def add(self, meshes: PosedMeshes) -> Pixels:
         """Draw a body and return the numbers of the changed pixels.
 
-        A pixel that two links changed in turn occurs twice.
+        A pixel that two links of the body changed one after the other occurs twice.
         """
         body = meshes.body
         rotations, origins = self._compute_link_frames(meshes)
@@ -94,9 +94,10 @@ class Framebuffer:
         """Clear the pixels that a body occludes, and return the numbers of the remaining pixels.
 
         Args:
-            meshes: The occluding body.
+            meshes: Occluding body.
             pixels: Numbers of the pixels to test.
-            corners: Corners of the frustum in front of these pixels, from `compute_frustum_corners`.
+            corners: Corners (8, 3) of the frustum that contains the points of these pixels, as returned
+                by `compute_frustum_corners`.
         """
         if not len(pixels):
             return pixels
