@@ -60,6 +60,11 @@ def test_data_do_not_depend_on_workers(tmp_path: Path) -> None:
     assert contents(tmp_path / "1") == contents(tmp_path / "2")
     assert sorted(contents(tmp_path / "1")) == ["README.md", "main_data.hdf5", "metadata.json"]
     assert not (tmp_path / "1" / "episodes").exists()
+    card = contents(tmp_path / "1")["README.md"].decode()
+    for key in Demonstrations(tmp_path / "1").observation_space:
+        assert f"| `observations/{key}` | (" in card
+    assert "| timeout   |           2 |          2 |" in card
+    assert "--giver noisy --dataset synthetic" in card
 
 
 KILLED = """
