@@ -29,8 +29,11 @@ def build_fluency_table(episodes: Sequence[EpisodeResult]) -> ReportTable:
     rows = []
     for column in FLUENCY if means else ():
         estimate = means[column.key]
-        mean = NO_VALUE if estimate.mean is None else f"{column.scale * estimate.mean:.3g}"
-        rows.append([column.title, mean, format_interval(estimate.interval_95, ".3g", column.scale), estimate.n])
+        ends = (estimate.mean or 0.0, *(estimate.interval_95 or ()))
+        # Three digits, without exponents.
+        spec = ".0f" if column.scale * max(map(abs, ends)) >= 999.5 else ".3g"
+        mean = NO_VALUE if estimate.mean is None else f"{column.scale * estimate.mean:{spec}}"
+        rows.append([column.title, mean, format_interval(estimate.interval_95, spec, column.scale), estimate.n])
     return ReportTable(["metric", "mean", "95 % interval", "n"], rows)
 
 

@@ -2,6 +2,7 @@ import csv
 import io
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,7 @@ from handover_marl.errors import UnknownNameError
 from handover_marl.evaluation.agreement import Agreement
 from handover_marl.evaluation.comparison import Comparison
 from handover_marl.evaluation.crossplay import CrossPlay
+from handover_marl.evaluation.reports.fluency_tables import build_fluency_table
 from handover_marl.evaluation.reports.scene_tables import format_episodes_csv
 from handover_marl.evaluation.reports.tables import TABLE_FORMATS, ReportTable, TabularResult
 from tests.evaluation.reports.test_report import report
@@ -72,6 +74,19 @@ def test_latex_compiles(tmp_path: Path) -> None:
     text = f"\\documentclass{{article}}\\usepackage{{booktabs}}\\begin{{document}}{body}\\end{{document}}"
     (tmp_path / "t.tex").write_text(text)
     subprocess.run(["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "t.tex"], cwd=tmp_path, check=True)
+
+
+def test_large_numbers_have_no_exponent() -> None:
+    stored = handover_marl.evaluate(OLD / "benchmark").episodes
+    forces = (378.4, 1412.0)
+    episodes = [
+        replace(episode, fluency=replace(episode.fluency, max_robot_object_force=force))
+        for episode, force in zip(stored, forces, strict=True)
+    ]
+    rows = {row[0]: list(row[1:]) for row in build_fluency_table(episodes).rows}
+    assert rows["max robot object force N"] == ["895", "378 to 1412", 2]
+    assert rows["handover time s"] == ["4.23", "4.2 to 4.26", 2]
+    assert rows["gripper jerk m/s^3"] == ["-", "-", 0]
 
 
 def test_unknown_formats_are_refused() -> None:
