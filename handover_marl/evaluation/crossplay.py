@@ -44,6 +44,7 @@ from handover_marl.evaluation.reports.tables import (
 )
 from handover_marl.execution.files import shorten_text, write_atomically
 from handover_marl.execution.options import forward_signature, require_modules
+from handover_marl.execution.reading import read_plain_file
 from handover_marl.policies.policy import Policy
 from handover_marl.policies.reference import PolicyLike, PolicyReference, parse_policy
 
@@ -52,6 +53,7 @@ CROSSPLAY_CSV = "crossplay.csv"
 _CSV_IDENTITY = ("setup", "split", "dataset", "physics")
 _GAIN_HEADER = (N_EPISODES.title, "success gain, points", "contact gain, points")
 _CSV_MEANS = (AVERAGE_SUCCESS, *TIMES, *FLUENCY)
+_MAX_CSV_BYTES = 10_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,8 +257,8 @@ def read_crossplay_pairs(folder: Path) -> list[PolicyPair]:
     """
     path = folder / CROSSPLAY_CSV
     try:
-        with path.open(newline="", encoding="utf-8") as file:
-            pairs = [(row["giver"], row["receiver"]) for row in csv.DictReader(file)]
+        table = io.StringIO(read_plain_file(path, _MAX_CSV_BYTES).decode(), newline="")
+        pairs = [(row["giver"], row["receiver"]) for row in csv.DictReader(table)]
     except FileNotFoundError as error:
         raise ResultsError(
             f"{path} does not exist: the cross-play is not finished; run the same command to resume"

@@ -30,8 +30,9 @@ from handover_marl.evaluation.results.result_folder import (
     read_results,
 )
 from handover_marl.evaluation.shards import Shard
-from handover_marl.execution.files import write_atomically
+from handover_marl.execution.files import shorten_text, write_atomically
 from handover_marl.execution.options import check_path
+from handover_marl.execution.reading import check_plain_file, read_plain_file
 from handover_marl.simulation.engines import EXACT, PHYSICS
 
 _MAX_LISTED = 8  # missing scenes that an error lists
@@ -103,6 +104,8 @@ class ShardFolder:
             part = Shard.parse(metadata.shard, with_scenes=True)
         except OptionError as error:
             raise ResultsError(f"{path}: {error}") from error
+        for replay in find_replays(path).values():
+            _check_replay(path, replay)
         return cls(path, metadata, part, tuple(read_results(path, allow_empty=True)))
 
     @property
@@ -171,12 +174,12 @@ def _write_merged(folders: Sequence[ShardFolder], out: Path) -> Report:
     prepare_result_folder(out, replace(first.metadata, shard=""), format_merged_config(first.path))
     for folder in folders:
         for result in folder.results:
-            content = get_result_path(folder.path, result.index).read_bytes()
+            content = _read_file(get_result_path(folder.path, result.index))
             write_atomically(get_result_path(out, result.index), content)
         for scene, replay in find_replays(folder.path).items():
             copy = get_replay_path(out, scene)
             copy.parent.mkdir(exist_ok=True)
-            write_atomically(copy, replay.read_bytes())
+            write_atomically(copy, _read_file(replay))
     report = evaluate(out)
     write_report(out, report)
     return report
@@ -195,6 +198,23 @@ def _merge(paths: list[Path], target: Path) -> Report | CrossPlay | Agreement | 
     raise ResultsError(
         f"{paths[0]} is no finished shard: it has neither {CONFIG_FILE}, {CROSSPLAY_CSV} nor {AGREEMENT_FILE}"
     )
+
+
+def _check_replay(folder: Path, replay: Path) -> None:
+    try:
+        check_plain_file(replay)
+        # A link could name any file of this machine.
+        if not replay.resolve().is_relative_to(folder.resolve()):
+            raise ValueError("it is a link out of the result folder")
+    except (OSError, ValueError) as error:
+        raise ResultsError(f"{replay}: not a replay page ({shorten_text(error)}); remove it") from error
+
+
+def _read_file(path: Path) -> bytes:
+    try:
+        return read_plain_file(path)
+    except (OSError, ValueError) as error:
+        raise ResultsError(f"cannot read {path} ({shorten_text(error)})") from error
 
 
 def _merge_agreement(paths: list[Path], target: Path) -> Agreement:

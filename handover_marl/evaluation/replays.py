@@ -18,6 +18,7 @@ from handover_marl.evaluation.results.episode_result import EpisodeResult
 from handover_marl.evaluation.results.result_folder import get_replay_path
 from handover_marl.evaluation.writers import EpisodeRecorder, EpisodeWriter
 from handover_marl.execution.files import remove_stale_temporaries, write_atomically
+from handover_marl.execution.reading import read_plain_file
 from handover_marl.policies.policy import Policy
 from handover_marl.visualization.replay_page import build_replay_page, format_episode_caption
 from handover_marl.visualization.replay_recorder import ReplayRecorder
@@ -94,10 +95,10 @@ class ReplayWriter(EpisodeWriter):
             return False
         caption = html.escape(format_episode_caption(result.scene_id, result.status, result.steps))
         try:
-            with get_replay_path(self._folder, result.scene_id).open("rb") as file:
-                return caption.encode() in file.read(_HEAD_BYTES)
-        except OSError:
+            page = read_plain_file(get_replay_path(self._folder, result.scene_id))
+        except (OSError, ValueError):
             return False
+        return caption.encode() in page[:_HEAD_BYTES]
 
     def write(self, result: EpisodeResult, content: bytes) -> None:
         """Write the replay page of an episode.

@@ -370,7 +370,15 @@ def test_folders_of_the_original_code(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "changes", [{"result": 0}, {"result": 3}, {"result": 16}, {"elapsed_frame": 0}, {"result": np.array([1, 2])}]
+    "changes",
+    [
+        {"result": 0},
+        {"result": 3},
+        {"result": 16},
+        {"elapsed_frame": 0},
+        {"result": np.array([1, 2])},
+        {"result": np.inf},
+    ],
 )
 def test_impossible_results_are_refused(tmp_path: Path, changes: dict[str, Any]) -> None:
     with pytest.raises(ResultsError, match=r"000\.npz"):

@@ -16,6 +16,7 @@ from handover_marl.errors import DataFormatError, DataNotFoundError, HandoverErr
 from handover_marl.evaluation.results.result_folder import read_results
 from tests.evaluation import quick
 from tests.evaluation.quick import SHORT, QuickReceiver
+from tests.unreadable import UNREADABLE, refuses_within
 
 #: A small split, and how it is played in next to no time.
 SPLIT = {"setup": "s0", "split": "val", "dataset": "synthetic", "physics": "fast", "world_config": SHORT}
@@ -264,3 +265,31 @@ def test_replays_are_merged(three: list[Path], tmp_path: Path) -> None:
     found = contents(tmp_path / "merged")
     assert found == contents(tmp_path / "whole")
     assert {"episodes/009.html", "episodes/014.html"} <= set(found)
+
+
+@pytest.mark.parametrize("kind", [*UNREADABLE, "link"])
+def test_unreadable_replays_and_tables(kind: str, three: list[Path], tmp_path: Path) -> None:
+    copies = [shutil.copytree(path, tmp_path / path.name) for path in three]
+    (copies[1] / "episodes").mkdir()
+    page = copies[1] / "episodes" / "009.html"
+    if kind == "link":
+        (tmp_path / "secret").write_text("of this machine")
+        page.symlink_to(tmp_path / "secret")
+        with pytest.raises(ResultsError, match=r"009\.html: not a replay page .*a link out of the result folder"):
+            handover_marl.merge(copies, tmp_path / "merged")
+    else:
+        UNREADABLE[kind](page)
+        with refuses_within(5.0, ResultsError, kind):
+            handover_marl.merge(copies, tmp_path / "merged")
+        UNREADABLE[kind](tmp_path / "crossplay.csv")
+        with refuses_within(5.0, ResultsError, kind):
+            handover_marl.merge([tmp_path], tmp_path / "merged")
+    assert not (tmp_path / "merged").exists()
+    page.rmdir() if kind == "folder" else page.unlink()
+    # Links within the folder, and a folder that is itself a link, are as good as files.
+    (copies[1] / "episodes" / "page").write_text("a page")
+    page.symlink_to("page")
+    copies[1].rename(tmp_path / "elsewhere")
+    copies[1].symlink_to(tmp_path / "elsewhere")
+    handover_marl.merge(copies, tmp_path / "merged")
+    assert (tmp_path / "merged" / "episodes" / "009.html").read_text() == "a page"

@@ -84,7 +84,7 @@ def read_actions(group: Any) -> npt.NDArray[np.float32]:
     Raises:
         Exception: The array is missing or damaged.
     """
-    return _read_array(group["actions"], _read_total_steps(group), *_ARRAYS["actions"])
+    return _read_finite_array(group, "actions", _read_total_steps(group))
 
 
 def read_episode(group: Any, space: spaces.Dict) -> Demonstration:
@@ -98,7 +98,7 @@ def read_episode(group: Any, space: spaces.Dict) -> Demonstration:
         Exception: An array or attribute is missing or damaged.
     """
     rows = _read_total_steps(group)
-    arrays = {name: _read_array(group[name], rows, *kind) for name, kind in _ARRAYS.items()}
+    arrays = {name: _read_finite_array(group, name, rows) for name in _ARRAYS}
     giver_steps, giver_actions = _read_giver(group.attrs)
     return Demonstration(
         observations=read_observations(group, space.spaces, space),
@@ -139,6 +139,13 @@ def _read_total_steps(group: Any) -> int:
     return steps
 
 
+def _read_finite_array(group: Any, name: str, rows: int) -> npt.NDArray[Any]:
+    array = _read_array(group[name], rows, *_ARRAYS[name])
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name} must be finite")
+    return array
+
+
 def _read_array(data: Any, rows: int, shape: tuple[int, ...] | None, dtype: Any) -> npt.NDArray[Any]:
     """Read an array after a check of its shape, type and size."""
     expected = (rows, *(shape or ()))
@@ -158,4 +165,6 @@ def _read_giver(attributes: Mapping[str, Any]) -> tuple[npt.NDArray[np.int64], n
         raise ValueError(
             f"giver_actions must be float32 {(len(steps), GIVER_ACTION_SIZE)}, got {actions.dtype} {actions.shape}"
         )
+    if not np.isfinite(actions).all():
+        raise ValueError("giver_actions must be finite")
     return steps, actions

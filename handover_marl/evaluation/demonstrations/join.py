@@ -8,7 +8,7 @@ from gymnasium import spaces
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import ResultsError
 from handover_marl.evaluation.demonstrations.data_card import CARD_FILE, DataCard, FeatureRow, count_outcomes
-from handover_marl.evaluation.demonstrations.files import EpisodeLocation, open_hdf5
+from handover_marl.evaluation.demonstrations.files import EpisodeLocation, get_episode_group, open_hdf5
 from handover_marl.evaluation.demonstrations.minari_layout import (
     DATA_FOLDER,
     MAIN_FILE,
@@ -134,7 +134,7 @@ def _copy_episodes(locations: Sequence[EpisodeLocation], target: Path) -> None:
     with open_hdf5(target, "w") as file:
         for number, location in enumerate(locations):
             with open_hdf5(location.file, "r") as source:
-                source.copy(source[location.group], file, name=format_group_name(number))
+                source.copy(get_episode_group(source, location.group), file, name=format_group_name(number))
             file[format_group_name(number)].attrs["id"] = number
 
 

@@ -6,7 +6,6 @@ Minari can read the files; docs/decisions/002-minari-writer.md explains why this
 import json
 import math
 import re
-import stat
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -16,9 +15,10 @@ import numpy as np
 from gymnasium import spaces
 
 from handover_marl.errors import DataFormatError, DataNotFoundError
-from handover_marl.evaluation.results.metadata import ResultMetadata
+from handover_marl.evaluation.results.metadata import ResultMetadata, check_metadata
 from handover_marl.execution.files import shorten_text
 from handover_marl.execution.old_keys import upgrade_keys
+from handover_marl.execution.reading import read_plain_file
 
 DATA_FOLDER, MAIN_FILE, METADATA_FILE = "data", "main_data.hdf5", "metadata.json"
 # First versions of Minari that read these files; earlier ones stored images as lossy JPEG.
@@ -26,6 +26,7 @@ _MIN_MINARI_VERSION, _MIN_MINARI_VERSION_IMAGES = "0.5.3", "0.5.4"
 _LIBRARY_SECTION = "handover_marl"
 _MAX_FILE_BYTES = 64_000_000  # Bounds of spaces are written out for every component.
 _MAX_COMPONENTS = 10_000_000  # of an observation
+_MAX_EPISODES = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -102,10 +103,7 @@ def read_metadata(folder: Path) -> DataSetMetadata:
     """
     path = folder / METADATA_FILE
     try:
-        state = path.stat()
-        if not stat.S_ISREG(state.st_mode) or state.st_size > _MAX_FILE_BYTES:
-            raise ValueError(f"not a regular file of less than {_MAX_FILE_BYTES // 1_000_000} MB")
-        content = json.loads(path.read_bytes())
+        content = json.loads(read_plain_file(path, _MAX_FILE_BYTES))
         section = upgrade_keys(content[_LIBRARY_SECTION])
         metadata = DataSetMetadata(
             evaluation=ResultMetadata(**{name: str(value) for name, value in section["evaluation"].items()}),
@@ -116,6 +114,7 @@ def read_metadata(folder: Path) -> DataSetMetadata:
             decisions=int(content["total_steps"]),
             megabytes=float(content["dataset_size"]),
         )
+        check_metadata(metadata.evaluation, path)
     except (FileNotFoundError, NotADirectoryError) as error:
         raise DataNotFoundError(
             f"{path} does not exist: the folder has no demonstrations, or they are not finished; "
@@ -164,6 +163,6 @@ def _decode_box(encoded: Any) -> spaces.Box:
 
 def _check_counts(counts: Any) -> dict[str, int]:
     checked = {str(name): int(number) for name, number in counts.items()}
-    if any(number < 0 for number in checked.values()):
-        raise ValueError("a number of episodes is negative")
+    if not all(0 <= number <= _MAX_EPISODES for number in checked.values()):
+        raise ValueError(f"a number of episodes is not from 0 to {_MAX_EPISODES}")
     return checked

@@ -18,7 +18,7 @@ from handover_marl.evaluation.demonstrations.episode_groups import (
     read_episode_metadata,
     read_observations,
 )
-from handover_marl.evaluation.demonstrations.files import open_hdf5, require_h5py
+from handover_marl.evaluation.demonstrations.files import get_episode_group, open_hdf5, require_h5py
 from handover_marl.evaluation.demonstrations.minari_layout import (
     DATA_FOLDER,
     MAIN_FILE,
@@ -147,7 +147,7 @@ class Demonstrations:
         return read_observations(group, names, self.observation_space), read_actions(group)
 
     def _read(self, number: int, read: Callable[[Any], _Value]) -> _Value:
-        return self._open(lambda file: read(file[format_group_name(number)]), f": episode {number}")
+        return self._open(lambda file: read(get_episode_group(file, format_group_name(number))), f": episode {number}")
 
     def _open(self, read: Callable[[Any], _Value], part: str = "") -> _Value:
         try:

@@ -21,7 +21,7 @@ from handover_marl.evaluation.config import EvaluationConfig
 from handover_marl.evaluation.demonstrations.data_card import CARD_FILE
 from handover_marl.evaluation.demonstrations.demonstration import EpisodeMetadata
 from handover_marl.evaluation.demonstrations.episode_groups import SINGLE_EPISODE_GROUP, read_episode_metadata
-from handover_marl.evaluation.demonstrations.files import EpisodeLocation, open_hdf5
+from handover_marl.evaluation.demonstrations.files import EpisodeLocation, get_episode_group, open_hdf5
 from handover_marl.evaluation.demonstrations.join import assemble_data_set
 from handover_marl.evaluation.demonstrations.minari_layout import (
     DATA_FOLDER,
@@ -147,7 +147,7 @@ class DemonstrationWriter(EpisodeWriter):
         metadata, path = EpisodeMetadata.from_result(result, self._config), self._get_episode_path(result)
         # h5py raises errors of many types on damaged files; such episodes are simulated again.
         with contextlib.suppress(Exception), open_hdf5(path, "r") as file:
-            if read_episode_metadata(file[SINGLE_EPISODE_GROUP]) == metadata:
+            if read_episode_metadata(get_episode_group(file, SINGLE_EPISODE_GROUP)) == metadata:
                 return EpisodeLocation(path, SINGLE_EPISODE_GROUP)
         group = self._assembled_groups.get(metadata)
         return None if group is None else EpisodeLocation(self._data_set, group)
@@ -159,7 +159,8 @@ def _read_groups(path: Path) -> dict[EpisodeMetadata, str]:
         return {}
     try:
         with open_hdf5(path, "r") as file:
-            return {read_episode_metadata(file[name]): name for name in map(format_group_name, range(len(file)))}
+            names = list(map(format_group_name, range(len(file))))
+            return {read_episode_metadata(get_episode_group(file, name)): name for name in names}
     except Exception as error:  # h5py raises errors of many types on damaged files
         raise ResultsError(
             f"{path} is damaged or no data set of this library ({shorten_text(error)}); remove it and run again to "

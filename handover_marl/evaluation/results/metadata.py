@@ -12,14 +12,15 @@ import yaml
 from handover_marl import __version__
 from handover_marl.config import OFFICIAL_CONFIG, TIME_STEP, WorldConfig
 from handover_marl.datasets.splits import SETUPS, SPLITS
-from handover_marl.episode.spaces import STATE
+from handover_marl.episode.spaces import OBS_MODES, STATE
 from handover_marl.errors import ResultsError
 from handover_marl.evaluation.config import EvaluationConfig, require_policy_reference
 from handover_marl.execution.files import shorten_text
 from handover_marl.execution.old_keys import upgrade_keys
 from handover_marl.execution.options import is_pybullet_installed
 from handover_marl.execution.reading import read_yaml
-from handover_marl.geometry.panda import PANDA, PANDA_CAMERA
+from handover_marl.geometry.panda import PANDA, PANDA_CAMERA, ROBOTS
+from handover_marl.simulation.engines import PHYSICS
 
 CONFIG_FILE = "config.yaml"
 #: Label of the official world and rules.
@@ -27,6 +28,8 @@ OFFICIAL_WORLD = "official"
 _LIBRARY_SECTION = "HANDOVER_MARL"
 # HandoverSim's environment with the wrist camera.
 _HANDOVERSIM_CAMERA_ENV = "HandoverHandCameraPointStateEnv-v1"
+_MAX_TEXT = 20_000  # characters; a shard lists its scenes
+_CHOICES = {"setup": SETUPS, "split": SPLITS, "physics": PHYSICS, "robot": ROBOTS, "obs_mode": OBS_MODES}
 _MAX_BYTES = 64_000  # HandoverSim's own configuration files have a few thousand bytes.
 
 
@@ -162,18 +165,31 @@ def read_result_metadata(path: Path) -> ResultMetadata:
         metadata = ResultMetadata(**named, **values)
     except Exception as error:  # the file may have any content
         raise ResultsError(f"{config_path}: not a readable configuration ({shorten_text(error)})") from error
-    if metadata.setup not in SETUPS or metadata.split not in SPLITS:
-        setup, split = shorten_text(metadata.setup), shorten_text(metadata.split)
-        raise ResultsError(f"{config_path}: unknown setup {setup!r} or split {split!r}")
-    for key, value in asdict(metadata).items():
-        # Control characters could change a terminal that prints the report.
-        if not isinstance(value, str) or not value.isprintable():
-            raise ResultsError(
-                f"{config_path}: {key} in section {_LIBRARY_SECTION} must be text without control characters, got "
-                f"{shorten_text(ascii(value) if isinstance(value, str) else value)}"
-            )
+    check_metadata(metadata, config_path)
     _check_rules(config_path, metadata, content)
     return metadata
+
+
+def check_metadata(metadata: ResultMetadata, path: Path) -> None:
+    """Check the identity of an evaluation that was read from a file.
+
+    Args:
+        metadata: Identity of the evaluation.
+        path: The file, for error messages.
+
+    Raises:
+        ResultsError: Setup, split, physics, robot or observation mode does not exist, or a value is no
+            text that can be printed.
+    """
+    for key, value in asdict(metadata).items():
+        # Control characters could change a terminal that prints the report.
+        if not isinstance(value, str) or not value.isprintable() or len(value) > _MAX_TEXT:
+            raise ResultsError(
+                f"{path}: {key} must be text without control characters, at most {_MAX_TEXT} characters, got "
+                f"{shorten_text(ascii(value) if isinstance(value, str) else value)}"
+            )
+        if value not in _CHOICES.get(key, (value,)):
+            raise ResultsError(f"{path}: unknown {key} {shorten_text(value)!r}; valid: {', '.join(_CHOICES[key])}")
 
 
 def _official_rules(config: WorldConfig) -> dict[str, Any]:

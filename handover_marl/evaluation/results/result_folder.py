@@ -16,7 +16,8 @@ from typing import Any, get_args, get_type_hints
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.config import OFFICIAL_CONFIG, WorldConfig
+from handover_marl.config import MAX_OBJECTS, OFFICIAL_CONFIG, WorldConfig
+from handover_marl.datasets.splits import N_SCENES
 from handover_marl.episode.callbacks import ActionRecorder
 from handover_marl.episode.metrics import FluencyMetrics
 from handover_marl.episode.referee import EpisodeStatus
@@ -30,7 +31,7 @@ from handover_marl.evaluation.results.metadata import (
     read_result_metadata,
 )
 from handover_marl.evaluation.writers import EpisodeRecorder, EpisodeWriter
-from handover_marl.execution.files import create_exclusively, has_content, write_atomically
+from handover_marl.execution.files import create_exclusively, has_content, shorten_text, write_atomically
 from handover_marl.execution.old_keys import FLUENCY_KEYS
 from handover_marl.execution.reading import read_arrays
 from handover_marl.policies.policy import Policy
@@ -48,6 +49,16 @@ _EXTRAS: dict[str, type] = {
     if NoneType in get_args(hint) and name != "fluency"
 }
 _FLUENCY_PREFIX = "fluency_"
+_MAX_TEXT = 10_000  # characters of a description
+_MAX_NUMBER = 1e9
+# Smallest and largest possible values.
+_LIMITS: dict[str, tuple[float, float]] = {
+    "result": (1, 15),
+    "elapsed_frame": (1, _MAX_NUMBER),
+    "elapsed_time": (0.0, _MAX_NUMBER),
+    "scene_id": (0, N_SCENES - 1),
+    "n_objects": (1, MAX_OBJECTS),
+}
 
 
 def get_result_path(folder: Path, index: int) -> Path:
@@ -223,14 +234,16 @@ def check_scalar(name: str, value: Any, kind: type) -> Any:
 
     Raises:
         TypeError: The value is of another type.
-        ValueError: The text has control characters.
+        ValueError: The text has control characters or is too long.
     """
     scalar = value.item() if isinstance(value, np.generic) else value
     if type(scalar) is not kind:
         raise TypeError(f"{name} must be of type {kind.__name__}, got {type(scalar).__name__}")
     # Control characters could change a terminal that prints the report.
-    if isinstance(scalar, str) and not scalar.isprintable():
-        raise ValueError(f"{name} must be text without control characters, got {ascii(scalar)[:100]}")
+    if isinstance(scalar, str) and not (scalar.isprintable() and len(scalar) <= _MAX_TEXT):
+        raise ValueError(
+            f"{name} must be text without control characters, at most {_MAX_TEXT} characters, got {ascii(scalar)[:100]}"
+        )
     return scalar
 
 
@@ -268,11 +281,18 @@ def read_result(path: Path) -> EpisodeResult:
             key: check_scalar(key, arrays[key].item(), kind) for key, kind in _EXTRAS.items() if key in arrays
         }
         extras["fluency"] = _read_fluency(arrays)
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise _make_read_error(path, error) from error
-    if not 0 < status < 16 or (status & 1 and status != 1) or steps < 1 or not 0.0 <= plan_s < np.inf:
-        raise ResultsError(f"{path}: impossible result {status} after {steps} steps; run its scene again")
+    values = {"result": status, "elapsed_frame": steps, "elapsed_time": plan_s, **extras}
+    wrong = [key for key in _LIMITS if values.get(key) is not None and not _is_within(values[key], _LIMITS[key])]
+    if wrong or (status & 1 and status != 1):
+        key = wrong[0] if wrong else "result"
+        raise ResultsError(f"{path}: impossible {key} {shorten_text(values[key])}; delete it and run the scene again")
     return EpisodeResult(index=int(path.stem), status=EpisodeStatus(status), steps=steps, plan_s=plan_s, **extras)
+
+
+def _is_within(value: float, limit: tuple[float, float]) -> bool:
+    return limit[0] <= value <= limit[1]
 
 
 def _make_read_error(path: Path, error: Exception) -> ResultsError:
@@ -304,8 +324,8 @@ def _read_fluency(archive: Mapping[str, npt.NDArray[Any]]) -> FluencyMetrics | N
         field.name: stored[field.name] if field.default is MISSING else stored.get(field.name, np.nan)
         for field in fields(FluencyMetrics)
     }
-    if np.isinf(list(values.values())).any():
-        raise ValueError("a metric is infinite")
+    if np.any(np.abs(list(values.values())) > _MAX_NUMBER):  # false for NaN, a missing metric
+        raise ValueError(f"a metric is beyond {_MAX_NUMBER:g}")
     return FluencyMetrics(**{key: None if np.isnan(value) else value for key, value in values.items()})  # type: ignore[arg-type]
 
 

@@ -193,9 +193,9 @@ DAMAGES: dict[str, tuple[Damage, str]] = {
     "meta of brackets": (content("meta", b"[" * 60_000), _NO_YAML),
     "meta of a megabyte": (
         content("meta", b"a: b\n" * 200_000),
-        _NO_YAML + "it is not a regular file of",
+        _NO_YAML + "it is larger than",
     ),
-    "meta of a terabyte": (instead("meta", sparse), _NO_YAML + "it is not a regular file of"),
+    "meta of a terabyte": (instead("meta", sparse), _NO_YAML + "it is larger than"),
     "meta that is a pipe": (instead("meta", os.mkfifo), r"lacks meta\.yml"),
     "meta that is a link to itself": (instead("meta", link("meta.yml")), r"lacks meta\.yml"),
     "meta that is a link out of the dataset": (instead("meta", stranger), _NO_YAML + "it has no ycb_ids"),

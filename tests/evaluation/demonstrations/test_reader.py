@@ -3,6 +3,7 @@
 import json
 import multiprocessing
 import pickle
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,9 @@ import handover_marl
 from handover_marl import Demonstrations
 from handover_marl.errors import DataFormatError, DataNotFoundError, OptionError, UnknownNameError
 from handover_marl.evaluation.demonstrations.minari_layout import METADATA_FILE
+from tests.evaluation.deadline import ends_within
 from tests.evaluation.demonstrations.recording import SCENES, assert_same, main_file, record
+from tests.unreadable import UNREADABLE, refuses_within, replace_by
 
 
 @pytest.fixture(scope="module")
@@ -214,11 +217,19 @@ def test_arrays_that_exceed_the_memory_are_refused(own: Path) -> None:
         {"handover_marl": {}},
         {"handover_marl": None},
         {"total_steps": "many"},
+        {"handover_marl": {"recorded": {"success": 10**18}}},
+        {"handover_marl": {"evaluation": {"receiver": "x" * 5_000_000}}},
+        {"handover_marl": {"evaluation": {"physics": "bullet"}}},
     ],
 )
 def test_malformed_metadata_are_refused(own: Path, change: dict[str, Any]) -> None:
     path = own / "data" / METADATA_FILE
-    path.write_text(json.dumps({**json.loads(path.read_text()), **change}))
+    content = json.loads(path.read_text())
+    section = change.get("handover_marl")
+    if section:
+        ours = content["handover_marl"]
+        change = {"handover_marl": {**ours, **{key: {**ours[key], **value} for key, value in section.items()}}}
+    path.write_text(json.dumps({**content, **change}))
     with pytest.raises(DataFormatError, match=r"metadata\.json: not a description of demonstrations"):
         Demonstrations(own)
 
@@ -228,3 +239,82 @@ def test_foreign_metadata_are_refused(own: Path, content: str) -> None:
     (own / "data" / METADATA_FILE).write_text(content)
     with pytest.raises(DataFormatError, match="not a description of demonstrations"):
         Demonstrations(own)
+
+
+@pytest.mark.parametrize("kind", UNREADABLE)
+def test_unreadable_files(kind: str, own: Path) -> None:
+    demonstrations = Demonstrations(own)
+    if kind != "large":  # a data set may be large
+        replace_by(kind, main_file(own))
+        with refuses_within(5.0, DataFormatError, kind):
+            demonstrations[0]
+    replace_by(kind, own / "data" / METADATA_FILE)
+    with refuses_within(5.0, DataFormatError, kind):
+        Demonstrations(own)
+
+
+def link_array(file: Any, group: Any, other: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    group["actions"] = h5py.ExternalLink(str(other), "episode_0/actions")
+
+
+def link_within_the_file(file: Any, group: Any, other: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    group["actions"] = h5py.SoftLink("/episode_1/actions")
+
+
+def link_group(file: Any, group: Any, other: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    del file["episode_0"]
+    file["episode_0"] = h5py.ExternalLink(str(other), "episode_0")
+
+
+def store_elsewhere(file: Any, group: Any, other: Path) -> None:
+    size = int(group.attrs["total_steps"]), 9
+    group.create_dataset("actions", size, np.float32, external=[(str(other), 0, 4 * size[0] * size[1])])
+
+
+def make_virtual(file: Any, group: Any, other: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    size = int(group.attrs["total_steps"]), 9
+    layout = h5py.VirtualLayout(size, np.float32)
+    layout[:] = h5py.VirtualSource(str(other), "episode_0/actions", size)
+    group.create_virtual_dataset("actions", layout)
+
+
+def link_in_circles(file: Any, group: Any, other: Path) -> None:
+    group["actions"] = group
+    group["infos"]["again"] = group
+
+
+@pytest.mark.parametrize(
+    "change", [link_array, link_within_the_file, link_group, store_elsewhere, make_virtual, link_in_circles]
+)
+def test_arrays_outside_of_the_file_are_refused(change: Callable[[Any, Any, Path], None], own: Path, out: Path) -> None:
+    """They could be any file of the machine that reads the data set."""
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(main_file(own), "a") as file:
+        del file["episode_0"]["actions"]
+        change(file, file["episode_0"], main_file(out))
+    demonstrations = Demonstrations(own)
+    for read in (demonstrations.read_metadata, demonstrations.read_transitions, lambda: demonstrations[0]):
+        with ends_within(5.0), pytest.raises(DataFormatError, match=r"missing, or a link|in another file|1000 members"):
+            read()
+
+
+@pytest.mark.parametrize("name", ["actions", "rewards", "giver_actions"])
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_actions_that_are_not_finite_are_refused(name: str, value: float, own: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(main_file(own), "a") as file:
+        group = file["episode_0"]
+        if name in group.attrs:
+            group.attrs[name] = np.full_like(group.attrs[name], value)
+        else:
+            group[name][-1] = value
+    demonstrations = Demonstrations(own)
+    with pytest.raises(DataFormatError, match=f"{name} must be finite"):
+        demonstrations[0]
+    if name == "actions":
+        with pytest.raises(DataFormatError, match="actions must be finite"):
+            demonstrations.read_transitions()

@@ -41,7 +41,7 @@ def test_setup_and_split_must_be_official(folder: ResultFolder, key: str, value:
     change_config(folder.path, "BENCHMARK", {key: value})
     if not own:
         change_config(folder.path, "HANDOVER_MARL", None)
-    with pytest.raises(ResultsError, match=r"config\.yaml: unknown setup"):
+    with pytest.raises(ResultsError, match=rf"config\.yaml: (unknown {key.lower()}|{key.lower()} must be text)"):
         read_result_metadata(folder.path)
 
 
@@ -50,6 +50,28 @@ def test_setup_and_split_must_be_official(folder: ResultFolder, key: str, value:
 def test_values_of_the_library_section_are_text(folder: ResultFolder, key: str, value: object) -> None:
     change_config(folder.path, "HANDOVER_MARL", {key: value})
     with pytest.raises(ResultsError, match=rf"config\.yaml: {key} .*must be text"):
+        read_result_metadata(folder.path)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "fault"),
+    [
+        ("physics", "bullet", "unknown physics 'bullet'; valid: exact, fast, mujoco"),
+        ("robot", "ur5", "unknown robot 'ur5'"),
+        ("obs_mode", "tactile", "unknown obs_mode 'tactile'"),
+        ("receiver", "x" * 30_000, "receiver must be text.* at most 20000 characters"),
+    ],
+)
+def test_unknown_choices_and_long_names(folder: ResultFolder, key: str, value: str, fault: str) -> None:
+    change_config(folder.path, "HANDOVER_MARL", {key: value})
+    with pytest.raises(ResultsError, match=rf"config\.yaml: {fault}"):
+        read_result_metadata(folder.path)
+
+
+def test_duplicate_keys_are_refused(folder: ResultFolder) -> None:
+    config = folder.path / "config.yaml"
+    config.write_text(config.read_text().replace("receiver: hold", "receiver: hold\n  receiver: reactive"))
+    with pytest.raises(ResultsError, match=r"config\.yaml: not a readable configuration .*key 'receiver' twice"):
         read_result_metadata(folder.path)
 
 

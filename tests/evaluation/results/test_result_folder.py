@@ -17,6 +17,7 @@ from handover_marl.evaluation.results.metadata import ResultMetadata, read_resul
 from handover_marl.evaluation.results.result_folder import ResultFolder, encode_result, read_results
 from tests.evaluation.deadline import ends_within
 from tests.fake_layout import spoil
+from tests.unreadable import UNREADABLE, refuses_within, replace_by
 
 SETTINGS = ResultMetadata("s0", "test", "hold", "replay", "exact", "dexycb", "1.0")
 RESULT = EpisodeResult(
@@ -71,6 +72,15 @@ def test_results_are_read_as_written(folder: ResultFolder) -> None:
         {"elapsed_time": np.array(["a"])},
         {"elapsed_time": np.full(50, -1.0)},
         {"elapsed_time": np.full(50, np.nan)},
+        {"elapsed_time": np.full(50, 1e300)},
+        {"result": np.inf},
+        {"elapsed_frame": 10**15},
+        {"scene_id": 1000},
+        {"scene_id": -1},
+        {"n_objects": 10**6},
+        {"release_step": 51},
+        {"release_step": -(2**60)},
+        {"machine": "m" * 5_000_000},
     ],
 )
 def test_values_of_another_type_are_refused(folder: ResultFolder, changes: dict[str, Any]) -> None:
@@ -110,14 +120,21 @@ def test_flipped_bytes_in_result_files(folder: ResultFolder) -> None:
     assert refused > 200
 
 
-def test_named_pipes_are_not_opened_as_results(folder: ResultFolder) -> None:
-    """Nobody writes into them, so that whoever opens one waits for ever."""
-    path = folder.path / "000.npz"
-    path.unlink()
-    os.mkfifo(path)
+@pytest.mark.parametrize("kind", UNREADABLE)
+def test_unreadable_configuration(kind: str, folder: ResultFolder) -> None:
+    replace_by(kind, folder.path / "config.yaml")
+    with refuses_within(5.0, ResultsError, kind):
+        evaluate(folder.path)
+    with refuses_within(5.0, ResultsError, kind):
+        ResultFolder(folder.path, SETTINGS)
+
+
+@pytest.mark.parametrize("kind", [kind for kind in UNREADABLE if kind != "folder"])
+def test_unreadable_results(kind: str, folder: ResultFolder) -> None:
+    replace_by(kind, folder.path / "000.npz")
+    with refuses_within(5.0, ResultsError, kind):
+        evaluate(folder.path)
     with ends_within(5.0):
-        with pytest.raises(ResultsError, match=r"000\.npz: not a readable result file .*not a regular file"):
-            evaluate(folder.path)
         assert ResultFolder(folder.path, SETTINGS).read(0, "abc") is None
         # Its scene is then run again.
         folder.write(RESULT, CONTENT)
