@@ -16,7 +16,7 @@ from typing import Any, get_args, get_type_hints
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.config import MAX_OBJECTS, OFFICIAL_CONFIG, WorldConfig
+from handover_marl.config import OFFICIAL_CONFIG, WorldConfig
 from handover_marl.datasets.splits import N_SCENES
 from handover_marl.episode.callbacks import ActionRecorder
 from handover_marl.episode.metrics import FluencyMetrics
@@ -50,14 +50,15 @@ _EXTRAS: dict[str, type] = {
 }
 _FLUENCY_PREFIX = "fluency_"
 _MAX_TEXT = 10_000  # characters of a description
-_MAX_NUMBER = 1e9
+_MAX_NUMBER, _MAX_OBJECTS = 1e9, 1000
 # Smallest and largest possible values.
 _LIMITS: dict[str, tuple[float, float]] = {
     "result": (1, 15),
     "elapsed_frame": (1, _MAX_NUMBER),
     "elapsed_time": (0.0, _MAX_NUMBER),
     "scene_id": (0, N_SCENES - 1),
-    "n_objects": (1, MAX_OBJECTS),
+    "release_step": (0, _MAX_NUMBER),
+    "n_objects": (1, _MAX_OBJECTS),
 }
 
 

@@ -78,7 +78,6 @@ def test_results_are_read_as_written(folder: ResultFolder) -> None:
         {"scene_id": 1000},
         {"scene_id": -1},
         {"n_objects": 10**6},
-        {"release_step": 51},
         {"release_step": -(2**60)},
         {"machine": "m" * 5_000_000},
     ],
