@@ -1,6 +1,7 @@
 """Cross-play: evaluation of every giver with every receiver on the same scenes."""
 
 import csv
+import io
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
