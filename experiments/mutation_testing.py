@@ -48,7 +48,7 @@ class Args:
 
     Attributes:
         modules: Modules to change.
-        sample: Number of mutants of each module, drawn at random; 0 tests all.
+        sample: Number of mutants of each module that are drawn at random and tested; 0 tests all.
         seed: Seed of the random draw.
         timeout: Time after which tests count as failed (s).
         out: Folder for the table and the survivors.
@@ -77,18 +77,21 @@ class ModuleResult:
 
 
 def find_annotation_lines(source: str) -> set[int]:
-    """Return the lines that consist of annotations without a value; they are not executed code."""
+    """Return the numbers of the lines that only annotate a name, without a value.
+
+    Such lines are not executed, so that no test can detect their mutants.
+    """
     nodes = ast.walk(ast.parse(source))
     return {node.lineno for node in nodes if isinstance(node, ast.AnnAssign) and node.value is None}
 
 
 def measure_module(module: str, args: Args, copy: Path) -> ModuleResult:
-    """Test a sample of the mutants of a module.
+    """Test a sample of the mutants of a module and return the result.
 
     Args:
         module: Path of the module in the repository.
-        args: Options.
-        copy: Copy of the repository, which is the working directory.
+        args: Options of the script.
+        copy: Folder with a copy of the repository; must be the working directory.
     """
     from cosmic_ray.commands.init import init
     from cosmic_ray.mutating import mutate_and_test
@@ -114,7 +117,7 @@ def measure_module(module: str, args: Args, copy: Path) -> ModuleResult:
 
 
 def measure_modules(args: Args) -> Iterator[ModuleResult]:
-    """Test the mutants of all modules in a copy of the repository's last commit."""
+    """Test mutants of each module in a copy of the repository's last commit; yield the results."""
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / "copy"
         subprocess.run(["git", "clone", "--quiet", str(REPOSITORY), str(copy)], check=True)

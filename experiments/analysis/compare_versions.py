@@ -58,7 +58,7 @@ class Record:
         data_dir: Data folder in HandoverSim's layout.
         every: Take every n-th scene of s0 train (720 scenes), so that 18 gives 40.
         physics: Physics engines to evaluate in.
-        old_options: Use the options of 0.7.0 for observation modes.
+        old_options: Whether to use the options of version 0.7.0 for observation modes.
     """
 
     out: Path

@@ -74,7 +74,7 @@ class Finding:
 
 
 def format_findings(findings: Iterable[Finding]) -> str:
-    """Return findings as lines of at most 100 characters, each followed by its advice."""
+    """Return findings as text in lines of at most 100 characters, each finding before its advice."""
     lines = []
     for finding in findings:
         lines += _wrap(finding.result, f"{finding.severity.value:6}{finding.name:{_NAME_WIDTH}}")

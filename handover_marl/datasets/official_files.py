@@ -87,7 +87,7 @@ def classify_file_origin(path: str, content: bytes) -> FileOrigin:
 def find_hand_origin(folder: Path) -> FileOrigin:
     """Return ORIGINAL for a hand compiled from MANO by HandoverSim's rules, else STAND_IN.
 
-    A compiled hand has equal visual and collision meshes but for three links, and the meshes are
+    A compiled hand has equal visual and collision meshes except for three links, and its meshes are
     open surfaces. Hands made in another way have closed meshes. The origin is UNKNOWN if a mesh
     cannot be read.
 

@@ -107,7 +107,15 @@ class KinematicTree:
         return origins, rotations
 
     def compute_link_poses(self, dof: npt.ArrayLike, links: Sequence[int]) -> Array:
-        """Compute poses (n, len(links), 7) of links in the base frame for joints (n, d)."""
+        """Compute the poses of some links in the base link's frame for n configurations.
+
+        Args:
+            dof: (n, d) positions of the moving joints (rad, m).
+            links: Numbers of the k links.
+
+        Returns:
+            (n, k, 7) positions xyz (m) and quaternions xyzw.
+        """
         origins, rotations = self.compute_link_frames(dof)
         chosen = list(links)
         return np.concatenate([origins[:, chosen], quaternion_from_matrix(rotations[:, chosen])], axis=-1)

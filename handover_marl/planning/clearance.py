@@ -231,7 +231,7 @@ def find_closest_points(hand: Array, spheres: Spheres) -> ClosestPoints:
 
 
 def compute_arm_clearances(arm: ArmInWorld, joints: Array, spheres: Spheres) -> Array:
-    """Return the clearances (n,) in m between elbow, forearm and wrist of the arm and a body.
+    """Return the clearances (n,) in m between the arm, from elbow to wrist, and a body.
 
     Args:
         arm: Kinematics of the arm.

@@ -27,7 +27,7 @@ UNCHECKED = 5
 
 
 def is_usable_grasp(object_name: str, grasps: Array) -> npt.NDArray[np.bool_]:
-    """Return whether OMG uses each grasp (n,); grasps of some objects that slip are excluded.
+    """Return a mask (n,) of the grasps that OMG uses; for some objects, grasps that slip are excluded.
 
     Args:
         object_name: Object class.

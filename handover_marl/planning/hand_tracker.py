@@ -63,9 +63,10 @@ def sample_capsule_spheres(capsules: Capsules, count: int) -> Spheres:
 
 
 def hand_capsules_from_observation(observation: Observation) -> Capsules | None:
-    """Return capsules, in the world, that approximate the person's hand, or None without a hand.
+    """Return capsules in the world that approximate the person's hand, or None without a hand.
 
-    Fingertips are not observed: each one extends the bone before it, bent by the last joint.
+    Fingertips are not observed. The last bone of each finger gets the direction of the bone before
+    it, rotated by the last joint, and 0.9 of that bone's length.
     """
     if not observation["hand_present"][0]:
         return None

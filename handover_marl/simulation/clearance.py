@@ -25,7 +25,7 @@ class DistanceQuery(ABC):
 
     @abstractmethod
     def measure(self, hand_urdf: Path, robot: list[float], hand: list[float], max_distance: float) -> float:
-        """Measure the smallest distance of robot and human hand (m).
+        """Measure the smallest distance between the surfaces of robot and human hand (m).
 
         It is at most `max_distance`, and not above 0 if robot and hand overlap.
 
@@ -67,7 +67,7 @@ class ClearanceMonitor:
         robot_frames: LinkFrameTrajectory,
         hand_frames: LinkFrameTrajectory,
     ) -> float:
-        """Compute the smallest distance of robot and human hand (m) over n times.
+        """Compute the smallest distance between the surfaces of robot and hand (m) over n times.
 
         It is 0 if robot and hand overlap, and at most 3.
 

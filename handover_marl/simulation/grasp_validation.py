@@ -37,8 +37,8 @@ class GraspValidationConfig:
             they close, and again while the object is shaken.
         max_rotation: Largest rotation of the object (rad) while the fingers close, and again while
             the object is shaken.
-        standoff_distances: Distances (m) before the grasp at which the open hand must not touch the
-            object either.
+        standoff_distances: Distances from the grasp, back along the approach direction, at which the
+            open hand must not touch the object either (m).
     """
 
     close_time: float = 0.5

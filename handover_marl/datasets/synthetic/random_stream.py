@@ -55,7 +55,7 @@ class RandomStream:
     def weighted_order(self, weights: Sequence[float]) -> list[int]:
         """Draw the indices of all positive weights in random order, without replacement.
 
-        The next index is drawn with probability proportional to its weight.
+        Each next index is drawn from the remaining ones with probability proportional to its weight.
         """
         remaining = {index: weight for index, weight in enumerate(weights) if weight > 0.0}
         order = []

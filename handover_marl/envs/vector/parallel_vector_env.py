@@ -18,12 +18,15 @@ BatchStep = tuple[ByAgent, ByAgent, ByAgent, ByAgent, ByAgent]
 class ParallelVectorEnv:
     """Vector environment of both agents, made by `handover_marl.vector_env(..., agent=None)`.
 
-    The API is PettingZoo's parallel API, with arrays (n, ...) of n environments in the dictionaries by
-    agent. Environments are reset as Gymnasium specifies: "next_step" ignores the actions after an
-    episode's end and returns the first observations of the next episode with rewards of 0; "same_step"
-    returns these observations with the last rewards, the last observations in
-    `infos[agent]["final_obs"]` (n,), the last infos in `["final_info"]` (n,) and a mask of both in
-    `["_final_obs"]` (n,); "disabled" leaves resets to the caller.
+    The API is PettingZoo's parallel API; the dictionaries by agent hold arrays (n, ...) of n
+    environments. The reset after an episode's end follows Gymnasium's modes:
+
+    - "next_step": the next step ignores the actions, and returns the first observations of the next
+      episode with rewards of 0.
+    - "same_step": the last step of an episode returns the first observations of the next episode with
+      the last rewards. `infos[agent]` then has the last observations in "final_obs" (n,), the last
+      infos in "final_info" (n,), and the mask of these environments in "_final_obs" (n,).
+    - "disabled": the caller resets.
 
     Args:
         batch: Environments that are simulated in lockstep.

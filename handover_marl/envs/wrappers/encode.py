@@ -124,9 +124,14 @@ class EncodedEnv(ParallelWrapper):
         return np.asarray(scheme.outputs_from_action(action, self.last_observation(agent)), dtype=np.float32)
 
     def reset(self, seed: int | None = None, options: ByAgent | None = None) -> tuple[ByAgent, ByAgent]:
-        """Start an episode and play it until an action scheme needs outputs.
+        """Start an episode and simulate it until an action scheme needs outputs.
 
-        `options={"scene_id": n}` chooses the scene.
+        Args:
+            seed: Seed of the random generator that draws scenes; None keeps its state.
+            options: `{"scene_id": n}` chooses the scene; default: draw one.
+
+        Returns:
+            Feature vectors and infos by agent.
 
         Raises:
             OptionError: Many episodes in a row have ended before outputs were needed.

@@ -1,13 +1,12 @@
-"""Approach field: the step of the robot's hand as a function of its pose relative to a grasp.
+"""Approach field: the next step of the robot's hand as a function of its pose relative to a grasp.
 
-Labels for imitation must follow from what a network observes. Labels from a field do: from any pose
-the field leads back to the grasp, whatever motion led to that pose.
+The field gives the labels for imitation. Labels must depend only on what a network observes. The
+field satisfies this, because it leads from any pose to the grasp, whatever motion led to that pose.
 
-The hand first rotates and moves to a standoff, at a pace that matches the remaining decisions, and
-then moves in by a single step. GA-DDPG closes the fingers as soon as 50 of 1,024 points are between
-them at the end of a decision, and holds the commanded pose while they close: after several small
-steps the fingertips would hold the object, after a single one the grasp is where it was planned. A
-hand that arrives early would meet a person who is still lifting the object.
+The hand first rotates and moves to a standoff, at a pace that matches the remaining decisions, since
+a hand that arrives early would meet a person who is still lifting the object. It then moves in by a
+single step: GA-DDPG closes the fingers as soon as 50 of 1,024 points are between them at the end of
+a decision, so that after several small steps the fingertips would hold the object.
 """
 
 from dataclasses import dataclass

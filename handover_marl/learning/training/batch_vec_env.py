@@ -21,8 +21,9 @@ BatchFactory = Callable[[int], HandoverVectorEnv]
 class BatchVecEnv(VecEnv):
     """Stable-Baselines3 VecEnv whose environments are simulated in one batch per process.
 
-    The simulation of a batch is threaded, but the rest of its environments is not, so that several
-    cores are used best by one process each. Episodes do not depend on the number of processes.
+    Only the simulation of a batch runs in several threads, not the observations and rewards of its
+    environments. On several cores, one process per core is therefore fastest. Episodes do not depend
+    on the number of processes.
 
     Args:
         count: Number of environments.

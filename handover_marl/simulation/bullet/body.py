@@ -55,7 +55,7 @@ class InitialState:
 
     Attributes:
         joints: Positions of the moving joints (m, rad).
-        velocities: Velocities of the moving joints (m/s, rad/s); None is zero.
+        velocities: Velocities of the moving joints (m/s, rad/s); None means that the body is at rest.
         base: (7,) world pose of the base link.
     """
 

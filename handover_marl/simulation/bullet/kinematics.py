@@ -163,16 +163,14 @@ class BulletDistanceQuery(DistanceQuery):
         self._hands: dict[Path, HandBody] = {}
 
     def read_bounding_spheres(self, urdf: Path) -> dict[int, BoundingSphere]:
-        """Return a sphere around the collision shapes of each link by link number.
-
-        The number of the base link is -1.
+        """Return a sphere around the collision shapes of each link by link number; -1 is the base.
 
         Links without collision shapes are left out.
         """
         return read_bounding_spheres(urdf)
 
     def measure(self, hand_urdf: Path, robot: list[float], hand: list[float], max_distance: float) -> float:
-        """Measure the smallest distance of robot and human hand (m); see `DistanceQuery`."""
+        """Measure the smallest distance between robot and human hand (m); see `DistanceQuery`."""
         self._panda.reset_joints_at_rest(robot)
         if hand_urdf not in self._hands:
             self._hands[hand_urdf] = HandBody(self._client, hand_urdf, hand, HandConfig())

@@ -111,7 +111,7 @@ class VisualBodies:
             self._client.resetBasePositionAndOrientation(body, world_from_shape[:3], world_from_shape[3:])
 
     def hide(self, name: Hashable) -> None:
-        """Remove the visual body of a name from the window, if there is one."""
+        """Remove the visual body with a name from the window, if there is one."""
         model = self._models.pop(name, None)
         for body in [] if model is None else model.bodies:
             self._client.removeBody(body)

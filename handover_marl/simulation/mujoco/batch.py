@@ -264,7 +264,7 @@ def _get_sizes(model: "mujoco.MjModel") -> tuple[int, ...]:
 class BatchRollout:
     """Rollout of k physics steps of n worlds in one model group.
 
-    Valid until the group's next rollout.
+    The rollout is valid until the next rollout of the group.
 
     Attributes:
         slots: Batch slots of the n worlds.

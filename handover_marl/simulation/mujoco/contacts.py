@@ -153,7 +153,10 @@ class ContactSensors:
         return float(data[self._hand].sum())
 
     def read_finger_forces(self, data: Array) -> Array:
-        """Return the fingers' normal forces (..., 2, 8) on the object (N), 0 without contact."""
+        """Return the normal forces (..., 2, 8) on the object in 8 contacts of each finger (N).
+
+        The force is 0 if there are fewer contacts.
+        """
         return data[..., self._forces]
 
     def read_gripper_position(self, data: Array) -> Array:
@@ -170,7 +173,7 @@ class ContactSensors:
         return frames[..., :3], np.swapaxes(axes, -1, -2)
 
     def compute_finger_points(self, data: Array, origins: Array, rotations: Array) -> Array:
-        """Compute the fingers' contact points (..., 2, 8, 3) in the fingers' frames (m).
+        """Compute the points (..., 2, 8, 3) of 8 contacts of each finger in that finger's frame (m).
 
         Points without a force are invalid.
 

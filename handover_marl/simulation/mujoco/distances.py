@@ -48,7 +48,7 @@ class MujocoDistanceQuery(DistanceQuery):
         return compute_bounding_spheres(urdf, read_tree(urdf))
 
     def measure(self, hand_urdf: Path, robot: list[float], hand: list[float], max_distance: float) -> float:
-        """Measure the smallest distance of robot and hand (m); see `DistanceQuery.measure`."""
+        """Measure the smallest distance between robot and hand (m); see `DistanceQuery.measure`."""
         if hand_urdf not in self._models:
             self._models[hand_urdf] = _compile_pair(self._panda_urdf, hand_urdf)
         pair = self._models[hand_urdf]

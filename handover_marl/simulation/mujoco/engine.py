@@ -41,7 +41,8 @@ _LIBRARIES = ("libmujoco*.so*", "libmujoco*.dylib", "mujoco.dll")
 class MujocoTuning:
     """Parameters (SI units) that make MuJoCo's contacts and actuators behave like Bullet's.
 
-    Chosen on scenes of s0 train alone, by how often episodes of `yang2021` end as in exact physics.
+    The values were chosen on scenes of s0 train only, by the share of episodes of `yang2021` with the
+    same outcome as in exact physics.
 
     Bullet's motor gives a joint the velocity that its position error demands, with any force up to
     a limit. Here an actuator with damping `kv` pulls towards that velocity. At the force limit it
@@ -55,7 +56,8 @@ class MujocoTuning:
             opening times this value.
         finger_armature: Mass added to each finger joint (kg), since Bullet's contacts with fingers
             are soft.
-        object_damping: kv of the actuators that move objects, in object masses per step.
+        object_damping: kv of the actuators that move objects, as a multiple of the object's mass per
+            physics step.
         margin: Distance (m) of each convex hull's surface from its vertices, equal to Bullet's
             collision margin.
         contact_time: Time constant of contacts (s).

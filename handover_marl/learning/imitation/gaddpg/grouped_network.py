@@ -1,9 +1,9 @@
 """Efficient evaluation of GA-DDPG's network on stored groups of points.
 
-PointNet++ pads every group by repeating a point, which max pooling ignores: of 128 places in a group
-of groups at most 32 are distinct, mostly 8. Here every neighbor is evaluated once. In training the
-statistics of batch normalization therefore count every neighbor once; with fixed statistics the
-output is the same.
+PointNet++ pads every group by repeating a point, which max pooling ignores: of the 128 members of a
+group of groups at most 32 are distinct, mostly 8. This module evaluates every member once. In
+training, the statistics of batch normalization therefore count every member once; with fixed
+statistics the output equals that of PointNet++.
 """
 
 import itertools

@@ -1,9 +1,10 @@
 """Rollouts in GA-DDPG's protocol without physics, which generate imitation states.
 
-The object rests, the arm lags, and the wrist camera is ray cast. Point cloud memory, resampling,
-the counter of decisions and the end are those of the deployed receiver. The expert acts at first,
-sometimes disturbed, then the network (DAgger; Ross et al., AISTATS 2011); every observation becomes
-a state with the expert's goal as its label.
+The object rests, the arm lags behind its targets, and the wrist camera is rendered by ray casting.
+The memory of point clouds, their resampling, the counter of decisions and the rule that ends an
+approach are those of the receiver. The expert acts at first, in some decisions with noise, and then
+the network acts (DAgger; Ross et al., AISTATS 2011). Every observation becomes a state with the
+expert's goal as its label.
 """
 
 from collections.abc import Callable, Sequence

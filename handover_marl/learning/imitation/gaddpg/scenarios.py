@@ -1,8 +1,8 @@
 """Random scenarios for imitation rollouts: an object at rest, and the arm that observes it.
 
 Objects are at poses from training scenes (at the handover, on the way there, or on the table) with
-random offsets. The arm is at its start or observes the object from a random pose. Some objects are
-partly occluded by an invisible sphere in place of a hand, of which grasps keep clear.
+random offsets. The arm is at its start pose or observes the object from a random pose. An invisible
+sphere in place of a person's hand occludes some objects partly; grasps keep clear of the sphere.
 """
 
 from dataclasses import dataclass
@@ -42,7 +42,8 @@ class ImitationScenarioConfig:
         min_distance: Smallest distance of the robot's hand from the object at a random pose (m).
         max_distance: Largest distance of the robot's hand from the object at a random pose (m).
         min_cosine: Smallest cosine, at a random pose, of the angle between the direction from the object
-            to the robot's hand and the direction from the object to the robot's base, raised slightly.
+            to the robot's hand and the direction from the object to the robot's base; the latter is
+            taken 11 degrees above the horizontal.
         aim_error: Largest distance along each axis of the point at which the camera aims from the
             object's origin (m).
         occluded: Share of scenarios in which a sphere occludes the object partly.

@@ -1,7 +1,7 @@
 """Imitation states: the receiver's point cloud at a decision, and the grasp to approach.
 
 PointNet++ groups points around sampled centers. The groups depend on the points only, not on the
-pose of the hand, so that they are computed once per state, even if the state is augmented later.
+pose of the hand. They are therefore computed once per state, even if the state is augmented later.
 Repeated points do not change the network's output and are not stored.
 """
 
