@@ -45,7 +45,7 @@ class Piece:
 
 
 def make_ellipse(half_x: float, half_y: float | None = None, n: int = 32, exponent: float = 2.0) -> Array:
-    """Return the outline |x/half_x|^exponent + |y/half_y|^exponent = 1.
+    """Return the outline (n, 2) of the curve |x/half_x|^exponent + |y/half_y|^exponent = 1.
 
     Args:
         half_x: Half the size along x.
@@ -60,7 +60,14 @@ def make_ellipse(half_x: float, half_y: float | None = None, n: int = 32, expone
 
 
 def make_rectangle(size_x: float, size_y: float, corner: float, n_corner: int = 4) -> Array:
-    """Return the outline of a rectangle with corners of radius `corner`."""
+    """Return the outline (n, 2) of a rectangle with rounded corners, centered at the origin.
+
+    Args:
+        size_x: Side length along x (mm).
+        size_y: Side length along y (mm).
+        corner: Radius of the corners (mm).
+        n_corner: Number of points of each corner.
+    """
     arc = np.linspace(0, np.pi / 2, n_corner)
     rounded = []
     for quarter, (sign_x, sign_y) in enumerate([(1, 1), (-1, 1), (-1, -1), (1, -1)]):
@@ -99,7 +106,7 @@ def sweep_outlines(path: npt.ArrayLike, outlines: Sequence[Array], up: Sequence[
     Args:
         path: (m, 3) centers of the rings.
         outlines: m outlines (n, 2).
-        up: Direction (3,) of the outlines' y axes.
+        up: Direction (3,) to which the outlines' y axes point as far as the path allows.
         closed: Whether the path is closed.
     """
     points = np.asarray(path, dtype=float)

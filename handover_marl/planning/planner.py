@@ -85,7 +85,7 @@ class Planner:
         return GoalSetBuilder(self.arm, self._body, self._gripper, start, self._limits, self.config)
 
     def plan(self, grasps: Array, objects: Sequence[Obstacle], hand: Capsules | None = None) -> Plan | None:
-        """Plan a trajectory to one of several grasps; return None if no grasp can be reached.
+        """Compute a trajectory to one of several grasps; return None if no grasp can be reached.
 
         Args:
             grasps: (n, 7) poses of the hand link in the base frame.

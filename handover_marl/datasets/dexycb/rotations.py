@@ -163,7 +163,7 @@ class TagFrame:
 
     @classmethod
     def from_extrinsics(cls, world_from_tag: npt.ArrayLike) -> "TagFrame":
-        """Return the transform for the tag's pose in the world, (3, 4) [R | t] (m)."""
+        """Return the transform to the tag's frame for the tag's pose (3, 4) [R | t] in the world (m)."""
         pose = np.asarray(world_from_tag, dtype=np.float32)
         rotation = np.ascontiguousarray(pose[:, :3].T)
         # The only sum that was not fused: the vector was too short for the fused kernels.

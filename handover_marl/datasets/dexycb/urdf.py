@@ -40,6 +40,9 @@ def build_object_urdf() -> str:
 
 
 def format_numbers(*numbers: float) -> str:
-    """Return the text of a URDF attribute: integers if all numbers are, else 64 decimals each."""
+    """Return numbers as the text of a URDF attribute.
+
+    They are written as integers if all of them are integers, otherwise with 64 decimals each.
+    """
     pattern = "%.0f" if all(float(number).is_integer() for number in numbers) else "%.64f"
     return " ".join(pattern % float(number) for number in numbers)

@@ -32,9 +32,9 @@ class EncodedEnv(ParallelWrapper):
     An action scheme decodes an agent's outputs into its actions.
 
     With one agent a step lasts until the action scheme needs outputs again, mostly one control
-    period; rewards are summed over the step, and an episode that needs no outputs is played to its
-    end and followed by another episode. With two agents a step is one control period, and an action
-    scheme that needs no outputs keeps its last outputs. Made by `encode`.
+    period, and rewards are summed over the step. An episode in which no outputs are needed is
+    simulated to its end, and another episode follows. With two agents a step is one control period,
+    and an action scheme that needs no outputs keeps its last outputs. Made by `encode`.
 
     Args:
         env: Environment to encode.

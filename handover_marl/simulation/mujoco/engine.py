@@ -45,9 +45,9 @@ class MujocoTuning:
     same outcome as in exact physics.
 
     Bullet's motor gives a joint the velocity that its position error demands, with any force up to
-    a limit. Here an actuator with damping `kv` pulls towards that velocity. At the force limit it
-    oscillates from step to step if `kv` is more than twice the joint's inertia per step; the
-    armatures prevent this.
+    a limit. In MuJoCo an actuator with damping `kv` accelerates the joint towards that velocity. At
+    the force limit the joint oscillates from step to step if `kv` is more than twice the joint's
+    inertia per step; the armatures prevent this.
 
     Attributes:
         arm_damping: kv of the seven arm actuators (N m s).
