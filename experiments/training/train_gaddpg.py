@@ -145,7 +145,7 @@ class Training:
     """
 
     def __init__(self, args: Args) -> None:
-        check(args)
+        check_arguments(args)
         torch.set_num_threads(args.threads)
         data = open_dataset(args.dataset, args.data_dir, PANDA_CAMERA)
         scenes = list_shared_scenes(data, args.setups)
@@ -297,7 +297,7 @@ class Training:
         return path
 
 
-def check(args: Args) -> None:
+def check_arguments(args: Args) -> None:
     """Check that all numeric arguments are in range.
 
     Raises:

@@ -54,7 +54,8 @@ def single_agent_env(
     """Make a Gymnasium environment of one agent, in which a fixed policy acts for the other agent.
 
     Args:
-        agent: Live agent, "receiver" for the robot or "giver" for the person.
+        agent: Agent that is controlled from outside, "receiver" for the robot or "giver" for the
+            person.
         partner: Policy of the other agent, which is not controlled from outside; default: "replay" for
             a giver, "yang2021" for a receiver.
         trust: Whether a policy file may run code.

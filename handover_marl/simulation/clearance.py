@@ -69,7 +69,7 @@ class ClearanceMonitor:
     ) -> float:
         """Compute the smallest distance between the surfaces of robot and hand (m) over n times.
 
-        It is 0 if robot and hand overlap, and at most 3.
+        The result is 0 if robot and hand overlap, and at most 3 m.
 
         Args:
             hand_urdf: Model of the human hand.

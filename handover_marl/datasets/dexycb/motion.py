@@ -77,9 +77,13 @@ def find_hand_span(poses: Float32) -> KeyframeSpan:
 
 
 def compute_finger_poses(model: ManoModel, coefficients: Float32) -> Float32:
-    """Return finger rotation vectors (n, 45) (rad) of principal coefficients (n, 45).
+    """Return the finger rotation vectors (n, 45) in rad for coefficients of principal components.
 
     The sums are float32, from left to right.
+
+    Args:
+        model: MANO's model of the hand's side.
+        coefficients: (n, 45) coefficients of the model's principal components.
     """
     components, mean = model.hands_components.astype(np.float32), model.hands_mean.astype(np.float32)
     total = np.zeros_like(coefficients)

@@ -40,10 +40,9 @@ def hand_poses_from_grasps(transforms: Array) -> Array:
 
 
 def compute_free_grasp_share(world_from_object: Array, hand_points: Array, grasps: Array) -> float:
-    """Return the fraction (0 to 1) of the preferred robot grasps at which the gripper clears the hand.
+    """Return the fraction (0 to 1) of preferred robot grasps that are clear of the giver's hand.
 
-    Preferred grasps are those nearest to the pose that a waiting robot prefers; the hand is the
-    giver's.
+    Preferred grasps are those whose standoffs are nearest to the hand pose of a waiting robot.
 
     Args:
         world_from_object: (7,) pose of the object, xyz (m) and quaternion xyzw.

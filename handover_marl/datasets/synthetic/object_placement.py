@@ -54,8 +54,8 @@ class ObjectPlacement:
     """Start pose, handover pose and grasp of the object.
 
     Attributes:
-        start: Position (3) and rotation matrix (3, 3) of the object on the table.
-        handover: Position (3) and rotation matrix (3, 3) of the object at the handover.
+        start: Position (3,) in m and rotation matrix (3, 3) of the object on the table.
+        handover: Position (3,) in m and rotation matrix (3, 3) of the object at the handover.
         grasp: Index of the grasp among the subject's grasps of the object.
     """
 

@@ -52,8 +52,8 @@ class EnvBatch:
         is_running: Whether every environment has been reset, and no reset or step has failed since.
 
     Raises:
-        OptionError: A number is out of range, a partner is given for two live agents, windows are
-            requested, or a package is missing.
+        OptionError: A number is out of range, a partner is given although both agents are controlled
+            from outside, windows are requested, or a package is missing.
     """
 
     def __init__(

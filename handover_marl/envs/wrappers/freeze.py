@@ -20,7 +20,7 @@ class FrozenPartnerEnv(ParallelWrapper):
 
     Args:
         env: Environment with both agents, neither of them encoded.
-        agent: Live agent, "receiver" or "giver".
+        agent: Agent that is controlled from outside, "receiver" or "giver".
         partner: Policy of the other agent; default: "replay" for a giver, "yang2021" for a receiver.
         trust: Whether a policy file may run code.
 
@@ -80,11 +80,11 @@ class FrozenPartnerEnv(ParallelWrapper):
         The result is that of `HandoverEnv.step` without the entries of the partner.
 
         Args:
-            actions: Mapping from the name of the live agent to its action.
+            actions: Mapping from the name of the agent that is controlled from outside to its action.
 
         Raises:
-            ActionError: The live agent's action is missing or malformed, or the other agent's is
-                given, too.
+            ActionError: This agent's action is missing or malformed, or an action of the partner's
+                agent is given too.
             ResetNeededError: No episode is running.
             PolicyError: The partner's policy fails.
         """
@@ -138,11 +138,11 @@ def freeze(
     api: Api = "parallel",
     trust: bool = False,
 ) -> FrozenPartnerEnv | SingleAgentEnv:
-    """Return an environment of one live agent; a fixed policy acts for the other agent.
+    """Return an environment in which one agent is controlled; a fixed policy acts for the other.
 
     Args:
         env: `handover_marl.parallel_env(...)`, or a wrapper of it that has both agents.
-        agent: Live agent, "receiver" or "giver".
+        agent: Agent that is controlled from outside, "receiver" or "giver".
         partner: Policy of the other agent: a name, a class or an instance; default: "replay" for a
             giver, "yang2021" for a receiver.
         api: "parallel" for a PettingZoo environment of one agent, "gymnasium" for a Gymnasium one.

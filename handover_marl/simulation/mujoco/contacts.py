@@ -164,10 +164,7 @@ class ContactSensors:
         return data[..., self._gripper]
 
     def read_finger_frames(self, data: Array) -> tuple[Array, Array]:
-        """Return world origins (..., 2, 3) (m) and rotations (..., 2, 3, 3) of the finger links.
-
-        The rotations are matrices.
-        """
+        """Return world origins (..., 2, 3) in m and rotation matrices (..., 2, 3, 3) of the fingers."""
         frames = data[..., self._frames]
         axes = frames[..., 3:].reshape(*frames.shape[:-1], 3, 3)
         return frames[..., :3], np.swapaxes(axes, -1, -2)
