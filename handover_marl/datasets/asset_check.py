@@ -51,7 +51,8 @@ def read_asset(assets: Path, path: str) -> tuple[bytes, list[str]]:
         FileNotFoundError, NotADirectoryError: The file is missing.
     """
     file = assets / path
-    check = {".npy": load_grasps, ".obj": check_mesh}.get(file.suffix)
+    checks: dict[str, Callable[[Path], object]] = {".npy": load_grasps, ".obj": check_mesh}
+    check = checks.get(file.suffix)
     try:
         content = read_plain_file(file)
     except (FileNotFoundError, NotADirectoryError):

@@ -220,7 +220,7 @@ def _load_with_trimesh(shape: UrdfShape, urdf: Path) -> tuple[Array, Faces]:
         elif shape.kind == "sphere":
             mesh = trimesh.creation.icosphere(radius=shape.size[0])
         else:
-            check_plain_file(shape.mesh)
+            check_plain_file(Path(str(shape.mesh)))
             mesh = trimesh.load(shape.mesh, force="mesh", process=False, skip_materials=True)
         vertices, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64)
     except Exception as error:  # trimesh raises many kinds of errors on damaged files
