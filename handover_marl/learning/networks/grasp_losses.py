@@ -63,19 +63,19 @@ def grasp_targets_from_poses(poses: Tensor, quality: Tensor) -> GraspTargets:
     return GraspTargets(poses[..., :3] + PAD_DISTANCE * z_axis, rotations, quality)
 
 
-def compute_grasp_distances(found: GraspOutputs, targets: GraspTargets) -> Tensor:
+def compute_grasp_distances(outputs: GraspOutputs, targets: GraspTargets) -> Tensor:
     """Return the distance (B, C, K) in m between each predicted and each good grasp.
 
     A distance is the mean over three points of the gripper (hand and both finger pads). A rotation
     of the gripper by pi about its z axis does not change the distance.
 
     Args:
-        found: Predicted grasps at C centers of each of B clouds.
+        outputs: Predicted grasps at C centers of each of B clouds.
         targets: K good grasps for each cloud.
     """
     return _gripper_distances(
-        found.positions[:, :, None],
-        found.rotations[:, :, None],
+        outputs.positions[:, :, None],
+        outputs.rotations[:, :, None],
         targets.positions[:, None],
         targets.rotations[:, None],
     )
@@ -95,7 +95,7 @@ def find_enclosed_centers(centers: Tensor, targets: GraspTargets) -> Tensor:
 
 
 def compute_grasp_losses(
-    found: GraspOutputs, centers: Tensor, targets: GraspTargets, object_center: Tensor, object_motion: Tensor
+    outputs: GraspOutputs, centers: Tensor, targets: GraspTargets, object_center: Tensor, object_motion: Tensor
 ) -> GraspLosses:
     """Return the losses of the grasp network, averaged over a batch of clouds.
 
@@ -104,29 +104,29 @@ def compute_grasp_losses(
     quality.
 
     Args:
-        found: Predictions of the grasp network.
+        outputs: Predictions of the grasp network.
         centers: (B, C, 3) points at which grasps were predicted (m).
         targets: Good grasps.
         object_center: (B, 3) centers of the objects (m).
         object_motion: (B, 3) displacements of the objects within the prediction time (m).
     """
     with torch.no_grad():
-        distances = compute_grasp_distances(found, targets)
+        distances = compute_grasp_distances(outputs, targets)
         costs = distances - _QUALITY_BONUS * targets.quality[:, None]
         nearest = costs.masked_fill(~find_enclosed_centers(centers, targets), torch.inf).min(dim=-1)
         quality = (targets.quality[:, None] * torch.exp(-((distances / _QUALITY_DECAY) ** 2))).amax(dim=-1)
     is_matched = torch.isfinite(nearest.values)
     matched = _gripper_distances(
-        found.positions,
-        found.rotations,
+        outputs.positions,
+        outputs.rotations,
         targets.positions.gather(1, nearest.indices[..., None].expand(-1, -1, 3)),
         targets.rotations.gather(1, nearest.indices[..., None, None].expand(-1, -1, 3, 3)),
     )
     return GraspLosses(
         (matched * is_matched).sum() / is_matched.sum().clamp(min=1),
-        func.binary_cross_entropy_with_logits(found.quality, quality),
-        (found.object_center - object_center).norm(dim=-1).mean(),
-        (found.object_motion - object_motion).norm(dim=-1).mean(),
+        func.binary_cross_entropy_with_logits(outputs.quality, quality),
+        (outputs.object_center - object_center).norm(dim=-1).mean(),
+        (outputs.object_motion - object_motion).norm(dim=-1).mean(),
     )
 
 
