@@ -19,7 +19,9 @@ OBSERVATION_MEANINGS = {
     "time": "time since the start of the episode (s)",
     "wrist_object_points": f"points of the object to be handed over, {_HAND_LINK} (m), padded with zeros",
     "wrist_hand_points": f"points of the human hand, {_HAND_LINK} (m), padded with zeros",
-    "wrist_point_counts": "number of pixels on object and hand; a cloud has this many valid rows, at most all",
+    "wrist_other_points": f"points of the other objects, {_HAND_LINK} (m), padded with zeros",
+    "wrist_point_counts": "number of pixels on object, hand and, with their points, other objects; a cloud has this "
+    "many valid rows, at most all",
     "wrist_object_cloud": f"all points of the object to be handed over, {_HAND_LINK} (m), padded with zeros",
     "wrist_hand_cloud": f"all points of the human hand, {_HAND_LINK} (m), padded with zeros",
     "robot_joint_position_exact": "robot joints before rounding to float32 (rad, m)",

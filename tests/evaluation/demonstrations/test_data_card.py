@@ -6,8 +6,11 @@ import pytest
 import yaml
 
 from handover_marl.datasets.splits import SPLIT_SIZES
+from handover_marl.episode.observations import receiver_observation_space
 from handover_marl.episode.referee import EpisodeStatus
+from handover_marl.episode.spaces import OBS_MODES
 from handover_marl.evaluation.demonstrations.data_card import DataCard, FeatureRow
+from handover_marl.evaluation.demonstrations.observation_meanings import OBSERVATION_MEANINGS
 from handover_marl.evaluation.results.episode_result import EpisodeResult
 from handover_marl.evaluation.results.metadata import ResultMetadata
 
@@ -68,3 +71,8 @@ def test_the_command_makes_the_data_set() -> None:
         f"{first.replace('--dataset', '--giver noisy --dataset')} --physics fast --seed 3 --obs-mode state+rgbd "
         "--keep success --scenes 5,6 --out DIR"
     )
+
+
+def test_cards_explain_every_observation() -> None:
+    keys = {key for obs_mode in OBS_MODES for key in receiver_observation_space(obs_mode)}
+    assert keys == set(OBSERVATION_MEANINGS)
