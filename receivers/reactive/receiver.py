@@ -40,9 +40,11 @@ class ReactiveReceiver(ControllerReceiver):
         self._scene: PoseSceneEstimate | None = None
 
     def prepare(self, object_names: Sequence[str]) -> None:
-        """Validate the grasps of the first object, which is the one that is handed over."""
+        """Validate the grasps of the first object, which is handed over, and load the other objects."""
         for name in object_names[:1]:
             load_graspable_object(self.context, name, self.config)
+        for name in object_names[1:]:
+            load_obstacle(self.context, name, self.config)
 
     def reset(self, seed: int | None = None) -> None:
         """Start an episode; the receiver is deterministic."""

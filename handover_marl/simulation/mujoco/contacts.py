@@ -144,7 +144,7 @@ class ContactSensors:
         return ContactReadings(
             robot_touches_hand=data[..., self._hand].max(axis=-1) > 0.0,
             robot_object_force=force,
-            robot_touches_others=(data[..., self._others] > 0.0).any(axis=-1),
+            robot_touches_others=np.asarray((data[..., self._others] > 0.0).any(axis=-1)),
             object_supported=data[..., self._supports].max(axis=-1) > 0.0,
         )
 
