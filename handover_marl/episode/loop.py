@@ -220,6 +220,11 @@ def derive_receiver_seed(seed: int | None, observation: Observation) -> int:
         observation: First observation of the receiver.
     """
     digest = hashlib.sha256(f"handover_marl {seed or 0} receiver".encode())
+    others = observation.get("wrist_other_points")
+    if others is not None and not others.any():
+        # Without other objects in the image, the seed is that of the observation mode "pointcloud".
+        observation = {**observation, "wrist_point_counts": observation["wrist_point_counts"][:2]}
+        del observation["wrist_other_points"]
     for key in sorted(observation):
         digest.update(key.encode() + np.ascontiguousarray(observation[key]).tobytes())
     return int.from_bytes(digest.digest()[:4], "big")
