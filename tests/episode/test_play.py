@@ -246,3 +246,11 @@ def test_the_seed_of_a_receiver_depends_on_the_run_and_on_every_observed_array()
         seeds.add(derive_receiver_seed(0, observation | {key: value + 1.0}))
     assert len(seeds) == 5
     assert derive_receiver_seed(None, dict(reversed(observation.items()))) == derive_receiver_seed(0, observation)
+
+
+def test_receiver_seed_ignores_an_empty_cloud_of_other_objects() -> None:
+    points, counts = np.ones((1024, 3), dtype=np.float32), np.array([9.0, 0.0, 0.0], dtype=np.float32)
+    targets = {"wrist_object_points": points, "wrist_point_counts": counts[:2]}
+    scene = {**targets, "wrist_other_points": 0.0 * points, "wrist_point_counts": counts}
+    assert derive_receiver_seed(0, scene) == derive_receiver_seed(0, targets)
+    assert derive_receiver_seed(0, {**scene, "wrist_other_points": points}) != derive_receiver_seed(0, targets)
