@@ -43,12 +43,22 @@ def test_common_scenes_are_paired(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert changed == [["1", "-", "success", "drop", "101", "101"], ["1", "-", "-", "-"]]
 
 
+def test_scenes_with_different_outcomes_are_listed_in_either_order(tmp_path: Path) -> None:
+    one = folder(tmp_path / "one", "mine", {0: 1, 1: 1, 2: 4, 3: 2})
+    other = folder(tmp_path / "other", "theirs", {0: 1, 1: 4, 2: 1, 3: 2})
+    for first, second in ((one, other), (other, one)):
+        assert [a.index for a, _ in handover_marl.compare(first, second).changes] == [1, 2]
+
+
 def test_incomparable_folders_are_refused(tmp_path: Path) -> None:
     one = folder(tmp_path / "one", "mine", {0: 1})
     with pytest.raises(ResultsError, match="different data"):
         handover_marl.compare(one, folder(tmp_path / "two", "mine", {0: 1}, fingerprint="other"))
-    with pytest.raises(ResultsError, match="must have the same split"):
-        handover_marl.compare(one, folder(tmp_path / "three", "mine", {0: 1}, split="val"))
+    three = folder(tmp_path / "three", "mine", {0: 1}, split="val")
+    with pytest.raises(ResultsError, match=r"must have the same split, got test and val$"):
+        handover_marl.compare(one, three)
+    with pytest.raises(ResultsError, match=r"must have the same split, got val and test$"):
+        handover_marl.compare(three, one)
     with pytest.raises(ResultsError, match="no scene in common"):
         handover_marl.compare(one, folder(tmp_path / "four", "mine", {3: 1}))
     with pytest.raises(ResultsError, match="does not exist"):

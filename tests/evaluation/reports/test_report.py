@@ -1,10 +1,12 @@
 import json
+from dataclasses import replace
 
 import pytest
 
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.evaluation.reports.published import PUBLISHED, SOURCES
 from handover_marl.evaluation.reports.report import Report
+from handover_marl.evaluation.reports.scene_tables import build_object_table, build_scene_table
 from handover_marl.evaluation.reports.tables import format_table
 from handover_marl.evaluation.results.episode_result import EpisodeResult
 from handover_marl.evaluation.results.metadata import ResultMetadata
@@ -131,3 +133,41 @@ def test_every_published_row_has_its_wait_and_source() -> None:
 
 def test_bars_in_cells_do_not_end_them() -> None:
     assert format_table(["a|b", "c"], [["1", "2|3"]]).splitlines()[::2] == [r"| a\|b | c    |", r"| 1    | 2\|3 |"]
+
+
+@pytest.mark.parametrize(
+    ("counts", "label"),
+    [([1, 1], "1 object a scene"), ([4], "4 objects a scene"), ([5, 3, 4, 3], "3 to 5 objects a scene")],
+)
+def test_number_of_objects_in_the_heading(counts: list[int], label: str) -> None:
+    episodes = tuple(episode(index, 1, n_objects=count) for index, count in enumerate(counts))
+    assert label in Report(SETTINGS, episodes, 144).heading
+
+
+@pytest.mark.parametrize("world", ["another", "~", "A", ""])
+def test_notes_name_another_world_and_other_physics(world: str) -> None:
+    official = report(1).format_notes()
+    assert "not the official ones" not in official
+    assert "exact physics" not in official
+    assert "earlier run" not in official
+    assert f"not the official ones ({world})" in report(1, world=world).format_notes()
+    for physics in ("fast", "mujoco", "a"):
+        assert "exact physics" in report(1, physics=physics).format_notes()
+
+
+def test_notes_count_episodes_of_an_earlier_run() -> None:
+    assert "2 of the 3 episodes come from an earlier run" in replace(report(1, 2, 4), n_resumed=2).format_notes()
+
+
+def test_table_by_object_separates_objects() -> None:
+    names = ["003_cracker_box", "025_mug", "003_cracker_box", "061_foam_brick"]
+    episodes = [episode(index, 1 if index else 2, object_name=name) for index, name in enumerate(names)]
+    rows = build_object_table(episodes).rows
+    assert [(row[0], row[1]) for row in rows] == [("003_cracker_box", 2), ("025_mug", 1), ("061_foam_brick", 1)]
+
+
+def test_table_by_scene_shows_the_step_of_the_release() -> None:
+    episodes = [episode(0, 1, release_step=3210), episode(1, 8)]
+    table = build_scene_table(episodes)
+    column = list(table.header).index("release step")
+    assert [row[column] for row in table.rows] == ["3210", "-"]

@@ -15,7 +15,14 @@ from handover_marl.evaluation.comparison import Comparison
 from handover_marl.evaluation.crossplay import CrossPlay
 from handover_marl.evaluation.reports.fluency_tables import build_fluency_table
 from handover_marl.evaluation.reports.scene_tables import format_episodes_csv
-from handover_marl.evaluation.reports.tables import TABLE_FORMATS, ReportTable, TabularResult
+from handover_marl.evaluation.reports.tables import (
+    TABLE_FORMATS,
+    ReportTable,
+    TabularResult,
+    format_percent_difference,
+    format_percent_mean,
+    format_table,
+)
 from tests.evaluation.reports.test_report import report
 from tests.evaluation.test_old_files import OLD
 
@@ -132,3 +139,20 @@ def test_episodes_without_metrics_as_csv() -> None:
     (header, *rows) = csv.reader(io.StringIO(format_episodes_csv(first.metadata, first.episodes)))
     assert header == next(csv.reader(io.StringIO(format_episodes_csv(first.metadata, first.episodes[:1]))))
     assert dict(zip(header, rows[0], strict=True))["gripper_jerk"] == ""
+
+
+def test_formats_of_means_and_differences() -> None:
+    assert format_percent_mean([0.25, 0.5]) == "37.50 (25.0 to 50.0)"
+    assert format_percent_mean([0.25]) == "25.00"
+    assert format_percent_mean([0.25, 0.5], signed=True) == "+37.50 (+25.0 to +50.0)"
+    assert format_percent_mean([-0.5], signed=True) == "-50.00"
+    assert format_percent_difference((0.125, -0.25, 0.5)) == "+12.5 (-25.0 to +50.0)"
+
+
+def test_wide_tables_keep_the_order_of_columns() -> None:
+    header = ["key", *(f"title {number}" for number in range(12))]
+    parts = format_table(header, [[f"cell {number}" for number in range(13)]], max_width=40).split("\n\n")
+    titles = [[cell.strip() for cell in part.splitlines()[0].strip("|").split("|")] for part in parts]
+    assert [title for part in titles for title in part[1:]] == header[1:]
+    assert {part[0] for part in titles} == {"key"}
+    assert all(len(line) <= 40 for part in parts for line in part.splitlines())
