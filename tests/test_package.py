@@ -51,7 +51,7 @@ def parameters(function: Callable[..., Any]) -> dict[str, inspect.Parameter]:
         (handover_marl.crossplay, {"execution", "givers", "receivers"}, {"giver", "receiver"}),
         (
             handover_marl.render_scene,
-            {"scene_id", "out", "key_frames", "camera", "view"},
+            {"scene_id", "out", "key_frames", "camera", "view", "caption"},
             {"setup", "split", "scenes", "world_config", *NOT_OF_A_SCENE},
         ),
         (

@@ -5,6 +5,7 @@ import importlib
 import importlib.util
 import re
 import shlex
+import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -50,6 +51,9 @@ def commands(text: str) -> Iterator[list[str]]:
     """The words of every command in a block; of loops those of the first turn."""
     variables: dict[str, str] = {}
     for line in text.replace("\\\n", " ").splitlines():
+        if computed := re.fullmatch(r"(\w+)=\$\((.*)\)", line.strip()):
+            variables[computed[1]] = _run_python(computed[2])
+            continue
         for part in re.split(r";\s+", line.strip()):
             words = shlex.split(part, comments=True)
             if ">" in words:
@@ -59,7 +63,20 @@ def commands(text: str) -> Iterator[list[str]]:
             if words[:1] == ["for"]:
                 variables[words[1]] = words[3]
             elif words:
-                yield [re.sub(r"\$(\w+)", lambda match: variables[match[1]], word) for word in words]
+                yield [filled for word in words for filled in _fill_in(word, variables)]
+
+
+def _run_python(command: str) -> str:
+    """Return the output of `python -c "..."`."""
+    python, *arguments = shlex.split(command)
+    assert python in _PYTHONS
+    return subprocess.run([sys.executable, *arguments], capture_output=True, text=True, check=True).stdout.strip()
+
+
+def _fill_in(word: str, variables: dict[str, str]) -> list[str]:
+    """Return a word with values for variables, split where the word is only a variable, as a shell does."""
+    filled = re.sub(r"\$(\w+)", lambda match: variables[match[1]], word)
+    return filled.split() if re.fullmatch(r"\$\w+", word) else [filled]
 
 
 def check(words: list[str], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -80,7 +80,9 @@ def test_random_policies_are_independent_of_workers(fake_data: Path, tmp_path: P
     run(fake_data, 2, out=tmp_path / "other", **drawing, seed=1)
     run(fake_data, 2, out=tmp_path / "still", **{**drawing, "giver": "replay"})
     for scene, expected in alone.items():
-        assert not (files(tmp_path / "other")[scene]["action"] == expected["action"]).any()
+        other = files(tmp_path / "other")[scene]["action"]
+        common = min(len(other), len(expected["action"]))
+        assert not (other[:common] == expected["action"][:common]).any()
         paths = [files(tmp_path / name)[scene]["fluency_giver_path"] for name in ("one", "other", "still")]
         assert len(set(map(float, paths))) == 3
 

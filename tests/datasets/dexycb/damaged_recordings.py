@@ -237,14 +237,14 @@ DAMAGES: dict[str, tuple[Damage, str]] = {
     "poses that are a device": (instead("pose", link("/dev/zero")), r"lacks pose\.npz"),
     "poses that are a link to nowhere": (instead("pose", link("nowhere")), r"lacks pose\.npz"),
     "poses that are a folder": (instead("pose", Path.mkdir), r"lacks pose\.npz"),
-    "poses of a terabyte": (instead("pose", sparse), _NO_POSES + ".*larger than 2 MB"),
+    "poses of a terabyte": (instead("pose", sparse), _NO_POSES + ".*larger than 3 MB"),
     "a bomb": (archive([("pose_y.npy", bytes(10**8)), ("pose_m.npy", HAND)]), _NO_POSES + ".*more than 2 MB"),
     "a bomb that lies": (lying_bomb, _NO_POSES),
     "a bomb of another method": (
         archive([("pose_y.npy", OBJECTS), ("pose_m.npy", HAND)], zipfile.ZIP_BZIP2),
         _NO_POSES + ".*another method than deflate",
     ),
-    "a list of too many files": (archive([(f"{k}", b"") for k in range(40_000)]), _NO_POSES + ".*larger than 2 MB"),
+    "a list of too many files": (archive([(f"{k}", b"") for k in range(40_000)]), _NO_POSES + ".*larger than 3 MB"),
     "an encrypted archive": (locked, _NO_POSES),
     "an array that promises terabytes": (
         archive([("pose_y.npy", npy_of_shape((10**12, 2, 7), b"")), ("pose_m.npy", HAND)]),

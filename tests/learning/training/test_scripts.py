@@ -137,14 +137,14 @@ def test_best_responses_resume_runs_without_a_checkpoint(tmp_path: Path, monkeyp
         with monkeypatch.context() as patched:
             patched.setattr(f"handover_marl.learning.training.{where}", stop)
             with pytest.raises(StoppedError):
-                respond.respond(trainer, args, folder, changes)
+                respond.train_response(trainer, args, folder, changes)
         assert "arguments.json" in files(folder)
         assert not {"checkpoint.pt", "done"} & files(folder)
-    assert respond.respond(trainer, args, folder, changes) == f"learned:{folder / 'policy.npz'}"
+    assert respond.train_response(trainer, args, folder, changes) == f"learned:{folder / 'policy.npz'}"
     assert files(folder) >= MADE | {"done"}
     assert steps_of(folder) == ["steps", "0", "4"]
     monkeypatch.setattr(trainer, "main", stop)
-    assert respond.respond(trainer, args, folder, changes) == f"learned:{folder / 'policy.npz'}"
+    assert respond.train_response(trainer, args, folder, changes) == f"learned:{folder / 'policy.npz'}"
 
 
 @pytest.mark.parametrize("name", ["train_giver_sb3", "train_receiver_sb3", "train_both_ippo"])

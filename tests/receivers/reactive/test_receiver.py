@@ -189,7 +189,7 @@ def test_retreats_after_release(handover_observation: Observation) -> None:
 
 def test_stays_without_known_grasps(handover_observation: Observation) -> None:
     receiver = make_reactive()
-    classes = np.zeros(5, dtype=np.float32)
+    classes = handover_observation["object_classes"].copy()
     classes[0] = 1.0
     for number in range(10):
         receiver.act(observe_at(handover_observation, 3.0 + 0.05 * number, object_classes=classes))
