@@ -68,7 +68,7 @@ def test_equal_to_single_environments_to_the_bit(agent: str, partner: str, autor
     mode = gymnasium.vector.AutoresetMode[autoreset.upper()]
     alone = gymnasium.vector.SyncVectorEnv([lambda: single(agent, partner, **SHORT)] * COUNT, autoreset_mode=mode)
     expected = rollout(alone, 30)
-    for threads in (1, 2, 3):
+    for threads in (1, 3):
         together = handover_marl.vector_env(COUNT, agent, partner, autoreset=autoreset, threads=threads, **SHORT)
         assert_equal(rollout(together, 30), expected)
     assert any(step.any() for step in expected[5::5]), "episodes were cut off"

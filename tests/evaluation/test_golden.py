@@ -1,4 +1,4 @@
-"""How synthetic scenes end, to the step; `python -m tests.benchmarking.golden` writes the table anew."""
+"""How synthetic scenes end, to the step; `python -m tests.evaluation.golden` writes the table anew."""
 
 import json
 
@@ -12,7 +12,7 @@ EXPECTED = json.loads(FILE.read_text())
 @pytest.mark.slow
 @pytest.mark.parametrize("physics", ["fast", "exact"])
 def test_synthetic_scenes_end_as_recorded(physics: str) -> None:
-    """Regenerate the file with `python -m tests.benchmarking.golden` if outcomes are meant to change."""
+    """Regenerate the file with `python -m tests.evaluation.golden` if outcomes are meant to change."""
     found = outcomes(physics)
     changed = {
         scene: (EXPECTED[physics].get(scene), outcome)

@@ -77,7 +77,8 @@ def test_scenes_equal_the_original(
     sequences = [sequence for sequence in layout.sequences if sequence.subject == SUBJECTS[subject]]
     assert len(sequences) == 100
     different = []
-    for sequence in sequences:
+    # Every fourth scene: all objects and trials are among those of the ten subjects.
+    for sequence in sequences[subject % 4 :: 4]:
         import_scene(sequence, models, first_betas, tmp_path)
         if described(tmp_path / CACHE_FOLDER, sequence.scene_id) != checksums[f"{sequence.scene_id:03d}"]:
             different.append(sequence.scene_id)

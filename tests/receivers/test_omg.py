@@ -134,7 +134,7 @@ def test_plans_are_deterministic(handover_observation: Observation) -> None:
 
 def test_commands_do_not_depend_on_the_call_period() -> None:
     commands = []
-    for period in (None, 1, 2, 5, 10):
+    for period in (None, 2, 10):
         episode, receiver = Episode("fast"), make_omg()
         episode.reset(DATA.load_scene(SCENE))
         scheduler = PolicyScheduler(receiver)
@@ -162,7 +162,7 @@ def test_fast_and_exact_physics(physics: str) -> None:
 
 
 def test_results_do_not_depend_on_workers() -> None:
-    scenes = [5, 6, 25]
+    scenes = [5, 6]
     one, two = (
         benchmark(
             "s0",

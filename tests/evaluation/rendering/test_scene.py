@@ -112,14 +112,13 @@ class Joints(EpisodeCallback):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("physics", ["fast", "exact"])
-@pytest.mark.parametrize("scene_id", [209, 214])
+@pytest.mark.parametrize(("scene_id", "physics"), [(209, "exact"), (214, "fast")])
 def test_rendering_does_not_change_the_episode(scene_id: int, physics: str) -> None:
     """To the bit, whenever pictures are taken, and though this robot hits itself and the table."""
     dataset = SyntheticDataset()
     players = receivers.make("random", dataset), givers.make("noisy", dataset)
     ends = []
-    for times in ([], [0, 295, 589, 884, 1178, 1473], range(0, 13_000, 333), range(0, 13_000, 80)):
+    for times in ([], [0, 295, 589, 884, 1178, 1473], range(0, 13_000, 80)):
         episode, joints = Episode(physics), Joints()
         episode.reset(dataset.load_scene(scene_id))
         play(

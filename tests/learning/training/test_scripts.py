@@ -103,6 +103,8 @@ def test_train_both(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_best_responses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    vec_env = pytest.importorskip("stable_baselines3.common.vec_env", reason="needs the extra `train`")
+    monkeypatch.setattr("handover_marl.learning.training.stable_baselines.SubprocVecEnv", vec_env.DummyVecEnv)
     respond = script("best_response", monkeypatch)
     args = respond.Args(
         out=str(tmp_path / "run"),

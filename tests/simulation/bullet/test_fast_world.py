@@ -84,7 +84,7 @@ def test_a_used_world_equals_a_new_one() -> None:
     """Whatever was played before, and in whatever state it ended, an episode is the same to the bit."""
     policy = receivers.make("yang2021", DATA)
     used = Episode("fast")
-    for scene_id in (*SCENES, *SCENES[3::-1]):
+    for scene_id in (*SCENES[:3], *SCENES[1::-1]):
         new = Episode("fast")
         actions = []
         for episode in (used, new):
@@ -165,7 +165,7 @@ def throw(scene: Scene, aims: list[np.ndarray]) -> list[tuple[EpisodeStatus, int
 aims = st.lists(st.floats(0.2, 0.8), min_size=7, max_size=7)
 
 
-@settings(max_examples=8, derandomize=True)
+@settings(max_examples=4, derandomize=True)
 @given(st.sampled_from(DATA.list_scenes("s0", "train")[:40]), st.tuples(aims, aims))
 def test_no_contact_with_the_hand_is_missed(scene_id: int, shares: tuple[list[float], list[float]]) -> None:
     """Arms thrown about at full speed touch the person in fast physics when they do in exact physics."""
