@@ -8,9 +8,17 @@ Own givers are subclasses of `Giver`; packages register them by name in the entr
 """
 
 from handover_marl.policies.factory import PolicyFactory
-from handover_marl.policies.policy import Action, Giver, make_giver_action
+from handover_marl.policies.policy import Action, Giver, PolicyContext, make_giver_action, make_policy_context
 
-__all__ = ["Action", "Giver", "list_available", "make", "make_giver_action"]
+__all__ = [
+    "Action",
+    "Giver",
+    "PolicyContext",
+    "list_available",
+    "make",
+    "make_giver_action",
+    "make_policy_context",
+]
 
 _factory = PolicyFactory[Giver]("giver")
 list_available, make = _factory.list_available, _factory.make

@@ -15,7 +15,7 @@ import tyro
 
 import handover_marl
 from handover_marl.cli.options import SceneNumbers
-from handover_marl.givers import Giver, make_giver_action
+from handover_marl.givers import Giver, PolicyContext, make_giver_action
 from handover_marl.testing import check_giver
 
 
@@ -48,6 +48,7 @@ class MeetingGiver(Giver):
     """Giver that meets the robot part of the way and releases the object to a closed gripper.
 
     Args:
+        context: Robot, task and known grasps of the objects.
         share: Fraction of the distance from object to gripper by which the object is moved.
         max_shift: Largest displacement of the object (m).
         near: Distance from gripper to object (m) above which the gripper cannot hold the object.
@@ -57,8 +58,14 @@ class MeetingGiver(Giver):
     name = "meeting"
 
     def __init__(
-        self, share: float = 0.3, max_shift: float = 0.15, near: float = 0.25, release_after: float = 0.2
+        self,
+        context: PolicyContext,
+        share: float = 0.3,
+        max_shift: float = 0.15,
+        near: float = 0.25,
+        release_after: float = 0.2,
     ) -> None:
+        super().__init__(context)
         self._share, self._max_shift, self._near, self._release_after = share, max_shift, near, release_after
 
     def reset(self, seed: int | None = None) -> None:

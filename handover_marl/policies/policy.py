@@ -1,5 +1,6 @@
 """Base classes of policies, and the context that their constructors may take."""
 
+import functools
 import inspect
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
@@ -150,10 +151,31 @@ class Policy(ABC):
 class Giver(Policy):
     """Base class of givers, policies of the human side.
 
-    Own givers can be passed as a class, or registered in the entry-point group `handover_marl.givers`.
+    Own givers can be passed as a class or an instance, or registered in the entry-point group
+    `handover_marl.givers`. A giver that is passed as a class or a name gets a context.
+
+    Args:
+        context: Robot, protocol, objects and known grasps; default: none, for givers that are
+            constructed by hand and do not use it.
     """
 
     agent: ClassVar[str | None] = "giver"
+
+    def __init__(self, context: PolicyContext | None = None) -> None:
+        if context is not None:
+            self.context = context
+
+    @functools.cached_property
+    def context(self) -> PolicyContext:
+        """Robot, protocol, objects and known grasps.
+
+        Raises:
+            OptionError: The giver was constructed without a context.
+        """
+        raise OptionError(
+            f"context must be given to the constructor of {type(self).__name__}, got none; pass the class instead of "
+            "an instance, or call super().__init__(context)"
+        )
 
     @abstractmethod
     def act(self, observation: Observation) -> Action:
