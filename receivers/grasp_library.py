@@ -47,23 +47,23 @@ class GraspLibrary:
         self._grasps = grasps
         self._grippers: dict[str, Array | None] = {}
 
-    def hand_poses_in_world(self, observation: Observation) -> Array | None:
+    def get_hand_poses_in_world(self, observation: Observation) -> Array | None:
         """Return world poses (n, 7) of the hand link at the grasps of the object to hand over.
 
         None is returned for an object without grasps.
         """
-        grippers = self.gripper_poses(CLASS_NAMES[int(observation["object_classes"][0])])
+        grippers = self.get_gripper_poses(CLASS_NAMES[int(observation["object_classes"][0])])
         if grippers is None:
             return None
-        # Not by `hand_poses_in_object`: the last bits of the reference depend on this order.
+        # Not by `get_hand_poses_in_object`: the last bits of the reference depend on this order.
         return compose(compose(observation["object_poses"][0], grippers), np.array(GRIPPER_FROM_HAND))
 
-    def hand_poses_in_object(self, object_name: str) -> Array | None:
+    def get_hand_poses_in_object(self, object_name: str) -> Array | None:
         """Return poses (n, 7) of the hand link at an object class's grasps, or None without any."""
-        grippers = self.gripper_poses(object_name)
+        grippers = self.get_gripper_poses(object_name)
         return None if grippers is None else compose(grippers, np.array(GRIPPER_FROM_HAND))
 
-    def gripper_poses(self, object_name: str) -> Array | None:
+    def get_gripper_poses(self, object_name: str) -> Array | None:
         """Return the gripper poses (n, 7) in the frame of an object class, or None."""
         if object_name not in self._grippers:
             matrices = self._grasps(object_name)
@@ -135,7 +135,7 @@ class NearestGraspSelector:
 
     def _load(self, object_name: str) -> tuple[Array, Array] | None:
         """Return the grasps of an object class with their half turns and their z axes, or None."""
-        poses = self._library.hand_poses_in_object(object_name)
+        poses = self._library.get_hand_poses_in_object(object_name)
         if poses is None:
             return None
         poses = np.concatenate([poses, compose(poses, np.array(HALF_TURN))])

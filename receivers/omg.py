@@ -117,7 +117,7 @@ class OmgReceiver(PhasedReceiver):
         """(w, 7) world poses of the hand link at all waypoints, None once the fingers close."""
         if self._plan is None or self._retreat:
             return None
-        chain = self.arm.chain(self._plan.trajectory)
+        chain = self.arm.compute_chain_frames(self._plan.trajectory)
         hand = poses_from_rotations(chain.origins[-1].T, np.moveaxis(chain.rotations[-1], -1, 0))
         return compose(np.broadcast_to(self.world_from_base, hand.shape), hand)
 
@@ -161,7 +161,7 @@ class OmgReceiver(PhasedReceiver):
 
     def _make_plan(self, observation: Observation) -> Plan | None:
         name = CLASS_NAMES[int(observation["object_classes"][0])]
-        grasps = self._library.hand_poses_in_object(name)
+        grasps = self._library.get_hand_poses_in_object(name)
         if grasps is None:
             _log.warning("%s: no grasps of %r are known; staying at the start pose", self.name, name)
             return None

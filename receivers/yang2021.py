@@ -16,7 +16,7 @@ import numpy.typing as npt
 from handover_marl.config import ARM_DOF
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry import panda
-from handover_marl.geometry.poses import compose, rotation_angle
+from handover_marl.geometry.poses import compose, compute_rotation_angle
 from handover_marl.planning.inverse_kinematics import IkSolver, make_ik_solver
 from handover_marl.policies.policy import Action, PolicyContext, Receiver, milliseconds_from_wait
 from handover_marl.receivers.grasp_library import GraspLibrary
@@ -108,7 +108,7 @@ class Yang2021Receiver(Receiver):
 
     def prepare(self, object_names: Sequence[str]) -> None:
         """Read the grasps of the object that is handed over."""
-        self._library.gripper_poses(object_names[0])
+        self._library.get_gripper_poses(object_names[0])
 
     def reset(self, seed: int | None = None) -> None:
         """Start an episode; the receiver is deterministic."""
@@ -164,7 +164,7 @@ class Yang2021Receiver(Receiver):
 
     def _move_to_standoff(self, observation: Observation) -> npt.NDArray[np.floating]:
         """Select the cheapest reachable standoff and return its arm joints."""
-        grasps = self._library.hand_poses_in_world(observation)
+        grasps = self._library.get_hand_poses_in_world(observation)
         if grasps is None:
             return _arm_joints(observation)
         standoffs = compose(grasps, np.array(self.config.standoff))
@@ -202,12 +202,12 @@ class Yang2021Receiver(Receiver):
         """Return the costs (n,) of standoffs (n, 7)."""
         reference = hand if self._reference is None else self._reference
         weight = self.config.rotation_weight
-        to_preferred = panda.pose_distance(self.config.preferred_pose, standoffs, weight)
-        return panda.pose_distance(reference, standoffs, weight) + to_preferred
+        to_preferred = panda.compute_pose_distances(self.config.preferred_pose, standoffs, weight)
+        return panda.compute_pose_distances(reference, standoffs, weight) + to_preferred
 
     def _is_in_region(self, hand: npt.NDArray[np.float32], standoff: Array, grasp: Array) -> bool:
         """Return whether the hand is in the region between standoff and grasp."""
-        angle = min(rotation_angle(hand[3:], standoff[3:]), rotation_angle(hand[3:], grasp[3:]))
+        angle = min(compute_rotation_angle(hand[3:], standoff[3:]), compute_rotation_angle(hand[3:], grasp[3:]))
         axis = grasp[:3] - standoff[:3]
         length = float(np.linalg.norm(axis))
         # The projection is divided by the length twice and clipped in between, as in the reference.
@@ -219,7 +219,7 @@ class Yang2021Receiver(Receiver):
 
     def _is_at_grasp(self, hand: npt.NDArray[np.float32], grasp: Array) -> bool:
         is_near = float(np.linalg.norm(grasp[:3] - hand[:3])) < self.config.grasp_tolerance
-        return is_near and rotation_angle(hand[3:], grasp[3:]) < self.config.angle_tolerance
+        return is_near and compute_rotation_angle(hand[3:], grasp[3:]) < self.config.angle_tolerance
 
 
 def _arm_joints(observation: Observation) -> npt.NDArray[np.float32]:

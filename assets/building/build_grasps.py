@@ -152,7 +152,9 @@ def sample_candidates(solid: ConvexSolid, n: int, seed: int, config: SamplingCon
     return grasps
 
 
-def farthest_point_order(grasps: Array, tip_depth: float = 0.1, length_per_turn: float = 0.05) -> npt.NDArray[np.intp]:
+def compute_farthest_point_order(
+    grasps: Array, tip_depth: float = 0.1, length_per_turn: float = 0.05
+) -> npt.NDArray[np.intp]:
     """Return indices that order grasps so that each grasp is farthest from all previous grasps.
 
     The distance between two grasps combines the distance between the points between their fingers
@@ -226,7 +228,7 @@ def validate_object_grasps(name: str, args: Args, on_validated: Callable[[], Non
     try:
         free = _sample_collision_free(name, trial, args)
         validated: list[Array] = []
-        for n_simulated, index in enumerate(farthest_point_order(free), start=1):
+        for n_simulated, index in enumerate(compute_farthest_point_order(free), start=1):
             if trial.is_stable(free[index]):
                 validated.append(free[index])
                 on_validated()

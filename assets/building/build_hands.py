@@ -29,7 +29,7 @@ from handover_marl.assets.hand_model import (
     make_hand_geometry,
     scale_hand,
 )
-from handover_marl.geometry.meshes import extreme_points
+from handover_marl.geometry.meshes import select_extreme_points
 from handover_marl.geometry.urdf import render_urdf
 
 _PALM_MASS, _PHALANX_MASS = 0.2, 0.02
@@ -119,7 +119,7 @@ def make_collision_mesh(link: int) -> trimesh.Trimesh:
         for end, radius in ((start, first), (stop, last))
     ]
     hull = make_hull(np.vstack(spheres))
-    return make_hull(extreme_points(np.asarray(hull.vertices), MAX_COLLISION_VERTICES))
+    return make_hull(select_extreme_points(np.asarray(hull.vertices), MAX_COLLISION_VERTICES))
 
 
 def _make_capsule(link: int, ring: int, profile: int, waist: float) -> trimesh.Trimesh:

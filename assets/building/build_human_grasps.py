@@ -78,7 +78,8 @@ def encode_grasps(target: GraspTarget, model: HandGeometry, grasps: HumanGraspSe
     turned = np.array([1.0, -1.0, -1.0]) if side == "left" else np.ones(3)
     pose = np.concatenate([base * flip, quaternion * [*turned, 1.0]], axis=1)
     fingers, opened = (
-        np.round(posture.angles() * np.tile(turned, 15) / ANGLE_STEP) for posture in (grasps.closed, grasps.opened)
+        np.round(posture.compute_joint_angles() * np.tile(turned, 15) / ANGLE_STEP)
+        for posture in (grasps.closed, grasps.opened)
     )
     return {
         "object_from_base": pose.astype(np.float32),

@@ -19,7 +19,7 @@ from handover_marl.execution.tasks import map_with_progress
 from handover_marl.geometry.panda import PANDA, PANDA_CAMERA
 from handover_marl.geometry.ycb import CLASS_NAMES
 from handover_marl.receivers.grasp_library import GraspLibrary
-from handover_marl.receivers.reactive.grasp_validation import get_validation_record, validation_record_path
+from handover_marl.receivers.reactive.grasp_validation import get_validation_record, get_validation_record_path
 from handover_marl.receivers.reactive.grasps import GraspPreparationConfig
 
 
@@ -60,11 +60,11 @@ class ValidationTask:
 def validate_object(task: ValidationTask) -> tuple[str, ValidationRecord] | None:
     """Return the name and the record of an object's validation, or None if it has no grasps."""
     data = open_dataset("dexycb" if task.data_dir else "synthetic", task.data_dir, task.robot)
-    known = GraspLibrary(data.load_grasps).hand_poses_in_object(task.object_name)
+    known = GraspLibrary(data.load_grasps).get_hand_poses_in_object(task.object_name)
     if known is None:
         return None
     given = (data.find_object_urdf(task.object_name), data.panda_urdf, known, GraspPreparationConfig())
-    return validation_record_path(*given).stem, get_validation_record(*given)
+    return get_validation_record_path(*given).stem, get_validation_record(*given)
 
 
 def list_tasks(data_dir: Path | None) -> Iterator[ValidationTask]:

@@ -80,7 +80,7 @@ class Openings(ArrayBatch):
 def measure_openings(model: HandGeometry, posture: Posture) -> Openings:
     """Return the gaps between thumb and fingers in n postures of a hand."""
     spheres = HandSpheres(model)
-    centers, _ = spheres.phalanges(posture.angles())
+    centers, _ = spheres.place_phalanges(posture.compute_joint_angles())
     thumb, fingers = centers[:, 14, -1], (centers[:, 2, -1] + centers[:, 5, -1]) / 2
     between = fingers - thumb
     distance = np.linalg.norm(between, axis=1)
@@ -105,7 +105,7 @@ def sample_reference_openings() -> Openings:
     openings = measure_openings(
         make_reference_hand(), Posture(bends, spread, roots, _normalize(np.cross(direction, aim)))
     )
-    _, rotations = HandSpheres(make_reference_hand()).phalanges(openings.posture.angles())
+    _, rotations = HandSpheres(make_reference_hand()).place_phalanges(openings.posture.compute_joint_angles())
     pads = -(rotations[:, 2, :, 1] + rotations[:, 5, :, 1]) / 2
     facing = np.einsum("ni,ni->n", pads, -openings.axis)
     good = np.flatnonzero((facing > 0.2) & (openings.width > 0.012))
@@ -176,7 +176,7 @@ def keep_collision_free(
     for body, least in ((spheres.palm, -SKIN_YIELD), (spheres.forearm, 0.002)):
         keep = compute_body_clearance(field, palms, body) > least
         palms, posture = palms[keep], posture[keep]
-    gaps = compute_clearances(field, spheres, palms, posture.angles())
+    gaps = compute_clearances(field, spheres, palms, posture.compute_joint_angles())
     keep = gaps.min(axis=(1, 2)) > -SKIN_YIELD / 2
     return palms[keep], posture[keep]
 

@@ -89,20 +89,22 @@ class Posture(ArrayBatch):
     thumb_root: FloatArray
     thumb_axis: FloatArray
 
-    def angles(self) -> FloatArray:
+    def compute_joint_angles(self) -> FloatArray:
         """Return the finger joint angles (n, 45), intrinsic XYZ Euler angles (rad)."""
         angles = np.zeros((len(self), 5, 3, 3))
         angles[..., 2] = self.bends
         angles[:, :_THUMB, 0, 1] = self.spread
         bends = self.bends[:, _THUMB]
         local = np.einsum("nji,nj->ni", self.thumb_root, self.thumb_axis)
-        angles[:, _THUMB, 0] = euler_from_matrices(rotations_about_axes(self.thumb_axis, bends[:, 0]) @ self.thumb_root)
+        angles[:, _THUMB, 0] = euler_from_matrices(
+            make_rotations_about_axes(self.thumb_axis, bends[:, 0]) @ self.thumb_root
+        )
         for joint in (1, 2):
-            angles[:, _THUMB, joint] = euler_from_matrices(rotations_about_axes(local, bends[:, joint]))
+            angles[:, _THUMB, joint] = euler_from_matrices(make_rotations_about_axes(local, bends[:, joint]))
         return angles.reshape(-1, 45)
 
 
-def rotations_about_axes(axes: FloatArray, angles: FloatArray) -> FloatArray:
+def make_rotations_about_axes(axes: FloatArray, angles: FloatArray) -> FloatArray:
     """Return rotation matrices (n, 3, 3) about unit axes (n, 3) by angles (n,) (rad)."""
     x, y, z = axes.T
     zero = np.zeros_like(x)
@@ -137,7 +139,7 @@ class HandSpheres:
         self.hull = (skin, np.zeros(len(skin)))
         self.forearm = spheres_from_capsules(make_forearm_capsules(model), 4)
 
-    def phalanges(self, angles: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def place_phalanges(self, angles: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the centers of the phalanges' spheres and the phalanges' rotations.
 
         Args:
@@ -163,8 +165,8 @@ def compute_clearances(field: DistanceField, spheres: HandSpheres, palms: Palms,
         palms: Palm poses in the object's frame.
         angles: (n, 45) finger joint angles (rad).
     """
-    centers, _ = spheres.phalanges(angles)
-    return field.query_clamped(palms.transform(centers)) - spheres.radii
+    centers, _ = spheres.place_phalanges(angles)
+    return field.compute_clamped_distances(palms.transform(centers)) - spheres.radii
 
 
 def compute_body_clearance(field: DistanceField, palms: Palms, body: tuple[FloatArray, FloatArray]) -> FloatArray:
@@ -177,7 +179,7 @@ def compute_body_clearance(field: DistanceField, palms: Palms, body: tuple[Float
     """
     centers, radii = body
     points = palms.transform(np.broadcast_to(centers, (len(palms), *centers.shape)))
-    return np.asarray((field.query_clamped(points) - radii).min(axis=1))
+    return np.asarray((field.compute_clamped_distances(points) - radii).min(axis=1))
 
 
 def close_fingers(field: DistanceField, spheres: HandSpheres, palms: Palms, posture: Posture) -> Posture:
@@ -199,7 +201,7 @@ def close_fingers(field: DistanceField, spheres: HandSpheres, palms: Palms, post
         for joint in range(3):
             trial = bends.copy()
             trial[..., joint] += np.where(free[..., joint], rates[:, joint], 0.0)
-            gaps = compute_clearances(field, spheres, palms, replace(posture, bends=trial).angles())
+            gaps = compute_clearances(field, spheres, palms, replace(posture, bends=trial).compute_joint_angles())
             beyond = gaps.reshape(len(bends), 5, 3, _N_SPHERES)[:, :, joint:].min(axis=(2, 3))
             fits = (beyond > -SKIN_YIELD) & (trial[..., joint] <= limits[:, joint])
             free[..., joint] &= fits
@@ -208,7 +210,7 @@ def close_fingers(field: DistanceField, spheres: HandSpheres, palms: Palms, post
             relaxed = bends.copy()
         if not free.any():
             break
-    gaps = compute_clearances(field, spheres, palms, replace(posture, bends=bends).angles())
+    gaps = compute_clearances(field, spheres, palms, replace(posture, bends=bends).compute_joint_angles())
     touching = gaps.reshape(len(bends), 5, -1).min(axis=2) < 2 * SKIN_YIELD
     return replace(posture, bends=np.where(touching[..., None], bends, relaxed))
 

@@ -76,9 +76,9 @@ def close_and_filter(
     """
     spheres, field = HandSpheres(model), target.field
     closed = close_fingers(field, spheres, palms, opened)
-    angles = closed.angles()
+    angles = closed.compute_joint_angles()
     gaps = compute_clearances(field, spheres, palms, angles)
-    centers, rotations = spheres.phalanges(angles)
+    centers, rotations = spheres.place_phalanges(angles)
     outward = field.compute_outward_normals(palms.transform(centers))
     by_digit = gaps.reshape(len(angles), 5, 9)
     nearest = by_digit.argmin(axis=2)
@@ -162,7 +162,10 @@ def fit_to_hand(
     spheres, palms = HandSpheres(model), Palms(position, rotation)
     keep = compute_body_clearance(target.field, palms, spheres.palm) > -SKIN_YIELD
     keep &= compute_body_clearance(target.field, palms, spheres.forearm) > 0.0
-    keep &= compute_clearances(target.field, spheres, palms, base.opened.angles()).min(axis=(1, 2)) > -SKIN_YIELD / 2
+    keep &= (
+        compute_clearances(target.field, spheres, palms, base.opened.compute_joint_angles()).min(axis=(1, 2))
+        > -SKIN_YIELD / 2
+    )
     rows = np.flatnonzero(keep)
     return close_and_filter(target, model, palms[rows], base.opened[rows], row[rows])
 
@@ -204,7 +207,7 @@ def compute_free_share(
     """Return the fractions (n,) of the object's surface more than 30 mm from the hand."""
     spheres, n = HandSpheres(model), len(grasps)
     points, _ = trimesh.sample.sample_surface(target.mesh, samples, seed=0)
-    phalanges, _ = spheres.phalanges(grasps.closed.angles())
+    phalanges, _ = spheres.place_phalanges(grasps.closed.compute_joint_angles())
     palm = np.broadcast_to(spheres.palm[0], (n, *spheres.palm[0].shape))
     centers = grasps.palms.transform(np.concatenate([phalanges.reshape(n, -1, 3), palm], axis=1))
     reach = _FREE_DISTANCE + np.concatenate([spheres.radii.ravel(), spheres.palm[1]])
@@ -227,7 +230,7 @@ def _find_nearest_palm_spheres(field: DistanceField, palms: Palms, spheres: Hand
     """Return the centers (n, 3) of the palm's spheres nearest to the object, in its frame."""
     centers, radii = spheres.palm
     points = palms.transform(np.broadcast_to(centers, (len(palms), *centers.shape)))
-    nearest = (field.query_clamped(points) - radii).argmin(axis=1)
+    nearest = (field.compute_clamped_distances(points) - radii).argmin(axis=1)
     return np.asarray(points[np.arange(len(points)), nearest])
 
 

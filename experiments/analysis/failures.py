@@ -169,9 +169,9 @@ class FailureClassifier:
         if hand is None:
             return "?"
         joints = observation["robot_joint_position"][None, :ARM_DOF].astype(np.float64)
-        points = transform_body_points(self._arm.frames(joints), self._body)[..., 0].T
+        points = transform_body_points(self._arm.compute_link_frames(joints), self._body)[..., 0].T
         world: Array = transform_points(invert_pose(self._base_from_world), points)
-        return self._links[int(np.argmin(hand.distances(world))) // POINTS]
+        return self._links[int(np.argmin(hand.compute_distances(world))) // POINTS]
 
 
 @dataclass(frozen=True, eq=False)

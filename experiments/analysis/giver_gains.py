@@ -20,7 +20,7 @@ from handover_marl.evaluation.reports.statistics import compute_paired_differenc
 from handover_marl.evaluation.reports.tables import format_percent_difference, format_percent_rate, format_table
 from handover_marl.evaluation.results.episode_result import EpisodeResult
 from handover_marl.execution.files import write_atomically
-from handover_marl.learning.training.run_folder import held_out_scenes
+from handover_marl.learning.training.run_folder import select_held_out_scenes
 from handover_marl.learning.training.scene_arguments import EvaluationArgs
 from handover_marl.policies.reference import parse_policy
 
@@ -56,7 +56,7 @@ def evaluate_giver(giver: str, args: Args) -> list[EpisodeResult]:
             giver,
             args.receiver,
             split=split,
-            scenes=held_out_scenes(data.list_scenes(args.setup, "train")) if part == "heldout" else None,
+            scenes=select_held_out_scenes(data.list_scenes(args.setup, "train")) if part == "heldout" else None,
             out=None if args.out is None else Path(args.out) / f"{label.replace(':', '_')}-{part}",
             **args.evaluation_options,
         )

@@ -22,7 +22,11 @@ from handover_marl.datasets import Dataset
 from handover_marl.execution.files import write_atomically
 from handover_marl.execution.reading import read_arrays
 from handover_marl.learning.imitation.gaddpg.data_generation import list_shared_scenes
-from handover_marl.learning.training.run_folder import held_out_scenes, select_scenes_evenly, training_scenes
+from handover_marl.learning.training.run_folder import (
+    select_held_out_scenes,
+    select_scenes_evenly,
+    select_training_scenes,
+)
 from handover_marl.learning.training.scene_arguments import DatasetArgs
 
 #: Suffix of the list of scenes beside a file of weights.
@@ -78,7 +82,9 @@ def list_scenes_of_training(path: Path, data: Dataset) -> TrainingSceneList:
     if "train_gaddpg" in origin:
         return TrainingSceneList(setups, list_shared_scenes(data, setups), (), selection_setup, selection)
     scenes = data.list_scenes(setups[0], "train")[:: arguments.get("stride", 1)]
-    return TrainingSceneList(setups, training_scenes(scenes), held_out_scenes(scenes), selection_setup, selection)
+    return TrainingSceneList(
+        setups, select_training_scenes(scenes), select_held_out_scenes(scenes), selection_setup, selection
+    )
 
 
 def read_origin(path: Path) -> str:

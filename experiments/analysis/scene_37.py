@@ -20,7 +20,7 @@ from handover_marl.episode.callbacks import EpisodeCallback
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import play
 from handover_marl.evaluation.reports.tables import format_table
-from handover_marl.geometry.poses import compose, invert_pose, rotation_angle
+from handover_marl.geometry.poses import compose, compute_rotation_angle, invert_pose
 from handover_marl.learning.training.scene_arguments import DatasetArgs
 from handover_marl.policies.reference import split_policy_list
 
@@ -86,7 +86,7 @@ class RuleLog(EpisodeCallback):
     def slip(self) -> tuple[float, float]:
         """Translation (m) and rotation (rad) of the object relative to the gripper since the release."""
         first, last = self.grips[0], self.grips[-1]
-        return float(np.linalg.norm(last[:3] - first[:3])), rotation_angle(first[3:], last[3:])
+        return float(np.linalg.norm(last[:3] - first[:3])), compute_rotation_angle(first[3:], last[3:])
 
 
 def format_row(name: str, episode: Episode, log: RuleLog) -> list[str]:

@@ -24,7 +24,7 @@ from torchrl.modules import MultiAgentMLP
 
 from handover_marl.learning.policy_spec import DenseNetwork
 from handover_marl.learning.training.arguments import PairArgs
-from handover_marl.learning.training.benchmarl_task import HandoverTask, task_config
+from handover_marl.learning.training.benchmarl_task import HandoverTask, make_task_config
 from handover_marl.learning.training.dense_networks import dense_network_from_module
 from handover_marl.learning.training.training_run import TrainingRun
 
@@ -61,7 +61,7 @@ class EvaluationCallback(Callback):
     def on_batch_collected(self, batch: TensorDictBase) -> None:
         # The policies were trained on all batches before this one.
         steps = self.experiment.total_frames - batch.numel()
-        if self._run.evaluate_if_due(steps, lambda: policy_networks(self.experiment)):
+        if self._run.evaluate_if_due(steps, lambda: extract_policy_networks(self.experiment)):
             raise OutOfTimeError
 
 
@@ -80,7 +80,7 @@ def scale_last_layers(experiment: Experiment) -> None:
     experiment.collector.update_policy_weights_()
 
 
-def policy_networks(experiment: Experiment) -> dict[str, DenseNetwork]:
+def extract_policy_networks(experiment: Experiment) -> dict[str, DenseNetwork]:
     """Return the network of each agent's mean actions, tanh included, by agent."""
     return {
         agent: dense_network_from_module(
@@ -122,7 +122,7 @@ def main(args: Args) -> TrainingRun:
     model = MlpConfig.get_from_yaml()
     model.num_cells = [args.width, args.width]
     experiment = Experiment(
-        HandoverTask.TAKE.get_task(task_config(args)),
+        HandoverTask.TAKE.get_task(make_task_config(args)),
         make_algorithm_config(args),
         model,
         args.seed,
@@ -134,7 +134,7 @@ def main(args: Args) -> TrainingRun:
     experiment.collector.set_seed(args.seed)
     try:
         experiment.run()
-        run.evaluate(experiment.total_frames, policy_networks(experiment))
+        run.evaluate(experiment.total_frames, extract_policy_networks(experiment))
     except OutOfTimeError:
         pass
     return run

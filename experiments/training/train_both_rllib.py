@@ -93,7 +93,7 @@ def make_config(args: Args) -> PPOConfig:
     )
 
 
-def policy_networks(algorithm: Algorithm) -> dict[str, DenseNetwork]:
+def extract_policy_networks(algorithm: Algorithm) -> dict[str, DenseNetwork]:
     """Return the network of each agent's mean actions, which are not clipped, by agent."""
     return {agent: dense_network_from_module(algorithm.get_module(agent).actor) for agent in AGENTS}
 
@@ -105,13 +105,13 @@ def main(args: Args) -> TrainingRun:
     ray.init(num_cpus=args.envs + 1, object_store_memory=_OBJECT_STORE, include_dashboard=False, log_to_driver=False)
     try:
         algorithm = make_config(args).build_algo()
-        run.evaluate(0, policy_networks(algorithm))
+        run.evaluate(0, extract_policy_networks(algorithm))
         for _ in track(range(math.ceil(args.steps / args.batch_size)), description="updates"):
             result = algorithm.train()
             steps = int(result["num_env_steps_sampled_lifetime"])
             returns = result.get("env_runners", {}).get("agent_episode_returns_mean", {})
             print(f"{steps} decisions, mean returns {returns}", flush=True)
-            if run.evaluate_if_due(steps, lambda: policy_networks(algorithm)):
+            if run.evaluate_if_due(steps, lambda: extract_policy_networks(algorithm)):
                 break
         algorithm.stop()
     finally:

@@ -150,7 +150,7 @@ def _make_net(observations: Any, args: Args) -> Net:
     return Net(state_shape=observations.shape, hidden_sizes=[args.width] * 2, activation=nn.Tanh)
 
 
-def policy_networks(algorithm: PPO, world: HomogeneousEnv) -> dict[str, DenseNetwork]:
+def extract_policy_networks(algorithm: PPO, world: HomogeneousEnv) -> dict[str, DenseNetwork]:
     """Return the network of each agent's mean actions, which are not clipped, by agent."""
     shared = dense_network_from_module(algorithm.policy.actor)
     return {agent: extract_agent_network(shared, world, agent) for agent in AGENTS}
@@ -176,7 +176,7 @@ def main(args: Args) -> TrainingRun:
     envs = AgentsVectorEnv(worlds)
     envs.seed(args.seed)
     algorithm = make_algorithm(worlds[0], args)
-    run.evaluate(0, policy_networks(algorithm, worlds[0]))
+    run.evaluate(0, extract_policy_networks(algorithm, worlds[0]))
     batch = len(AGENTS) * args.batch_size
     collector = Collector(algorithm, envs, VectorReplayBuffer(batch, len(envs)))
     collector.reset()
@@ -187,7 +187,7 @@ def main(args: Args) -> TrainingRun:
         collector.reset_buffer(keep_statistics=True)
         steps = number * args.batch_size
         print(summarize(stats, steps), flush=True)
-        if run.evaluate_if_due(steps, lambda: policy_networks(algorithm, worlds[0])):
+        if run.evaluate_if_due(steps, lambda: extract_policy_networks(algorithm, worlds[0])):
             break
     envs.close()
     return run

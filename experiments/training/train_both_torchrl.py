@@ -149,7 +149,7 @@ def summarize(batch: TensorDictBase, steps: int) -> str:
     return f"{steps} decisions, return {float(returns):.2f}, {', '.join(rates)}"
 
 
-def policy_networks(actors: dict[str, ProbabilisticActor]) -> dict[str, DenseNetwork]:
+def extract_policy_networks(actors: dict[str, ProbabilisticActor]) -> dict[str, DenseNetwork]:
     """Return the network of each agent's mean actions, tanh included, by agent."""
     return {
         group: dense_network_from_module(actor, "tanh", actor.spec[group, "action"].shape[-1])
@@ -167,7 +167,7 @@ def main(args: Args) -> TrainingRun:
     actors = {group: make_actor(env, group, args) for group in AGENTS}
     losses = {group: make_loss(env, group, actor, args) for group, actor in actors.items()}
     optimizers = {group: torch.optim.Adam(loss.parameters(), args.learning_rate) for group, loss in losses.items()}
-    run.evaluate(0, policy_networks(actors))
+    run.evaluate(0, extract_policy_networks(actors))
     collector = Collector(
         env, TensorDictSequential(*actors.values()), frames_per_batch=args.batch_size, total_frames=args.steps
     )
@@ -183,7 +183,7 @@ def main(args: Args) -> TrainingRun:
             update(batch, loss, optimizers[group], args)
         collector.update_policy_weights_()
         print(summarize(batch, steps), flush=True)
-        if run.evaluate_if_due(steps, lambda: policy_networks(actors)):
+        if run.evaluate_if_due(steps, lambda: extract_policy_networks(actors)):
             break
     collector.shutdown()
     return run

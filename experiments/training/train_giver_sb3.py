@@ -24,7 +24,7 @@ from stable_baselines3 import PPO
 
 from handover_marl import givers
 from handover_marl.learning.training.arguments import PpoArgs
-from handover_marl.learning.training.environments import frozen_env_factory
+from handover_marl.learning.training.environments import make_frozen_env_factory
 from handover_marl.learning.training.stable_baselines import (
     EvaluationCallback,
     load_checkpoint,
@@ -92,7 +92,7 @@ def imitate(model: PPO, args: Args) -> float:
     Returns:
         Root mean square of the difference between the policy's mean outputs and the teacher's.
     """
-    env = frozen_env_factory(args, "giver", args.receiver)()
+    env = make_frozen_env_factory(args, "giver", args.receiver)()
     teacher = givers.make(args.teacher, env.unwrapped.dataset)
     observations, outputs = [], []
     for episode in track(range(args.demonstrations), description=f"observing {args.teacher}"):

@@ -41,10 +41,10 @@ from handover_marl.learning.training.learning_curve import CurvePoint
 from handover_marl.learning.training.run_folder import (
     RunFolder,
     describe_origin,
-    held_out_scenes,
     read_checkpoint,
+    select_held_out_scenes,
     select_scenes_evenly,
-    training_scenes,
+    select_training_scenes,
     write_checkpoint,
 )
 from handover_marl.learning.training.scene_arguments import SetupArgs
@@ -115,7 +115,7 @@ class Training:
         self._args, self._workers = args, args.workers or os.cpu_count() or 1
         self._data = args.open_dataset(args.robot)
         scenes = self._data.list_scenes(args.setup, "train")[:: args.stride]
-        self._scenes, self._held_out = training_scenes(scenes), held_out_scenes(scenes)
+        self._scenes, self._held_out = select_training_scenes(scenes), select_held_out_scenes(scenes)
         self._folder = RunFolder(Path(args.out), args, args.resume, self._data.name)
         self._device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
         torch.manual_seed(args.seed)

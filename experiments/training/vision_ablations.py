@@ -38,7 +38,11 @@ from handover_marl.learning.imitation.vision.training import (
 from handover_marl.learning.imitation.vision.view_files import read_views
 from handover_marl.learning.networks.grasp_network import GraspNetwork
 from handover_marl.learning.networks.weights import read_network_weights
-from handover_marl.learning.training.run_folder import held_out_scenes, select_scenes_evenly, training_scenes
+from handover_marl.learning.training.run_folder import (
+    select_held_out_scenes,
+    select_scenes_evenly,
+    select_training_scenes,
+)
 
 FULL = "everything"
 
@@ -124,13 +128,13 @@ def evaluate_variant(args: Args, name: str, variant: Variant) -> VariantResult:
     data = args.open_dataset(args.robot)
     whole = data.list_scenes(args.setup, "train")
     scenes = whole[:: args.stride]
-    used = set(training_scenes(scenes))
+    used = set(select_training_scenes(scenes))
     val = select_scenes_evenly(data.list_scenes(args.setup, "val"), args.val_scenes)
     unseen = select_scenes_evenly([scene for scene in whole if scene not in used], args.unseen_scenes)
     reports = tuple(
         evaluate_weights(args, name, weights, split, chosen) for split, chosen in (("val", val), ("train", unseen))
     )
-    views = ViewBatches(read_views(held_out_scenes(scenes), args.out / "views"), torch.device("cpu"))
+    views = ViewBatches(read_views(select_held_out_scenes(scenes), args.out / "views"), torch.device("cpu"))
     network, _ = read_network_weights(weights, GraspNetwork)
     return VariantResult(reports, compute_grasp_metrics(network, views, GraspTrainingConfig()))
 

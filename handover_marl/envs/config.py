@@ -9,7 +9,7 @@ from handover_marl.config import OFFICIAL_CONFIG, TIME_STEP, CameraConfig, World
 from handover_marl.envs.arguments import check_positive_integer
 from handover_marl.envs.rewards import RewardConfig, make_reward_config
 from handover_marl.episode.camera_observations import WristCameraConfig
-from handover_marl.episode.spaces import STATE, check_obs_mode, get_camera_data
+from handover_marl.episode.spaces import STATE, check_obs_mode, get_camera_data_kind
 from handover_marl.errors import OptionError, check_name
 from handover_marl.geometry.panda import PANDA
 from handover_marl.simulation.camera.frames import HANDOVERSIM_MODEL
@@ -87,7 +87,9 @@ class EnvConfig:
         if self.render_mode is not None:
             check_rendering(f"render_mode={self.render_mode!r}")
         check_obs_mode(self.obs_mode)
-        resolve_renderer(self.wrist_camera.renderer, self.physics, installed=get_camera_data(self.obs_mode) is not None)
+        resolve_renderer(
+            self.wrist_camera.renderer, self.physics, installed=get_camera_data_kind(self.obs_mode) is not None
+        )
         make_reward_config(self.rewards)
         _count_physics_steps(self.control_period)
         if self.max_cycles is not None:

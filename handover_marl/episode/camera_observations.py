@@ -16,7 +16,7 @@ from handover_marl.episode.spaces import (
     RGBD,
     SCENE_POINTCLOUD,
     check_obs_mode,
-    get_camera_data,
+    get_camera_data_kind,
 )
 from handover_marl.errors import ResetNeededError
 from handover_marl.geometry.arm import ArmKinematics
@@ -81,7 +81,7 @@ def camera_observation_space(obs_mode: str) -> dict[str, spaces.Space[Any]]:
         UnknownNameError: There is no such observation mode.
     """
     check_obs_mode(obs_mode)
-    data = get_camera_data(obs_mode)
+    data = get_camera_data_kind(obs_mode)
     counts = spaces.Box(0.0, float(IMAGE_SIZE * IMAGE_SIZE), (_N_CLOUDS.get(data or "", 0),), np.float32)
     if data in (POINTCLOUD, SCENE_POINTCLOUD):
         cloud = spaces.Box(-np.inf, np.inf, (N_POINTS, 3), np.float32)
@@ -135,7 +135,7 @@ class WristCameraConfig:
 
     def describe(self, obs_mode: str, physics: str) -> str:
         """Describe renderer, camera model and noise for result files; empty without camera data."""
-        if get_camera_data(obs_mode) is None:
+        if get_camera_data_kind(obs_mode) is None:
             return ""
         parts = [f"renderer {resolve_renderer(self.renderer, physics)}", f"camera model {self.camera_model}"]
         return ", ".join(parts if self.noise is None else [*parts, repr(self.noise)])
@@ -225,7 +225,7 @@ class WristCamera:
 
     def observe(self, obs_mode: str, world: World, steps: int) -> dict[str, npt.NDArray[Any]]:
         """Return the camera data of an observation mode; see `camera_observation_space`."""
-        data = get_camera_data(obs_mode)
+        data = get_camera_data_kind(obs_mode)
         if data is None:
             return {}
         if data == RGBD:
@@ -262,7 +262,9 @@ class WristCamera:
         then, now = self._history[0].robot[:ARM_DOF], world.read_agent_joints().robot[:ARM_DOF]
         if np.array_equal(then, now):
             return clouds
-        chain = ArmKinematics(read_tree(self._scene.assets.panda)).chain(np.array([then, now], dtype=np.float64))
+        chain = ArmKinematics(read_tree(self._scene.assets.panda)).compute_chain_frames(
+            np.array([then, now], dtype=np.float64)
+        )
         (old_origin, origin), (old_rotation, rotation) = chain.origins[-1].T, np.moveaxis(chain.rotations[-1], -1, 0)
         return [((cloud @ old_rotation.T + old_origin - origin) @ rotation).astype(np.float32) for cloud in clouds]
 

@@ -20,7 +20,7 @@ from handover_marl.episode.observations import (
     select_receiver_observation,
 )
 from handover_marl.episode.referee import EpisodeStatus, Referee, ReleaseReason
-from handover_marl.episode.spaces import STATE, GiverAction, check_obs_mode, get_camera_data
+from handover_marl.episode.spaces import STATE, GiverAction, check_obs_mode, get_camera_data_kind
 from handover_marl.errors import ResetNeededError
 from handover_marl.geometry.meshes import check_collision_meshes
 from handover_marl.simulation.camera.renderers import resolve_renderer
@@ -205,7 +205,7 @@ class Episode:
             OptionError: A package is missing that the renderer needs.
             DataFormatError, SimulationError: A visual mesh cannot be read.
         """
-        if get_camera_data(obs_mode) is None:
+        if get_camera_data_kind(obs_mode) is None:
             return {}
         return self._get_wrist_camera().observe(obs_mode, self.world, self.steps)
 

@@ -45,7 +45,7 @@ def has_state(obs_mode: str) -> bool:
     return obs_mode.partition("+")[0] == STATE
 
 
-def get_camera_data(obs_mode: str) -> str | None:
+def get_camera_data_kind(obs_mode: str) -> str | None:
     """Return the wrist camera data of an observation mode, such as "pointcloud" or "rgbd", or None."""
     part = obs_mode.rpartition("+")[2]
     return None if part == STATE else part

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from handover_marl.config import TIME_STEP, Vector3
-from handover_marl.geometry.poses import quaternion_multiply, quaternions_from_euler, unwrap_euler
+from handover_marl.geometry.poses import multiply_quaternions, quaternions_from_euler, unwrap_euler
 
 Array = npt.NDArray[np.float64]
 
@@ -49,7 +49,7 @@ def apply_wrist_offset(
     with warnings.catch_warnings():
         # At gimbal lock the solution is not unique, and any is right.
         warnings.simplefilter("ignore", UserWarning)
-        angles = Rotation.from_quat(quaternion_multiply(rotation.as_quat(), orientation.as_quat())).as_euler("XYZ")
+        angles = Rotation.from_quat(multiply_quaternions(rotation.as_quat(), orientation.as_quat())).as_euler("XYZ")
     for index, before in enumerate(previous):
         rows = slice(index * n_rows, (index + 1) * n_rows)
         moved[rows, 3:] = unwrap_euler(angles[rows], before[3:].astype(np.float64))

@@ -17,7 +17,7 @@ from handover_marl.config import OFFICIAL_CONFIG, WorldConfig, check_config
 from handover_marl.datasets import Dataset, open_dataset
 from handover_marl.datasets.splits import check_setup_and_split, choose_scenes
 from handover_marl.episode.camera_observations import WristCameraConfig
-from handover_marl.episode.spaces import get_camera_data
+from handover_marl.episode.spaces import get_camera_data_kind
 from handover_marl.errors import OptionError
 from handover_marl.execution.files import shorten_text
 from handover_marl.execution.options import check_boolean, check_path
@@ -246,7 +246,9 @@ def resolve_config(config: EvaluationConfig, trust: bool = False) -> tuple[Evalu
     scenes = choose_scenes(split, config.scenes, f"{config.setup} {config.split}")
     giver = giver.resolve(dataset, config.world_config, config.setup)
     receiver = receiver.resolve(dataset, config.world_config, config.setup)
-    resolve_renderer(config.camera.renderer, config.physics, installed=get_camera_data(receiver.obs_mode) is not None)
+    resolve_renderer(
+        config.camera.renderer, config.physics, installed=get_camera_data_kind(receiver.obs_mode) is not None
+    )
     dataset.check_scenes(scenes)
     return replace(config, dataset=dataset.name, scenes=scenes, giver=giver, receiver=receiver), dataset
 

@@ -74,7 +74,7 @@ class RayPool(Pool):
         # Kept in the cluster's object store, so that it is sent to each node once.
         job = ray.put(cloudpickle.dumps(Job(open_worker, describe)))
         spread = ray.remote(num_cpus=1, max_retries=_RETRIES, scheduling_strategy="SPREAD")
-        job_arguments = ([job], uuid.uuid4().hex, installed_versions(), list(map(str, sys.path)))
+        job_arguments = ([job], uuid.uuid4().hex, get_installed_versions(), list(map(str, sys.path)))
         submit = spread(run_ray_task).remote
         waiting = list(reversed(range(len(tasks))))
         running: dict[Any, int] = {}
@@ -114,14 +114,14 @@ def run_ray_task(
         return pickled
 
     try:
-        check_versions(versions, installed_versions())
+        check_versions(versions, get_installed_versions())
     except WorkerError as error:
         failure: bytes = cloudpickle.dumps(TaskFailure(error))
         return failure
     return activate_job(job_id, load_job).run(task)
 
 
-def installed_versions() -> dict[str, str]:
+def get_installed_versions() -> dict[str, str]:
     """Return the versions of this library and of the packages that results depend on."""
     found = {"handover_marl": __version__}
     for name in _PACKAGES:

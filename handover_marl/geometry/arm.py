@@ -67,7 +67,7 @@ class ArmKinematics:
         self._hand = _fixed_transform(tree, hand, revolute[-1], opening)
         self._fingers = [_fixed_transform(tree, names.index(finger), hand, opening) for finger in FINGER_LINKS]
 
-    def chain(self, joints: Array) -> LinkFrames:
+    def compute_chain_frames(self, joints: Array) -> LinkFrames:
         """Compute frames of the seven arm links and the hand for arm joints (n, 7) in rad."""
         count = len(joints)
         origins = np.empty((self.n_joints + 1, 3, count))
@@ -84,9 +84,9 @@ class ArmKinematics:
         origins[-1], rotations[-1] = origin + offset @ rotation, turn.T @ rotation
         return LinkFrames(origins, rotations)
 
-    def frames(self, joints: Array) -> LinkFrames:
+    def compute_link_frames(self, joints: Array) -> LinkFrames:
         """Compute frames of arm links, hand and fingers for arm joints (n, 7) in rad."""
-        chain = self.chain(joints)
+        chain = self.compute_chain_frames(joints)
         origin, rotation = chain.origins[-1], chain.rotations[-1]
         fingers = [(origin + offset @ rotation, turn.T @ rotation) for offset, turn in self._fingers]
         return LinkFrames(
@@ -94,7 +94,7 @@ class ArmKinematics:
             np.concatenate([chain.rotations, [finger[1] for finger in fingers]]),
         )
 
-    def jacobian(self, chain: LinkFrames) -> Array:
+    def compute_jacobian(self, chain: LinkFrames) -> Array:
         """Compute Jacobians (6, 7, n) of the robot's hand: linear rows (m/rad), then angular."""
         axes = chain.rotations[:-1, :, 2]
         levers = chain.origins[-1] - chain.origins[:-1]

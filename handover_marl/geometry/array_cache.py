@@ -24,14 +24,14 @@ Arrays = dict[str, npt.NDArray[Any]]
 _log = logging.getLogger(__name__)
 
 
-def cache_folder(kind: str) -> Path:
+def get_cache_folder(kind: str) -> Path:
     """Return the user's cache folder for one kind of files; it is in XDG_CACHE_HOME if that is set."""
     import platformdirs
 
     return Path(platformdirs.user_cache_dir("handover_marl", appauthor=False)) / kind
 
 
-def cache_path(kind: str, urdf: Path, *parameters: bytes) -> Path:
+def get_cache_path(kind: str, urdf: Path, *parameters: bytes) -> Path:
     """Return the path of the cache file for an object model.
 
     The file name has a hash of the object's collision shapes and of the parameters.
@@ -44,7 +44,7 @@ def cache_path(kind: str, urdf: Path, *parameters: bytes) -> Path:
     digest = hashlib.sha256(b"".join(parameters))
     for path in (urdf, *list_mesh_files(urdf, "collision")):
         digest.update(read_plain_file(path))
-    return cache_folder(kind) / f"{urdf.parent.name}-{digest.hexdigest()[:16]}.npz"
+    return get_cache_folder(kind) / f"{urdf.parent.name}-{digest.hexdigest()[:16]}.npz"
 
 
 def load_cached_arrays(path: Path, names: Sequence[str], what: str) -> Arrays | None:

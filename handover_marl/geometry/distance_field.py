@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import map_coordinates
 
-from handover_marl.geometry.array_cache import Arrays, cache_path, load_cached_arrays, save_cached_arrays
+from handover_marl.geometry.array_cache import Arrays, get_cache_path, load_cached_arrays, save_cached_arrays
 from handover_marl.geometry.meshes import read_collision_mesh
 
 Floats = npt.NDArray[np.float32]
@@ -42,21 +42,21 @@ class DistanceField:
     lower: Array
     cell: float
 
-    def distances(self, points: Floats) -> Floats:
+    def compute_distances(self, points: Floats) -> Floats:
         """Interpolate signed distances (n,) in m at points (3, n).
 
         Points outside the grid get `OUTSIDE_DISTANCE`.
         """
         return self._interpolate(points, with_gradients=False)[0]
 
-    def distances_and_gradients(self, points: Floats) -> tuple[Floats, Floats]:
+    def compute_distances_and_gradients(self, points: Floats) -> tuple[Floats, Floats]:
         """Interpolate signed distances (n,) in m and their gradients (3, n) at points (3, n).
 
         Gradients are zero outside the grid.
         """
         return self._interpolate(points, with_gradients=True)
 
-    def query_clamped(self, points: Array) -> Array:
+    def compute_clamped_distances(self, points: Array) -> Array:
         """Interpolate signed distances (...) in m at points (..., 3).
 
         Points outside the grid get the distance of the nearest point on the grid's border.
@@ -72,7 +72,11 @@ class DistanceField:
         """
         h = self.cell
         gradients = np.stack(
-            [self.query_clamped(points + h * e) - self.query_clamped(points - h * e) for e in np.eye(3)], axis=-1
+            [
+                self.compute_clamped_distances(points + h * e) - self.compute_clamped_distances(points - h * e)
+                for e in np.eye(3)
+            ],
+            axis=-1,
         )
         return np.asarray(gradients / np.maximum(np.linalg.norm(gradients, axis=-1, keepdims=True), 1e-12))
 
@@ -173,7 +177,7 @@ def load_object_sdf(urdf: Path, margin: float) -> DistanceField:
 
 @functools.lru_cache(maxsize=32)
 def _load_object_sdf(urdf: Path, changed: int, margin: float) -> DistanceField:
-    path = cache_path(CACHE_KIND, urdf, f"{_VERSION} {CELL} {margin}".encode())
+    path = get_cache_path(CACHE_KIND, urdf, f"{_VERSION} {CELL} {margin}".encode())
     arrays = load_cached_arrays(path, ("values", "lower", "cell"), "distance field")
     if arrays is not None:
         values, lower, cell = arrays["values"], arrays["lower"], arrays["cell"]

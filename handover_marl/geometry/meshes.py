@@ -40,7 +40,7 @@ class VisualMesh:
     colors: npt.NDArray[np.float32]
 
 
-def extreme_points(points: Array, limit: int) -> Array:
+def select_extreme_points(points: Array, limit: int) -> Array:
     """Select at most `limit` of the points (n, 3), the outermost in evenly spread directions."""
     for count in range(4 * limit, limit - 1, -1):
         k = np.arange(count) + 0.5
@@ -53,7 +53,7 @@ def extreme_points(points: Array, limit: int) -> Array:
     return np.asarray(points[chosen])
 
 
-def convex_hull(points: Array) -> tuple[Array, Faces]:
+def compute_convex_hull(points: Array) -> tuple[Array, Faces]:
     """Compute the convex hull of points (n, 3): its vertices (v, 3) and outward triangles (f, 3).
 
     Raises:

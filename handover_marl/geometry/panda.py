@@ -64,7 +64,9 @@ RANKING_ROTATION_WEIGHT = 0.5
 MAX_RANKED_GRASPS = 25
 
 
-def pose_distance(pose: npt.ArrayLike, poses: Poses, rotation_weight: float = RANKING_ROTATION_WEIGHT) -> Poses:
+def compute_pose_distances(
+    pose: npt.ArrayLike, poses: Poses, rotation_weight: float = RANKING_ROTATION_WEIGHT
+) -> Poses:
     """Compute distances (n,) in m^2 from poses (n, 7) to one pose (7,), for the ranking of grasps.
 
     A distance is the squared distance of the positions plus a weighted rotation term.

@@ -15,7 +15,7 @@ IDENTITY = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 IDENTITY.flags.writeable = False
 
 
-def quaternion_multiply(left: npt.ArrayLike, right: npt.ArrayLike) -> Array:
+def multiply_quaternions(left: npt.ArrayLike, right: npt.ArrayLike) -> Array:
     """Compute the Hamilton product of quaternions (..., 4) xyzw: rotate by `right`, then `left`."""
     ax, ay, az, aw = np.moveaxis(np.asarray(left), -1, 0)
     bx, by, bz, bw = np.moveaxis(np.asarray(right), -1, 0)
@@ -95,7 +95,7 @@ def compose(a_from_b: npt.ArrayLike, b_from_c: npt.ArrayLike) -> Array:
     """Return the product of the poses `a_from_b` and `b_from_c`: the pose `a_from_c` (..., 7)."""
     outer, inner = np.asarray(a_from_b), np.asarray(b_from_c)
     position = transform_points(outer, inner[..., :3])
-    return np.concatenate([position, quaternion_multiply(outer[..., 3:], inner[..., 3:])], axis=-1)
+    return np.concatenate([position, multiply_quaternions(outer[..., 3:], inner[..., 3:])], axis=-1)
 
 
 def invert_pose(a_from_b: npt.ArrayLike) -> Array:
@@ -113,7 +113,7 @@ def inverse_transform_points(a_from_b: npt.ArrayLike, points: npt.ArrayLike) -> 
     return transform_points(rotation, np.asarray(points, dtype=np.float64) - pose[..., :3])
 
 
-def rotation_angle(first: npt.ArrayLike, second: npt.ArrayLike) -> float:
+def compute_rotation_angle(first: npt.ArrayLike, second: npt.ArrayLike) -> float:
     """Return the rotation angle (rad, 0 to pi) between two unit quaternions (4,) xyzw.
 
     A quaternion and its negative are the same rotation.

@@ -79,8 +79,8 @@ class CartesianDeltaScheme(ActionScheme):
     def _move(self, observation: Observation, translation: Array, rotation: Array, closed: bool) -> Action:
         """Return joint targets that move the hand link by (3,) m and a (3,) rotation vector in its frame."""
         arm = observation["robot_joint_position"][:ARM_DOF].astype(np.float64)
-        chain = self._robot.chain(arm[None])
-        jacobian, axes = self._robot.jacobian(chain)[..., 0], chain.rotations[-1][..., 0]
+        chain = self._robot.compute_chain_frames(arm[None])
+        jacobian, axes = self._robot.compute_jacobian(chain)[..., 0], chain.rotations[-1][..., 0]
         gram = jacobian @ jacobian.T + self.damping**2 * np.eye(6)
         change = jacobian.T @ np.linalg.solve(gram, np.concatenate([axes @ translation, axes @ rotation]))
         return _joint_targets(arm + change, closed)

@@ -55,35 +55,35 @@ class ArmInWorld:
         base = np.array([*panda.base_position, *panda.base_orientation])
         return cls(ArmKinematics(read_tree(urdf)), base, limits)
 
-    def hands(self, joints: Array) -> Array:
+    def compute_hand_poses(self, joints: Array) -> Array:
         """Return the world poses (n, 7) of the hand link at configurations (n, 7) (rad)."""
-        chain = self.arm.chain(joints)
+        chain = self.arm.compute_chain_frames(joints)
         return compose(self.base, poses_from_rotations(chain.origins[-1].T, np.moveaxis(chain.rotations[-1], -1, 0)))
 
-    def hand(self, joints: Array) -> Array:
+    def compute_hand_pose(self, joints: Array) -> Array:
         """Return the world pose (7,) of the hand link at one configuration (7,) (rad)."""
-        pose: Array = self.hands(joints[None])[0]
+        pose: Array = self.compute_hand_poses(joints[None])[0]
         return pose
 
-    def frames(self, joints: Array) -> tuple[Array, Array]:
+    def compute_link_frames(self, joints: Array) -> tuple[Array, Array]:
         """Return the world frames of the seven moving links at configurations (n, 7) (rad).
 
         Returns:
             Origins (n, 7, 3) in m, and rotation matrices (n, 7, 3, 3).
         """
-        chain = self.arm.chain(joints)
+        chain = self.arm.compute_chain_frames(joints)
         rotation = self._world_from_base_rotation
         origins = chain.origins[:-1].transpose(2, 0, 1) @ rotation.T + self.base[:3]
         return origins, rotation @ chain.rotations[:-1].transpose(3, 0, 1, 2)
 
-    def jacobian(self, joints: Array) -> Array:
+    def compute_jacobian(self, joints: Array) -> Array:
         """Return the Jacobian (6, 7) of the hand's origin at joints (7,), linear rows first."""
-        local = self.arm.jacobian(self.arm.chain(joints[None]))[..., 0]
+        local = self.arm.compute_jacobian(self.arm.compute_chain_frames(joints[None]))[..., 0]
         rotation = self._world_from_base_rotation
         jacobian: Array = np.concatenate([rotation @ local[:3], rotation @ local[3:]])
         return jacobian
 
-    def point_jacobian(self, joints: Array, point: Array, link: int) -> Array:
+    def compute_point_jacobian(self, joints: Array, point: Array, link: int) -> Array:
         """Return the (3, 7) Jacobian of a point that is fixed to a link.
 
         Args:
@@ -91,7 +91,7 @@ class ArmInWorld:
             point: (3,) world position of the point (m).
             link: Index of the moving link, from 0.
         """
-        chain = self.arm.chain(joints[None])
+        chain = self.arm.compute_chain_frames(joints[None])
         rotation = self._world_from_base_rotation
         axes = chain.rotations[:-1, :, 2, 0] @ rotation.T
         origins = chain.origins[:-1, :, 0] @ rotation.T + self.base[:3]
@@ -118,7 +118,9 @@ class ArmInWorld:
         rotations = Rotation.from_quat(local[:, 3:]).as_matrix()
         return solve_ik(self.arm, local[:, :3], rotations, seeds, self.limits, tolerance, iterations)
 
-    def velocity(self, joints: Array, linear: Array, angular: Array, rotation_weight: float, period: float) -> Array:
+    def compute_joint_velocity(
+        self, joints: Array, linear: Array, angular: Array, rotation_weight: float, period: float
+    ) -> Array:
         """Return joint velocities (7,) in rad/s that give the robot's hand a wanted velocity.
 
         Joints that would exceed their limit within the control period are not moved.
@@ -131,7 +133,7 @@ class ArmInWorld:
             period: Control period for which the velocities are commanded (s).
         """
         weights = np.array([1.0, 1.0, 1.0, rotation_weight, rotation_weight, rotation_weight])
-        rows = weights[:, None] * self.jacobian(joints)
+        rows = weights[:, None] * self.compute_jacobian(joints)
         wanted = weights * np.concatenate([linear, angular])
         is_free = np.ones(len(joints), dtype=bool)
         for _ in range(len(joints)):
@@ -232,7 +234,7 @@ class ArmServo:
         reached: Array = self._velocity + np.clip(velocity - self._velocity, -most, most)
         return reached
 
-    def command(self, joints: Array, velocity: Array, acceleration: float | None = None) -> Array:
+    def compute_motor_targets(self, joints: Array, velocity: Array, acceleration: float | None = None) -> Array:
         """Return motor position targets (7,) in rad that make the joints move at a velocity.
 
         Args:

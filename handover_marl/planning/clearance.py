@@ -69,11 +69,11 @@ class Spheres:
     centers: Array
     radii: Array
 
-    def in_frame(self, pose: Array) -> "Spheres":
+    def transform_to_frame(self, pose: Array) -> "Spheres":
         """Return the spheres in another frame, whose pose (7,) in their present frame is given."""
         return Spheres(inverse_transform_points(pose, self.centers), self.radii)
 
-    def within(self, position: Array, distance: float) -> "Spheres":
+    def select_within(self, position: Array, distance: float) -> "Spheres":
         """Return the spheres with centers within a distance (m) of a position (3,)."""
         is_near = np.linalg.norm(self.centers - position, axis=1) < distance
         return Spheres(self.centers[is_near], self.radii[is_near])
@@ -260,7 +260,7 @@ def compute_lowest_heights(arm: ArmInWorld, joints: Array) -> Array:
     """
     starts, ends = _arm_segments(arm, joints)
     capsules = (np.minimum(starts[..., 2], ends[..., 2]) - _RADII).min(axis=1)
-    heights: Array = np.minimum(capsules, compute_gripper_corners(arm.hands(joints))[..., 2].min(axis=1))
+    heights: Array = np.minimum(capsules, compute_gripper_corners(arm.compute_hand_poses(joints))[..., 2].min(axis=1))
     return heights
 
 
@@ -288,7 +288,7 @@ def find_closest_arm_points(arm: ArmInWorld, joints: Array, spheres: Spheres) ->
 
 def _arm_segments(arm: ArmInWorld, joints: Array) -> tuple[Array, Array]:
     """Return both ends (n, capsules, 3) of the capsules' axes in the world (m)."""
-    origins, rotations = arm.frames(joints)
+    origins, rotations = arm.compute_link_frames(joints)
     link_origins, link_rotations = origins[:, _LINKS], rotations[:, _LINKS]
     starts, ends = ((link_rotations @ local[..., None])[..., 0] + link_origins for local in (_STARTS, _ENDS))
     return starts, ends

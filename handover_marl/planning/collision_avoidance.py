@@ -101,14 +101,14 @@ def enforce_separation(
         leaving: Whether the robot only has to avoid coming closer to a body whose clearance is
             already too small, as when it withdraws from a person's hand.
     """
-    hand, dampers = arm.hand(joints), []
+    hand, dampers = arm.compute_hand_pose(joints), []
     for body in bodies:
         gripper = find_closest_points(hand, body.spheres)
         for closest, link in (find_closest_arm_points(arm, joints, body.spheres), (gripper, arm.arm.n_joints)):
             wanted = min(body.min_clearance, closest.distance) if leaving else body.min_clearance
             retreat = min((wanted - closest.distance) / config.time_constant, config.max_evasion_speed)
             least = retreat + float(closest.normal @ body.velocity)
-            dampers.append((closest.normal @ arm.point_jacobian(joints, closest.point, link), least))
+            dampers.append((closest.normal @ arm.compute_point_jacobian(joints, closest.point, link), least))
     # One constraint may undo what another has enforced, so all are swept several times.
     for row, least in _N_SWEEPS * dampers:
         rate = float(row @ velocity)
@@ -140,7 +140,7 @@ def select_safe_velocity(
         config: Clearances and lookahead.
     """
     line = np.concatenate([joints[None], joints + config.lookahead * reached])
-    hands, heights = arm.hands(line), compute_lowest_heights(arm, line) - table_height
+    hands, heights = arm.compute_hand_poses(line), compute_lowest_heights(arm, line) - table_height
     violations = np.maximum(0.0, min(config.table_clearance, float(heights[0])) - config.slack - heights[1:])
     for body in bodies:
         spheres = body.spheres
@@ -229,7 +229,8 @@ def _are_clear(arm: ArmInWorld, start: Array, paths: Array, obstacles: PathObsta
     line = np.concatenate([start[None], paths.reshape(-1, paths.shape[-1])])
     spheres = obstacles.spheres
     clearances = np.minimum(
-        compute_arm_clearances(arm, line, spheres), compute_open_gripper_clearances(arm.hands(line), spheres)
+        compute_arm_clearances(arm, line, spheres),
+        compute_open_gripper_clearances(arm.compute_hand_poses(line), spheres),
     )
     clearances = np.minimum(clearances, compute_lowest_heights(arm, line) - obstacles.table_height)
     is_enough = clearances[1:] >= min(float(clearances[0]), obstacles.clearance) - _TOLERANCE

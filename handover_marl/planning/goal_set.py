@@ -135,10 +135,10 @@ class GoalSetBuilder:
 
     def _compute_clearances(self, tails: Array, person: Obstacle) -> Array:
         """Return the smallest distances (g,) in m of the gripper to a hand over (g, t, 7) tails."""
-        frames = self._arm.frames(tails.reshape(-1, tails.shape[-1]))
+        frames = self._arm.compute_link_frames(tails.reshape(-1, tails.shape[-1]))
         hand = len(frames.origins) - len(self._gripper)
         points = transform_body_points(LinkFrames(frames.origins[hand:], frames.rotations[hand:]), self._gripper)
-        distances = person.distances(points.reshape(3, -1).astype(np.float32))
+        distances = person.compute_distances(points.reshape(3, -1).astype(np.float32))
         by_point = distances.reshape(points.shape[1], *tails.shape[:2])
         clearances: Array = by_point.min(axis=(0, 2)).astype(np.float64)
         return clearances
@@ -188,8 +188,8 @@ class GoalSetBuilder:
         config = self._config
         shares = np.arange(1, config.n_path_checks + 1) / (config.n_path_checks + 1)
         line = self._start + shares[:, None, None] * (goals - self._start)
-        rotations = self._arm.chain(line.reshape(-1, 7)).rotations[-1]
-        first = self._arm.chain(self._start[None]).rotations[-1][..., 0]
+        rotations = self._arm.compute_chain_frames(line.reshape(-1, 7)).rotations[-1]
+        first = self._arm.compute_chain_frames(self._start[None]).rotations[-1][..., 0]
         cosine = (np.einsum("ij,ijn->n", first, rotations) - 1.0) / 2.0
         is_allowed = (cosine >= np.cos(config.max_rotation)) & (rotations[2, 0] >= config.min_hand_x_z)
         by_goal: npt.NDArray[np.bool_] = is_allowed.reshape(len(shares), -1).all(axis=0)
@@ -197,11 +197,11 @@ class GoalSetBuilder:
 
     def _is_collision_free(self, standoffs: Array, obstacles: Sequence[Obstacle]) -> npt.NDArray[np.bool_]:
         """Return whether (g,) arm and hand, without fingers, are collision-free at standoffs."""
-        points = transform_body_points(self._arm.frames(standoffs), self._body)
+        points = transform_body_points(self._arm.compute_link_frames(standoffs), self._body)
         points = points[:, : points.shape[1] - _N_FINGERS * len(self._body[0])]
         hits = np.zeros(len(standoffs), dtype=np.int_)
         for obstacle in obstacles:
-            distances = obstacle.distances(points.reshape(3, -1).astype(np.float32))
+            distances = obstacle.compute_distances(points.reshape(3, -1).astype(np.float32))
             hits += (distances.reshape(points.shape[1:]) < self._config.collision_distance).sum(axis=0)
         is_free: npt.NDArray[np.bool_] = hits <= self._config.max_collisions
         if self._unchecked_last:

@@ -43,7 +43,7 @@ class Capsules:
     ends: Array
     radii: Array
 
-    def distances(self, points: Array) -> Array:
+    def compute_distances(self, points: Array) -> Array:
         """Return the signed distances (n,) in m from points (n, 3) to the nearest capsule."""
         nearest = np.full(len(points), np.inf)
         for start, end, radius in zip(self.starts, self.ends, self.radii, strict=True):
@@ -158,7 +158,7 @@ class HandTracker:
         """Filtered speed of the person's hand (m/s)."""
         return float(np.linalg.norm(self.velocity))
 
-    def distance(self, position: Array) -> float:
+    def compute_distance(self, position: Array) -> float:
         """Return the distance (m) from a world position (3,) to the hand's nearest keypoint.
 
         Without a hand the distance is infinite.

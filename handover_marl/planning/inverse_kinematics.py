@@ -79,7 +79,7 @@ def solve_ik(
     active = np.arange(len(joints))
     rows = slice(3 if rotations is None else 6)
     for step in range(iterations + 1):
-        chain = arm.chain(joints[active])
+        chain = arm.compute_chain_frames(joints[active])
         # Any rotation serves where it is left free: its rows of the error are dropped.
         wanted = np.repeat(np.eye(3)[None], len(active), axis=0) if rotations is None else rotations[active]
         error = compute_pose_error(chain.origins[-1], chain.rotations[-1], positions[active].T, wanted)[rows]
@@ -88,7 +88,7 @@ def solve_ik(
         if is_reached.all() or step == iterations:
             break
         left = ~is_reached
-        change = _smallest_motion(arm.jacobian(chain)[rows][..., left], error[:, left], damping)
+        change = _smallest_motion(arm.compute_jacobian(chain)[rows][..., left], error[:, left], damping)
         active = active[left]
         if min_step:
             is_moving = np.abs(change).max(axis=1) >= min_step

@@ -133,7 +133,7 @@ def make_hand_obstacle(hand: Capsules, config: HandAvoidanceConfig) -> Obstacle:
     reach = config.padding + hand.radii.max()
     ends = np.concatenate([hand.starts, hand.ends])
     lower, upper = ends.min(axis=0) - reach, ends.max(axis=0) + reach
-    field = sample_distance_field(hand.distances, lower, upper, _HAND_CELL)
+    field = sample_distance_field(hand.compute_distances, lower, upper, _HAND_CELL)
     return Obstacle(field, IDENTITY, config.padding, config.weight, in_tail=True)
 
 
@@ -169,12 +169,12 @@ class Chomp:
         ends = self._inverse_metric[:, -cost.n_tail :]
         self._tail_correction = ends @ np.linalg.inv(ends[-cost.n_tail :])
 
-    def smoothness_cost(self, trajectory: Array) -> float:
+    def compute_smoothness_cost(self, trajectory: Array) -> float:
         """Return half the sum of squared joint velocities of a trajectory (w, 7)."""
         steps = np.diff(trajectory, axis=0, prepend=self._start[None]) / self._costs.time_step
         return float(0.5 * (steps**2).sum())
 
-    def smoothness_gradient(self, trajectory: Array) -> Array:
+    def compute_smoothness_gradient(self, trajectory: Array) -> Array:
         """Return the gradient (w, 7) of the smoothness cost of a trajectory (w, 7)."""
         gradient: Array = self._metric @ trajectory + self._start_gradient[:, None] * self._start
         return gradient
@@ -187,8 +187,8 @@ class Chomp:
             tail: (t, 7) required last waypoints, from standoff to grasp (rad).
             number: Number of the step in the optimization, counted from 1.
         """
-        smooth = self.smoothness_gradient(trajectory)
-        near = self._costs.obstacle_weight * self._cost.gradient(trajectory, self._start, tail[-1])
+        smooth = self.compute_smoothness_gradient(trajectory)
+        near = self._costs.obstacle_weight * self._cost.compute_gradient(trajectory, self._start, tail[-1])
         near = np.clip(near, -self._costs.max_gradient, self._costs.max_gradient)
         weight = self._costs.smoothness_weight * self._costs.smoothness_growth**number
         descent = self._config.step_size * (self._inverse_metric @ (near + weight * smooth))
@@ -196,7 +196,7 @@ class Chomp:
         moved = trajectory - descent + self._tail_correction @ (descent[-len(tail) :] - error)
         return self._project_to_limits(moved)
 
-    def limit_violation(self, trajectory: Array) -> Array:
+    def compute_limit_violation(self, trajectory: Array) -> Array:
         """Return the joint changes (w, 7) in rad that bring a trajectory within joint limits."""
         low, high = self._limits
         return np.maximum(low - trajectory, 0.0) + np.minimum(high - trajectory, 0.0)
@@ -212,8 +212,8 @@ class Chomp:
         config = self._config
         return (
             float(np.linalg.norm(trajectory[-1] - goal)) < config.goal_tolerance
-            and self.smoothness_cost(trajectory) < config.max_smoothness_cost
-            and float(np.abs(self.limit_violation(trajectory)).max()) <= config.max_limit_violation
+            and self.compute_smoothness_cost(trajectory) < config.max_smoothness_cost
+            and float(np.abs(self.compute_limit_violation(trajectory)).max()) <= config.max_limit_violation
             and self._cost.count_collisions(trajectory, collision_distance) <= config.max_collisions
         )
 
@@ -223,7 +223,7 @@ class Chomp:
         The tail moves too; the next step repairs it.
         """
         for _ in range(self._config.max_limit_projections):
-            violation = self.limit_violation(trajectory)
+            violation = self.compute_limit_violation(trajectory)
             if np.linalg.norm(violation) <= self._config.limit_tolerance:
                 break
             smooth = self._inverse_metric @ violation

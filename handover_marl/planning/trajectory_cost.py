@@ -64,17 +64,17 @@ class Obstacle:
     weight: float = 1.0
     in_tail: bool = False
 
-    def distances(self, points: Floats) -> Floats:
+    def compute_distances(self, points: Floats) -> Floats:
         """Return the signed distances (n,) in m from points (3, n) in the base frame."""
-        return self.field.distances(self._to_field_frame(points))
+        return self.field.compute_distances(self._to_field_frame(points))
 
-    def distances_and_gradients(self, points: Floats) -> tuple[Floats, Floats]:
+    def compute_distances_and_gradients(self, points: Floats) -> tuple[Floats, Floats]:
         """Return signed distances (n,) in m to the obstacle and their gradients (3, n).
 
         Args:
             points: (3, n) points in the robot's base frame (m); the gradients are in this frame too.
         """
-        distances, gradients = self.field.distances_and_gradients(self._to_field_frame(points))
+        distances, gradients = self.field.compute_distances_and_gradients(self._to_field_frame(points))
         return distances, self._rotation() @ gradients
 
     def _rotation(self) -> Floats:
@@ -87,7 +87,7 @@ class Obstacle:
         return local
 
 
-def proximity_cost(distances: Floats, padding: float) -> Floats:
+def compute_proximity_cost(distances: Floats, padding: float) -> Floats:
     """Return the CHOMP cost of points at given signed distances from an obstacle.
 
     The cost is 0 beyond `padding`, quadratic between `padding` and the surface, and linear inside
@@ -103,8 +103,8 @@ def proximity_cost(distances: Floats, padding: float) -> Floats:
     return cost
 
 
-def proximity_cost_gradient(distances: Floats, padding: float) -> Floats:
-    """Return the derivative of `proximity_cost` with respect to the distance."""
+def compute_proximity_gradient(distances: Floats, padding: float) -> Floats:
+    """Return the derivative of `compute_proximity_cost` with respect to the distance."""
     linear = (distances - padding) / padding
     outside = np.where(distances <= padding, linear, 0.0)
     gradient: Floats = np.where(distances <= 0.0, -1.0, outside)
@@ -162,10 +162,10 @@ class ObstacleCost:
         pairs = 0
         for obstacle in self.obstacles:
             checked = points if obstacle.in_tail else points[..., : -self.n_tail]
-            pairs += int((obstacle.distances(checked.reshape(3, -1)) < distance).sum())
+            pairs += int((obstacle.compute_distances(checked.reshape(3, -1)) < distance).sum())
         return pairs
 
-    def gradient(self, trajectory: Array, start: Array, end: Array) -> Array:
+    def compute_gradient(self, trajectory: Array, start: Array, end: Array) -> Array:
         """Return the gradient (w, 7) of the obstacle cost of a trajectory (w, 7).
 
         At every waypoint each link contributes its point of largest cost.
@@ -175,7 +175,7 @@ class ObstacleCost:
             start: (7,) configuration before the first waypoint (rad).
             end: (7,) configuration after the last waypoint (rad).
         """
-        frames = self.arm.frames(np.concatenate([start[None], trajectory, end[None]]))
+        frames = self.arm.compute_link_frames(np.concatenate([start[None], trajectory, end[None]]))
         n_points = len(self.body[0])
         moving = transform_body_points(frames, self.body)[:, : _N_GRADIENT_LINKS * n_points]
         costs, gradients = self._costs_and_gradients(moving[..., 1:-1].astype(np.float32))
@@ -215,14 +215,14 @@ class ObstacleCost:
 
     def _points(self, joints: Array) -> Floats:
         """Return the body points (3, p, n) at configurations (n, 7)."""
-        return transform_body_points(self.arm.frames(joints), self.body).astype(np.float32)
+        return transform_body_points(self.arm.compute_link_frames(joints), self.body).astype(np.float32)
 
     def _costs(self, points: Floats, tails: npt.NDArray[np.bool_]) -> Floats:
         """Return the costs of points (3, p, ...), without objects' where `tails` (...) is true."""
         total = np.zeros(points.shape[1:], dtype=np.float32)
         flat = points.reshape(3, -1)
         for obstacle in self.obstacles:
-            cost = proximity_cost(obstacle.distances(flat), obstacle.padding).reshape(total.shape)
+            cost = compute_proximity_cost(obstacle.compute_distances(flat), obstacle.padding).reshape(total.shape)
             total += np.float32(obstacle.weight) * (cost if obstacle.in_tail else cost * ~tails)
         return total
 
@@ -232,9 +232,9 @@ class ObstacleCost:
         counts = np.ones(points.shape[2], dtype=np.float32)
         counts[-self.n_tail :] = 0.0
         for obstacle in self.obstacles:
-            distances, outward = obstacle.distances_and_gradients(points.reshape(3, -1))
+            distances, outward = obstacle.compute_distances_and_gradients(points.reshape(3, -1))
             weight = np.float32(obstacle.weight) * (np.float32(1.0) if obstacle.in_tail else counts)
-            total += weight * proximity_cost(distances, obstacle.padding).reshape(total.shape)
-            slope = proximity_cost_gradient(distances, obstacle.padding)
+            total += weight * compute_proximity_cost(distances, obstacle.padding).reshape(total.shape)
+            slope = compute_proximity_gradient(distances, obstacle.padding)
             gradients += weight * (slope * outward).reshape(gradients.shape)
         return total, gradients

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from handover_marl.config import ProtocolConfig
 from handover_marl.geometry.panda import GRIPPER_FROM_HAND
-from handover_marl.geometry.poses import quaternion_from_matrix, rotation_angle, transform_points
+from handover_marl.geometry.poses import compute_rotation_angle, quaternion_from_matrix, transform_points
 
 Array = npt.NDArray[np.float64]
 
@@ -155,7 +155,7 @@ class GraspValidator(ABC):
 
     def _has_moved(self, before: Array, after: Array) -> bool:
         shift = float(np.linalg.norm(after[:3] - before[:3]))
-        rotation = rotation_angle(before[3:], after[3:])
+        rotation = compute_rotation_angle(before[3:], after[3:])
         return shift > self._config.max_translation or rotation > self._config.max_rotation
 
     @abstractmethod

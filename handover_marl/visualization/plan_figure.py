@@ -97,7 +97,7 @@ def _draw_plan(axes: Any, plan: Plan, arm: ArmKinematics, world_from_base: Array
         return transform_points(world_from_base, points)
 
     def arm_line(joints: Array) -> Array:
-        origins = arm.chain(joints[None]).origins[..., 0]
+        origins = arm.compute_chain_frames(joints[None]).origins[..., 0]
         return to_world(np.concatenate([np.zeros((1, 3)), origins]))
 
     for outline in _gripper_outlines(arm, plan.goals.goals):
@@ -108,7 +108,7 @@ def _draw_plan(axes: Any, plan: Plan, arm: ArmKinematics, world_from_base: Array
     axes.plot(*start, color="black", linewidth=3, alpha=0.5, label="arm at the start")
     axes.plot(*end, color="tab:red", linewidth=3, alpha=0.3, label="arm at the end")
     waypoints = np.concatenate([plan.start[None], plan.trajectory])
-    path = to_world(arm.chain(waypoints).origins[-1].T)
+    path = to_world(arm.compute_chain_frames(waypoints).origins[-1].T)
     tail = plan.goals.tails.shape[1]
     axes.plot(*path.T, color="tab:blue", marker=".", label="hand link at each waypoint")
     axes.plot(*path[-tail:].T, color="tab:purple", linewidth=3, label="straight approach to the grasp")
@@ -116,6 +116,6 @@ def _draw_plan(axes: Any, plan: Plan, arm: ArmKinematics, world_from_base: Array
 
 def _gripper_outlines(arm: ArmKinematics, joints: Array) -> Sequence[Array]:
     """Return the gripper's outline, (p, 3) in the base frame (m), for each of (n, 7) joint angles."""
-    chain: LinkFrames = arm.chain(joints)
+    chain: LinkFrames = arm.compute_chain_frames(joints)
     origins, rotations = chain.origins[-1], chain.rotations[-1]
     return [_GRIPPER_OUTLINE @ rotations[..., number].T + origins[:, number] for number in range(len(joints))]

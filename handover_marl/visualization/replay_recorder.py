@@ -10,7 +10,7 @@ from handover_marl.datasets.dataset import Scene
 from handover_marl.episode.callbacks import EpisodeCallback, PolicyDecision
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.referee import EpisodeStatus, ReleaseReason
-from handover_marl.episode.spaces import FULL_POINTCLOUD, RGBD, STATE, get_camera_data
+from handover_marl.episode.spaces import FULL_POINTCLOUD, RGBD, STATE, get_camera_data_kind
 from handover_marl.policies.policy import Policy
 from handover_marl.simulation.contacts import Points
 from handover_marl.simulation.world import JointSnapshot
@@ -115,7 +115,7 @@ class ReplayRecorder(EpisodeCallback):
     def on_decision(self, episode: Episode, decision: PolicyDecision) -> None:
         """Record the point clouds that the receiver observed."""
         obs_mode = STATE if self._receiver is None else self._receiver.obs_mode
-        if get_camera_data(obs_mode) is not None and decision.receiver_decided:
+        if get_camera_data_kind(obs_mode) is not None and decision.receiver_decided:
             points = (_subsample(cloud) for cloud in _observed_clouds(episode, obs_mode))
             self._clouds.append(RecordedCloud(episode.steps, episode.world.read_joint_snapshot(), *points))
 
@@ -158,7 +158,7 @@ class ReplayRecorder(EpisodeCallback):
 
 def _observed_clouds(episode: Episode, obs_mode: str) -> tuple[Points, Points]:
     """Return the points of object and hand that an observation mode has now, without rendering again."""
-    data = get_camera_data(obs_mode)
+    data = get_camera_data_kind(obs_mode)
     if data == RGBD:
         view = episode.capture_wrist_camera()
         return view.object_points, view.hand_points

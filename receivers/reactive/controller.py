@@ -71,8 +71,8 @@ class HandoverController:
         chosen = self._selector.chosen
         if chosen is None or not self._is_approaching:
             return None
-        grasp = self._selector.grasp_pose(chosen, self._scene.object)
-        return np.stack([self._selector.standoff_pose(grasp), grasp])
+        grasp = self._selector.compute_grasp_pose(chosen, self._scene.object)
+        return np.stack([self._selector.compute_standoff_pose(grasp), grasp])
 
     def step(self) -> Action:
         """Return the next action, nine target joint positions."""
@@ -107,7 +107,7 @@ class HandoverController:
             self.phase = ReactivePhase.REACH if self._approach_controller.is_near else ReactivePhase.APPROACH
             return result
         self.phase, self._phase_start = ReactivePhase.CLOSE, scene.time
-        self._closing_pose = self._selector.grasp_pose(result, scene.object)
+        self._closing_pose = self._selector.compute_grasp_pose(result, scene.object)
         self._closing_points = scene.person.reference_points
         return self._close(False)
 
@@ -130,7 +130,9 @@ class HandoverController:
         motion.servo.period = period
         pose = scene.person.predict_attached_pose(self._closing_points, self._closing_pose, period)
         goal, _ = motion.arm.solve(pose[None], scene.joints[None], IK_ITERATIONS)
-        following = motion.arm.velocity(scene.joints, scene.person.velocity, np.zeros(3), ROTATION_WEIGHT, period)
+        following = motion.arm.compute_joint_velocity(
+            scene.joints, scene.person.velocity, np.zeros(3), ROTATION_WEIGHT, period
+        )
         velocity = following + config.close_gain * (goal[0] - scene.joints)
         return motion.move_closed(velocity, config.close_acceleration)
 
@@ -154,7 +156,9 @@ class HandoverController:
             return motion.move_open(np.zeros(ARM_DOF))
         velocity = config.backout_speed * remaining / distance
         period = motion.servo.period
-        joint_velocity = motion.arm.velocity(scene.joints, velocity, np.zeros(3), _BACKOUT_ROTATION_WEIGHT, period)
+        joint_velocity = motion.arm.compute_joint_velocity(
+            scene.joints, velocity, np.zeros(3), _BACKOUT_ROTATION_WEIGHT, period
+        )
         return motion.move_open(joint_velocity)
 
     def _carry(self, retreat: RetreatController) -> Action:

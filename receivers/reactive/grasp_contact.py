@@ -64,7 +64,7 @@ def load_graspable_object(
     Raises:
         SimulationError: A model cannot be loaded.
     """
-    urdf, known = context.object_urdf(object_name), GraspLibrary(context.grasps).hand_poses_in_object(object_name)
+    urdf, known = context.object_urdf(object_name), GraspLibrary(context.grasps).get_hand_poses_in_object(object_name)
     grasps = (
         ValidatedGrasps(np.zeros((0, 7)), np.zeros(0)) if known is None else ValidatedGrasps(known, np.ones(len(known)))
     )

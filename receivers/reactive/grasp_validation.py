@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from handover_marl.assets.shipped import ValidationRecord, load_validation_record
 from handover_marl.execution.reading import read_plain_file
-from handover_marl.geometry.array_cache import cache_path, load_cached_arrays, save_cached_arrays
+from handover_marl.geometry.array_cache import get_cache_path, load_cached_arrays, save_cached_arrays
 from handover_marl.geometry.kinematic_tree import MAX_URDF_BYTES
 from handover_marl.geometry.panda import GRIPPER_FROM_HAND
 from handover_marl.geometry.poses import compose, invert_pose
@@ -70,7 +70,7 @@ def get_validation_record(
     Grasps without a stored record are validated in simulation, which takes up to minutes. Arguments
     and errors are those of `validate_grasps`.
     """
-    path = validation_record_path(object_urdf, panda_urdf, known, config)
+    path = get_validation_record_path(object_urdf, panda_urdf, known, config)
     shipped = load_validation_record(path.stem)
     if shipped is not None:
         return shipped
@@ -81,7 +81,9 @@ def get_validation_record(
     return _load_or_make(path, known, config, lambda: _release_grasps(object_urdf, panda_urdf, shaken, known, config))
 
 
-def validation_record_path(object_urdf: Path, panda_urdf: Path, known: Array, config: GraspPreparationConfig) -> Path:
+def get_validation_record_path(
+    object_urdf: Path, panda_urdf: Path, known: Array, config: GraspPreparationConfig
+) -> Path:
     """Return the path of a validation's cache file, whose stem also names a shipped record."""
     # The fingers of another robot have another mass and friction; the folder of its meshes has no
     # influence on the outcome.
@@ -120,7 +122,7 @@ def _shaking_key(config: GraspPreparationConfig) -> str:
 def _record_path(object_urdf: Path, key: str, known: Array, *more: bytes) -> Path:
     engine = "" if select_validation_engine() == "bullet" else f" {select_validation_engine()}"
     rounded = np.round(known, 6).astype(np.float32).tobytes()
-    return cache_path(_KIND, object_urdf, f"{_VERSION}{engine} {key}".encode(), rounded, *more)
+    return get_cache_path(_KIND, object_urdf, f"{_VERSION}{engine} {key}".encode(), rounded, *more)
 
 
 def _load_or_make(

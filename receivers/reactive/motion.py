@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from handover_marl.config import TABLE_HEIGHT, TIME_STEP
 from handover_marl.geometry.panda import CLOSED, OPEN
-from handover_marl.geometry.poses import IDENTITY, compose, rotation_angle, transform_points
+from handover_marl.geometry.poses import IDENTITY, compose, compute_rotation_angle, transform_points
 from handover_marl.planning.arm_control import ArmInWorld, ArmServo
 from handover_marl.planning.clearance import Spheres
 from handover_marl.planning.collision_avoidance import (
@@ -109,7 +109,7 @@ class MotionController:
         return self.servo.compute_goal_velocity(self.scene.joints, HOME)
 
     def _action(self, velocity: Array, fingers: float, acceleration: float | None) -> Action:
-        target = self.servo.command(self.scene.joints, self.servo.limit_speed(velocity), acceleration)
+        target = self.servo.compute_motor_targets(self.scene.joints, self.servo.limit_speed(velocity), acceleration)
         return np.array([*target, fingers, fingers], dtype=np.float32)
 
     def _separate(
@@ -161,7 +161,7 @@ class ApproachController:
             self.is_near = False
             return self._motion.retreat_home()
         config, scene = self._config, self._scene
-        error, factor = self._selector.grasp_error(goal, scene.object, scene.hand), scene.tolerance_factor
+        error, factor = self._selector.compute_grasp_error(goal, scene.object, scene.hand), scene.tolerance_factor
         # The fingers close along y and center what is between them, which tolerates more error there.
         axial, lateral, rotation = -float(error[2]), float(np.hypot(error[0], error[1] / factor)), _angle(error)
         max_lateral = config.straight_lateral if axial > config.commit_distance else config.commit_lateral
@@ -195,7 +195,7 @@ class ApproachController:
         """Return the grasp to approach: the previous one while the fingers are close to it."""
         config, scene, chosen = self._config, self._scene, self._selector.chosen
         if chosen is not None:
-            error = self._selector.grasp_error(chosen, scene.object, scene.hand)
+            error = self._selector.compute_grasp_error(chosen, scene.object, scene.hand)
             lateral = float(np.hypot(error[0], error[1]))
             is_close = -error[2] < config.commit_distance and lateral < config.commit_lateral
             if is_close and _angle(error) < config.commit_rotation:
@@ -228,7 +228,7 @@ class ApproachController:
         """Return the action towards an axial distance (m) from a grasp of the moving object."""
         config, scene, arm = self._config, self._scene, self._motion.arm
         back = np.array([0.0, 0.0, -depth, 0.0, 0.0, 0.0, 1.0])
-        pose = compose(self._selector.grasp_pose(goal, scene.object), back)
+        pose = compose(self._selector.compute_grasp_pose(goal, scene.object), back)
         # The seed is moved slightly towards the selected configuration: from the present one, joint
         # limits may be in the way, and to go there at once would swing the hand aside.
         share = depth / config.standoff
@@ -239,7 +239,7 @@ class ApproachController:
         velocity *= min(1.0, config.max_joint_speed / max(float(np.abs(velocity).max()), 1e-9))
         period = self._motion.servo.period
         linear, angular = scene.motion.predict_point_twist(pose[:3], period)
-        following = arm.velocity(scene.joints, linear, angular, ROTATION_WEIGHT, period)
+        following = arm.compute_joint_velocity(scene.joints, linear, angular, ROTATION_WEIGHT, period)
         return self._motion.approach(velocity + following)
 
     def _check_progress(self, remaining: float) -> None:
@@ -253,4 +253,4 @@ class ApproachController:
 
 def _angle(pose: Array) -> float:
     """Return the rotation angle (rad) of a pose (7,)."""
-    return rotation_angle(pose[3:], IDENTITY[3:])
+    return compute_rotation_angle(pose[3:], IDENTITY[3:])

@@ -80,11 +80,11 @@ class GraspReachability:
         standoffs, found = self._arm.solve(standoff_poses, np.repeat(seeds, count, axis=0), _STANDOFF_ITERATIONS)
         goals, is_goal_found = self._arm.solve(poses, standoffs, _GRASP_ITERATIONS)
         found &= is_goal_found & (np.abs(goals - standoffs).max(axis=1) < self._config.max_joint_change)
-        times = np.where(found, self.travel_times(standoffs, joints), np.inf).reshape(copies, count)
+        times = np.where(found, self.compute_travel_times(standoffs, joints), np.inf).reshape(copies, count)
         best = np.argmin(times, axis=0) * count + np.arange(count)
         return standoffs[best], goals[best], found[best]
 
-    def travel_times(self, standoffs: Array, joints: Array) -> Array:
+    def compute_travel_times(self, standoffs: Array, joints: Array) -> Array:
         """Return the travel times (n,) in s of the arm to standoff configurations.
 
         Args:
@@ -94,7 +94,7 @@ class GraspReachability:
         times: Array = (np.abs(standoffs - joints) / self._speeds).max(axis=1)
         return times
 
-    def limit_margin_costs(self, standoffs: Array, goals: Array) -> Array:
+    def compute_limit_margin_costs(self, standoffs: Array, goals: Array) -> Array:
         """Return the costs (n,) in s of grasps whose configurations are close to joint limits.
 
         Args:

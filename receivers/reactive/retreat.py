@@ -95,7 +95,7 @@ class RetreatController:
             return to_end
         rotation = (Rotation.from_quat(self._start[3:]) * Rotation.from_quat(hand[3:]).inv()).as_rotvec()
         linear, angular = self._speed * self._back, config.rotation_gain * rotation
-        out = self._arm.velocity(joints, linear, angular, config.rotation_weight, period)
+        out = self._arm.compute_joint_velocity(joints, linear, angular, config.rotation_weight, period)
         blended: Array = (1.0 - self._blend) * out + self._blend * to_end
         return blended
 
@@ -119,7 +119,7 @@ class RetreatController:
     def _solve_ends(self, joints: Array, hand: Array) -> tuple[Array, Array]:
         """Return configurations (n, 7) around the goal, and their costs (n,) by travel time (s)."""
         here = Rotation.from_quat(hand[3:])
-        home = (Rotation.from_quat(self._arm.hand(HOME)[3:]) * here.inv()).as_rotvec()
+        home = (Rotation.from_quat(self._arm.compute_hand_pose(HOME)[3:]) * here.inv()).as_rotvec()
         rotations = [(Rotation.from_rotvec(share * home) * here).as_quat() for share in _ROTATION_SHARES]
         positions = self._goal + self._config.goal_radius * np.concatenate([np.zeros((1, 3)), _DIRECTIONS])
         poses = np.array([[*position, *rotation] for position in positions for rotation in rotations])
@@ -137,7 +137,7 @@ class RetreatController:
         """Return whether the gripper keeps clear of the person's hand on the straight path."""
         if self._person is None:
             return True
-        hands = self._arm.hands(joints + np.array([0.0, *_CHECKED_SHARES])[:, None] * (goal - joints))
+        hands = self._arm.compute_hand_poses(joints + np.array([0.0, *_CHECKED_SHARES])[:, None] * (goal - joints))
         clearances = compute_grasp_clearances(hands, self._person)
         return bool(clearances[1:].min() > min(float(clearances[0]), self._config.desired_clearance))
 
@@ -146,7 +146,7 @@ class RetreatController:
         if self._obstacles is None:
             return True
         line, obstacles = joints + _OBSTACLE_SHARES[:, None] * (goal - joints), self._obstacles
-        hands = self._arm.hands(line)
+        hands = self._arm.compute_hand_poses(line)
         arm = compute_arm_clearances(self._arm, line, obstacles)
         if min(arm.min(), compute_open_gripper_clearances(hands, obstacles).min()) < 0.0:
             return False
@@ -157,7 +157,7 @@ class RetreatController:
     def _is_clear_of_arm(self, joints: Array, goal: Array) -> bool:
         """Return whether gripper and object keep clear of the arm itself on the straight path."""
         line = joints + _CHECKED_SHARES[:, None] * (goal - joints)
-        (links, _), hands = self._arm.frames(line), self._arm.hands(line)
+        (links, _), hands = self._arm.compute_link_frames(line), self._arm.compute_hand_poses(line)
         shares = np.linspace(0.0, 1.0, _SPHERES_PER_LINK)[:, None, None]
         for origins, hand in zip(links, hands, strict=True):
             base = np.array([*origins[0, :2], origins[0, 2] - _SHOULDER_HEIGHT])

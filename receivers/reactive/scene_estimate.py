@@ -53,11 +53,11 @@ class SceneEstimate(ABC):
         joints = observation["robot_joint_position"].astype(np.float64)
         self.time = round(float(observation["time"][0]), 3)
         self.joints, self.fingers = joints[:ARM_DOF], joints[ARM_DOF:]
-        self.hand = self._arm.hand(self.joints)
+        self.hand = self._arm.compute_hand_pose(self.joints)
 
     def set_obstacles(self, spheres: Spheres) -> None:
         """Set the other objects to the spheres in the world that are within reach of the arm."""
-        reachable = spheres.within(self._arm.base[:3], self.config.obstacle_reach)
+        reachable = spheres.select_within(self._arm.base[:3], self.config.obstacle_reach)
         self.obstacles = reachable if len(reachable.radii) else None
 
     @abstractmethod
@@ -88,7 +88,7 @@ class SceneEstimate(ABC):
             return self.time > config.no_hand_start
         if self.motion.lift_distance > config.min_lift:
             return True
-        is_near = person.distance(self.object[:3]) < config.hand_distance
+        is_near = person.compute_distance(self.object[:3]) < config.hand_distance
         is_beside = is_near and person.speed < config.prediction.rest_speed
         return is_beside and self.motion.rest_time > config.still_time and self.time > config.still_start
 

@@ -68,7 +68,7 @@ class GraspSelector:
     def __init__(self, arm: ArmInWorld, speeds: Array, config: ReactiveConfig) -> None:
         self._arm, self._speeds, self._config, self._receiver = arm, speeds, config.selection, config
         self._reachability = GraspReachability(arm, speeds, config.selection, config.approach.standoff)
-        self._home_rotation = Rotation.from_quat(arm.hand(HOME)[3:])
+        self._home_rotation = Rotation.from_quat(arm.compute_hand_pose(HOME)[3:])
         self.reset()
 
     def reset(self) -> None:
@@ -118,7 +118,7 @@ class GraspSelector:
         """
         config, hand = self._config, scene.person.spheres
         if self._poor_time > config.offset_delay and not self._has_offsets and self._object and hand is not None:
-            grasps, margins = find_offset_grasps(self._object, hand.in_frame(scene.object), self._receiver)
+            grasps, margins = find_offset_grasps(self._object, hand.transform_to_frame(scene.object), self._receiver)
             self._add(grasps, margins, config.offset_cost)
             self._has_offsets = True
         if self._has_offsets and self._batch > _MAX_BATCHES and self._batch % _RARE_SEARCH_PERIOD:
@@ -137,8 +137,8 @@ class GraspSelector:
         previous = None if self.chosen is None else self.chosen.standoff
         reach = self._reachability
         standoffs, goals, is_reached = reach.solve(world[numbers], scene.joints, previous, self._batch > 0)
-        costs = rough[numbers] + reach.travel_times(standoffs, scene.joints)
-        costs = costs + reach.limit_margin_costs(standoffs, goals)
+        costs = rough[numbers] + reach.compute_travel_times(standoffs, scene.joints)
+        costs = costs + reach.compute_limit_margin_costs(standoffs, goals)
         obstacles = PathObstacles(self._bodies(scene, handover_pose), TABLE_HEIGHT, config.path_clearance)
         costs[~(is_reached & reach.is_arm_clear(goals, obstacles.spheres))] += _FORBIDDEN
         old = None if self.chosen is None else int(np.flatnonzero(numbers == self.chosen.number)[0])
@@ -159,7 +159,7 @@ class GraspSelector:
         self.chosen = GraspGoal(number, standoffs[best], goals[best], via)
         return self.chosen
 
-    def grasp_pose(self, goal: GraspGoal, object_pose: Array) -> Array:
+    def compute_grasp_pose(self, goal: GraspGoal, object_pose: Array) -> Array:
         """Return the world pose (7,) of the hand link at a grasp of an object.
 
         Args:
@@ -169,11 +169,11 @@ class GraspSelector:
         pose: Array = compose(object_pose, self.grasps[goal.number])
         return pose
 
-    def standoff_pose(self, grasp_pose: Array) -> Array:
+    def compute_standoff_pose(self, grasp_pose: Array) -> Array:
         """Return the hand link's pose (7,) at the standoff of a grasp with a given pose (7,)."""
         return compose(grasp_pose, self._reachability.grasp_from_standoff)
 
-    def grasp_error(self, goal: GraspGoal, object_pose: Array, hand: Array) -> Array:
+    def compute_grasp_error(self, goal: GraspGoal, object_pose: Array, hand: Array) -> Array:
         """Return the hand link's pose (7,) in the frame of a grasp.
 
         Args:
@@ -181,7 +181,7 @@ class GraspSelector:
             object_pose: (7,) world pose of the object.
             hand: (7,) world pose of the hand link.
         """
-        pose: Array = compose(invert_pose(self.grasp_pose(goal, object_pose)), hand)
+        pose: Array = compose(invert_pose(self.compute_grasp_pose(goal, object_pose)), hand)
         return pose
 
     def _add(self, grasps: ValidatedGrasps, pad_margins: Array, cost: float) -> None:
@@ -208,7 +208,9 @@ class GraspSelector:
         hand = scene.person.spheres
         if hand is None:
             return np.full(len(self.grasps), _NO_HAND_CLEARANCE)
-        return compute_grasp_clearances(self.grasps, hand.in_frame(scene.object), self._receiver.approach.standoff)
+        return compute_grasp_clearances(
+            self.grasps, hand.transform_to_frame(scene.object), self._receiver.approach.standoff
+        )
 
     def _rough_costs(self, world: Array, clearances: Array, time: float) -> Array:
         """Return the costs (n,) in s that need no inverse kinematics."""
@@ -230,7 +232,7 @@ class GraspSelector:
         """Return the costs (n,) in s of the gripper's clearance to the other objects, 0 if none is near."""
         if scene.obstacles is None:
             return 0.0
-        near = scene.obstacles.within(handover_pose[:3], _GRIPPER_REACH)
+        near = scene.obstacles.select_within(handover_pose[:3], _GRIPPER_REACH)
         if not len(near.radii):
             return 0.0
         clearances = compute_grasp_clearances(world, near, self._receiver.approach.standoff)

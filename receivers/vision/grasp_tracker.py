@@ -78,7 +78,7 @@ class GraspTracker:
         is_moving = float(np.linalg.norm(self.position.velocity)) > self._config.rest_speed
         return self.position.velocity if is_moving else np.zeros(3)
 
-    def unseen_time(self, time: float) -> float:
+    def compute_unseen_time(self, time: float) -> float:
         """Return the time (s) since the last view of the object, infinite before the first view.
 
         Args:
@@ -110,7 +110,7 @@ class GraspTracker:
             self._update_maps(time, link, item, hand)
             self._set_candidates(np.zeros((0, 7)), np.zeros(0), time, config.far_gains)
             return
-        if self.unseen_time(time) > self.lost_timeout:
+        if self.compute_unseen_time(time) > self.lost_timeout:
             self._restart()
         self._seen_at = time
         velocity = Rotation.from_quat(link[3:]).inv().apply(self.position.velocity)

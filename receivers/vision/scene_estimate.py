@@ -88,7 +88,7 @@ class PointCloudSceneEstimate(SceneEstimate):
         if self.tracker.is_initialized:
             self.object = self.tracker.object_pose
             self.motion.update(self.time, self.object)
-        if self.obstacles is not None and self.tracker.unseen_time(self.time) == 0.0:
+        if self.obstacles is not None and self.tracker.compute_unseen_time(self.time) == 0.0:
             self._set_patience()
         if len(others):
             self._update_obstacles(others)
@@ -128,7 +128,7 @@ class PointCloudSceneEstimate(SceneEstimate):
     @property
     def is_lost(self) -> bool:
         """Whether the object has been out of sight for too long and must be searched for."""
-        return self.tracker.unseen_time(self.time) > self._search_timeout
+        return self.tracker.compute_unseen_time(self.time) > self._search_timeout
 
     @property
     def has_dropped(self) -> bool:

@@ -28,7 +28,7 @@ from handover_marl.episode.spaces import (
     SCENE_POINTCLOUD,
     STATE,
     check_obs_mode,
-    get_camera_data,
+    get_camera_data_kind,
     has_state,
 )
 from handover_marl.errors import OptionError, ResetNeededError, UnknownNameError
@@ -108,7 +108,7 @@ def test_unknown_observation_modes_are_refused(wrong: str) -> None:
 
 
 def test_parts_of_observation_modes() -> None:
-    assert [(has_state(mode), get_camera_data(mode)) for mode in OBS_MODES] == [
+    assert [(has_state(mode), get_camera_data_kind(mode)) for mode in OBS_MODES] == [
         (True, None),
         (True, POINTCLOUD),
         (False, POINTCLOUD),

@@ -21,20 +21,20 @@ def test_frames_are_those_of_the_model(seed: int) -> None:
     joints = random_joints(seed, 3)
     origins, rotations = TREE.compute_link_frames(np.concatenate([joints, np.full((3, 2), 0.04)], axis=1))
     numbers = [[joint.link for joint in TREE.joints].index(name) for name in ARM.link_names]
-    frames = ARM.frames(joints)
+    frames = ARM.compute_link_frames(joints)
     np.testing.assert_allclose(frames.origins.transpose(2, 0, 1), origins[:, numbers], atol=1e-12)
     np.testing.assert_allclose(frames.rotations.transpose(3, 0, 1, 2), rotations[:, numbers], atol=1e-12)
-    chain = ARM.chain(joints)
+    chain = ARM.compute_chain_frames(joints)
     np.testing.assert_array_equal(chain.origins, frames.origins[:8])
 
 
 @given(seeds)
 def test_jacobian_is_the_derivative(seed: int) -> None:
     joints, small = random_joints(seed, 2), 1e-6
-    jacobian = ARM.jacobian(ARM.chain(joints))
-    here = ARM.chain(joints)
+    jacobian = ARM.compute_jacobian(ARM.compute_chain_frames(joints))
+    here = ARM.compute_chain_frames(joints)
     for joint in range(7):
-        moved = ARM.chain(joints + small * np.eye(7)[joint])
+        moved = ARM.compute_chain_frames(joints + small * np.eye(7)[joint])
         way = compute_pose_error(
             here.origins[-1], here.rotations[-1], moved.origins[-1], moved.rotations[-1].transpose(2, 0, 1)
         )
@@ -42,7 +42,7 @@ def test_jacobian_is_the_derivative(seed: int) -> None:
 
 
 def test_body_points_move_with_their_links() -> None:
-    frames = ARM.frames(random_joints(0, 4))
+    frames = ARM.compute_link_frames(random_joints(0, 4))
     corners = [np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0]])] * 10
     points = transform_body_points(frames, corners)
     assert points.shape == (3, 20, 4)
@@ -54,11 +54,11 @@ def test_body_points_move_with_their_links() -> None:
 @given(seeds)
 def test_inverse_kinematics_comes_back(seed: int) -> None:
     joints = random_joints(seed, 8)
-    hand = ARM.chain(joints)
+    hand = ARM.compute_chain_frames(joints)
     near = np.clip(joints + np.random.default_rng(seed).uniform(-0.05, 0.05, joints.shape), *LIMITS)
     found, solved = solve_ik(ARM, hand.origins[-1].T, hand.rotations[-1].transpose(2, 0, 1), near, LIMITS, 1e-6, 100)
     assert solved.sum() >= 6  # one near a limit may be clamped off its way
-    again = ARM.chain(found[solved])
+    again = ARM.compute_chain_frames(found[solved])
     np.testing.assert_allclose(again.origins[-1], hand.origins[-1][:, solved], atol=2e-6)
     np.testing.assert_allclose(again.rotations[-1], hand.rotations[-1][..., solved], atol=4e-6)
     assert (found >= LIMITS[0]).all()

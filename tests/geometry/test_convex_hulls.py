@@ -4,13 +4,13 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handover_marl.geometry.meshes import convex_hull, extreme_points
+from handover_marl.geometry.meshes import compute_convex_hull, select_extreme_points
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(8, 400))
 def test_a_hull_of_few_points_hardly_shrinks(seed: int, n: int) -> None:
     points = np.random.default_rng(seed).normal(size=(n, 3))
-    kept = extreme_points(points, 64)
+    kept = select_extreme_points(points, 64)
     assert len(kept) <= 64
     assert {tuple(point) for point in kept} <= {tuple(point) for point in points}
     spread = np.ptp(points, axis=0)
@@ -20,7 +20,7 @@ def test_a_hull_of_few_points_hardly_shrinks(seed: int, n: int) -> None:
 @given(st.integers(0, 2**32 - 1), st.integers(4, 100))
 def test_a_hull_contains_all_points_and_faces_outwards(seed: int, n: int) -> None:
     points = np.random.default_rng(seed).normal(size=(n, 3))
-    corners, faces = convex_hull(points)
+    corners, faces = compute_convex_hull(points)
     first, second, third = (corners[faces[:, corner]] for corner in range(3))
     normals = np.cross(second - first, third - first)
     heights = np.einsum("fi,fni->fn", normals, points[None] - first[:, None])

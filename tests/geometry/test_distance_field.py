@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from handover_marl.assets.object_models import find_object_urdf
 from handover_marl.errors import DataFormatError
 from handover_marl.geometry import distance_field as field_module
-from handover_marl.geometry.array_cache import cache_folder
+from handover_marl.geometry.array_cache import get_cache_folder
 from handover_marl.geometry.distance_field import (
     CACHE_KIND,
     OUTSIDE_DISTANCE,
@@ -22,7 +22,7 @@ from handover_marl.geometry.distance_field import (
     sample_distance_field,
 )
 from handover_marl.geometry.meshes import read_collision_mesh
-from handover_marl.planning.trajectory_cost import proximity_cost, proximity_cost_gradient
+from handover_marl.planning.trajectory_cost import compute_proximity_cost, compute_proximity_gradient
 
 RADIUS, REACH = 0.05, 0.2
 MARGIN = 0.1
@@ -40,10 +40,10 @@ places = st.lists(st.floats(-0.19, 0.19), min_size=3, max_size=3).map(np.array)
 @given(places)
 def test_distances_and_slopes_of_a_ball(place: np.ndarray) -> None:
     points = place[:, None].astype(np.float32)
-    distance, slope = BALL.distances_and_gradients(points)
+    distance, slope = BALL.compute_distances_and_gradients(points)
     length = np.linalg.norm(place)
     assert distance[0] == pytest.approx(length - RADIUS, abs=2e-3)
-    assert BALL.distances(points)[0] == distance[0]
+    assert BALL.compute_distances(points)[0] == distance[0]
     if length > 0.02:
         np.testing.assert_allclose(slope[:, 0], place / length, atol=0.15)
 
@@ -54,17 +54,17 @@ def test_gradients_are_derivatives_of_the_interpolation(place: np.ndarray) -> No
     cells = (place + REACH) / 0.005
     place = (np.floor(cells) + 0.5) * 0.005 - REACH
     small = 1e-3
-    _, slope = BALL.distances_and_gradients(place[:, None].astype(np.float32))
+    _, slope = BALL.compute_distances_and_gradients(place[:, None].astype(np.float32))
     for axis in range(3):
         step = small * np.eye(3)[axis]
         ends = np.stack([place - step, place + step], axis=1).astype(np.float32)
-        below, above = BALL.distances(ends)
+        below, above = BALL.compute_distances(ends)
         assert slope[axis, 0] == pytest.approx((above - below) / (2 * small), abs=2e-3)
 
 
 def test_distance_outside_the_grid() -> None:
     points = np.array([[0.3, 0.0, 0.0], [0.0, -0.21, 0.0], [0.0, 0.0, 0.1]], dtype=np.float32).T
-    distance, slope = BALL.distances_and_gradients(points)
+    distance, slope = BALL.compute_distances_and_gradients(points)
     assert distance[:2].tolist() == [OUTSIDE_DISTANCE, OUTSIDE_DISTANCE]
     assert distance[2] < OUTSIDE_DISTANCE
     assert not slope[:, :2].any()
@@ -74,17 +74,17 @@ def test_distance_outside_the_grid() -> None:
 def test_cost_falls_to_nothing_and_its_derivative_is_right(distance: float, padding: float) -> None:
     small = 1e-5
     around = np.array([distance - small, distance, distance + small])
-    below, here, above = proximity_cost(around, padding)
+    below, here, above = compute_proximity_cost(around, padding)
     assert here >= 0.0
     assert (here == 0.0) == (distance >= padding)
-    assert proximity_cost_gradient(around, padding)[1] == pytest.approx((above - below) / (2 * small), abs=1e-3)
+    assert compute_proximity_gradient(around, padding)[1] == pytest.approx((above - below) / (2 * small), abs=1e-3)
 
 
 @pytest.fixture
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     field_module._load_object_sdf.cache_clear()
-    return cache_folder(CACHE_KIND)
+    return get_cache_folder(CACHE_KIND)
 
 
 def test_field_of_a_box(cache: Path, fake_data: Path) -> None:
@@ -96,7 +96,9 @@ def test_field_of_a_box(cache: Path, fake_data: Path) -> None:
     inside = np.minimum(points - low, high - points).min(axis=1)
     wanted = np.where(inside > 0.0, -inside, np.linalg.norm(outside, axis=1))
     # Between the grid's nodes edges come out rounded.
-    np.testing.assert_allclose(load_object_sdf(urdf, MARGIN).distances(points.T.astype(np.float32)), wanted, atol=3e-3)
+    np.testing.assert_allclose(
+        load_object_sdf(urdf, MARGIN).compute_distances(points.T.astype(np.float32)), wanted, atol=3e-3
+    )
 
 
 def test_a_truncated_cache_file_is_computed_again(cache: Path, caplog: pytest.LogCaptureFixture) -> None:

@@ -6,13 +6,13 @@ from scipy.spatial.transform import Rotation
 
 from handover_marl.geometry.poses import (
     compose,
+    compute_rotation_angle,
     inverse_transform_points,
     invert_pose,
+    multiply_quaternions,
     poses_from_matrices,
     quaternion_from_matrix,
-    quaternion_multiply,
     rotate_points,
-    rotation_angle,
 )
 
 COORDINATES = arrays(np.float64, 3, elements=st.floats(-10, 10))
@@ -25,7 +25,7 @@ def quaternion(vector: np.ndarray) -> np.ndarray:
 
 @given(ROTATION_VECTORS, ROTATION_VECTORS)
 def test_multiply_equals_scipy(first: np.ndarray, second: np.ndarray) -> None:
-    product = quaternion_multiply(quaternion(first), quaternion(second))
+    product = multiply_quaternions(quaternion(first), quaternion(second))
     expected = (Rotation.from_rotvec(first) * Rotation.from_rotvec(second)).as_matrix()
     np.testing.assert_allclose(Rotation.from_quat(product).as_matrix(), expected, atol=1e-12)
 
@@ -66,8 +66,8 @@ def test_matrix_to_quaternion_equals_scipy(vector: np.ndarray) -> None:
 def test_rotation_angle(vector: np.ndarray, angle: float) -> None:
     base = Rotation.from_rotvec(vector)
     turned = base * Rotation.from_rotvec([0.0, angle, 0.0])
-    assert abs(rotation_angle(base.as_quat(), turned.as_quat()) - angle) < 1e-6
-    assert abs(rotation_angle(base.as_quat(), -turned.as_quat()) - angle) < 1e-6
+    assert abs(compute_rotation_angle(base.as_quat(), turned.as_quat()) - angle) < 1e-6
+    assert abs(compute_rotation_angle(base.as_quat(), -turned.as_quat()) - angle) < 1e-6
 
 
 def test_broadcasting_and_dtype() -> None:

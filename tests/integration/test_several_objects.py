@@ -161,7 +161,7 @@ def planned_way(dataset: OfficialDataset, scene: Scene) -> np.ndarray:
     receiver.reset()
     receiver.act(seen)
     assert receiver.plan is not None
-    hand = receiver.arm.chain(receiver.plan.trajectory).origins[-1].T
+    hand = receiver.arm.compute_chain_frames(receiver.plan.trajectory).origins[-1].T
     return transform_points(receiver.world_from_base, hand)
 
 

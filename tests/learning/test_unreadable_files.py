@@ -15,7 +15,7 @@ import torch
 
 from handover_marl.errors import DataFormatError, HandoverError
 from handover_marl.learning.imitation.gaddpg.states import read_states
-from handover_marl.learning.imitation.vision.view_files import read_views, view_file
+from handover_marl.learning.imitation.vision.view_files import get_view_path, read_views
 from handover_marl.learning.networks.gaddpg_network import GaddpgNetwork
 from handover_marl.learning.networks.gaddpg_weights import read_gaddpg_checkpoint
 from handover_marl.learning.networks.weights import read_network_weights
@@ -33,7 +33,7 @@ READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
     "GA-DDPG": ("DDPG_actor_PandaYCBEnv_latest", lambda path: read_gaddpg_checkpoint(path.parent)),
     "checkpoint": ("checkpoint.pt", lambda path: read_checkpoint(path, print)),
     "states": ("states.npz", read_states),
-    "views": (view_file(Path(), 9).name, lambda path: read_views([9], path.parent)),
+    "views": (get_view_path(Path(), 9).name, lambda path: read_views([9], path.parent)),
 }
 
 

@@ -30,7 +30,7 @@ def sample_hull(vertices: np.ndarray, count: int) -> np.ndarray:
 def test_capsules_cover_the_collision_meshes(link: int) -> None:
     """The engine collides with the hulls of the collision meshes."""
     (vertices,) = read_link_vertices(URDF, "collision", [ARM.link_names[link]])
-    origins, rotations = IN_WORLD.frames(START[None])
+    origins, rotations = IN_WORLD.compute_link_frames(START[None])
     points = sample_hull(vertices, 400) @ rotations[0, link].T + origins[0, link]
     clearances = [
         compute_arm_clearances(IN_WORLD, START[None], Spheres(point[None], np.zeros(1)))[0] for point in points
@@ -59,8 +59,10 @@ def test_closest_point_matches_the_clearance(seed: int) -> None:
 @given(st.integers(0, 10_000))
 def test_link_frames(seed: int) -> None:
     joints = random_joints(seed, 2)
-    origins, rotations = IN_WORLD.frames(joints)
-    np.testing.assert_allclose(origins[:, 6] + 0.107 * rotations[:, 6, :, 2], IN_WORLD.hands(joints)[:, :3], atol=1e-6)
+    origins, rotations = IN_WORLD.compute_link_frames(joints)
+    np.testing.assert_allclose(
+        origins[:, 6] + 0.107 * rotations[:, 6, :, 2], IN_WORLD.compute_hand_poses(joints)[:, :3], atol=1e-6
+    )
     np.testing.assert_allclose(
         rotations @ rotations.swapaxes(-1, -2), np.broadcast_to(np.eye(3), rotations.shape), atol=1e-12
     )

@@ -30,16 +30,16 @@ def test_hand_pose_equals_the_simulation(arm: ArmInWorld) -> None:
     episode.advance(np.array(WAITING_JOINTS, dtype=np.float32), 500)
     observation = episode.observe()
     episode.close()
-    hand = arm.hand(observation["robot_joint_position"][:7].astype(np.float64))
+    hand = arm.compute_hand_pose(observation["robot_joint_position"][:7].astype(np.float64))
     np.testing.assert_allclose(hand[:3], observation["gripper_pose"][:3], atol=1e-5)
     assert abs(hand[3:] @ observation["gripper_pose"][3:]) == pytest.approx(1.0, abs=1e-6)
 
 
 def test_jacobian_equals_finite_differences(arm: ArmInWorld) -> None:
-    jacobian, step = arm.jacobian(JOINTS), 1e-6
-    before = arm.hand(JOINTS)
+    jacobian, step = arm.compute_jacobian(JOINTS), 1e-6
+    before = arm.compute_hand_pose(JOINTS)
     for joint in range(7):
-        after = arm.hand(JOINTS + step * np.eye(7)[joint])
+        after = arm.compute_hand_pose(JOINTS + step * np.eye(7)[joint])
         rotation = (Rotation.from_quat(after[3:]) * Rotation.from_quat(before[3:]).inv()).as_rotvec()
         np.testing.assert_allclose(jacobian[:3, joint], (after[:3] - before[:3]) / step, atol=1e-5)
         np.testing.assert_allclose(jacobian[3:, joint], rotation / step, atol=1e-5)
@@ -47,30 +47,30 @@ def test_jacobian_equals_finite_differences(arm: ArmInWorld) -> None:
 
 def test_inverse_kinematics_inverts_forward_kinematics(arm: ArmInWorld) -> None:
     targets = JOINTS + np.array([[0.0] * 7, [0.3, 0.1, 0.0, 0.2, 0.0, -0.2, 0.4]])
-    found, reached = arm.solve(arm.hands(targets), np.tile(JOINTS, (2, 1)), 20, 1e-6)
+    found, reached = arm.solve(arm.compute_hand_poses(targets), np.tile(JOINTS, (2, 1)), 20, 1e-6)
     assert reached.all()
-    np.testing.assert_allclose(arm.hands(found)[:, :3], arm.hands(targets)[:, :3], atol=1e-5)
+    np.testing.assert_allclose(arm.compute_hand_poses(found)[:, :3], arm.compute_hand_poses(targets)[:, :3], atol=1e-5)
 
 
 def test_link_frames_start_at_the_base(arm: ArmInWorld) -> None:
-    origins, rotations = (found[0] for found in arm.frames(JOINTS[None]))
+    origins, rotations = (found[0] for found in arm.compute_link_frames(JOINTS[None]))
     np.testing.assert_allclose(origins[0], [0.61, -0.5, 0.875 + 0.333], atol=1e-6)
-    np.testing.assert_allclose(origins[-1] + 0.107 * rotations[-1, :, 2], arm.hand(JOINTS)[:3], atol=1e-6)
+    np.testing.assert_allclose(origins[-1] + 0.107 * rotations[-1, :, 2], arm.compute_hand_pose(JOINTS)[:3], atol=1e-6)
 
 
 def test_velocity_moves_the_hand_as_wanted(arm: ArmInWorld) -> None:
     linear, angular = np.array([0.1, -0.2, 0.05]), np.array([0.2, 0.0, -0.1])
-    velocity = arm.velocity(JOINTS, linear, angular, 1.0, 0.05)
-    np.testing.assert_allclose(arm.jacobian(JOINTS) @ velocity, [*linear, *angular], atol=0.02)
+    velocity = arm.compute_joint_velocity(JOINTS, linear, angular, 1.0, 0.05)
+    np.testing.assert_allclose(arm.compute_jacobian(JOINTS) @ velocity, [*linear, *angular], atol=0.02)
 
 
 def test_velocity_respects_joint_limits(arm: ArmInWorld) -> None:
     joints = JOINTS.copy()
     linear = np.array([0.0, 0.3, 0.0])
-    free = arm.velocity(joints, linear, np.zeros(3), 0.1, 0.05)
+    free = arm.compute_joint_velocity(joints, linear, np.zeros(3), 0.1, 0.05)
     worst = int(np.argmax(np.abs(free)))
     joints[worst] = arm.limits[1][worst] if free[worst] > 0 else arm.limits[0][worst]
-    limited = arm.velocity(joints, linear, np.zeros(3), 0.1, 0.05)
+    limited = arm.compute_joint_velocity(joints, linear, np.zeros(3), 0.1, 0.05)
     after = joints + 0.05 * limited
     assert (after >= arm.limits[0] - 1e-9).all()
     assert (after <= arm.limits[1] + 1e-9).all()

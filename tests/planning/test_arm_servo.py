@@ -25,17 +25,17 @@ def simulate_motors(joints: np.ndarray, target: np.ndarray) -> np.ndarray:
 @given(vectors, vectors)
 def test_targets_compensate_for_the_lag(joints: np.ndarray, velocity: np.ndarray) -> None:
     arm = servo(max_acceleration=1e6)
-    target = arm.command(joints, velocity)
+    target = arm.compute_motor_targets(joints, velocity)
     np.testing.assert_allclose(simulate_motors(joints, target), joints + 0.05 * velocity, atol=1e-9)
 
 
 @given(vectors, vectors)
 def test_acceleration_is_limited(first: np.ndarray, second: np.ndarray) -> None:
     arm = servo(max_acceleration=10.0)
-    arm.command(np.zeros(7), first)
+    arm.compute_motor_targets(np.zeros(7), first)
     before = arm.velocity.copy()
     assert np.abs(before).max() <= 0.5 + 1e-9
-    arm.command(np.zeros(7), second)
+    arm.compute_motor_targets(np.zeros(7), second)
     assert np.abs(arm.velocity - before).max() <= 0.5 + 1e-9
     arm.reset()
     assert not arm.velocity.any()
@@ -56,7 +56,7 @@ def test_brakes_before_the_goal() -> None:
     errors = []
     for _ in range(60):
         velocity = arm.limit_speed(arm.compute_goal_velocity(joints, goal))
-        joints = simulate_motors(joints, arm.command(joints, velocity))
+        joints = simulate_motors(joints, arm.compute_motor_targets(joints, velocity))
         errors.append(goal - joints)
     assert np.abs(errors[-1]).max() < 1e-3
     # Little overshoot.
@@ -69,6 +69,8 @@ def test_uses_the_maximum_speed() -> None:
     joints, goal = np.zeros(7), np.array([2.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     steps = 0
     while goal[0] - joints[0] > 0.05 and steps < 100:
-        joints = simulate_motors(joints, arm.command(joints, arm.limit_speed(arm.compute_goal_velocity(joints, goal))))
+        joints = simulate_motors(
+            joints, arm.compute_motor_targets(joints, arm.limit_speed(arm.compute_goal_velocity(joints, goal)))
+        )
         steps += 1
     assert steps * 0.05 == pytest.approx(2.0 / 2.175, abs=0.35)

@@ -40,7 +40,7 @@ def test_tails_are_straight_and_end_at_the_grasps(goals: GoalSet) -> None:
     assert len(goals) > 5
     config = CONFIG.goals
     for step in range(config.n_tail):
-        chain = ARM.chain(goals.tails[:, step])
+        chain = ARM.compute_chain_frames(goals.tails[:, step])
         back = config.standoff / config.n_tail * (config.n_tail - 1 - step)
         wanted = grasps()[goals.grasps]
         axis = chain.rotations[-1][:, 2]
@@ -60,9 +60,9 @@ def test_goals_satisfy_all_limits(goals: GoalSet) -> None:
     for number, standoff in enumerate(goals.standoffs):
         others = np.delete(goals.standoffs, number, axis=0)
         assert np.linalg.norm(others - standoff, axis=1).min() >= CONFIG.goals.min_goal_distance
-    first = ARM.chain(START[None]).rotations[-1][..., 0]
+    first = ARM.compute_chain_frames(START[None]).rotations[-1][..., 0]
     for share in (1 / 6, 0.5, 5 / 6):
-        rotated = ARM.chain(START + share * (goals.goals - START)).rotations[-1].transpose(2, 0, 1)
+        rotated = ARM.compute_chain_frames(START + share * (goals.goals - START)).rotations[-1].transpose(2, 0, 1)
         angle = Rotation.from_matrix(rotated @ first.T).magnitude()
         assert angle.max() <= np.radians(120.0) + 1e-9
         assert rotated[:, 2, 0].min() >= -0.3

@@ -23,7 +23,7 @@ def test_capsule_distance_is_axis_distance_minus_radius(start: np.ndarray, end: 
     capsules = Capsules(start[None], end[None], np.array([0.1]))
     along = start + np.linspace(0.0, 1.0, 2001)[:, None] * (end - start)
     nearest = np.linalg.norm(along - point, axis=1).min()
-    assert capsules.distances(point[None])[0] == pytest.approx(nearest - 0.1, abs=1e-3)
+    assert capsules.compute_distances(point[None])[0] == pytest.approx(nearest - 0.1, abs=1e-3)
 
 
 def observe_resting_hand(scene_id: int) -> Observation:
@@ -47,7 +47,7 @@ def test_capsules_fill_the_simulated_hand(scene_id: int) -> None:
     vertices = read_link_vertices(urdf, "collision", [tree.joints[link].link for link in shaped])
     poses = tree.compute_link_poses(observation["hand_dof_position"][None], shaped)[0]
     surface = np.concatenate([transform_points(pose, points) for pose, points in zip(poses, vertices, strict=True)])
-    distances = capsules.distances(surface)
+    distances = capsules.compute_distances(surface)
     # The flesh beside the palm's bones lies outside; fingers match the capsules.
     assert np.quantile(distances, 0.9) < 0.012
     assert distances.min() > -0.02
@@ -56,7 +56,7 @@ def test_capsules_fill_the_simulated_hand(scene_id: int) -> None:
     tips = [index for index, link in enumerate(shaped) if not any(joint.parent == link for joint in tree.joints)]
     assert len(tips) == 5
     for index in tips:
-        assert capsules.distances(transform_points(poses[index], vertices[index])).max() < 0.0
+        assert capsules.compute_distances(transform_points(poses[index], vertices[index])).max() < 0.0
 
 
 def test_absent_hand_has_no_capsules() -> None:

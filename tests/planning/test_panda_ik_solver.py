@@ -6,7 +6,7 @@ import pytest
 from handover_marl.config import OFFICIAL_CONFIG
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.geometry.panda import WAITING_JOINTS
-from handover_marl.geometry.poses import IDENTITY, compose, rotation_angle
+from handover_marl.geometry.poses import IDENTITY, compose, compute_rotation_angle
 from handover_marl.planning.arm_control import ArmInWorld
 from handover_marl.planning.inverse_kinematics import PandaIkSolver
 from handover_marl.simulation.bullet.kinematics import BulletIKSolver, BulletIKStep
@@ -26,16 +26,16 @@ def sample_queries(seed: int, count: int) -> list[tuple[np.ndarray, np.ndarray]]
     """Return start joints, and hand poses of other joints near them."""
     rng = np.random.default_rng(seed)
     starts = START[:7] + rng.uniform(-0.3, 0.3, (count, 7))
-    return list(zip(starts, ARM.hands(starts + rng.uniform(-0.5, 0.5, (count, 7))), strict=True))
+    return list(zip(starts, ARM.compute_hand_poses(starts + rng.uniform(-0.5, 0.5, (count, 7))), strict=True))
 
 
 def test_solution_reaches_the_pose(own: PandaIkSolver) -> None:
     for start, pose in sample_queries(0, 30):
         arm = own.solve([*start, 0.04, 0.04], pose[:3], pose[3:])
         assert arm is not None
-        hand = ARM.hand(arm)
+        hand = ARM.compute_hand_pose(arm)
         assert np.linalg.norm(hand[:3] - pose[:3]) < 1e-3
-        assert rotation_angle(hand[3:], pose[3:]) < 0.1
+        assert compute_rotation_angle(hand[3:], pose[3:]) < 0.1
 
 
 def test_solutions_are_close_to_pybullet(own: PandaIkSolver) -> None:
@@ -55,7 +55,7 @@ def test_distant_solutions_are_close_to_pybullet(own: PandaIkSolver) -> None:
     """Solutions from far away depend on the steps: undamped Newton steps end elsewhere."""
     bullet, rng = BulletIKSolver(URDF, PANDA), np.random.default_rng(1)
     differences = []
-    for pose in ARM.hands(START[:7] + rng.uniform(-1.0, 1.0, (30, 7))):
+    for pose in ARM.compute_hand_poses(START[:7] + rng.uniform(-1.0, 1.0, (30, 7))):
         solutions = [solver.solve(START, pose[:3], pose[3:]) for solver in (own, bullet)]
         assert solutions[0] is not None
         assert solutions[1] is not None
@@ -79,8 +79,8 @@ def test_free_orientation(own: PandaIkSolver) -> None:
     goal = np.array([0.55, 0.05, 1.25])
     arm = own.solve(START, goal)
     assert arm is not None
-    assert np.linalg.norm(ARM.hand(arm)[:3] - goal) < 1e-3
-    assert rotation_angle(ARM.hand(arm)[3:], FORWARD) > 0.1
+    assert np.linalg.norm(ARM.compute_hand_pose(arm)[:3] - goal) < 1e-3
+    assert compute_rotation_angle(ARM.compute_hand_pose(arm)[3:], FORWARD) > 0.1
 
 
 def test_solutions_do_not_depend_on_earlier_queries(own: PandaIkSolver) -> None:
@@ -91,21 +91,23 @@ def test_solutions_do_not_depend_on_earlier_queries(own: PandaIkSolver) -> None:
 
 def test_single_step_reaches_a_near_pose(own: PandaIkSolver) -> None:
     bullet = BulletIKStep(URDF, PANDA)
-    here = ARM.hand(START[:7])
+    here = ARM.compute_hand_pose(START[:7])
     near = compose(here, np.array([0.02, -0.03, 0.04, 0.0, 0.05, 0.0, np.sqrt(1 - 0.05**2)]))
     found = own.solve_step(START, near[:3], near[3:])
     assert found.shape == bullet.solve_step(START, near[:3], near[3:]).shape
-    hand = ARM.hand(found[:7])
+    hand = ARM.compute_hand_pose(found[:7])
     assert np.linalg.norm(hand[:3] - near[:3]) < 2e-3
-    assert rotation_angle(hand[3:], near[3:]) < 0.02
+    assert compute_rotation_angle(hand[3:], near[3:]) < 0.02
     # It moves closer to a pose out of reach, as PyBullet does.
     far = here[:3] + np.array([0.0, 2.0, 0.0])
-    distances = [np.linalg.norm(ARM.hand(solver.solve_step(START, far)[:7])[:3] - far) for solver in (own, bullet)]
+    distances = [
+        np.linalg.norm(ARM.compute_hand_pose(solver.solve_step(START, far)[:7])[:3] - far) for solver in (own, bullet)
+    ]
     assert distances[0] == pytest.approx(distances[1], abs=0.1)
 
 
 def test_frame_conversion_equals_pybullet(own: PandaIkSolver) -> None:
-    bullet, pose = BulletIKStep(URDF, PANDA), ARM.hand(START[:7]).astype(np.float32)
+    bullet, pose = BulletIKStep(URDF, PANDA), ARM.compute_hand_pose(START[:7]).astype(np.float32)
     for found, expected in (
         (own.to_base_frame(pose), bullet.to_base_frame(pose)),
         (own.to_world_frame(own.to_base_frame(pose)), pose),

@@ -71,7 +71,7 @@ def test_cheapest_goal_is_selected() -> None:
 
 def test_goals_behind_an_obstacle_are_expensive() -> None:
     goals = START + np.array([[0.8], [-0.8]]) * np.eye(7)[0]
-    way = ARM.chain((START + 0.5 * np.eye(7)[0])[None])
+    way = ARM.compute_chain_frames((START + 0.5 * np.eye(7)[0])[None])
     cost = make_cost((make_sphere(way.origins[-1][:, 0], 0.05),))
     free = np.zeros((2, 30), dtype=bool)
     blocked, clear = cost.evaluate_lines(START, goals, 30, free)
@@ -79,7 +79,7 @@ def test_goals_behind_an_obstacle_are_expensive() -> None:
 
 
 def test_tails_have_no_cost_except_for_the_hand() -> None:
-    end = ARM.chain(GOAL[None]).origins[-1][:, 0]
+    end = ARM.compute_chain_frames(GOAL[None]).origins[-1][:, 0]
     goals, free = GOAL[None], np.zeros((1, 30), dtype=bool)
     charged = make_cost((make_sphere(end),)).evaluate_lines(START, goals, 30, free)
     free[:, -TAIL:] = True
@@ -98,12 +98,14 @@ def test_initial_trajectory_rests_at_both_ends() -> None:
 def test_smoothness_gradient_equals_finite_differences() -> None:
     optimizer = chomp(make_cost())
     path = random_joints(0, 30)
-    gradient = optimizer.smoothness_gradient(path)
+    gradient = optimizer.compute_smoothness_gradient(path)
     small = 1e-5
     for place in ((0, 0), (0, 6), (14, 3), (29, 5)):
         step = np.zeros_like(path)
         step[place] = small
-        slope = (optimizer.smoothness_cost(path + step) - optimizer.smoothness_cost(path - step)) / (2 * small)
+        slope = (optimizer.compute_smoothness_cost(path + step) - optimizer.compute_smoothness_cost(path - step)) / (
+            2 * small
+        )
         assert gradient[place] == pytest.approx(slope, rel=1e-5)
 
 
@@ -121,31 +123,31 @@ def test_step_projects_to_the_limits() -> None:
     # The start itself violates joint 2's padded limit by 0.05 rad.
     optimizer, tail = chomp(make_cost()), np.repeat(GOAL[None], TAIL, axis=0)
     path = make_initial_trajectory(START, GOAL, 30)
-    before = np.linalg.norm(optimizer.limit_violation(path))
-    after = np.linalg.norm(optimizer.limit_violation(optimizer.step(path, tail, 1)))
+    before = np.linalg.norm(optimizer.compute_limit_violation(path))
+    after = np.linalg.norm(optimizer.compute_limit_violation(optimizer.step(path, tail, 1)))
     assert before > 0.05
     assert after <= ChompConfig().limit_tolerance
 
 
 def test_steps_avoid_an_obstacle() -> None:
     path = make_initial_trajectory(START, GOAL, 30)
-    place = ARM.chain(path[12:13]).origins[-1][:, 0] + [0.0, 0.0, -0.15]
+    place = ARM.compute_chain_frames(path[12:13]).origins[-1][:, 0] + [0.0, 0.0, -0.15]
     optimizer = chomp(make_cost((make_sphere(place),)))
     tail = np.repeat(GOAL[None], TAIL, axis=0)
-    before = np.linalg.norm(ARM.chain(path).origins[-1] - place[:, None], axis=0).min()
+    before = np.linalg.norm(ARM.compute_chain_frames(path).origins[-1] - place[:, None], axis=0).min()
     for number in range(1, 15):
         path = optimizer.step(path, tail, number)
-    after = np.linalg.norm(ARM.chain(path).origins[-1] - place[:, None], axis=0).min()
+    after = np.linalg.norm(ARM.compute_chain_frames(path).origins[-1] - place[:, None], axis=0).min()
     assert after > before + 0.02
 
 
 def test_obstacle_gradient_is_orthogonal_to_the_motion() -> None:
     """The gradient is orthogonal to the motion of each point along its path."""
-    place = ARM.chain(START[None]).origins[-1][:, 0] + [0.0, 0.1, -0.05]
+    place = ARM.compute_chain_frames(START[None]).origins[-1][:, 0] + [0.0, 0.1, -0.05]
     cost = make_cost((make_sphere(place, 0.03),))
     step = 0.01 * np.eye(7)[0]
     path = START + np.arange(1, 31)[:, None] * step
-    gradient = cost.gradient(path, START, path[-1] + step)
+    gradient = cost.compute_gradient(path, START, path[-1] + step)
     assert np.isfinite(gradient).all()
     assert not gradient[-TAIL:].any()
     assert np.abs(gradient[0]).max() > 0.0
@@ -154,7 +156,7 @@ def test_obstacle_gradient_is_orthogonal_to_the_motion() -> None:
 
 
 def test_collisions_are_counted_by_pair() -> None:
-    hand = ARM.chain(GOAL[None]).origins[-1][:, 0]
+    hand = ARM.compute_chain_frames(GOAL[None]).origins[-1][:, 0]
     path = np.repeat(GOAL[None], 30, axis=0)
     pairs = make_cost((make_sphere(hand, 0.05),)).count_collisions(path, 0.01)
     assert pairs > 0

@@ -24,7 +24,7 @@ from tests.planning.robots import ARM, LIMITS, START
 
 CONFIG = SeparationConfig()
 IN_WORLD = ArmInWorld(ARM, np.array([0.61, -0.5, 0.875, 0.0, 0.0, 0.7071068, 0.7071068]), LIMITS)
-HAND = IN_WORLD.hand(START)
+HAND = IN_WORLD.compute_hand_pose(START)
 
 vectors = st.lists(st.floats(-1.0, 1.0), min_size=7, max_size=7).map(np.array)
 
@@ -40,7 +40,7 @@ def approach_speed(velocity: np.ndarray, body: MovingBody) -> float:
     """Return the rate at which the clearance decreases (m/s), by finite differences."""
     step = 1e-5
     clearances = [
-        find_closest_points(IN_WORLD.hand(START + duration * velocity), body.spheres).distance
+        find_closest_points(IN_WORLD.compute_hand_pose(START + duration * velocity), body.spheres).distance
         for duration in (0.0, step)
     ]
     return (clearances[0] - clearances[1]) / step
@@ -77,7 +77,7 @@ def test_leaving_only_requires_not_coming_closer() -> None:
 
 
 def test_forearm_keeps_clear() -> None:
-    origins, rotations = IN_WORLD.frames(START[None])
+    origins, rotations = IN_WORLD.compute_link_frames(START[None])
     cover = origins[0, 4] + rotations[0, 4] @ np.array([0.0, 0.16, -0.05])
     sphere = Spheres(cover[None], np.array([0.01]))
     before = find_closest_arm_points(IN_WORLD, START, sphere)[0].distance
@@ -88,7 +88,7 @@ def test_forearm_keeps_clear() -> None:
 
 def test_all_bodies_are_respected() -> None:
     """One sphere is in front of a fingertip, the other beside the forearm, both too close."""
-    origins, rotations = IN_WORLD.frames(START[None])
+    origins, rotations = IN_WORLD.compute_link_frames(START[None])
     cover = origins[0, 4] + rotations[0, 4] @ np.array([0.0, 0.15, -0.05])
     bodies = [MovingBody(Spheres(cover[None], np.array([0.01])), np.zeros(3), 0.03), make_body(0.01, 0.03)]
     found = enforce_separation(np.array([0.5, 0.5, -0.5, 0.5, 0.5, 0.5, 0.5]), IN_WORLD, START, bodies, CONFIG)
@@ -101,7 +101,7 @@ def test_all_bodies_are_respected() -> None:
 
 def test_first_safe_velocity_is_selected() -> None:
     body = make_body(0.05, 0.03)
-    towards = np.linalg.pinv(IN_WORLD.jacobian(START)[:3]) @ (
+    towards = np.linalg.pinv(IN_WORLD.compute_jacobian(START)[:3]) @ (
         transform_points(HAND, np.array([0.0, 0.0, 1.0])) - HAND[:3]
     )
     wanted = np.array([1.0, 0.5, 0.2, 0.0])[:, None] * towards

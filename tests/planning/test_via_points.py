@@ -18,7 +18,7 @@ NO_CANDIDATES = np.zeros((0, 7))
 
 def blocking_sphere() -> Spheres:
     """Return a sphere at the hand's position in the middle of the path."""
-    return Spheres(ARM_.hand(START)[None, :3], np.array([0.05]))
+    return Spheres(ARM_.compute_hand_pose(START)[None, :3], np.array([0.05]))
 
 
 def obstacles(bodies: Spheres) -> PathObstacles:
@@ -65,5 +65,5 @@ def test_fastest_candidate_is_selected() -> None:
 
 def test_colliding_goal_has_no_via_point() -> None:
     """No path is clear if the goal collides."""
-    blocked = Spheres(ARM_.hand(RIGHT)[None, :3], np.array([0.05]))
+    blocked = Spheres(ARM_.compute_hand_pose(RIGHT)[None, :3], np.array([0.05]))
     assert find_via_point(ARM_, LEFT, RIGHT, START[None], SPEEDS, obstacles(blocked), 24) is None

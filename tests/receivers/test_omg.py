@@ -102,7 +102,7 @@ def test_retreat_is_straight(handover_observation: Observation) -> None:
     receiver.act(observe_at(handover_observation, 3000))
     actions = [receiver.act(observe_at(handover_observation, 7400 + 130 * number)) for number in range(40)]
     path = np.array([action[:7] for action in actions], dtype=np.float64)
-    points = transform_points(receiver.world_from_base, receiver.arm.chain(path).origins[-1].T)
+    points = transform_points(receiver.world_from_base, receiver.arm.compute_chain_frames(path).origins[-1].T)
     # The observation does not change, so the line starts at the hand's position at 3 s.
     start, goal = (
         handover_observation["gripper_pose"][:3].astype(np.float64),

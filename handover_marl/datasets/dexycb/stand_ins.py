@@ -33,7 +33,7 @@ from handover_marl.execution.archives import read_members
 from handover_marl.execution.pool import PoolConfig
 from handover_marl.execution.reading import read_plain_file
 from handover_marl.execution.tasks import map_with_progress
-from handover_marl.geometry.meshes import convex_hull, extreme_points
+from handover_marl.geometry.meshes import compute_convex_hull, select_extreme_points
 from handover_marl.geometry.obj_files import format_obj, read_obj
 from handover_marl.geometry.panda import PANDA_CAMERA
 from handover_marl.geometry.ycb import CLASS_NAMES
@@ -201,14 +201,16 @@ def decompose_convex(model: Path) -> str:
             corners = _reduce_corners(np.asarray(points, dtype=np.float64))
         except QhullError:  # a part without volume
             continue
-        texts.append(f"o convex_{number}\n{format_obj(corners, convex_hull(corners)[1], first)}")
+        texts.append(f"o convex_{number}\n{format_obj(corners, compute_convex_hull(corners)[1], first)}")
         first += len(corners)
     return "".join(texts)
 
 
 def _reduce_corners(points: Array) -> Array:
     """Return at most 64 corners of a part's hull; CoACD's own reduction cuts off millimetres."""
-    return convex_hull(np.round(extreme_points(convex_hull(points)[0], _MAX_CORNERS), 6) + 0.0)[0]
+    return compute_convex_hull(np.round(select_extreme_points(compute_convex_hull(points)[0], _MAX_CORNERS), 6) + 0.0)[
+        0
+    ]
 
 
 def _write_grasps(assets: Path) -> None:

@@ -14,7 +14,7 @@ from handover_marl.geometry.panda import (
     MAX_RANKED_GRASPS,
     PREFERRED_HAND_POSE,
     RANKING_STANDOFF,
-    pose_distance,
+    compute_pose_distances,
 )
 from handover_marl.geometry.poses import compose, poses_from_matrices, transform_points
 
@@ -55,7 +55,7 @@ def compute_free_grasp_share(world_from_object: Array, hand_points: Array, grasp
     hand = np.concatenate([hand_points, palm])
     world_from_hand = compose(world_from_object, grasps)
     standoffs = compose(world_from_hand, np.array(RANKING_STANDOFF))
-    order = np.argsort(pose_distance(PREFERRED_HAND_POSE, standoffs), kind="stable")
+    order = np.argsort(compute_pose_distances(PREFERRED_HAND_POSE, standoffs), kind="stable")
     points = _make_gripper_points()
     gripper = np.stack([transform_points(pose, points) for pose in world_from_hand[order[:MAX_RANKED_GRASPS]]])
     distances = np.linalg.norm(gripper[:, :, None] - hand, axis=-1).min(axis=(1, 2))

@@ -5,7 +5,7 @@ from typing import Literal, overload
 from typing_extensions import Unpack
 
 from handover_marl.datasets.splits import check_setup_and_split
-from handover_marl.episode.spaces import STATE, check_obs_mode, get_camera_data
+from handover_marl.episode.spaces import STATE, check_obs_mode, get_camera_data_kind
 from handover_marl.errors import OptionError, check_name
 from handover_marl.evaluation.benchmark import Evaluation
 from handover_marl.evaluation.config import REPLAY, EvaluationConfig, EvaluationOptions, ExecutionConfig, build_configs
@@ -113,7 +113,7 @@ def demonstrate(
     if execution.folder is None:
         raise OptionError("demonstrations need an output folder; pass out= (--out DIR)")
     recording = RecordingConfig(obs_mode, keep == SUCCESS, _check_format(format, fps, execution))
-    resolve_renderer(config.camera.renderer, config.physics, installed=get_camera_data(obs_mode) is not None)
+    resolve_renderer(config.camera.renderer, config.physics, installed=get_camera_data_kind(obs_mode) is not None)
     evaluation = Evaluation(config, execution, recording.describe(config))
     if recording.fps:
         with open_lerobot_writer(execution.folder, evaluation.config, recording, execution.fresh) as lerobot_writer:

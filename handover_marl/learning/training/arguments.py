@@ -7,7 +7,7 @@ from typing_extensions import Self
 
 from handover_marl.envs.config import EnvConfig
 from handover_marl.envs.rewards import make_reward_config
-from handover_marl.learning.training.run_folder import training_scenes
+from handover_marl.learning.training.run_folder import select_training_scenes
 from handover_marl.learning.training.scene_arguments import SetupArgs
 from handover_marl.simulation.engines import MUJOCO
 
@@ -72,7 +72,7 @@ class TrainingArgs(SetupArgs):
             physics=self.physics,
             control_period=self.control_period,
             rewards=replace(make_reward_config(self.rewards), gamma=self.discount),
-            scenes=training_scenes(self.open_dataset().list_scenes(self.setup, "train")),
+            scenes=select_training_scenes(self.open_dataset().list_scenes(self.setup, "train")),
             max_cycles=self.max_cycles,
         )
 

@@ -1,7 +1,7 @@
 """Handover as a BenchMARL task, for all its algorithms. Needs the extra `benchmarl`.
 
 Example:
-    Experiment(HandoverTask.TAKE.get_task(task_config(args)), MappoConfig.get_from_yaml(), ...)
+    Experiment(HandoverTask.TAKE.get_task(make_task_config(args)), MappoConfig.get_from_yaml(), ...)
 """
 
 from collections.abc import Callable
@@ -17,7 +17,7 @@ from handover_marl.learning.training.arguments import PairArgs
 from handover_marl.learning.training.environments import make_pair_env
 
 
-def task_config(args: PairArgs) -> dict[str, Any]:
+def make_task_config(args: PairArgs) -> dict[str, Any]:
     """Return the configuration of the BenchMARL task for training arguments.
 
     Args:
@@ -32,7 +32,7 @@ def task_config(args: PairArgs) -> dict[str, Any]:
 class HandoverTaskClass(PettingZooClass):  # type: ignore[misc]
     """BenchMARL task with two groups of one agent, giver and receiver, with vector observations.
 
-    `task_config` makes its configuration. Centralized critics observe the environment's state.
+    `make_task_config` makes its configuration. Centralized critics observe the environment's state.
     """
 
     def get_env_fun(

@@ -30,7 +30,7 @@ def make_pair_vector_env(args: PairArgs) -> ParallelVectorEnv:
     return vector_env(args.envs, None, features=features, schemes=schemes, autoreset="same_step", config=config)
 
 
-def frozen_env_factory(args: PpoArgs, agent: str, partner: str) -> Callable[[], EncodedEnv]:
+def make_frozen_env_factory(args: PpoArgs, agent: str, partner: str) -> Callable[[], EncodedEnv]:
     """Return a picklable function that makes the environment of one learning agent.
 
     Args:
@@ -41,7 +41,7 @@ def frozen_env_factory(args: PpoArgs, agent: str, partner: str) -> Callable[[], 
     return functools.partial(_make_frozen_env, args, agent, partner, args.make_env_config())
 
 
-def frozen_vector_env_factory(args: PpoArgs, agent: str, partner: str) -> Callable[[int], HandoverVectorEnv]:
+def make_frozen_vector_env_factory(args: PpoArgs, agent: str, partner: str) -> Callable[[int], HandoverVectorEnv]:
     """Return a picklable function that makes a given number of environments of one learning agent.
 
     They reset in the step that ends an episode.

@@ -52,12 +52,12 @@ _RENAMED_ARGUMENTS = {
 }
 
 
-def training_scenes(scene_ids: Sequence[int]) -> tuple[int, ...]:
+def select_training_scenes(scene_ids: Sequence[int]) -> tuple[int, ...]:
     """Return the scenes of a training split that are used for training: all but every tenth."""
     return tuple(scene for number, scene in enumerate(scene_ids) if number % _HELD_OUT)
 
 
-def held_out_scenes(scene_ids: Sequence[int]) -> tuple[int, ...]:
+def select_held_out_scenes(scene_ids: Sequence[int]) -> tuple[int, ...]:
     """Return the held-out scenes of a training split: every tenth."""
     return tuple(scene_ids[::_HELD_OUT])
 

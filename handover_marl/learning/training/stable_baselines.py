@@ -22,7 +22,7 @@ from handover_marl.learning.foreign_policies import dense_network_from_state
 from handover_marl.learning.policy_spec import DenseNetwork
 from handover_marl.learning.training.arguments import PpoArgs
 from handover_marl.learning.training.batch_vec_env import BatchVecEnv
-from handover_marl.learning.training.environments import frozen_env_factory, frozen_vector_env_factory
+from handover_marl.learning.training.environments import make_frozen_env_factory, make_frozen_vector_env_factory
 from handover_marl.learning.training.run_folder import read_checkpoint, write_checkpoint
 from handover_marl.learning.training.training_run import TrainingRun
 from handover_marl.simulation.engines import MUJOCO
@@ -41,9 +41,9 @@ def make_vec_env(args: PpoArgs, agent: str, partner: str) -> VecEnv:
     """
     envs: VecEnv
     if args.physics == MUJOCO:
-        envs = BatchVecEnv(args.n_envs, count_available_cores(), frozen_vector_env_factory(args, agent, partner))
+        envs = BatchVecEnv(args.n_envs, count_available_cores(), make_frozen_vector_env_factory(args, agent, partner))
     else:
-        make = frozen_env_factory(args, agent, partner)
+        make = make_frozen_env_factory(args, agent, partner)
         envs = SubprocVecEnv([lambda: SingleAgentEnv(make())] * args.n_envs)
     envs = VecMonitor(envs)
     envs.seed(args.seed)

@@ -63,7 +63,7 @@ class TrainingRun:
         """
         return steps >= self._args.steps or self.is_out_of_time
 
-    def policy_path(self, agent: str) -> Path:
+    def get_policy_path(self, agent: str) -> Path:
         """Return the path of an agent's policy file."""
         return self.folder.path / (POLICY if len(self._encodings) == 1 else f"{agent}.npz")
 
@@ -98,8 +98,8 @@ class TrainingRun:
         self._next_evaluation = steps - steps % interval + interval
         for agent, network in networks.items():
             spec = PolicySpec(agent, *self._encodings[agent], self._args.control_period, self._origin)
-            write_policy(self.policy_path(agent), spec, network)
-        policies = self._partners | {agent: f"learned:{self.policy_path(agent)}" for agent in networks}
+            write_policy(self.get_policy_path(agent), spec, network)
+        policies = self._partners | {agent: f"learned:{self.get_policy_path(agent)}" for agent in networks}
         config = replace(self._config, **policies)  # type: ignore[arg-type]
         report = evaluate_pair(config, execution=ExecutionConfig(progress=False))
         partner = ", ".join(self._partners.values()) or "each other"

@@ -12,8 +12,8 @@ import numpy.typing as npt
 
 from handover_marl.config import MotorConfig
 from handover_marl.errors import SimulationError
-from handover_marl.geometry.poses import IDENTITY, quaternion_multiply, transform_points
-from handover_marl.simulation.bullet.client import BulletClient, float32_list, load_urdf
+from handover_marl.geometry.poses import IDENTITY, multiply_quaternions, transform_points
+from handover_marl.simulation.bullet.client import BulletClient, load_urdf, to_float32_list
 
 # Fields of PyBullet's joint info.
 _JOINT_TYPE, _LINK_NAME = 2, 12
@@ -30,7 +30,7 @@ def reset_base(client: BulletClient, body_id: int, world_from_base: npt.ArrayLik
     offset = np.concatenate(client.getDynamicsInfo(body_id, -1)[INERTIAL_POSE])
     position, orientation = pose[:3], pose[3:]
     if not np.array_equal(offset, IDENTITY):
-        position, orientation = transform_points(pose, offset[:3]), quaternion_multiply(orientation, offset[3:])
+        position, orientation = transform_points(pose, offset[:3]), multiply_quaternions(orientation, offset[3:])
     client.resetBasePositionAndOrientation(body_id, position.tolist(), orientation.tolist())
 
 
@@ -112,9 +112,9 @@ class ArticulatedBody:
                 "check its URDF"
             )
         self._link_names = {info[_LINK_NAME].decode(): joint for joint, info in enumerate(infos)}
-        self._position_gains = float32_list([motor.position_gain for motor in motors])
-        self._velocity_gains = float32_list([motor.velocity_gain for motor in motors])
-        self._forces = float32_list([motor.force for motor in motors])
+        self._position_gains = to_float32_list([motor.position_gain for motor in motors])
+        self._velocity_gains = to_float32_list([motor.velocity_gain for motor in motors])
+        self._forces = to_float32_list([motor.force for motor in motors])
         self._target: list[float] | None = None
         reset_base(client, self.id, start.base)
         self.reset_joints(start.joints, start.velocities)

@@ -215,7 +215,7 @@ def _check_meshes(urdf: Path, changed: int) -> None:
             check_mesh(mesh)
 
 
-def float32_list(values: Sequence[float]) -> list[float]:
+def to_float32_list(values: Sequence[float]) -> list[float]:
     """Round values to float32 and return them as Python floats.
 
     HandoverSim passes all targets, gains and poses as float32, so equal results need the same bits.

@@ -13,7 +13,7 @@ from handover_marl.config import ARM_DOF, HandConfig, PandaConfig
 from handover_marl.geometry.arm import ReachabilityBound
 from handover_marl.geometry.kinematic_tree import BoundingSphere, read_tree
 from handover_marl.geometry.panda import HAND_LINK
-from handover_marl.geometry.poses import IDENTITY, compose, invert_pose, rotation_angle
+from handover_marl.geometry.poses import IDENTITY, compose, compute_rotation_angle, invert_pose
 from handover_marl.simulation.bullet.bodies import HandBody, PandaBody
 from handover_marl.simulation.bullet.body import INERTIAL_POSE, reset_base
 from handover_marl.simulation.bullet.client import connect, load_urdf
@@ -131,7 +131,7 @@ class BulletIKSolver:
             self._reset_arm(joints)
             hand = self._read_hand_pose()
             if np.linalg.norm(hand[:3] - target) < _POSITION_TOLERANCE and (
-                orientation is None or rotation_angle(hand[3:], orientation) < _ANGLE_TOLERANCE
+                orientation is None or compute_rotation_angle(hand[3:], orientation) < _ANGLE_TOLERANCE
             ):
                 return np.array(joints[:ARM_DOF])
         return None

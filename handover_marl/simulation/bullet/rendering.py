@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from handover_marl.config import CameraConfig, PhysicsConfig
 from handover_marl.datasets.dataset import Scene
-from handover_marl.geometry.poses import quaternion_multiply
+from handover_marl.geometry.poses import multiply_quaternions
 from handover_marl.simulation.bullet.bodies import HandBody, ObjectBody, PandaBody, load_workcell
 from handover_marl.simulation.bullet.body import InitialState
 from handover_marl.simulation.bullet.client import BulletClient, connect
@@ -22,7 +22,7 @@ from handover_marl.simulation.camera.frames import (
     NEAR,
     CameraImage,
     SegmentationLabel,
-    metric_depth,
+    depth_from_buffer,
 )
 from handover_marl.simulation.world import JointSnapshot
 
@@ -74,7 +74,7 @@ def render_wrist_camera(
     shape = (height, width)
     rgba = np.asarray(pixels, dtype=np.uint8).reshape(*shape, 4) if color else None
     return CameraImage(
-        depth=metric_depth(np.array(buffer, dtype=np.float32).reshape(shape)),
+        depth=depth_from_buffer(np.array(buffer, dtype=np.float32).reshape(shape)),
         segmentation=_label_pixels(np.asarray(numbers).reshape(shape), labels),
         rgb=None if rgba is None else rgba[..., :3].copy(),
     )
@@ -102,7 +102,7 @@ def _label_pixels(numbers: npt.NDArray[np.int32], labels: Mapping[int, Segmentat
 
 def _compute_view_matrix(client: BulletClient, world_from_link: npt.NDArray[np.float32]) -> list[float]:
     """Return the wrist camera's OpenGL view matrix, column by column, rounded as in HandoverSim."""
-    turn = quaternion_multiply(world_from_link[3:], _LINK_FROM_VIEW)
+    turn = multiply_quaternions(world_from_link[3:], _LINK_FROM_VIEW)
     axes = np.array(client.getMatrixFromQuaternion(turn.tolist()), dtype=np.float32).reshape(3, 3)
     x, y, z = world_from_link[:3]
     matrix = np.eye(4, dtype=np.float32)

@@ -110,7 +110,7 @@ def deproject(depth: Array, mask: npt.NDArray[np.bool_], camera_model: str = HAN
     return points
 
 
-def metric_depth(buffer: Array) -> Array:
+def depth_from_buffer(buffer: Array) -> Array:
     """Convert an OpenGL depth buffer to depth along the viewing axis (m).
 
     The float32 operations are HandoverSim's.

@@ -18,14 +18,14 @@ from handover_marl.simulation.mujoco.collision_shapes import load_link_parts, se
 from handover_marl.simulation.mujoco.engine import TUNING, XYZW, MujocoTuning, wxyz_from_xyzw
 from handover_marl.simulation.mujoco.scene_spec import (
     SceneModelBuilder,
-    object_name,
+    format_object_name,
+    format_rotation_reference_name,
     read_object_friction,
-    rotation_reference_name,
 )
 
 Array = npt.NDArray[np.float64]
 
-_OBJECT = object_name(0)
+_OBJECT = format_object_name(0)
 
 
 class GripperModelBuilder(SceneModelBuilder):
@@ -93,7 +93,7 @@ class MujocoGraspValidator(GraspValidator):
         self._fingers = [model.body(name).id for name in FINGER_LINKS]
         self._finger_qpos = [model.joint(name).qposadr[0] for name in FINGER_LINKS]
         self._free_qpos = model.joint(_OBJECT).qposadr[0]
-        self._mocap = [model.body(name).mocapid[0] for name in (HAND_LINK, rotation_reference_name(0))]
+        self._mocap = [model.body(name).mocapid[0] for name in (HAND_LINK, format_rotation_reference_name(0))]
         self._actuators = [model.actuator(f"{_OBJECT}/{axis}").id for axis in range(OBJECT_DOF)]
         self._finger_actuators = [model.actuator(name).id for name in FINGER_LINKS]
         self._force_ranges = model.actuator_forcerange[self._actuators].copy()

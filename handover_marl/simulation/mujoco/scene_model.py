@@ -23,10 +23,10 @@ from handover_marl.simulation.mujoco.distances import find_never_colliding_pairs
 from handover_marl.simulation.mujoco.engine import TUNING, ModelVariants, MujocoTuning
 from handover_marl.simulation.mujoco.scene_spec import (
     SceneModelBuilder,
-    hand_name,
-    object_name,
+    format_hand_name,
+    format_object_name,
+    format_rotation_reference_name,
     read_object_friction,
-    rotation_reference_name,
 )
 
 Index = npt.NDArray[np.int32]
@@ -129,11 +129,11 @@ def _load(assets: SceneAssets, mtimes: tuple[_Mtimes, ...], config: PhysicsConfi
     joints = [joint.link for joint in read_tree(assets.panda).joints if joint.kind != "fixed"]
     if len(joints) != PANDA_DOF:
         raise SimulationError(f"{assets.panda} has {len(joints)} moving joints, expected {PANDA_DOF}; check its URDF")
-    objects = [object_name(number) for number in range(len(assets.objects))]
-    hands = [model.body(hand_name(number)).id for number in range(len(built.hand_links))]
+    objects = [format_object_name(number) for number in range(len(assets.objects))]
+    hands = [model.body(format_hand_name(number)).id for number in range(len(built.hand_links))]
     object_ctrl = _as_slice(model.actuator(f"{name}/{axis}").id for name in objects for axis in range(OBJECT_DOF))
     object_qpos = _as_slice(model.joint(name).qposadr[0] + place for name in objects for place in range(7))
-    references = (rotation_reference_name(number) for number in range(len(objects)))
+    references = (format_rotation_reference_name(number) for number in range(len(objects)))
     return SceneModel(
         model=model,
         variants=ModelVariants(model, model.body(objects[0]).id, object_ctrl.start, hands),

@@ -50,17 +50,17 @@ class _ContactParameters:
     priority: int = 0
 
 
-def object_name(number: int) -> str:
+def format_object_name(number: int) -> str:
     """Return the MuJoCo body name of an object by number; number 0 is the target object."""
     return f"object{number}"
 
 
-def rotation_reference_name(number: int) -> str:
+def format_rotation_reference_name(number: int) -> str:
     """Return the name of the mocap body that holds an object's target orientation."""
     return f"guide{number}"
 
 
-def hand_name(number: int) -> str:
+def format_hand_name(number: int) -> str:
     """Return the MuJoCo body name of a part of the human hand by number."""
     return f"hand{number}"
 
@@ -132,8 +132,8 @@ class SceneModelBuilder:
         for number, urdf in enumerate(objects):
             self._add_object(number, urdf)
         self.hand_links = self._add_hand(hand)
-        hands = [hand_name(number) for number in range(len(self.hand_links))]
-        target, *others = (object_name(number) for number in range(len(objects)))
+        hands = [format_hand_name(number) for number in range(len(self.hand_links))]
+        target, *others = (format_object_name(number) for number in range(len(objects)))
         add_contact_sensors(self.spec, ROBOT_BASE, HAND_LINK, FINGER_LINKS, target, hands, others, [TABLE])
 
     def _add_ground(self) -> None:
@@ -201,7 +201,7 @@ class SceneModelBuilder:
             actuator.ctrllimited, actuator.ctrlrange = True, link.limits
 
     def _add_object(self, number: int, urdf: Path) -> None:
-        tree, name, reference = read_tree(urdf), object_name(number), rotation_reference_name(number)
+        tree, name, reference = read_tree(urdf), format_object_name(number), format_rotation_reference_name(number)
         # The last link but the base carries the mass and all shapes.
         link = read_urdf_links(urdf, tree)[-2]
         parts = load_convex_parts(read_urdf_shapes(urdf, tree, "collision"))
@@ -237,7 +237,7 @@ class SceneModelBuilder:
         parts_by_link = load_link_parts(urdf, read_tree(urdf))
         contact = _ContactParameters(CollisionGroup.HAND, _NO_GROUP, self._config.hand.friction)
         for number, parts in enumerate(parts_by_link.values()):
-            self._add_parts(self.spec.worldbody.add_body(name=hand_name(number), mocap=True), parts, contact)
+            self._add_parts(self.spec.worldbody.add_body(name=format_hand_name(number), mocap=True), parts, contact)
         return list(parts_by_link)
 
     def _add_parts(self, body: "mujoco.MjsBody", parts: list[ConvexPart], contact: _ContactParameters) -> None:

@@ -142,10 +142,10 @@ def test_benchmarl_task_has_the_specs_of_the_environment(monkeypatch: pytest.Mon
     from torchrl.envs.utils import check_env_specs
 
     from handover_marl.learning.training.arguments import PairArgs
-    from handover_marl.learning.training.benchmarl_task import HandoverTask, task_config
+    from handover_marl.learning.training.benchmarl_task import HandoverTask, make_task_config
 
     args = PairArgs(dataset="synthetic", smoke_test=True).shrink_for_smoke_test()
-    task = HandoverTask.TAKE.get_task(task_config(args))
+    task = HandoverTask.TAKE.get_task(make_task_config(args))
     env = task.get_env_fun(1, continuous_actions=True, seed=0, device="cpu")()
     check_env_specs(env)
     assert task.max_steps(env) == task.config["max_cycles"] == 5

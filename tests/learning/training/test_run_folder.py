@@ -12,9 +12,9 @@ from handover_marl.learning.training.learning_curve import CurvePoint
 from handover_marl.learning.training.run_folder import (
     RunFolder,
     describe_origin,
-    held_out_scenes,
+    select_held_out_scenes,
     select_scenes_evenly,
-    training_scenes,
+    select_training_scenes,
 )
 
 
@@ -143,8 +143,8 @@ def test_file_in_place_of_the_folder_is_refused(tmp_path: Path) -> None:
 
 def test_every_tenth_scene_is_held_out() -> None:
     scenes = tuple(range(100, 200))
-    assert set(training_scenes(scenes)) | set(held_out_scenes(scenes)) == set(scenes)
-    assert not set(training_scenes(scenes)) & set(held_out_scenes(scenes))
+    assert set(select_training_scenes(scenes)) | set(select_held_out_scenes(scenes)) == set(scenes)
+    assert not set(select_training_scenes(scenes)) & set(select_held_out_scenes(scenes))
     assert select_scenes_evenly(scenes, 3) in ((100, 150, 199), (100, 149, 199), (100, 150, 199))
     assert select_scenes_evenly(scenes, 1000) == scenes
     with pytest.raises(OptionError, match="must be at least 1, got 0"):

@@ -15,7 +15,7 @@ from handover_marl.learning.imitation.vision.grasp_labels import GraspLabelConfi
 from handover_marl.learning.imitation.vision.view_files import ViewDatasetConfig, generate_views
 from handover_marl.learning.networks.grasp_network import GraspNetwork, GraspNetworkConfig
 from handover_marl.learning.networks.weights import write_network_weights
-from handover_marl.learning.training.run_folder import RunFolder, held_out_scenes
+from handover_marl.learning.training.run_folder import RunFolder, select_held_out_scenes
 from handover_marl.receivers.reactive.config import ReactiveConfig
 from handover_marl.receivers.reactive.grasps import GraspPreparationConfig
 from tests.learning.training.evil import Evil
@@ -202,7 +202,7 @@ def test_vision_ablations(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
     def train(args: Any) -> Path:
         trained.append(args)
         source = ViewDatasetConfig(args.dataset, args.data_dir, args.robot, args.views, args.seed)
-        held_out = held_out_scenes(SyntheticDataset().list_scenes(args.setup, "train")[:: args.stride])
+        held_out = select_held_out_scenes(SyntheticDataset().list_scenes(args.setup, "train")[:: args.stride])
         generate_views(source, held_out, Path(args.shared_views), workers=1, progress=False)
         weights = Path(args.out) / "vision.npz"
         weights.parent.mkdir(parents=True, exist_ok=True)

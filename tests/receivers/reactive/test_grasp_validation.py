@@ -26,8 +26,8 @@ from handover_marl.receivers.grasp_library import GraspLibrary
 from handover_marl.receivers.reactive import grasp_validation as validation_module
 from handover_marl.receivers.reactive.grasp_validation import (
     get_validation_record,
+    get_validation_record_path,
     validate_grasps,
-    validation_record_path,
 )
 from handover_marl.receivers.reactive.grasps import GraspPreparationConfig, grasps_from_record, tilt_grasps
 from handover_marl.simulation.engines import select_validation_engine
@@ -45,7 +45,7 @@ def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def known_grasps(name: str) -> np.ndarray:
-    known = GraspLibrary(DATA.load_grasps).hand_poses_in_object(name)
+    known = GraspLibrary(DATA.load_grasps).get_hand_poses_in_object(name)
     assert known is not None
     return known
 
@@ -124,7 +124,7 @@ def test_damaged_cache_is_replaced(tmp_path: Path, damaged: object) -> None:
     first = validate_grasps(urdf, DATA.panda_urdf, known, QUICK)
     assert len(first.poses) >= len(known)
     assert set(first.success_rates) <= {0.0, 1.0}
-    path = validation_record_path(urdf, DATA.panda_urdf, known, QUICK)
+    path = get_validation_record_path(urdf, DATA.panda_urdf, known, QUICK)
     other = np.array([(-1, 0, 0, 1)] * 3, dtype=np.int16)
     np.savez(path, record=other)
     assert (validate_grasps(urdf, DATA.panda_urdf, known, QUICK).success_rates == 0.0).all()
@@ -149,7 +149,7 @@ def test_shipped_records_are_found(
     data = open_dataset(dataset, folder, robot)
     grasps, count = GraspLibrary(data.load_grasps), 0
     for name in CLASS_NAMES.values():
-        known = grasps.hand_poses_in_object(name)
+        known = grasps.get_hand_poses_in_object(name)
         if known is not None:
             found = validate_grasps(data.find_object_urdf(name), data.panda_urdf, known, GraspPreparationConfig())
             count += 1

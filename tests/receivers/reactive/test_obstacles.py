@@ -90,7 +90,7 @@ def test_grasps_beside_other_objects_are_preferred(handover_observation: Observa
     assert free.selector.chosen is not None
     pose = handover_observation["object_poses"][0].astype(np.float64)
     # The other objects stand where the hand of the gripper would be.
-    blocked = free.selector.grasp_pose(free.selector.chosen, pose)
+    blocked = free.selector.compute_grasp_pose(free.selector.chosen, pose)
     blocked[:3] = transform_points(blocked, np.array([0.0, 0.0, -0.1]))
     observation = move_others(handover_observation, blocked)
     obstacles = make_estimate(observation).obstacles
@@ -98,7 +98,7 @@ def test_grasps_beside_other_objects_are_preferred(handover_observation: Observa
     receiver = make_receiver()
     act(receiver, observation)
     assert receiver.selector.chosen is not None
-    chosen = receiver.selector.grasp_pose(receiver.selector.chosen, pose)
+    chosen = receiver.selector.compute_grasp_pose(receiver.selector.chosen, pose)
     assert compute_grasp_clearances(blocked[None], obstacles)[0] < 0.0
     assert compute_grasp_clearances(chosen[None], obstacles, CONFIG.approach.standoff)[0] > 0.0
 
@@ -107,12 +107,14 @@ def test_robot_slows_down_before_other_objects(handover_observation: Observation
     estimate = make_estimate(remove_others(handover_observation))
     receiver = make_receiver()
     ahead = transform_points(estimate.hand, np.array([0.0, 0.0, 1.0])) - estimate.hand[:3]
-    velocity = receiver.arm.velocity(estimate.joints, 0.4 * ahead, np.zeros(3), 0.1, receiver.servo.period)
+    velocity = receiver.arm.compute_joint_velocity(
+        estimate.joints, 0.4 * ahead, np.zeros(3), 0.1, receiver.servo.period
+    )
 
     def speed_ahead() -> float:
         receiver.servo.reset()
         MotionController(receiver.arm, receiver.servo, estimate).approach(velocity)
-        return float(ahead @ (receiver.arm.jacobian(estimate.joints)[:3] @ receiver.servo.velocity))
+        return float(ahead @ (receiver.arm.compute_jacobian(estimate.joints)[:3] @ receiver.servo.velocity))
 
     free = speed_ahead()
     tips = transform_points(estimate.hand, np.array([[0.0, 0.05, 0.135], [0.0, -0.05, 0.135]]))

@@ -33,12 +33,14 @@ def simulate_retreat(
     arm, servo = ArmInWorld(ARM, BASE, LIMITS), ArmServo(ReactiveConfig().servo, 0.01, 0.05, 0.001)
     joints = START.copy()
     held = np.array([[0.0, 0.0, 0.1]])
-    retreat = RetreatController(arm, servo, GOAL, config or RetreatConfig(), arm.hand(joints), held, person, obstacles)
-    hands = [arm.hand(joints)]
+    retreat = RetreatController(
+        arm, servo, GOAL, config or RetreatConfig(), arm.compute_hand_pose(joints), held, person, obstacles
+    )
+    hands = [arm.compute_hand_pose(joints)]
     for step in range(round(seconds / PERIOD)):
         velocity = servo.limit_speed(retreat.compute_velocity(PERIOD * step, joints, hands[-1]))
         joints = np.clip(joints + PERIOD * velocity, *LIMITS)
-        hands.append(arm.hand(joints))
+        hands.append(arm.compute_hand_pose(joints))
     return np.array(hands)
 
 

@@ -179,10 +179,10 @@ def test_lost_object_is_tracked_again() -> None:
     tracker.selected = tracker.grasps[0]
     tracker.update(0.1, LINK, ITEM[:3], HAND)
     assert tracker.selected is not None
-    assert tracker.unseen_time(0.1) == pytest.approx(0.05)
+    assert tracker.compute_unseen_time(0.1) == pytest.approx(0.05)
     predictor.center = CENTER + 0.3
     tracker.update(0.4, LINK, ITEM, HAND)
     assert tracker.selected is None
-    assert tracker.unseen_time(0.4) == 0.0
+    assert tracker.compute_unseen_time(0.4) == 0.0
     np.testing.assert_allclose(tracker.object_pose[:3], predictor.center, atol=1e-9)
     np.testing.assert_allclose(tracker.velocity, 0.0)

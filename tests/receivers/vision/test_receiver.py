@@ -61,7 +61,7 @@ class TruePredictor:
         tracker.update(0.0, observation)
         known, link = (
             self._labels.load_grasps(name),
-            self._arm.hand(observation["robot_joint_position"][:7].astype(np.float64)),
+            self._arm.compute_hand_pose(observation["robot_joint_position"][:7].astype(np.float64)),
         )
         link_from_object = compose(invert_pose(link), pose)
         return GraspPrediction(

@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 CONTEXT, VISION = make_policy_context(open_dataset("synthetic")), VisionConfig()
 ARM = ArmInWorld.for_panda(CONTEXT.panda_urdf, CONTEXT.panda)
-LINK = ARM.hand(HOME)
+LINK = ARM.compute_hand_pose(HOME)
 RNG = np.random.default_rng(0)
 OBJECT = np.array([0.6, 0.2, 1.2]) + 0.03 * RNG.normal(size=(200, 3))
 OTHERS = np.array([0.5, 0.3, 0.95]) + RNG.uniform(-0.1, 0.1, (300, 3))

@@ -7,7 +7,7 @@ from handover_marl.assets.robot_model import PANDA_URDF as PANDA
 from handover_marl.config import PandaConfig
 from handover_marl.datasets import OfficialDataset
 from handover_marl.episode.episode import Episode
-from handover_marl.geometry.poses import rotation_angle
+from handover_marl.geometry.poses import compute_rotation_angle
 from handover_marl.simulation.bullet.kinematics import BulletIKSolver
 from tests.fake_layout import SCENES
 
@@ -27,7 +27,7 @@ def test_solutions_match_the_worlds_hand_pose(fake_data: Path, orientation: np.n
     pose = episode.observe()["gripper_pose"]
     assert np.linalg.norm(pose[:3] - goal) < 2e-3
     if orientation is not None:
-        assert rotation_angle(pose[3:], orientation) < 0.11
+        assert compute_rotation_angle(pose[3:], orientation) < 0.11
 
 
 def test_no_solution_out_of_reach() -> None:

@@ -6,7 +6,7 @@ import pytest
 from handover_marl.config import PandaConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.episode import Episode
-from handover_marl.geometry.poses import compose, invert_pose, rotation_angle
+from handover_marl.geometry.poses import compose, compute_rotation_angle, invert_pose
 from handover_marl.simulation.bullet.kinematics import BulletIKStep
 
 DATA = SyntheticDataset()
@@ -47,6 +47,6 @@ def test_poses_transform_to_the_base_and_back(kinematics: BulletIKStep) -> None:
     back = kinematics.to_world_frame(inside)
     for found, expected in ((inside, compose(invert_pose(BASE), POSE)), (back, POSE)):
         np.testing.assert_allclose(found[:3], expected[:3], atol=2e-7)
-        assert rotation_angle(found[3:], expected[3:]) < 1e-3
+        assert compute_rotation_angle(found[3:], expected[3:]) < 1e-3
     for pose in (inside, back):
         np.testing.assert_array_equal(pose, pose.astype(np.float32))

@@ -15,7 +15,7 @@ from handover_marl.simulation.camera.frames import (
     PINHOLE_MODEL,
     check_camera_model,
     deproject,
-    metric_depth,
+    depth_from_buffer,
 )
 
 SHAPE = (224, 224)
@@ -124,7 +124,7 @@ def test_unknown_camera_models_are_refused(name: str) -> None:
 
 def test_depth_buffers_are_converted_to_metres() -> None:
     buffer = np.array([0.0, 0.5, 0.9, 0.999999, 1.0], dtype=np.float32)
-    depth = metric_depth(buffer.copy())
+    depth = depth_from_buffer(buffer.copy())
     assert depth.dtype == np.float32
     exact = 2.0 * 0.035 / (2.0 - 1.965 * buffer.astype(np.float64))
     np.testing.assert_allclose(depth[:-1], exact[:-1], rtol=2e-5)

@@ -57,7 +57,7 @@ class KinematicArm:
                 angles (rad).
         """
         rotation = Rotation.from_euler("xyz", step[3:]).as_quat()
-        target = compose(self.arm.hand(joints), np.concatenate([step[:3], rotation]))
+        target = compose(self.arm.compute_hand_pose(joints), np.concatenate([step[:3], rotation]))
         solution = self._stepper.solve_step([*joints, OPEN, OPEN], target[:3], target[3:])[:ARM_DOF]
         return np.clip(joints + _SETTLED_FRACTION * (solution - joints), *self.arm.limits)
 
@@ -160,7 +160,7 @@ class GraspExpert:
         if not len(goals):
             return None
         approach = self._simulate_approach(scenario.joints, goals[0])
-        if self._distance(self._arm.arm.hand(approach[-1]), goals[0]) > self._config.max_miss:
+        if self._distance(self._arm.arm.compute_hand_pose(approach[-1]), goals[0]) > self._config.max_miss:
             return None
         if not self._config.use_planner:
             return ExpertPlan(goals, costs - costs.min(), np.array(approach))
@@ -191,7 +191,7 @@ class GraspExpert:
         config, grasps = self._config, self._table.load_grasps(object_name)
         if grasps is None:
             return np.zeros((0, 7)), np.zeros(0)
-        world, hand = compose(object_pose, grasps.poses), self._arm.arm.hand(joints)
+        world, hand = compose(object_pose, grasps.poses), self._arm.arm.compute_hand_pose(joints)
         grasp_costs = self._table.compute_costs(grasps, world, hand, occluder)
         candidates = np.flatnonzero(self._are_reachable(world, joints))
         candidates = candidates[np.argsort(grasp_costs[candidates], kind="stable")][: config.candidates]
@@ -229,14 +229,14 @@ class GraspExpert:
     def _compute_approach_cost(self, joints: Array, goal: Array) -> float:
         """Return the cost of the simulated approach to a goal, with the remaining distance at its end."""
         path = self._simulate_approach(joints, goal)
-        miss = max(0.0, self._distance(self._arm.arm.hand(path[-1]), goal) - self._config.tolerance)
+        miss = max(0.0, self._distance(self._arm.arm.compute_hand_pose(path[-1]), goal) - self._config.tolerance)
         return self._config.decision_cost * len(path) + self._config.miss_cost * miss
 
     def _simulate_approach(self, joints: Array, goal: Array) -> list[Array]:
         """Return arm joints (7,) after each decision of the receiver's approach to a goal."""
         config, path = self._config, [joints]
         for remaining in range(config.max_decisions, 0, -1):
-            hand = self._arm.arm.hand(path[-1])
+            hand = self._arm.arm.compute_hand_pose(path[-1])
             if self._distance(hand, goal) < config.tolerance:
                 break
             path.append(self._arm.move(path[-1], self.compute_step(hand, goal, remaining)))

@@ -141,7 +141,7 @@ class ImitationRollouts:
         robot = np.array([*rollout.joints, OPEN, OPEN], dtype=np.float32)
         image = rollout.camera.render_targets(JointSnapshot(robot, None, scenario.dof[None]))
         points = deproject(image.depth, image.compute_mask(SegmentationLabel.TARGET))
-        hand = self._arm.arm.hand(rollout.joints)
+        hand = self._arm.arm.compute_hand_pose(rollout.joints)
         if scenario.occluder[3] > 0.0 and len(points):
             camera = np.array(CAMERA_POSITION_IN_HAND)
             points = points[~find_occluded_points(points, hand, camera, scenario.occluder)]
@@ -175,7 +175,7 @@ class ImitationRollouts:
     def _compute_expert_step(self, rollout: _Rollout) -> Array:
         """Return the expert's step, with a random disturbance in some decisions."""
         config, rng = self._config, rollout.rng
-        hand = self._arm.arm.hand(rollout.joints)
+        hand = self._arm.arm.compute_hand_pose(rollout.joints)
         goal = rollout.plan.choose_goal(hand, self._expert_config)
         step = self._expert.compute_step(hand, goal, rollout.memory.remaining)
         noise = rng.standard_normal(6) * np.repeat([config.position_noise, config.rotation_noise], 3)
@@ -184,7 +184,7 @@ class ImitationRollouts:
 
     def _base_from_hand(self, rollout: _Rollout) -> Array:
         """Return the pose (4, 4) of the hand in the robot's base frame."""
-        hand = compose(invert_pose(self._arm.arm.base), self._arm.arm.hand(rollout.joints))
+        hand = compose(invert_pose(self._arm.arm.base), self._arm.arm.compute_hand_pose(rollout.joints))
         matrix = np.eye(4)
         matrix[:3, :3], matrix[:3, 3] = Rotation.from_quat(hand[3:]).as_matrix(), hand[:3]
         return matrix

@@ -170,7 +170,7 @@ class ImitationScenarios:
         position = target + direction / np.linalg.norm(direction) * distance
         z = target + rng.uniform(-config.aim_error, config.aim_error, 3) - position
         z /= np.linalg.norm(z)
-        x = Rotation.from_quat(self._arm.hand(self._start)[3:]).as_matrix()[:, 0]
+        x = Rotation.from_quat(self._arm.compute_hand_pose(self._start)[3:]).as_matrix()[:, 0]
         x = x - (x @ z) * z
         x /= max(float(np.linalg.norm(x)), 1e-6)
         rotation = Rotation.from_matrix(np.stack([x, np.cross(z, x), z], axis=1))

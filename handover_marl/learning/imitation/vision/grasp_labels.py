@@ -89,7 +89,7 @@ class GraspLabeller:
         known, config = self.load_grasps(object_name), self.config.receiver
         if hand is None or not len(known.poses):
             return known
-        hand_in_object = hand.in_frame(object_pose)
+        hand_in_object = hand.transform_to_frame(object_pose)
         found = load_graspable_object(self._context, object_name, config)
         offset, margins = find_offset_grasps(found, hand_in_object, config)
         costs = config.selection.offset_cost + compute_hold_costs(offset, margins, config.selection)
@@ -110,7 +110,9 @@ class GraspLabeller:
         if hand is None or not len(known.poses):
             return np.exp(-known.costs / self.config.scale)
         standoff = self.config.receiver.approach.standoff
-        return self._qualities(known.costs, compute_grasp_clearances(known.poses, hand.in_frame(object_pose), standoff))
+        return self._qualities(
+            known.costs, compute_grasp_clearances(known.poses, hand.transform_to_frame(object_pose), standoff)
+        )
 
     def _qualities(self, costs: Array, clearances: Array) -> Array:
         """Return qualities (n,) for costs without a hand (n,) and clearances to a hand (n,)."""

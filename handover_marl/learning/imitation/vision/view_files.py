@@ -74,10 +74,10 @@ class _ViewWorker:
         else:
             poses = self._collector.collect_poses(scene, self._config.count, rng)
             views = self._renderer.render_poses(scene, poses, rng)
-        write_arrays(view_file(self._folder, number), views._asdict())
+        write_arrays(get_view_path(self._folder, number), views._asdict())
 
 
-def view_file(folder: Path, scene: int) -> Path:
+def get_view_path(folder: Path, scene: int) -> Path:
     """Return the path of the file with the views of a scene."""
     return folder / f"{scene:03d}.npz"
 
@@ -100,7 +100,7 @@ def generate_views(
     """
     folder.mkdir(parents=True, exist_ok=True)
     _check_config(config, folder)
-    missing = [number for number in scenes if not view_file(folder, number).exists()]
+    missing = [number for number in scenes if not get_view_path(folder, number).exists()]
     if missing:
         for _ in map_with_progress(
             lambda: _ViewWorker(config, folder).write_scene, missing, "rendering views", PoolConfig(workers), progress
@@ -117,7 +117,7 @@ def read_views(scenes: Sequence[int], folder: Path) -> GraspViews:
     """
     if not scenes:
         raise DataNotFoundError(f"{folder}: no views without scenes; pass at least one scene")
-    parts = [_read_scene(view_file(folder, number)) for number in scenes]
+    parts = [_read_scene(get_view_path(folder, number)) for number in scenes]
     return GraspViews(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 

@@ -205,7 +205,7 @@ class ViewRenderer:
         )
         if len(object_points) < config.min_points:
             return None
-        world_from_link = self._arm.hand(np.asarray(joints, dtype=np.float64))
+        world_from_link = self._arm.compute_hand_pose(np.asarray(joints, dtype=np.float64))
         hands, n_hands = np.zeros((config.hands, 3)), min(len(hand_points), config.hands)
         hands[:n_hands] = hand_points[rng.choice(len(hand_points), n_hands, replace=False)]
         best = np.argsort(-labelled.quality, kind="stable")[: config.grasps]

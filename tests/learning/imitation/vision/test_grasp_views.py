@@ -9,7 +9,12 @@ from scipy.spatial.transform import Rotation
 from handover_marl.datasets import open_dataset
 from handover_marl.errors import DataNotFoundError, ResultsError
 from handover_marl.learning.imitation.vision.grasp_labels import GraspLabelConfig, GraspLabeller
-from handover_marl.learning.imitation.vision.view_files import ViewDatasetConfig, generate_views, read_views, view_file
+from handover_marl.learning.imitation.vision.view_files import (
+    ViewDatasetConfig,
+    generate_views,
+    get_view_path,
+    read_views,
+)
 from handover_marl.learning.imitation.vision.views import (
     GraspViewConfig,
     GraspViews,
@@ -85,7 +90,7 @@ def test_motion_is_the_recorded_one(maker: ViewRenderer, context: PolicyContext)
     joints = np.array(context.panda.start_joints[:7])
     seen = maker.render_poses(SCENE, [(frame, joints)], np.random.default_rng(0))
     assert len(seen.object_points) == 1
-    turn = Rotation.from_quat(ArmInWorld.for_panda(context.panda_urdf, context.panda).hand(joints)[3:])
+    turn = Rotation.from_quat(ArmInWorld.for_panda(context.panda_urdf, context.panda).compute_hand_pose(joints)[3:])
     np.testing.assert_allclose(turn.apply(seen.object_motion[0]), path[frame + 500] - path[frame], atol=2e-3)
     np.testing.assert_allclose(turn.apply(seen.object_velocity[0]), (path[frame] - path[frame - 50]) / 0.05, atol=2e-2)
 
@@ -123,7 +128,7 @@ def test_files_do_not_depend_on_workers_and_are_kept(tmp_path: Path) -> None:
     one, two = (read_views(scenes, tmp_path / str(workers)) for workers in (1, 2))
     for first, second in zip(one, two, strict=True):
         np.testing.assert_array_equal(first, second)
-    kept = view_file(tmp_path / "1", 9)
+    kept = get_view_path(tmp_path / "1", 9)
     before = kept.stat().st_mtime_ns
     generate_views(source, scenes, tmp_path / "1", 1, progress=False)
     assert kept.stat().st_mtime_ns == before
