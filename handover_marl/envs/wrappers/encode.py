@@ -84,8 +84,11 @@ class EncodedEnv(ParallelWrapper):
             agent: spaces.Box(-1.0, 1.0, (scheme_size(agent, name),), np.float32)
             for agent, name in self.scheme_names.items()
         }
-        for outputs in self._output_spaces.values():
+        for agent, outputs in self._output_spaces.items():
+            # Libraries that save spaces with a policy save the encoding with them.
             outputs.control_period = base.config.control_period  # type: ignore[attr-defined]
+            names = {"agent": agent, "features": self.feature_names[agent], "actions": self.scheme_names[agent]}
+            outputs.encoding = names  # type: ignore[attr-defined]
         self._observations: dict[str, Observation] = {}
 
     def observation_space(self, agent: str) -> spaces.Box:
