@@ -1,44 +1,58 @@
 """Measure which share of small changes of the code the tests detect (mutation testing).
 
     pip install cosmic-ray
-    python experiments/mutation_testing.py --sample 100 --out runs/mutants
+    python experiments/mutation_testing.py --sample 40 --out runs/mutants
 
 Every mutant is one change by Cosmic Ray, such as another operator, comparison or number. It is
-tested with the unit tests of its module in a copy of the repository. A mutant survives if these
-tests pass. The output folder gets a table and the differences of the survivors.
+tested with the unit tests of its module in a copy of the last commit. A mutant survives if these
+tests pass. With --slow, survivors are also tested with the tests that `tests/slow.txt` lists. The
+output folder gets a table and the differences of the survivors.
 """
 
 import ast
+import difflib
 import importlib.util
+import multiprocessing
 import os
 import random
-import shlex
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import tyro
 from tqdm import tqdm
 
-from handover_marl.errors import OptionError
-from handover_marl.evaluation.reports.tables import format_percent_rate, format_table
-from handover_marl.execution.files import write_atomically
-
 REPOSITORY = Path(__file__).resolve().parents[1]
+Position = tuple[int, int]
+# Exit status of pytest without tests.
+NO_TESTS_COLLECTED = 5
+REPORTS = ("tests/evaluation/reports",)
 #: Unit tests of each module.
 TESTS = {
-    "handover_marl/episode/referee.py": ("tests/episode/test_protocol.py",),
-    "handover_marl/episode/loop.py": ("tests/episode/test_play.py",),
+    "handover_marl/episode/referee.py": ("tests/episode/test_protocol.py", "tests/episode/test_lockstep.py"),
+    "handover_marl/episode/lockstep.py": ("tests/episode/test_lockstep.py",),
+    "handover_marl/episode/loop.py": ("tests/episode/test_clock.py", "tests/episode/test_play.py"),
+    "handover_marl/episode/episode.py": ("tests/episode/test_play.py", "tests/episode/test_camera_observations.py"),
     "handover_marl/episode/giver_motion.py": ("tests/episode/test_playback.py", "tests/episode/test_clock.py"),
+    "handover_marl/episode/wrist_offset.py": ("tests/episode/test_playback.py", "tests/episode/test_set_points.py"),
+    "handover_marl/episode/observations.py": ("tests/episode/test_playback.py", "tests/episode/test_play.py"),
+    "handover_marl/episode/camera_observations.py": ("tests/episode/test_camera_observations.py",),
+    "handover_marl/episode/spaces.py": ("tests/episode/test_spaces.py", "tests/episode/test_camera_observations.py"),
+    "handover_marl/episode/callbacks.py": ("tests/episode/test_fluency.py", "tests/episode/test_play.py"),
     "handover_marl/episode/metrics.py": ("tests/episode/test_fluency.py",),
     "handover_marl/evaluation/comparison.py": ("tests/evaluation/test_comparison.py",),
     "handover_marl/evaluation/reports/statistics.py": ("tests/evaluation/reports/test_statistics.py",),
-    "handover_marl/evaluation/reports/tables.py": ("tests/evaluation/reports",),
-    "handover_marl/evaluation/reports/scene_tables.py": ("tests/evaluation/reports",),
-    "handover_marl/evaluation/reports/report.py": ("tests/evaluation/reports",),
+    "handover_marl/evaluation/reports/columns.py": REPORTS,
+    "handover_marl/evaluation/reports/fluency_tables.py": (*REPORTS, "tests/episode/test_fluency.py"),
+    "handover_marl/evaluation/reports/official_table.py": REPORTS,
+    "handover_marl/evaluation/reports/pair_tables.py": (*REPORTS, "tests/evaluation/test_comparison.py"),
+    "handover_marl/evaluation/reports/report.py": REPORTS,
+    "handover_marl/evaluation/reports/scene_tables.py": REPORTS,
+    "handover_marl/evaluation/reports/tables.py": REPORTS,
 }
 
 
@@ -50,14 +64,16 @@ class Args:
         modules: Modules to change.
         sample: Number of mutants of each module that are drawn at random and tested; 0 tests all.
         seed: Seed of the random draw.
+        slow: Whether survivors are tested with slow tests too.
         timeout: Time after which tests count as failed (s).
         out: Folder for the table and the survivors.
     """
 
     modules: tuple[str, ...] = tuple(TESTS)
-    sample: int = 100
+    sample: int = 40
     seed: int = 0
-    timeout: float = 120.0
+    slow: bool = False
+    timeout: float = 300.0
     out: Path = Path("runs/mutants")
 
 
@@ -76,17 +92,88 @@ class ModuleResult:
     survivors: list[str]
 
 
-def find_annotation_lines(source: str) -> set[int]:
-    """Return the numbers of the lines that only annotate a name, without a value.
+def find_annotations(source: str) -> list[tuple[Position, Position]]:
+    """Return start and end of all type annotations, as pairs of line and column.
 
-    Such lines are not executed, so that no test can detect their mutants.
+    Annotations are not tested: their mutants change nothing, or fail when the module is imported.
     """
-    nodes = ast.walk(ast.parse(source))
-    return {node.lineno for node in nodes if isinstance(node, ast.AnnAssign) and node.value is None}
+    found: list[ast.expr | None] = []
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.AnnAssign | ast.arg):
+            found.append(node.annotation)
+        elif isinstance(node, ast.FunctionDef):
+            found.append(node.returns)
+    return [
+        ((node.lineno, node.col_offset), (node.end_lineno or 0, node.end_col_offset or 0))
+        for node in found
+        if node is not None
+    ]
 
 
-def measure_module(module: str, args: Args, copy: Path) -> ModuleResult:
-    """Test a sample of the mutants of a module and return the result.
+class TestRunner:
+    """Runner of tests in child processes that are forked from a process with the tests' dependencies.
+
+    A child imports the library and the tests anew, but not NumPy, SciPy and other packages.
+
+    Args:
+        copy: Folder with the copy of the repository; must be the working directory and on `sys.path`.
+        timeout: Time after which tests count as failed (s).
+    """
+
+    __test__ = False  # pytest must not collect this class
+
+    def __init__(self, copy: Path, timeout: float) -> None:
+        os.environ["PYTHONDONTWRITEBYTECODE"] = "1"  # mutants of the same size and second would share bytecode
+        self._timeout = timeout
+        self._processes = multiprocessing.get_context("forkserver")
+        self._processes.set_forkserver_preload(find_dependencies(copy))
+
+    def passes(self, tests: Sequence[str], slow: bool = False) -> bool:
+        """Return whether tests pass.
+
+        Args:
+            tests: Files or folders of the tests.
+            slow: Whether to run the slow tests instead of the fast ones.
+        """
+        options = ["-x", "-q", "-p", "no:cacheprovider", "-m", "slow" if slow else "not slow", *tests]
+        process = self._processes.Process(target=run_pytest, args=(options,))
+        process.start()
+        process.join(self._timeout)
+        if process.exitcode is None:
+            process.kill()
+            process.join()
+        return process.exitcode in (0, NO_TESTS_COLLECTED) if slow else process.exitcode == 0
+
+
+def find_dependencies(copy: Path) -> list[str]:
+    """Return the modules besides the repository's own that its tests import.
+
+    Args:
+        copy: Folder with the repository.
+    """
+    tests = sorted({test for group in TESTS.values() for test in group})
+    code = (
+        "import sys, pytest; "
+        f"pytest.main(['-q', '--collect-only', '-p', 'no:cacheprovider', *{tests}]); "
+        "print(*sys.modules)"
+    )
+    found = subprocess.run([sys.executable, "-c", code], cwd=copy, capture_output=True, text=True, check=True)
+    own = ("handover_marl", "tests", "experiments", "conftest", "__main__")
+    return [name for name in found.stdout.splitlines()[-1].split() if name.partition(".")[0] not in own]
+
+
+def run_pytest(options: list[str]) -> None:
+    """Run pytest without output and end the process with its exit status."""
+    import pytest
+
+    null = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(null, sys.stdout.fileno())
+    os.dup2(null, sys.stderr.fileno())
+    sys.exit(int(pytest.main(options)))
+
+
+def draw_mutants(module: str, args: Args, copy: Path) -> list[Any]:
+    """Return the mutants of a module that are tested, as Cosmic Ray's mutations.
 
     Args:
         module: Path of the module in the repository.
@@ -94,26 +181,50 @@ def measure_module(module: str, args: Args, copy: Path) -> ModuleResult:
         copy: Folder with a copy of the repository; must be the working directory.
     """
     from cosmic_ray.commands.init import init
-    from cosmic_ray.mutating import mutate_and_test
     from cosmic_ray.work_db import use_db
-    from cosmic_ray.work_item import TestOutcome
 
-    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *TESTS[module]]
-    if subprocess.run(command, cwd=copy, capture_output=True, check=False).returncode:
-        raise OptionError(f"modules must have tests that pass before they are changed, got {module!r}: run {command}")
-    with use_db(str(copy / "mutants.sqlite")) as database:
+    with use_db(str(copy / f"{Path(module).stem}.sqlite")) as database:
         init([Path(module)], database, {})
-        items = list(database.work_items)
-    skipped = find_annotation_lines((copy / module).read_text())
-    items = [item for item in items if item.mutations[0].start_pos[0] not in skipped]
-    if args.sample and args.sample < len(items):
-        items = random.Random(args.seed).sample(items, args.sample)
-    survivors = []
-    for item in tqdm(items, desc=module, file=sys.stderr):
-        result = mutate_and_test(item.mutations, shlex.join(command), args.timeout)
-        if result.test_outcome is TestOutcome.SURVIVED:
-            survivors.append(str(result.diff))
-    return ModuleResult(module, len(items), survivors)
+        mutations = [item.mutations[0] for item in database.work_items]
+    skipped = find_annotations((copy / module).read_text())
+    mutations = [
+        mutation for mutation in mutations if not any(start <= mutation.start_pos < end for start, end in skipped)
+    ]
+    if args.sample and args.sample < len(mutations):
+        mutations = random.Random(args.seed).sample(mutations, args.sample)
+    return mutations
+
+
+def measure_module(module: str, args: Args, copy: Path, runner: TestRunner) -> ModuleResult:
+    """Test a sample of the mutants of a module and return the result.
+
+    Args:
+        module: Path of the module in the repository.
+        args: Options of the script.
+        copy: Folder with a copy of the repository; must be the working directory.
+        runner: Runner of the tests.
+
+    Raises:
+        RuntimeError: The tests fail without a mutation.
+    """
+    from cosmic_ray.mutating import use_mutation
+    from cosmic_ray.plugins import get_operator
+
+    tests = TESTS[module]
+    if not runner.passes(tests):
+        raise RuntimeError(f"the tests of {module} fail before it is changed: run pytest {' '.join(tests)}")
+    mutations, survivors = draw_mutants(module, args, copy), []
+    for mutation in tqdm(mutations, desc=module, file=sys.stderr):
+        operator = get_operator(mutation.operator_name)(**mutation.operator_args)
+        with use_mutation(mutation.module_path, operator, mutation.occurrence) as (original, changed):
+            if runner.passes(tests) and not (args.slow and not runner.passes(tests, slow=True)):
+                survivors.append(format_difference(original, changed))
+    return ModuleResult(module, len(mutations), survivors)
+
+
+def format_difference(original: str, changed: str) -> str:
+    """Return the difference of two programs (unified diff)."""
+    return "\n".join(difflib.unified_diff(original.splitlines(), changed.splitlines(), lineterm=""))
 
 
 def measure_modules(args: Args) -> Iterator[ModuleResult]:
@@ -122,13 +233,19 @@ def measure_modules(args: Args) -> Iterator[ModuleResult]:
         copy = Path(folder) / "copy"
         subprocess.run(["git", "clone", "--quiet", str(REPOSITORY), str(copy)], check=True)
         os.chdir(copy)  # Cosmic Ray takes relative paths of modules
+        sys.path.insert(0, str(copy))  # children import the copy
+        runner = TestRunner(copy, args.timeout)
         for module in args.modules:
-            yield measure_module(module, args, copy)
+            yield measure_module(module, args, copy, runner)
         os.chdir(REPOSITORY)
 
 
 def main(args: Args) -> None:
     """Test the mutants and write the table and the survivors."""
+    # Child processes import this file; they must not import modules before the tests do.
+    from handover_marl.evaluation.reports.tables import format_percent_rate, format_table
+    from handover_marl.execution.files import write_atomically
+
     if importlib.util.find_spec("cosmic_ray") is None:
         raise SystemExit("mutation testing needs Cosmic Ray: pip install cosmic-ray")
     unknown = set(args.modules) - set(TESTS)
@@ -149,7 +266,7 @@ def main(args: Args) -> None:
     rows.append(["all", n_mutants, format_percent_rate(n_mutants - n_survivors, n_mutants)])
     table = format_table(["module", "mutants", "detected % (95 % interval)"], rows)
     write_atomically(out / "mutants.md", f"{table}\n".encode())
-    print(f"{table}\n\nThe survivors are in {out}")
+    print(f"{table}\n\nSeed of the sample: {args.seed}. The survivors are in {out}")
 
 
 if __name__ == "__main__":
