@@ -12,7 +12,7 @@ from handover_marl.evaluation.reports.report import Report
 from handover_marl.evaluation.reports.scene_tables import format_episodes_csv
 from handover_marl.evaluation.results.episode_result import EpisodeResult
 from handover_marl.evaluation.results.metadata import read_result_metadata
-from handover_marl.evaluation.results.result_folder import EPISODES_CSV, read_results
+from handover_marl.evaluation.results.result_folder import REPORT_FILES, read_results
 from handover_marl.execution.files import write_atomically
 from handover_marl.geometry.ycb import CLASS_NAMES, SCENE_CLASSES, SUBJECTS
 
@@ -42,16 +42,30 @@ def evaluate(folder: str | os.PathLike[str]) -> Report:
     return Report(metadata, tuple(_add_scene_info(result, setup, split) for result in results), size)
 
 
+def format_report_files(folder: Path, report: Report) -> dict[str, str]:
+    """Return the contents of a report's files, by file name: JSON, Markdown, web page and CSV of the episodes.
+
+    Args:
+        folder: Result folder; the web page links to the replay pages in it.
+        report: Report to format.
+    """
+    contents = (
+        json.dumps(report.to_json(), indent=2, allow_nan=False) + "\n",
+        report.to_markdown(),
+        render_report_page(report, find_replay_links(folder, folder)),
+        format_episodes_csv(report.metadata, report.episodes),
+    )
+    return dict(zip(REPORT_FILES, contents, strict=True))
+
+
 def write_report(folder: Path, report: Report) -> None:
-    """Write a report as JSON, Markdown and web page, with links to existing replay pages, and all episodes as CSV.
+    """Write a report's files into a result folder.
 
     Raises:
         ResultsError: The folder cannot be written.
     """
-    write_atomically(folder / "report.json", json.dumps(report.to_json(), indent=2, allow_nan=False) + "\n")
-    write_atomically(folder / "report.md", report.to_markdown())
-    write_atomically(folder / EPISODES_CSV, format_episodes_csv(report.metadata, report.episodes))
-    write_atomically(folder / "report.html", render_report_page(report, find_replay_links(folder, folder)))
+    for name, content in format_report_files(folder, report).items():
+        write_atomically(folder / name, content)
 
 
 def _add_scene_info(result: EpisodeResult, setup: str, split: str) -> EpisodeResult:

@@ -37,8 +37,8 @@ from handover_marl.execution.reading import read_arrays
 from handover_marl.policies.policy import Policy
 
 #: Report files beside the results of the scenes.
-EPISODES_CSV = "episodes.csv"
-REPORT_FILES = ("report.json", "report.md", "report.html", EPISODES_CSV)
+REPORT_JSON = "report.json"
+REPORT_FILES = (REPORT_JSON, "report.md", "report.html", "episodes.csv")
 _REPLAYS = "episodes"
 _RESULT_FILE = re.compile(r"([0-9]{3})\.npz")
 _MAX_BYTES = 64_000_000  # unpacked size of one scene's result

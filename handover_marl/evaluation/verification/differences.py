@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass, fields
 from typing import Any
 
+from handover_marl import __version__
 from handover_marl.evaluation.reports.tables import ReportTable, TabularResult
 from handover_marl.evaluation.results.episode_result import EpisodeResult
 from handover_marl.evaluation.results.metadata import ResultMetadata
@@ -81,12 +82,20 @@ class Verification(TabularResult):
             f"{self.n_split_scenes} scenes simulated again from their stored actions.",
             "Not verified: planning times, and that the actions are those of the named receiver.",
         ]
+        if metadata.version != __version__:
+            parts.append(
+                f"Not compared, because version {metadata.version} wrote them: report.md, report.html, episodes.csv "
+                "and hashes."
+            )
         if rows:
             parts.append(ReportTable(["scene id", "value", "stored", "simulated"], rows, n_keys=2))
             n_changed, n_folder = len(self.changed_episodes), len(self.folder_differences)
             parts.append(f"Not equal: {n_changed} of {n} episodes and {n_folder} values of the folder.")
         else:
             parts.append(f"Verified: all {n} episodes are equal.")
+        n_absent = self.n_split_scenes - n
+        if n_absent:
+            parts.append(f"{n_absent} of {self.n_split_scenes} scenes of the split were not simulated.")
         return parts
 
 

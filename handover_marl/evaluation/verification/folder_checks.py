@@ -8,10 +8,9 @@ from typing import Any
 from handover_marl import __version__
 from handover_marl.errors import ResultsError
 from handover_marl.evaluation.reports.report import Report
-from handover_marl.evaluation.reports.report_files import evaluate
-from handover_marl.evaluation.reports.scene_tables import format_episodes_csv
+from handover_marl.evaluation.reports.report_files import evaluate, format_report_files
 from handover_marl.evaluation.results.metadata import ResultMetadata
-from handover_marl.evaluation.results.result_folder import EPISODES_CSV
+from handover_marl.evaluation.results.result_folder import REPORT_FILES, REPORT_JSON
 from handover_marl.evaluation.verification.differences import Difference, compare_json
 from handover_marl.execution.files import has_content, shorten_text
 from handover_marl.execution.old_keys import upgrade_report
@@ -35,29 +34,43 @@ def check_giver(giver: PolicyReference, metadata: ResultMetadata) -> list[Differ
 
 
 def check_reports(path: Path) -> list[Difference]:
-    """Compare `report.json`, `report.md` and `episodes.csv` with the reports of the result files beside them.
+    """Compare the reports of a folder with those of the result files beside them.
 
     Args:
-        path: Result folder. Missing reports, and texts of other versions, are not compared.
+        path: Result folder. Texts and web pages of other versions are not compared, and a folder
+            without any report, as HandoverSim writes it, has nothing to compare.
     """
     try:
         report = evaluate(path)
     except ResultsError as error:
         return [Difference("results", shorten_text(error), "readable results")]
+    is_same_version = report.metadata.version == __version__
     try:
-        stored = upgrade_report(json.loads(read_plain_file(path / "report.json", _MAX_REPORT_BYTES)))
+        stored = upgrade_report(json.loads(read_plain_file(path / REPORT_JSON, _MAX_REPORT_BYTES)))
         n_resumed = stored["n_resumed"]
         report = replace(report, n_resumed=min(max(int(n_resumed), 0), len(report.episodes)))
+        differences = _compare_report(stored, report)
     except FileNotFoundError:
-        return []
+        if not any((path / name).exists() for name in REPORT_FILES):
+            return []
+        differences = [Difference(REPORT_JSON, "missing", "a report")]
     except (OSError, ValueError, TypeError, AttributeError, KeyError, RecursionError) as error:
-        return [Difference("report.json", shorten_text(error), "a report")]
-    differences = _compare_report(stored, report)
-    episodes = format_episodes_csv(report.metadata, report.episodes)
-    for name, text in (("report.md", report.to_markdown()), (EPISODES_CSV, episodes)):
-        is_comparable = report.metadata.version == __version__ and (path / name).is_file()
-        if is_comparable and not has_content(path / name, text.encode()):
-            differences.append(Difference(name, "other text", "the text of these results"))
+        differences = [Difference(REPORT_JSON, shorten_text(error), "a report")]
+    return [*differences, *(_compare_texts(path, report) if is_same_version else ())]
+
+
+def _compare_texts(path: Path, report: Report) -> list[Difference]:
+    """Compare text, web page and CSV file in a folder with those of a report; missing files are no difference."""
+    differences = []
+    for name, text in format_report_files(path, report).items():
+        if name == REPORT_JSON or not (path / name).exists():
+            continue
+        try:
+            found = "" if has_content(path / name, text.encode()) else "other text"
+        except OSError as error:
+            found = shorten_text(error)
+        if found:
+            differences.append(Difference(name, found, "the text of these results"))
     return differences
 
 

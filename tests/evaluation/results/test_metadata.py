@@ -252,3 +252,10 @@ def test_robot_of_folders_of_the_original_code(tmp_path: Path, env: dict[str, st
     (tmp_path / "config.yaml").write_text(yaml.safe_dump(content))
     settings = read_result_metadata(tmp_path)
     assert (settings.robot, settings.obs_mode, settings.wait_s) == (robot, obs_mode, "")
+
+
+def test_a_folder_of_result_folders_names_them(tmp_path: Path) -> None:
+    ResultFolder(tmp_path / "replay-hold", SETTINGS)
+    ResultFolder(tmp_path / "cooperative-hold", SETTINGS)
+    with pytest.raises(ResultsError, match=r"no config\.yaml; pass one of its folders cooperative-hold, replay-hold"):
+        read_result_metadata(tmp_path)

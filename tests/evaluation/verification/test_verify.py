@@ -16,7 +16,8 @@ from handover_marl.evaluation.benchmark import benchmark, evaluate_pair
 from handover_marl.evaluation.config import EvaluationConfig, resolve_config
 from handover_marl.evaluation.episode_runner import EpisodeRunner, SceneTask
 from handover_marl.evaluation.results.episode_result import EpisodeResult
-from handover_marl.evaluation.results.result_folder import read_result
+from handover_marl.evaluation.results.result_folder import REPORT_FILES, read_result
+from handover_marl.evaluation.verification import folder_checks
 from handover_marl.evaluation.verification.differences import compare_results
 from handover_marl.evaluation.verification.folder_checks import check_reports
 from handover_marl.evaluation.verification.stored_actions import StoredActions, read_actions
@@ -171,6 +172,14 @@ REPORT_FORGERIES: dict[str, Callable[[Path], object]] = {
     "text": lambda folder: (folder / "report.md").write_text(
         (folder / "report.md").read_text().replace("0.00", "0.01")
     ),
+    "text without a report": lambda folder: [
+        (folder / "report.json").unlink(),
+        (folder / "report.md").write_text("# 98.6 %"),
+    ],
+    "no report beside a text": lambda folder: (folder / "report.json").unlink(),
+    "web page": lambda folder: (folder / "report.html").write_text(
+        (folder / "report.html").read_text().replace("100.0", "99.0")
+    ),
 }
 
 
@@ -215,6 +224,32 @@ def test_a_forged_report_is_found(forgery: str, folder: Path) -> None:
     assert check_reports(folder) == []
     REPORT_FORGERIES[forgery](folder)
     assert check_reports(folder)
+
+
+def test_folders_without_reports_have_none_to_compare(folder: Path) -> None:
+    for name in REPORT_FILES:
+        (folder / name).unlink()
+    assert check_reports(folder) == []
+
+
+def test_texts_that_cannot_be_read_are_differences(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(folder_checks, "has_content", raise_permission_error)
+    assert {found.key for found in check_reports(folder)} == {"report.md", "report.html", "episodes.csv"}
+
+
+def raise_permission_error(path: Path, content: bytes) -> bool:
+    raise PermissionError("no")
+
+
+def test_what_was_not_compared_is_printed(folder: Path) -> None:
+    path = folder / "config.yaml"
+    text = str(verify(folder, workers=1, progress=False))
+    assert "35 of 36 scenes of the split were not simulated." in text
+    assert "Not compared" not in text
+    content = yaml.safe_load(path.read_text())
+    content["HANDOVER_MARL"]["version"] = "0.7.0"
+    path.write_text(yaml.safe_dump(content))
+    assert "Not compared, because version 0.7.0 wrote them: report.md" in str(verify(folder, workers=1, progress=False))
 
 
 def test_a_changed_outcome_is_named(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
