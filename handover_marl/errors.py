@@ -67,6 +67,14 @@ class ActionError(HandoverError, ValueError):
     """Error for an action of the wrong shape or type, or with values that are not finite."""
 
 
+class RewardError(HandoverError, ValueError):
+    """Error of an own reward: a term that is no finite number, or is of an unknown agent or name."""
+
+
+class EncodingError(HandoverError, ValueError):
+    """Error of own features or an own action scheme: it fails, or returns a wrong size, type or number."""
+
+
 class ResetNeededError(HandoverError, RuntimeError):
     """Error for `step`, `render` or `state` of an environment that needs `reset` first."""
 

@@ -6,6 +6,7 @@ gripper, so that the components are of order one and independent of the world fr
 
 import functools
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -16,13 +17,19 @@ from handover_marl.config import TIME_STEP, ProtocolConfig
 from handover_marl.episode.observations import Observation, giver_observation_space, observation_space
 from handover_marl.errors import check_name
 from handover_marl.geometry.ycb import CLASS_NAMES
+from handover_marl.learning.encodings.choices import import_reference, is_reference
+from handover_marl.learning.encodings.own_features import (
+    KIND,
+    AgentFeatures,
+    FeatureFunction,
+    FeaturesLike,
+    Vector,
+    make_own_features,
+)
 from handover_marl.policies.policy import PolicyContext
 from handover_marl.receivers.grasp_library import get_nearest_grasp_selector
 
 Array = npt.NDArray[np.float64]
-Vector = npt.NDArray[np.float32]
-#: Function from an observation to a feature vector.
-FeatureFunction = Callable[[Observation], Vector]
 
 _SCALE, _GRASP_SCALE = 10.0, 5.0  # 1/m
 _N_CLASSES = max(CLASS_NAMES)
@@ -168,7 +175,9 @@ class GraspProximityFeatures:
 
 def _one_hot_class(observation: Observation) -> Vector:
     one_hot = np.zeros(_N_CLASSES, dtype=np.float32)
-    one_hot[int(observation["object_classes"][0]) - 1] = 1.0
+    number = int(observation["object_classes"][0])
+    if 1 <= number <= _N_CLASSES:  # own objects have no class
+        one_hot[number - 1] = 1.0
     return one_hot
 
 
@@ -195,27 +204,47 @@ _FEATURES: dict[str, dict[str, tuple[Callable[[PolicyContext], FeatureFunction],
 }
 
 
+def available_features(agent: str) -> tuple[str, ...]:
+    """Return the names of an agent's built-in features.
+
+    Raises:
+        UnknownNameError: There is no such agent.
+    """
+    check_name("agent", agent, _FEATURES)
+    return tuple(_FEATURES[agent])
+
+
 def n_features(agent: str, name: str) -> int:
-    """Return the length of an agent's feature vector.
+    """Return the length of an agent's feature vector; own features have `make_features(...).size`.
 
     Raises:
         UnknownNameError: The agent is unknown or has no features of that name.
     """
-    check_name("agent", agent, _FEATURES)
-    check_name(f"features of the {agent}", name, _FEATURES[agent])
+    check_name(f"{KIND} of the {agent}", name, available_features(agent))
     return _FEATURES[agent][name][1]
 
 
-def make_features(agent: str, name: str, context: PolicyContext) -> FeatureFunction:
-    """Create an agent's feature function by name.
+def make_features(agent: str, choice: FeaturesLike, context: PolicyContext, trust: bool = False) -> AgentFeatures:
+    """Make an agent's features, a function with a name, a size and a space.
 
     Args:
         agent: "giver" or "receiver".
-        name: Name of the features.
+        choice: Name of built-in features; subclass of `FeatureExtractor`; function with a declared size
+            (`declare_size`); or text `module:name` of a class or function.
         context: Task and known grasps of the objects, which some features contain.
+        trust: Whether `module:name` may be imported; text from a file must be trusted.
 
     Raises:
         UnknownNameError: The agent is unknown or has no features of that name.
+        UnsafeFileError: The choice is `module:name` and not trusted.
+        OptionError: Own features declare no size, or are for the other agent.
+        EncodingError: The constructor of own features fails.
     """
-    n_features(agent, name)
-    return _FEATURES[agent][name][0](context)
+    available_features(agent)
+    own: Any = choice
+    if is_reference(choice):
+        own = import_reference(KIND, str(choice), trust)
+    if not isinstance(own, str):
+        return make_own_features(agent, own, context, str(choice) if is_reference(choice) else "")
+    space = spaces.Box(-np.inf, np.inf, (n_features(agent, own),), np.float32)
+    return AgentFeatures(own, space, _FEATURES[agent][own][0](context))

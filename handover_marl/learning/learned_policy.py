@@ -6,9 +6,9 @@ from pathlib import Path
 import handover_marl.givers
 from handover_marl.episode.observations import Observation
 from handover_marl.errors import DataFormatError, OptionError
-from handover_marl.learning.features import make_features, n_features
+from handover_marl.learning.features import make_features
 from handover_marl.learning.policy_files import read_policy
-from handover_marl.learning.schemes import make_scheme, scheme_size
+from handover_marl.learning.schemes import make_scheme
 from handover_marl.policies.policy import Action, Policy, PolicyContext, milliseconds_from_wait
 
 #: Shipped giver, trained for the receiver `yang2021`.
@@ -30,7 +30,8 @@ class LearnedPolicy(Policy):
     Raises:
         DataNotFoundError: The file does not exist.
         DataFormatError: The file is damaged or for another agent.
-        UnsafeFileError: The file contains code and is not trusted.
+        UnsafeFileError: The file contains code, or names own features or an own scheme (`module:name`),
+            and is not trusted.
         OptionError: A receiver has no file, or an option does not fit the file.
     """
 
@@ -51,15 +52,15 @@ class LearnedPolicy(Policy):
         found = read_policy(file, agent, trust, control_period)
         self._label = self.name if path is None else f"{self.name}:{found.label}"
         self.spec, self._function = found.spec, found.function
-        sizes = n_features(agent, self.spec.features), scheme_size(agent, self.spec.actions)
+        self._features = make_features(agent, self.spec.features, context, trust)
+        self._scheme = make_scheme(agent, self.spec.actions, context, trust)
+        sizes = self._features.size, self._scheme.size
         if (self._function.n_inputs, self._function.n_outputs) != sizes:
             raise DataFormatError(
                 f"{found.label}: the network must have {sizes[0]} inputs for features {self.spec.features!r} and "
                 f"{sizes[1]} outputs for actions {self.spec.actions!r}, got {self._function.n_inputs} and "
                 f"{self._function.n_outputs}"
             )
-        self._features = make_features(agent, self.spec.features, context)
-        self._scheme = make_scheme(agent, self.spec.actions, context)
         if wait is not None:
             if not self._scheme.wait:
                 raise OptionError(f"{found.label}: action scheme {self.spec.actions!r} has no wait; remove wait={wait}")
@@ -78,6 +79,7 @@ class LearnedPolicy(Policy):
     def reset(self, seed: int | None = None) -> None:
         """Clear the state of the previous episode; the policy draws no random numbers."""
         self._scheme.reset()
+        self._features.reset()
 
     @property
     def hold_time(self) -> float:

@@ -1,7 +1,11 @@
 """Registry of the action schemes by agent and name."""
 
+from typing import Any
+
 from handover_marl.errors import check_name
 from handover_marl.learning.action_scheme import ActionScheme
+from handover_marl.learning.encodings.choices import import_reference, is_reference
+from handover_marl.learning.encodings.own_schemes import KIND, SchemeLike, make_own_scheme
 from handover_marl.learning.giver_schemes import DeviationScheme, HandoverPoseScheme, RawGiverScheme
 from handover_marl.learning.receiver_schemes import (
     CartesianDeltaScheme,
@@ -25,25 +29,36 @@ def available_schemes(agent: str) -> tuple[str, ...]:
 
 
 def scheme_size(agent: str, name: str) -> int:
-    """Return the number of network outputs that an agent's action scheme decodes.
+    """Return the number of outputs that a built-in action scheme decodes; own ones have `make_scheme(...).size`.
 
     Raises:
         UnknownNameError: The agent has no scheme of that name.
     """
-    check_name(f"action scheme of the {agent}", name, available_schemes(agent))
+    check_name(f"{KIND} of the {agent}", name, available_schemes(agent))
     return _SCHEMES[name].size
 
 
-def make_scheme(agent: str, name: str, context: PolicyContext) -> ActionScheme:
-    """Create an agent's action scheme by name.
+def make_scheme(agent: str, choice: SchemeLike, context: PolicyContext, trust: bool = False) -> ActionScheme:
+    """Make an agent's action scheme.
 
     Args:
         agent: "giver" or "receiver".
-        name: One of `available_schemes(agent)`.
+        choice: One of `available_schemes(agent)`; subclass of `ActionScheme`; function from outputs
+            (size,) and an observation to an action, with a declared size (`declare_size`); or text
+            `module:name` of a class or function.
         context: Robot, task and known grasps of the objects.
+        trust: Whether `module:name` may be imported; text from a file must be trusted.
 
     Raises:
         UnknownNameError: The agent has no scheme of that name.
+        UnsafeFileError: The choice is `module:name` and not trusted.
+        OptionError: An own scheme declares no size, or is for the other agent.
+        EncodingError: The constructor of an own scheme fails.
     """
-    scheme_size(agent, name)
-    return _SCHEMES[name](context)
+    own: Any = choice
+    if is_reference(choice):
+        own = import_reference(KIND, str(choice), trust)
+    if not isinstance(own, str):
+        return make_own_scheme(agent, own, context, str(choice) if is_reference(choice) else "")
+    scheme_size(agent, own)
+    return _SCHEMES[own](context)

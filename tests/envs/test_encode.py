@@ -147,12 +147,14 @@ def test_bad_names_and_order() -> None:
         encode(view, schemes="offer")
     with pytest.raises(UnknownNameError, match="api 'gym'; valid: parallel, gymnasium"):
         encode(view, api="gym")  # type: ignore[call-overload]
-    with pytest.raises(OptionError, match="features must be for receiver, got a name for 'giver'"):
+    with pytest.raises(OptionError, match="features must be for receiver, got a choice for 'giver'"):
         encode(view, {"giver": "giver"})
     with pytest.raises(OptionError, match="by agent for 2 agents"):
         encode(world, "receiver")
-    for wrong in (["receiver"], 5, len):
-        with pytest.raises(OptionError, match="features must be a name or a dict of names by agent"):
+    for wrong in (["receiver"], 5):
+        with pytest.raises(
+            OptionError, match="features must be a name, a class, a function or a dict of these by agent"
+        ):
             encode(view, wrong)  # type: ignore[call-overload]
     with pytest.raises(OptionError, match="one agent, got giver and receiver; call freeze"):
         encode(world, api="gymnasium")

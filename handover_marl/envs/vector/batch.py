@@ -20,6 +20,8 @@ from handover_marl.envs.wrappers.freeze import freeze
 from handover_marl.envs.wrappers.wrapper import ByAgent, ParallelStep, ParallelWrapper
 from handover_marl.errors import ActionError, OptionError, ResetNeededError, SimulationError
 from handover_marl.execution.options import count_available_cores, require_modules
+from handover_marl.learning.encodings.own_features import FeaturesLike
+from handover_marl.learning.encodings.own_schemes import SchemeLike
 from handover_marl.policies.reference import PolicyLike
 
 #: Largest number of environments in a batch; each takes megabytes of memory.
@@ -39,9 +41,9 @@ class EnvBatch:
         agent: Agent that is controlled from outside, "receiver" or "giver"; None for both.
         partner: Policy of the other agent if only one is controlled from outside; default: "replay"
             for a giver, "yang2021" for a receiver.
-        features: Name of the features that replace observations; a mapping by agent if both agents
+        features: Features that replace observations, see `encode`; a mapping by agent if both agents
             are controlled; None leaves observations as they are.
-        schemes: Name of the action scheme whose outputs replace actions; a mapping by agent if both
+        schemes: Action scheme whose outputs replace actions, see `encode`; a mapping by agent if both
             agents are controlled; None leaves actions as they are.
         threads: Number of simulation threads; default: one per core.
         trust: Whether a policy file may run code.
@@ -63,8 +65,8 @@ class EnvBatch:
         autoreset: AutoresetMode,
         agent: str | None,
         partner: PolicyLike | None,
-        features: str | Mapping[str, str] | None,
-        schemes: str | Mapping[str, str] | None,
+        features: FeaturesLike | Mapping[str, FeaturesLike] | None,
+        schemes: SchemeLike | Mapping[str, SchemeLike] | None,
         threads: int | None,
         trust: bool,
     ) -> None:

@@ -15,6 +15,8 @@ from handover_marl.envs.vector.parallel_vector_env import ParallelVectorEnv
 from handover_marl.envs.wrappers.wrapper import ByAgent, ParallelWrapper, SingleAgentEnv
 from handover_marl.errors import OptionError, check_name
 from handover_marl.execution.options import forward_signature
+from handover_marl.learning.encodings.own_features import FeaturesLike
+from handover_marl.learning.encodings.own_schemes import SchemeLike
 from handover_marl.policies.reference import PolicyLike
 from handover_marl.simulation.engines import MUJOCO
 
@@ -119,8 +121,8 @@ def vector_env(
     agent: str = ...,
     partner: PolicyLike | None = ...,
     *,
-    features: str | None = ...,
-    schemes: str | None = ...,
+    features: FeaturesLike | None = ...,
+    schemes: SchemeLike | None = ...,
     autoreset: str = ...,
     threads: int | None = ...,
     trust: bool = ...,
@@ -135,8 +137,8 @@ def vector_env(
     agent: Literal[None],
     partner: None = ...,
     *,
-    features: Mapping[str, str] | None = ...,
-    schemes: Mapping[str, str] | None = ...,
+    features: Mapping[str, FeaturesLike] | None = ...,
+    schemes: Mapping[str, SchemeLike] | None = ...,
     autoreset: str = ...,
     threads: int | None = ...,
     trust: bool = ...,
@@ -151,8 +153,8 @@ def vector_env(
     agent: str | None = "receiver",
     partner: PolicyLike | None = None,
     *,
-    features: str | Mapping[str, str] | None = None,
-    schemes: str | Mapping[str, str] | None = None,
+    features: FeaturesLike | Mapping[str, FeaturesLike] | None = None,
+    schemes: SchemeLike | Mapping[str, SchemeLike] | None = None,
     autoreset: str = "next_step",
     threads: int | None = None,
     trust: bool = False,
@@ -168,9 +170,10 @@ def vector_env(
         agent: Agent that is controlled from outside, "receiver" or "giver", for a Gymnasium VectorEnv;
             None for both agents.
         partner: Policy of the other agent; default: "replay" for a giver, "yang2021" for a receiver.
-        features: Name of the features that replace observations; a mapping by agent for both agents.
-        schemes: Name of the action scheme whose outputs replace actions; a mapping by agent for both
-            agents.
+        features: Features that replace observations, a name, class or function as in `encode`; a mapping
+            by agent for both agents.
+        schemes: Action scheme whose outputs replace actions, a name, class or function as in `encode`; a
+            mapping by agent for both agents.
         autoreset: Gymnasium's mode of the reset after an episode's end: "next_step", "same_step" or
             "disabled".
         threads: Number of simulation threads; default: one per core.

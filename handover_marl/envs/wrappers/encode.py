@@ -14,14 +14,18 @@ from handover_marl.envs.wrappers.wrapper import Api, ByAgent, ParallelStep, Para
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.spaces import check_vector, has_state
 from handover_marl.errors import OptionError, ResetNeededError
-from handover_marl.learning.features import make_features, n_features
+from handover_marl.learning.encodings.choices import is_reference
+from handover_marl.learning.encodings.own_features import FeaturesLike
+from handover_marl.learning.encodings.own_schemes import CheckedScheme, SchemeLike
+from handover_marl.learning.features import make_features
 from handover_marl.learning.giver_schemes import GiverScheme
-from handover_marl.learning.schemes import make_scheme, scheme_size
+from handover_marl.learning.schemes import make_scheme
 
 Vector = npt.NDArray[np.float32]
 
 DEFAULT_FEATURES = {GIVER: "giver", RECEIVER: "receiver"}
 DEFAULT_SCHEMES = {GIVER: "deviation", RECEIVER: "cartesian_delta"}
+_SCHEMES_FROM_STATE = ("grasp_servo",)
 # Episodes in a row that may end before an action scheme needs outputs.
 _MAX_EPISODES = 100
 
@@ -38,8 +42,8 @@ class EncodedEnv(ParallelWrapper):
 
     Args:
         env: Environment to encode.
-        features: Name of the features; a mapping from agents to names if `env` has two agents.
-        schemes: Name of the action scheme; a mapping from agents to names if `env` has two agents.
+        features: Features, see `encode`; a mapping from agents to features if `env` has two agents.
+        schemes: Action scheme, see `encode`; a mapping from agents to schemes if `env` has two agents.
 
     Attributes:
         feature_names: Name of the features, by agent.
@@ -47,8 +51,9 @@ class EncodedEnv(ParallelWrapper):
 
     Raises:
         UnknownNameError: There are no such features, or no such scheme.
-        OptionError: There is no such agent, its observations are vectors already, or they lack the
-            state that features are computed from.
+        OptionError: There is no such agent, its observations are vectors already, they lack the state
+            that features are computed from, or own features or an own scheme declare no size.
+        EncodingError: The constructor of own features or of an own scheme fails.
     """
 
     metadata: dict[str, Any] = {**HandoverEnv.metadata, "name": "handover_encoded_v0"}
@@ -56,8 +61,8 @@ class EncodedEnv(ParallelWrapper):
     def __init__(
         self,
         env: HandoverEnv | ParallelWrapper,
-        features: str | Mapping[str, str] | None = None,
-        schemes: str | Mapping[str, str] | None = None,
+        features: FeaturesLike | Mapping[str, FeaturesLike] | None = None,
+        schemes: SchemeLike | Mapping[str, SchemeLike] | None = None,
     ) -> None:
         super().__init__(env)
         EzPickle.__init__(self, env, features, schemes)
@@ -65,24 +70,22 @@ class EncodedEnv(ParallelWrapper):
         vectors = [agent for agent in agents if not isinstance(env.observation_space(agent), spaces.Dict)]
         if vectors:
             raise OptionError(f"observations of the {vectors[0]} are vectors already; encode once, before flattening")
-        self.feature_names = _complete_names("features", DEFAULT_FEATURES, features, agents)
-        self.scheme_names = _complete_names("schemes", DEFAULT_SCHEMES, schemes, agents)
+        chosen_features = _complete_choices("features", DEFAULT_FEATURES, features, agents)
+        chosen_schemes = _complete_choices("schemes", DEFAULT_SCHEMES, schemes, agents)
         base = self.unwrapped
-        if RECEIVER in agents and not has_state(base.config.obs_mode):
-            raise OptionError(
-                f"obs_mode must include the state that features are computed from, got {base.config.obs_mode!r}; take "
-                f"'state' or 'state+{base.config.obs_mode}'"
-            )
+        if RECEIVER in agents:
+            _check_state(base.config.obs_mode, chosen_features[RECEIVER], chosen_schemes[RECEIVER])
         context = base.policy_context
-        self._features = {agent: make_features(agent, self.feature_names[agent], context) for agent in agents}
-        self._schemes = {agent: make_scheme(agent, self.scheme_names[agent], context) for agent in agents}
-        self._feature_spaces = {
-            agent: spaces.Box(-np.inf, np.inf, (n_features(agent, name),), np.float32)
-            for agent, name in self.feature_names.items()
+        self._features = {
+            agent: make_features(agent, choice, context, trust=True) for agent, choice in chosen_features.items()
         }
+        self._schemes = {
+            agent: make_scheme(agent, choice, context, trust=True) for agent, choice in chosen_schemes.items()
+        }
+        self.feature_names = {agent: made.name for agent, made in self._features.items()}
+        self.scheme_names = {agent: made.name for agent, made in self._schemes.items()}
         self._output_spaces = {
-            agent: spaces.Box(-1.0, 1.0, (scheme_size(agent, name),), np.float32)
-            for agent, name in self.scheme_names.items()
+            agent: spaces.Box(-1.0, 1.0, (made.size,), np.float32) for agent, made in self._schemes.items()
         }
         for agent, outputs in self._output_spaces.items():
             # Libraries that save spaces with a policy save the encoding with them.
@@ -93,7 +96,7 @@ class EncodedEnv(ParallelWrapper):
 
     def observation_space(self, agent: str) -> spaces.Box:
         """Return the space of the agent's feature vector."""
-        return self._feature_spaces[agent]
+        return self._features[agent].space
 
     def action_space(self, agent: str) -> spaces.Box:
         """Return the space of the outputs that the agent's action scheme decodes."""
@@ -122,6 +125,8 @@ class EncodedEnv(ParallelWrapper):
             OptionError: The agent's action scheme cannot be inverted.
         """
         scheme = self._schemes[agent]
+        if isinstance(scheme, CheckedScheme) and isinstance(scheme.scheme, GiverScheme):
+            scheme = scheme.scheme
         if not isinstance(scheme, GiverScheme):
             raise OptionError(f"action scheme {scheme.name!r} cannot imitate; use a scheme of the giver")
         return np.asarray(scheme.outputs_from_action(action, self.last_observation(agent)), dtype=np.float32)
@@ -143,6 +148,8 @@ class EncodedEnv(ParallelWrapper):
             self._observations, infos = self.env.reset(seed if attempt == 0 else None, options)
             for scheme in self._schemes.values():
                 scheme.reset()
+            for features in self._features.values():
+                features.reset()
             while len(self.possible_agents) == 1 and self.agents and not self._needs_outputs():
                 self._observations, _, _, _, infos = self._advance()
             if self.agents:
@@ -160,6 +167,8 @@ class EncodedEnv(ParallelWrapper):
 
         Raises:
             ActionError: Outputs are missing or malformed.
+            EncodingError: Own features or an own action scheme fail, or return a wrong size, type or
+                number.
             ResetNeededError: No episode is running.
         """
         if not self.agents:
@@ -197,8 +206,8 @@ class EncodedEnv(ParallelWrapper):
 @overload
 def encode(
     env: HandoverEnv | ParallelWrapper,
-    features: str | Mapping[str, str] | None = None,
-    schemes: str | Mapping[str, str] | None = None,
+    features: FeaturesLike | Mapping[str, FeaturesLike] | None = None,
+    schemes: SchemeLike | Mapping[str, SchemeLike] | None = None,
     *,
     api: Literal["parallel"] = "parallel",
 ) -> EncodedEnv: ...
@@ -207,8 +216,8 @@ def encode(
 @overload
 def encode(
     env: HandoverEnv | ParallelWrapper,
-    features: str | Mapping[str, str] | None = None,
-    schemes: str | Mapping[str, str] | None = None,
+    features: FeaturesLike | Mapping[str, FeaturesLike] | None = None,
+    schemes: SchemeLike | Mapping[str, SchemeLike] | None = None,
     *,
     api: Literal["gymnasium"],
 ) -> SingleAgentEnv: ...
@@ -216,8 +225,8 @@ def encode(
 
 def encode(
     env: HandoverEnv | ParallelWrapper,
-    features: str | Mapping[str, str] | None = None,
-    schemes: str | Mapping[str, str] | None = None,
+    features: FeaturesLike | Mapping[str, FeaturesLike] | None = None,
+    schemes: SchemeLike | Mapping[str, SchemeLike] | None = None,
     *,
     api: Api = "parallel",
 ) -> EncodedEnv | SingleAgentEnv:
@@ -225,31 +234,50 @@ def encode(
 
     Args:
         env: `handover_marl.parallel_env(...)`, or `freeze(...)` of it.
-        features: Name of the features; a mapping from agents to names if `env` has two agents; default:
-            "giver" for the giver and "receiver" for the receiver.
-        schemes: Name of the action scheme; a mapping from agents to names if `env` has two agents;
-            default: "deviation" for the giver and "cartesian_delta" for the receiver.
+        features: Name of built-in features, or own ones: a subclass of `FeatureExtractor`, a function
+            with `declare_size`, or text `module:name`; a mapping by agent if `env` has two agents;
+            default: "giver" for the giver and "receiver" for the receiver.
+        schemes: Name of a built-in action scheme, or an own one: a subclass of `ActionScheme`, a
+            function with `declare_size`, or text `module:name`; a mapping by agent if `env` has two
+            agents; default: "deviation" for the giver and "cartesian_delta" for the receiver.
         api: "parallel" for a PettingZoo environment, "gymnasium" for a Gymnasium environment, which
             has one agent.
 
     Raises:
         UnknownNameError: There are no such features, no such scheme or API.
-        OptionError: There is no such agent, one name is given for two agents, or the receiver observes
-            camera data without the state.
+        OptionError: There is no such agent, one choice is given for two agents, the receiver observes
+            camera data without the state, or own features or an own scheme declare no size.
+        EncodingError: The constructor of own features or of an own scheme fails.
     """
     return convert_api(EncodedEnv(env, features, schemes), api)
 
 
-def _complete_names(
-    argument: str, defaults: dict[str, str], names: str | Mapping[str, str] | None, agents: list[str]
-) -> dict[str, str]:
-    """Return a name for each agent, given names by agent or the only agent's name."""
-    if isinstance(names, str) and len(agents) != 1:
-        raise OptionError(f"features and schemes must be a dict by agent for {len(agents)} agents")
-    if not isinstance(names, (str, Mapping, type(None))):
-        raise OptionError(f"{argument} must be a name or a dict of names by agent, got {names!r}")
-    given = {agents[0]: names} if isinstance(names, str) else names or {}
-    unknown = sorted(given.keys() - set(agents))
+def _complete_choices(argument: str, defaults: dict[str, str], choices: Any, agents: list[str]) -> dict[str, Any]:
+    """Return a choice of features or schemes for each agent, given choices by agent or the only agent's."""
+    if choices is None:
+        choices = {}
+    if not isinstance(choices, Mapping):
+        if not isinstance(choices, str) and not callable(choices):
+            raise OptionError(
+                f"{argument} must be a name, a class, a function or a dict of these by agent, got {choices!r}"
+            )
+        if len(agents) != 1:
+            raise OptionError(f"{argument} must be a dict by agent for {len(agents)} agents, got {choices!r}")
+        choices = {agents[0]: choices}
+    unknown = sorted(map(str, choices.keys() - set(agents)))
     if unknown:
-        raise OptionError(f"{argument} must be for {' and '.join(agents)}, got a name for {unknown[0]!r}")
-    return {agent: given.get(agent, defaults[agent]) for agent in agents}
+        raise OptionError(f"{argument} must be for {' and '.join(agents)}, got a choice for {unknown[0]!r}")
+    return {agent: choices.get(agent, defaults[agent]) for agent in agents}
+
+
+def _check_state(obs_mode: str, features: Any, scheme: Any) -> None:
+    """Check that the receiver observes the state if its features or its scheme are computed from it.
+
+    Own features and own schemes may use the wrist camera's data alone.
+    """
+    uses_state = (isinstance(features, str) and not is_reference(features)) or scheme in _SCHEMES_FROM_STATE
+    if uses_state and not has_state(obs_mode):
+        raise OptionError(
+            f"obs_mode must include the state that features are computed from, got {obs_mode!r}; take 'state' or "
+            f"'state+{obs_mode}', or own features of the camera data"
+        )

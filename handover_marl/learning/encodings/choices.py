@@ -1,0 +1,123 @@
+"""Choices of features and action schemes: names, classes, functions, or text `module:name`."""
+
+import importlib
+import inspect
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+from handover_marl.errors import EncodingError, OptionError, UnknownNameError, UnsafeFileError
+from handover_marl.policies.policy import PolicyContext
+
+_Function = TypeVar("_Function", bound=Callable[..., Any])
+MAX_SIZE = 1_000_000
+
+
+def declare_size(size: int) -> Callable[[_Function], _Function]:
+    """Return a decorator that declares the number of features, or of outputs of an action scheme.
+
+    Args:
+        size: Number of features that the function returns, or of outputs that it decodes.
+
+    Raises:
+        OptionError: The size is not an integer of at least 1.
+    """
+    check_size("size", size)
+
+    def decorate(function: _Function) -> _Function:
+        function.size = size  # type: ignore[attr-defined]
+        return function
+
+    return decorate
+
+
+def check_size(name: str, size: object) -> int:
+    """Check a declared size and return it.
+
+    Args:
+        name: Name of the size, for errors.
+        size: Value to check.
+
+    Raises:
+        OptionError: It is not an integer from 1 to `MAX_SIZE`.
+    """
+    if isinstance(size, bool) or not isinstance(size, int) or not 1 <= size <= MAX_SIZE:
+        raise OptionError(f"{name} must be an integer from 1 to {MAX_SIZE}, got {size!r}")
+    return size
+
+
+def is_reference(choice: object) -> bool:
+    """Return whether a choice is text of the form `module:name`."""
+    return isinstance(choice, str) and ":" in choice
+
+
+def import_reference(kind: str, text: str, trust: bool = True) -> Any:
+    """Import the class, function or value that a text `module:name` refers to.
+
+    Args:
+        kind: Kind of the choice, e.g. "features", for errors.
+        text: Text of the form `module:name`.
+        trust: Whether importing is allowed; False for text that was read from a file.
+
+    Raises:
+        UnsafeFileError: Importing is not allowed.
+        UnknownNameError: The module cannot be imported or has no such name.
+    """
+    if not trust:
+        raise UnsafeFileError(
+            f"{kind} {text!r} are code of a module, which a file may import only with trust=True (--trust); pass it "
+            "if you know where the file comes from"
+        )
+    module, _, name = text.partition(":")
+    try:
+        return getattr(importlib.import_module(module), name)
+    except (Exception, SystemExit) as error:  # importing a user's module may raise anything, and end the process
+        raise UnknownNameError(
+            kind, text, ("module:name",), f"it cannot be imported ({type(error).__name__}: {error})"
+        ) from error
+
+
+def get_choice_name(choice: object) -> str:
+    """Return the name of own features or of an own action scheme, for errors and files."""
+    if isinstance(choice, str):
+        return choice
+    name = getattr(choice, "name", None)
+    if isinstance(name, str):
+        return name
+    return str(getattr(choice, "__qualname__", None) or type(choice).__qualname__)
+
+
+def check_agent(kind: str, choice: object, agent: str) -> None:
+    """Check that own features or an own scheme are for an agent, if they declare one.
+
+    Raises:
+        OptionError: They are for another agent.
+    """
+    declared = getattr(choice, "agent", None)
+    if isinstance(declared, str) and declared != agent:
+        raise OptionError(
+            f"{kind} {get_choice_name(choice)!r} must be for the {agent}, got some for the {declared}; change its "
+            "attribute agent"
+        )
+
+
+def construct(kind: str, choice: type, context: PolicyContext) -> Any:
+    """Construct own features or an own scheme from its class, with the context if it takes one.
+
+    Args:
+        kind: Kind of the choice, e.g. "features", for errors.
+        choice: Class, whose constructor takes `context` or no argument.
+        context: Robot, task and known grasps of the objects.
+
+    Raises:
+        OptionError: A method is missing.
+        EncodingError: The constructor fails.
+    """
+    name = get_choice_name(choice)
+    if inspect.isabstract(choice):
+        missing = ", ".join(sorted(choice.__abstractmethods__))  # type: ignore[attr-defined]
+        raise OptionError(f"{kind} {name!r} must define {missing}; add the missing methods")
+    try:
+        takes_context = "context" in inspect.signature(choice).parameters
+        return choice(context) if takes_context else choice()
+    except Exception as error:  # code of the user
+        raise EncodingError(f"{kind} {name!r} cannot be made ({type(error).__name__}: {error})") from error
