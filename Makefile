@@ -26,7 +26,8 @@ PHYSICS ?= $(if $(DATA),exact,fast)
 OUT ?= results/$(DATASET)-$(SETUP)-yang2021-$(PHYSICS)
 
 BIN := $(VENV)/bin
-PIP := $(BIN)/python -m pip --disable-pip-version-check
+# Without compiling: most modules are never imported, and Python compiles the others at their first import.
+INSTALL := -m pip --disable-pip-version-check install --no-compile --progress-bar on
 
 .PHONY: test benchmark quick fast types lint slow-tests check loops lerobot newer docs smoke release lowest clean
 
@@ -48,10 +49,11 @@ lint: $(VENV)/.tested-with
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 
-# Types are checked on an installed copy, where givers/, receivers/ and assets/ have their names.
+# Types are checked in a folder of links, where givers/, receivers/ and assets/ have their names.
 types: $(VENV)/.tested-with
 	rm -rf build/typed
-	$(PIP) install --quiet --no-deps --target build/typed .
+	mkdir -p build/typed/handover_marl
+	ln -s $(abspath $(wildcard handover_marl/*) givers receivers assets) build/typed/handover_marl
 	MYPYPATH=build/typed $(BIN)/mypy --cache-dir build/mypy -p handover_marl
 
 check: lint types
@@ -67,7 +69,7 @@ loops: $(LOOPS)/.installed
 
 $(LOOPS)/.installed: setup.cfg constraints-loops.txt
 	$(PYTHON) -m venv $(LOOPS)
-	$(LOOPS)/bin/python -m pip --disable-pip-version-check install --progress-bar on -c constraints-loops.txt \
+	$(LOOPS)/bin/python $(INSTALL) -c constraints-loops.txt \
 		-e ".[benchmarl,mujoco,plot,rllib,supersuit,tianshou]" hypothesis pytest pytest-timeout
 	touch $@
 
@@ -79,9 +81,9 @@ lerobot: $(LEROBOT)/.installed
 # LeRobot 0.4 asks for PyTorch before 2.11 and for packages that only robots and training need, hence --no-deps.
 $(LEROBOT)/.installed: setup.cfg constraints-lerobot.txt
 	$(PYTHON) -m venv $(LEROBOT)
-	$(LEROBOT)/bin/python -m pip --disable-pip-version-check install --progress-bar on -c constraints-lerobot.txt \
+	$(LEROBOT)/bin/python $(INSTALL) -c constraints-lerobot.txt \
 		-e ".[lerobot,vision]" accelerate av datasets h5py torch torchcodec torchvision pytest pytest-timeout
-	$(LEROBOT)/bin/python -m pip --disable-pip-version-check install --no-deps -c constraints-lerobot.txt lerobot
+	$(LEROBOT)/bin/python $(INSTALL) --no-deps -c constraints-lerobot.txt lerobot
 	mkdir -p $(LEROBOT)/ffmpeg
 	for file in $(abspath $(LEROBOT))/lib/python3*/site-packages/av.libs/lib[as][vw]*.so.*; do \
 		ln -sf "$$file" $(LEROBOT)/ffmpeg/"$$(basename "$$file" | sed -E 's/-[0-9a-f]+(\.so\.[0-9]+).*/\1/')"; \
@@ -94,7 +96,7 @@ newer: $(NEWER)/.installed
 
 $(NEWER)/.installed: setup.cfg
 	$(PYTHON) -m venv $(NEWER)
-	$(NEWER)/bin/python -m pip --disable-pip-version-check install --progress-bar on \
+	$(NEWER)/bin/python $(INSTALL) \
 		-e ".[mujoco,planning,vision]" hypothesis pytest pytest-timeout
 	touch $@
 
@@ -104,11 +106,11 @@ docs: $(VENV)/.tested-with
 
 $(VENV)/.installed: setup.cfg constraints.txt
 	$(PYTHON) -m venv $(VENV)
-	$(PIP) install --progress-bar on -c constraints.txt -e .
+	$(BIN)/python $(INSTALL) -c constraints.txt -e .
 	touch $@
 
 $(VENV)/.tested-with: $(VENV)/.installed
-	$(PIP) install --progress-bar on -c constraints.txt -e ".[$(EXTRAS)]"
+	$(BIN)/python $(INSTALL) -c constraints.txt -e ".[$(EXTRAS)]"
 	touch $@
 
 # Wheel and sdist, each in a clean environment, and one episode with each.
@@ -123,8 +125,8 @@ release: $(VENV)/.tested-with
 lowest: $(VENV)/.tested-with
 	$(PYTHON) -m venv --clear build/lowest
 	$(BIN)/python -m tests.lowest_versions > build/lowest.txt
-	build/lowest/bin/python -m pip install --disable-pip-version-check --quiet -r build/lowest.txt
-	build/lowest/bin/python -m pip install --disable-pip-version-check --quiet --no-deps .
+	build/lowest/bin/python $(INSTALL) --quiet -r build/lowest.txt
+	build/lowest/bin/python $(INSTALL) --quiet --no-deps .
 	cd build/lowest && bin/handover-marl benchmark --dataset synthetic --split val --scenes 9 --physics fast
 	cd build/lowest && bin/handover-marl benchmark --dataset synthetic --split val --scenes 9
 

@@ -31,6 +31,8 @@ EPISODE = (
     *("--out", "results", "--fresh", "--physics"),
 )
 _LAST_WITH_PYBULLET = (3, 11)
+# Without compiling: most modules of the dependencies are never imported.
+_PIP_INSTALL = ("-m", "pip", "--disable-pip-version-check", "install", "--no-compile", "--quiet")
 _PLAYED, _REPORT = "1 of 36 scenes (partial)", "Report: results/report.html"
 
 
@@ -85,7 +87,7 @@ def check_final(version: str) -> None:
     if _git("status", "--porcelain"):
         raise PackageError("there are changes that are not committed; commit or stash them")
     if _git("tag", "--list", f"v{version}"):
-        raise PackageError(f"v{version} is tagged already; raise __version__ in handover_marl/_version.py")
+        raise PackageError(f"v{version} is tagged already; raise __version__ in handover_marl/__init__.py")
 
 
 def check_wheel(wheel: Path) -> None:
@@ -130,7 +132,7 @@ def play_with(package: Path, version: str, python: str, place: Path) -> None:
         PackageError: It cannot be installed, or does not play.
     """
     _run(python, "-m", "venv", "--clear", str(place))
-    pip = (str(place / "bin" / "python"), "-m", "pip", "--disable-pip-version-check", "install", "--quiet")
+    pip = (str(place / "bin" / "python"), *_PIP_INSTALL)
     extra, physics = needed_for(version)
     _run(*pip, "-c", str(ROOT / "constraints.txt"), f"{package}{extra}")
     reported = _run(str(place / "bin" / "handover-marl"), *EPISODE, physics, folder=place)
