@@ -22,11 +22,12 @@ GRASPS_PATH = DATA_ROOT / "grasps.npz"
 #: YCB classes that are wider than the gripper opens; neither the library nor HandoverSim has grasps.
 CLASSES_WITHOUT_GRASPS = ("002_master_chef_can", "036_wood_block")
 
-#: Path of the grasp validations, made by `building/build_trials.py`.
-VALIDATION_PATH = DATA_ROOT / "trials.npz"
-#: Result of the validation of an object's grasps, (n, 4): index of the perturbed copy, or -1 for a
-#: known grasp (in their order); number of poses in and around it that held; number of the retreat
-#: motion that held (0: none); number of release poses in which the fingers kept the object.
+#: Path of the grasp validations, made by `building/build_grasp_validations.py`.
+VALIDATION_PATH = DATA_ROOT / "grasp_validations.npz"
+#: Result of the validation of an object's n grasps, (n, 4). Columns: index of the tilted copy of a
+#: known grasp, or -1 for the known grasp itself; number of shaken poses, in and around the grasp,
+#: that held the object; number, from 1, of the distance by which the grasp is advanced, 0 for none;
+#: number of poses in and around the grasp that kept the object when the person released it.
 ValidationRecord = npt.NDArray[np.int16]
 
 #: Path of the weights of the receiver `gaddpg`, trained on scenes that are in the training splits of
@@ -86,9 +87,7 @@ def _load_grasps(path: Path) -> MappingProxyType[str, npt.NDArray[np.float64]]:
 def load_validation_record(name: str, path: Path = VALIDATION_PATH) -> ValidationRecord | None:
     """Return the record (n, 4) of an object's grasp validations, or None if there is no such record.
 
-    Columns: index of the shifted copy of a grasp, or -1 for a known grasp; number of poses around
-    the grasp that held; number of the retreat motion that held, 0 for none; number of release poses
-    in which the fingers kept the object.
+    The columns are those of `ValidationRecord`.
 
     Args:
         name: Name of the record.
@@ -121,5 +120,5 @@ def _load_npz(path: Path, kind: str) -> dict[str, npt.NDArray[Any]]:
     try:
         with np.load(path, allow_pickle=False) as archive:
             return {name: archive[name] for name in archive.files}
-    except Exception as error:  # NumPy and zipfile raise many types on damaged files
+    except Exception as error:  # NumPy and zipfile raise exceptions of many types on damaged files
         raise DataFormatError(f"{path}: not a readable {kind} ({error}); install the library again") from error

@@ -16,11 +16,14 @@ class OfferTimer:
     Attributes:
         share: Factor, from -0.5 to 1, by which the giver multiplies its deviation from the recorded
             handover pose; 0 gives the recorded pose.
+        timeout: Time without an approach after which `share` changes (s).
+        min_approach: Decrease of the distance from gripper to object that counts as an approach (m).
+        shares: Values that `share` takes one after the other; the first follows the last.
     """
 
-    timeout = 2.0  # s without an approach
-    min_approach = 0.02  # m that count as an approach
-    shares = (1.0, 0.0, 0.5, -0.5)  # in this order, repeatedly
+    timeout = 2.0
+    min_approach = 0.02
+    shares = (1.0, 0.0, 0.5, -0.5)
 
     def __init__(self) -> None:
         self.share = self.shares[0]
@@ -48,17 +51,28 @@ class CooperativeGiver(Giver):
     stopped or the gripper is near, because robots take resting objects best. `OfferTimer` varies
     the pose if the gripper does not approach. The hand releases the object when both fingers have
     stopped on the object, and withdraws after any release.
+
+    Attributes:
+        approach_share: Share of the distance to the gripper by which the object is moved.
+        min_distance: Distance from gripper to object below which the object is not moved closer (m).
+        max_displacement: Largest displacement of the object from its recorded position (m).
+        max_rotation: Largest rotation of hand and object from their recorded orientation (rad).
+        near_distance: Distance from gripper to object at which the pose is fixed (m).
+        arrival_tolerance: Remaining motion of the recorded wrist below which the hand counts as
+            stopped (m).
+        grasp_time: Time for which the fingers must rest on the object before the release (s).
+        withdrawal: Distance by which the hand withdraws after the release (m).
     """
 
     name = "cooperative"
-    approach_share = 0.3  # share of the distance to the gripper
-    min_distance = 0.45  # m from gripper to object while approaching
-    max_displacement = 0.25  # m of the object
-    max_rotation = 0.8  # rad
-    near_distance = 0.25  # m from gripper to object at which the pose is fixed
-    arrival_tolerance = 0.01  # m of the recorded wrist's remaining motion
-    grasp_time = 0.2  # s for which the fingers must rest before the release
-    withdrawal = 0.15  # m
+    approach_share = 0.3
+    min_distance = 0.45
+    max_displacement = 0.25
+    max_rotation = 0.8
+    near_distance = 0.25
+    arrival_tolerance = 0.01
+    grasp_time = 0.2
+    withdrawal = 0.15
 
     def reset(self, seed: int | None = None) -> None:
         """Start an episode without deviation from the recording."""

@@ -7,13 +7,20 @@ from handover_marl.policies.policy import Action, Giver, make_giver_action
 
 
 class NoisyGiver(Giver):
-    """Giver with Ornstein-Uhlenbeck noise on playback rate, wrist position and wrist rotation."""
+    """Giver with Ornstein-Uhlenbeck noise on playback rate, wrist position and wrist rotation.
+
+    Attributes:
+        displacement: Standard deviation of each component of the wrist's displacement (m).
+        rotation: Standard deviation of each component of the wrist's rotation vector (rad).
+        rate: Standard deviation of the playback rate.
+        time_constant: Correlation time of the noise (s).
+    """
 
     name = "noisy"
-    displacement = 0.02  # m, standard deviation of each component
-    rotation = 0.1  # rad, standard deviation of each component
-    rate = 0.15  # standard deviation
-    time_constant = 0.5  # s
+    displacement = 0.02
+    rotation = 0.1
+    rate = 0.15
+    time_constant = 0.5
 
     def reset(self, seed: int | None = None) -> None:
         """Start an episode without deviation."""

@@ -5,15 +5,22 @@ import numpy as np
 from handover_marl.episode.observations import Observation
 from handover_marl.policies.policy import Action, Giver, make_giver_action
 
-_PAUSE, _NORMAL = -1.0, 0.0  # playback rates minus 1
+# Playback rate minus 1 of a paused recording, and of one at the recorded speed.
+_PAUSE, _NORMAL = -1.0, 0.0
 
 
 class HesitantGiver(Giver):
-    """Giver that pauses the recorded motion at random times."""
+    """Giver that pauses the recorded motion at random times.
+
+    Attributes:
+        pauses_per_second: Mean number of pauses that start in a second without a pause.
+        shortest_pause: Smallest duration of a pause (s).
+        longest_pause: Largest duration of a pause (s).
+    """
 
     name = "hesitant"
     pauses_per_second = 0.6
-    shortest_pause, longest_pause = 0.3, 1.0  # s
+    shortest_pause, longest_pause = 0.3, 1.0
 
     def reset(self, seed: int | None = None) -> None:
         """Start an episode without a pause; the seed determines the times of later pauses."""
@@ -29,10 +36,15 @@ class HesitantGiver(Giver):
 
 
 class HurriedGiver(Giver):
-    """Giver that replays the recorded motion faster, at a random speed per episode."""
+    """Giver that replays the recorded motion faster, at a random speed per episode.
+
+    Attributes:
+        min_rate: Smallest playback rate minus 1.
+        max_rate: Largest playback rate minus 1.
+    """
 
     name = "hurried"
-    min_rate, max_rate = 0.4, 1.0  # playback rate minus 1
+    min_rate, max_rate = 0.4, 1.0
 
     def reset(self, seed: int | None = None) -> None:
         """Start an episode with a random playback speed."""
@@ -47,10 +59,14 @@ class StopWhenNearGiver(Giver):
     """Giver that pauses the recording while the gripper is near the object.
 
     GenH2R has such a giver (Wang et al., CVPR 2024).
+
+    Attributes:
+        distance: Distance from the Panda's hand link to the object's origin below which the
+            recording pauses (m).
     """
 
     name = "stop_when_near"
-    distance = 0.35  # m, from the Panda's hand link to the object's origin
+    distance = 0.35
 
     def reset(self, seed: int | None = None) -> None:
         """Start an episode; this giver keeps no state."""

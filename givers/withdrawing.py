@@ -7,13 +7,20 @@ from handover_marl.policies.policy import Action, Giver, make_giver_action
 
 
 class WithdrawingGiver(Giver):
-    """Giver that withdraws the hand while the gripper approaches fast, as a stress test."""
+    """Giver that withdraws the hand while the gripper approaches fast, as a stress test.
+
+    Attributes:
+        max_speed: Speed of the gripper towards the wrist above which the hand withdraws (m/s).
+        max_distance: Distance from gripper to wrist beyond which the hand does not withdraw (m).
+        withdrawal: Distance by which the hand withdraws (m).
+        return_after: Time after which the hand returns, unless the gripper approaches fast (s).
+    """
 
     name = "withdrawing"
-    max_speed = 0.25  # m/s, of the gripper towards the wrist
-    max_distance = 0.45  # m, from gripper to wrist
-    withdrawal = 0.15  # m
-    return_after = 0.8  # s
+    max_speed = 0.25
+    max_distance = 0.45
+    withdrawal = 0.15
+    return_after = 0.8
 
     def reset(self, seed: int | None = None) -> None:
         """Start an episode without deviation from the recording."""

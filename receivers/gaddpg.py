@@ -56,17 +56,18 @@ GaddpgFunction = Callable[[Array, int], npt.ArrayLike]
 class GaddpgReceiver(PhasedReceiver):
     """Receiver whose hand poses are decided by a network from point clouds (GA-DDPG).
 
-    Intended for `robot="panda_camera"`, the Panda with the camera's body. A late call of `act`
-    decides late, an early call repeats the last action. A receiver with another network is a
-    subclass that passes its network to this class and has its own name.
+    The receiver is intended for `robot="panda_camera"`, the Panda with the camera's body. If `act` is
+    called before the next decision is due, it repeats the last action; if it is called later, it
+    decides then. A receiver with another network is a subclass that passes its network to this class
+    and has its own name.
 
     Args:
         context: The robot and the task.
         network: Function that decides on the next hand pose; must not be given with `weights`.
         weights: File or folder of the original authors' checkpoint, or an .npz file that
             `experiments/training/train_gaddpg.py` wrote; needs PyTorch. Default: the library's own
-            weights, which move to the grasp that they predict. Result labels of .npz weights
-            contain "own weights".
+            weights, with which the hand moves to the grasp that the network predicts. Result labels
+            of .npz weights contain "own weights".
         wait: Time at the start configuration (s): 3 for the published variant "hold", 0 for
             "w/o hold".
         max_steps: Maximum number of decisions of an approach, RL_MAX_STEP in the configuration of

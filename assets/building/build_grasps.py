@@ -1,8 +1,8 @@
 """Build the robot grasps: `python -m handover_marl.assets.building.build_grasps [--out FILE]`.
 
-Candidates pinch pairs of opposite surface points. Those whose approach is free of collisions are
-tried in simulation, the most different ones first, until enough have held the object while it is
-shaken. Needs the extra `assets`.
+Candidates pinch pairs of opposite surface points. Candidates whose approach is free of collisions
+are simulated, the most different ones first, until enough of them have held the object while it
+was shaken. Needs the extra `assets`.
 """
 
 import itertools
@@ -269,7 +269,7 @@ def main(args: Args) -> None:
         for name in names:
             progress.update(task, description=f"{name:22}")
             grasps[name], n_simulated = validate_object_grasps(name, args, lambda: progress.advance(task))
-            progress.console.print(f"{name:22} {args.n_grasps} proven in {n_simulated} trials")
+            progress.console.print(f"{name:22} {args.n_grasps} of {n_simulated} simulated grasps held")
     args.out.parent.mkdir(parents=True, exist_ok=True)
     write_arrays(args.out, {name: grasps[name].astype(np.float32) for name in sorted(grasps)})
 

@@ -82,7 +82,7 @@ def measure_scenes(dataset: Dataset, scenes: Iterable[int]) -> Array:
 
 
 def measure_scene(scene: Scene) -> list[float]:
-    """Return the values of all `QUANTITIES` in one scene, in their order."""
+    """Return the values of the compared quantities in one scene, in the order of `QUANTITIES`."""
     assert scene.hand_first is not None
     assert scene.hand_last is not None
     sign = 1.0 if scene.info.side == "left" else -1.0

@@ -1,6 +1,6 @@
 """Measure the cost of the wrist camera and the agreement of its renderers.
 
-    python experiments/speed/bench_wrist_camera.py --data-dir DIR --out sight.md
+    python experiments/speed/bench_wrist_camera.py --data-dir DIR --out wrist_camera.md
 
 Frames are rendered at times spread evenly over episodes of a receiver in fast physics. All times
 are CPU times of one process. Whole environments alternate within one run, so that drift of the

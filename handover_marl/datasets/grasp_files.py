@@ -199,7 +199,7 @@ def unpickle_arrays(data: bytes) -> dict[str, npt.NDArray[Any]] | npt.NDArray[An
         if not isinstance(content, dict):
             reject(f"expected a dict, found {type(content).__name__}")
         return {decode_name(key): value.value for key, value in content.items() if value.value is not None}
-    except Exception as error:  # damaged pickles raise many types
+    except Exception as error:  # Damaged pickles raise exceptions of many types.
         raise DataFormatError(f"no pickled dict of arrays ({str(error) or type(error).__name__})") from error
 
 

@@ -127,7 +127,7 @@ def _as_float32(array: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
 def _read_npz(path: Path, keys: tuple[str, ...]) -> dict[str, npt.NDArray[np.float32]]:
     try:
         return {key: _as_float32(array) for key, array in read_arrays(path, keys, MAX_MOTION_BYTES).items()}
-    except Exception as error:  # NumPy and zipfile raise many types on damaged files
+    except Exception as error:  # NumPy and zipfile raise exceptions of many types on damaged files
         raise DataFormatError(
             f"{path}: not a readable pose file ({type(error).__name__}: {error}). It may be truncated; "
             "copy or expand it again."

@@ -115,8 +115,8 @@ class EpisodeTrace:
             without a hand.
         max_hand_force: Largest sum of the normal forces between robot and human hand in one physics
             step (N); None without contact.
-        hand_impulse: Sum over all physics steps of these forces times the duration of a step (N s);
-            None without contact.
+        hand_impulse: Sum over all physics steps of the normal forces between robot and human hand,
+            times the duration of a step (N s); None without contact.
         sample_steps: Physics steps between two samples.
     """
 

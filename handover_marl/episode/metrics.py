@@ -55,9 +55,9 @@ class FluencyMetrics:
             end, a measure of how far a person has to reach.
         max_robot_hand_force: Largest sum of the normal forces between robot and human hand in one
             physics step of 1 ms (N); None without contact. By the official rules a contact ends the
-            episode, so that it is the force of the first step.
-        robot_hand_impulse: Sum over all physics steps of these forces times 1 ms (N s); None without
-            contact.
+            episode, so the value is the force of the first step.
+        robot_hand_impulse: Sum over all physics steps of the normal forces between robot and human
+            hand, times 1 ms (N s); None without contact.
         giver_jerk: Root mean square jerk of the person's wrist (m/s^3), until the release or the end;
             None if the hand is present for less than 260 ms.
         gripper_jerk: Root mean square jerk of the robot's hand link (m/s^3) in the whole episode; None
@@ -67,7 +67,7 @@ class FluencyMetrics:
         gripper_mean_speed: Mean speed of the robot's hand link in the whole episode (m/s): path length
             by time.
 
-    Results of version 0.7 and of HandoverSim lack the last seven metrics; they are None.
+    The last seven metrics are None for results of version 0.7 and of HandoverSim.
     """
 
     handover_time: float | None

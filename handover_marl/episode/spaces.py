@@ -46,7 +46,7 @@ def has_state(obs_mode: str) -> bool:
 
 
 def get_camera_data_kind(obs_mode: str) -> str | None:
-    """Return the wrist camera data of an observation mode, such as "pointcloud" or "rgbd", or None."""
+    """Return the kind of camera data in an observation mode, such as "pointcloud"; None for "state"."""
     part = obs_mode.rpartition("+")[2]
     return None if part == STATE else part
 

@@ -103,8 +103,8 @@ class Evaluation:
     Args:
         config: Scenes, policies and simulation.
         execution: Workers, output folder and replays.
-        recorded: Description of recordings kept beside the results, part of the result folder's
-        identity.
+        recorded: Description of recordings kept beside the results, which identifies the result
+            folder together with the configuration.
 
     Attributes:
         config: Resolved configuration, with the scenes of the selected shard.

@@ -85,7 +85,9 @@ def compare(first: str | os.PathLike[str], second: str | os.PathLike[str]) -> Co
     by_index = {result.index: result for result in other.episodes}
     pairs = tuple((result, by_index[result.index]) for result in report.episodes if result.index in by_index)
     if not pairs:
-        raise ResultsError(f"{first} and {second} have no scene in common")
+        raise ResultsError(
+            f"{first} and {second} must have at least one scene in common; compare folders of the same split"
+        )
     # Versions may compute fingerprints of the same data differently; the heading shows both versions.
     is_same_version = report.metadata.version == other.metadata.version
     for one, two in pairs if is_same_version else ():

@@ -25,7 +25,7 @@ _log = logging.getLogger(__name__)
 
 
 def get_cache_folder(kind: str) -> Path:
-    """Return the user's cache folder for one kind of files; it is in XDG_CACHE_HOME if that is set."""
+    """Return the user's cache folder for one kind of files, below XDG_CACHE_HOME if that is set."""
     import platformdirs
 
     return Path(platformdirs.user_cache_dir("handover_marl", appauthor=False)) / kind

@@ -22,7 +22,7 @@ OUTSIDE_DISTANCE = 1.0
 CACHE_KIND = "distance_fields"
 #: Grid spacing of the cached fields (m).
 CELL = 0.006
-# To be changed together with the computation, so that cached fields of older versions are not used.
+# Increased when the computation changes, so that cached fields of older versions are not used.
 _VERSION = 1
 
 _log = logging.getLogger(__name__)

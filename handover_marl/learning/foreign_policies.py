@@ -183,7 +183,7 @@ def _read_zip(path: Path, content: bytes) -> tuple[dict[str, Array], dict[str, A
         arrays = {str(name): np.asarray(value.numpy(), dtype=np.float32) for name, value in state.items()}
     except pickle.UnpicklingError as error:
         raise UnsafeFileError(f"{path}: {_WEIGHTS} holds more than weights and was not loaded") from error
-    except Exception as error:  # damaged zips, JSON and tensors raise many kinds
+    except Exception as error:  # Damaged archives, JSON and tensors raise exceptions of many types.
         raise DataFormatError(f"{path}: not a policy file of Stable-Baselines3 ({shorten_text(error)})") from error
     return arrays, about if isinstance(about, dict) else {}
 

@@ -128,7 +128,7 @@ def _read_npz(path: Path, content: bytes) -> tuple[PolicySpec, DenseNetwork]:
         return spec, DenseNetwork(weights, biases, about["activation"], about["output"])
     except HandoverError as error:
         raise DataFormatError(f"{path}: {error}") from error
-    except Exception as error:  # NumPy and zipfile raise many kinds on damaged bytes
+    except Exception as error:  # NumPy and zipfile raise exceptions of many types on damaged files
         raise DataFormatError(
             f"{path}: not a policy file of handover_marl ({shorten_text(error)}); "
             "the scripts in experiments/ write them"

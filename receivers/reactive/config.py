@@ -119,12 +119,13 @@ class ApproachConfig:
         max_posture_change: Maximum joint change towards the selected configuration by which the
             seed of inverse kinematics is moved in a decision (rad).
         max_object_speed: Speed of the object above which the gripper does not come closer (m/s).
-        max_hover_speed: Value of `max_object_speed` for an object that hovers (m/s).
+        max_hover_speed: Value of `max_object_speed` for an object that is held almost still in the air
+            (m/s).
         close_speed: Maximum speed of the object at which the fingers close (m/s), relative to the
-            gripper if the object hovers.
+            gripper if the object is held almost still in the air.
         axial_tolerance: Maximum axial distance at which the fingers close (m).
         hover_tolerance_factor: Factor on `close_speed`, `axial_tolerance` and `lateral_tolerance`
-            for an object that hovers.
+            for an object that is held almost still in the air.
         close_timeout: Maximum time from closing the fingers until the person releases the object
             (s).
         close_period: Control period while the fingers close (s).

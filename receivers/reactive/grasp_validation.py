@@ -1,9 +1,11 @@
 """Validation of known grasps and their tilted copies in a simulation of the gripper alone.
 
-Each grasp is closed and shaken, moved deeper while the open gripper stays free of the object, and
-released. Records of the outcome ship for DexYCB's objects and the library's own. Those of other
-objects are kept in the user's cache folder, identified by the contents of the object's files, its
-known grasps, the robot's model, and the physics engine where that is not PyBullet.
+A validation has three steps. The gripper closes at the grasp and shakes the object. The grasp is
+moved along its approach axis towards the object, as far as the open gripper does not collide. The
+gripper closes there on an object that a person holds, and the person releases the object.
+Validation records of DexYCB's objects and of the library's objects ship with the library. Records of
+other objects are stored in the user's cache folder. A hash of the object's files, its known grasps,
+the robot's model and the physics engine (if it is not PyBullet) identifies a record.
 Poses are position (m) and quaternion xyzw.
 """
 
@@ -48,7 +50,8 @@ def validate_grasps(
 ) -> ValidatedGrasps:
     """Return an object's known grasps and their tilted copies that hold it in simulation.
 
-    Each grasp is moved along its approach axis towards the object where the gripper stays free.
+    Each grasp is moved along its approach axis towards the object as far as the open gripper does
+    not collide with it.
 
     Args:
         object_urdf: URDF model of the object.
@@ -182,7 +185,7 @@ def _release_grasps(
 
 
 def _count_stable(validator: GraspValidator, pose: Array, config: GraspPreparationConfig) -> int:
-    """Return how many shaken places a grasp passes; 0 where it fails at its own place."""
+    """Return the number of shaken poses, in and around a grasp, that hold; 0 if the grasp itself fails."""
     if not validator.is_stable(_gripper_matrix(pose)):
         return 0
     moved = [compose(pose, np.array([*offset, 0.0, 0.0, 0.0, 1.0])) for offset in config.lateral_offsets]
@@ -199,7 +202,7 @@ def _find_advance(validator: GraspValidator, pose: Array, config: GraspPreparati
 
 
 def _count_kept(validator: GraspValidator, pose: Array, config: GraspPreparationConfig) -> int:
-    """Return from how many places the object is kept; 0 where the grasp's own place fails."""
+    """Return the number of poses, in and around a grasp, that keep a released object; 0 if the grasp fails."""
     offsets = np.array([(0.0, 0.0, 0.0), *config.release_offsets])
     moved = compose(pose, np.concatenate([offsets, np.tile([0.0, 0.0, 0.0, 1.0], (len(offsets), 1))], axis=1))
     kept = 0

@@ -179,7 +179,7 @@ class ApproachController:
         return self._approach_straight(goal, self._next_depth(axial, lateral, rotation))
 
     def _object_speed(self, position: Array) -> float:
-        """Return the object's speed (m/s), relative to the gripper for a hovering object.
+        """Return the object's speed (m/s), relative to the gripper for an object held in the air.
 
         Args:
             position: (3,) position of the gripper in the frame of the grasp (m).

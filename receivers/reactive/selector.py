@@ -61,8 +61,8 @@ class GraspSelector:
         surface: Spheres that approximate the object's surface, in the object's frame.
         chosen: Grasp that was selected last, or None.
         failure_reason: Reason for which no grasp could be selected, empty otherwise.
-        failed: Index of each grasp that failed in this episode, and the time (s) until which it
-            the grasp has a higher cost.
+        failed: Time of the episode (s) until which a failed grasp has a higher cost, by the index of
+            the grasp.
     """
 
     def __init__(self, arm: ArmInWorld, speeds: Array, config: ReactiveConfig) -> None:

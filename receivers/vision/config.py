@@ -41,8 +41,8 @@ class GraspTrackerConfig:
         max_match_distance: Maximum distance of matched object points between two views (m).
         min_matched_share: Share of matched points below which registration has failed.
         keyframe_share: Share of matched points below which a new keyframe is taken.
-        max_center_error: Largest distance between the tracked and the predicted center (m); beyond
-            it the tracked body is not the object.
+        max_center_error: Largest distance between the tracked and the predicted center (m); with a
+            larger distance, the tracked body counts as another body than the object.
         rest_speed: Speed below which the object is taken to be at rest (m/s).
         velocity_decay: Share of its estimated velocity that the object loses in each view in which
             it is not visible.

@@ -78,7 +78,7 @@ def read_mano_pickle(path: Path, keys: tuple[str, ...]) -> dict[str, Array | csc
             f"{path}: refused to load, the pickle {error} and may run foreign code. Replace it by the file of this "
             "name in the original mano_v1_2.zip."
         ) from None
-    except Exception as error:  # damaged pickles raise many types
+    except Exception as error:  # Damaged pickles raise exceptions of many types.
         raise DataFormatError(
             f"{path}: not a readable MANO model ({str(error)[:200] or type(error).__name__}). Copy it again from "
             "mano_v1_2.zip."

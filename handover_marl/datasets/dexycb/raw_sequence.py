@@ -211,7 +211,7 @@ def _parse_identifier(value: object) -> str:
 def _read_poses(path: Path, n_objects: int) -> tuple[Float32, Float32]:
     try:
         arrays = read_arrays(path, ("pose_y", "pose_m"), _MAX_POSE_BYTES)
-    except Exception as error:  # NumPy and zipfile raise many types on damaged files
+    except Exception as error:  # NumPy and zipfile raise exceptions of many types on damaged files
         raise damaged_file_error(path, shorten_text(error)) from error
     objects, hand = arrays["pose_y"], arrays["pose_m"]
     _check_array(path, "pose_y", objects, (n_objects, 7))

@@ -233,7 +233,7 @@ def _check_pose(path: Path, expected: dict[str, Float32]) -> None:
     # The bytes of the archive depend on the time and the compressor, so arrays are compared.
     try:
         found = read_arrays(path, tuple(expected), MAX_MOTION_BYTES)
-    except Exception as error:  # NumPy and zipfile raise many types on damaged files
+    except Exception as error:  # NumPy and zipfile raise exceptions of many types on damaged files
         raise _mismatch_error(path) from error
     for name, array in expected.items():
         same = found[name].dtype == array.dtype and found[name].shape == array.shape

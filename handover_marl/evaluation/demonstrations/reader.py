@@ -155,7 +155,7 @@ class Demonstrations:
                 return read(file)
         except (PermissionError, MemoryError) as error:  # the file itself may be whole
             raise DataFormatError(f"{self._file}{part} cannot be read ({shorten_text(error)})") from error
-        except Exception as error:  # h5py raises errors of many types on damaged files
+        except Exception as error:  # h5py raises exceptions of many types on damaged files
             raise DataFormatError(
                 f"{self._file}{part} cannot be read ({shorten_text(error)}); {_RECORD_AGAIN}"
             ) from error

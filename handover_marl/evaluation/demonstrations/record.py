@@ -85,8 +85,8 @@ def demonstrate(
         split: "train"; other splits are not allowed.
         receiver: The policy to record, as for `benchmark`.
         giver: The person's policy, as for `evaluate_pair`.
-        obs_mode: Observation mode of the data set, whatever that of the receiver: "state", or wrist
-            camera data such as "pointcloud" or "state+rgbd".
+        obs_mode: Observation mode of the data set, independent of the receiver's own mode: "state",
+            or wrist camera data such as "pointcloud" or "state+rgbd".
         keep: Episodes to record: "all", with their outcome, or only those that end in "success".
         format: "minari" (HDF5; every decision, for exact replay) or "lerobot" (Parquet and video; frames
             at a constant rate).

@@ -22,8 +22,8 @@ class RecordingConfig:
     """Configuration of the recording of demonstrations.
 
     Attributes:
-        obs_mode: Observation mode of the recorded observations, whatever that of the receiver; see
-        `handover_marl.episode.spaces.OBS_MODES`.
+        obs_mode: Observation mode of the recorded observations, one of
+            `handover_marl.episode.spaces.OBS_MODES`; independent of the receiver's own mode.
         successes_only: Whether only successful episodes are recorded.
         fps: Frames per second of LeRobot's format; 0 records every decision, in Minari's layout.
     """

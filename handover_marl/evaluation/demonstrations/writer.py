@@ -145,7 +145,7 @@ class DemonstrationWriter(EpisodeWriter):
     def _find_episode(self, result: EpisodeResult) -> EpisodeLocation | None:
         """Return the location of an episode's recording; None if it does not exist."""
         metadata, path = EpisodeMetadata.from_result(result, self._config), self._get_episode_path(result)
-        # h5py raises errors of many types on damaged files; such episodes are simulated again.
+        # h5py raises exceptions of many types on damaged files; such episodes are simulated again.
         with contextlib.suppress(Exception), open_hdf5(path, "r") as file:
             if read_episode_metadata(get_episode_group(file, SINGLE_EPISODE_GROUP)) == metadata:
                 return EpisodeLocation(path, SINGLE_EPISODE_GROUP)
@@ -161,7 +161,7 @@ def _read_groups(path: Path) -> dict[EpisodeMetadata, str]:
         with open_hdf5(path, "r") as file:
             names = list(map(format_group_name, range(len(file))))
             return {read_episode_metadata(get_episode_group(file, name)): name for name in names}
-    except Exception as error:  # h5py raises errors of many types on damaged files
+    except Exception as error:  # h5py raises exceptions of many types on damaged files
         raise ResultsError(
             f"{path} is damaged or no data set of this library ({shorten_text(error)}); remove it and run again to "
             "record its episodes again, or choose another folder"

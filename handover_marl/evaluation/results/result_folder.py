@@ -264,7 +264,7 @@ def load_result_arrays(path: Path) -> dict[str, npt.NDArray[Any]]:
     """
     try:
         return read_arrays(path, largest=_MAX_BYTES)
-    except Exception as error:  # NumPy and zipfile raise errors of many types on damaged files
+    except Exception as error:  # NumPy and zipfile raise exceptions of many types on damaged files
         raise _make_read_error(path, error) from error
 
 

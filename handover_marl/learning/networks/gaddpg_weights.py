@@ -82,7 +82,7 @@ def _parse_weights(file: Path, content: bytes) -> dict[str, Tensor]:
         found = load_tensors(content)
     except pickle.UnpicklingError as error:
         raise UnsafeFileError(f"{file}: holds more than weights and was not loaded ({shorten_text(error)})") from error
-    except Exception as error:  # damaged files raise many kinds
+    except Exception as error:  # Damaged files raise exceptions of many types.
         raise DataFormatError(f"{file}: not a checkpoint of PyTorch ({shorten_text(error)})") from error
     net = found.get("net") if isinstance(found, Mapping) else None
     if not isinstance(net, Mapping) or not all(isinstance(value, Tensor) for value in net.values()):

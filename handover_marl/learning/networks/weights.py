@@ -115,7 +115,7 @@ def read_network_weights(path: str | Path, network_class: type[_Network]) -> tup
             f"{file}: cannot read these weights ({error.strerror or error}); train some with "
             f"experiments/training/train_{network_class.kind}.py"
         ) from error
-    except Exception as error:  # NumPy, zipfile and PyTorch raise many kinds on damaged bytes
+    except Exception as error:  # NumPy, zipfile and PyTorch raise exceptions of many types on damaged files
         raise DataFormatError(f"{file}: not weights of {network_class.kind} ({shorten_text(error)})") from error
     check_finite_weights(file, network)
     return network.float().eval(), hashlib.sha256(content).hexdigest()[:8]

@@ -105,7 +105,7 @@ def read_checkpoint(path: Path, restore: Callable[[dict[str, Any]], None]) -> No
     try:
         check_archive(path, _MAX_CHECKPOINT_BYTES)
         restore(torch.load(path, weights_only=True))
-    except Exception as error:  # damaged files raise many kinds
+    except Exception as error:  # Damaged files raise exceptions of many types.
         raise ResultsError(
             f"{path}: not a checkpoint of this run ({shorten_text(error)}); remove it to start anew"
         ) from error

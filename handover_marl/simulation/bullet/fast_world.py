@@ -157,7 +157,7 @@ class FastWorld(BulletWorld):
         self._n_steps = 0
 
     def _wake_reachable_bodies(self, robot_target: list[float]) -> None:
-        """Wake the bodies that the Panda may reach soon, and count the safe steps of the others."""
+        """Wake the bodies that the Panda may reach soon; count the contact-free steps of the others."""
         row, panda = self._row, self._loaded_workcell.panda
         self._free_target, self._free_until = robot_target, self._n_rows
         bodies: list[Sleepable] = [self._loaded_hand, *self._objects]

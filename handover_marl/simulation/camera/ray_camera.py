@@ -1,7 +1,7 @@
 """Renderer of the wrist camera by ray casting.
 
-Rays are cast only through pixels in the screen bounds of a triangle. When only object and hand are wanted, other
-bodies are tested only against the rays that hit these two.
+Rays are cast only through pixels in the screen bounds of a triangle. If only object and hand are rendered, the other
+bodies are tested only against rays that hit the object or the hand.
 """
 
 import numpy as np

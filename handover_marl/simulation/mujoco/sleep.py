@@ -65,7 +65,7 @@ class RobotOnlyRollouts:
         self._cache: OrderedDict[tuple[bytes, int], RobotTrajectory] = OrderedDict()
 
     def start(self, joints: npt.ArrayLike) -> RobotTrajectory:
-        """Return a trajectory without steps of a robot at rest at joint positions (9,) (rad, m)."""
+        """Return the trajectory, still without steps, of a robot at rest at joint positions (9,) (rad, m)."""
         position = np.array([joints], dtype=np.float64)
         return RobotTrajectory(position, np.zeros(position.shape), np.zeros(position.shape), np.zeros((0, 0, 3)))
 

@@ -66,7 +66,7 @@ class MujocoWorld(BatchWorld):
             ResetNeededError: No scene has been loaded.
         """
         if self._controller is None:
-            raise ResetNeededError("the world is empty; call reset() first")
+            raise ResetNeededError("the world has no scene; call reset() first")
         return self._controller
 
     def reset(self, scene: Scene, start: ReferenceMotion) -> None:

@@ -171,7 +171,7 @@ def test_shipped_record_equals_a_simulation(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_damaged_records_file(tmp_path: Path) -> None:
-    path = tmp_path / "trials.npz"
+    path = tmp_path / "grasp_validations.npz"
     assert load_validation_record("mug", path) is None
     load_validation_records.cache_clear()
     shutil.copy(VALIDATION_PATH, path)

@@ -177,7 +177,7 @@ def _read_assembled(folder: Path) -> dict[EpisodeMetadata, EpisodeFiles]:
     """Read the locations of a data set's episodes, by their metadata."""
     try:
         return {read_metadata(episode.row): episode for episode in read_episodes(folder)}
-    except Exception as error:  # pyarrow raises errors of many types on damaged files
+    except Exception as error:  # pyarrow raises exceptions of many types on damaged files
         raise ResultsError(
             f"{folder} is damaged or no data set of this library ({shorten_text(error)}); remove it and run again to "
             "record its episodes again, or choose another folder"

@@ -288,5 +288,5 @@ def _read_plans(path: Path) -> ExpertPlans:
             number: ExpertPlan(*(arrays[f"{name}_{number}"] for name in ("goals", "costs", "trajectory")))
             for number in arrays["numbers"].tolist()
         }
-    except Exception as error:  # NumPy and zipfile raise many kinds on damaged bytes
+    except Exception as error:  # NumPy and zipfile raise exceptions of many types on damaged files
         raise ResultsError(f"{path}: not a file of plans ({shorten_text(error)}); remove it and resume") from error

@@ -125,7 +125,7 @@ def read_states(path: Path) -> ImitationStates:
         states = ImitationStates(*(arrays[name] for name in (_NAMES if _NAMES[4] in arrays else _OLD_NAMES)))
         if int(states.n_points.sum()) != len(states.points) or len(states.goals) != len(states):
             raise ValueError("arrays of different lengths")
-    except Exception as error:  # NumPy and zipfile raise many kinds on damaged bytes
+    except Exception as error:  # NumPy and zipfile raise exceptions of many types on damaged files
         raise ResultsError(f"{path}: not a file of states ({shorten_text(error)}); remove it and resume") from error
     return states
 

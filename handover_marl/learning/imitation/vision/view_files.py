@@ -129,7 +129,7 @@ def _read_scene(path: Path) -> GraspViews:
             arrays = read_arrays(path, GraspViews._fields, _MAX_BYTES)
         except KeyError:
             arrays = read_arrays(path, _OLD_NAMES, _MAX_BYTES)
-    except Exception as error:  # NumPy and zipfile raise many kinds on damaged bytes
+    except Exception as error:  # NumPy and zipfile raise exceptions of many types on damaged files
         raise DataFormatError(f"{path}: not a file of views ({shorten_text(error)}); remove it") from error
     return GraspViews(*arrays.values())
 

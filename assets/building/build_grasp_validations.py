@@ -1,4 +1,4 @@
-"""Build the grasp validations: `python -m handover_marl.assets.building.build_trials --data-dir DIR`.
+"""Build the grasp validations: `python -m handover_marl.assets.building.build_grasp_validations --data-dir DIR`.
 
 Validates the grasps of the library's objects and of those of a data folder with both variants of the
 robot, in about 20 core minutes per object. Results in the user's cache folder are reused. Needs the
