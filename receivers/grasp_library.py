@@ -5,7 +5,7 @@ Poses are those of the hand link, position (m) and quaternion xyzw.
 
 import functools
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 import numpy.typing as npt
@@ -41,10 +41,15 @@ class GraspLibrary:
     Args:
         grasps: Function from a class name to gripper poses (n, 4, 4) in the object's frame (m), or
             None for a class without grasps.
+        object_names: Class name of each class number in observations.
     """
 
-    def __init__(self, grasps: Callable[[str], npt.NDArray[np.float64] | None]) -> None:
-        self._grasps = grasps
+    def __init__(
+        self,
+        grasps: Callable[[str], npt.NDArray[np.float64] | None],
+        object_names: Mapping[int, str] = CLASS_NAMES,
+    ) -> None:
+        self._grasps, self._object_names = grasps, object_names
         self._grippers: dict[str, Array | None] = {}
 
     def get_hand_poses_in_world(self, observation: Observation) -> Array | None:
@@ -52,7 +57,7 @@ class GraspLibrary:
 
         None is returned for an object without grasps.
         """
-        grippers = self.get_gripper_poses(CLASS_NAMES[int(observation["object_classes"][0])])
+        grippers = self.get_gripper_poses(self._object_names[int(observation["object_classes"][0])])
         if grippers is None:
             return None
         # Not by `get_hand_poses_in_object`: the last bits of the reference depend on this order.
@@ -94,7 +99,7 @@ class NearestGraspSelector:
     desired_clearance, clearance_weight = 0.09, 4.0
 
     def __init__(self, context: PolicyContext) -> None:
-        self._library = GraspLibrary(context.grasps)
+        self._library, self._object_names = GraspLibrary(context.grasps), context.object_names
         # Hand link poses (n, 7) and z axes (n, 3) of the grasps of each object class, in its frame.
         self._known: dict[int, tuple[Array, Array] | None] = {}
         self._cache: OrderedDict[bytes, tuple[Array, float] | None] = OrderedDict()
@@ -116,7 +121,7 @@ class NearestGraspSelector:
     def _compute(self, observation: Observation) -> tuple[Array, float] | None:
         object_class = int(observation["object_classes"][0])
         if object_class not in self._known:
-            self._known[object_class] = self._load(CLASS_NAMES[object_class])
+            self._known[object_class] = self._load(self._object_names[object_class])
         known = self._known[object_class]
         if known is None:
             return None

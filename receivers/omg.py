@@ -21,7 +21,6 @@ from handover_marl.geometry.arm import ArmKinematics
 from handover_marl.geometry.distance_field import load_object_sdf
 from handover_marl.geometry.panda import CLOSED, HALF_TURN, OPEN, WAITING_JOINTS
 from handover_marl.geometry.poses import compose, invert_pose, poses_from_rotations, transform_points
-from handover_marl.geometry.ycb import CLASS_NAMES
 from handover_marl.planning.goal_set import is_usable_grasp
 from handover_marl.planning.hand_tracker import Capsules, hand_capsules_from_observation
 from handover_marl.planning.inverse_kinematics import IkSolver, make_ik_solver
@@ -160,7 +159,7 @@ class OmgReceiver(PhasedReceiver):
         return self.timing.wait_ms + number * self.timing.step_ms
 
     def _make_plan(self, observation: Observation) -> Plan | None:
-        name = CLASS_NAMES[int(observation["object_classes"][0])]
+        name = self.context.object_names[int(observation["object_classes"][0])]
         grasps = self._library.get_hand_poses_in_object(name)
         if grasps is None:
             _log.warning("%s: no grasps of %r are known; staying at the start pose", self.name, name)
@@ -183,7 +182,7 @@ class OmgReceiver(PhasedReceiver):
         """Return the objects of the scene as obstacles in the base frame."""
         padding = self.config.costs.padding
         present = np.flatnonzero(observation["object_mask"])
-        names = [CLASS_NAMES[int(observation["object_classes"][number])] for number in present]
+        names = [self.context.object_names[int(observation["object_classes"][number])] for number in present]
         return [
             Obstacle(load_object_sdf(self.context.object_urdf(name), padding), base_from_objects[number], padding)
             for number, name in zip(present, names, strict=True)

@@ -95,7 +95,7 @@ class Yang2021Receiver(Receiver):
         if wait is not None:
             self.config = replace(self.config, wait_time=milliseconds_from_wait(wait) / 1000.0)
         self._ik_solver: IkSolver | None = None
-        self._library = GraspLibrary(context.grasps)
+        self._library = GraspLibrary(context.grasps, context.object_names)
         self._start_episode()
 
     def _start_episode(self) -> None:

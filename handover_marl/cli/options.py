@@ -74,6 +74,7 @@ SceneNumbers = Annotated[
     ),
 ]
 _OPTION_TYPES: dict[str, Any] = {
+    "setup": Annotated[str | None, tyro.conf.arg(metavar="SETUP")],
     "giver": Annotated[str, tyro.conf.arg(metavar="POLICY")],
     "receiver": Annotated[str, tyro.conf.arg(metavar="POLICY")],
     "scenes": SceneNumbers,

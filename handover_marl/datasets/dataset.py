@@ -1,17 +1,18 @@
 """Base class of data sets of handover scenes, and the classes of their scenes."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
 from handover_marl import config
-from handover_marl.datasets.splits import N_SCENES, list_split_scenes
+from handover_marl.datasets.splits import N_SCENES, SETUPS, SPLITS, list_split_scenes
 from handover_marl.errors import SceneError, check_name
 from handover_marl.geometry.panda import PANDA, ROBOTS
+from handover_marl.geometry.ycb import CLASS_NAMES
 
 #: Height (m) of the table's surface above the world's origin. Added in float32, as in HandoverSim.
 TABLE_HEIGHT = np.float32(config.TABLE_HEIGHT)
@@ -22,12 +23,13 @@ class SceneInfo:
     """Description of a handover scene without its motion.
 
     Attributes:
-        scene_id: Number of the scene, 100 * subject + 5 * object + trial.
+        scene_id: Number of the scene; of an official one 100 * subject + 5 * object + trial.
         name: `<subject>/<sequence>` as in the data set.
         subject: Name of the human giver, e.g. `20200709-subject-01`.
         side: Hand of the giver, "right" or "left".
-        object_ids: YCB class numbers (1-21) of the objects on the table, the handed-over one first.
-        object_names: YCB class names in the same order, e.g. `003_cracker_box`.
+        object_ids: Class numbers of the objects on the table, the handed-over one first: 1-21 for YCB
+            classes, from 22 on for other classes of the data set.
+        object_names: Class names in the same order, e.g. `003_cracker_box`.
     """
 
     scene_id: int
@@ -101,24 +103,50 @@ class Scene:
 
 
 class Dataset(ABC):
-    """1000 numbered handover scenes with their URDF models and robot grasps.
+    """Numbered handover scenes with their URDF models, robot grasps, setups and splits.
+
+    Numbers, setups, splits and object classes are the official ones of HandoverSim; a data set with others
+    overrides `n_scenes`, `setups`, `object_names` and `list_scenes`.
 
     Args:
         robot: Variant of the Panda, one of `handover_marl.geometry.panda.ROBOTS`.
 
     Attributes:
-        name: Name of the data set in results.
+        name: Name of the data set in results; `open_dataset(name, source_folder)` opens it again.
         robot: Variant of the Panda.
 
     Raises:
         UnknownNameError: `robot` is not in `ROBOTS`.
     """
 
-    name: ClassVar[str]
+    name: str
 
     def __init__(self, robot: str = PANDA) -> None:
         check_name("robot", robot, ROBOTS)
         self.robot = robot
+
+    @property
+    def source_folder(self) -> Path | None:
+        """Folder that the name does not determine, to be passed as `data_dir` with it; None without one."""
+        return None
+
+    @property
+    def n_scenes(self) -> int:
+        """Number of scenes; they are numbered from 0."""
+        return N_SCENES
+
+    @property
+    def setups(self) -> tuple[str, ...]:
+        """Names of the setups, the default first.
+
+        The names `s0` to `s3` are reserved for the official setups, whose splits have official sizes.
+        """
+        return SETUPS
+
+    @property
+    def object_names(self) -> Mapping[int, str]:
+        """Class names of objects by class number: 1-21 the YCB classes, from 22 on others."""
+        return CLASS_NAMES
 
     @property
     @abstractmethod
@@ -135,7 +163,7 @@ class Dataset(ABC):
 
     @abstractmethod
     def load_grasps(self, object_name: str) -> npt.NDArray[np.float64] | None:
-        """Load the robot grasps of a YCB class.
+        """Load the robot grasps of an object class.
 
         Returns:
             (n, 4, 4) gripper poses in the object's frame (m), or None for a class that is too large
@@ -147,7 +175,7 @@ class Dataset(ABC):
 
     @abstractmethod
     def find_object_urdf(self, object_name: str) -> Path:
-        """Return the path of a YCB class's URDF.
+        """Return the path of an object class's URDF.
 
         Raises:
             DataNotFoundError: The file is missing.
@@ -173,12 +201,31 @@ class Dataset(ABC):
         """Return the hand of a scene's giver, "right" or "left"."""
         return self.load_info(scene_id).side
 
-    def list_scenes(self, setup: str, split: str) -> tuple[int, ...]:
-        """Return the scene numbers of an official split in ascending order."""
-        return list_split_scenes(setup, split, self.find_side)
+    def resolve_setup(self, setup: str | None) -> str:
+        """Return the name of a setup; None is the default.
 
-    @staticmethod
-    def check_scene_id(scene_id: int) -> None:
-        """Raise `SceneError` unless the number is from 0 to 999."""
-        if not 0 <= scene_id < N_SCENES:
-            raise SceneError(f"scene {scene_id} does not exist; scenes are numbered 0 to {N_SCENES - 1}")
+        Raises:
+            UnknownNameError: The data set has no such setup.
+        """
+        if setup is None:
+            return self.setups[0]
+        check_name("setup", setup, self.setups)
+        return setup
+
+    def list_scenes(self, setup: str | None, split: str) -> tuple[int, ...]:
+        """Return the scene numbers of a split in ascending order.
+
+        Args:
+            setup: One of `setups`; None is the default.
+            split: "train", "val" or "test".
+
+        Raises:
+            UnknownNameError: The setup or the split does not exist.
+        """
+        check_name("split", split, SPLITS)
+        return list_split_scenes(self.resolve_setup(setup), split, self.find_side)
+
+    def check_scene_id(self, scene_id: int) -> None:
+        """Raise `SceneError` unless the scene exists."""
+        if not 0 <= scene_id < self.n_scenes:
+            raise SceneError(f"scene {scene_id} does not exist; scenes are numbered 0 to {self.n_scenes - 1}")

@@ -22,16 +22,18 @@ class DataLocation:
     Attributes:
         argument: Absolute path of the folder passed as an argument, or "" if none was.
         environment: Absolute path in the environment variable `HANDOVER_MARL_DATA` of that machine,
-            or "" if it is not set.
+            or "" if it is not set or does not apply.
     """
 
     argument: str = ""
     environment: str = ""
 
     @classmethod
-    def from_data_dir(cls, data_dir: str | None) -> "DataLocation":
-        """Return the location for an argument `data_dir` on this machine."""
-        return cls(_resolve_path(data_dir), _resolve_path(os.environ.get(DATA_DIR_VARIABLE)))
+    def from_data_dir(cls, data_dir: str | None, dataset: str = "dexycb") -> "DataLocation":
+        """Return the location for the arguments `data_dir` and `dataset` on this machine."""
+        # The variable names the folder of DexYCB only.
+        environment = os.environ.get(DATA_DIR_VARIABLE) if dataset == "dexycb" else None
+        return cls(_resolve_path(data_dir), _resolve_path(environment))
 
     def resolve(self) -> str | None:
         """Return the folder to use on this machine.

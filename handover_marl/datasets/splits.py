@@ -120,7 +120,8 @@ def choose_scenes(split_ids: tuple[int, ...], scenes: Iterable[int] | None, wher
         wanted = sorted({operator.index(scene) for scene in scenes})
     except TypeError as error:
         raise SceneError(f"scenes must be scene numbers such as [209, 214], got {scenes!r}") from error
-    foreign = [scene for scene in wanted if scene not in split_ids]
+    known = set(split_ids)
+    foreign = [scene for scene in wanted if scene not in known]
     if foreign:
         raise SceneError(
             f"scene {foreign[0]} is not in {where}, which has {len(split_ids)} scenes from {split_ids[0]} to "

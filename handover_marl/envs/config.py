@@ -26,10 +26,11 @@ class EnvConfig:
     """Configuration of the handover environment, shared by all its constructors.
 
     Attributes:
-        setup: Official setup, "s0" to "s3".
+        setup: Official setup, "s0" to "s3", or one of the data set; default: its first, "s0" of the official ones.
         split: "train", "val" or "test".
         data_dir: Folder in HandoverSim's layout; default: the environment variable HANDOVER_MARL_DATA.
-        dataset: "dexycb", "synthetic", or "auto": DexYCB if there is a data folder, else synthetic.
+        dataset: "dexycb", "synthetic", or "auto": DexYCB if there is a data folder, else synthetic. Further kinds:
+            `handover_marl.datasets.registry`.
         physics: "exact" is HandoverSim's simulation to the bit; "fast", for training, simulates hand
             and objects only while the robot is near them; "mujoco" is MuJoCo in place of
             PyBullet, faster still.
@@ -56,7 +57,7 @@ class EnvConfig:
             rendering needs.
     """
 
-    setup: str = "s0"
+    setup: str | None = None
     split: str = "train"
     data_dir: str | os.PathLike[str] | None = None
     dataset: str = "auto"

@@ -1,6 +1,7 @@
 """Human-to-robot handover as a two-agent PettingZoo environment."""
 
 import time
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -87,7 +88,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         fields: Fields of `handover_marl.envs.config.EnvConfig`, in place of `config`.
 
     Attributes:
-        config: Configuration.
+        config: Configuration, with the resolved setup.
         dataset: Dataset of the scenes.
         scene_ids: Numbers of the scenes that `reset` draws from, ascending.
 
@@ -110,8 +111,8 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
     def __init__(self, config: EnvConfig | None = None, **fields: Any) -> None:
         config = make_env_config(config, fields)
         EzPickle.__init__(self, config)
-        self.config = config
         self.dataset = open_dataset(config.dataset, config.data_dir, config.robot)
+        self.config = config = replace(config, setup=self.dataset.resolve_setup(config.setup))
         split = self.dataset.list_scenes(config.setup, config.split)
         self.scene_ids = choose_scenes(split, config.scenes, self._split_name)
         self.possible_agents = list(AGENTS)
@@ -120,18 +121,19 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         world_config = config.world_config
         self._episode = Episode(config.physics, world_config, config.render_mode == "human", config.wrist_camera)
         self._rewards = RewardFunction(make_reward_config(config.rewards), world_config.protocol.goal_center)
+        self._largest_class = max(self.dataset.object_names)
         self._observation: Observation | None = None
         self._rng: np.random.Generator | None = None
         self._cycles = 0
         self._observation_spaces = {
-            GIVER: giver_observation_space(world_config.giver),
-            RECEIVER: receiver_observation_space(config.obs_mode),
+            GIVER: giver_observation_space(world_config.giver, self._largest_class),
+            RECEIVER: receiver_observation_space(config.obs_mode, self._largest_class),
         }
         self._action_spaces = {GIVER: giver_action_space(world_config.giver), RECEIVER: receiver_action_space()}
         for space in self._action_spaces.values():
             # Libraries that save spaces with a policy save the control period with them.
             space.control_period = config.control_period  # type: ignore[attr-defined]
-        flat: Any = spaces.flatten_space(observation_space())
+        flat: Any = spaces.flatten_space(observation_space(self._largest_class))
         self.state_space: spaces.Box = flat
         modes = [mode for mode in RENDER_MODES if mode != "human" or mode == config.render_mode or has_display()]
         fps = max(1, round(1.0 / config.control_period))
@@ -139,7 +141,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
 
     @property
     def object_names(self) -> tuple[str, ...]:
-        """YCB names of the episode's objects; the object to be handed over is first."""
+        """Class names of the episode's objects; the object to be handed over is first."""
         return self._episode.scene.info.object_names
 
     @property
@@ -235,7 +237,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         Raises:
             ResetNeededError: No episode has been started.
         """
-        return np.asarray(spaces.flatten(observation_space(), self._require_observation()))
+        return np.asarray(spaces.flatten(observation_space(self._largest_class), self._require_observation()))
 
     def render(self) -> npt.NDArray[np.uint8] | None:
         """Return an RGB image (height, width, 3) in the mode "rgb_array", else None.

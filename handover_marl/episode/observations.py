@@ -16,7 +16,7 @@ from handover_marl.episode.giver_motion import Playback, find_wrist_offset
 from handover_marl.episode.spaces import STATE, has_state
 from handover_marl.episode.wrist_offset import compute_wrist_positions
 from handover_marl.geometry.poses import quaternions_from_euler
-from handover_marl.geometry.ycb import CLASS_NAMES
+from handover_marl.geometry.ycb import LARGEST_YCB_CLASS
 from handover_marl.simulation.world import WorldState
 
 Observation = dict[str, npt.NDArray[Any]]
@@ -29,8 +29,11 @@ _POSE = 7
 _BLOCK_FRAMES = 1000
 
 
-def observation_space() -> spaces.Dict:
+def observation_space(largest_class: int = LARGEST_YCB_CLASS) -> spaces.Dict:
     """Return the space of the full state, which both agents share.
+
+    Args:
+        largest_class: Largest class number of objects, 21 for YCB classes.
 
     | key | shape | meaning (world frame; m, rad, s; quaternions xyzw) |
     |---|---|---|
@@ -39,7 +42,7 @@ def observation_space() -> spaces.Dict:
     | gripper_pose | (7,) | pose of the Panda's hand link |
     | object_poses | (5, 7) | poses of the objects, the one to be handed over first; zeros for no object |
     | object_mask | (5,) | 1 for an object, 0 for none |
-    | object_classes | (5,) | YCB class number 1-21, 0 for no object |
+    | object_classes | (5,) | class number, 1-21 for YCB classes, from 22 on for others; 0 for no object |
     | hand_dof_position | (51,) | base and finger joints of the human hand; zeros without a hand |
     | hand_keypoints | (16, 3) | origins of the wrist and 15 finger joints; zeros without a hand |
     | hand_present | (1,) | 1 with a hand, 0 without |
@@ -53,7 +56,7 @@ def observation_space() -> spaces.Dict:
             "gripper_pose": _unbounded((_POSE,)),
             "object_poses": _unbounded((MAX_OBJECTS, _POSE)),
             "object_mask": _flags((MAX_OBJECTS,)),
-            "object_classes": spaces.Box(0.0, float(max(CLASS_NAMES)), (MAX_OBJECTS,), np.float32),
+            "object_classes": spaces.Box(0.0, float(largest_class), (MAX_OBJECTS,), np.float32),
             "hand_dof_position": _unbounded((HAND_DOF,)),
             "hand_keypoints": _unbounded((N_KEYPOINTS, 3)),
             "hand_present": _flags((1,)),
@@ -63,22 +66,25 @@ def observation_space() -> spaces.Dict:
     )
 
 
-def receiver_observation_space(obs_mode: str = STATE) -> spaces.Dict:
+def receiver_observation_space(obs_mode: str = STATE, largest_class: int = LARGEST_YCB_CLASS) -> spaces.Dict:
     """Return the receiver's observation space.
 
     Args:
         obs_mode: One of `OBS_MODES`: state, wrist camera data, or both; see `camera_observation_space`.
+        largest_class: Largest class number of objects.
 
     Raises:
         UnknownNameError: There is no such observation mode.
     """
     camera = camera_observation_space(obs_mode)
-    state = observation_space().spaces
+    state = observation_space(largest_class).spaces
     own = state if has_state(obs_mode) else {key: state[key] for key in PROPRIOCEPTION}
     return spaces.Dict({**own, **camera})
 
 
-def giver_observation_space(config: GiverConfig = OFFICIAL_CONFIG.giver) -> spaces.Dict:
+def giver_observation_space(
+    config: GiverConfig = OFFICIAL_CONFIG.giver, largest_class: int = LARGEST_YCB_CLASS
+) -> spaces.Dict:
     """Return the giver's observation space: the full state and the keys of this table.
 
     | key | shape | meaning (world frame; m, rad; quaternions xyzw) |
@@ -91,7 +97,7 @@ def giver_observation_space(config: GiverConfig = OFFICIAL_CONFIG.giver) -> spac
     ahead = len(config.preview)
     return spaces.Dict(
         {
-            **observation_space().spaces,
+            **observation_space(largest_class).spaces,
             "replay_wrist_poses": _unbounded((ahead, _POSE)),
             "replay_object_poses": _unbounded((ahead, _POSE)),
             "deviation": _unbounded((7,)),
@@ -145,7 +151,7 @@ def observe(state: WorldState, object_ids: tuple[int, ...], released: bool, time
 
     Args:
         state: State of the simulated world.
-        object_ids: YCB class numbers of the objects, in the order of the state.
+        object_ids: Class numbers of the objects, in the order of the state.
         released: Whether the person has released the object.
         time: Time since the start of the episode (s).
     """

@@ -115,7 +115,7 @@ class Agreement(TabularResult):
 
 @forward_signature(EvaluationConfig, ExecutionConfig)
 def compare_physics(
-    setup: str | EvaluationConfig = "s0",
+    setup: str | EvaluationConfig | None = None,
     split: str = "val",
     receiver: PolicyLike = "yang2021",
     giver: PolicyLike = REPLAY,
@@ -126,7 +126,7 @@ def compare_physics(
     """Compare outcomes of two physics engines on the same scenes.
 
     Args:
-        setup: Official setup, "s0" to "s3"; or a whole `handover_marl.EvaluationConfig`, whose
+        setup: Official setup, "s0" to "s3", or one of other data; or a whole `handover_marl.EvaluationConfig`, whose
             physics is ignored.
         split: "train", "val" or "test".
         receiver: The robot's policy, as for `benchmark`.

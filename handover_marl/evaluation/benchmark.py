@@ -33,7 +33,7 @@ from handover_marl.policies.reference import PolicyLike
 
 @forward_signature(EvaluationConfig, ExecutionConfig, without=("giver", "world_config"))
 def benchmark(
-    setup: str | EvaluationConfig = "s0",
+    setup: str | EvaluationConfig | None = None,
     split: str = "test",
     receiver: PolicyLike = "yang2021",
     execution: ExecutionConfig | None = None,
@@ -42,7 +42,7 @@ def benchmark(
     """Evaluate a receiver by HandoverSim's official protocol.
 
     Args:
-        setup: Official setup, "s0" to "s3"; or a whole `handover_marl.EvaluationConfig`.
+        setup: Official setup, "s0" to "s3", or a setup of other data; or a whole `handover_marl.EvaluationConfig`.
         split: "train", "val" or "test".
         receiver: A registered name, with options or a file (`"omg:wait=1.5"`,
             `"learned:policy.npz"`), a class or an instance; see `handover_marl.policies.reference`.
@@ -71,7 +71,7 @@ def benchmark(
 def evaluate_pair(
     giver: PolicyLike | EvaluationConfig = REPLAY,
     receiver: PolicyLike = "yang2021",
-    setup: str = "s0",
+    setup: str | None = None,
     split: str = "test",
     execution: ExecutionConfig | None = None,
     **options: Unpack[EvaluationOptions],
@@ -82,7 +82,7 @@ def evaluate_pair(
         giver: The person's policy, given as `receiver` is; "replay" is the official giver. Or a
             whole `handover_marl.EvaluationConfig`.
         receiver: The robot's policy: a registered name, a class or an instance, as for `benchmark`.
-        setup: Official setup, "s0" to "s3".
+        setup: Official setup, "s0" to "s3", or a setup of other data; default: the first of the dataset.
         split: "train", "val" or "test".
         execution: Execution settings; or pass its fields as options.
         options: Fields of `handover_marl.EvaluationConfig` and `handover_marl.ExecutionConfig`.
@@ -120,21 +120,21 @@ class Evaluation:
         execution.pool.check()
         shard = None if execution.shard is None else Shard.parse(execution.shard)
         self.config, dataset = resolve_config(config, execution.trust)
-        split_ids = dataset.list_scenes(config.setup, config.split)
+        split_ids = dataset.list_scenes(self.config.setup, config.split)
         shard_text = ""
         if shard is not None and self.config.scenes is not None:
             scenes = self.config.scenes
             shard_text = str(replace(shard, scenes=None if scenes == split_ids else scenes))
             self.config = replace(self.config, scenes=shard.select(scenes))
         self._execution = execution
-        self._metadata = ResultMetadata.from_config(self.config, recorded, shard_text)
+        self._metadata = ResultMetadata.from_config(self.config, recorded, shard_text, len(split_ids))
         self._n_split_scenes = len(split_ids)
         self.folder: ResultFolder | None = None
         if execution.folder is not None:
             self.folder = ResultFolder(execution.folder, self._metadata, self.config.world_config, execution.fresh)
+        indices = {scene: index for index, scene in enumerate(split_ids)}
         self._tasks = [
-            SceneTask(split_ids.index(scene), scene, dataset.compute_fingerprint(scene))
-            for scene in self.config.scenes or ()
+            SceneTask(indices[scene], scene, dataset.compute_fingerprint(scene)) for scene in self.config.scenes or ()
         ]
 
     def run(self, writers: Sequence[EpisodeWriter] = ()) -> Report:

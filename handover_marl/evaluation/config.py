@@ -15,10 +15,10 @@ from typing_extensions import TypedDict
 
 from handover_marl.config import OFFICIAL_CONFIG, WorldConfig, check_config
 from handover_marl.datasets import Dataset, open_dataset
-from handover_marl.datasets.splits import check_setup_and_split, choose_scenes
+from handover_marl.datasets.splits import SPLITS, choose_scenes
 from handover_marl.episode.camera_observations import WristCameraConfig
 from handover_marl.episode.spaces import get_camera_data_kind
-from handover_marl.errors import OptionError
+from handover_marl.errors import OptionError, check_name
 from handover_marl.execution.files import shorten_text
 from handover_marl.execution.options import check_boolean, check_path
 from handover_marl.execution.pool import LOCAL, PoolConfig
@@ -45,7 +45,8 @@ class EvaluationConfig:
     """Configuration of an evaluation: scenes, policies and simulation.
 
     Attributes:
-        setup: Official setup: s0 no unseen factor, s1 unseen subjects, s2 unseen handedness, s3 unseen objects.
+        setup: Official setup: s0 no unseen factor, s1 unseen subjects, s2 unseen handedness, s3 unseen objects; or a
+            setup of other data. Default: the first of the dataset, s0 of the official ones.
         split: Split of the setup: train, val or test.
         scenes: Scene numbers of the split to evaluate, e.g. 209,214; default: all. Reports say if they are partial.
         dataset: Dataset: dexycb, synthetic, or auto (dexycb if a data folder is found, else synthetic).
@@ -64,7 +65,7 @@ class EvaluationConfig:
         OptionError: The seed is not an integer, or the data folder not a path.
     """
 
-    setup: str = "s0"
+    setup: str | None = None
     split: str = "test"
     scenes: tuple[int, ...] | None = None
     dataset: str = "auto"
@@ -188,12 +189,12 @@ class EvaluationOptions(EpisodeOptions, total=False):
 
 
 def build_configs(
-    setup: str | EvaluationConfig, options: Any, execution: ExecutionConfig | None = None, **arguments: Any
+    setup: str | EvaluationConfig | None, options: Any, execution: ExecutionConfig | None = None, **arguments: Any
 ) -> tuple[EvaluationConfig, ExecutionConfig]:
     """Build the configurations of evaluation and execution from the arguments of a public function.
 
     Args:
-        setup: Official setup, or a whole configuration, which no option may contradict.
+        setup: Setup, None for the dataset's first, or a whole configuration, which no option may contradict.
         options: Keyword arguments as in `EvaluationOptions`.
         execution: Execution configuration, or None to build it from `options`.
         arguments: Further fields of `EvaluationConfig`, ignored beside a whole configuration.
@@ -228,7 +229,7 @@ def resolve_config(config: EvaluationConfig, trust: bool = False) -> tuple[Evalu
         trust: Whether policy files may run code.
 
     Returns:
-        The resolved configuration, whose policies are `PolicyReference`s, and its dataset.
+        The resolved configuration, with a setup, scenes and `PolicyReference`s, and its dataset.
 
     Raises:
         UnknownNameError: Unknown setup, split, dataset, robot, physics, renderer or policy.
@@ -236,21 +237,28 @@ def resolve_config(config: EvaluationConfig, trust: bool = False) -> tuple[Evalu
         DataNotFoundError: A file of a scene is missing.
         OptionError: A policy does not accept its options, or the renderer is not installed.
     """
-    check_setup_and_split(config.setup, config.split)
+    check_name("split", config.split, SPLITS)
     check_physics(config.physics)
     check_config("world_config", config.world_config, WorldConfig)
     giver = parse_policy("giver", config.giver, trust)
     receiver = parse_policy("receiver", config.receiver, trust)
     dataset = config.open_dataset()
-    split = dataset.list_scenes(config.setup, config.split)
-    scenes = choose_scenes(split, config.scenes, f"{config.setup} {config.split}")
-    giver = giver.resolve(dataset, config.world_config, config.setup)
-    receiver = receiver.resolve(dataset, config.world_config, config.setup)
+    setup = dataset.resolve_setup(config.setup)
+    scenes = choose_scenes(dataset.list_scenes(setup, config.split), config.scenes, f"{setup} {config.split}")
+    giver = giver.resolve(dataset, config.world_config, setup)
+    receiver = receiver.resolve(dataset, config.world_config, setup)
     resolve_renderer(
         config.camera.renderer, config.physics, installed=get_camera_data_kind(receiver.obs_mode) is not None
     )
     dataset.check_scenes(scenes)
-    return replace(config, dataset=dataset.name, scenes=scenes, giver=giver, receiver=receiver), dataset
+    config = replace(config, setup=setup, scenes=scenes, giver=giver, receiver=receiver)
+    return set_dataset(config, dataset), dataset
+
+
+def set_dataset(config: EvaluationConfig, dataset: Dataset) -> EvaluationConfig:
+    """Return a copy of a configuration that opens a given dataset, by its name in results."""
+    folder = dataset.source_folder
+    return replace(config, dataset=dataset.name, data_dir=config.data_dir if folder is None else str(folder))
 
 
 def require_policy_reference(policy: PolicyLike) -> PolicyReference:

@@ -204,7 +204,7 @@ class CrossPlay(TabularResult):
 def crossplay(
     givers: Sequence[PolicyLike] | PolicyLike,
     receivers: Sequence[PolicyLike] | PolicyLike,
-    setup: str | EvaluationConfig = "s0",
+    setup: str | EvaluationConfig | None = None,
     split: str = "val",
     execution: ExecutionConfig | None = None,
     **options: Unpack[EvaluationOptions],
@@ -214,7 +214,7 @@ def crossplay(
     Args:
         givers: Givers, each as for `evaluate_pair`; gains are relative to the first one.
         receivers: Receivers, each as for `benchmark`.
-        setup: Official setup, "s0" to "s3"; or a whole `handover_marl.EvaluationConfig`, whose
+        setup: Official setup, "s0" to "s3", or one of other data; or a whole `handover_marl.EvaluationConfig`, whose
             policies are ignored.
         split: "train", "val" or "test".
         execution: Execution settings. The output folder gets a result folder for each pair and

@@ -163,7 +163,7 @@ def run_episodes(
         bundles = tuple(
             PolicyBundle.pack(require_policy_reference(getattr(config, agent))) for agent in ("giver", "receiver")
         )
-        location = DataLocation.from_data_dir(config.data_dir)
+        location = DataLocation.from_data_dir(config.data_dir, config.dataset)
         open_runner = functools.partial(_open_remote_runner, config, location, bundles, parallelism, writers)
     else:
         open_runner = functools.partial(_open_runner, config, parallelism, writers)

@@ -120,7 +120,7 @@ class ShardFolder:
             ResultsError: The folder has a result of another shard.
         """
         scenes = self.part.scenes
-        expected = set(self.part.list_positions(self.metadata.setup, self.metadata.split))
+        expected = set(self.part.list_positions(self.metadata.split_size))
         positions = {scene: position for position, scene in enumerate(scenes or ())}
         found = set()
         for result in self.results:

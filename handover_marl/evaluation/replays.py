@@ -4,7 +4,7 @@ import html
 from pathlib import Path
 
 from handover_marl import __version__
-from handover_marl.datasets import DATASET_TITLES
+from handover_marl.datasets.registry import format_dataset_title
 from handover_marl.errors import OptionError, ResultsError, check_name
 from handover_marl.evaluation.config import (
     REPLAY_CHOICES,
@@ -53,7 +53,7 @@ def format_replay_facts(config: EvaluationConfig, models: str) -> str:
     camera = config.camera.describe(receiver.obs_mode, config.physics)
     observation = f" (obs_mode {receiver.obs_mode}, {camera})" if camera else ""
     parts = [
-        DATASET_TITLES.get(config.dataset, config.dataset) + (f", {models}" if models else ""),
+        format_dataset_title(config.dataset) + (f", {models}" if models else ""),
         f"receiver {receiver.label}{observation}, giver {giver.label}",
         f"{config.physics} physics",
         f"robot {config.robot}",

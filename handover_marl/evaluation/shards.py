@@ -5,10 +5,9 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from handover_marl.datasets.splits import SPLIT_SIZES
 from handover_marl.errors import OptionError
 
-_PATTERN = re.compile(r"(\d{1,4})/(\d{1,4})(?: of (\d{1,3}(?:,\d{1,3})*))?")
+_PATTERN = re.compile(r"(\d{1,4})/(\d{1,4})(?: of (\d{1,7}(?:,\d{1,7})*))?")
 
 
 @dataclass(frozen=True)
@@ -67,10 +66,13 @@ class Shard:
         shuffled = sorted(range(len(scenes)), key=lambda position: hashlib.sha256(b"%d" % position).digest())
         return tuple(scenes[position] for position in sorted(shuffled[self.number - 1 :: self.count]))
 
-    def list_positions(self, setup: str, split: str) -> tuple[int, ...]:
+    def list_positions(self, n_split_scenes: int) -> tuple[int, ...]:
         """Return the scenes of this shard as positions in the split or in the selected scenes.
+
+        Args:
+            n_split_scenes: Number of scenes in the split.
 
         Raises:
             OptionError: There are fewer scenes than shards.
         """
-        return self.select(range(SPLIT_SIZES[setup, split] if self.scenes is None else len(self.scenes)))
+        return self.select(range(n_split_scenes if self.scenes is None else len(self.scenes)))

@@ -29,6 +29,9 @@ CLASS_NAMES = MappingProxyType(
     }
 )
 
+#: Largest class number of YCB; classes of other data sets have larger ones.
+LARGEST_YCB_CLASS = max(CLASS_NAMES)
+
 #: The twenty classes that DexYCB's people hand over (no large clamp), in the order of the scene numbering.
 SCENE_CLASSES = tuple(number for number in CLASS_NAMES if number != 19)
 

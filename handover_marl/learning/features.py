@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from handover_marl.config import TIME_STEP, ProtocolConfig
 from handover_marl.episode.observations import Observation, giver_observation_space, observation_space
 from handover_marl.errors import check_name
-from handover_marl.geometry.ycb import CLASS_NAMES
+from handover_marl.geometry.ycb import LARGEST_YCB_CLASS
 from handover_marl.learning.encodings.choices import import_reference, is_reference
 from handover_marl.learning.encodings.own_features import (
     KIND,
@@ -32,8 +32,7 @@ from handover_marl.receivers.grasp_library import get_nearest_grasp_selector
 Array = npt.NDArray[np.float64]
 
 _SCALE, _GRASP_SCALE = 10.0, 5.0  # 1/m
-_N_CLASSES = max(CLASS_NAMES)
-_N_RECEIVER, _N_GRASP, _N_PROXIMITY = 35 + _N_CLASSES, 8, 12
+_N_RECEIVER, _N_GRASP, _N_PROXIMITY = 35 + LARGEST_YCB_CLASS, 8, 12
 _GIVER_SPACE, _RECEIVER_SPACE = giver_observation_space(), observation_space()
 
 
@@ -56,8 +55,8 @@ def giver_features(observation: Observation, protocol: ProtocolConfig) -> Vector
 
     In the frame of `handover_frame`: horizontal distance and height of the gripper; origin of the
     frame relative to the goal (in the world frame); wrist position, mean finger position and object
-    orientation 0.5 s later in the recording; whether the object was released; and the object class
-    (one-hot).
+    orientation 0.5 s later in the recording; whether the object was released; and the YCB class
+    of the object (one-hot; zeros for another class).
     """
     origin, axes = handover_frame(observation)
     wrist = observation["replay_wrist_poses"][-1]
@@ -85,7 +84,8 @@ def receiver_features(observation: Observation, protocol: ProtocolConfig) -> Vec
     In the gripper frame: positions of the object, the person's wrist, the mean of the person's
     fingers and the goal, the object's orientation, and the world's vertical. Then follow the robot's
     finger joints and their velocities, its arm joints, whether the object was released, the elapsed
-    share of the episode, whether a hand is present, and the object class (one-hot).
+    share of the episode, whether a hand is present, and the YCB class of the object (one-hot;
+    zeros for another class).
     """
     gripper, object_pose = observation["gripper_pose"].astype(np.float64), observation["object_poses"][0]
     rotation = Rotation.from_quat(gripper[3:]).as_matrix()
@@ -174,9 +174,10 @@ class GraspProximityFeatures:
 
 
 def _one_hot_class(observation: Observation) -> Vector:
-    one_hot = np.zeros(_N_CLASSES, dtype=np.float32)
+    """Return the YCB class of the handed-over object as one of 21 numbers; zeros for another class."""
+    one_hot = np.zeros(LARGEST_YCB_CLASS, dtype=np.float32)
     number = int(observation["object_classes"][0])
-    if 1 <= number <= _N_CLASSES:  # own objects have no class
+    if 1 <= number <= LARGEST_YCB_CLASS:
         one_hot[number - 1] = 1.0
     return one_hot
 
@@ -189,7 +190,7 @@ def _flatten(observation: Observation, space: spaces.Dict) -> Vector:
 # order in which Gymnasium and Stable-Baselines3 flatten them.
 _FEATURES: dict[str, dict[str, tuple[Callable[[PolicyContext], FeatureFunction], int]]] = {
     "giver": {
-        "giver": (lambda context: functools.partial(giver_features, protocol=context.protocol), 18 + _N_CLASSES),
+        "giver": (lambda context: functools.partial(giver_features, protocol=context.protocol), 18 + LARGEST_YCB_CLASS),
         "flat_giver": (lambda _: functools.partial(_flatten, space=_GIVER_SPACE), spaces.flatdim(_GIVER_SPACE)),
     },
     "receiver": {

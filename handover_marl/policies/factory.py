@@ -25,7 +25,7 @@ class PolicyFactory(Generic[_Policy]):
         return registry.list_available(self._agent)
 
     def make(
-        self, policy: PolicyLike, dataset: Dataset | None = None, trust: bool = False, setup: str = "s0"
+        self, policy: PolicyLike, dataset: Dataset | None = None, trust: bool = False, setup: str | None = None
     ) -> _Policy:
         """Create a policy for the robot and objects of a dataset.
 
@@ -34,7 +34,7 @@ class PolicyFactory(Generic[_Policy]):
                 `handover_marl.policies.reference`.
             dataset: Dataset with the robot and objects; default: the one `open_dataset()` returns.
             trust: Whether code in a policy file may be executed.
-            setup: Official setup, s0 to s3, whose weights a learned policy uses.
+            setup: Setup whose weights a learned policy uses; default: the first of the dataset.
 
         Raises:
             UnknownNameError: No policy of this name is registered for the agent.

@@ -3,8 +3,8 @@
 import functools
 import inspect
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -17,6 +17,7 @@ from handover_marl.episode.observations import Observation
 from handover_marl.episode.spaces import STATE
 from handover_marl.errors import OptionError
 from handover_marl.execution.files import shorten_text
+from handover_marl.geometry.ycb import CLASS_NAMES
 
 Action = npt.NDArray[np.float32]
 
@@ -31,11 +32,14 @@ class PolicyContext:
 
     Attributes:
         panda_urdf: URDF file of the robot.
-        grasps: Function that returns the known grasps of an object by YCB name: (n, 4, 4) gripper
+        grasps: Function that returns the known grasps of an object by class name: (n, 4, 4) gripper
             poses in the object's frame (m), or None for an object without grasps.
-        object_urdf: Function that returns the URDF file of an object by YCB name.
+        object_urdf: Function that returns the URDF file of an object by class name.
         config: Simulated world, protocol and limits of the giver.
-        setup: Official setup, "s0" to "s3", for policies with different weights for each setup.
+        setup: Official setup, "s0" to "s3", for policies with different weights for each setup; or a
+            setup of other data.
+        object_names: Class name of each class number in observations (`object_classes`), e.g.
+            `context.object_names[14]` is "025_mug".
     """
 
     panda_urdf: Path
@@ -43,6 +47,7 @@ class PolicyContext:
     object_urdf: Callable[[str], Path]
     config: WorldConfig = OFFICIAL_CONFIG
     setup: str = "s0"
+    object_names: Mapping[int, str] = field(default_factory=lambda: CLASS_NAMES, hash=False, repr=False)
 
     @property
     def panda(self) -> PandaConfig:
@@ -55,15 +60,24 @@ class PolicyContext:
         return self.config.protocol
 
 
-def make_policy_context(dataset: Dataset, config: WorldConfig = OFFICIAL_CONFIG, setup: str = "s0") -> PolicyContext:
+def make_policy_context(
+    dataset: Dataset, config: WorldConfig = OFFICIAL_CONFIG, setup: str | None = None
+) -> PolicyContext:
     """Make the context for policies that act in the scenes of a dataset.
 
     Args:
         dataset: Dataset with robot and objects.
         config: Simulated world, protocol and limits of the giver.
-        setup: Official setup.
+        setup: Setup of the dataset; default: its first.
     """
-    return PolicyContext(dataset.panda_urdf, dataset.load_grasps, dataset.find_object_urdf, config, setup)
+    return PolicyContext(
+        dataset.panda_urdf,
+        dataset.load_grasps,
+        dataset.find_object_urdf,
+        config,
+        dataset.resolve_setup(setup),
+        dataset.object_names,
+    )
 
 
 class Policy(ABC):
@@ -95,7 +109,7 @@ class Policy(ABC):
         depend on the objects only.
 
         Args:
-            object_names: YCB names such as "025_mug", the object that is handed over first.
+            object_names: Class names such as "025_mug", the object that is handed over first.
         """
 
     @abstractmethod

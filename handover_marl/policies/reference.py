@@ -91,13 +91,15 @@ class PolicyReference:
         policy_class: type[Policy] = found if isinstance(found, type) else type(found)
         return policy_class
 
-    def make(self, dataset: Dataset | None = None, config: WorldConfig = OFFICIAL_CONFIG, setup: str = "s0") -> Policy:
+    def make(
+        self, dataset: Dataset | None = None, config: WorldConfig = OFFICIAL_CONFIG, setup: str | None = None
+    ) -> Policy:
         """Construct the policy that this reference names.
 
         Args:
             dataset: Robot model, objects and grasps for the policy; default: `open_dataset()`.
             config: World and rules for the policy.
-            setup: Official setup that is played, "s0" to "s3".
+            setup: Setup that is played; default: the first of the dataset.
 
         Raises:
             PolicyError: The constructor fails.
@@ -121,7 +123,9 @@ class PolicyReference:
             raise OptionError(f"{self.agent} {self.name!r} must make a policy, got {policy!r}")
         return policy
 
-    def resolve(self, dataset: Dataset, config: WorldConfig = OFFICIAL_CONFIG, setup: str = "s0") -> "PolicyReference":
+    def resolve(
+        self, dataset: Dataset, config: WorldConfig = OFFICIAL_CONFIG, setup: str | None = None
+    ) -> "PolicyReference":
         """Return a copy of this reference with label, code hash, wait and observation mode set.
 
         The policy is constructed once, so that errors of its constructor show early.
@@ -129,7 +133,7 @@ class PolicyReference:
         Args:
             dataset: Robot model, objects and grasps for the policy.
             config: World and rules for the policy.
-            setup: Official setup that is played.
+            setup: Setup that is played; default: the first of the dataset.
 
         Raises:
             PolicyError: An attribute of the policy fails.

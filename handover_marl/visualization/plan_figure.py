@@ -1,7 +1,7 @@
 """Figure of a motion plan in a scene; needs matplotlib (extra `plot`)."""
 
 import io
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,6 @@ from handover_marl.geometry.arm import ArmKinematics, LinkFrames
 from handover_marl.geometry.meshes import read_collision_mesh
 from handover_marl.geometry.panda import GRIPPER_OUTLINE
 from handover_marl.geometry.poses import transform_points
-from handover_marl.geometry.ycb import CLASS_NAMES
 from handover_marl.planning.hand_tracker import hand_capsules_from_observation
 from handover_marl.planning.planner import Plan
 
@@ -32,7 +31,7 @@ def draw_plan_figure(
     arm: ArmKinematics,
     world_from_base: Array,
     observation: Observation,
-    find_object_urdf: Callable[[str], Path],
+    object_urdfs: Sequence[Path],
     title: str,
     size: tuple[int, int],
 ) -> bytes:
@@ -43,7 +42,7 @@ def draw_plan_figure(
         arm: Kinematics of the robot arm.
         world_from_base: (7,) world pose of the robot base, xyz (m) and quaternion xyzw.
         observation: Observation of the scene when the plan was made.
-        find_object_urdf: Function from a YCB class name to the object's URDF file.
+        object_urdfs: URDF file of each object, in the order of the observation.
         title: Title of the figure.
         size: Width and height (pixels).
     """
@@ -55,7 +54,7 @@ def draw_plan_figure(
     limits = [(value - _HALF_EXTENT, value + _HALF_EXTENT) for value in center]
     for number, (elevation, azimuth) in enumerate(_VIEWS, start=1):
         axes = figure.add_subplot(1, len(_VIEWS), number, projection="3d")
-        _draw_objects(axes, observation, find_object_urdf)
+        _draw_objects(axes, observation, object_urdfs)
         _draw_person_hand(axes, observation)
         if plan is not None:
             _draw_plan(axes, plan, arm, world_from_base)
@@ -72,10 +71,9 @@ def draw_plan_figure(
     return stream.getvalue()
 
 
-def _draw_objects(axes: Any, observation: Observation, find_object_urdf: Callable[[str], Path]) -> None:
-    for number in np.flatnonzero(observation["object_mask"]):
-        name = CLASS_NAMES[int(observation["object_classes"][number])]
-        vertices, faces = read_collision_mesh(find_object_urdf(name))
+def _draw_objects(axes: Any, observation: Observation, object_urdfs: Sequence[Path]) -> None:
+    for number, urdf in enumerate(object_urdfs):
+        vertices, faces = read_collision_mesh(urdf)
         x, y, z = transform_points(observation["object_poses"][number].astype(np.float64), vertices).T
         color, label = ("tab:brown", "object") if number == 0 else ("tab:gray", "other objects")
         label_once = label if number < 2 else None

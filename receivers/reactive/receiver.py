@@ -50,7 +50,10 @@ class ReactiveReceiver(ControllerReceiver):
         """Start an episode; the receiver is deterministic."""
         self._object_name = ""
         self._scene = PoseSceneEstimate(
-            self.arm, self.config, lambda name: load_obstacle(self.context, name, self.config)
+            self.arm,
+            self.config,
+            lambda name: load_obstacle(self.context, name, self.config),
+            self.context.object_names,
         )
         self.start_episode(self._scene)
 

@@ -1,7 +1,7 @@
 """Estimated state of robot, object and person's hand, used by the receiver `reactive`."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 import numpy.typing as npt
@@ -119,14 +119,21 @@ class PoseSceneEstimate(SceneEstimate):
         config: Configuration of the receiver.
         load_obstacle: Function that returns spheres at the surface of an object class, in the
             object's frame.
+        object_names: Class name of each class number in observations.
 
     Attributes:
         object_name: Class of the object that is handed over.
     """
 
-    def __init__(self, arm: ArmInWorld, config: ReactiveConfig, load_obstacle: Callable[[str], Spheres]) -> None:
+    def __init__(
+        self,
+        arm: ArmInWorld,
+        config: ReactiveConfig,
+        load_obstacle: Callable[[str], Spheres],
+        object_names: Mapping[int, str] = CLASS_NAMES,
+    ) -> None:
         super().__init__(arm, config, HandTracker())
-        self._load_obstacle = load_obstacle
+        self._load_obstacle, self._object_names = load_obstacle, object_names
         self.object_name = ""
         self._is_released = False
 
@@ -134,7 +141,7 @@ class PoseSceneEstimate(SceneEstimate):
         """Update robot, object and person's hand from an observation."""
         self.update_robot(observation)
         self.object = observation["object_poses"][0].astype(np.float64)
-        self.object_name = CLASS_NAMES[int(observation["object_classes"][0])]
+        self.object_name = self._object_names[int(observation["object_classes"][0])]
         self._is_released = bool(observation["released"][0])
         self.motion.update(self.time, self.object)
         self.person.update(self.time, observation)
@@ -151,7 +158,7 @@ class PoseSceneEstimate(SceneEstimate):
             return
         bodies = []
         for number in others:
-            surface = self._load_obstacle(CLASS_NAMES[int(observation["object_classes"][number])])
+            surface = self._load_obstacle(self._object_names[int(observation["object_classes"][number])])
             pose = observation["object_poses"][number].astype(np.float64)
             bodies.append(Spheres(transform_points(pose, surface.centers), surface.radii))
         self.set_obstacles(Spheres.join(bodies))

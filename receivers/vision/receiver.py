@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.assets.shipped import find_vision_weights
+from handover_marl.datasets.splits import SETUPS
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.spaces import SCENE_POINTCLOUD
 from handover_marl.errors import OptionError
@@ -35,7 +36,8 @@ class VisionReceiver(ControllerReceiver):
         context: The robot and the task; models and grasps of objects are not used.
         wait: Time at the waiting pose (s).
         risk: Trade-off between success rate (0) and speed (1).
-        weights: Weight file of a grasp network; default: the file that ships for the setup.
+        weights: Weight file of a grasp network; default: the file that ships for the setup, that of s0
+            for setups of other data.
         grasp_predictor: Function that predicts grasps, used instead of a weight file.
         vision: Configuration of the perception.
 
@@ -131,7 +133,8 @@ def _make_predictor(weights: str | None, predictor: GraspPredictor | None, setup
 
 
 def _shipped_weights(setup: str) -> Path:
-    path = find_vision_weights(setup)
+    # Setups of other data than the official ones have no weights of their own.
+    path = find_vision_weights(setup if setup in SETUPS else SETUPS[0])
     if not path.is_file():
         raise OptionError(
             f"no weights of receiver 'vision' ship for setup {setup!r}: train them "

@@ -125,7 +125,7 @@ def _check_own(arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
     args, kwargs = called[0]
     for value in (*args, *kwargs.values()):
         if isinstance(value, EvaluationConfig):
-            check_setup_and_split(value.setup, value.split)
+            check_setup_and_split(value.setup or "s0", value.split)
             for agent in ("giver", "receiver"):
                 parse_policy(agent, getattr(value, agent))
     if arguments[0] == "crossplay":

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 from tabulate import tabulate
 
-from handover_marl.datasets.splits import SPLIT_SIZES
 from handover_marl.evaluation.config import EvaluationConfig
 from handover_marl.evaluation.results.episode_result import EpisodeResult
 from handover_marl.evaluation.results.metadata import OFFICIAL_WORLD, ResultMetadata
@@ -155,7 +154,7 @@ Table: features; shapes are those of one {self.row}.
         match = re.search(r"obs_mode ([\w+]+)", source.recorded)
         command += ["--obs-mode", match[1]] if match else []
         command += [] if len(self.recorded) == len(self.simulated) else ["--keep", "success"]
-        if len(self.simulated) != SPLIT_SIZES[source.setup, source.split]:
+        if len(self.simulated) != source.split_size:
             command += ["--scenes", ",".join(str(result.scene_id) for result in self.simulated)]
         return [*command, *self.arguments, "--out", "DIR"]
 

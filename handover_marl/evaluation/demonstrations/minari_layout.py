@@ -7,7 +7,7 @@ import json
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -83,7 +83,7 @@ def format_metadata(metadata: DataSetMetadata) -> str:
             "one decision of the receiver."
         ),
         _LIBRARY_SECTION: {
-            "evaluation": asdict(evaluation),
+            "evaluation": evaluation.to_dict(),
             "simulated": dict(metadata.simulated),
             "recorded": dict(metadata.recorded),
         },

@@ -11,7 +11,7 @@ OBSERVATION_MEANINGS = {
     "object_poses": f"poses of the objects, the one to be handed over first, {_WORLD}: xyz (m), quaternion xyzw; "
     "zeros for no object",
     "object_mask": "1 for an object, 0 for none",
-    "object_classes": "YCB class number 1 to 21, 0 for no object",
+    "object_classes": "class number: 1 to 21 for YCB, from 22 on for others, 0 for no object",
     "hand_dof_position": f"base (m, rad, {_WORLD}) and finger joints (rad) of the human hand; zeros without a hand",
     "hand_keypoints": f"origins of wrist and 15 finger joints of the human hand, {_WORLD} (m); zeros without a hand",
     "hand_present": "1 with a human hand, 0 without",

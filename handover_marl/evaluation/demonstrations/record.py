@@ -4,7 +4,7 @@ from typing import Literal, overload
 
 from typing_extensions import Unpack
 
-from handover_marl.datasets.splits import check_setup_and_split
+from handover_marl.datasets.splits import SPLITS
 from handover_marl.episode.spaces import STATE, check_obs_mode, get_camera_data_kind
 from handover_marl.errors import OptionError, check_name
 from handover_marl.evaluation.benchmark import Evaluation
@@ -34,7 +34,7 @@ _TRAIN = "train"
 
 @overload
 def demonstrate(
-    setup: str | EvaluationConfig = ...,
+    setup: str | EvaluationConfig | None = ...,
     split: str = ...,
     receiver: PolicyLike = ...,
     giver: PolicyLike = ...,
@@ -50,7 +50,7 @@ def demonstrate(
 
 @overload
 def demonstrate(
-    setup: str | EvaluationConfig = ...,
+    setup: str | EvaluationConfig | None = ...,
     split: str = ...,
     receiver: PolicyLike = ...,
     giver: PolicyLike = ...,
@@ -66,7 +66,7 @@ def demonstrate(
 
 @forward_signature(EvaluationConfig, ExecutionConfig)
 def demonstrate(
-    setup: str | EvaluationConfig = "s0",
+    setup: str | EvaluationConfig | None = None,
     split: str = _TRAIN,
     receiver: PolicyLike = "reactive",
     giver: PolicyLike = REPLAY,
@@ -81,7 +81,7 @@ def demonstrate(
     """Record observations and actions of a receiver on the scenes of a train split.
 
     Args:
-        setup: Official setup, "s0" to "s3"; or a whole `handover_marl.EvaluationConfig`.
+        setup: Official setup, "s0" to "s3", or a setup of other data; or a whole `handover_marl.EvaluationConfig`.
         split: "train"; other splits are not allowed.
         receiver: The policy to record, as for `benchmark`.
         giver: The person's policy, as for `evaluate_pair`.
@@ -104,7 +104,7 @@ def demonstrate(
     config, execution = build_configs(setup, options, execution, split=split, receiver=receiver, giver=giver)
     check_name("keep", keep, KEEP_CHOICES)
     check_obs_mode(obs_mode)
-    check_setup_and_split(config.setup, config.split)
+    check_name("split", config.split, SPLITS)
     if config.split != _TRAIN:
         raise OptionError(
             f"split must be {_TRAIN!r}, got {config.split!r}: results on a split are invalid if its episodes were used "

@@ -42,7 +42,7 @@ from handover_marl.execution.files import (
 from handover_marl.policies.policy import Policy
 
 _EPISODES_FOLDER = "episodes"
-_EPISODE_FILE = re.compile(r"[0-9]{3}\.hdf5")
+_EPISODE_FILE = re.compile(r"[0-9]{3,7}\.hdf5")
 
 
 @contextlib.contextmanager
@@ -131,7 +131,8 @@ class DemonstrationWriter(EpisodeWriter):
         if self._data_set.exists():
             names = map(format_group_name, range(len(self._assembled_groups)))
             present = [EpisodeLocation(self._data_set, name) for name in names]
-        observation_space = receiver_observation_space(self._recording.obs_mode)
+        largest_class = max(self._config.open_dataset().object_names)
+        observation_space = receiver_observation_space(self._recording.obs_mode, largest_class)
         assemble_data_set(self._folder, observation_space, receiver_action_space(), results, locations, present)
         self._assembled_groups = _read_groups(self._data_set)
         # Single files that cannot be deleted do no harm: their episodes are in the data set.

@@ -17,7 +17,6 @@ from handover_marl.evaluation.config import (
 from handover_marl.evaluation.rendering.player import ScenePlayer
 from handover_marl.execution.files import write_atomically
 from handover_marl.execution.options import forward_signature
-from handover_marl.geometry.ycb import CLASS_NAMES
 from handover_marl.planning.planner import Plan
 from handover_marl.policies.reference import PolicyLike
 from handover_marl.receivers.omg import OmgReceiver
@@ -46,7 +45,7 @@ def render_plan(
     """Render a receiver's first motion plan: start, goals, chosen goal and path of its hand.
 
     Args:
-        scene_id: Number of the scene, 0 to 999.
+        scene_id: Number of the scene, 0 to 999 of official data.
         out: Output file, a `.png`.
         receiver: A receiver with a motion planner, such as "omg".
         giver: The person's policy, as in `evaluate_pair`.
@@ -74,12 +73,11 @@ def render_plan(
     player.play(lambda: policy.has_planned)
     observation = player.episode.observe()
     player.close()
-    target = CLASS_NAMES[int(observation["object_classes"][0])]
+    target = player.scene.info.target_name
     title = f"{policy.name}, scene {scene_id} ({target}), {dataset.name}: {_describe_plan(policy.plan)}"
+    urdfs = [dataset.find_object_urdf(name) for name in player.scene.info.object_names]
     size = (camera.width, camera.height)
-    content = draw_plan_figure(
-        policy.plan, policy.arm, policy.world_from_base, observation, dataset.find_object_urdf, title, size
-    )
+    content = draw_plan_figure(policy.plan, policy.arm, policy.world_from_base, observation, urdfs, title, size)
     write_atomically(path, content)
     return path
 

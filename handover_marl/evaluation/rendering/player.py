@@ -8,7 +8,7 @@ from handover_marl.config import CameraConfig
 from handover_marl.episode.callbacks import EpisodeCallback
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import play
-from handover_marl.evaluation.config import build_configs
+from handover_marl.evaluation.config import build_configs, set_dataset
 from handover_marl.evaluation.replays import format_replay_facts
 from handover_marl.policies.reference import PolicyLike, parse_policy
 from handover_marl.visualization.replay_page import build_replay_page
@@ -19,7 +19,7 @@ class ScenePlayer:
     """Simulation of one scene with a receiver and a giver.
 
     Args:
-        scene_id: Number of the scene, 0 to 999.
+        scene_id: Number of the scene.
         receiver: The robot's policy.
         giver: The person's policy.
         options: Fields of `EvaluationConfig` and `ExecutionConfig` by name.
@@ -34,7 +34,7 @@ class ScenePlayer:
     """
 
     def __init__(self, scene_id: int, receiver: PolicyLike, giver: PolicyLike, options: Any) -> None:
-        self.config, self.execution = build_configs("s0", options, receiver=receiver, giver=giver)
+        self.config, self.execution = build_configs(None, options, receiver=receiver, giver=giver)
         self.dataset = self.config.open_dataset()
         self.scene = self.dataset.load_scene(scene_id)
         self._references = {
@@ -42,8 +42,7 @@ class ScenePlayer:
             for agent in ("receiver", "giver")
         }
         self.receiver, self._giver = (
-            reference.make(self.dataset, self.config.world_config, self.config.setup)
-            for reference in self._references.values()
+            reference.make(self.dataset, self.config.world_config) for reference in self._references.values()
         )
         self.episode = Episode(self.config.physics, self.config.world_config, wrist_camera=self.config.camera)
 
@@ -66,10 +65,9 @@ class ScenePlayer:
         self.play(until, [recorder])
         config, dataset = self.config, self.dataset
         resolved = {
-            agent: reference.resolve(dataset, config.world_config, config.setup)
-            for agent, reference in self._references.items()
+            agent: reference.resolve(dataset, config.world_config) for agent, reference in self._references.items()
         }
-        config = replace(config, dataset=dataset.name, **resolved)  # type: ignore[arg-type]
+        config = set_dataset(replace(config, **resolved), dataset)  # type: ignore[arg-type]
         facts = format_replay_facts(config, dataset.describe_models(self.scene.info.scene_id))
         return build_replay_page(recorder.log, facts, camera).encode()
 

@@ -62,7 +62,7 @@ def render_scene(
     """Render a scene, or the episode of two policies in it, to a file.
 
     Args:
-        scene_id: Number of the scene, 0 to 999.
+        scene_id: Number of the scene, 0 to 999 of official data.
         out: Output file: `.png` for a grid of key frames, `.gif` or `.mp4` for a film, `.html` for
             a page that replays the episode in 3D.
         receiver: The robot's policy, as in `benchmark`; None keeps the robot at rest.

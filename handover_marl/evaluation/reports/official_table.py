@@ -62,7 +62,7 @@ def build_official_table(metadata: ResultMetadata, episodes: Sequence[EpisodeRes
 def find_comparable_rows(metadata: ResultMetadata) -> tuple[PublishedResult, ...]:
     """Return the published results of the same scenes, physics and rules as an evaluation's."""
     identity = (metadata.split, metadata.dataset, metadata.physics, metadata.world)
-    return PUBLISHED[metadata.setup] if identity == ("test", "dexycb", "exact", OFFICIAL_WORLD) else ()
+    return PUBLISHED.get(metadata.setup, ()) if identity == ("test", "dexycb", "exact", OFFICIAL_WORLD) else ()
 
 
 def _format_published_row(row: PublishedResult) -> list[object]:

@@ -6,7 +6,7 @@ The text has a heading, the official table, outcomes by object, further metrics 
 import functools
 from dataclasses import asdict, dataclass
 
-from handover_marl.datasets import DATASET_TITLES
+from handover_marl.datasets.registry import find_dataset_note, format_dataset_title
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.episode.spaces import STATE
 from handover_marl.evaluation.reports.columns import AVERAGE_SUCCESS, REPORTED_STATUSES, TIMES
@@ -105,7 +105,7 @@ class Report(TabularResult):
     @property
     def data_label(self) -> str:
         """Description of the dataset: name, objects per scene, and substitutes for HandoverSim's models."""
-        name = DATASET_TITLES.get(self.metadata.dataset, self.metadata.dataset)
+        name = format_dataset_title(self.metadata.dataset)
         counts = sorted({episode.n_objects for episode in self.episodes if episode.n_objects is not None})
         models = sorted({episode.models for episode in self.episodes if episode.models})
         return ", ".join(filter(None, (name, _describe_object_count(counts), " or ".join(models))))
@@ -168,8 +168,8 @@ class Report(TabularResult):
             lines.append(f"World or rules are not the official ones ({self.metadata.world}).")
         if self.metadata.physics != "exact":
             lines.append("Official results use exact physics; compare the outcomes with handover-marl agreement.")
-        if self.metadata.dataset == "synthetic":
-            lines.append("Synthetic scenes are generated: not comparable with published results, which are on DexYCB.")
+        if note := find_dataset_note(self.metadata.dataset):
+            lines.append(note)
         comparable = find_comparable_rows(self.metadata)
         if comparable:
             lines += [
@@ -202,7 +202,7 @@ class Report(TabularResult):
         """Return metrics and episodes as JSON types; rates 0..1, 95 % intervals, times in s."""
         n, means = len(self.episodes), self.official_means
         return {
-            **asdict(self.metadata),
+            **self.metadata.to_dict(),
             "data": self.data_label,
             "machine": self.machine_label,
             "n_episodes": n,

@@ -5,7 +5,7 @@ import os
 from dataclasses import replace
 from pathlib import Path
 
-from handover_marl.datasets.splits import SPLIT_SIZES, list_split_scenes
+from handover_marl.datasets.splits import SETUPS, list_split_scenes
 from handover_marl.errors import ResultsError
 from handover_marl.evaluation.reports.pages import find_replay_links, render_report_page
 from handover_marl.evaluation.reports.report import Report
@@ -35,7 +35,7 @@ def evaluate(folder: str | os.PathLike[str]) -> Report:
         raise ResultsError(f"result folder {path} does not exist")
     metadata = read_result_metadata(path)
     setup, split = metadata.setup, metadata.split
-    size = SPLIT_SIZES[setup, split]
+    size = metadata.split_size
     results = read_results(path)
     if results[-1].index >= size:
         raise ResultsError(f"{path}: {results[-1].index:03d}.npz exceeds {setup} {split}, which has {size} scenes")
@@ -71,7 +71,7 @@ def write_report(folder: Path, report: Report) -> None:
 def _add_scene_info(result: EpisodeResult, setup: str, split: str) -> EpisodeResult:
     """Add scene, object and subject to a result of HandoverSim, if the index determines them."""
     # In s2 the index of a scene depends on the hand used, which only the dataset knows.
-    if result.scene_id is not None or setup == "s2":
+    if result.scene_id is not None or setup == "s2" or setup not in SETUPS:
         return result
     scene_id = list_split_scenes(setup, split, lambda _: "")[result.index]
     return replace(

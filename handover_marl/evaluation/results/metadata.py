@@ -11,9 +11,9 @@ import yaml
 
 from handover_marl import __version__
 from handover_marl.config import OFFICIAL_CONFIG, TIME_STEP, WorldConfig
-from handover_marl.datasets.splits import SETUPS, SPLITS
+from handover_marl.datasets.splits import SETUPS, SPLIT_SIZES, SPLITS
 from handover_marl.episode.spaces import OBS_MODES, STATE
-from handover_marl.errors import ResultsError
+from handover_marl.errors import OptionError, ResultsError
 from handover_marl.evaluation.config import EvaluationConfig, require_policy_reference
 from handover_marl.execution.files import shorten_text
 from handover_marl.execution.old_keys import upgrade_keys
@@ -29,7 +29,8 @@ _LIBRARY_SECTION = "HANDOVER_MARL"
 # HandoverSim's environment with the wrist camera.
 _HANDOVERSIM_CAMERA_ENV = "HandoverHandCameraPointStateEnv-v1"
 _MAX_TEXT = 20_000  # characters; a shard lists its scenes
-_CHOICES = {"setup": SETUPS, "split": SPLITS, "physics": PHYSICS, "robot": ROBOTS, "obs_mode": OBS_MODES}
+_SPLIT_SIZE = re.compile(r"[1-9][0-9]{0,6}")
+_CHOICES = {"split": SPLITS, "physics": PHYSICS, "robot": ROBOTS, "obs_mode": OBS_MODES}
 _MAX_BYTES = 64_000  # HandoverSim's own configuration files have a few thousand bytes.
 
 
@@ -38,7 +39,7 @@ class ResultMetadata:
     """Identity of an evaluation; different evaluations never share a result folder.
 
     Attributes:
-        setup: Official setup.
+        setup: Official setup, or a setup of other data.
         split: Split of the setup.
         receiver: Label of the receiver.
         giver: Label of the giver.
@@ -57,6 +58,7 @@ class ResultMetadata:
         shard: Part of the evaluation in this folder; empty if the evaluation has no shards.
         missing_package: "PyBullet" if it is not installed, so that inverse kinematics, grasp
             validation and distances were computed by the library and MuJoCo; else empty.
+        n_split_scenes: Number of scenes in the split; empty for an official setup, whose sizes are known.
     """
 
     setup: str
@@ -77,16 +79,28 @@ class ResultMetadata:
     recorded: str = ""
     shard: str = ""
     missing_package: str = ""
+    n_split_scenes: str = ""
 
     @classmethod
-    def from_config(cls, config: EvaluationConfig, recorded: str = "", shard: str = "") -> "ResultMetadata":
+    def from_config(
+        cls, config: EvaluationConfig, recorded: str = "", shard: str = "", n_split_scenes: int = 0
+    ) -> "ResultMetadata":
         """Create the identity of an evaluation from its configuration.
 
         Args:
             config: Resolved configuration.
             recorded: Description of the recordings kept beside the results.
             shard: Part of the evaluation, as text of a `Shard`.
+            n_split_scenes: Number of scenes in the split; may be left out for an official setup.
+
+        Raises:
+            OptionError: The shard is one of more scenes than `config.yaml` can list.
         """
+        if len(shard) > _MAX_TEXT:
+            raise OptionError(
+                f"scenes must be fewer if shard is given, got a list of {len(shard)} characters; take a whole split or "
+                "a range of scenes without shards"
+            )
         giver, receiver = require_policy_reference(config.giver), require_policy_reference(config.receiver)
         same = ("setup", "split", "physics", "dataset", "robot")
         return cls(
@@ -104,7 +118,17 @@ class ResultMetadata:
             recorded=recorded,
             shard=shard,
             missing_package="" if is_pybullet_installed() else "PyBullet",
+            n_split_scenes="" if config.setup in SETUPS else str(n_split_scenes),
         )
+
+    @property
+    def split_size(self) -> int:
+        """Number of scenes in the split."""
+        return int(self.n_split_scenes) if self.n_split_scenes else SPLIT_SIZES[self.setup, self.split]
+
+    def to_dict(self) -> dict[str, str]:
+        """Return the fields by name, without the size of an official split."""
+        return {key: value for key, value in asdict(self).items() if value or key != "n_split_scenes"}
 
     def describe_differences(self, other: "ResultMetadata", here: str, there: str) -> list[str]:
         """Describe each field that differs from another evaluation's.
@@ -130,7 +154,7 @@ def format_world_label(config: WorldConfig) -> str:
 
 def format_config(metadata: ResultMetadata, config: WorldConfig) -> str:
     """Return the content of a result folder's `config.yaml`."""
-    library: dict[str, Any] = asdict(metadata)
+    library: dict[str, Any] = metadata.to_dict()
     benchmark = {"SETUP": library.pop("setup"), "SPLIT": library.pop("split"), **_official_rules(config)}
     content = {"SIM": {"TIME_STEP": TIME_STEP}, "BENCHMARK": benchmark, _LIBRARY_SECTION: library}
     return yaml.safe_dump(content, sort_keys=False)
@@ -190,6 +214,14 @@ def check_metadata(metadata: ResultMetadata, path: Path) -> None:
             )
         if value not in _CHOICES.get(key, (value,)):
             raise ResultsError(f"{path}: unknown {key} {shorten_text(value)!r}; valid: {', '.join(_CHOICES[key])}")
+    if metadata.n_split_scenes:
+        if metadata.setup in SETUPS or not _SPLIT_SIZE.fullmatch(metadata.n_split_scenes):
+            raise ResultsError(
+                f"{path}: n_split_scenes must be a number beside a setup that is not official, got "
+                f"{shorten_text(metadata.n_split_scenes)!r} beside {metadata.setup!r}"
+            )
+    elif metadata.setup not in SETUPS:
+        raise ResultsError(f"{path}: unknown setup {shorten_text(metadata.setup)!r}; valid: {', '.join(SETUPS)}")
 
 
 def _official_rules(config: WorldConfig) -> dict[str, Any]:

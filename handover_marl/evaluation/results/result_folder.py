@@ -17,7 +17,6 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.config import OFFICIAL_CONFIG, WorldConfig
-from handover_marl.datasets.splits import N_SCENES
 from handover_marl.episode.callbacks import ActionRecorder
 from handover_marl.episode.metrics import FluencyMetrics
 from handover_marl.episode.referee import EpisodeStatus
@@ -40,7 +39,8 @@ from handover_marl.policies.policy import Policy
 REPORT_JSON = "report.json"
 REPORT_FILES = (REPORT_JSON, "report.md", "report.html", "episodes.csv")
 _REPLAYS = "episodes"
-_RESULT_FILE = re.compile(r"([0-9]{3})\.npz")
+_RESULT_FILE = re.compile(r"([0-9]{3}|[1-9][0-9]{3,6})\.npz")
+_REPLAY_PAGE = re.compile(r"([0-9]{3}|[1-9][0-9]{3,6})\.html")
 _MAX_BYTES = 64_000_000  # unpacked size of one scene's result
 # Type of each field that HandoverSim's files lack.
 _EXTRAS: dict[str, type] = {
@@ -50,13 +50,13 @@ _EXTRAS: dict[str, type] = {
 }
 _FLUENCY_PREFIX = "fluency_"
 _MAX_TEXT = 10_000  # characters of a description
-_MAX_NUMBER, _MAX_OBJECTS = 1e9, 1000
+_MAX_NUMBER, _MAX_OBJECTS, _MAX_SCENES = 1e9, 1000, 10_000_000
 # Smallest and largest possible values.
 _LIMITS: dict[str, tuple[float, float]] = {
     "result": (1, 15),
     "elapsed_frame": (1, _MAX_NUMBER),
     "elapsed_time": (0.0, _MAX_NUMBER),
-    "scene_id": (0, N_SCENES - 1),
+    "scene_id": (0, _MAX_SCENES - 1),
     "release_step": (0, _MAX_NUMBER),
     "n_objects": (1, _MAX_OBJECTS),
 }
@@ -74,8 +74,8 @@ def get_replay_path(folder: Path, scene_id: int) -> Path:
 
 def find_replays(folder: Path) -> dict[int, Path]:
     """Return the paths of the replay pages in a result folder, by scene number."""
-    paths = (folder / _REPLAYS).glob("[0-9][0-9][0-9].html")
-    return {int(path.stem): path for path in sorted(paths)}
+    paths = [path for path in (folder / _REPLAYS).glob("[0-9]*.html") if _REPLAY_PAGE.fullmatch(path.name)]
+    return {int(path.stem): path for path in sorted(paths, key=_get_number)}
 
 
 class ResultFolder(EpisodeWriter):
@@ -214,7 +214,7 @@ def read_results(path: Path, allow_empty: bool = False) -> list[EpisodeResult]:
         ResultsError: A file is damaged, or the folder has no results although `allow_empty` is False.
     """
     try:
-        files = sorted(entry for entry in path.iterdir() if _RESULT_FILE.fullmatch(entry.name))
+        files = sorted((entry for entry in path.iterdir() if _RESULT_FILE.fullmatch(entry.name)), key=_get_number)
     except OSError as error:
         raise ResultsError(f"cannot read {path}: {_get_reason(error)}") from error
     if not files and not allow_empty:
@@ -328,6 +328,10 @@ def _read_fluency(archive: Mapping[str, npt.NDArray[Any]]) -> FluencyMetrics | N
     if np.any(np.abs(list(values.values())) > _MAX_NUMBER):  # false for NaN, a missing metric
         raise ValueError(f"a metric is beyond {_MAX_NUMBER:g}")
     return FluencyMetrics(**{key: None if np.isnan(value) else value for key, value in values.items()})  # type: ignore[arg-type]
+
+
+def _get_number(path: Path) -> int:
+    return int(path.stem)
 
 
 def _get_reason(error: Exception) -> str:

@@ -77,7 +77,7 @@ def verify(
     data_dir = None if data_dir is None else str(check_path("data_dir", data_dir))
     dataset = open_dataset(metadata.dataset, data_dir, metadata.robot)
     split = dataset.list_scenes(metadata.setup, metadata.split)
-    wanted = choose_scenes(split, scenes, f"{metadata.setup} {metadata.split}")
+    wanted = frozenset(choose_scenes(split, scenes, f"{metadata.setup} {metadata.split}"))
     tasks = [
         SceneTask(index, scene)
         for index, scene in enumerate(split)

@@ -1,6 +1,6 @@
 """PyBullet bodies of a handover scene: human hand, objects, Panda robot, table and ground."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +11,7 @@ import numpy.typing as npt
 from handover_marl.assets.object_models import find_bullet_data
 from handover_marl.config import PANDA_DOF, TIME_STEP, HandConfig, ObjectConfig, PandaConfig, PhysicsConfig
 from handover_marl.datasets.dataset import SceneAssets
+from handover_marl.errors import SimulationError
 from handover_marl.geometry.panda import CAMERA_LINK, FINGER_LINKS, HAND_FROM_CAMERA_LINK, HAND_LINK
 from handover_marl.geometry.poses import compose
 from handover_marl.geometry.ycb import SCENE_CLASSES
@@ -19,10 +20,12 @@ from handover_marl.simulation.bullet.client import BulletClient, load_urdf, to_f
 from handover_marl.simulation.kinematic_paths import list_hand_motors, list_object_motors, select_keypoint_links
 
 #: Collision masks: the Panda collides with everything, the hand with the Panda only, a released object with all but
-#: the hand. Before its release an object collides with the Panda only, see `compute_object_mask`.
+#: the hand. Before its release an object collides with the Panda only, see `compute_object_masks`.
 TABLE_MASK = 1
 HAND_MASK = 2**22
 PANDA_MASK = -1
+# Bits that neither table nor hand use, those of no YCB class first; bit 31 is the sign.
+_OBJECT_BITS = (21, *range(23, 31), *range(1, 21))
 RELEASED_MASK = -1 - HAND_MASK
 
 
@@ -56,15 +59,13 @@ class ObjectBody(ArticulatedBody):
     Args:
         client: Physics client.
         urdf: Model file.
-        class_id: YCB class number.
+        mask: Collision group and mask before the release, see `compute_object_masks`.
         start: Initial positions and velocities of the six joints.
         config: Motors of the six joints.
     """
 
-    def __init__(
-        self, client: BulletClient, urdf: Path, class_id: int, start: InitialState, config: ObjectConfig
-    ) -> None:
-        super().__init__(client, urdf, list_object_motors(config), compute_object_mask(class_id), start)
+    def __init__(self, client: BulletClient, urdf: Path, mask: int, start: InitialState, config: ObjectConfig) -> None:
+        super().__init__(client, urdf, list_object_motors(config), mask, start)
 
     def read_pose(self) -> npt.NDArray[np.float32]:
         """Return the world pose (7,) of the object, xyz (m) and quaternion xyzw, float32."""
@@ -77,12 +78,27 @@ class ObjectBody(ArticulatedBody):
         self.disable_motors()
 
 
-def compute_object_mask(class_id: int) -> int:
-    """Return the collision mask of an object class before the release of the object.
+def compute_object_masks(class_ids: Sequence[int]) -> list[int]:
+    """Return the collision masks of a scene's objects before their release, each a bit of its own.
 
-    Objects of different classes collide with the robot but not with each other.
+    The objects collide with the robot but not with each other. The YCB classes of DexYCB have the bits of
+    HandoverSim, 1 to 20; other classes, and further objects of the same class, the next unused bits.
+
+    Args:
+        class_ids: Class numbers of the objects.
+
+    Raises:
+        SimulationError: There are more objects than bits.
     """
-    return int(2 ** (SCENE_CLASSES.index(class_id) + 1))
+    bits: list[int | None] = []
+    for class_id in class_ids:
+        bit = SCENE_CLASSES.index(class_id) + 1 if class_id in SCENE_CLASSES else None
+        bits.append(None if bit in bits else bit)
+    unused = iter([bit for bit in _OBJECT_BITS if bit not in bits])
+    try:
+        return [2 ** (next(unused) if bit is None else bit) for bit in bits]
+    except StopIteration:
+        raise SimulationError(f"a scene can have at most {len(_OBJECT_BITS)} objects, got {len(class_ids)}") from None
 
 
 class PandaBody(ArticulatedBody):

@@ -12,7 +12,7 @@ from handover_marl.config import CameraConfig, PhysicsConfig
 from handover_marl.datasets.dataset import Scene
 from handover_marl.errors import ResetNeededError, SimulationError
 from handover_marl.geometry.poses import inverse_transform_points
-from handover_marl.simulation.bullet.bodies import HandBody, ObjectBody, Workcell, load_workcell
+from handover_marl.simulation.bullet.bodies import HandBody, ObjectBody, Workcell, compute_object_masks, load_workcell
 from handover_marl.simulation.bullet.body import InitialState
 from handover_marl.simulation.bullet.client import BulletClient, connect, pause_window_rendering, pybullet_error
 from handover_marl.simulation.bullet.rendering import (
@@ -206,10 +206,10 @@ class ExactWorld(BulletWorld):
         """Load a scene and set robot, objects and hand to its start, see `World.reset`."""
         with self._start_scene(scene):
             self._workcell = load_workcell(self._client, scene.assets, self._config)
-            states = start.objects[0].tolist()
+            states, masks = start.objects[0].tolist(), compute_object_masks(scene.info.object_ids)
             self._objects = [
-                ObjectBody(self._client, urdf, class_id, InitialState(state), self._config.objects)
-                for urdf, class_id, state in zip(scene.assets.objects, scene.info.object_ids, states, strict=True)
+                ObjectBody(self._client, urdf, mask, InitialState(state), self._config.objects)
+                for urdf, mask, state in zip(scene.assets.objects, masks, states, strict=True)
             ]
             self._hand = None
             self._update_hand(start.list_hand_targets()[0])

@@ -15,7 +15,7 @@ from handover_marl.config import CameraConfig, PhysicsConfig
 from handover_marl.datasets.dataset import Scene
 from handover_marl.errors import ResetNeededError
 from handover_marl.geometry.kinematic_tree import read_tree
-from handover_marl.simulation.bullet.bodies import PandaBody, load_workcell
+from handover_marl.simulation.bullet.bodies import PandaBody, compute_object_masks, load_workcell
 from handover_marl.simulation.bullet.exact_world import BulletWorld
 from handover_marl.simulation.bullet.shapes import VisualBodies, read_bounding_spheres
 from handover_marl.simulation.bullet.sleepable_bodies import (
@@ -81,8 +81,9 @@ class FastWorld(BulletWorld):
             if assets.hand not in self._hand_models:
                 self._hand_models[assets.hand] = load_hand_collision_model(self._client, assets.hand)
             self._hand = KinematicHand(self._client, self._hand_models[assets.hand], self._config.hand, start)
-            for urdf, class_id, state in zip(assets.objects, scene.info.object_ids, start.objects[0], strict=True):
-                self._objects.append(SleepableObject(self._client, urdf, class_id, state, self._config.objects))
+            masks = compute_object_masks(scene.info.object_ids)
+            for urdf, mask, state in zip(assets.objects, masks, start.objects[0], strict=True):
+                self._objects.append(SleepableObject(self._client, urdf, mask, state, self._config.objects))
             self._row, self._free_until = -1, 0
             panda.reset_to_start()
 

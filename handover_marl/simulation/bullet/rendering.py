@@ -12,7 +12,7 @@ import numpy.typing as npt
 from handover_marl.config import CameraConfig, PhysicsConfig
 from handover_marl.datasets.dataset import Scene
 from handover_marl.geometry.poses import multiply_quaternions
-from handover_marl.simulation.bullet.bodies import HandBody, ObjectBody, PandaBody, load_workcell
+from handover_marl.simulation.bullet.bodies import HandBody, ObjectBody, PandaBody, compute_object_masks, load_workcell
 from handover_marl.simulation.bullet.body import InitialState
 from handover_marl.simulation.bullet.client import BulletClient, connect
 from handover_marl.simulation.camera.frames import (
@@ -131,8 +131,8 @@ class SceneRenderer:
         self._workcell = load_workcell(self._client, scene.assets, config)
         start = InitialState([0.0] * 6)
         self._objects = [
-            ObjectBody(self._client, urdf, class_id, start, config.objects)
-            for urdf, class_id in zip(scene.assets.objects, scene.info.object_ids, strict=True)
+            ObjectBody(self._client, urdf, mask, start, config.objects)
+            for urdf, mask in zip(scene.assets.objects, compute_object_masks(scene.info.object_ids), strict=True)
         ]
         self._hand: HandBody | None = None
 

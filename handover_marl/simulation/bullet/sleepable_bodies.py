@@ -66,7 +66,7 @@ class SleepableObject:
     Args:
         client: Physics client.
         urdf: Model file.
-        class_id: YCB class number.
+        mask: Collision group and mask before the release, see `compute_object_masks`.
         start: (6,) initial joint positions: xyz (m) and Euler angles (rad).
         config: Motors of the six joints.
 
@@ -78,13 +78,13 @@ class SleepableObject:
     """
 
     def __init__(
-        self, client: BulletClient, urdf: Path, class_id: int, start: npt.NDArray[np.float32], config: ObjectConfig
+        self, client: BulletClient, urdf: Path, mask: int, start: npt.NDArray[np.float32], config: ObjectConfig
     ) -> None:
         self.urdf = urdf
         self.body: ObjectBody | None = None
         self.tree = read_tree(urdf)
         self.reach = self.tree.compute_reach(len(self.tree.joints) - 1, read_bounding_spheres(urdf))
-        self._client, self._class_id, self._config = client, class_id, config
+        self._client, self._mask, self._config = client, mask, config
         self._trajectory = ObjectTrajectory(config, start)
         self._targets: list[list[float]] = []
 
@@ -112,7 +112,7 @@ class SleepableObject:
         if self.body is None:
             joints, velocities = self._trajectory.get_joints(row - 1), self._trajectory.compute_velocities(row - 1)
             start = InitialState(joints.tolist(), velocities.tolist())
-            self.body = ObjectBody(self._client, self.urdf, self._class_id, start, self._config)
+            self.body = ObjectBody(self._client, self.urdf, self._mask, start, self._config)
 
     def set_motor_targets(self, row: int) -> None:
         """Set the motor targets of step `row` of the reference if the object is simulated."""

@@ -75,7 +75,7 @@ def test_results_are_read_as_written(folder: ResultFolder) -> None:
         {"elapsed_time": np.full(50, 1e300)},
         {"result": np.inf},
         {"elapsed_frame": 10**15},
-        {"scene_id": 1000},
+        {"scene_id": 10_000_000},
         {"scene_id": -1},
         {"n_objects": 10**6},
         {"release_step": -(2**60)},

@@ -1,5 +1,6 @@
 """Features of a data set in LeRobot's format: names, types and shapes of columns, and their values."""
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -132,9 +133,9 @@ def format_task(object_name: str) -> str:
     """Return the text of an episode's task.
 
     Args:
-        object_name: YCB class of the object, e.g. "003_cracker_box".
+        object_name: Class name of the object, e.g. "003_cracker_box"; a number in front is left out.
     """
-    return f"Take the {' '.join(object_name.split('_')[1:])} from the person's hand."
+    return f"Take the {re.sub(r'^[0-9]+_', '', object_name).replace('_', ' ')} from the person's hand."
 
 
 def _describe_environment_state(space: spaces.Dict) -> Feature:

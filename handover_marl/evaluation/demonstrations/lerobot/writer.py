@@ -41,7 +41,7 @@ from handover_marl.policies.policy import Policy
 
 LEROBOT_FOLDER = "lerobot"
 _EPISODES_FOLDER = "episodes"
-_EPISODE_FILE = re.compile(r"[0-9]{3}\.zip")
+_EPISODE_FILE = re.compile(r"[0-9]{3,7}\.zip")
 _PREVIOUS, _TEMPORARY_PREFIX = ".lerobot.previous", ".lerobot.part."
 
 

@@ -9,7 +9,6 @@ from handover_marl.config import ARM_DOF
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.spaces import FULL_POINTCLOUD, STATE
 from handover_marl.geometry.poses import compose, invert_pose
-from handover_marl.geometry.ycb import CLASS_NAMES
 from handover_marl.learning.imitation.gaddpg.expert import GraspExpert, GraspExpertConfig, KinematicArm
 from handover_marl.learning.imitation.gaddpg.grasp_costs import GraspCostConfig, GraspCostTable, compute_travel_costs
 from handover_marl.policies.policy import Action, PolicyContext
@@ -66,7 +65,7 @@ class ExpertReceiver(GaddpgReceiver):
         hand = observation["gripper_pose"].astype(np.float64)
         if self._goals is None or np.linalg.norm(pose[:3] - self._object_position) > self._replan_distance:
             joints = observation["robot_joint_position"][:ARM_DOF].astype(np.float64)
-            name = CLASS_NAMES[int(observation["object_classes"][0])]
+            name = self.context.object_names[int(observation["object_classes"][0])]
             goals, costs = self._expert.find_goals(name, pose, joints, np.zeros(4))
             if len(goals):
                 self._goals, self._object_position = (compose(invert_pose(pose), goals), costs), pose[:3]
