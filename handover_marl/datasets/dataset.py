@@ -145,8 +145,11 @@ class Dataset(ABC):
 
     @property
     def object_names(self) -> Mapping[int, str]:
-        """Class names of objects by class number: 1-21 the YCB classes, from 22 on others."""
-        return CLASS_NAMES
+        """Class names of objects by class number: 1-21 the YCB classes, from 22 on others.
+
+        The mapping can be pickled and copied.
+        """
+        return dict(CLASS_NAMES)
 
     @property
     @abstractmethod

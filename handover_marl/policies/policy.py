@@ -47,7 +47,7 @@ class PolicyContext:
     object_urdf: Callable[[str], Path]
     config: WorldConfig = OFFICIAL_CONFIG
     setup: str = "s0"
-    object_names: Mapping[int, str] = field(default_factory=lambda: CLASS_NAMES, hash=False, repr=False)
+    object_names: Mapping[int, str] = field(default_factory=lambda: dict(CLASS_NAMES), hash=False, repr=False)
 
     @property
     def panda(self) -> PandaConfig:

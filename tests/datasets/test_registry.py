@@ -1,9 +1,10 @@
 """Data sets beyond the 1000 official scenes: other numbers, setups and object classes."""
 
+import copy
+import pickle
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -45,7 +46,7 @@ class ManyScenes(SyntheticDataset):
     @property
     def object_names(self) -> Mapping[int, str]:
         """The YCB classes and cups."""
-        return MappingProxyType({**CLASS_NAMES, CUP: "cup"})
+        return {**CLASS_NAMES, CUP: "cup"}
 
     def list_scenes(self, setup: str | None, split: str) -> tuple[int, ...]:
         """All scenes are in every split."""
@@ -135,6 +136,7 @@ def test_environment_of_another_data_set(many: Dataset) -> None:
 
 def test_policies_name_the_classes_of_the_data_set(many: Dataset) -> None:
     context = make_policy_context(many)
+    assert copy.deepcopy(context).object_names == pickle.loads(pickle.dumps(context)).object_names == many.object_names
     assert context.setup == "all"
     env = handover_marl.parallel_env(dataset="many:cups", physics="fast", scenes=SCENES)
     observation = env.reset(options={"scene_id": SCENES[0]})[0]["receiver"]
