@@ -19,7 +19,7 @@ class Digit:
     """Mean bone lengths (m) of one digit of the human hand.
 
     Attributes:
-        metacarpal: Length of the metacarpal bone; that of the thumb is movable.
+        metacarpal: Length of the metacarpal bone, which is movable in the thumb only.
         phalanges: Lengths of the phalanges from the knuckle outwards; the thumb has two.
         tip: Thickness of the soft tissue at the fingertip.
     """

@@ -31,6 +31,7 @@ nitpick_ignore_modules = (
     "episode",
     "evaluation",
     "execution",
+    "learning",
     "policies",
 )
 nitpick_ignore_regex += [("py:class", rf"handover_marl\.({'|'.join(nitpick_ignore_modules)})\..*")]

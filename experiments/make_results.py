@@ -120,7 +120,7 @@ def read_evaluation(folder: Path) -> Evaluation:
     """Return the evaluation whose results are stored in a result folder.
 
     Raises:
-        SystemExit: The folder is no complete, official evaluation of a test split.
+        SystemExit: The folder is not a complete, official evaluation of a test split.
     """
     report = handover_marl.evaluate(folder)
     metadata = report.metadata

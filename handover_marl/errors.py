@@ -68,11 +68,11 @@ class ActionError(HandoverError, ValueError):
 
 
 class RewardError(HandoverError, ValueError):
-    """Error of an own reward: a term that is no finite number, or is of an unknown agent or name."""
+    """Error for a term of a user-defined reward that is not finite, or has an unknown agent or name."""
 
 
 class EncodingError(HandoverError, ValueError):
-    """Error of own features or an own action scheme: it fails, or returns a wrong size, type or number."""
+    """Error for user-defined features or action schemes that fail, or return a wrong size, type or number."""
 
 
 class ResetNeededError(HandoverError, RuntimeError):

@@ -1,6 +1,6 @@
 """Known grasps of objects, and selection of the grasp that is nearest to the gripper.
 
-Poses are those of the hand link, position (m) and quaternion xyzw.
+Poses are poses of the Panda's hand link: position (m) and quaternion xyzw.
 """
 
 import functools

@@ -24,13 +24,14 @@ class PointCloudMemoryConfig:
     """Configuration of the point cloud memory of GA-DDPG, as in HandoverSim.
 
     Attributes:
-        n_points: Number of points in the network's input, in addition to those of the gripper.
+        n_points: Number of points in the network's input, in addition to the gripper's points.
         max_steps: Maximum number of decisions of an approach.
         thinning: Base of the share of `n_points` that is kept of a cloud; the exponent is the
             number of decisions until then.
         motion_threshold: Motion of the cloud's mean between two views above which the receiver may
             make more decisions (m).
-        extra_steps: Number of decisions added after such a motion, up to `max_steps` in total.
+        extra_steps: Number of decisions that are added after a motion above `motion_threshold`, up
+            to `max_steps` in total.
         cage_lower: Lower corner of the region between the fingers in the hand link's frame (m),
             exclusive.
         cage_upper: Upper corner of the region between the fingers in the hand link's frame (m),

@@ -1,8 +1,8 @@
 """Build the grasp validations: `python -m handover_marl.assets.building.build_grasp_validations --data-dir DIR`.
 
-Validates the grasps of the library's objects and of those of a data folder with both variants of the
-robot, in about 20 core minutes per object. Results in the user's cache folder are reused. Needs the
-extra `planning`.
+The program validates the grasps of the library's objects, and of the objects in a data folder, with
+both variants of the robot. An object takes about 20 core minutes. Results in the user's cache
+folder are reused. Needs the extra `planning`.
 """
 
 from collections.abc import Iterator
@@ -68,7 +68,7 @@ def validate_object(task: ValidationTask) -> tuple[str, ValidationRecord] | None
 
 
 def list_tasks(data_dir: Path | None) -> Iterator[ValidationTask]:
-    """Yield all validation tasks, those of the second robot last to reuse earlier results."""
+    """Yield all validation tasks; those of the second robot come last and reuse results of the first."""
     for folder in (None, data_dir) if data_dir else (None,):
         for robot in (PANDA, PANDA_CAMERA):
             yield from (ValidationTask(folder, robot, name) for name in CLASS_NAMES.values())

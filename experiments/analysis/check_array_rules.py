@@ -4,8 +4,9 @@
 
 The contacts of simulated episodes are evaluated by `handover_marl.episode.referee.Referee`, step by
 step, and by the array functions of `handover_marl.episode.lockstep`, for several episodes at once,
-in segments of one or more steps. The referee states after each segment must be equal. Scenes are
-those of a training split, simulated once with each giver, up to the requested number of episodes.
+in segments of one or more steps. The referee states after each segment must be equal. The scenes
+are from a training split. Each scene is simulated once with each giver, up to the requested number
+of episodes.
 """
 
 from collections import Counter

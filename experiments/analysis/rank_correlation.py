@@ -43,7 +43,7 @@ def read_success_rates(path: Path) -> dict[str, float]:
     """Return the success rate of every receiver in the CSV file of a study, by name.
 
     Raises:
-        OptionError: The file cannot be read, or a line is no name and number.
+        OptionError: The file cannot be read, or a line does not contain a name and a number.
     """
     found: dict[str, float] = {}
     try:

@@ -150,7 +150,7 @@ def make_step_table(args: Args) -> str:
 
 
 def measure_run(args: Args, variants: list[MeasuredEnv]) -> None:
-    """Measure one run of every variant, in turns of a few control steps; append the CPU times."""
+    """Measure one run of every variant and append the CPU times; variants alternate every few steps."""
     envs, clocks = [], []
     for variant in variants:
         with time_engine() if variant.engine_only else contextlib.nullcontext() as clock:
@@ -323,7 +323,7 @@ def make_env(args: Args, physics: str) -> HandoverEnv:
 def step_randomly(env: HandoverEnv | ParallelVectorEnv, control_steps: int, rng: np.random.Generator) -> None:
     """Step environments with random joint targets near the start pose.
 
-    No step can reuse the result of an earlier one.
+    The targets change in every control step, so that no cached rollout is reused.
 
     Args:
         env: Environment or batch of environments.
@@ -339,7 +339,7 @@ def step_randomly(env: HandoverEnv | ParallelVectorEnv, control_steps: int, rng:
 
 
 def step_single_env(args: Args, physics: str) -> None:
-    """Step one environment in a process of its own, whose memory is measured."""
+    """Step one environment; called in a separate process, whose memory is measured."""
     step_randomly(make_env(args, physics), 20, np.random.default_rng(0))
 
 

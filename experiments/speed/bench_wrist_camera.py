@@ -213,7 +213,7 @@ def time_steps(env: HandoverEnv, steps: int) -> float:
 
 
 def simulate_single_env(args: Args, physics: str) -> None:
-    """Simulate three episodes in a process of its own, whose memory is measured."""
+    """Simulate three episodes; called in a separate process, whose memory is measured."""
     env = make_env(args, physics)
     for seed in range(3):
         env.reset(seed=seed)

@@ -44,7 +44,7 @@ def measure_peak_memory(function: Callable[..., Any], *arguments: Any) -> float:
 def read_memory(name: str, file: str = "/proc/self/status") -> float:
     """Return a memory size (MiB) of a process from a file of Linux; 0 if the file lacks it.
 
-    The peak of `getrusage` is no substitute: a new process takes over the peak of its parent.
+    The peak of `getrusage` cannot be used, since a new process starts with the peak of its parent.
 
     Args:
         name: First word of the line with the size, such as "VmHWM:".

@@ -72,7 +72,7 @@ def train_response(script: ModuleType, args: Any, folder: Path, changes: dict[st
         script: Training script of the agent, as a module.
         args: Arguments of the script.
         folder: Folder of the training run.
-        changes: Arguments that replace those in `args`, among them the other agent's policy.
+        changes: Arguments with other values than in `args`, for example the other agent's policy.
 
     Returns:
         Name of the trained policy, `learned:FILE`.

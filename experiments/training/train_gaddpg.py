@@ -77,8 +77,8 @@ class Args(DatasetArgs):
 
     Attributes:
         out: Folder of the run.
-        setups: Official setups; scenes are those in the training splits of all of them, so that
-            no test scene of any is used.
+        setups: Official setups; the network is trained on scenes that are in the training splits of
+            all these setups, so that no test scene is used.
         val_setup: Setup whose validation split selects the network.
         seed: Seed of all random numbers.
         scenarios: Number of scenarios for which the expert plans.

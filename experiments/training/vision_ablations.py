@@ -52,7 +52,7 @@ class Variant:
     """Variant of the training of `vision`, or of the camera noise in its evaluation.
 
     Attributes:
-        training: Arguments of `train_vision.py` that differ from those of the complete network.
+        training: Arguments of `train_vision.py` with other values than for the complete network.
         camera: Noise of the wrist camera in the evaluation; None for no noise.
     """
 

@@ -14,7 +14,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command of the command line.
 
     Args:
-        arguments: Command and options; default: those of this process.
+        arguments: Command and options; default: the command-line arguments of this process.
 
     Returns:
         Exit status: 0 for success, 1 if `doctor` or `verify` found a fault or `import` no scene, 2 after an error

@@ -122,7 +122,7 @@ def run_merge(
 
     Args:
         folders: Result folders of the shards, in any order.
-        out: Result folder to create, equal to that of an evaluation without shards.
+        out: Result folder to create; it equals the folder of an evaluation without shards.
         table_format: Format of the printed tables; demonstrations have none.
     """
     from handover_marl.evaluation.merge import merge

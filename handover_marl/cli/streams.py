@@ -9,7 +9,7 @@ from handover_marl.errors import HandoverError
 
 
 class OutputError(HandoverError):
-    """Error for results that cannot be printed; those in an output folder are kept."""
+    """Error for results that cannot be printed; files in an output folder are kept."""
 
 
 def prepare_streams() -> None:

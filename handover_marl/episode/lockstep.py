@@ -220,7 +220,7 @@ class LockstepScheduler:
         return self._worlds[number]
 
     def simulate(self, number: int, segment: RolloutSegment) -> None:
-        """Simulate a segment of one episode; inside `run_together`, with those of other tasks."""
+        """Simulate a segment of one episode; `run_together` batches it with the segments of other tasks."""
         # greenlet is an optional dependency, and single episodes do not need it.
         from greenlet import getcurrent
 

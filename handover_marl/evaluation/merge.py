@@ -41,7 +41,7 @@ _MAX_LISTED = 8  # missing scenes that an error lists
 def merge(
     folders: Sequence[str | os.PathLike[str]], out: str | os.PathLike[str]
 ) -> Report | CrossPlay | Agreement | Demonstrations:
-    """Merge the result folders of all shards (`shard="3/16"`) into that of the whole evaluation.
+    """Merge the result folders of all shards (`shard="3/16"`) into one folder of the whole evaluation.
 
     Nothing is simulated, and nothing is written unless all shards are complete.
 
@@ -93,7 +93,7 @@ class ShardFolder:
         """Read the result folder of a shard.
 
         Raises:
-            ResultsError: The folder is not that of a shard, or a file in it is damaged.
+            ResultsError: The folder does not belong to a shard, or a file in it is damaged.
         """
         if not path.is_dir():
             raise ResultsError(f"result folder {path} does not exist")

@@ -26,7 +26,7 @@ def forward_signature(
     Args:
         sources: Functions or dataclasses that receive the keyword arguments.
         without: Parameters of the sources that are not accepted.
-        defaults: Default values that differ from those of the sources.
+        defaults: Default values by parameter, in place of the sources' default values.
     """
 
     def decorate(function: _Function) -> _Function:

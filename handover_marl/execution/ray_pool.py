@@ -133,7 +133,7 @@ def get_installed_versions() -> dict[str, str]:
 
 
 def check_versions(expected: Mapping[str, str], installed: Mapping[str, str]) -> None:
-    """Check that a node's packages give the same results as those of the main process.
+    """Check that a node has the same versions of packages as the main process.
 
     Args:
         expected: Versions on the main process's machine.

@@ -163,7 +163,7 @@ def _differentiate_trilinear(corners: Floats, fraction: Floats) -> Floats:
 def load_object_sdf(urdf: Path, margin: float) -> DistanceField:
     """Load an object's signed distance field from the cache, or compute and cache the field.
 
-    Its surface is that of the collision shapes, in the object's frame.
+    The field describes the surface of the object's collision shapes, in the object's frame.
 
     Args:
         urdf: URDF file of the object.

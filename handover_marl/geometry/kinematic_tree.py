@@ -138,9 +138,9 @@ class KinematicTree:
     def compute_reach_sphere(self, link: int) -> tuple[Array, float]:
         """Compute a sphere that a link's origin cannot leave: center (3,) and radius (m).
 
-        The center is in the base link's frame; joint limits are ignored. A point on a joint's axis
-        does not move with that joint, so distances along runs of such joints are rigid; the radius
-        is the sum of the other distances.
+        The center is in the base link's frame; joint limits are ignored. The radius is the sum of
+        the distances between successive joint origins. An origin on the axis of the previous joint
+        does not move with that joint, so that both distances count as one straight segment.
 
         Raises:
             ValueError: A joint between base and link is prismatic.

@@ -74,12 +74,12 @@ class GoalSet:
 
     @property
     def standoffs(self) -> Array:
-        """(g, 7) configurations at the start of the tails (rad)."""
+        """(g, 7) configurations at the standoffs, where the approaches to the grasps start (rad)."""
         return self.tails[:, 0]
 
     @property
     def goals(self) -> Array:
-        """(g, 7) configurations at the grasps (rad)."""
+        """(g, 7) configurations at the grasps, where the approaches end (rad)."""
         return self.tails[:, -1]
 
     def select(self, chosen: npt.NDArray[np.generic]) -> "GoalSet":

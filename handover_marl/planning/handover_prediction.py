@@ -148,7 +148,7 @@ class HandoverPosePredictor:
 
         Args:
             point: (3,) point fixed to the object, in the world (m).
-            ahead: Length of the coming control period (s); the velocities are those in its middle.
+            ahead: Length of the coming control period (s); velocities are predicted for its middle.
         """
         since = 0.5 * (self._step + ahead) if np.isfinite(self._step) else 0.0
         velocity = self.latest_velocity + since * self.acceleration

@@ -198,7 +198,7 @@ def make_ik_solver(urdf: Path, config: PandaConfig) -> IkSolver:
 def make_ik_stepper(urdf: Path, config: PandaConfig) -> IkStepper:
     """Create a solver of single queries, PyBullet's where PyBullet is installed.
 
-    Arguments and errors are those of `make_ik_solver`.
+    Arguments and errors are the same as for `make_ik_solver`.
     """
     stepper: IkStepper = _find_solver("BulletIKStep")(urdf, config)
     return stepper

@@ -1,4 +1,4 @@
-"""Configuration of the OMG planner; defaults are those of the authors unless stated otherwise."""
+"""Configuration of the OMG planner; the defaults are the authors' values unless stated otherwise."""
 
 import math
 from dataclasses import dataclass
@@ -139,9 +139,9 @@ class HandAvoidanceConfig:
 
     Attributes:
         padding: Distance of a robot point from the person's hand below which it has a cost (m).
-        weight: Weight of the hand's obstacle cost relative to that of an object.
-        min_clearance: Minimum clearance of the gripper to the hand (m); goals with less are
-            excluded unless there are no others.
+        weight: Weight of the hand's obstacle cost relative to the obstacle cost of an object.
+        min_clearance: Minimum clearance of the gripper to the hand (m); goals with a smaller
+            clearance are excluded if other goals exist.
         clearance_cost: Cost of a goal per metre by which its clearance is below `padding`.
     """
 

@@ -159,8 +159,8 @@ class RolloutResult(NamedTuple):
 class BatchWorld(World):
     """World that can simulate many steps at once, in one batch with other worlds.
 
-    A world sleeps while no body can touch the robot for some steps. Sleeping worlds form batches of
-    their own.
+    A world sleeps while no body can touch the robot for some steps. Sleeping and awake worlds are
+    in different batches.
     """
 
     @property

@@ -32,8 +32,7 @@ def describe_frame(log: EpisodeLog, frame: ReplayFrame) -> str:
 def list_events(log: EpisodeLog) -> list[tuple[float, str]]:
     """Return the times (s) and descriptions of an episode's events, in order.
 
-    The times of the release and of the end are exact, those of other events are those of the next
-    frame.
+    The times of the release and of the end are exact. Other events get the time of the next frame.
     """
     flags = {
         "the person has picked the object up": [frame.object_offered for frame in log.frames],

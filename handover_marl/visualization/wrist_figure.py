@@ -37,8 +37,8 @@ class WristCameraFigure:
     """Figure of an outside view beside depth, segmentation and point cloud of the wrist camera.
 
     Args:
-        camera: Outside camera; its image size is that of the left half of the figure, and the
-            panels of the wrist camera take the right half.
+        camera: Outside camera, whose image fills the left half of the figure; the panels of the
+            wrist camera fill the right half.
 
     Raises:
         OptionError: matplotlib is not installed.

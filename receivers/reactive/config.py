@@ -95,7 +95,8 @@ class ApproachConfig:
     Axial distances are measured along the approach axis of the gripper, lateral ones across it.
 
     Attributes:
-        standoff: Distance before the grasp at which the gripper waits for the object to rest (m).
+        standoff: Distance of the standoff pose, at which the gripper waits for the object to rest,
+            from the grasp (m).
         straight_margin: Axial distance beyond the standoff from which the gripper moves in a
             straight line relative to the object (m).
         straight_lateral: Maximum lateral distance at which the gripper starts the straight line
@@ -131,8 +132,8 @@ class ApproachConfig:
         close_period: Control period while the fingers close (s).
         close_gain: Gain with which the gripper follows the person's hand while the fingers close
             (1/s).
-        close_acceleration: Maximum joint acceleration while the fingers close (rad/s^2); a gripper
-            that still moves then pushes the object.
+        close_acceleration: Maximum joint acceleration while the fingers close (rad/s^2), high
+            enough that the gripper stops before the fingers push the object.
         empty_finger_position: Finger position below which the fingers hold nothing (m).
         empty_delay: Time after the start of closing from which `empty_finger_position` is checked
             (s).
@@ -198,8 +199,8 @@ class RetreatConfig:
         max_path_checks: Maximum number of final configurations whose paths are checked.
         stall_timeout: Time without progress after which another final configuration is selected
             (s).
-        min_joint_difference: Minimum joint difference between such another final configuration and
-            the previous ones (rad).
+        min_joint_difference: Minimum joint difference between a newly selected final configuration
+            and all previous ones (rad).
         progress_ratio: Ratio of the remaining joint distance to its last value below which the arm
             makes progress.
         joint_tolerance: Joint error below which the final configuration is reached (rad).

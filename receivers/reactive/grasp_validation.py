@@ -71,7 +71,7 @@ def get_validation_record(
     """Return the stored validation of an object's n grasps, as `assets.shipped.ValidationRecord` (n, 4).
 
     Grasps without a stored record are validated in simulation, which takes up to minutes. Arguments
-    and errors are those of `validate_grasps`.
+    and errors are the same as for `validate_grasps`.
     """
     path = get_validation_record_path(object_urdf, panda_urdf, known, config)
     shipped = load_validation_record(path.stem)
@@ -87,7 +87,7 @@ def get_validation_record(
 def get_validation_record_path(
     object_urdf: Path, panda_urdf: Path, known: Array, config: GraspPreparationConfig
 ) -> Path:
-    """Return the path of a validation's cache file, whose stem also names a shipped record."""
+    """Return the path of the cache file of a validation; its stem is also the name of a shipped record."""
     # The fingers of another robot have another mass and friction; the folder of its meshes has no
     # influence on the outcome.
     robot = re.sub(rb'filename="[^"]*/', b'filename="', read_plain_file(panda_urdf, MAX_URDF_BYTES))

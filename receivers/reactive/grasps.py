@@ -1,6 +1,6 @@
 """Known grasps of an object: validated poses, tilted copies, and offset copies.
 
-Poses are those of the hand link, position (m) and quaternion xyzw.
+Poses are poses of the Panda's hand link: position (m) and quaternion xyzw.
 """
 
 import itertools

@@ -1,8 +1,8 @@
 """Receiver `vision`, which uses the point clouds of the wrist camera only.
 
-Perception tracks object, hand and grasp candidates that a network predicts; selection and motion
-are those of `reactive`. The receiver uses neither true poses nor object models, and infers from its
-fingers whether the person has released the object.
+Perception tracks object, hand and grasp candidates that a network predicts; grasp selection and
+motion are the same as in `reactive`. The receiver uses neither true poses nor object models, and
+infers from its fingers whether the person has released the object.
 """
 
 from collections.abc import Sequence

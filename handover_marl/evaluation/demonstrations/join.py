@@ -53,7 +53,7 @@ def locate_episodes(part: Demonstrations, results: Sequence[EpisodeResult]) -> d
 
     Raises:
         DataFormatError: The data set is damaged.
-        ResultsError: Episodes are neither those of all results nor those of all successes.
+        ResultsError: The recorded episodes are neither all episodes nor all successful ones.
     """
     episodes = part.read_metadata()
     statuses = {episode.scene_id: episode.status for episode in episodes}
@@ -74,7 +74,7 @@ def join_data_sets(first: Demonstrations, locations: Mapping[int, EpisodeLocatio
     """Write the data set of a whole evaluation, joined from the data sets of all its shards.
 
     Args:
-        first: Data set of a shard, whose spaces are those of all.
+        first: Data set of a shard; observation and action spaces are equal in all shards.
         locations: Location of each recorded episode, by scene number.
         folder: Result folder of the whole evaluation, with its results.
 

@@ -116,7 +116,7 @@ class DemonstrationWriter(EpisodeWriter):
             write_atomically(self._get_episode_path(result), content)
 
     def assemble(self) -> None:
-        """Write the data set of all recorded episodes in the split's order; delete single files.
+        """Write the data set of all episodes in the split's order; delete the files of single episodes.
 
         Raises:
             ResultsError: A file in the folder is damaged, or the folder cannot be written.

@@ -62,8 +62,8 @@ def compute_mean_interval(values: Sequence[float]) -> tuple[float, float] | None
 def compute_paired_difference(first: Sequence[bool], second: Sequence[bool]) -> tuple[float, float, float]:
     """Compute the difference of two rates on the same scenes, first minus second (-1..1).
 
-    The 95 % interval is that of Agresti and Min (Statistics in Medicine 24, 2005): half an episode
-    is added to each of the four kinds of pairs, so that the interval has a width even if few scenes,
+    The 95 % interval follows Agresti and Min (Statistics in Medicine 24, 2005): half an episode is
+    added to each of the four kinds of pairs, so that the interval has a width even if few scenes,
     or none, differ.
 
     Returns:
@@ -106,8 +106,8 @@ class RankCorrelation:
 def compute_rank_correlation(first: Sequence[float], second: Sequence[float]) -> RankCorrelation:
     """Return Spearman's and Kendall's rank correlation of two sequences, tested for being positive.
 
-    The p-value is that of Spearman's coefficient in an exact permutation test: the share of the
-    orders of one sequence for which the coefficient is at least as large.
+    The p-value of Spearman's coefficient is computed by an exact permutation test: it is the share
+    of the orders of one sequence for which the coefficient is at least as large.
 
     Raises:
         ValueError: The sequences differ in length, have fewer than three or more than nine values,

@@ -21,7 +21,7 @@ _MAX_REPORT_BYTES = 64_000_000
 
 
 def check_giver(giver: PolicyReference, metadata: ResultMetadata) -> list[Difference]:
-    """Compare label and code of the giver with those that a folder names.
+    """Compare label and code hash of the giver with the values in a result folder.
 
     Args:
         giver: Resolved giver that is simulated.

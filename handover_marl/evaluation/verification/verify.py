@@ -56,7 +56,7 @@ def verify(
             HANDOVER_MARL_DATA.
         scenes: Scene numbers to verify; default: all that have a result.
         giver: The person's policy; default: the registered policy that the folder names.
-        world_config: World and rules; must be those of the evaluation.
+        world_config: World and rules; must be the same as in the evaluation.
         workers: Number of worker processes; default: one per core.
         progress: Whether to show a progress bar on stderr.
         trust: Whether policy files may run code.

@@ -88,7 +88,8 @@ class ArticulatedBody:
         joints: PyBullet joint numbers of the moving joints.
 
     Raises:
-        SimulationError: The model cannot be loaded, or the number of its moving joints differs from that of the motors.
+        SimulationError: The model cannot be loaded, or does not have one moving joint for each
+            motor.
     """
 
     def __init__(

@@ -150,7 +150,7 @@ def _find_screen_fault() -> str:
 
 
 def aim_window(client: BulletClient, camera: CameraConfig) -> None:
-    """Set the viewpoint of PyBullet's window, if there is one, to that of a camera.
+    """Set the viewpoint of PyBullet's window to the pose of a camera; do nothing without a window.
 
     The window keeps its own size and field of view.
     """

@@ -33,10 +33,10 @@ _DISTANCE = 8
 class BulletIKStep:
     """Single inverse-kinematics query of the Panda by PyBullet; may not converge.
 
-    The Panda is loaded as in `ExactWorld`, so the solution is bit-equal to that of a query there
-    with the same joints. Bullet makes 20 damped least-squares steps, stops at 0.1 mm, and uses no
-    joint limits and no rest pose. Queries are independent of each other. `BulletIKSolver` repeats
-    the query until it converges.
+    The Panda is loaded as in `ExactWorld`, so that the solution equals, to the bit, the solution of
+    a query in the physics client of `ExactWorld` with the same joints. Bullet makes 20 damped
+    least-squares steps, stops at 0.1 mm, and uses no joint limits and no rest pose. Queries are
+    independent of each other. `BulletIKSolver` repeats the query until it converges.
 
     Args:
         urdf: Model of the Panda.

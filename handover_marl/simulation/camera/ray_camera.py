@@ -46,7 +46,7 @@ class RayCamera:
 
         Args:
             now: Joint positions of all bodies.
-            color: Whether to render colours: those of the models' materials, without textures.
+            color: Whether to render the colours of the models' materials; textures are ignored.
         """
         buffer = Framebuffer(*self._compute_camera_frame(now), color)
         buffer.add_ground()

@@ -43,7 +43,7 @@ class ConvexPart:
     link_from_part: Array
 
     def list_extreme_points(self) -> Array:
-        """Return points (n, 3) in the part's frame (m) whose bounding box is that of the part."""
+        """Return points (n, 3) in the part's frame (m) that have the same bounding box as the part."""
         if self.kind == "hull":
             return self.vertices
         half = np.array(self.size) / 2.0 if self.kind == "box" else np.full(3, self.size[0])

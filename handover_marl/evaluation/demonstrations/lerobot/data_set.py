@@ -84,7 +84,7 @@ class DataSetContent:
 
 
 def write_data_set(folder: Path, content: DataSetContent, episodes: Sequence["EpisodeFiles"]) -> None:
-    """Write all files of a data set but those of `write_description`.
+    """Write all files of a data set that `write_description` does not write.
 
     Args:
         folder: Folder of the data set; its files are overwritten.

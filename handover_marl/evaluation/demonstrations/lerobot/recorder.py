@@ -34,8 +34,9 @@ def compute_frame_step(number: int, fps: int) -> int:
 class LeRobotRecorder(EpisodeRecorder):
     """Recorder of observations at a constant frame rate, with the actions that hold at each frame.
 
-    A frame's observation is that of the physics step nearest to its time. Its actions are those in
-    effect from this step on (zero-order hold). The end of the episode has no action and no frame.
+    A frame has the observation at the physics step nearest to the frame's time, and the actions
+    that are in effect from this step on (zero-order hold). The end of the episode has no action and
+    no frame.
 
     Args:
         recording: Observation mode, frame rate, and choice of the episodes to record.
@@ -66,7 +67,7 @@ class LeRobotRecorder(EpisodeRecorder):
             self._giver_actions.append((episode.steps, decision.giver_action.copy()))
 
     def on_step(self, episode: Episode) -> None:
-        """Record an observation if this physics step is that of a frame."""
+        """Record an observation if a frame falls on this physics step."""
         if episode.steps == self._next_step and not episode.status:
             self._observations.append(observe(episode, self._recording.obs_mode))
             self._next_step = compute_frame_step(len(self._observations), self._fps)

@@ -17,7 +17,7 @@ def compute_statistics(array: npt.NDArray[Any], is_image: bool = False) -> Featu
     """Return the statistics of a feature in one episode.
 
     Args:
-        array: (T, ..., n) values of T frames; statistics are those of the n last components.
+        array: (T, ..., n) values of T frames; each of the n last components has its own statistics.
         is_image: Whether the values are colours (T, H, W, 3) of 0 to 255, which become (3, 1, 1) of 0 to 1.
     """
     rows = array.reshape(-1, array.shape[-1] if array.ndim > 1 else 1)

@@ -115,7 +115,7 @@ class LeRobotWriter(EpisodeWriter):
             write_atomically(self._get_episode_path(result), content)
 
     def assemble(self) -> LeRobotSummary:
-        """Write the data set of all recorded episodes in the split's order; delete single archives.
+        """Write the data set of all episodes in the split's order; delete the archives of single episodes.
 
         Raises:
             ResultsError: A file in the folder is damaged, or the folder cannot be written.

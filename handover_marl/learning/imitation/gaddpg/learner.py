@@ -1,6 +1,6 @@
 """Training of GA-DDPG's network: losses, optimizer, learning rates and averaged weights.
 
-The losses are those of GA-DDPG: the mean L1 distance of six points of the gripper between two poses.
+As in GA-DDPG, a loss is the mean L1 distance between six points of the gripper at two poses.
 """
 
 import math

@@ -2,9 +2,9 @@
 
 The object rests, the arm lags behind its targets, and the wrist camera is rendered by ray casting.
 The memory of point clouds, their resampling, the counter of decisions and the rule that ends an
-approach are those of the receiver. The expert acts at first, in some decisions with noise, and then
-the network acts (DAgger; Ross et al., AISTATS 2011). Every observation becomes a state with the
-expert's goal as its label.
+approach are the same as in the receiver. The expert acts at first, in some decisions with noise,
+and then the network acts (DAgger; Ross et al., AISTATS 2011). Every observation becomes a state
+with the expert's goal as its label.
 """
 
 from collections.abc import Callable, Sequence

@@ -54,7 +54,8 @@ class GraspTrainingConfig:
 class GraspMetrics:
     """Accuracy of predicted grasps on held-out views.
 
-    Distances are those of `handover_marl.learning.networks.grasp_losses.compute_grasp_distances`.
+    Distances are computed by
+    `handover_marl.learning.networks.grasp_losses.compute_grasp_distances`.
 
     Attributes:
         views: Number of views with at least one good grasp.
