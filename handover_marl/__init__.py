@@ -33,6 +33,10 @@ if TYPE_CHECKING:
     from handover_marl.envs.constructors import env as env
     from handover_marl.envs.constructors import parallel_env as parallel_env
     from handover_marl.envs.handover_env import HandoverEnv as HandoverEnv
+    from handover_marl.envs.own_rewards import combine_rewards as combine_rewards
+    from handover_marl.envs.own_rewards import declare_terms as declare_terms
+    from handover_marl.envs.reward_terms import TermWeights as TermWeights
+    from handover_marl.envs.transition import Transition as Transition
     from handover_marl.envs.vector.vector_env import vector_env as vector_env
     from handover_marl.envs.wrappers.encode import encode as encode
     from handover_marl.envs.wrappers.flatten import flatten as flatten
@@ -55,11 +59,15 @@ if TYPE_CHECKING:
     from handover_marl.evaluation.reports.report import Report as Report
     from handover_marl.evaluation.reports.report_files import evaluate as evaluate
     from handover_marl.evaluation.verification.verify import verify as verify
+    from handover_marl.learning.action_scheme import ActionScheme as ActionScheme
+    from handover_marl.learning.encodings.choices import declare_size as declare_size
+    from handover_marl.learning.encodings.own_features import FeatureExtractor as FeatureExtractor
     from handover_marl.simulation.camera.frames import SegmentationLabel as SegmentationLabel
     from handover_marl.simulation.camera.noise import CameraNoise as CameraNoise
 
 # Modules of the public names, imported at first use to keep the import fast.
 _MODULES = {
+    "ActionScheme": "learning.action_scheme",
     "CameraFrame": "episode.camera_observations",
     "CameraNoise": "simulation.camera.noise",
     "Demonstrations": "evaluation.demonstrations.reader",
@@ -67,15 +75,21 @@ _MODULES = {
     "EpisodeStatus": "episode.referee",
     "EvaluationConfig": "evaluation.config",
     "ExecutionConfig": "evaluation.config",
+    "FeatureExtractor": "learning.encodings.own_features",
     "HandoverEnv": "envs.handover_env",
     "Report": "evaluation.reports.report",
     "SegmentationLabel": "simulation.camera.frames",
+    "TermWeights": "envs.reward_terms",
+    "Transition": "envs.transition",
     "WorldConfig": "config",
     "benchmark": "evaluation.benchmark",
     "benchmark_env": "envs.constructors",
+    "combine_rewards": "envs.own_rewards",
     "compare": "evaluation.comparison",
     "compare_physics": "evaluation.agreement",
     "crossplay": "evaluation.crossplay",
+    "declare_size": "learning.encodings.choices",
+    "declare_terms": "envs.own_rewards",
     "demonstrate": "evaluation.demonstrations.record",
     "encode": "envs.wrappers.encode",
     "env": "envs.constructors",

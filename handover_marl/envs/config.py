@@ -7,7 +7,7 @@ from typing import Any
 
 from handover_marl.config import OFFICIAL_CONFIG, TIME_STEP, CameraConfig, WorldConfig, check_config
 from handover_marl.envs.arguments import check_positive_integer
-from handover_marl.envs.rewards import RewardConfig, make_reward_config
+from handover_marl.envs.own_rewards import RewardLike, resolve_rewards
 from handover_marl.episode.camera_observations import WristCameraConfig
 from handover_marl.episode.spaces import STATE, check_obs_mode, get_camera_data_kind
 from handover_marl.errors import OptionError, check_name
@@ -38,7 +38,9 @@ class EnvConfig:
         render_mode: None, "rgb_array" (needs no screen) or "human" (PyBullet's window).
         camera: Camera of the "rgb_array" images.
         rewards: "sparse", 1 for a completed handover; "shaped", with potential-based shaping and
-            costs in addition; or a `RewardConfig`.
+            costs in addition; a `RewardConfig`; `TermWeights` of ready-made terms; a function of a
+            `Transition` that returns terms by agent; a combination (`combine_rewards`); or text
+            `module:name` of one of these.
         scenes: Scene numbers to draw from; default: the whole split.
         max_cycles: Control steps after which an episode is truncated; default: never.
         world_config: Simulated world, protocol and limits of the giver.
@@ -65,7 +67,7 @@ class EnvConfig:
     control_period: float = 0.1
     render_mode: str | None = None
     camera: CameraConfig | None = None
-    rewards: str | RewardConfig = "sparse"
+    rewards: RewardLike = "sparse"
     scenes: Iterable[int] | None = None
     max_cycles: int | None = None
     world_config: WorldConfig = OFFICIAL_CONFIG
@@ -91,7 +93,7 @@ class EnvConfig:
         resolve_renderer(
             self.wrist_camera.renderer, self.physics, installed=get_camera_data_kind(self.obs_mode) is not None
         )
-        make_reward_config(self.rewards)
+        resolve_rewards(self.rewards)
         _count_physics_steps(self.control_period)
         if self.max_cycles is not None:
             check_positive_integer("max_cycles", self.max_cycles)

@@ -15,7 +15,9 @@ from handover_marl.datasets import open_dataset
 from handover_marl.datasets.splits import choose_scenes
 from handover_marl.envs.arguments import AGENTS, GIVER, RECEIVER, check_actions, check_scene_option, has_display
 from handover_marl.envs.config import RENDER_MODES, EnvConfig, make_env_config
-from handover_marl.envs.rewards import RewardFunction, RewardState, Terms, make_reward_config
+from handover_marl.envs.own_rewards import RewardSource, make_reward_source, resolve_rewards
+from handover_marl.envs.rewards import RewardConfig, RewardFunction, RewardState, Terms
+from handover_marl.envs.transition import TransitionRecorder
 from handover_marl.episode.camera_observations import CameraFrame
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.observations import (
@@ -64,7 +66,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
           rotation vector (3, rad) and release (1); zeros replay the recording.
 
     Reward: 1 to both agents in the step that completes the handover, else 0; or shaped, see
-        `handover_marl.envs.rewards`.
+        `handover_marl.envs.rewards`; or an own function, see `handover_marl.envs.own_rewards`.
 
     Termination: success (the gripper holds the object at the goal for 0.1 s after the release), contact
         of robot and person, or drop of the object.
@@ -77,7 +79,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         - `steps`: physics steps since the start.
         - `release_step`: physics step in which the person released the object, or -1.
         - `release`: reason of the release, an index into `RELEASE_REASONS`, or -1.
-        - `reward/...`: weighted terms of the agent's last reward.
+        - `reward/...`: weighted terms of the agent's last reward; 0 after `reset`.
 
     Copies and pickles are new environments with the same configuration and no running episode.
 
@@ -120,7 +122,13 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         self.render_mode = config.render_mode
         world_config = config.world_config
         self._episode = Episode(config.physics, world_config, config.render_mode == "human", config.wrist_camera)
-        self._rewards = RewardFunction(make_reward_config(config.rewards), world_config.protocol.goal_center)
+        goal, rewards = world_config.protocol.goal_center, resolve_rewards(config.rewards)
+        self._own_rewards: RewardSource | None = None
+        if isinstance(rewards, RewardConfig):
+            self._rewards = RewardFunction(rewards, goal)
+        else:
+            self._own_rewards = make_reward_source(rewards, goal)
+        self._recorder = TransitionRecorder(config.control_period)
         self._largest_class = max(self.dataset.object_names)
         self._observation: Observation | None = None
         self._rng: np.random.Generator | None = None
@@ -143,6 +151,11 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
     def object_names(self) -> tuple[str, ...]:
         """Class names of the episode's objects; the object to be handed over is first."""
         return self._episode.scene.info.object_names
+
+    @property
+    def steps(self) -> int:
+        """Physics steps (1 ms) since the start of the episode."""
+        return self._episode.steps
 
     @property
     def policy_context(self) -> PolicyContext:
@@ -179,6 +192,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         Raises:
             SceneError: The scene is not in the split.
             DataNotFoundError, DataFormatError: Files of the scene are missing or damaged.
+            RewardError: An own reward fails.
         """
         # If anything fails below, no episode is running.
         self.agents = []
@@ -188,9 +202,14 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         self._episode.reset(self.dataset.load_scene(self._choose_scene(options)))
         self._episode.seed_camera(self._spawn_camera_seed())
         self._cycles = 0
-        self.agents = list(AGENTS)
         observations = self._observe()
-        return observations, self._make_infos(self._rewards.reset(self._read_reward_state()))
+        infos = self._make_infos()
+        if self._own_rewards is None:
+            terms = self._rewards.reset(self._read_reward_state())
+        else:
+            terms = self._own_rewards.start(self._recorder.start(observations, infos))
+        self.agents = list(AGENTS)
+        return observations, _add_terms(infos, terms)
 
     def step(self, actions: dict[str, Any]) -> StepResult:
         """Let both agents act for one control period, or until the episode ends.
@@ -203,6 +222,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
 
         Raises:
             ActionError: An action is malformed; the simulation has not advanced.
+            RewardError: An own reward fails, or a term is no finite number or has an unknown name.
             ResetNeededError: No episode is running.
         """
         if not self.agents:
@@ -217,18 +237,31 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
             self._sleep_until_real_time(started)
         status = self._episode.status
         observations = self._observe()
-        terms = self._rewards.compute_terms(status, self._read_reward_state)
         terminated = bool(status & ~EpisodeStatus.TIMEOUT)
         cut_off = self.config.max_cycles is not None and self._cycles >= self.config.max_cycles
         truncated = bool(status & EpisodeStatus.TIMEOUT) or (cut_off and not terminated)
+        infos = self._make_infos()
+        if self._own_rewards is None:
+            terms = self._rewards.compute_terms(status, self._read_reward_state)
+        else:
+            transition = self._recorder.record(
+                observations,
+                {GIVER: giver_action, RECEIVER: robot_target},
+                infos=infos,
+                contacts=self._episode.contacts,
+                status=status,
+                terminated=terminated,
+                truncated=truncated,
+            )
+            terms = self._own_rewards.compute(transition)
         if not (terminated or truncated):
             self.agents = list(AGENTS)
         return (
             observations,
-            {agent: sum(terms[agent].values()) for agent in AGENTS},
+            {agent: sum(terms[agent].values(), 0.0) for agent in AGENTS},
             dict.fromkeys(AGENTS, terminated),
             dict.fromkeys(AGENTS, truncated),
-            self._make_infos(terms),
+            _add_terms(infos, terms),
         )
 
     def state(self) -> npt.NDArray[np.float32]:
@@ -330,7 +363,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
             object_offered=episode.object_offered,
         )
 
-    def _make_infos(self, terms: dict[str, Terms]) -> dict[str, Info]:
+    def _make_infos(self) -> dict[str, Info]:
         episode = self._episode
         info = {
             "scene_id": episode.scene.info.scene_id,
@@ -339,11 +372,15 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
             "release_step": -1 if episode.release_step is None else episode.release_step,
             "release": -1 if episode.release is None else RELEASE_REASONS.index(episode.release),
         }
-        return {
-            agent: {**info, **{f"reward/{name}": value for name, value in terms[agent].items()}} for agent in AGENTS
-        }
+        return {agent: dict(info) for agent in AGENTS}
 
     def _sleep_until_real_time(self, started: float) -> None:
         wait = self.config.control_steps * TIME_STEP - (time.monotonic() - started)
         if wait > 0:
             time.sleep(wait)
+
+
+def _add_terms(infos: dict[str, Info], terms: dict[str, Terms]) -> dict[str, Info]:
+    return {
+        agent: {**infos[agent], **{f"reward/{name}": value for name, value in terms[agent].items()}} for agent in AGENTS
+    }

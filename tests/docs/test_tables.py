@@ -15,6 +15,7 @@ from gymnasium import spaces
 import handover_marl
 from experiments import make_results
 from handover_marl.config import OFFICIAL_CONFIG
+from handover_marl.envs import reward_terms
 from handover_marl.envs.config import EnvConfig
 from handover_marl.envs.rewards import SHAPED, SPARSE
 from handover_marl.episode.camera_observations import camera_observation_space
@@ -45,6 +46,7 @@ CHECKED = {
         "rewards",
         "arguments",
     },
+    "docs/reference/rewards.md": {"reward terms"},
     "docs/reference/rules_and_metrics.md": {
         "rules",
         "official metrics",
@@ -119,6 +121,14 @@ def test_rewards() -> None:
     agents = ("receiver", "giver")
     true = {(agent, term): (sparse[agent][term], shaped[agent][term]) for agent in agents for term in sparse[agent]}
     assert documented == true
+
+
+def test_reward_terms() -> None:
+    """The page has the table of the module, whose values `tests/envs/test_reward_terms.py` checks."""
+    rows = checked_table(REPOSITORY / "docs" / "reference" / "rewards.md", "reward terms")
+    lines = [line.split("|") for line in (reward_terms.__doc__ or "").splitlines() if line.startswith("| ")][1:]
+    documented = [[bare(row[0]), row[1].replace(" of duration T", ""), row[2]] for row in rows]
+    assert documented == [[cell.strip() for cell in line[1:4]] for line in lines]
 
 
 def test_arguments() -> None:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing_extensions import Self
 
 from handover_marl.envs.config import EnvConfig
-from handover_marl.envs.rewards import make_reward_config
+from handover_marl.envs.own_rewards import set_discount
 from handover_marl.learning.training.run_folder import select_training_scenes
 from handover_marl.learning.training.scene_arguments import SetupArgs
 from handover_marl.simulation.engines import MUJOCO
@@ -31,7 +31,7 @@ class TrainingArgs(SetupArgs):
         eval_interval: Number of decisions between evaluations.
         epochs: Number of passes over the collected data between updates.
         learning_rate: Learning rate of Adam.
-        rewards: Reward: sparse or shaped.
+        rewards: Reward: sparse, shaped, or module:name of an own reward.
         discount: Discount factor; potential-based rewards use it too.
         gae_lambda: Lambda of generalized advantage estimation.
         initial_std: Initial standard deviation of the network outputs, for exploration.
@@ -71,7 +71,7 @@ class TrainingArgs(SetupArgs):
             dataset=self.dataset,
             physics=self.physics,
             control_period=self.control_period,
-            rewards=replace(make_reward_config(self.rewards), gamma=self.discount),
+            rewards=set_discount(self.rewards, self.discount),
             scenes=select_training_scenes(self.open_dataset().list_scenes(self.setup, "train")),
             max_cycles=self.max_cycles,
         )

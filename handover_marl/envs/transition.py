@@ -1,0 +1,140 @@
+"""Transition of the environment: everything about one control step that own rewards may use."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.envs.arguments import GIVER, RECEIVER
+from handover_marl.episode.observations import Observation
+from handover_marl.episode.referee import EpisodeStatus
+from handover_marl.errors import ResetNeededError
+from handover_marl.simulation.contacts import Contacts
+
+Observations = Mapping[str, Observation]
+
+
+@dataclass(frozen=True, eq=False)
+class Transition:
+    """One control step of the environment: what was observed, done and observed again.
+
+    World frame; m, rad, s, N; quaternions xyzw. All arrays are read-only copies. Observations and
+    actions are those of the environment itself, before any wrapper, features or action scheme.
+
+    Attributes:
+        observations: Observation before the step, by agent ("giver", "receiver"); elements of the
+            observation spaces. The receiver's depends on `obs_mode`; the giver's always contains the
+            full state, see `state`.
+        next_observations: Observation after the step, by agent.
+        actions: Action by agent: giver (8,), clipped to its bounds; receiver (9,) target joint
+            positions (rad, m); float32.
+        infos: Infos after the step by agent, without reward terms: `scene_id`, `status`, `steps`
+            (physics steps of 1 ms), `release_step` and `release`.
+        contacts: Contacts of robot, object and human hand in the last physics step (1 ms) of the
+            control step; forces in N.
+        status: Status of the episode after the step, e.g. `EpisodeStatus.SUCCESS`; `RUNNING` (no bit)
+            while the episode goes on.
+        duration: Simulated time of the step (s): the control period, or less in the last step of an
+            episode.
+        step: Number of the control step in the episode; 0 for the first.
+        terminated: Whether the episode has ended by success, contact or drop.
+        truncated: Whether the episode was cut off by the time limit or `max_cycles`.
+    """
+
+    observations: Observations
+    next_observations: Observations
+    actions: Mapping[str, npt.NDArray[np.float32]]
+    infos: Mapping[str, Mapping[str, float]]
+    contacts: Contacts
+    status: EpisodeStatus
+    duration: float
+    step: int
+    terminated: bool
+    truncated: bool
+
+    @property
+    def state(self) -> Observation:
+        """Full state before the step: the giver's observation, in every observation mode."""
+        return self.observations[GIVER]
+
+    @property
+    def next_state(self) -> Observation:
+        """Full state after the step: the giver's observation, in every observation mode."""
+        return self.next_observations[GIVER]
+
+    @property
+    def is_success(self) -> bool:
+        """Whether this step completed the handover."""
+        return bool(self.status & EpisodeStatus.SUCCESS)
+
+
+class TransitionRecorder:
+    """Recorder that makes the transition of each control step from its observations.
+
+    Args:
+        control_period: Time for which an action holds (s).
+    """
+
+    def __init__(self, control_period: float) -> None:
+        self._control_period = control_period
+        self._last: Observations | None = None
+        self._step = 0
+
+    def start(self, observations: Observations, infos: Mapping[str, Mapping[str, float]]) -> Transition:
+        """Start an episode; return a transition of one control period in which nothing moves.
+
+        Args:
+            observations: First observations by agent.
+            infos: First infos by agent.
+        """
+        self._last, self._step = copy_read_only(observations), 0
+        start = self._last
+        joints = start[RECEIVER]["robot_joint_position"].astype(np.float32)
+        actions = {GIVER: np.zeros(8, dtype=np.float32), RECEIVER: joints}
+        return Transition(
+            observations=start,
+            next_observations=start,
+            actions=copy_read_only({"": actions})[""],
+            infos=infos,
+            contacts=Contacts(),
+            status=EpisodeStatus.RUNNING,
+            duration=self._control_period,
+            step=0,
+            terminated=False,
+            truncated=False,
+        )
+
+    def record(
+        self, observations: Observations, actions: Mapping[str, npt.NDArray[np.float32]], **outcome: Any
+    ) -> Transition:
+        """Return the transition of a control step and keep its observations for the next one.
+
+        Args:
+            observations: Observations after the step by agent.
+            actions: Actions by agent.
+            outcome: Fields `infos`, `contacts`, `status`, `terminated` and `truncated` of the
+                transition.
+
+        Raises:
+            ResetNeededError: No episode has been started.
+        """
+        if self._last is None:
+            raise ResetNeededError("no episode is running; call reset() before step()")
+        before, after = self._last, copy_read_only(observations)
+        duration = float(after[GIVER]["time"][0]) - float(before[GIVER]["time"][0])
+        step, self._last, self._step = self._step, after, self._step + 1
+        return Transition(
+            before, after, copy_read_only({"": actions})[""], duration=round(duration, 3), step=step, **outcome
+        )
+
+
+def copy_read_only(observations: Mapping[str, Mapping[str, npt.NDArray[Any]]]) -> dict[str, dict[str, Any]]:
+    """Return read-only copies of all arrays of a mapping by agent and key."""
+    copies: dict[str, dict[str, Any]] = {}
+    for agent, arrays in observations.items():
+        own = copies[agent] = {key: value.copy() for key, value in arrays.items()}
+        for value in own.values():
+            value.setflags(write=False)
+    return copies
