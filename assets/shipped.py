@@ -102,7 +102,7 @@ def load_validation_record(name: str, path: Path = VALIDATION_PATH) -> Validatio
 
 @functools.cache
 def load_validation_records(path: Path) -> MappingProxyType[str, ValidationRecord]:
-    """Load all records of grasp validations of a file by name; a missing file has none.
+    """Load all grasp validation records of a file by name; return no records if the file is missing.
 
     Raises:
         DataFormatError: The file is damaged.

@@ -1,4 +1,4 @@
-"""Giver that helps the robot, and a timer that varies a handover pose without approach."""
+"""Giver that helps the robot, and a timer that varies the handover pose while the robot stays away."""
 
 import numpy as np
 import numpy.typing as npt

@@ -1,4 +1,4 @@
-"""Givers that replay the recorded motion at another speed."""
+"""Givers that replay the recorded motion at another speed, or with pauses."""
 
 import numpy as np
 

@@ -123,8 +123,8 @@ class HandSpheres:
         model: Geometry of the hand.
         radii: (15, 3) radii (m) of the phalanges' spheres.
         palm: Centers (k, 3) and radii (k,) (m) of the palm's spheres, in the palm's frame.
-        hull: Centers and radii, which are 0, of points on the palm's collision mesh, in the palm's
-            frame (m).
+        hull: Points (k, 3) on the palm's collision mesh in the palm's frame (m), and their radii
+            (k,), all 0.
         forearm: Centers and radii of the forearm's spheres, in the palm's frame (m).
     """
 

@@ -103,7 +103,7 @@ def close_and_filter(
 def sample_grasp_pool(target: GraspTarget, object_name: str, rng: np.random.Generator) -> HumanGraspSet:
     """Sample grasps of the reference hand on all sides of an object.
 
-    The wrist's distances from the object's origin cover those in DexYCB.
+    The distances of the wrist from the object's origin cover the distances in DexYCB.
 
     Args:
         target: Object.

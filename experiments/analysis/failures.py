@@ -10,8 +10,9 @@ a timeout of `reactive` or `vision` are: no clear grasp, no reachable grasp, a g
 reached, or no path to the goal. The phase of other receivers is derived from their finger targets.
 
 In scenes with several objects, the script counts the episodes in which the robot touched an object
-besides the target, or in which the held target touched another object or the table. A failed episode
-counts as lost by touching whenever such a contact came before its end, whatever its cause.
+besides the target, or in which the held target touched another object or the table. A failed
+episode counts as "lost" if such a contact occurred before its end, even if another event caused the
+failure.
 """
 
 import resource

@@ -1,4 +1,4 @@
-"""Write the list of the scenes that a training used beside its file of weights.
+"""List the training scenes of files of weights; write each list into a YAML file beside its file.
 
     python experiments/analysis/list_training_scenes.py --data-dir DIR --files assets/data/vision_s0.npz
 

@@ -45,7 +45,7 @@ class Args(OutputArgs):
         mano: Folder with MANO's two model files.
         workers: Number of worker processes of the import.
         as_is: Whether to import the recordings unchanged instead of a thousand made from them.
-        longest: Number of recordings, the longest ones, from which the thousand are made.
+        longest: Number of the longest recordings, from which the thousand recordings are made.
         work: Folder for about 600 MB of temporary files; default: the system's temporary folder.
         seed: Random seed of the order of the recordings' lengths.
     """
@@ -104,7 +104,7 @@ def write_repeated_recordings(source: Path, raw: Path, longest: int, seed: int) 
     Args:
         source: Folder of raw DexYCB with at least one recording.
         raw: Folder to write; must not exist.
-        longest: Number of recordings of `source`, the longest ones, that are repeated in turn.
+        longest: Number of the longest recordings of `source`, which are repeated in turn.
         seed: Random seed of the order of the recordings' lengths.
     """
     found = [(sequence, read_sequence(sequence)) for sequence in find_sequences(source).sequences]

@@ -1,7 +1,7 @@
 """Train giver and receiver together with BenchMARL, by MAPPO or another of its algorithms.
 
-Needs the extras `benchmarl`, `plot` and, by default, `mujoco`; `--physics fast` needs no MuJoCo,
-but more time.
+Needs the extras `benchmarl`, `plot` and, by default, `mujoco`; `--physics fast` does not need
+MuJoCo, but is slower.
 
     python experiments/training/train_both_benchmarl.py --dataset synthetic --out runs/benchmarl
 

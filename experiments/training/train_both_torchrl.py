@@ -1,7 +1,7 @@
 """Train giver and receiver together with TorchRL, by MAPPO or IPPO.
 
-Needs the extras `torchrl`, `plot` and, by default, `mujoco`; `--physics fast` needs no MuJoCo, but
-more time.
+Needs the extras `torchrl`, `plot` and, by default, `mujoco`; `--physics fast` does not need MuJoCo,
+but is slower.
 
     python experiments/training/train_both_torchrl.py --dataset synthetic --out runs/torchrl
 

@@ -14,7 +14,7 @@ TableFormat = Annotated[Literal["markdown", "csv", "latex"], tyro.conf.arg(name=
 
 
 def print_tables(result: "TabularResult", table_format: Literal["markdown", "csv", "latex"], note: str) -> None:
-    """Print a result and the path of its report; the path on stderr if stdout is CSV or LaTeX.
+    """Print a result and the path of its report; the path goes to stderr if the format is CSV or LaTeX.
 
     Args:
         result: Result to print.

@@ -1,4 +1,4 @@
-"""Standard streams of the command line, which may be closed, full or of a poor encoding."""
+"""Output of the command line to streams that may be closed, full, or unable to encode all characters."""
 
 import contextlib
 import io
@@ -13,7 +13,7 @@ class OutputError(HandoverError):
 
 
 def prepare_streams() -> None:
-    """Let text that the terminal's encoding lacks be printed as escape sequences."""
+    """Configure the streams so that characters that they cannot encode are printed as escape sequences."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
@@ -46,6 +46,6 @@ def print_message(text: str) -> None:
 
 
 def discard_output() -> None:
-    """Discard what is printed from now on: Python flushes stdout at exit, which must not fail again."""
+    """Discard all further output, so that Python's flush of stdout at exit does not fail again."""
     if sys.stdout is not None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -1,4 +1,4 @@
-"""Lookup of a data folder on another machine than the one that requested it."""
+"""Location of the data folder on worker machines, where its path may differ from the main machine's."""
 
 import os
 from dataclasses import dataclass

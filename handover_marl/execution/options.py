@@ -1,4 +1,4 @@
-"""Options that several public functions share, and the machine's processor, cores and engines."""
+"""Checks of options that many public functions have, and queries of the processor and installed packages."""
 
 import importlib.util
 import inspect

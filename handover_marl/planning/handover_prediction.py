@@ -22,15 +22,16 @@ class HandoverPosePredictorConfig:
         + attraction * tanh(|v| / attraction_speed) * (mean_handover_position - p).
 
     The second term moves the prediction of a moving object towards the mean handover position; it
-    is zero for an object at rest. An object that was lifted and stays within a small region hovers:
-    its velocity is extrapolated for a shorter time, without the second term.
+    is zero for an object at rest. An object that was lifted and then stays within a small region
+    counts as hovering. Its velocity is extrapolated for a shorter time, without the second term.
     `experiments/analysis/handover_pose_error.py` fits the constants.
 
     Attributes:
         velocity_horizon: Time for which the velocity is extrapolated (s).
         attraction: Predicted translation of a fast object towards `mean_handover_position`, as a
             share of its distance from there.
-        attraction_speed: Speed scale of the second term (m/s); slower objects are attracted less.
+        attraction_speed: Speed scale of the second term (m/s); the term is smaller for slower
+            objects.
         mean_handover_position: Mean position of objects when they are held out, world frame (m).
         rotation_horizon: Time for which the angular velocity is extrapolated (s).
         smoothing_time: Time constant of the velocity filter (s).

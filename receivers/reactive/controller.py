@@ -1,4 +1,4 @@
-"""State machine of a handover (wait, approach, close, back out, retreat), and its receivers' base class."""
+"""State machine of a handover (wait, approach, close, back out, retreat), and base class of its receivers."""
 
 from enum import Enum
 

@@ -1,4 +1,4 @@
-"""Statistics of features in LeRobot's data sets, by which its policies normalize."""
+"""Statistics of features in LeRobot's data sets, with which LeRobot's policies normalize inputs."""
 
 from collections.abc import Sequence
 from typing import Any
