@@ -13,7 +13,7 @@ class OutputError(HandoverError):
 
 
 def prepare_streams() -> None:
-    """Configure the streams so that characters that they cannot encode are printed as escape sequences."""
+    """Set the streams to print characters that they cannot encode as escape sequences."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")

@@ -52,12 +52,12 @@ class DataLocation:
 
 
 def check_scene_fingerprint(scene_id: int, found: str, expected: str) -> None:
-    """Check that a scene on this machine equals the scene on the requesting machine.
+    """Check that a scene on this machine equals the scene on the main machine, which starts the evaluation.
 
     Args:
         scene_id: Number of the scene.
         found: Fingerprint on this machine.
-        expected: Fingerprint on the requesting machine; "" accepts any.
+        expected: Fingerprint on the main machine; "" accepts any.
 
     Raises:
         DataFormatError: The fingerprints differ.

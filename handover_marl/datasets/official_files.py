@@ -129,7 +129,12 @@ def find_origin(assets: Path, path: str) -> FileOrigin:
 
 
 def describe_origins(kind: str, *origins: FileOrigin) -> list[str]:
-    """Return notes for results on the files of one kind that are not HandoverSim's own."""
+    """Return notes for reports, such as "stand-in grasps"; no notes if all files are HandoverSim's own.
+
+    Args:
+        kind: Kind of the files, such as "grasps".
+        origins: Origin of each file.
+    """
     if FileOrigin.STAND_IN in origins:
         return [f"stand-in {kind}"]
     return [f"{kind} of unknown origin"] if FileOrigin.UNKNOWN in origins else []

@@ -58,7 +58,7 @@ class PickledRecord(PickledObject):
     """Inert replacement of an object whose class is not imported.
 
     Attributes:
-        kind: Name of the class, from `AllowedClass`.
+        kind: Name of the class, as the caller has defined it in `AllowedClass`.
         state: Unchecked state of the object.
     """
 

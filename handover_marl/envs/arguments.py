@@ -21,7 +21,7 @@ AGENTS = (GIVER, RECEIVER)
 def has_display() -> bool:
     """Return whether a screen is available on which a window can be opened.
 
-    API checkers open a window if "human" is a render mode.
+    Without a screen "human" must not be offered as a render mode, since API checkers try all modes.
     """
     return not sys.platform.startswith("linux") or bool(os.environ.get("DISPLAY"))
 

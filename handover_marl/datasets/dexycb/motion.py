@@ -71,7 +71,7 @@ def compute_hand_trajectory(poses: Float32, tag: TagFrame, model: ManoModel, wri
 
 
 def find_hand_span(poses: Float32) -> KeyframeSpan:
-    """Return the span from the first to the last non-zero row of hand keyframes (F, 51)."""
+    """Return the range of keyframes with a hand, from the first to the last non-zero row of (F, 51)."""
     present = np.flatnonzero(poses.any(axis=1))
     return KeyframeSpan(int(present[0]), int(present[-1]))
 

@@ -1,4 +1,4 @@
-"""1000 generated handovers that are calibrated on statistics of DexYCB and free of any license.
+"""1000 generated handovers whose statistics follow DexYCB; no license restricts their use.
 
 A scene is a pure function of its number and of `VERSION`. `assign_subjects` chooses subject, object
 and hand; `object_placement` the poses on the table and at the handover, and the grasp;

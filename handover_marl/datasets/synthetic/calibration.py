@@ -1,4 +1,4 @@
-"""Statistics of DexYCB that synthetic scenes are drawn from.
+"""Statistics of DexYCB, from which quantities of synthetic scenes are drawn.
 
 `dexycb_statistics.json` has the source, the units and a description of every table. For the
 statistics, scenes with left hands are mirrored to right hands (positions x -> 2 * MIRROR_X - x,

@@ -42,7 +42,7 @@ def hand_poses_from_grasps(transforms: Array) -> Array:
 def compute_free_grasp_share(world_from_object: Array, hand_points: Array, grasps: Array) -> float:
     """Return the fraction (0 to 1) of preferred robot grasps that are clear of the giver's hand.
 
-    Preferred grasps are those whose standoffs are nearest to the hand pose of a waiting robot.
+    Preferred grasps are those whose standoff poses are nearest to the pose of the waiting gripper.
 
     Args:
         world_from_object: (7,) pose of the object, xyz (m) and quaternion xyzw.
