@@ -52,8 +52,8 @@ class MujocoTuning:
     Attributes:
         arm_damping: kv of the seven arm actuators (N m s).
         arm_armature: Inertia added to the seven arm joints (kg m^2).
-        finger_damping: kv of the finger actuators (N s/m). The grip force is ten times the
-            opening times this value.
+        finger_damping: kv of the finger actuators (N s/m). The grip force (N) is this value times
+            10 / s times the opening of the finger (m).
         finger_armature: Mass added to each finger joint (kg), since Bullet's contacts with fingers
             are soft.
         object_damping: kv of the actuators that move objects, as a multiple of the object's mass per

@@ -88,7 +88,7 @@ def write_data_set(folder: Path, content: DataSetContent, episodes: Sequence["Ep
 
     Args:
         folder: Folder of the data set; its files are overwritten.
-        content: Content beside the episodes.
+        content: Content of the data set except its episodes.
         episodes: Episodes in the order of the data set.
 
     Raises:
@@ -129,7 +129,7 @@ def write_description(folder: Path, content: DataSetContent, frames: int) -> Non
 
     Args:
         folder: Folder of the data set.
-        content: Content beside the episodes.
+        content: Content of the data set except its episodes.
         frames: Number of frames of all episodes.
     """
     outcomes = {name: count_outcomes(getattr(content, name)) for name in ("simulated", "recorded")}

@@ -22,7 +22,7 @@ MAX_FPS = _STEPS_PER_SECOND
 
 
 def compute_frame_step(number: int, fps: int) -> int:
-    """Return the physics step nearest to a frame's time; of two equally near ones, the later.
+    """Return the physics step nearest to a frame's time; the later one if two steps are equally near.
 
     Args:
         number: Number of the frame in its episode.
