@@ -65,9 +65,9 @@ REFERENCE_SIZE: Final = HandSize(
     breadth=0.0850,
 )
 
-# Mean and standard deviation (m) of hand length and of hand breadth (Gordon et al., 1989).
-_WOMEN = ((0.1805, 0.0097), (0.0794, 0.0038))
-_MEN = ((0.1938, 0.0098), (0.0904, 0.0042))
+#: Mean and standard deviation (m) of hand length and of hand breadth (Gordon et al., 1989).
+WOMEN: Final = ((0.1805, 0.0097), (0.0794, 0.0038))
+MEN: Final = ((0.1938, 0.0098), (0.0904, 0.0042))
 
 # Standard scores of length (5th, 25th, 50th, 75th and 95th percentile) and of breadth. Breadth rises
 # with length at a slope of about 0.6, with manual deviations for slender and broad hands.
@@ -79,7 +79,7 @@ _SCORES = ((-1.645, -1.3), (-0.674, 0.2), (0.0, -0.5), (0.674, 0.8), (1.645, 0.9
 SUBJECT_SIZES: Final = tuple(
     HandSize(round(length[0] + scores[0] * length[1], 4), round(breadth[0] + scores[1] * breadth[1], 4))
     for scores in _SCORES
-    for length, breadth in (_WOMEN, _MEN)
+    for length, breadth in (WOMEN, MEN)
 )
 
 #: Skin colors (red, green, blue, 0 to 1) of the ten subjects.

@@ -10,6 +10,7 @@ from typing import Final
 
 from handover_marl.errors import DataNotFoundError, check_name
 from handover_marl.execution.options import require_pybullet
+from handover_marl.geometry.urdf import render_urdf
 from handover_marl.geometry.ycb import CLASS_NAMES
 
 DATA_ROOT = Path(__file__).resolve().parent / "data"
@@ -17,6 +18,11 @@ OBJECTS_ROOT = DATA_ROOT / "objects"
 #: File names in an object's folder, as in HandoverSim.
 URDF_NAME = "model_normalized.urdf"
 VISUAL_NAME, COLLISION_NAME = "textured_simple.obj", "model_normalized_convex.obj"
+
+#: Mass (kg) and lateral friction of all objects in HandoverSim.
+MASS, FRICTION = 0.5, 0.9
+#: Package with the templates of URDF files; it is imported without its modules, which need extras.
+TEMPLATES_PACKAGE: Final = "handover_marl.assets.building"
 
 #: Path of the table's URDF: HandoverSim's table as boxes, with a top of 1.77 x 0.73 x 0.04 m at a
 #: height of 0.92 m and four legs.
@@ -41,6 +47,12 @@ def find_object_urdf(name: str, root: Path = OBJECTS_ROOT) -> Path:
             f"{path} is missing; make it with `python -m handover_marl.assets.building.build_objects --out {root}`"
         )
     return path
+
+
+def format_object_urdf() -> str:
+    """Return the URDF of an object: six base joints, then a link with the meshes of its folder."""
+    names = {"visual": VISUAL_NAME, "collision": COLLISION_NAME}
+    return render_urdf(TEMPLATES_PACKAGE, "object.urdf", **names, mass=MASS, friction=FRICTION)
 
 
 def find_bullet_data(feature: str, advice: str) -> Path:

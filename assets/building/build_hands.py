@@ -5,7 +5,7 @@ subject's URDF scales them. A left hand has its own mirrored meshes. Building th
 the same files, byte by byte.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,7 +19,6 @@ from rich.progress import track
 from handover_marl.assets.anthropometry import REFERENCE_SIZE, SKIN_COLORS
 from handover_marl.assets.building.shapes import make_hull
 from handover_marl.assets.hand_model import (
-    DIGIT_ORDER,
     HANDS_FOLDER,
     SIDES,
     SUBJECTS,
@@ -30,65 +29,12 @@ from handover_marl.assets.hand_model import (
     make_hand_geometry,
     scale_hand,
 )
+from handover_marl.assets.hand_spheres import make_forearm_capsules, make_palm_capsules
+from handover_marl.assets.hand_urdf import MESH_NAMES, format_hand_urdf, format_numbers
 from handover_marl.geometry.meshes import select_extreme_points
-from handover_marl.geometry.urdf import render_urdf
-
-_PALM_MASS, _PHALANX_MASS = 0.2, 0.02
-_FINGER_LIMITS = (np.pi, np.pi / 2, np.pi)
-
-#: Tapered capsule (m): start (3,), end (3,), radius at the start, radius at the end.
-Capsule = tuple[FloatArray, FloatArray, float, float]
-
-
-def make_palm_capsules(hand: HandGeometry) -> list[Capsule]:
-    """Return the capsules of a palm: metacarpals and balls of thumb and little finger."""
-    index, middle, little, ring, thumb = _unscale_points(hand, hand.joint_origins[::3])
-    drop, wrist = np.array([0.0, -0.004, 0.0]), 0.0155
-    capsules = [
-        (np.array([-0.012, -0.002, 0.013]), index + drop, wrist, 0.0128),
-        (np.array([-0.012, -0.002, 0.005]), middle + drop, wrist, 0.0130),
-        (np.array([-0.012, -0.002, -0.005]), ring + drop, wrist, 0.0125),
-        (np.array([-0.012, -0.003, -0.012]), little + drop / 2, wrist, 0.0118),
-        (thumb + np.array([0.004, 0.0, -0.006]), thumb + np.array([-0.024, -0.006, 0.004]), 0.0150, 0.0125),
-        (np.array([-0.022, -0.008, -0.019]), little + np.array([0.022, -0.006, 0.002]), 0.0135, 0.0115),
-    ]
-    return _scale_capsules(hand, capsules)
-
-
-def make_forearm_capsules(hand: HandGeometry) -> list[Capsule]:
-    """Return the capsules of the end of the forearm in the palm's frame."""
-    return _scale_capsules(
-        hand,
-        [(np.array([0.075, 0.0, z]), np.array([0.0, 0.0, z * 8.0 / 9.0]), 0.024, 0.0165) for z in (0.009, -0.009)],
-    )
-
-
-def spheres_from_capsules(capsules: list[Capsule], count: int) -> tuple[FloatArray, FloatArray]:
-    """Return centers (len(capsules) * count, 3) and radii of spheres spaced evenly in capsules."""
-    t = np.linspace(0.0, 1.0, count)[:, None]
-    centers = [start + t * (end - start) for start, end, _, _ in capsules]
-    radii = [first + t[:, 0] * (last - first) for _, _, first, last in capsules]
-    return np.vstack(centers), np.concatenate(radii)
-
-
-def _compute_scale(hand: HandGeometry) -> FloatArray:
-    return np.asarray(hand.scale * np.array([-1.0 if hand.side == "left" else 1.0, 1.0, 1.0]))
-
-
-def _unscale_points(hand: HandGeometry, points: FloatArray) -> FloatArray:
-    return np.asarray(points / _compute_scale(hand))
-
-
-def _scale_capsules(hand: HandGeometry, capsules: list[Capsule]) -> list[Capsule]:
-    stretch, across = _compute_scale(hand), float(hand.scale[1])
-    return [(a * stretch, b * stretch, r0 * across, r1 * across) for a, b, r0, r1 in capsules]
-
 
 #: Largest number of vertices of a collision mesh; Bullet is slow with more.
 MAX_COLLISION_VERTICES = 60
-
-#: Names of the links with meshes: palm, then phalanges.
-MESH_NAMES = ("palm", *(f"{digit}{joint}" for digit in DIGIT_ORDER for joint in (1, 2, 3)))
 
 _EDGE_LENGTH = 0.0038
 _BLEND = 0.007
@@ -189,34 +135,9 @@ def format_obj(mesh: trimesh.Trimesh, mirror: bool) -> str:
     if mirror:
         vertices[:, 0] *= -1.0
         faces = faces[:, ::-1]
-    lines = [f"v {_format_numbers(vertex)}" for vertex in vertices]
+    lines = [f"v {format_numbers(vertex)}" for vertex in vertices]
     lines += [f"f {a} {b} {c}" for a, b, c in faces + 1]
     return "\n".join(lines) + "\n"
-
-
-def format_hand_urdf(model: HandGeometry, name: str, color: tuple[float, float, float]) -> str:
-    """Return the URDF of a hand with HandoverSim's 53 links."""
-    return render_urdf(
-        __package__,
-        "hand.urdf",
-        name=name,
-        color=_format_numbers((*color, 1.0)),
-        scale=_format_numbers(model.scale),
-        folder=f"../meshes/{model.side}",
-        meshes=MESH_NAMES,
-        positions=[_format_numbers(position) for position in (model.palm_offset, *model.joint_origins)],
-        masses=(_PALM_MASS, _PHALANX_MASS),
-        limits=_FINGER_LIMITS,
-    )
-
-
-def _format_numbers(values: Iterable[float]) -> str:
-    return " ".join(_format_number(value) for value in values)
-
-
-def _format_number(value: float) -> str:
-    text = f"{round(float(value), 6) + 0.0:.6f}".rstrip("0").rstrip(".")
-    return "0" if text == "-0" else text
 
 
 def write_meshes(out: Path, side: Side) -> None:
@@ -233,7 +154,8 @@ def write_hand_urdf(out: Path, subject: int, side: Side) -> Path:
     name = format_hand_name(subject, side)
     path = out / name / "mano.urdf"
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(format_hand_urdf(make_hand_geometry(subject, side), name, SKIN_COLORS[subject - 1]))
+    model = make_hand_geometry(subject, side)
+    path.write_text(format_hand_urdf(model, name, SKIN_COLORS[subject - 1], f"../meshes/{side}"))
     return path
 
 

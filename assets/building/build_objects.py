@@ -12,8 +12,7 @@ from rich.progress import track
 
 from handover_marl.assets.building.object_files import write_convex_parts, write_palette, write_visual
 from handover_marl.assets.building.object_shapes import OBJECT_SHAPES
-from handover_marl.assets.object_models import COLLISION_NAME, OBJECTS_ROOT, URDF_NAME, VISUAL_NAME
-from handover_marl.geometry.urdf import render_urdf
+from handover_marl.assets.object_models import COLLISION_NAME, OBJECTS_ROOT, URDF_NAME, VISUAL_NAME, format_object_urdf
 
 _METRES_PER_MILLIMETRE = 0.001
 
@@ -42,7 +41,7 @@ def build_object(name: str, out: Path) -> Path:
         folder / COLLISION_NAME, [_convert_to_metres(part) for piece in pieces for part in piece.collision]
     )
     write_palette(folder)
-    (folder / URDF_NAME).write_text(format_object_urdf(VISUAL_NAME, COLLISION_NAME), newline="\n")
+    (folder / URDF_NAME).write_text(format_object_urdf(), newline="\n")
     return folder
 
 
@@ -54,20 +53,6 @@ def main(args: Args) -> None:
     """Build the models of the chosen objects."""
     for name in track(args.only or tuple(OBJECT_SHAPES), description="objects"):
         build_object(name, args.out)
-
-
-#: Mass (kg) and lateral friction of all objects in HandoverSim.
-MASS, FRICTION = 0.5, 0.9
-
-
-def format_object_urdf(visual: str, collision: str) -> str:
-    """Return the URDF of an object: six base joints, then a link with the meshes.
-
-    Args:
-        visual: File name of the visual mesh.
-        collision: File name of the convex parts.
-    """
-    return render_urdf(__package__, "object.urdf", visual=visual, collision=collision, mass=MASS, friction=FRICTION)
 
 
 if __name__ == "__main__":

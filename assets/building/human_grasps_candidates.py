@@ -13,14 +13,19 @@ from scipy.spatial.transform import Rotation
 from handover_marl.assets.building.build_hands import make_reference_hand
 from handover_marl.assets.building.human_grasps_closing import (
     SKIN_YIELD,
-    ArrayBatch,
-    HandSpheres,
-    Palms,
-    Posture,
     compute_body_clearance,
     compute_clearances,
 )
 from handover_marl.assets.hand_model import FloatArray, HandGeometry, IntArray
+from handover_marl.assets.hand_openings import (
+    OpeningDraws,
+    Openings,
+    compute_shortest_rotations,
+    make_reference_openings,
+    normalize,
+)
+from handover_marl.assets.hand_postures import Palms, Posture
+from handover_marl.assets.hand_spheres import HandSpheres
 from handover_marl.geometry.distance_field import DistanceField, distance_field_from_mesh
 
 _GRID_SPACING = 0.003
@@ -28,11 +33,6 @@ _GRID_MARGIN = 0.05
 _N_POSTURES = 1500
 _MAX_OPENING = 0.105
 _MIN_PALM_GRASP_OPENING = 0.055
-# Extreme directions of the thumb's first bone in the palm's frame: forward beside the index finger,
-# abducted in the plane of the palm, and in front of the palm opposite the fingers.
-_THUMB_DIRECTIONS = np.array([[-0.80, -0.40, 0.44], [-0.58, -0.24, 0.78], [-0.42, -0.87, 0.25]])
-# Point (m) that the reference hand's thumb flexes towards, below the middle finger's first bone.
-_THUMB_TARGET = np.array([-0.100, -0.030, 0.002])
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,60 +60,25 @@ def make_grasp_target(mesh: trimesh.Trimesh) -> GraspTarget:
     return GraspTarget(mesh, distance_field_from_mesh(vertices, faces, _GRID_MARGIN, _GRID_SPACING))
 
 
-@dataclass(frozen=True, eq=False)
-class Openings(ArrayBatch):
-    """Open hand postures and their gaps between thumb and fingers, in the palm's frame.
-
-    Attributes:
-        posture: n open postures of a hand.
-        center: (n, 3) centers of the gaps (m).
-        axis: (n, 3) unit vectors from the thumb's pad to the fingers' pads.
-        width: (n,) widths of the gaps (m).
-    """
-
-    posture: Posture
-    center: FloatArray
-    axis: FloatArray
-    width: FloatArray
-
-
-def measure_openings(model: HandGeometry, posture: Posture) -> Openings:
-    """Return the gaps between thumb and fingers in n postures of a hand."""
-    spheres = HandSpheres(model)
-    centers, _ = spheres.place_phalanges(posture.compute_joint_angles())
-    thumb, fingers = centers[:, 14, -1], (centers[:, 2, -1] + centers[:, 5, -1]) / 2
-    between = fingers - thumb
-    distance = np.linalg.norm(between, axis=1)
-    width = distance - spheres.radii[14, -1] - spheres.radii[2, -1]
-    return Openings(posture, (thumb + fingers) / 2, between / distance[:, None], width)
-
-
 @lru_cache(maxsize=1)
 def sample_reference_openings() -> Openings:
     """Sample open postures of the reference hand with the thumb opposite the fingers' pads."""
     rng, n = np.random.default_rng(11), 20 * _N_POSTURES
-    root, middle = rng.uniform(0.05, 1.15, n), rng.uniform(0.08, 1.0, n)
-    one_finger = np.stack([root, middle, 0.5 * middle], axis=1)
-    fingers = one_finger[:, None] + rng.normal(0.0, 0.04, (n, 4, 1)) * [1.0, 1.0, 0.5]
-    thumb = np.column_stack([np.zeros(n), rng.uniform(0.0, 0.4, n), rng.uniform(0.0, 0.5, n)])
-    bends = np.maximum(np.concatenate([fingers, thumb[:, None]], axis=1), 0.0)
-    spread = rng.uniform(-0.05, 0.12, (n, 1)) * np.array([1.0, 0.1, -2.0, -0.9])
-    rest = make_reference_hand().tips[12] / np.linalg.norm(make_reference_hand().tips[12])
-    direction = _normalize(rng.dirichlet([0.7, 0.7, 1.0], n) @ _THUMB_DIRECTIONS)
-    aim = _THUMB_TARGET - make_reference_hand().joint_origins[12] + rng.normal(0.0, 0.015, (n, 3))
-    roots = _compute_shortest_rotations(rest, direction)
-    openings = measure_openings(
-        make_reference_hand(), Posture(bends, spread, roots, _normalize(np.cross(direction, aim)))
+    draws = OpeningDraws(
+        root=rng.uniform(size=n),
+        middle=rng.uniform(size=n),
+        fingers=rng.normal(size=(n, 4, 1)),
+        thumb_middle=rng.uniform(size=n),
+        thumb_end=rng.uniform(size=n),
+        spread=rng.uniform(size=(n, 1)),
+        thumb_direction=rng.dirichlet([0.7, 0.7, 1.0], n),
+        thumb_target=rng.normal(size=(n, 3)),
     )
-    _, rotations = HandSpheres(make_reference_hand()).place_phalanges(openings.posture.compute_joint_angles())
-    pads = -(rotations[:, 2, :, 1] + rotations[:, 5, :, 1]) / 2
-    facing = np.einsum("ni,ni->n", pads, -openings.axis)
-    good = np.flatnonzero((facing > 0.2) & (openings.width > 0.012))
+    openings = make_reference_openings(draws)
     # Random postures are seldom wide: balance the widths.
-    slot = (openings.width[good] / 0.006).astype(int)
+    slot = (openings.width / 0.006).astype(int)
     weight = 1.0 / np.bincount(slot)[slot]
-    good = rng.choice(good, _N_POSTURES, replace=False, p=weight / weight.sum())
-    return openings[good]
+    return openings[rng.choice(len(openings), _N_POSTURES, replace=False, p=weight / weight.sum())]
 
 
 def find_candidates(
@@ -162,7 +127,7 @@ def _sample_palm_grasps(target: GraspTarget, count: int, rng: np.random.Generato
     points, faces = trimesh.sample.sample_surface(target.mesh, count, seed=int(rng.integers(2**31)))
     normals = np.asarray(target.mesh.face_normals[faces])
     back = np.broadcast_to([0.0, 1.0, 0.0], normals.shape)
-    rotation = _sample_aligned_rotations(back, _normalize(normals + rng.normal(0.0, 0.2, normals.shape)), rng)
+    rotation = _sample_aligned_rotations(back, normalize(normals + rng.normal(0.0, 0.2, normals.shape)), rng)
     gap = rng.uniform(0.0, 0.015, count)
     touch = np.column_stack([rng.uniform(-0.09, -0.05, count), -0.019 - gap, rng.uniform(-0.02, 0.02, count)])
     return Palms(points - np.einsum("nij,nj->ni", rotation, touch), rotation), rng.choice(wide, count)
@@ -187,7 +152,7 @@ def _sample_opposite_points(
     """Sample pairs of opposite surface points (m, 3), no further apart than a hand opens."""
     points, faces = trimesh.sample.sample_surface(mesh, count, seed=int(rng.integers(2**31)))
     normals = mesh.face_normals[faces]
-    inward = _normalize(-normals + rng.normal(0.0, 0.18, normals.shape))
+    inward = normalize(-normals + rng.normal(0.0, 0.18, normals.shape))
     hits, rays, triangles = mesh.ray.intersects_location(points + 1e-5 * inward, inward, multiple_hits=True)
     leaving = np.einsum("ni,ni->n", mesh.face_normals[triangles], inward[rays])
     distance = np.linalg.norm(hits - points[rays], axis=1)
@@ -201,20 +166,6 @@ def _sample_opposite_points(
 
 def _sample_aligned_rotations(source: FloatArray, goal: FloatArray, rng: np.random.Generator) -> FloatArray:
     """Sample rotations (n, 3, 3) from unit vectors `source` to the vicinity of `goal`."""
-    tilted = _normalize(goal + rng.normal(0.0, 0.12, goal.shape))
+    tilted = normalize(goal + rng.normal(0.0, 0.12, goal.shape))
     turn = Rotation.from_rotvec(tilted * rng.uniform(-np.pi, np.pi, (len(goal), 1)))
-    return np.asarray(turn.as_matrix() @ _compute_shortest_rotations(source, tilted))
-
-
-def _compute_shortest_rotations(source: FloatArray, goal: FloatArray) -> FloatArray:
-    """Return the smallest rotations (n, 3, 3) from unit vectors `source` to `goal`."""
-    source = np.broadcast_to(source, goal.shape)
-    axis = np.cross(source, goal)
-    sine, cosine = np.linalg.norm(axis, axis=1), np.einsum("ni,ni->n", source, goal)
-    # Exactly opposite vectors, whose axis is undefined, do not occur in random samples.
-    scaled = axis * (np.arctan2(sine, cosine) / np.maximum(sine, 1e-12))[:, None]
-    return np.asarray(Rotation.from_rotvec(scaled).as_matrix())
-
-
-def _normalize(vectors: FloatArray) -> FloatArray:
-    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
+    return np.asarray(turn.as_matrix() @ compute_shortest_rotations(source, tilted))

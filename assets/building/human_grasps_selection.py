@@ -7,18 +7,18 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from handover_marl.assets.building.build_hands import make_reference_hand
-from handover_marl.assets.building.human_grasps_candidates import GraspTarget, find_candidates, measure_openings
+from handover_marl.assets.building.human_grasps_candidates import GraspTarget, find_candidates
 from handover_marl.assets.building.human_grasps_closing import (
     SKIN_YIELD,
-    ArrayBatch,
-    HandSpheres,
-    Palms,
-    Posture,
     close_fingers,
     compute_body_clearance,
     compute_clearances,
+    sample_palm_surface,
 )
 from handover_marl.assets.hand_model import BoolArray, FloatArray, HandGeometry, IntArray
+from handover_marl.assets.hand_openings import measure_openings
+from handover_marl.assets.hand_postures import ArrayBatch, Palms, Posture
+from handover_marl.assets.hand_spheres import HandSpheres
 from handover_marl.assets.human_grasps import FREE_SHARE_MEDIAN, interpolate_wrist_distance
 from handover_marl.geometry.distance_field import DistanceField
 
@@ -92,7 +92,9 @@ def close_and_filter(
         by_pad[:, :4], normal, field.compute_outward_normals(_find_nearest_palm_spheres(field, palms, spheres))
     )
     crossing = _compute_thumb_overlap(centers, spheres.radii)
-    body = np.minimum(*(compute_body_clearance(field, palms, part) for part in (spheres.palm, spheres.hull)))
+    body = np.minimum(
+        *(compute_body_clearance(field, palms, part) for part in (spheres.palm, sample_palm_surface(model)))
+    )
     opposed[:, 1] &= body < TOUCH_DISTANCE
     holds = by_pad[:, 4] & (by_pad[:, :4].sum(axis=1) >= 2) & by_pad[:, :2].any(axis=1)
     keep = np.flatnonzero(holds & opposed.any(axis=1) & (crossing < 0.005) & (body > -_PALM_YIELD))

@@ -4,7 +4,7 @@ from functools import cache
 
 from handover_marl.assets.hand_model import Side
 from handover_marl.datasets.splits import PRESCRIBED_SIDE_TRIALS, SKIPPED_OBJECTS, prescribed_side
-from handover_marl.datasets.synthetic.random_stream import RandomStream
+from handover_marl.datasets.synthetic.random_stream import open_scene_streams
 from handover_marl.geometry.ycb import SCENE_CLASSES
 
 # Number of left-handed last trials of subjects 0-1 and 2-9, in scenes of objects that are in
@@ -35,7 +35,7 @@ def _draw_left_handed_trials() -> frozenset[int]:
     chosen: set[int] = set()
     for subjects, count in _N_LEFT_LAST_TRIALS:
         scenes = [scene for scene in range(4, 1000, 5) if scene // 100 in subjects]
-        shuffled = sorted(scenes, key=lambda scene: RandomStream(scene, "side").uniform())
+        shuffled = sorted(scenes, key=lambda scene: open_scene_streams(scene).open("side").uniform())
         in_splits = [scene for scene in shuffled if scene // 5 % 20 not in SKIPPED_OBJECTS]
         chosen.update(in_splits[:count])
         chosen.update(scene for scene in shuffled[::2] if scene // 5 % 20 in SKIPPED_OBJECTS)

@@ -5,27 +5,22 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
 
-from handover_marl.assets.hand_model import find_hand_urdf, make_hand_geometry
+from handover_marl.assets.hand_model import Side, find_hand_urdf, make_hand_geometry
 from handover_marl.assets.human_grasps import load_human_grasps
 from handover_marl.assets.object_models import TABLE_URDF, find_object_urdf
 from handover_marl.assets.robot_model import PANDA_URDF, write_camera_panda_urdf
 from handover_marl.assets.shipped import load_object_grasps
-from handover_marl.datasets.dataset import TABLE_HEIGHT, Dataset, Scene, SceneAssets, SceneInfo
+from handover_marl.datasets.dataset import Dataset, Scene, SceneAssets, SceneInfo
 from handover_marl.datasets.synthetic.assign_subjects import class_id_from_scene, side_from_scene, subject_from_scene
-from handover_marl.datasets.synthetic.clutter import draw_clutter
+from handover_marl.datasets.synthetic.clutter import ClutterItem, draw_clutter, make_ycb_clutter_item
 from handover_marl.datasets.synthetic.grasp_clearance import hand_poses_from_grasps
 from handover_marl.datasets.synthetic.handover_motion import draw_motion
-from handover_marl.datasets.synthetic.object_placement import draw_placement, make_held_object
-from handover_marl.datasets.synthetic.random_stream import VERSION
-from handover_marl.datasets.synthetic.resampling import (
-    compute_hand_trajectory,
-    compute_object_trajectory,
-    round_to_grid,
-)
+from handover_marl.datasets.synthetic.object_placement import HeldObject, draw_placement, make_ycb_held_object
+from handover_marl.datasets.synthetic.random_stream import VERSION, RandomStream, open_scene_streams
+from handover_marl.datasets.synthetic.resampling import compute_trajectories
 from handover_marl.geometry.panda import PANDA
-from handover_marl.geometry.ycb import CLASS_NAMES
+from handover_marl.geometry.ycb import CLASS_NAMES, SCENE_CLASSES
 
 
 class SyntheticDataset(Dataset):
@@ -94,6 +89,18 @@ class SyntheticDataset(Dataset):
         return ""
 
 
+# Numbers of other objects on the table.
+_CLUTTER_COUNTS = range(2, 5)
+
+
+@lru_cache(maxsize=64)
+def load_held_object(class_id: int, subject_id: int, side: Side) -> HeldObject:
+    """Load an object of a YCB class with its robot grasps and the human grasps of one subject."""
+    name = CLASS_NAMES[class_id]
+    grasps = load_human_grasps(name, subject_id, side)
+    return make_ycb_held_object(class_id, name, make_hand_geometry(subject_id, side), grasps, _load_robot_grasps(name))
+
+
 @cache
 def _load_robot_grasps(name: str) -> npt.NDArray[np.float64] | None:
     transforms = load_object_grasps(name)
@@ -104,22 +111,18 @@ def _load_robot_grasps(name: str) -> npt.NDArray[np.float64] | None:
 def _generate_scene(scene_id: int) -> tuple[SceneInfo, npt.NDArray[np.float32], npt.NDArray[np.float32], int]:
     subject_id, side = subject_from_scene(scene_id), side_from_scene(scene_id)
     class_id = class_id_from_scene(scene_id)
-    name = CLASS_NAMES[class_id]
     model = make_hand_geometry(subject_id, side)
-    grasps = load_human_grasps(name, subject_id, side)
-    held = make_held_object(class_id, name, model, grasps, _load_robot_grasps(name))
+    held = load_held_object(class_id, subject_id, side)
     # Keyframes at 25 Hz and other objects, in the table's frame.
-    motion = draw_motion(scene_id, draw_placement(scene_id, held, name), held, model)
-    clutter = draw_clutter(scene_id, class_id, motion, model)
-    target = compute_object_trajectory(motion)
-    object_dof = np.repeat(target[:, None], 1 + len(clutter), axis=1)
-    for column, clutter_object in enumerate(clutter, start=1):
-        angles = Rotation.from_matrix(clutter_object.rotation).as_euler("XYZ")
-        object_dof[:, column] = round_to_grid([*clutter_object.position, *angles])
-    hand_dof = compute_hand_trajectory(motion)
-    hand_first = motion.hand_first * (len(hand_dof) - 1) // (len(motion.fingers) - 1)
-    object_dof[:, :, 2] += TABLE_HEIGHT
-    hand_dof[hand_first:, 2] += TABLE_HEIGHT
+    streams = open_scene_streams(scene_id)
+    motion = draw_motion(streams, draw_placement(streams.open("placement"), held), held, model)
+    others = [number for number in SCENE_CLASSES if number != class_id]
+
+    def draw_item(random: RandomStream) -> ClutterItem:
+        return make_ycb_clutter_item(others[random.integer(len(others))])
+
+    clutter = draw_clutter(streams.open("clutter"), _CLUTTER_COUNTS, draw_item, held.corners, motion, model)
+    object_dof, hand_dof, hand_first = compute_trajectories(motion, clutter)
     ids = (class_id, *(clutter_object.class_id for clutter_object in clutter))
     subject = f"synthetic-subject-{subject_id:02d}"
     info = SceneInfo(

@@ -39,24 +39,44 @@ def hand_poses_from_grasps(transforms: Array) -> Array:
     return compose(poses_from_matrices(transforms), np.array(GRIPPER_FROM_HAND))
 
 
-def compute_free_grasp_share(world_from_object: Array, hand_points: Array, grasps: Array) -> float:
-    """Return the fraction (0 to 1) of preferred robot grasps that are clear of the giver's hand.
-
-    Preferred grasps are those whose standoff poses are nearest to the pose of the waiting gripper.
+def place_gripper_points(grasps: Array) -> Array:
+    """Return the gripper's points (n, p, 3) (m) at n grasps and their approaches, in the object's frame.
 
     Args:
-        world_from_object: (7,) pose of the object, xyz (m) and quaternion xyzw.
-        hand_points: (21, 3) keypoints of the hand in the world (m), in the order of
-            `HandGeometry.compute_keypoints`.
         grasps: (n, 7) poses of the gripper's hand link in the object's frame.
+    """
+    return transform_points(grasps[:, None], _make_gripper_points())
+
+
+def find_clear_grasps(gripper_points: Array, hand_points: Array) -> npt.NDArray[np.bool_]:
+    """Return a mask (n,) of the robot grasps that are clear of the giver's hand.
+
+    Args:
+        gripper_points: (n, p, 3) points of the gripper at n grasps (m).
+        hand_points: (21, 3) keypoints of the hand (m) in the same frame, in the order of
+            `HandGeometry.compute_keypoints`.
     """
     wrist, digits = hand_points[:1], hand_points[1:].reshape(5, 4, 3)
     palm = 0.5 * (digits[:, 0] + wrist)
     hand = np.concatenate([hand_points, palm])
-    world_from_hand = compose(world_from_object, grasps)
-    standoffs = compose(world_from_hand, np.array(RANKING_STANDOFF))
-    order = np.argsort(compute_pose_distances(PREFERRED_HAND_POSE, standoffs), kind="stable")
-    points = _make_gripper_points()
-    gripper = np.stack([transform_points(pose, points) for pose in world_from_hand[order[:MAX_RANKED_GRASPS]]])
-    distances = np.linalg.norm(gripper[:, :, None] - hand, axis=-1).min(axis=(1, 2))
-    return float((distances > CLEARANCE).mean())
+    points = gripper_points.reshape(-1, 3)
+    # Coordinate by coordinate: a matrix product would start threads, which cost more than they save.
+    squared = sum((hand[:, None, axis] - points[:, axis]) ** 2 for axis in range(3))
+    nearest = np.asarray(squared).min(axis=0).reshape(len(gripper_points), -1).min(axis=1)
+    return np.asarray(nearest > CLEARANCE**2)
+
+
+def compute_free_grasp_shares(world_from_object: Array, clear: npt.NDArray[np.bool_], grasps: Array) -> Array:
+    """Return the fractions (m,) (0 to 1) of preferred robot grasps that are clear of the giver's hand.
+
+    Preferred grasps are those whose standoff poses are nearest to the pose of the waiting gripper.
+
+    Args:
+        world_from_object: (m, 7) poses of the object, xyz (m) and quaternion xyzw.
+        clear: (n,) mask of the grasps that are clear of the hand, from `find_clear_grasps`.
+        grasps: (n, 7) poses of the gripper's hand link in the object's frame.
+    """
+    standoffs = compose(compose(world_from_object[:, None], grasps), np.array(RANKING_STANDOFF))
+    costs = compute_pose_distances(PREFERRED_HAND_POSE, standoffs.reshape(-1, 7)).reshape(len(standoffs), -1)
+    order = np.argsort(costs, axis=1, kind="stable")
+    return np.asarray(clear[order[:, :MAX_RANKED_GRASPS]].mean(axis=1))

@@ -4,6 +4,7 @@ All poses are in the table's frame: x to the giver's left, -y towards the robot,
 table's surface.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 
@@ -12,14 +13,18 @@ import numpy.typing as npt
 from scipy.spatial import ConvexHull
 
 from handover_marl.assets.hand_model import HandGeometry, matrices_from_euler
-from handover_marl.assets.human_grasps import HumanGrasps, interpolate_wrist_distance
+from handover_marl.assets.human_grasps import LEVELS, WRIST_DISTANCE_QUANTILES, HumanGrasps
 from handover_marl.assets.object_models import find_object_urdf
 from handover_marl.datasets.dataset import TABLE_HEIGHT
 from handover_marl.datasets.synthetic import calibration
-from handover_marl.datasets.synthetic.grasp_clearance import compute_free_grasp_share
+from handover_marl.datasets.synthetic.grasp_clearance import (
+    compute_free_grasp_shares,
+    find_clear_grasps,
+    place_gripper_points,
+)
 from handover_marl.datasets.synthetic.random_stream import RandomStream
 from handover_marl.geometry.meshes import read_collision_mesh
-from handover_marl.geometry.poses import quaternion_from_matrix
+from handover_marl.geometry.poses import poses_from_rotations
 
 Array = npt.NDArray[np.float64]
 
@@ -69,26 +74,31 @@ class HeldObject:
     """Object with its robot grasps and the human grasps of one subject, in the object's frame.
 
     Attributes:
-        class_id: YCB class number.
         corners: (n, 3) corners of the object's hull (m).
+        up_axes: Weights of the axes that point up on the table: +x, -x, +y, -y, +z, -z.
+        wrist_distances: Quantiles (m) of the wrist's distance from the object, at the levels
+            `handover_marl.assets.human_grasps.LEVELS`.
         grasps: Grasps of the subject.
         object_from_hand: (g, 3, 3) rotations of the hand's base in the g human grasps.
         keypoints: (g, 21, 3) wrist, finger joints and fingertips of the closed hand in these grasps (m).
         robot_grasps: (n, 7) poses of the gripper's hand link, or None for a class without grasps.
+        gripper_points: (n, p, 3) points of the gripper at these grasps (m), or None.
     """
 
-    class_id: int
     corners: Array
+    up_axes: Sequence[float]
+    wrist_distances: Sequence[float]
     grasps: HumanGrasps
     object_from_hand: Array
     keypoints: Array
     robot_grasps: Array | None
+    gripper_points: Array | None
 
 
-def make_held_object(
+def make_ycb_held_object(
     class_id: int, name: str, model: HandGeometry, grasps: HumanGrasps, robot_grasps: Array | None
 ) -> HeldObject:
-    """Return an object with the grasps of one subject.
+    """Return an object of a YCB class with the grasps of one subject.
 
     Args:
         class_id: YCB class number.
@@ -97,52 +107,104 @@ def make_held_object(
         grasps: Grasps of the subject.
         robot_grasps: (n, 7) poses of the gripper's hand link in the object's frame, or None.
     """
+    return make_held_object(
+        compute_hull_corners(name),
+        calibration.UP_AXES[class_id],
+        WRIST_DISTANCE_QUANTILES[name],
+        model,
+        grasps,
+        robot_grasps,
+    )
+
+
+def make_held_object(
+    corners: Array,
+    up_axes: Sequence[float],
+    wrist_distances: Sequence[float],
+    model: HandGeometry,
+    grasps: HumanGrasps,
+    robot_grasps: Array | None,
+) -> HeldObject:
+    """Return an object with the grasps of one subject; the arguments are fields of `HeldObject`.
+
+    Args:
+        corners: Corners of the hull.
+        up_axes: Weights of the axes that point up.
+        wrist_distances: Quantiles of the wrist's distance.
+        model: Hand of the subject.
+        grasps: Grasps of the subject.
+        robot_grasps: Poses of the gripper's hand link.
+    """
     dof = np.stack([grasps.compute_hand_dof(row) for row in range(len(grasps))])
     return HeldObject(
-        class_id=class_id,
-        corners=compute_hull_corners(name),
+        corners=corners,
+        up_axes=up_axes,
+        wrist_distances=wrist_distances,
         grasps=grasps,
         object_from_hand=matrices_from_euler(dof[:, 3:6]),
         keypoints=model.compute_keypoints(dof),
         robot_grasps=robot_grasps,
+        gripper_points=None if robot_grasps is None else place_gripper_points(robot_grasps),
     )
 
 
-def draw_placement(scene_id: int, held: HeldObject, name: str) -> ObjectPlacement:
-    """Draw the start pose, the grasp and the handover pose of a scene.
+@dataclass(frozen=True, eq=False)
+class HandoverPositions:
+    """Positions of the object in a scene.
 
-    Args:
-        scene_id: Scene number, the seed of all draws.
-        held: Object and the subject's grasps of it.
-        name: YCB class name.
+    Attributes:
+        start: (2,) position x, y on the table (m).
+        handover: (3,) position at the handover (m).
     """
-    random = RandomStream(scene_id, "placement")
+
+    start: Array
+    handover: Array
+
+
+def draw_calibrated_positions(random: RandomStream) -> HandoverPositions:
+    """Draw positions of the object from the distributions of DexYCB."""
     start_x, handover_x = random.draw_correlated_quantiles("start_x", "handover_x", calibration.START_HANDOVER_X)
     start_y, handover_y = random.draw_correlated_quantiles("start_y", "handover_y", calibration.START_HANDOVER_Y)
     handover_z = random.draw_quantile("handover_z")
-    distance = float(interpolate_wrist_distance(name, random.uniform()))
+    return HandoverPositions(np.array([start_x, start_y]), np.array([handover_x, handover_y, handover_z]))
+
+
+def draw_placement(
+    random: RandomStream,
+    held: HeldObject,
+    draw_positions: Callable[[RandomStream], HandoverPositions] = draw_calibrated_positions,
+) -> ObjectPlacement:
+    """Draw the start pose, the grasp and the handover pose of a scene.
+
+    Args:
+        random: Random stream of the scene's placement.
+        held: Object and the subject's grasps of it.
+        draw_positions: Function that draws the positions of the object.
+    """
+    positions = draw_positions(random)
+    distance = float(np.interp(random.uniform(), LEVELS, held.wrist_distances))
     tilt = np.radians(random.draw_quantile("tilt"))
     free_grasp_share = random.draw_quantile("free_grasp_share")
-    placements = []
+    placements: list[ObjectPlacement] = []
+    costs: list[Array] = []
     for rotation, grasp in _sample_resting_grasps(random, held, distance):
         start_z = OBJECT_CLEARANCE - float((held.corners @ rotation.T)[:, 2].min())
-        start = (np.array([start_x, start_y, start_z]), rotation)
-        handovers = _sample_handover_poses(random, held, grasp, np.array([handover_x, handover_y, handover_z]))
+        start = (np.array([*positions.start, start_z]), rotation)
+        handovers = _sample_handover_poses(random, held, grasp, positions.handover)
         placements += [ObjectPlacement(start, handover, grasp) for handover in handovers]
-    return min(placements, key=lambda placement: _compute_placement_cost(held, placement, tilt, free_grasp_share))
+        costs.append(_compute_costs(held, placements[-len(handovers) :], tilt, free_grasp_share))
+    return placements[int(np.argmin(np.concatenate(costs)))]
 
 
 def _sample_resting_grasps(random: RandomStream, held: HeldObject, distance: float) -> list[tuple[Array, int]]:
     """Return resting rotations (3, 3) and grasp indices with about the given wrist distance (m)."""
-    axes = random.weighted_order(calibration.UP_AXES[held.class_id])
+    axes = random.weighted_order(held.up_axes)
     first_yaw = random.uniform(0.0, 2.0 * np.pi)
     tie = random.uniform()
     for limit in _REACH_COSINE_LIMITS:
         for axis in axes:
-            rotations = [resting_rotation(axis, first_yaw + 2.0 * np.pi * turn / _N_YAWS) for turn in range(_N_YAWS)]
-            allowed = np.empty((_N_YAWS, len(held.grasps)), dtype=bool)
-            for turn, rotation in enumerate(rotations):
-                allowed[turn] = _find_reachable_grasps(held, rotation, limit)
+            rotations = resting_rotation(axis, first_yaw + 2.0 * np.pi * np.arange(_N_YAWS) / _N_YAWS)
+            allowed = _find_reachable_grasps(held, rotations, limit)
             if allowed.any():
                 off = np.where(allowed.any(axis=0), np.abs(held.grasps.wrist_distance - distance), np.inf)
                 nearest = [int(row) for row in np.argsort(off, kind="stable")[:_N_GRASPS_COMPARED]]
@@ -155,27 +217,34 @@ def _sample_resting_grasps(random: RandomStream, held: HeldObject, distance: flo
     return [(rotation, int(np.argmax(lowest)))]
 
 
-def resting_rotation(axis: int, yaw: float) -> Array:
-    """Return the rotation (3, 3) of an object with one of its axes up.
+def resting_rotation(axis: int, yaw: npt.ArrayLike) -> Array:
+    """Return rotations (..., 3, 3) of an object with one of its axes up.
 
     Args:
         axis: Index of the object's axis that points up, in the list +x, -x, +y, -y, +z, -z.
-        yaw: Rotation about the vertical (rad).
+        yaw: (...) rotations about the vertical (rad).
     """
     up = np.zeros(3)
     up[axis // 2] = 1.0 if axis % 2 == 0 else -1.0
     side = np.roll(np.abs(up), 1)
     upright = np.stack([side, np.cross(up, side), up])
     cos, sin = np.cos(yaw), np.sin(yaw)
-    rotation: Array = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]) @ upright
-    return rotation
+    zero, one = np.zeros_like(cos), np.ones_like(cos)
+    turns = np.stack([cos, -sin, zero, sin, cos, zero, zero, zero, one], axis=-1).reshape(*np.shape(cos), 3, 3)
+    return np.asarray(turns @ upright)
 
 
-def _find_reachable_grasps(held: HeldObject, rotation: Array, limit: float) -> npt.NDArray[np.bool_]:
-    """Return a mask (g,) of the grasps that are clear of the table and come from the giver's side."""
-    ground = (held.corners @ rotation.T)[:, 2].min()
-    clear = (held.keypoints @ rotation[2]).min(axis=1) - ground > JOINT_CLEARANCE
-    from_giver = held.grasps.finger_direction @ rotation.T @ _REACH_DIRECTION > limit
+def _find_reachable_grasps(held: HeldObject, rotations: Array, limit: float) -> npt.NDArray[np.bool_]:
+    """Return a mask (n, g) of the grasps that are clear of the table and come from the giver's side.
+
+    Args:
+        held: Object and its g grasps.
+        rotations: (n, 3, 3) rotations of the object with the same axis up.
+        limit: Least cosine of the angle between fingers and reach direction.
+    """
+    up = rotations[0, 2]  # Equal for all yaws.
+    clear = (held.keypoints @ up).min(axis=1) - (held.corners @ up).min() > JOINT_CLEARANCE
+    from_giver = held.grasps.finger_direction @ rotations.swapaxes(1, 2) @ _REACH_DIRECTION > limit
     return np.asarray(clear & from_giver)
 
 
@@ -199,19 +268,20 @@ def _sample_handover_poses(
     return fitting or [(np.array([position[0], position[1], -highest[0]]), highest[1])]
 
 
-def _compute_placement_cost(
-    held: HeldObject, placement: ObjectPlacement, tilt: float, free_grasp_share: float
-) -> float:
-    """Return the deviation of a placement from a tilt (rad) and a free grasp share."""
-    (_, start), (position, handover) = placement.start, placement.handover
-    actual_tilt = float(np.arccos(np.clip(start[2] @ handover[2], -1.0, 1.0)))
-    cost = _TILT_WEIGHT * abs(actual_tilt - tilt)
-    if held.robot_grasps is not None:
-        pose = np.array([*position, *quaternion_from_matrix(handover)])
-        pose[2] += float(TABLE_HEIGHT)
-        points = held.keypoints[placement.grasp] @ handover.T + pose[:3]
-        cost += abs(compute_free_grasp_share(pose, points, held.robot_grasps) - free_grasp_share)
-    return cost
+def _compute_costs(
+    held: HeldObject, placements: Sequence[ObjectPlacement], tilt: float, free_grasp_share: float
+) -> Array:
+    """Return deviations (n,) of placements with one grasp from a tilt (rad) and a free grasp share."""
+    rotations = np.stack([placement.handover[1] for placement in placements])
+    cosines = np.array([placement.start[1][2] @ placement.handover[1][2] for placement in placements])
+    costs: Array = _TILT_WEIGHT * np.abs(np.arccos(np.clip(cosines, -1.0, 1.0)) - tilt)
+    if held.robot_grasps is not None and held.gripper_points is not None:
+        clear = find_clear_grasps(held.gripper_points, held.keypoints[placements[0].grasp])
+        positions = np.stack([placement.handover[0] for placement in placements])
+        positions[:, 2] += float(TABLE_HEIGHT)
+        shares = compute_free_grasp_shares(poses_from_rotations(positions, rotations), clear, held.robot_grasps)
+        costs += np.abs(shares - free_grasp_share)
+    return costs
 
 
 def _sample_hand_rotation(random: RandomStream, side: str) -> Array:

@@ -4,9 +4,12 @@ NumPy guarantees the raw output of its bit generators, but not the numbers that 
 it, so all numbers are derived from raw 64-bit words.
 """
 
+import math
 from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 from scipy.special import ndtr, ndtri
 
 from handover_marl.datasets.synthetic.calibration import LEVELS, QUANTILES
@@ -14,30 +17,60 @@ from handover_marl.datasets.synthetic.calibration import LEVELS, QUANTILES
 #: Version of the scene generator, part of every seed. It changes whenever the scenes do.
 VERSION = 1
 
-# The index is part of the seed.
-_PURPOSES = ("side", "placement", "timing", "motion", "clutter")
+#: Purposes of the random numbers of a scene. The index is part of the seed, so new ones are added at the end.
+PURPOSES: Final = (
+    *("side", "placement", "timing", "motion", "clutter"),
+    *("person", "object", "human grasps", "robot grasps", "wandering"),
+)
+
+
+class RandomStreams:
+    """Independent streams of random numbers for the purposes of one scene.
+
+    Args:
+        seed: Numbers of at least 0 that identify the scene.
+    """
+
+    def __init__(self, *seed: int) -> None:
+        self._seed = seed
+
+    def open(self, purpose: str) -> "RandomStream":
+        """Return the stream of a purpose, one of `PURPOSES`, from its start."""
+        return RandomStream(*self._seed, PURPOSES.index(purpose))
+
+
+def open_scene_streams(scene_id: int) -> RandomStreams:
+    """Return the random streams of a synthetic scene."""
+    return RandomStreams(VERSION, scene_id)
 
 
 class RandomStream:
-    """Stream of random numbers for one scene and purpose; the streams are independent.
+    """Stream of random numbers.
 
     Args:
-        scene_id: Scene number.
-        purpose: "side", "placement", "timing", "motion" or "clutter".
+        seed: Numbers of at least 0; streams with different seeds are independent.
     """
 
-    def __init__(self, scene_id: int, purpose: str) -> None:
-        seed = np.random.SeedSequence([VERSION, scene_id, _PURPOSES.index(purpose)])
-        self._bits = np.random.PCG64(seed)
+    def __init__(self, *seed: int) -> None:
+        self._bits = np.random.PCG64(np.random.SeedSequence(seed))
 
     def uniform(self, low: float = 0.0, high: float = 1.0) -> float:
         """Draw a number from the open interval (low, high)."""
         fraction = ((int(self._bits.random_raw()) >> 11) + 0.5) * 2.0**-53
         return low + (high - low) * fraction
 
+    def uniforms(self, *shape: int) -> npt.NDArray[np.float64]:
+        """Draw an array of numbers from the open interval (0, 1), in the order of single draws."""
+        words = self._bits.random_raw(math.prod(shape))
+        return (((words >> np.uint64(11)) + 0.5) * 2.0**-53).reshape(shape)
+
     def normal(self) -> float:
         """Draw a standard normal number."""
         return float(ndtri(self.uniform()))
+
+    def normals(self, *shape: int) -> npt.NDArray[np.float64]:
+        """Draw an array of standard normal numbers."""
+        return np.asarray(ndtri(self.uniforms(*shape)))
 
     def integer(self, n: int) -> int:
         """Draw an integer from 0 to n - 1."""
