@@ -18,6 +18,7 @@ import random
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -65,7 +66,7 @@ class Args:
         sample: Number of mutants of each module that are drawn at random and tested; 0 tests all.
         seed: Seed of the random draw.
         slow: Whether survivors are tested with slow tests too.
-        timeout: Time after which tests count as failed (s).
+        timeout: Time after which tests count as failed, as a multiple of their time without a mutant.
         out: Folder for the table and the survivors.
     """
 
@@ -73,7 +74,7 @@ class Args:
     sample: int = 40
     seed: int = 0
     slow: bool = False
-    timeout: float = 300.0
+    timeout: float = 5.0
     out: Path = Path("runs/mutants")
 
 
@@ -117,28 +118,27 @@ class TestRunner:
 
     Args:
         copy: Folder with the copy of the repository; must be the working directory and on `sys.path`.
-        timeout: Time after which tests count as failed (s).
     """
 
     __test__ = False  # pytest must not collect this class
 
-    def __init__(self, copy: Path, timeout: float) -> None:
+    def __init__(self, copy: Path) -> None:
         os.environ["PYTHONDONTWRITEBYTECODE"] = "1"  # mutants of the same size and second would share bytecode
-        self._timeout = timeout
         self._processes = multiprocessing.get_context("forkserver")
         self._processes.set_forkserver_preload(find_dependencies(copy))
 
-    def passes(self, tests: Sequence[str], slow: bool = False) -> bool:
+    def passes(self, tests: Sequence[str], slow: bool = False, timeout: float | None = None) -> bool:
         """Return whether tests pass.
 
         Args:
             tests: Files or folders of the tests.
             slow: Whether to run the slow tests instead of the fast ones.
+            timeout: Time after which tests count as failed (s); None: none.
         """
         options = ["-x", "-q", "-p", "no:cacheprovider", "-m", "slow" if slow else "not slow", *tests]
         process = self._processes.Process(target=run_pytest, args=(options,))
         process.start()
-        process.join(self._timeout)
+        process.join(timeout)
         if process.exitcode is None:
             process.kill()
             process.join()
@@ -210,14 +210,17 @@ def measure_module(module: str, args: Args, copy: Path, runner: TestRunner) -> M
     from cosmic_ray.mutating import use_mutation
     from cosmic_ray.plugins import get_operator
 
-    tests = TESTS[module]
-    if not runner.passes(tests):
-        raise RuntimeError(f"the tests of {module} fail before it is changed: run pytest {' '.join(tests)}")
+    tests, times = TESTS[module], {}
+    for slow in (False, True)[: 1 + args.slow]:
+        start = time.monotonic()
+        if not runner.passes(tests, slow):
+            raise RuntimeError(f"the tests of {module} fail before it is changed: run pytest {' '.join(tests)}")
+        times[slow] = args.timeout * (time.monotonic() - start)
     mutations, survivors = draw_mutants(module, args, copy), []
     for mutation in tqdm(mutations, desc=module, file=sys.stderr):
         operator = get_operator(mutation.operator_name)(**mutation.operator_args)
         with use_mutation(mutation.module_path, operator, mutation.occurrence) as (original, changed):
-            if runner.passes(tests) and not (args.slow and not runner.passes(tests, slow=True)):
+            if all(runner.passes(tests, slow, limit) for slow, limit in times.items()):
                 survivors.append(format_difference(original, changed))
     return ModuleResult(module, len(mutations), survivors)
 
@@ -234,7 +237,7 @@ def measure_modules(args: Args) -> Iterator[ModuleResult]:
         subprocess.run(["git", "clone", "--quiet", str(REPOSITORY), str(copy)], check=True)
         os.chdir(copy)  # Cosmic Ray takes relative paths of modules
         sys.path.insert(0, str(copy))  # children import the copy
-        runner = TestRunner(copy, args.timeout)
+        runner = TestRunner(copy)
         for module in args.modules:
             yield measure_module(module, args, copy, runner)
         os.chdir(REPOSITORY)
