@@ -3,7 +3,7 @@
 `replay` replays the recorded human; `hesitant`, `hurried` and `noisy` vary the recording.
 `stop_when_near`, `cooperative` and `withdrawing` react to the robot. `learned` is a trained policy,
 `learned:FILE` loads another policy.
-Own givers are subclasses of `Giver`; packages register them by name in the entry-point group
+User-defined givers are subclasses of `Giver`; packages register them by name in the entry-point group
 `handover_marl.givers`.
 """
 

@@ -99,7 +99,7 @@ def read_parts(path: Path) -> list[trimesh.Trimesh]:
     """Read the meshes (m) of an OBJ file, one for each of its objects.
 
     Raises:
-        DataFormatError: The file is no OBJ file of triangles.
+        DataFormatError: The file is not an OBJ file of triangles.
     """
     content = read_obj(path)
     return [_extract_submesh(content.vertices, faces) for faces in content.groups]

@@ -150,7 +150,7 @@ def load_pickled_dict(path: Path) -> dict[str, Any]:
 
     Raises:
         UnsafeFileError: The pickle uses something other than arrays and plain values.
-        DataFormatError: The file is no pickled dict in a `.npy`, or is damaged.
+        DataFormatError: The file is not a pickled dict in a `.npy`, or is damaged.
     """
     try:
         content = _load_npy_dict(io.BytesIO(read_plain_file(path, _MAX_BYTES)))

@@ -93,7 +93,7 @@ def decode_name(value: object) -> str:
     """Return a name in a pickle as text; Python 2 pickles hold names as bytes.
 
     Raises:
-        pickle.UnpicklingError: The value is no text.
+        pickle.UnpicklingError: The value is not text.
     """
     if isinstance(value, bytes):
         return value.decode("ascii")

@@ -66,7 +66,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
           rotation vector (3, rad) and release (1); zeros replay the recording.
 
     Reward: 1 to both agents in the step that completes the handover, else 0; or shaped, see
-        `handover_marl.envs.rewards`; or an own function, see `handover_marl.envs.own_rewards`.
+        `handover_marl.envs.rewards`; or a user-defined function, see `handover_marl.envs.own_rewards`.
 
     Termination: success (the gripper holds the object at the goal for 0.1 s after the release), contact
         of robot and person, or drop of the object.
@@ -192,7 +192,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         Raises:
             SceneError: The scene is not in the split.
             DataNotFoundError, DataFormatError: Files of the scene are missing or damaged.
-            RewardError: An own reward fails.
+            RewardError: A user-defined reward fails.
         """
         # If anything fails below, no episode is running.
         self.agents = []
@@ -222,7 +222,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
 
         Raises:
             ActionError: An action is malformed; the simulation has not advanced.
-            RewardError: An own reward fails, or a term is no finite number or has an unknown name.
+            RewardError: A user-defined reward fails, or a term is not a finite number or has an unknown name.
             ResetNeededError: No episode is running.
         """
         if not self.agents:

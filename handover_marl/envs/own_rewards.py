@@ -1,4 +1,4 @@
-"""Own rewards: functions of a transition, combinations of rewards, and the check of their terms."""
+"""User-defined rewards: functions of a transition, combinations of rewards, and the check of their terms."""
 
 import copy
 import importlib
@@ -24,7 +24,7 @@ OwnReward: TypeAlias = Callable[[Transition], Mapping[str, Mapping[str, float]]]
 
 
 def declare_terms(giver: tuple[str, ...] = (), receiver: tuple[str, ...] = ()) -> Callable[[_Function], _Function]:
-    """Return a decorator that declares the names of the terms that an own reward returns.
+    """Return a decorator that declares the names of the terms that a user-defined reward returns.
 
     Without it, the names are those of a first call with a transition in which nothing moves. Declared
     terms that a call does not return are 0.
@@ -63,7 +63,7 @@ def combine_rewards(*parts: RewardLike | tuple[float, RewardLike]) -> CombinedRe
         parts: Rewards, each a value that `rewards` accepts, or a pair of weight and reward.
 
     Raises:
-        OptionError: There is no part, a weight is no finite number, or a part is no reward.
+        OptionError: There is no part, a weight is not a finite number, or a part is not a reward.
         UnknownNameError: There is no reward of a name.
     """
     if not parts:
@@ -83,7 +83,7 @@ def resolve_rewards(rewards: Any) -> Any:
 
     Raises:
         UnknownNameError: There is no reward of that name, or `module:name` cannot be imported.
-        OptionError: The value is no name, no weights and not callable.
+        OptionError: The value is neither a name nor weights nor callable.
     """
     if isinstance(rewards, str) and ":" in rewards:
         rewards = _import_rewards(rewards)
@@ -98,7 +98,7 @@ def resolve_rewards(rewards: Any) -> Any:
 
 
 def set_discount(rewards: RewardLike, discount: float) -> Any:
-    """Return rewards whose shaping terms have a learner's discount factor; functions are unchanged."""
+    """Return the rewards with a learner's discount factor in all shaping terms; functions stay unchanged."""
     found = resolve_rewards(rewards)
     if isinstance(found, RewardConfig):
         return replace(found, gamma=discount)
@@ -193,7 +193,7 @@ class SummedRewards:
 
 
 class CheckedRewards:
-    """Terms of an own function, each checked.
+    """Terms of a user-defined function, each checked.
 
     Args:
         function: Function of a transition; its method `reset(transition)`, if it has one, is called at

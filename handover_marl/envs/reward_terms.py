@@ -195,7 +195,7 @@ class TermWeights:
 
     Raises:
         UnknownNameError: There is no ready-made term of a name.
-        OptionError: A weight is no finite number.
+        OptionError: A weight is not a finite number.
     """
 
     receiver: Mapping[str, float] = field(default_factory=dict)

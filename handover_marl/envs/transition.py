@@ -1,4 +1,4 @@
-"""Transition of the environment: everything about one control step that own rewards may use."""
+"""Transition of the environment: everything about one control step that user-defined rewards may use."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -96,7 +96,7 @@ def check_mesh(path: Path, solid: bool = False) -> None:
         solid: Whether to refuse meshes whose vertices all lie in one plane.
 
     Raises:
-        DataFormatError: The file is not a plain file, is too large, or is no OBJ mesh, see `check_obj`.
+        DataFormatError: The file is not a plain file, is too large, or is not an OBJ mesh, see `check_obj`.
     """
     if path.suffix.lower() == ".obj":
         check_obj(path, solid)

@@ -216,7 +216,7 @@ def available_features(agent: str) -> tuple[str, ...]:
 
 
 def n_features(agent: str, name: str) -> int:
-    """Return the length of an agent's feature vector; own features have `make_features(...).size`.
+    """Return the length of an agent's feature vector; user-defined features have `make_features(...).size`.
 
     Raises:
         UnknownNameError: The agent is unknown or has no features of that name.
@@ -238,8 +238,8 @@ def make_features(agent: str, choice: FeaturesLike, context: PolicyContext, trus
     Raises:
         UnknownNameError: The agent is unknown or has no features of that name.
         UnsafeFileError: The choice is `module:name` and not trusted.
-        OptionError: Own features declare no size, or are for the other agent.
-        EncodingError: The constructor of own features fails.
+        OptionError: User-defined features declare no size, or are for the other agent.
+        EncodingError: The constructor of user-defined features fails.
     """
     available_features(agent)
     own: Any = choice

@@ -30,7 +30,7 @@ class LearnedPolicy(Policy):
     Raises:
         DataNotFoundError: The file does not exist.
         DataFormatError: The file is damaged or for another agent.
-        UnsafeFileError: The file contains code, or names own features or an own scheme (`module:name`),
+        UnsafeFileError: The file contains code, or names user-defined features or schemes (`module:name`),
             and is not trusted.
         OptionError: A receiver has no file, or an option does not fit the file.
     """

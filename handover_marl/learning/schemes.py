@@ -52,8 +52,8 @@ def make_scheme(agent: str, choice: SchemeLike, context: PolicyContext, trust: b
     Raises:
         UnknownNameError: The agent has no scheme of that name.
         UnsafeFileError: The choice is `module:name` and not trusted.
-        OptionError: An own scheme declares no size, or is for the other agent.
-        EncodingError: The constructor of an own scheme fails.
+        OptionError: A user-defined scheme declares no size, or is for the other agent.
+        EncodingError: The constructor of a user-defined scheme fails.
     """
     own: Any = choice
     if is_reference(choice):

@@ -165,7 +165,7 @@ class Policy(ABC):
 class Giver(Policy):
     """Base class of givers, policies of the human side.
 
-    Own givers can be passed as a class or an instance, or registered in the entry-point group
+    User-defined givers can be passed as a class or an instance, or registered in the entry-point group
     `handover_marl.givers`. A giver that is passed as a class or a name gets a context.
 
     Args:
@@ -205,7 +205,7 @@ class Giver(Policy):
 class Receiver(Policy):
     """Base class of receivers, policies of the robot.
 
-    Own receivers can be passed as a class, or registered in the entry-point group
+    User-defined receivers can be passed as a class, or registered in the entry-point group
     `handover_marl.receivers`.
 
     Args:

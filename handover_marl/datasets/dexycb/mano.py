@@ -125,7 +125,7 @@ def read_mano_model(path: Path, side: str) -> ManoModel:
         UnknownNameError: `side` is neither "right" nor "left".
         DataNotFoundError: The file is missing.
         UnsafeFileError: The file may run code.
-        DataFormatError: The file is no model, or an array has an invalid shape, type or range.
+        DataFormatError: The file is not a model, or an array has an invalid shape, type or range.
     """
     check_name("side", side, SIDES)
     content = read_mano_pickle(path, (*_NUMBERS, *_INDICES))

@@ -61,7 +61,7 @@ def read_mano_pickle(path: Path, keys: tuple[str, ...]) -> dict[str, Array | csc
     Raises:
         DataNotFoundError: The file is missing.
         UnsafeFileError: The pickle uses something that a model does not need.
-        DataFormatError: The file is no model, lacks a name, or is damaged.
+        DataFormatError: The file is not a model, lacks a name, or is damaged.
     """
     data = _read(path)
     try:

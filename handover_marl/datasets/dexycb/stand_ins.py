@@ -186,7 +186,7 @@ def decompose_convex(model: Path) -> str:
     """Return an OBJ text with the convex parts of a mesh by CoACD, one OBJ object per part.
 
     Raises:
-        DataFormatError: The file is no mesh of a solid body.
+        DataFormatError: The file is not a mesh of a solid body.
     """
     import coacd  # type: ignore[import-untyped]
 

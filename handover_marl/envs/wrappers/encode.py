@@ -52,8 +52,8 @@ class EncodedEnv(ParallelWrapper):
     Raises:
         UnknownNameError: There are no such features, or no such scheme.
         OptionError: There is no such agent, its observations are vectors already, they lack the state
-            that features are computed from, or own features or an own scheme declare no size.
-        EncodingError: The constructor of own features or of an own scheme fails.
+            that features are computed from, or user-defined features or a user-defined scheme declare no size.
+        EncodingError: The constructor of user-defined features or of a user-defined scheme fails.
     """
 
     metadata: dict[str, Any] = {**HandoverEnv.metadata, "name": "handover_encoded_v0"}
@@ -167,7 +167,7 @@ class EncodedEnv(ParallelWrapper):
 
         Raises:
             ActionError: Outputs are missing or malformed.
-            EncodingError: Own features or an own action scheme fail, or return a wrong size, type or
+            EncodingError: User-defined features or a user-defined action scheme fail, or return a wrong size, type or
                 number.
             ResetNeededError: No episode is running.
         """
@@ -237,7 +237,7 @@ def encode(
         features: Name of built-in features, or own ones: a subclass of `FeatureExtractor`, a function
             with `declare_size`, or text `module:name`; a mapping by agent if `env` has two agents;
             default: "giver" for the giver and "receiver" for the receiver.
-        schemes: Name of a built-in action scheme, or an own one: a subclass of `ActionScheme`, a
+        schemes: Name of a built-in action scheme, or a user-defined one: a subclass of `ActionScheme`, a
             function with `declare_size`, or text `module:name`; a mapping by agent if `env` has two
             agents; default: "deviation" for the giver and "cartesian_delta" for the receiver.
         api: "parallel" for a PettingZoo environment, "gymnasium" for a Gymnasium environment, which
@@ -246,8 +246,8 @@ def encode(
     Raises:
         UnknownNameError: There are no such features, no such scheme or API.
         OptionError: There is no such agent, one choice is given for two agents, the receiver observes
-            camera data without the state, or own features or an own scheme declare no size.
-        EncodingError: The constructor of own features or of an own scheme fails.
+            camera data without the state, or user-defined features or a user-defined scheme declare no size.
+        EncodingError: The constructor of user-defined features or of a user-defined scheme fails.
     """
     return convert_api(EncodedEnv(env, features, schemes), api)
 
@@ -273,7 +273,7 @@ def _complete_choices(argument: str, defaults: dict[str, str], choices: Any, age
 def _check_state(obs_mode: str, features: Any, scheme: Any) -> None:
     """Check that the receiver observes the state if its features or its scheme are computed from it.
 
-    Own features and own schemes may use the wrist camera's data alone.
+    User-defined features and user-defined schemes may use the wrist camera's data alone.
     """
     uses_state = (isinstance(features, str) and not is_reference(features)) or scheme in _SCHEMES_FROM_STATE
     if uses_state and not has_state(obs_mode):

@@ -176,8 +176,8 @@ def read_result_metadata(path: Path) -> ResultMetadata:
     """Read the identity of a result folder, of this library or of HandoverSim.
 
     Raises:
-        ResultsError: `config.yaml` cannot be read, has no official setup and split, its library
-            section is malformed, or its rules are not those that it claims.
+        ResultsError: `config.yaml` cannot be read or is malformed, has no official setup and split,
+            or claims the official rules but has other values.
     """
     config_path = path / CONFIG_FILE
     content = _read_yaml(config_path, path)

@@ -77,7 +77,7 @@ def import_reference(kind: str, text: str, trust: bool = True) -> Any:
 
 
 def get_choice_name(choice: object) -> str:
-    """Return the name of own features or of an own action scheme, for errors and files."""
+    """Return the name of user-defined features or of a user-defined action scheme, for errors and files."""
     if isinstance(choice, str):
         return choice
     name = getattr(choice, "name", None)
@@ -87,7 +87,7 @@ def get_choice_name(choice: object) -> str:
 
 
 def check_agent(kind: str, choice: object, agent: str) -> None:
-    """Check that own features or an own scheme are for an agent, if they declare one.
+    """Check that user-defined features or a user-defined scheme are for an agent, if they declare one.
 
     Raises:
         OptionError: They are for another agent.
@@ -101,7 +101,7 @@ def check_agent(kind: str, choice: object, agent: str) -> None:
 
 
 def construct(kind: str, choice: type, context: PolicyContext) -> Any:
-    """Construct own features or an own scheme from its class, with the context if it takes one.
+    """Construct user-defined features or a user-defined scheme from its class, with the context if it takes one.
 
     Args:
         kind: Kind of the choice, e.g. "features", for errors.

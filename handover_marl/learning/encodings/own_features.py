@@ -1,4 +1,4 @@
-"""Own features: base class, and the check of what they return."""
+"""User-defined features: base class, and the check of what they return."""
 
 import copy
 from abc import ABC, abstractmethod
@@ -27,7 +27,7 @@ KIND = "features"
 
 
 class FeatureExtractor(ABC):
-    """Base class of own features, functions from one agent's observation to a vector.
+    """Base class of user-defined features, functions from one agent's observation to a vector.
 
     Attributes:
         agent: Agent whose observations are used, "giver" or "receiver"; None for either.
@@ -96,7 +96,7 @@ class AgentFeatures:
         """Return the features (size,) of an observation.
 
         Raises:
-            EncodingError: Own features fail, or return anything but an element of their space.
+            EncodingError: User-defined features fail, or return anything but an element of their space.
         """
         if not self._is_checked:
             return self.function(observation)

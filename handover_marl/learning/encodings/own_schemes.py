@@ -1,4 +1,4 @@
-"""Own action schemes: functions as schemes, and the check of the actions that they return."""
+"""User-defined action schemes: functions as schemes, and the check of the actions that they return."""
 
 from collections.abc import Callable
 from typing import Any, TypeAlias
@@ -23,13 +23,13 @@ SchemeLike: TypeAlias = str | type[ActionScheme] | SchemeFunction
 
 
 class CheckedScheme(ActionScheme):
-    """Own action scheme whose actions are checked; made by `schemes.make_scheme`.
+    """User-defined action scheme whose actions are checked; made by `schemes.make_scheme`.
 
     Args:
         agent: "giver" or "receiver".
         name: Name of the scheme.
         size: Number of outputs that the scheme decodes.
-        scheme: Own scheme, or function from outputs and observation to an action.
+        scheme: User-defined scheme, or function from outputs and observation to an action.
         context: Robot, task and known grasps of the objects.
     """
 
@@ -53,7 +53,7 @@ class CheckedScheme(ActionScheme):
         return not isinstance(self.scheme, ActionScheme) or bool(self._run(self.scheme.needs_outputs, observation))
 
     def set_outputs(self, outputs: Outputs) -> None:
-        """Store new network outputs (size,), clipped to [-1, 1] unless an own class does otherwise."""
+        """Store new network outputs (size,), clipped to [-1, 1] unless a user-defined class does otherwise."""
         if isinstance(self.scheme, ActionScheme):
             self._run(self.scheme.set_outputs, outputs)
         else:

@@ -31,7 +31,7 @@ class TrainingArgs(SetupArgs):
         eval_interval: Number of decisions between evaluations.
         epochs: Number of passes over the collected data between updates.
         learning_rate: Learning rate of Adam.
-        rewards: Reward: sparse, shaped, or module:name of an own reward.
+        rewards: Reward: sparse, shaped, or module:name of a user-defined reward.
         discount: Discount factor; potential-based rewards use it too.
         gae_lambda: Lambda of generalized advantage estimation.
         initial_std: Initial standard deviation of the network outputs, for exploration.
