@@ -36,7 +36,7 @@ class Args:
         split: Split of the setups; only test splits belong on the results page.
         dataset: Data set, dexycb or synthetic.
         data_dir: Data folder in HandoverSim's layout.
-        physics: Physics engine; results of others than exact do not belong on the results page.
+        physics: Physics engine; only results in exact physics belong on the results page.
         workers: Number of worker processes; default: one per core.
         out: Folder for the result folders.
     """

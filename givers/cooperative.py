@@ -10,7 +10,7 @@ from handover_marl.policies.policy import Action, Giver, make_giver_action
 Vector = npt.NDArray[np.float64]
 
 
-class OfferTimer:
+class HandoverPoseTimer:
     """Timer that changes the handover pose whenever the gripper has not approached for 2 s.
 
     Attributes:
@@ -48,7 +48,7 @@ class CooperativeGiver(Giver):
 
     While the recorded hand moves to its handover pose, the hand turns behind the object as seen
     from the gripper and moves towards the gripper. The pose is fixed once the recorded hand has
-    stopped or the gripper is near, because robots take resting objects best. `OfferTimer` varies
+    stopped or the gripper is near, because robots take resting objects best. `HandoverPoseTimer` varies
     the pose if the gripper does not approach. The hand releases the object when both fingers have
     stopped on the object, and withdraws after any release.
 
@@ -78,7 +78,7 @@ class CooperativeGiver(Giver):
         """Start an episode without deviation from the recording."""
         self._displacement, self._rotation = np.zeros(3), np.zeros(3)
         self._is_fixed = False
-        self._timer = OfferTimer()
+        self._timer = HandoverPoseTimer()
         self._grasped_since: float | None = None
         self._withdrawn: Vector | None = None
 

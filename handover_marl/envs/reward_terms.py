@@ -103,7 +103,7 @@ class JerkTerm(RewardTerm):
         self._period = 0.0
 
     def reset(self, transition: Transition) -> None:
-        """Start an episode with the first position."""
+        """Discard the positions of the last episode; store the first position of the new one."""
         first = read_position(self._body, transition.next_state)
         self._positions, self._period = ([] if first is None else [first]), transition.duration
 

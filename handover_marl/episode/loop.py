@@ -199,7 +199,7 @@ def play(
 def derive_scene_seed(seed: int | None, scene_id: int, user: str) -> int:
     """Derive a seed for a scene: a hash of the run's seed, the scene number and the user of the seed.
 
-    Receivers must not get it, since they could find the scene number by trying all of them.
+    A receiver must not get this seed, since it could find the scene number by trying all numbers.
 
     Args:
         seed: Seed of the run; None is 0.

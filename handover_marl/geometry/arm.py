@@ -129,8 +129,8 @@ def _fixed_transform(tree: KinematicTree, link: int, ancestor: int, opening: flo
     while link != ancestor:
         joint = tree.joints[link]
         slide = opening * joint.axis if joint.kind == "prismatic" else np.zeros(3)
-        offset = joint.offset + joint.turn @ (slide + offset)
-        turn = joint.turn @ turn
+        offset = joint.offset + joint.rotation @ (slide + offset)
+        turn = joint.rotation @ turn
         link = joint.parent
     return offset, turn
 

@@ -44,7 +44,7 @@ class TreeJoint:
         parent: Number of the parent link, -1 for the base.
         kind: URDF joint type.
         offset: (3,) origin of the joint in the parent's frame (m).
-        turn: (3, 3) orientation of the joint in the parent's frame.
+        rotation: (3, 3) orientation of the joint in the parent's frame.
         axis: (3,) unit axis in the joint's frame.
     """
 
@@ -52,7 +52,7 @@ class TreeJoint:
     parent: int
     kind: str
     offset: Array
-    turn: Array
+    rotation: Array
     axis: Array
 
 
@@ -72,7 +72,7 @@ class KinematicTree:
         self._dof = np.where(is_moving, np.cumsum(is_moving) - 1, self.n_dof).astype(np.int64)
         # Reshaped for models without joints.
         self._offsets = np.array([joint.offset for joint in joints]).reshape(-1, 3)
-        self._turns = np.array([joint.turn for joint in joints]).reshape(-1, 3, 3)
+        self._turns = np.array([joint.rotation for joint in joints]).reshape(-1, 3, 3)
         axes = np.array([joint.axis for joint in joints]).reshape(-1, 3)
         is_revolute = np.array([joint.kind in _REVOLUTE for joint in joints], dtype=bool)[:, None]
         is_prismatic = np.array([joint.kind in _PRISMATIC for joint in joints], dtype=bool)[:, None]
@@ -203,7 +203,7 @@ class KinematicTree:
                 joint = self.joints[child]
                 start = origin + turn @ joint.offset
                 if joint.kind == "fixed":
-                    rigid.append((child, start, turn @ joint.turn))
+                    rigid.append((child, start, turn @ joint.rotation))
                 else:
                     farthest = max(farthest, float(np.linalg.norm(start)) + reaches[child])
         return farthest
@@ -272,7 +272,7 @@ def _read_joint(element: ET.Element, link: str, parent: int) -> TreeJoint:
         parent=parent,
         kind=kind,
         offset=np.array(read_attribute(element, "origin", "xyz", "0 0 0").split(), dtype=np.float64),
-        turn=matrix_from_rpy(read_attribute(element, "origin", "rpy", "0 0 0")),
+        rotation=matrix_from_rpy(read_attribute(element, "origin", "rpy", "0 0 0")),
         axis=axis / length if length > 0.0 else axis,
     )
 

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.spaces import GIVER_ACTION_SIZE, GiverAction, giver_action_space
-from handover_marl.givers.cooperative import OfferTimer
+from handover_marl.givers.cooperative import HandoverPoseTimer
 from handover_marl.learning.action_scheme import Action, ActionScheme, Outputs, RawScheme
 from handover_marl.learning.features import handover_frame
 from handover_marl.policies.policy import make_giver_action
@@ -53,7 +53,7 @@ class HandoverPoseScheme(GiverScheme):
     Outputs are requested when the recorded hand is about to stop at its own handover pose. Before
     that time the giver follows the recording; afterwards it holds the chosen pose until the object
     is released, because robots take resting objects best. If the gripper does not approach for two
-    seconds, `OfferTimer` varies the pose.
+    seconds, `HandoverPoseTimer` varies the pose.
 
     | outputs | meaning at 1, in the frame of `handover_frame` |
     |---|---|
@@ -81,7 +81,7 @@ class HandoverPoseScheme(GiverScheme):
         self._decided = self._chosen = False
         self._shift, self._turn = np.zeros(3), np.zeros(3)
         self._withdrawal: npt.NDArray[np.float64] | None = None
-        self._timer = OfferTimer()
+        self._timer = HandoverPoseTimer()
 
     def needs_outputs(self, observation: Observation) -> bool:
         """Return whether the recorded hand is about to stop and no outputs were set yet."""

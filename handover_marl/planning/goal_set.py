@@ -115,8 +115,8 @@ class GoalSetBuilder:
     def build(self, grasps: Array, objects: Sequence[Obstacle], person: Obstacle | None) -> GoalSet:
         """Return the goals at which the gripper can grasp an object.
 
-        Goals are ordered by decreasing clearance to the person's hand; goals with too little
-        clearance are excluded unless there are no others.
+        Goals are ordered by decreasing clearance to the person's hand. Goals with too little
+        clearance are excluded if other goals exist.
 
         Args:
             grasps: (n, 7) poses of the hand link at the grasps, in the base frame.

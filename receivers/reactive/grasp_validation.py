@@ -70,8 +70,8 @@ def get_validation_record(
 ) -> ValidationRecord:
     """Return the stored validation of an object's n grasps, as `assets.shipped.ValidationRecord` (n, 4).
 
-    Grasps without a stored record are validated in simulation, which takes up to minutes. Arguments
-    and errors are the same as for `validate_grasps`.
+    Grasps without a stored record are validated in simulation, which takes a minute or two.
+    Arguments and errors are the same as for `validate_grasps`.
     """
     path = get_validation_record_path(object_urdf, panda_urdf, known, config)
     shipped = load_validation_record(path.stem)

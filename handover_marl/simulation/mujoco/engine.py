@@ -265,7 +265,7 @@ def _compile_tree(urdf: Path, mtime: int) -> "mujoco.MjModel":
     bodies = {-1: spec.worldbody.add_body()}
     # Links are numbered depth first, like MuJoCo's bodies.
     for number, joint in enumerate(tree.joints):
-        rotation = wxyz_from_xyzw(quaternion_from_matrix(joint.turn))
+        rotation = wxyz_from_xyzw(quaternion_from_matrix(joint.rotation))
         body = bodies[number] = bodies[joint.parent].add_body(pos=joint.offset, quat=rotation)
         # MuJoCo refuses moving bodies without mass.
         body.explicitinertial, body.mass, body.inertia = True, 1.0, np.ones(3)

@@ -60,7 +60,7 @@ class GripperModelBuilder(SceneModelBuilder):
             parts = parts_by_link.get(number, [])
             body = hand
             if is_finger:
-                rotation = wxyz_from_xyzw(quaternion_from_matrix(joint.turn))
+                rotation = wxyz_from_xyzw(quaternion_from_matrix(joint.rotation))
                 body = hand.add_body(name=name, pos=joint.offset, quat=rotation)
                 self._add_robot_joint(body, tree, number, link)
                 set_inertia(body, link, parts)

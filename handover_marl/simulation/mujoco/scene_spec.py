@@ -160,7 +160,7 @@ class SceneModelBuilder:
         base = self.spec.worldbody.add_body(name=ROBOT_BASE, pos=panda.base_position, quat=orientation)
         bodies = {-1: base}
         for number, joint in enumerate(tree.joints):
-            rotation = wxyz_from_xyzw(quaternion_from_matrix(joint.turn))
+            rotation = wxyz_from_xyzw(quaternion_from_matrix(joint.rotation))
             bodies[number] = bodies[joint.parent].add_body(name=joint.link, pos=joint.offset, quat=rotation)
             if joint.parent < 0:
                 # MuJoCo excludes collisions of parent and child only if the parent moves.
