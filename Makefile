@@ -82,7 +82,7 @@ lerobot: $(LEROBOT)/.installed
 $(LEROBOT)/.installed: setup.cfg constraints-lerobot.txt
 	$(PYTHON) -m venv $(LEROBOT)
 	$(LEROBOT)/bin/python $(INSTALL) -c constraints-lerobot.txt \
-		-e ".[lerobot,vision]" accelerate av datasets h5py torch torchcodec torchvision pytest pytest-timeout
+		-e ".[lerobot,vision]" accelerate av datasets h5py torch torchcodec torchvision hypothesis pytest pytest-timeout
 	$(LEROBOT)/bin/python $(INSTALL) --no-deps -c constraints-lerobot.txt lerobot
 	mkdir -p $(LEROBOT)/ffmpeg
 	for file in $(abspath $(LEROBOT))/lib/python3*/site-packages/av.libs/lib[as][vw]*.so.*; do \

@@ -116,6 +116,7 @@ class Training:
         self._data = args.open_dataset(args.robot)
         scenes = self._data.list_scenes(args.setup, "train")[:: args.stride]
         self._scenes, self._held_out = select_training_scenes(scenes), select_held_out_scenes(scenes)
+        self._val_scenes = select_scenes_evenly(self._data.list_scenes(args.setup, "val"), args.val_scenes)
         self._folder = RunFolder(Path(args.out), args, args.resume, self._data.name)
         self._device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
         torch.manual_seed(args.seed)
@@ -201,7 +202,7 @@ class Training:
             args.setup,
             "val",
             f"vision:weights={latest}",
-            scenes=select_scenes_evenly(self._data.list_scenes(args.setup, "val"), args.val_scenes),
+            scenes=self._val_scenes,
             dataset=args.dataset,
             data_dir=args.data_dir,
             robot=args.robot,

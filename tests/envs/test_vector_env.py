@@ -198,10 +198,14 @@ def test_what_cannot_be_is_refused(both: Callable[..., Any]) -> None:
         ({"num_envs": 2, "autoreset": "always"}, UnknownNameError, "autoreset"),
         ({"num_envs": 2, "physics": "newton"}, UnknownNameError, "physics"),
         ({"num_envs": 10**9}, OptionError, "num_envs must be at most 65536, got 1000000000"),
-        ({"num_envs": 2, "schemes": 5}, OptionError, "schemes must be a name or a dict of names by agent, got 5"),
+        (
+            {"num_envs": 2, "schemes": 5},
+            OptionError,
+            "schemes must be a name, a class, a function or a dict of these by agent, got 5",
+        ),
         ({"num_envs": 2, "features": ["close"]}, OptionError, "features must be a name"),
-        ({"num_envs": 2, "features": len}, OptionError, "features must be a name"),
-        ({"num_envs": 2, "schemes": {"receiver": []}}, UnknownNameError, "action scheme of the receiver"),
+        ({"num_envs": 2, "features": len}, OptionError, "features 'len' must declare the number of features"),
+        ({"num_envs": 2, "schemes": {"receiver": []}}, OptionError, r"action scheme must be a name, .*got \[\]"),
         ({"num_envs": 2, "camera": {"width": 5}}, OptionError, "camera must be a CameraConfig, got {'width': 5}"),
         ({"num_envs": 2, "trust": "no"}, OptionError, "trust must be True or False, got 'no'"),
     ):
