@@ -96,7 +96,7 @@ class Scene:
         return len(self.object_dof)
 
     def is_hand_present(self, frames: npt.NDArray[np.int_]) -> npt.NDArray[np.bool_]:
-        """Return a mask of the frames with given numbers in which the human hand is visible."""
+        """Return for each of the given frames whether the human hand is visible."""
         if self.hand_first is None or self.hand_last is None:
             return np.zeros(frames.shape, dtype=bool)
         return (self.hand_first <= frames) & (frames <= self.hand_last)

@@ -161,12 +161,12 @@ def _compute_body(
 
 
 @functools.lru_cache(maxsize=64)
-def load_simplified_meshes(urdf: Path, changed: int, max_faces: int = _MAX_FACES) -> tuple[LinkMesh, ...]:
+def load_simplified_meshes(urdf: Path, modified_ns: int, max_faces: int = _MAX_FACES) -> tuple[LinkMesh, ...]:
     """Return the visual meshes of a model's links with a reduced number of triangles.
 
     Args:
         urdf: URDF file of the model.
-        changed: Modification time of the file (ns), part of the key of the cache.
+        modified_ns: Modification time of the file (ns); a file with another time is read again.
         max_faces: Largest number of triangles of a link.
 
     Raises:

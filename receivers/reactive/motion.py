@@ -1,4 +1,4 @@
-"""Motion of the receiver `reactive`: actions that keep clear of obstacles, and the approach."""
+"""Motion of the receiver `reactive`: collision-free actions, and the approach to the grasp."""
 
 from dataclasses import replace
 

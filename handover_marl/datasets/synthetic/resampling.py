@@ -105,17 +105,6 @@ def _interpolate_fingers(keyframes: npt.NDArray[np.float64], angles: npt.NDArray
         angles[:-1].reshape(n - 1, STRIDE, -1)[moving] = round_to_grid(frames).reshape(len(moving), STRIDE, -1)
 
 
-def _sample_times(n_keyframes: int) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    keyframe_times = np.arange(n_keyframes, dtype=np.float64) * KEYFRAME_PERIOD
-    frames = np.arange((n_keyframes - 1) * STRIDE + 1, dtype=np.float64)
-    return keyframe_times, frames * (KEYFRAME_PERIOD / STRIDE)
-
-
-def _interpolate_positions(keyframes: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    keyframe_times, times = _sample_times(len(keyframes))
-    return np.asarray(CubicSpline(keyframe_times, keyframes)(times))
-
-
 def _interpolate_angles(keyframes: Rotation) -> npt.NDArray[np.float64]:
     starts = np.arange(len(keyframes) - 1)
     between = _interpolate_intervals(keyframes, starts, starts + 1, starts)

@@ -208,8 +208,8 @@ def load_urdf(client: BulletClient, path: Path | str, **options: object) -> int:
 
 
 @functools.lru_cache(maxsize=256)
-def _check_meshes(urdf: Path, changed: int) -> None:
-    """Check a model's mesh files: invalid vertex numbers crash PyBullet, a pipe would let it wait for ever."""
+def _check_meshes(urdf: Path, modified_ns: int) -> None:
+    """Check a model's mesh files: PyBullet crashes on invalid vertex numbers and waits without end on a pipe."""
     for _, mesh in list_mesh_references(urdf):
         if mesh.exists():
             check_mesh(mesh)
