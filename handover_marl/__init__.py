@@ -8,6 +8,7 @@ env = handover_marl.flatten(env)                                 vectors instead
 env = handover_marl.homogeneous(env)                             equal spaces for all agents
 env = handover_marl.vector_env(64, "receiver", "replay")         many environments in one process
 env = gymnasium.make("HandoverMARL/Receiver-v0", setup="s0")     Gymnasium environment of the robot
+robot = handover_marl.as_receiver(network)                       function, network or file as a receiver
 report = handover_marl.benchmark(setup="s3")                     official protocol of HandoverSim
 data = handover_marl.demonstrate(setup="s0", out="data/s0")      data set of recorded episodes
 
@@ -60,6 +61,9 @@ if TYPE_CHECKING:
     from handover_marl.evaluation.reports.report_files import evaluate as evaluate
     from handover_marl.evaluation.verification.verify import verify as verify
     from handover_marl.learning.action_scheme import ActionScheme as ActionScheme
+    from handover_marl.learning.adapters.as_policy import as_giver as as_giver
+    from handover_marl.learning.adapters.as_policy import as_receiver as as_receiver
+    from handover_marl.learning.adapters.export import export_policy as export_policy
     from handover_marl.learning.encodings.choices import declare_size as declare_size
     from handover_marl.learning.encodings.own_features import FeatureExtractor as FeatureExtractor
     from handover_marl.simulation.camera.frames import SegmentationLabel as SegmentationLabel
@@ -82,6 +86,8 @@ _MODULES = {
     "TermWeights": "envs.reward_terms",
     "Transition": "envs.transition",
     "WorldConfig": "config",
+    "as_giver": "learning.adapters.as_policy",
+    "as_receiver": "learning.adapters.as_policy",
     "benchmark": "evaluation.benchmark",
     "benchmark_env": "envs.constructors",
     "combine_rewards": "envs.own_rewards",
@@ -95,6 +101,7 @@ _MODULES = {
     "env": "envs.constructors",
     "evaluate": "evaluation.reports.report_files",
     "evaluate_pair": "evaluation.benchmark",
+    "export_policy": "learning.adapters.export",
     "flatten": "envs.wrappers.flatten",
     "freeze": "envs.wrappers.freeze",
     "homogeneous": "envs.wrappers.homogeneous",

@@ -1,7 +1,7 @@
-"""Reader of policy files of Stable-Baselines3 and TorchScript.
+"""Reader of policy files of Stable-Baselines3.
 
-A Stable-Baselines3 file is a zip of weights and JSON with embedded pickles. The pickles are not
-loaded: the network is built from names and shapes of the weights. TorchScript is code.
+Such a file is a zip of weights and JSON with embedded pickles. The pickles are not loaded: the
+network is built from names and shapes of the weights.
 """
 
 import io
@@ -10,9 +10,8 @@ import pickle
 import re
 import zipfile
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -20,15 +19,28 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from handover_marl.episode.spaces import giver_action_space, receiver_action_space
-from handover_marl.errors import DataFormatError, OptionError, UnsafeFileError
+from handover_marl.errors import DataFormatError, UnsafeFileError
 from handover_marl.execution.files import shorten_text
 from handover_marl.execution.reading import MAX_FILE_BYTES, check_archive
-from handover_marl.learning.features import n_features
-from handover_marl.learning.policy_spec import DenseNetwork, PolicyFunction
+from handover_marl.learning.adapters.torch_script import import_torch
+from handover_marl.learning.encodings.choices import is_reference
+from handover_marl.learning.features import available_features, n_features
+from handover_marl.learning.policy_spec import DenseNetwork, OutputBounds, PolicyFunction
+from handover_marl.learning.schemes import available_schemes
 from handover_marl.learning.training_record import Sb3TrainingRecord, read_training_record
 
 Array = npt.NDArray[np.float32]
 
+#: Activation functions of policy files by the name of PyTorch's class, with its default parameters.
+TORCH_ACTIVATIONS = {
+    "Tanh": "tanh",
+    "ReLU": "relu",
+    "Identity": "identity",
+    "ELU": "elu",
+    "LeakyReLU": "leaky_relu",
+    "SiLU": "silu",
+    "Sigmoid": "sigmoid",
+}
 _WEIGHTS, _ABOUT = "policy.pth", "data"
 _MAX_WEIGHTS = 100_000_000
 _SPACES = {"giver": giver_action_space, "receiver": receiver_action_space}
@@ -41,71 +53,63 @@ _FAMILIES = (
 )
 
 
-class BoundedNetwork:
-    """Network whose outputs are mapped to an action space as in Stable-Baselines3's `predict`.
+@dataclass(frozen=True, eq=False)
+class Sb3Policy:
+    """Policy from a file of Stable-Baselines3.
 
-    Args:
-        network: Network from flat observations to outputs.
-        space: Action space.
-        squashed: Whether outputs in [-1, 1] are scaled to the bounds (SAC, TD3, DDPG) rather than
-            clipped to them (PPO, A2C).
+    Attributes:
+        function: Function from inputs to outputs.
+        control_period: Time between two decisions in training (s), or None if not recorded.
+        encoding: Names of features and action scheme that the file records, or None.
     """
 
-    def __init__(self, network: DenseNetwork, space: spaces.Box, squashed: bool) -> None:
-        self._network, self._low, self._high, self._squashed = network, space.low, space.high, squashed
-        self.n_inputs, self.n_outputs = network.n_inputs, network.n_outputs
-
-    def __call__(self, inputs: Array) -> Array:
-        """Return the action (n_outputs,) within the bounds."""
-        if not self._squashed:
-            return np.clip(self._network(inputs), self._low, self._high)
-        shares = (self._network(inputs) + np.float32(1.0)) / np.float32(2.0)
-        return np.asarray(self._low + shares * (self._high - self._low), dtype=np.float32)
+    function: PolicyFunction
+    control_period: float | None = None
+    encoding: tuple[str, str] | None = None
 
 
-class TorchScriptFunction:
-    """TorchScript module that is evaluated for one observation at a time.
-
-    Args:
-        module: Loaded module from (1, n_inputs) to (1, n_outputs).
-        n_inputs: Length of a flat observation.
-        n_outputs: Length of an action.
-    """
-
-    def __init__(self, module: Any, n_inputs: int, n_outputs: int) -> None:
-        self._module, self.n_inputs, self.n_outputs = module, n_inputs, n_outputs
-
-    def __call__(self, inputs: Array) -> Array:
-        """Return the action (n_outputs,) for a flat observation (n_inputs,)."""
-        torch = _import_torch()
-        with torch.no_grad():
-            return np.asarray(self._module(torch.from_numpy(inputs)[None])[0].numpy(), dtype=np.float32)
-
-
-def read_stable_baselines(path: Path, content: bytes, agent: str) -> tuple[PolicyFunction, float | None]:
+def read_stable_baselines(
+    path: Path, content: bytes, agent: str, encoding: tuple[object, object] | None = None
+) -> Sb3Policy:
     """Read the deterministic policy of a Stable-Baselines3 file (PPO, A2C, SAC, TD3 or DDPG).
 
-    Returns:
-        The policy, and its control period in training (s) if the file records it.
+    Args:
+        path: File, for error messages.
+        content: Content of the file.
+        agent: Agent that the policy must control.
+        encoding: Features and action scheme of the training; default: those that the file records,
+            else the flat observation and the action in physical units. Numbers of inputs and outputs
+            are checked by default only.
 
     Raises:
         UnsafeFileError: The weights contain other Python objects.
         DataFormatError: The file is damaged, the network is not dense, or the policy was trained
-            on encoded, normalized or rescaled spaces.
+            on other, normalized or rescaled spaces.
         OptionError: PyTorch is not installed.
     """
     state, about = _read_zip(path, content)
     network, squashed = dense_network_from_state(state, about, str(path))
+    record = _read_record(path, about)
+    recorded = _get_recorded_encoding(path, record, agent) if encoding is None else None
+    chosen = encoding or recorded
     space = _SPACES[agent]()
-    sizes = n_features(agent, f"flat_{agent}"), space.shape[0]
+    if chosen is None:
+        _check_raw_sizes(path, agent, network)
+    elif chosen[1] != agent:  # the scheme of actions in physical units has the name of the agent
+        space = spaces.Box(-1.0, 1.0, (network.n_outputs,), np.float32)
+    _check_record(path, record, agent, space)
+    bounds = OutputBounds(space.low.astype(np.float32), space.high.astype(np.float32), is_scaled=squashed)
+    network = replace(network, output="tanh" if squashed else network.output, bounds=bounds)
+    return Sb3Policy(network, record.control_period, recorded)
+
+
+def _check_raw_sizes(path: Path, agent: str, network: DenseNetwork) -> None:
+    sizes = n_features(agent, f"flat_{agent}"), _SPACES[agent]().shape[0]
     if (network.n_inputs, network.n_outputs) != sizes:
         raise DataFormatError(
             f"{path}: a {agent}'s policy must have {sizes[0]} inputs and {sizes[1]} outputs, got {network.n_inputs} "
-            f"and {network.n_outputs}; export one trained on an encoded environment as .npz"
+            f"and {network.n_outputs}; pass features and action scheme of its training to handover_marl.as_{agent}"
         )
-    record = _read_record(path, about, agent, space)
-    network = replace(network, output="tanh") if squashed else network
-    return BoundedNetwork(network, space, squashed), record.control_period
 
 
 def dense_network_from_state(
@@ -137,38 +141,24 @@ def dense_network_from_state(
     raise DataFormatError(f"{where}: no dense policy of PPO, A2C, SAC, TD3 or DDPG found")
 
 
-def read_torch_script(path: Path, content: bytes, agent: str, trust: bool) -> PolicyFunction:
-    """Read a TorchScript module from (1, n) flat observations to (1, m) actions.
-
-    Raises:
-        UnsafeFileError: The file is not trusted.
-        DataFormatError: The file cannot be loaded, or its spaces do not fit.
-        OptionError: PyTorch is not installed.
-    """
-    if not trust:
-        raise UnsafeFileError(
-            f"{path}: a TorchScript file is code; pass trust=True (--trust) if you know where it comes from, or "
-            "export the policy as .npz"
-        )
-    torch = _import_torch()
-    n_inputs, n_outputs = n_features(agent, f"flat_{agent}"), _SPACES[agent]().shape[0]
-    try:
-        module = torch.jit.load(io.BytesIO(content), map_location="cpu").eval()
-        with torch.no_grad():
-            shape = tuple(module(torch.zeros(1, n_inputs)).shape)
-    except Exception as error:  # the file's code may raise anything
-        lines = str(error).strip().splitlines() or [""]
+def _get_recorded_encoding(path: Path, record: Sb3TrainingRecord, agent: str) -> tuple[str, str] | None:
+    if record.encoding is None:
+        return None
+    owner, features, actions = record.encoding
+    if owner != agent:
+        raise DataFormatError(f"{path}: policy must be for the {agent}, got one for the {owner}")
+    known = (features, available_features(agent)), (actions, available_schemes(agent))
+    own = [name for name, names in known if name not in names and not is_reference(name)]
+    if own:
         raise DataFormatError(
-            f"{path}: not a TorchScript policy with the {agent}'s {n_inputs} inputs "
-            f"({type(error).__name__}: {lines[-1]})"
-        ) from error
-    if shape != (1, n_outputs):
-        raise DataFormatError(f"{path}: a {agent}'s action must have shape (1, {n_outputs}), got {shape}")
-    return TorchScriptFunction(module, n_inputs, n_outputs)
+            f"{path}: the policy was trained with {own[0]!r}, which is not in this library; pass its features and "
+            f"action scheme to handover_marl.as_{agent}"
+        )
+    return features, actions
 
 
 def _read_zip(path: Path, content: bytes) -> tuple[dict[str, Array], dict[str, Any]]:
-    _import_torch()
+    import_torch()
     # Imports PyTorch, too.
     from handover_marl.learning.networks.weights import load_tensors
 
@@ -188,15 +178,20 @@ def _read_zip(path: Path, content: bytes) -> tuple[dict[str, Array], dict[str, A
     return arrays, about if isinstance(about, dict) else {}
 
 
-def _read_record(path: Path, about: Mapping[str, Any], agent: str, space: spaces.Box) -> Sb3TrainingRecord:
+def _read_record(path: Path, about: Mapping[str, Any]) -> Sb3TrainingRecord:
     try:
-        record = read_training_record(about)
+        return read_training_record(about)
+    except Exception as error:  # arrays of any shape and type
+        raise DataFormatError(f"{path}: not a record of a training ({shorten_text(error)})") from error
+
+
+def _check_record(path: Path, record: Sb3TrainingRecord, agent: str, space: spaces.Box) -> None:
+    try:
         record.check(path, agent, space)
     except DataFormatError:
         raise
     except Exception as error:  # arrays of any shape and type
         raise DataFormatError(f"{path}: not a record of a training ({shorten_text(error)})") from error
-    return record
 
 
 def _collect_layers(state: Mapping[str, Array], hidden: str, last: str) -> list[tuple[Array, Array]]:
@@ -221,15 +216,7 @@ def _parse_activation(about: Mapping[str, Any]) -> str | None:
         return None
     # Stable-Baselines3 writes "<class 'torch.nn.modules.activation.ReLU'>".
     words = re.findall(r"\w+", str(named))
-    activation = {"Tanh": "tanh", "ReLU": "relu"}.get(words[-1] if words else "")
+    activation = TORCH_ACTIVATIONS.get(words[-1] if words else "")
     if activation is None:
-        raise DataFormatError(f"activation must be Tanh or ReLU, got {named}")
+        raise DataFormatError(f"activation must be one of {', '.join(TORCH_ACTIVATIONS)}, got {named}")
     return activation
-
-
-def _import_torch() -> ModuleType:
-    try:
-        import torch
-    except ImportError as error:
-        raise OptionError("this policy file needs PyTorch: pip install 'handover-marl[train]'") from error
-    return torch

@@ -4,18 +4,20 @@ import os
 from pathlib import Path
 
 import handover_marl.givers
-from handover_marl.episode.observations import Observation
 from handover_marl.errors import DataFormatError, OptionError
+from handover_marl.learning.action_scheme import Outputs
+from handover_marl.learning.adapters.network_policy import NetworkPolicy
+from handover_marl.learning.encodings.own_features import Vector
 from handover_marl.learning.features import make_features
 from handover_marl.learning.policy_files import read_policy
 from handover_marl.learning.schemes import make_scheme
-from handover_marl.policies.policy import Action, Policy, PolicyContext, milliseconds_from_wait
+from handover_marl.policies.policy import PolicyContext
 
 #: Shipped giver, trained for the receiver `yang2021`.
 DEFAULT_GIVER_FILE = Path(handover_marl.givers.__file__).parent / "policies" / "for_yang2021.npz"
 
 
-class LearnedPolicy(Policy):
+class LearnedPolicy(NetworkPolicy):
     """Policy that runs a trained network, `learned:FILE`; the giver `learned` runs the shipped file.
 
     Args:
@@ -52,42 +54,22 @@ class LearnedPolicy(Policy):
         found = read_policy(file, agent, trust, control_period)
         self._label = self.name if path is None else f"{self.name}:{found.label}"
         self.spec, self._function = found.spec, found.function
-        self._features = make_features(agent, self.spec.features, context, trust)
-        self._scheme = make_scheme(agent, self.spec.actions, context, trust)
-        sizes = self._features.size, self._scheme.size
+        features = make_features(agent, self.spec.features, context, trust)
+        scheme = make_scheme(agent, self.spec.actions, context, trust)
+        sizes = features.size, scheme.size
         if (self._function.n_inputs, self._function.n_outputs) != sizes:
             raise DataFormatError(
                 f"{found.label}: the network must have {sizes[0]} inputs for features {self.spec.features!r} and "
                 f"{sizes[1]} outputs for actions {self.spec.actions!r}, got {self._function.n_inputs} and "
                 f"{self._function.n_outputs}"
             )
-        if wait is not None:
-            if not self._scheme.wait:
-                raise OptionError(f"{found.label}: action scheme {self.spec.actions!r} has no wait; remove wait={wait}")
-            self._scheme.wait = milliseconds_from_wait(wait) / 1000.0
+        super().__init__(features, scheme, self.spec.control_period, wait, found.label)
 
     @property
     def label(self) -> str:
         """Unique label of the policy in result files: its name, file name and file hash."""
         return self._label
 
-    @property
-    def wait(self) -> float:
-        """Time for which the robot stays at its waiting pose at the start of an episode (s)."""
-        return self._scheme.wait
-
-    def reset(self, seed: int | None = None) -> None:
-        """Clear the state of the previous episode; the policy draws no random numbers."""
-        self._scheme.reset()
-        self._features.reset()
-
-    @property
-    def hold_time(self) -> float:
-        """Time between two decisions (s), as in training."""
-        return self.spec.control_period
-
-    def act(self, observation: Observation) -> Action:
-        """Return the next action; evaluate the network only if the action scheme requires it."""
-        if self._scheme.needs_outputs(observation):
-            self._scheme.set_outputs(self._function(self._features(observation)))
-        return self._scheme.compute_action(observation)
+    def evaluate(self, inputs: Vector) -> Outputs:
+        """Return the outputs (n_outputs,) of the network for features (n_inputs,)."""
+        return self._function(inputs)

@@ -1,4 +1,4 @@
-"""Multilayer perceptron in NumPy, and the encoding of a policy network's inputs and outputs."""
+"""Multilayer perceptron in NumPy, with normalized inputs and bounded outputs, and its encoding."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -6,15 +6,21 @@ from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
+from scipy.special import expit
 
 from handover_marl.errors import DataFormatError
 
 Array = npt.NDArray[np.float32]
 
+#: Activations by name; they return float32 arrays for float32 arrays.
 ACTIVATIONS: dict[str, Callable[[Array], Array]] = {
     "tanh": lambda values: np.tanh(values),
     "relu": lambda values: np.maximum(values, np.float32(0.0)),
     "identity": lambda values: values,
+    "elu": lambda values: np.where(values > 0.0, values, np.expm1(np.minimum(values, np.float32(0.0)))),
+    "leaky_relu": lambda values: np.where(values > 0.0, values, np.float32(0.01) * values),
+    "sigmoid": lambda values: np.asarray(expit(values)),
+    "silu": lambda values: np.asarray(values * expit(values)),
 }
 
 
@@ -34,14 +40,81 @@ class PolicyFunction(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
+class InputNormalization:
+    """Normalization of a network's inputs: (inputs - mean) / scale, clipped to [-clip, clip].
+
+    Attributes:
+        mean: Means (n_inputs,) of the inputs.
+        scale: Standard deviations (n_inputs,) of the inputs, greater than 0.
+        clip: Largest absolute values (n_inputs,) of normalized inputs; infinite without a limit.
+
+    Raises:
+        DataFormatError: Shapes differ, or a number is out of range.
+    """
+
+    mean: npt.NDArray[np.float64]
+    scale: npt.NDArray[np.float64]
+    clip: npt.NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        if self.mean.ndim != 1 or not self.mean.shape == self.scale.shape == self.clip.shape:
+            shapes = f"{self.mean.shape}, {self.scale.shape} and {self.clip.shape}"
+            raise DataFormatError(f"mean, scale and clip of the inputs must be vectors of one length, got {shapes}")
+        if not (np.isfinite(self.mean).all() and np.isfinite(self.scale).all()):
+            raise DataFormatError("mean and scale of the inputs must be finite numbers")
+        if not ((self.scale > 0.0).all() and (self.clip > 0.0).all()):
+            raise DataFormatError("scale and clip of the inputs must be greater than 0")
+
+    def __call__(self, inputs: Array) -> Array:
+        """Return the normalized inputs (n_inputs,)."""
+        return np.clip((inputs - self.mean) / self.scale, -self.clip, self.clip).astype(np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class OutputBounds:
+    """Bounds of an action space, to which outputs are mapped as in Stable-Baselines3's `predict`.
+
+    Attributes:
+        low: Lower bounds (n_outputs,).
+        high: Upper bounds (n_outputs,).
+        is_scaled: Whether outputs in [-1, 1] are scaled to the bounds (SAC, TD3, DDPG) rather than
+            clipped to them (PPO, A2C).
+
+    Raises:
+        DataFormatError: Shapes differ, or the bounds are not finite and in order.
+    """
+
+    low: Array
+    high: Array
+    is_scaled: bool
+
+    def __post_init__(self) -> None:
+        if self.low.ndim != 1 or self.low.shape != self.high.shape:
+            raise DataFormatError(
+                f"bounds of the outputs must be vectors of one length, got {self.low.shape} and {self.high.shape}"
+            )
+        if not (np.isfinite(self.low).all() and np.isfinite(self.high).all() and (self.low <= self.high).all()):
+            raise DataFormatError("bounds of the outputs must be finite, the lower ones not above the upper ones")
+
+    def __call__(self, outputs: Array) -> Array:
+        """Return the action (n_outputs,) within the bounds."""
+        if not self.is_scaled:
+            return np.clip(outputs, self.low, self.high)
+        shares = (outputs + np.float32(1.0)) / np.float32(2.0)
+        return np.asarray(self.low + shares * (self.high - self.low), dtype=np.float32)
+
+
+@dataclass(frozen=True, eq=False)
 class DenseNetwork:
     """Multilayer perceptron that runs in NumPy, so that trained policies need no PyTorch.
 
     Attributes:
         weights: Weight matrices (n_outputs, n_inputs) of the layers.
         biases: Bias vectors (n_outputs,) of the layers.
-        activation: Activation between layers: "tanh", "relu" or "identity".
-        output: Activation after the last layer: "tanh", "relu" or "identity".
+        activation: Activation between layers, a key of `ACTIVATIONS`.
+        output: Activation after the last layer, a key of `ACTIVATIONS`.
+        normalization: Normalization of the inputs, or None.
+        bounds: Bounds to which the outputs are mapped, or None.
 
     Raises:
         DataFormatError: Shapes do not match, a number is not finite, or an activation is unknown.
@@ -51,6 +124,8 @@ class DenseNetwork:
     biases: tuple[Array, ...]
     activation: str = "tanh"
     output: str = "identity"
+    normalization: InputNormalization | None = None
+    bounds: OutputBounds | None = None
 
     def __post_init__(self) -> None:
         if not self.weights or len(self.weights) != len(self.biases):
@@ -67,6 +142,14 @@ class DenseNetwork:
         for name in (self.activation, self.output):
             if name not in ACTIVATIONS:
                 raise DataFormatError(f"unknown activation {name!r}; valid: {', '.join(ACTIVATIONS)}")
+        if self.normalization is not None and len(self.normalization.mean) != self.n_inputs:
+            raise DataFormatError(
+                f"normalization must be for the network's {self.n_inputs} inputs, got {len(self.normalization.mean)}"
+            )
+        if self.bounds is not None and len(self.bounds.low) != self.n_outputs:
+            raise DataFormatError(
+                f"bounds must be for the network's {self.n_outputs} outputs, got {len(self.bounds.low)}"
+            )
 
     @property
     def n_inputs(self) -> int:
@@ -80,10 +163,12 @@ class DenseNetwork:
 
     def __call__(self, inputs: Array) -> Array:
         """Return the outputs (n_outputs,) for inputs (n_inputs,)."""
-        values, activate = inputs.astype(np.float32), ACTIVATIONS[self.activation]
+        values = inputs.astype(np.float32) if self.normalization is None else self.normalization(inputs)
+        activate = ACTIVATIONS[self.activation]
         for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
             values = activate(weight @ values + bias)
-        return ACTIVATIONS[self.output](self.weights[-1] @ values + self.biases[-1])
+        outputs = ACTIVATIONS[self.output](self.weights[-1] @ values + self.biases[-1])
+        return outputs if self.bounds is None else self.bounds(outputs)
 
 
 @dataclass(frozen=True)

@@ -36,6 +36,7 @@ class Sb3TrainingRecord:
         squashed_by_policy: Whether the policy squashes its outputs itself (gSDE).
         last_observations: Last batch of observations in training, as arrays by name; None if not
             recorded.
+        encoding: Agent, features and action scheme of the encoded environment, or None.
     """
 
     low: npt.NDArray[np.float64] | None
@@ -43,6 +44,7 @@ class Sb3TrainingRecord:
     control_period: float | None
     squashed_by_policy: bool
     last_observations: Observations | None
+    encoding: tuple[str, str, str] | None = None
 
     def check(self, path: Path, agent: str, space: spaces.Box) -> None:
         """Check that the policy was trained on unscaled observations and actions.
@@ -55,16 +57,16 @@ class Sb3TrainingRecord:
         has_bounds = self.low.shape == space.shape and np.allclose(self.low, space.low, atol=1e-4)
         if not (has_bounds and np.allclose(self.high, space.high, atol=1e-4)):
             raise DataFormatError(
-                f"{path}: action bounds must be the {agent}'s physical ones, got {self.low.tolist()} to "
-                f"{self.high.tolist()}; train without RescaleAction, or on an encoded environment and export the "
-                "policy as .npz"
+                f"{path}: action bounds of the {agent} must be {space.low.tolist()} to {space.high.tolist()}, got "
+                f"{self.low.tolist()} to {self.high.tolist()}; train without "
+                "RescaleAction, or on an encoded environment"
             )
         if self.squashed_by_policy:
             raise DataFormatError(f"{path}: policies that squash their outputs (gSDE) are not supported")
         if self.last_observations is not None and not _are_raw_observations(self.last_observations):
             raise DataFormatError(
                 f"{path}: the policy was trained on normalized observations (VecNormalize), whose statistics are not "
-                "in the file; train without, or on an encoded environment and export the policy as .npz"
+                "in the file; write the model with handover_marl.export_policy, which includes them"
             )
 
 
@@ -79,7 +81,17 @@ def read_training_record(about: Mapping[str, Any]) -> Sb3TrainingRecord:
         control_period=float(period) if isinstance(period, (int, float)) and not isinstance(period, bool) else None,
         squashed_by_policy=isinstance(arguments, dict) and arguments.get("squash_output") is True,
         last_observations=_read_observations(about.get("_last_obs")),
+        encoding=_read_encoding(space.get("encoding")),
     )
+
+
+def _read_encoding(value: object) -> tuple[str, str, str] | None:
+    """Return agent, features and action scheme that an encoded environment wrote into its action space."""
+    if not isinstance(value, dict):
+        return None
+    names = [value.get(key) for key in ("agent", "features", "actions")]
+    agent, features, actions = (name if isinstance(name, str) else "" for name in names)
+    return (agent, features, actions) if agent and features and actions else None
 
 
 def _parse_numbers(text: object) -> npt.NDArray[np.float64] | None:

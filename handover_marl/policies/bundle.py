@@ -8,7 +8,7 @@ from platform import node
 
 from handover_marl.errors import DataNotFoundError, PolicyError
 from handover_marl.policies.reference import PolicyReference, read_policy_file
-from handover_marl.policies.source_hash import hash_library, hash_packages
+from handover_marl.policies.source_hash import hash_library, hash_package, hash_packages
 
 # Key of the reference's own policy file among the options that name files.
 _FILE = ""
@@ -46,7 +46,7 @@ class PolicyBundle:
         if reference.file is not None:
             paths[_FILE] = reference.file
         files = tuple(file for option, path in paths.items() for file in _read_files(option, Path(path).expanduser()))
-        return cls(reference, _hash_code(policy_class) if _is_importable(policy_class) else "", files)
+        return cls(reference, _hash_code(reference) if _is_importable(policy_class) else "", files)
 
     def unpack(self, folder: Path) -> PolicyReference:
         """Write the bundle's files to a folder; return a reference to the policy with these files.
@@ -59,9 +59,10 @@ class PolicyBundle:
         """
         try:
             policy_class = self.reference.policy_class
+            code = _hash_code(self.reference) if _is_importable(policy_class) else ""
         except Exception as error:  # importing a user's module may raise anything
             raise self._error(f"is not installed ({type(error).__name__}: {error})") from error
-        if self.code and _hash_code(policy_class) != self.code:
+        if self.code and code != self.code:
             raise self._error("is installed with other code")
         options, policy_file = dict(self.reference.options), self.reference.file
         for option, name, content in self.files:
@@ -93,8 +94,12 @@ def _read_files(option: str, path: Path) -> list[tuple[str, str, bytes]]:
     return [(option, f"{path.name}/{entry.name}", read_policy_file(entry)) for entry in inside]
 
 
-def _hash_code(policy_class: type) -> str:
-    return hash_library() + hash_packages(policy_class)
+def _hash_code(reference: PolicyReference) -> str:
+    parts = [hash_library(), hash_packages(reference.policy_class)]
+    for package in reference.packages:
+        importlib.import_module(package)
+        parts.append(hash_package(package))
+    return "".join(parts)
 
 
 def _is_importable(policy_class: type) -> bool:

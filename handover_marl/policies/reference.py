@@ -7,14 +7,16 @@
 | module and class | `"my_package.robots:MyReceiver"`, `"my_package.robots:MyReceiver:speed=2"` |
 | class | `MyReceiver` |
 | instance | `MyReceiver(...)` |
+| adapted function, network or file | `handover_marl.as_receiver(network)` |
 | pair of one of these and a dict of options | `("omg_hand_aware", {"wait": 1.5})` |
 """
 
+import functools
 import json
 import pickle
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -58,7 +60,8 @@ class PolicyReference:
     Attributes:
         agent: The policy's agent, "giver" or "receiver".
         name: Registered name, "module:Class", or the name of a pickled class.
-        pickled: Pickled class or instance; empty if `name` suffices to import the class.
+        pickled: Pickled class, instance, or `functools.partial` of a class; empty if `name` suffices to
+            import the class.
         file: Path of the policy file, or None.
         options: Keyword arguments of the constructor, sorted by name.
         trust: Whether code in the policy file may run.
@@ -67,11 +70,12 @@ class PolicyReference:
         code_hash: Hash of the policy's code and weights (`hash_policy`); empty until `resolve`.
         wait: Time (s) for which the policy stays at its start, or None if unknown; set by `resolve`.
         obs_mode: Observation mode that the policy declares; set by `resolve`.
+        packages: Top-level packages from which a pickled function is imported.
     """
 
     agent: str
     name: str
-    pickled: bytes = b""
+    pickled: bytes = field(default=b"", repr=False)
     file: str | None = None
     options: Options = ()
     trust: bool = False
@@ -79,6 +83,7 @@ class PolicyReference:
     code_hash: str = ""
     wait: float | None = None
     obs_mode: str = STATE
+    packages: tuple[str, ...] = ()
 
     @property
     def policy_class(self) -> type[Policy]:
@@ -88,6 +93,8 @@ class PolicyReference:
             UnknownNameError: The class cannot be imported.
         """
         found = self._load()
+        if isinstance(found, functools.partial):
+            found = found.func
         policy_class: type[Policy] = found if isinstance(found, type) else type(found)
         return policy_class
 

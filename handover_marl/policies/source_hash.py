@@ -35,8 +35,8 @@ def hash_policy(policy_class: type, state: bytes = b"", weights: bytes = b"") ->
     digest.update(f"{policy_class.__module__}:{policy_class.__qualname__}".encode())
     digest.update(hash_packages(policy_class).encode())
     for base in _list_own_classes(policy_class):
-        if _find_source_file(base.__module__) is None or "<locals>" in base.__qualname__:
-            digest.update(_describe_class(base).encode())
+        if find_source_file(base.__module__) is None or "<locals>" in base.__qualname__:
+            digest.update(describe_class(base).encode())
     parts = [hash_library(), digest.hexdigest()[:8]]
     if weights:
         parts.append(hashlib.sha256(weights).hexdigest()[:8])
@@ -66,7 +66,7 @@ def hash_packages(policy_class: type) -> str:
     """
     digest = hashlib.sha256()
     for top in sorted({_get_package(base) for base in _list_own_classes(policy_class)} - {_LIBRARY}):
-        digest.update(_hash_package(top).encode())
+        digest.update(hash_package(top).encode())
     return digest.hexdigest()[:8]
 
 
@@ -79,11 +79,25 @@ def _get_package(policy_class: type) -> str:
     return policy_class.__module__.partition(".")[0]
 
 
-def _hash_package(name: str) -> str:
+def is_installed_package(name: str) -> bool:
+    """Return whether a top-level package is this library, the standard library or installed by pip."""
+    if name == _LIBRARY or (name in sys.stdlib_module_names and name != "__main__"):
+        return True
+    module = sys.modules.get(name)
+    folders = list(getattr(module, "__path__", None) or ())
+    place = folders[0] if folders else getattr(module, "__file__", None)
+    return isinstance(place, str) and any(folder in Path(place).parts for folder in _SITE_FOLDERS)
+
+
+def hash_package(name: str) -> str:
+    """Compute a hash of all Python files of a top-level package; empty if it has no files.
+
+    For a module outside a package, covers all files in its folder.
+    """
     folders = getattr(sys.modules.get(name), "__path__", None)
     if folders is not None:
         return _hash_folders(map(Path, folders), "**/*.py")
-    path = _find_source_file(name)
+    path = find_source_file(name)
     if path is None:
         return ""
     if path.parent.name in _SITE_FOLDERS:
@@ -101,8 +115,8 @@ def _hash_folders(folders: Iterable[Path], pattern: str) -> str:
     return digest.hexdigest()
 
 
-def _find_source_file(module: str) -> Path | None:
-    """Return the file of a user's module; None for code typed at a prompt or run by a profiler."""
+def find_source_file(module: str) -> Path | None:
+    """Find the file of a user's module; None for code typed at a prompt or run by a profiler."""
     name = getattr(sys.modules.get(module), "__file__", None)
     if not isinstance(name, str):
         return None
@@ -113,7 +127,7 @@ def _find_source_file(module: str) -> Path | None:
     return path if path.is_file() else None
 
 
-def _describe_class(policy_class: type) -> str:
+def describe_class(policy_class: type) -> str:
     """Return the code of a class without a source file as text, for its hash.
 
     Includes the plain values (numbers, text, tuples) and helper functions that its methods use.
@@ -128,16 +142,17 @@ def _describe_class(policy_class: type) -> str:
         values = sorted({**used.globals, **used.nonlocals}.items())
         texts += [f"{key}={item!r}" for key, item in values if isinstance(item, _PLAIN)]
         helpers = [item for _, item in values if inspect.isfunction(item)]
-        texts += [_describe_code(item.__code__) for item in (function, *helpers)]
+        texts += [describe_code(item.__code__) for item in (function, *helpers)]
     return "\n".join(texts)
 
 
-def _describe_code(code: CodeType) -> str:
+def describe_code(code: CodeType) -> str:
+    """Return compiled code as text, for the hash of a function without a source file."""
     return f"{code.co_name} {code.co_code!r} {code.co_names!r} {list(map(_describe_constant, code.co_consts))}"
 
 
 def _describe_constant(constant: object) -> str:
     if isinstance(constant, CodeType):
-        return _describe_code(constant)
+        return describe_code(constant)
     # The order of a set of strings differs between processes.
     return repr(sorted(map(repr, constant)) if isinstance(constant, frozenset) else constant)

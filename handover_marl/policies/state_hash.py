@@ -90,7 +90,7 @@ def _find_arrays(value: Any, name: str, seen: set[int], depth: int) -> Iterator[
     if depth and is_library_class(type(value)):
         return
     seen.add(id(value))
-    array = _convert_array(value)
+    array = convert_array(value)
     if array is not None:
         yield name, array
         return
@@ -107,9 +107,12 @@ def _find_arrays(value: Any, name: str, seen: set[int], depth: int) -> Iterator[
         yield from _find_arrays(parts[key], f"{name}.{key}", seen, depth + 1)
 
 
-def _convert_array(value: Any) -> np.ndarray[Any, Any] | None:
+def convert_array(value: Any) -> np.ndarray[Any, Any] | None:
+    """Convert an array or tensor to a NumPy array; return None for other values and arrays of objects."""
     if callable(getattr(value, "detach", None)):  # tensors of PyTorch
         value = value.detach().cpu()
+        if str(getattr(value, "dtype", "")) == "torch.bfloat16":  # NumPy has no such type
+            value = value.float()
     if not hasattr(value, "__array__") or not hasattr(value, "dtype"):
         return None
     array = np.asarray(value)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import handover_marl
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.errors import DataNotFoundError, PolicyError
 from handover_marl.learning.learned_policy import DEFAULT_GIVER_FILE
@@ -126,3 +127,21 @@ def test_other_code_there_is_reported(tmp_path: Path, monkeypatch: pytest.Monkey
         at(None)
         with pytest.raises(PolicyError, match=r"on node .*Mine' is not installed .*robots_of_mine"):
             bundle.unpack(tmp_path)
+
+
+def test_other_code_of_an_adapted_function_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    name = "function_of_mine"
+    (tmp_path / f"{name}.py").write_text("def act(observation):\n    return observation['robot_joint_position']\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    bundle = PolicyBundle.pack(handover_marl.as_receiver(importlib.import_module(name).act))
+    assert bundle.unpack(tmp_path).name == "act"
+    (tmp_path / f"{name}.py").write_text("def act(observation):\n    return None\n")
+    with pytest.raises(PolicyError, match=r"receiver 'act' is installed with other code"):
+        bundle.unpack(tmp_path)
+    (tmp_path / f"{name}.py").unlink()
+    sys.modules.pop(name)
+    with pytest.raises(PolicyError, match=rf"receiver 'act' is not installed .*{name}"):
+        bundle.unpack(tmp_path)
+    # A function of a script is sent along.
+    assert PolicyBundle.pack(handover_marl.as_receiver(lambda _: None)).reference.packages == ()

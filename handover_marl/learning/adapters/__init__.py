@@ -1,0 +1,1 @@
+"""Adapters from functions, PyTorch modules and files of other libraries to policies."""

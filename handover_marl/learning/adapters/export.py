@@ -1,0 +1,186 @@
+"""Export of trained networks to policy files."""
+
+import itertools
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from handover_marl.errors import DataFormatError, OptionError, check_name
+from handover_marl.learning.encodings.choices import is_reference
+from handover_marl.learning.features import available_features, n_features
+from handover_marl.learning.policy_files import check_control_period, write_policy
+from handover_marl.learning.policy_spec import ACTIVATIONS, DenseNetwork, InputNormalization, PolicySpec
+from handover_marl.learning.schemes import available_schemes, scheme_size
+
+_DEFAULT_PERIOD = 0.1  # s, as that of environments
+# Number and scale of the random inputs on which a converted network is compared with its module.
+_N_TRIALS, _SCALE, _TOLERANCE = 8, 2.0, 1e-4
+
+
+def export_policy(
+    model: Any,
+    path: str | os.PathLike[str],
+    *,
+    agent: str | None = None,
+    features: str | None = None,
+    action_scheme: str | None = None,
+    control_period: float | None = None,
+    normalization: Any = None,
+    origin: str = "",
+) -> Path:
+    """Write a trained network to a policy file (.npz), which `learned:FILE` loads without PyTorch.
+
+    A file contains weights and the encoding, and no code. The written network is compared with the model on
+    random inputs.
+
+    Args:
+        model: Model of Stable-Baselines3 (PPO, A2C, SAC, TD3, DDPG) with dense layers; or PyTorch module of
+            linear layers with one activation between them.
+        path: File to write; its suffix is .npz.
+        agent: Agent that the policy controls, "giver" or "receiver"; default: as in training.
+        features: Name of the features that are the inputs, or `module:name`; default: as in training.
+        action_scheme: Name of the action scheme that decodes the outputs, or `module:name`; default: as
+            in training.
+        control_period: Time between two decisions (s); default: as in training if that is recorded,
+            else 0.1 s.
+        normalization: Normalization of the inputs: a `VecNormalize` of Stable-Baselines3 or an
+            `InputNormalization`; default: that of the model's environment, or none.
+        origin: Description of the training, for human readers.
+
+    Models of Stable-Baselines3 record the first four; for a PyTorch module they must be passed.
+
+    Returns:
+        Path of the file.
+
+    Raises:
+        OptionError: An argument is missing or contradicts the training.
+        UnknownNameError: There is no such agent, and there are no such features or action scheme.
+        DataFormatError: The model contains other layers, or its sizes do not fit the encoding.
+        ResultsError: The file cannot be written.
+    """
+    file = Path(path).expanduser()
+    if file.suffix != ".npz":
+        raise OptionError(f"path must end in .npz, got {file}")
+    recorded: tuple[str | None, str | None, str | None, float | None] = (None, None, None, None)
+    if is_sb3_model(model):
+        # Imports Stable-Baselines3, which made the model.
+        from handover_marl.learning.adapters.sb3_models import convert_sb3_model, get_recorded_encoding
+
+        recorded = get_recorded_encoding(model)
+        network = convert_sb3_model(model, normalization)
+    else:
+        network = network_from_module(model, normalization)
+    spec = _make_spec((agent, features, action_scheme, control_period), recorded, origin)
+    _check_sizes(network, spec)
+    write_policy(file, spec, network)
+    return file
+
+
+def is_sb3_model(model: object) -> bool:
+    """Return whether an object is a model of Stable-Baselines3."""
+    # A model can exist only if the package was imported.
+    module = sys.modules.get("stable_baselines3.common.base_class")
+    return module is not None and isinstance(model, module.BaseAlgorithm)
+
+
+def network_from_module(module: Any, normalization: InputNormalization | None = None) -> DenseNetwork:
+    """Convert a PyTorch module of linear layers, in the order of registration, to a network.
+
+    Activations are found by comparison of outputs for random inputs.
+
+    Args:
+        module: Module from (n, n_inputs) to (n, n_outputs).
+        normalization: Normalization of the inputs, or None.
+
+    Raises:
+        OptionError: It is not a PyTorch module, or the normalization is of another type.
+        DataFormatError: No network of linear layers and one activation has the same outputs.
+    """
+    torch = sys.modules.get("torch")  # a module can exist only if PyTorch was imported
+    if torch is None or not isinstance(module, torch.nn.Module):
+        raise OptionError(
+            f"model must be a model of Stable-Baselines3 or a PyTorch module, got {type(module).__name__}"
+        )
+    if normalization is not None and not isinstance(normalization, InputNormalization):
+        raise OptionError(f"normalization must be an InputNormalization, got {type(normalization).__name__}")
+    layers = [part for part in module.modules() if isinstance(part, torch.nn.Linear)]
+    weights = tuple(np.array(layer.weight.detach().cpu().numpy(), dtype=np.float32) for layer in layers)
+    biases = tuple(
+        np.zeros(len(weight), dtype=np.float32)
+        if layer.bias is None
+        else np.array(layer.bias.detach().cpu().numpy(), dtype=np.float32)
+        for layer, weight in zip(layers, weights, strict=True)
+    )
+    inputs, expected = _evaluate_module(module, DenseNetwork(weights, biases).n_inputs)
+    for activation, output in itertools.product(ACTIVATIONS, repeat=2):
+        network = DenseNetwork(weights, biases, activation, output)
+        found = np.stack([network(row) for row in inputs])
+        if found.shape == expected.shape and np.allclose(found, expected, rtol=_TOLERANCE, atol=_TOLERANCE):
+            return DenseNetwork(weights, biases, activation, output, normalization)
+    raise DataFormatError(
+        f"{type(module).__name__} must consist of linear layers with one activation between them "
+        f"({', '.join(ACTIVATIONS)}); run other modules with handover_marl.as_receiver or handover_marl.as_giver"
+    )
+
+
+def _evaluate_module(module: Any, n_inputs: int) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
+    torch, was_training = sys.modules["torch"], module.training
+    values = (_SCALE * np.random.default_rng(0).standard_normal((_N_TRIALS, n_inputs))).astype(np.float32)
+    parameter = next(module.parameters())
+    try:
+        with torch.no_grad():
+            outputs = module.eval()(torch.from_numpy(values).to(parameter))
+    except Exception as error:  # code of the user
+        raise DataFormatError(
+            f"{type(module).__name__} must accept inputs of shape (n, {n_inputs}) ({type(error).__name__}: {error})"
+        ) from error
+    finally:
+        module.train(was_training)
+    if not isinstance(outputs, torch.Tensor):
+        raise DataFormatError(f"{type(module).__name__} must return a tensor, got {type(outputs).__name__}")
+    return values, outputs.float().cpu().numpy()
+
+
+def _make_spec(
+    given: tuple[str | None, str | None, str | None, float | None],
+    recorded: tuple[str | None, str | None, str | None, float | None],
+    origin: str,
+) -> PolicySpec:
+    """Combine given and recorded agent, features, action scheme and control period."""
+    names = ("agent", "features", "action_scheme", "control_period")
+    values: dict[str, Any] = {}
+    for name, chosen, trained in zip(names, given, recorded, strict=True):
+        if chosen is not None and trained is not None and chosen != trained:
+            raise OptionError(f"{name} must be {trained!r} as in training, got {chosen!r}; leave it out")
+        values[name] = trained if chosen is None else chosen
+    period = values.pop("control_period")
+    for name, value in values.items():
+        if value is None:
+            raise OptionError(f"{name} must be given, because the model does not record it")
+        if not isinstance(value, str):
+            raise OptionError(f"{name} must be a name or text module:name, got {value!r}; a file contains no code")
+    agent, features, actions = values.values()
+    check_name("agent", agent, ("giver", "receiver"))
+    for kind, value, known in (
+        (f"features of the {agent}", features, available_features(agent)),
+        (f"action scheme of the {agent}", actions, available_schemes(agent)),
+    ):
+        if not is_reference(value):
+            check_name(kind, value, known)
+    period = check_control_period(_DEFAULT_PERIOD if period is None else period)
+    return PolicySpec(agent, features, actions, period, origin)
+
+
+def _check_sizes(network: DenseNetwork, spec: PolicySpec) -> None:
+    wanted = (
+        network.n_inputs if is_reference(spec.features) else n_features(spec.agent, spec.features),
+        network.n_outputs if is_reference(spec.actions) else scheme_size(spec.agent, spec.actions),
+    )
+    if (network.n_inputs, network.n_outputs) != wanted:
+        raise DataFormatError(
+            f"the model must have {wanted[0]} inputs for features {spec.features!r} and {wanted[1]} outputs for action "
+            f"scheme {spec.actions!r}, got {network.n_inputs} and {network.n_outputs}"
+        )

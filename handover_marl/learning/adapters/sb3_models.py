@@ -1,0 +1,120 @@
+"""Conversion of models of Stable-Baselines3 to networks of policy files. Needs the extra `train`."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.vec_env import VecNormalize
+
+from handover_marl.episode.spaces import giver_action_space, receiver_action_space
+from handover_marl.errors import DataFormatError, OptionError
+from handover_marl.learning.foreign_policies import dense_network_from_state
+from handover_marl.learning.policy_files import RAW_ENCODINGS
+from handover_marl.learning.policy_spec import DenseNetwork, InputNormalization, OutputBounds
+
+Array = npt.NDArray[np.float64]
+
+_SPACES = {"giver": giver_action_space, "receiver": receiver_action_space}
+# Numbers and scale of the random inputs on which a converted network is compared with its model.
+_N_TRIALS, _SCALE, _TOLERANCE = 8, 2.0, 1e-4
+
+
+def convert_sb3_model(
+    model: BaseAlgorithm, normalization: VecNormalize | InputNormalization | None = None
+) -> DenseNetwork:
+    """Convert the deterministic policy of a model to a network with normalized inputs and bounded outputs.
+
+    Args:
+        model: Model of PPO, A2C, SAC, TD3 or DDPG with dense layers only.
+        normalization: Normalization of the observations; default: that of the model's environment.
+
+    Raises:
+        DataFormatError: The policy contains other layers, or computes something else than these layers.
+        OptionError: Actions are not a vector.
+    """
+    where, space = type(model).__name__, model.action_space
+    if not isinstance(space, spaces.Box) or len(space.shape) != 1:
+        raise OptionError(f"actions of the {where} model must be a vector (Box), got {space}")
+    state = {name: value.detach().cpu().numpy() for name, value in model.policy.state_dict().items()}
+    about = {"policy_kwargs": {key: str(value) for key, value in model.policy_kwargs.items()}}
+    network, squashed = dense_network_from_state(state, about, f"the {where} model")
+    if model.policy.squash_output and not squashed:
+        raise DataFormatError(f"the {where} model: policies that squash their outputs (gSDE) are not supported")
+    found = model.get_vec_normalize_env() if normalization is None else normalization
+    network = replace(
+        network,
+        output="tanh" if squashed else network.output,
+        normalization=find_input_normalization(found) if isinstance(found, VecNormalize) else found,
+        bounds=OutputBounds(space.low.astype(np.float32), space.high.astype(np.float32), is_scaled=squashed),
+    )
+    _compare_outputs(model, network, where)
+    return network
+
+
+def get_recorded_encoding(model: BaseAlgorithm) -> tuple[str | None, str | None, str | None, float | None]:
+    """Return agent, features, action scheme and control period (s) of the environment of a model's training.
+
+    They are attributes of the action space. Each is None if it is not known.
+    """
+    space: Any = model.action_space
+    names, period = getattr(space, "encoding", None), getattr(space, "control_period", None)
+    if isinstance(names, dict):
+        return names.get("agent"), names.get("features"), names.get("actions"), period
+    for agent, make_space in _SPACES.items():
+        own = make_space()
+        if space.shape == own.shape and np.allclose(space.low, own.low) and np.allclose(space.high, own.high):
+            return (agent, *RAW_ENCODINGS[agent], period)
+    return None, None, None, period
+
+
+def find_input_normalization(env: VecNormalize) -> InputNormalization | None:
+    """Return the normalization of observations by a `VecNormalize`; None if it normalizes rewards only."""
+    if not env.norm_obs:
+        return None
+    space = env.observation_space
+    parts: dict[str, spaces.Space[Any]] = dict(space.spaces) if isinstance(space, spaces.Dict) else {"": space}
+    normalized = set(parts) if env.norm_obs_keys is None else set(env.norm_obs_keys)
+    means, scales, clips = [], [], []
+    for key, part in parts.items():
+        size = spaces.flatdim(part)
+        if key in normalized:
+            statistics = env.obs_rms[key] if isinstance(env.obs_rms, dict) else env.obs_rms
+            means.append(statistics.mean.ravel())
+            scales.append(np.sqrt(statistics.var + env.epsilon).ravel())
+            clips.append(np.full(size, env.clip_obs))
+        else:
+            means.append(np.zeros(size))
+            scales.append(np.ones(size))
+            clips.append(np.full(size, np.inf))
+    mean, scale, clip = (np.concatenate(values).astype(np.float64) for values in (means, scales, clips))
+    return InputNormalization(mean, scale, clip)
+
+
+def _compare_outputs(model: BaseAlgorithm, network: DenseNetwork, where: str) -> None:
+    """Check that a converted network computes what the model's policy predicts."""
+    rng = np.random.default_rng(0)
+    inputs = (_SCALE * rng.standard_normal((_N_TRIALS, network.n_inputs))).astype(np.float32)
+    # The policy gets normalized inputs; the network normalizes them itself.
+    plain = replace(network, normalization=None)
+    try:
+        expected, _ = model.policy.predict(_unflatten(inputs, model.observation_space), deterministic=True)
+    except Exception as error:  # code of another library, for spaces of any kind
+        raise DataFormatError(
+            f"the {where} model does not take {network.n_inputs} numbers ({type(error).__name__}: {error})"
+        ) from error
+    found = np.stack([plain(row) for row in inputs])
+    if found.shape != expected.shape or not np.allclose(found, expected, rtol=_TOLERANCE, atol=_TOLERANCE):
+        raise DataFormatError(f"the {where} model computes something else than its dense layers do")
+
+
+def _unflatten(inputs: npt.NDArray[np.float32], space: spaces.Space[Any]) -> Any:
+    if not isinstance(space, spaces.Dict):
+        return inputs.reshape(len(inputs), *(space.shape or ()))
+    ends = np.cumsum([spaces.flatdim(part) for part in space.spaces.values()])[:-1]
+    parts = np.split(inputs, ends, axis=1)
+    return {
+        key: part.reshape(len(inputs), *(space[key].shape or ())) for key, part in zip(space.spaces, parts, strict=True)
+    }

@@ -1,0 +1,396 @@
+"""Functions, modules and files as receivers and givers."""
+
+import functools
+import io
+import os
+import pickle
+import subprocess
+import sys
+import threading
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import handover_marl
+from handover_marl import givers, receivers
+from handover_marl.datasets.synthetic import SyntheticDataset
+from handover_marl.errors import (
+    ActionError,
+    DataFormatError,
+    DataNotFoundError,
+    HandoverError,
+    OptionError,
+    UnknownNameError,
+    UnsafeFileError,
+)
+from handover_marl.policies.policy import Policy
+from handover_marl.policies.reference import PolicyReference
+from handover_marl.testing import check_giver, check_receiver
+
+torch = pytest.importorskip("torch", reason="needs the extra `train`")
+
+from tests.learning.adapters import networks  # noqa: E402
+from tests.learning.adapters.networks import CHOICES, Counting, DictModule, NoisyModule, make_net, stay  # noqa: E402
+
+DATA = SyntheticDataset()
+SCENES = (5, 6)
+
+
+@pytest.fixture(scope="module")
+def observations() -> dict[str, Any]:
+    env = handover_marl.parallel_env(dataset="synthetic", physics="fast")
+    observed, _ = env.reset(seed=0)
+    env.close()
+    found: dict[str, Any] = observed
+    return found
+
+
+def adapt(agent: str, policy: Any, **options: Any) -> PolicyReference:
+    function = handover_marl.as_receiver if agent == "receiver" else handover_marl.as_giver
+    reference = function(policy, **options)
+    # As on its way to a worker process.
+    found: PolicyReference = pickle.loads(pickle.dumps(reference))
+    return found
+
+
+def make(agent: str, policy: Any, **options: Any) -> Policy:
+    made = adapt(agent, policy, **options).make(DATA)
+    made.reset(0)
+    return made
+
+
+def test_functions_get_the_observation(observations: dict[str, Any]) -> None:
+    seen = observations["receiver"]
+    policy = make("receiver", stay, control_period=0.05)
+    np.testing.assert_array_equal(policy.act(seen), seen["robot_joint_position"])
+    assert (policy.hold_time, policy.obs_mode, policy.name) == (0.05, "state", "stay")
+    assert make("giver", networks.replay).act(observations["giver"]).tolist() == [0.0] * 8
+    scaled = functools.partial(lambda observation, gain: gain * observation["robot_joint_position"], gain=0.5)
+    np.testing.assert_array_equal(make("receiver", scaled).act(seen), 0.5 * seen["robot_joint_position"])
+
+
+def test_functions_get_features_and_outputs_are_decoded(observations: dict[str, Any]) -> None:
+    sizes = []
+
+    def close_gripper(features: Any) -> Any:
+        sizes.append(len(features))
+        return [0.0] * 6 + [1.0]
+
+    policy = handover_marl.as_receiver(close_gripper, **CHOICES["receiver"])
+    made = receivers.make(policy, DATA)
+    made.reset()
+    assert made.act(observations["receiver"])[-2:].tolist() == [0.0, 0.0]
+
+
+def test_callable_objects_are_reset(observations: dict[str, Any]) -> None:
+    seen = observations["receiver"]
+    policy = make("receiver", Counting(0.25))
+    first, second = policy.act(seen), policy.act(seen)
+    np.testing.assert_allclose(second - first, 0.25, atol=1e-6)
+    policy.reset(7)
+    np.testing.assert_array_equal(policy.act(seen), first)
+
+
+@pytest.mark.parametrize("agent", ["receiver", "giver"])
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_modules_act_as_in_pytorch(agent: str, dtype: Any, observations: dict[str, Any]) -> None:
+    net = make_net(agent).to(dtype)
+    policy = make(agent, net, **CHOICES[agent], control_period=0.2)
+    env = handover_marl.parallel_env(dataset="synthetic", physics="fast")
+    context = env.unwrapped.policy_context
+    from handover_marl.learning.features import make_features
+    from handover_marl.learning.schemes import make_scheme
+
+    features = make_features(agent, CHOICES[agent]["features"], context)
+    scheme = make_scheme(agent, CHOICES[agent]["action_scheme"], context)
+    with torch.no_grad():
+        scheme.set_outputs(net(torch.from_numpy(features(observations[agent]))[None].to(dtype))[0].float().numpy())
+    np.testing.assert_array_equal(policy.act(observations[agent]), scheme.compute_action(observations[agent]))
+    env.close()
+
+
+def test_later_training_does_not_change_the_policy(observations: dict[str, Any]) -> None:
+    net = make_net()
+    reference = handover_marl.as_receiver(net, **CHOICES["receiver"])
+    before = make("receiver", net, **CHOICES["receiver"]).act(observations["receiver"])
+    with torch.no_grad():
+        net[0].weight += 1.0
+    made = reference.make(DATA)
+    made.reset()
+    np.testing.assert_array_equal(made.act(observations["receiver"]), before)
+    assert net.training, "the module itself is left as it is"
+
+
+def test_modules_that_take_observations(observations: dict[str, Any]) -> None:
+    policy = make("receiver", DictModule(), features="observation")
+    seen = observations["receiver"]
+    np.testing.assert_array_equal(policy.act(seen), seen["robot_joint_position"])
+    camera = handover_marl.as_receiver(DictModule(), obs_mode="pointcloud").resolve(DATA)
+    assert camera.obs_mode == "pointcloud"
+
+
+def test_random_numbers_of_modules_come_from_the_seed(observations: dict[str, Any]) -> None:
+    policy = make("receiver", NoisyModule(), **CHOICES["receiver"])
+
+    def act(seed: int, outside: int) -> Any:
+        policy.reset(seed)
+        torch.manual_seed(outside)
+        actions = [policy.act(observations["receiver"]) for _ in range(2)]
+        assert torch.initial_seed() == outside
+        return np.stack(actions)
+
+    np.testing.assert_array_equal(act(1, 5), act(1, 6))
+    assert not np.array_equal(act(1, 5), act(2, 5))
+    assert not np.array_equal(*act(1, 5))
+
+
+def test_torch_script_and_onnx_files_act_as_their_module(tmp_path: Path, observations: dict[str, Any]) -> None:
+    pytest.importorskip("onnxruntime", reason="needs the extra `onnx`")
+    pytest.importorskip("onnx")
+    net, seen = make_net(), observations["receiver"]
+    expected = make("receiver", net, **CHOICES["receiver"]).act(seen)
+    scripted = torch.jit.script(net)
+    scripted.save(tmp_path / "net.pt")
+    write_onnx(net, tmp_path / "net.onnx")
+    with pytest.raises(UnsafeFileError, match="TorchScript file is code; pass trust=True"):
+        handover_marl.as_receiver(tmp_path / "net.pt", **CHOICES["receiver"])
+    for policy in (scripted, tmp_path / "net.pt", str(tmp_path / "net.onnx")):
+        made = make("receiver", policy, **CHOICES["receiver"], trust=True)
+        np.testing.assert_allclose(made.act(seen), expected, atol=1e-6)
+    for suffix in ("pt", "onnx"):
+        with pytest.raises(DataFormatError, match=r"3 inputs|64 inputs"):
+            make("receiver", save_small(tmp_path, suffix), **CHOICES["receiver"], trust=True)
+    with pytest.raises(OptionError, match="takes vectors, not observations"):
+        handover_marl.as_receiver(tmp_path / "net.onnx", obs_mode="pointcloud")
+
+
+def write_onnx(net: Any, path: Path) -> None:
+    import warnings
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        torch.onnx.export(net, (torch.zeros(1, net[0].in_features),), path, dynamo=False)
+
+
+def save_small(folder: Path, suffix: str) -> Path:
+    net = torch.nn.Sequential(torch.nn.Linear(3, 7))
+    if suffix == "pt":
+        torch.jit.script(net).save(folder / "small.pt")
+    else:
+        write_onnx(net, folder / "small.onnx")
+    return folder / f"small.{suffix}"
+
+
+def test_onnx_files_may_not_name_other_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    onnx = pytest.importorskip("onnx")
+    pytest.importorskip("onnxruntime", reason="needs the extra `onnx`")
+    helper, number = onnx.helper, onnx.TensorProto.FLOAT
+    weights = helper.make_tensor("w", number, [64, 7], [0.0] * 448)
+    weights.ClearField("float_data")
+    weights.data_location = onnx.TensorProto.EXTERNAL
+    for key, value in (("location", "secret.bin"), ("offset", "0"), ("length", str(4 * 448))):
+        entry = weights.external_data.add()
+        entry.key, entry.value = key, value
+    graph = helper.make_graph(
+        [helper.make_node("MatMul", ["x", "w"], ["y"])],
+        "g",
+        [helper.make_tensor_value_info("x", number, [1, 64])],
+        [helper.make_tensor_value_info("y", number, [1, 7])],
+        [weights],
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=9)
+    (tmp_path / "net.onnx").write_bytes(model.SerializeToString())
+    np.ones(448, np.float32).tofile(tmp_path / "secret.bin")
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(DataFormatError, match="not an ONNX policy"):
+        make("receiver", tmp_path / "net.onnx", **CHOICES["receiver"])
+
+
+class Evil:
+    def __reduce__(self) -> tuple[Any, ...]:
+        return os.system, ("touch evil_code_ran",)
+
+
+def test_nothing_in_files_is_unpickled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    stream = io.BytesIO()
+    torch.save({"action_net.weight": Evil()}, stream)
+    with zipfile.ZipFile(tmp_path / "model.zip", "w") as archive:
+        archive.writestr("data", "{}")
+        archive.writestr("policy.pth", stream.getvalue())
+    (tmp_path / "net.onnx").write_bytes(pickle.dumps(Evil()))
+    np.savez(tmp_path / "policy.npz", about=np.array([Evil()], dtype=object))
+    (tmp_path / "module.pt").write_bytes(stream.getvalue())
+    for file in ("model.zip", "net.onnx", "policy.npz", "module.pt"):
+        with pytest.raises(DataFormatError):
+            handover_marl.as_receiver(file).make(DATA)
+    with pytest.raises(DataFormatError):
+        handover_marl.as_receiver("module.pt", trust=True).make(DATA)
+    assert not (tmp_path / "evil_code_ran").exists()
+
+
+def test_missing_onnxruntime_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "net.onnx").write_bytes(b"graph")
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)
+    with pytest.raises(OptionError, match=r"onnxruntime: pip install 'handover-marl\[onnx\]'"):
+        handover_marl.as_receiver(tmp_path / "net.onnx").make(DATA)
+
+
+@pytest.mark.parametrize(
+    ("outputs", "fault"),
+    [
+        (np.full(9, np.nan), "component 0 is nan"),
+        (np.zeros(8), r"got shape \(8,\), expected \(9,\)"),
+        (np.zeros((1, 9)), r"got shape \(1, 9\)"),
+        (None, "got None; return them"),
+        ("left", "got str"),
+        (np.zeros(9, np.complex128), "real numbers, got an array of complex128"),
+        (np.array([None] * 9), "real numbers, got an array of object"),
+        ({"arm": 1.0}, "got dict"),
+    ],
+)
+def test_wrong_outputs_are_refused(outputs: Any, fault: str, observations: dict[str, Any]) -> None:
+    policy = make("receiver", lambda _: outputs, name="mine")
+    with pytest.raises(ActionError, match=f"outputs of the receiver 'mine' must be .*{fault}"):
+        policy.act(observations["receiver"])
+
+
+def test_modules_of_wrong_sizes_are_refused() -> None:
+    for net, fault in (
+        (torch.nn.Linear(3, 7), r"must accept features of shape \(1, 64\), got RuntimeError"),
+        (torch.nn.Linear(64, 3), r"outputs of shape \(1, 7\) for action scheme 'cartesian_delta', got shape \(3,\)"),
+        (torch.nn.LSTM(64, 7), "got tuple"),
+        (torch.nn.Embedding(64, 7), "must accept features"),
+    ):
+        with pytest.raises(OptionError, match=fault):
+            handover_marl.as_receiver(net, **CHOICES["receiver"]).resolve(DATA)
+
+
+@pytest.mark.parametrize(
+    ("policy", "options", "error", "fault"),
+    [
+        (stay, {"control_period": 0.0}, OptionError, "control_period must be a time from 0.001 to 60 s"),
+        (stay, {"obs_mode": "smell"}, UnknownNameError, "unknown obs_mode 'smell'"),
+        (stay, {"features": "smell"}, UnknownNameError, "unknown features 'smell'; valid: .*observation"),
+        (stay, {"action_scheme": "smell"}, UnknownNameError, "unknown action scheme 'smell'"),
+        (stay, {"action_scheme": 3}, OptionError, "action scheme must be a name, a class or a function, got 3"),
+        (stay, {"features": "grasp", "obs_mode": "pointcloud"}, OptionError, r"take 'state\+pointcloud'"),
+        (stay, {"name": ""}, OptionError, "name must be text"),
+        (stay, {"trust": "yes"}, OptionError, "trust must be"),
+        (3, {}, OptionError, "policy must be a function, a PyTorch module, .*, got 3"),
+        (receivers.Receiver, {}, OptionError, "got the policy .*; pass it directly"),
+        (Counting, {}, OptionError, "policy must be a function"),
+        ("nowhere.zip", {}, DataNotFoundError, "no such policy file"),
+        (threading.Lock().acquire, {}, OptionError, "cannot be sent to worker processes"),
+    ],
+)
+def test_wrong_arguments_are_refused(policy: Any, options: dict[str, Any], error: type, fault: str) -> None:
+    with pytest.raises(error, match=fault):
+        handover_marl.as_receiver(policy, **options)
+
+
+def test_policies_of_the_other_agent_are_refused() -> None:
+    robot = handover_marl.as_receiver(stay)
+    with pytest.raises(OptionError, match="must be a giver's policy"):
+        givers.make(robot, DATA)
+    with pytest.raises(OptionError, match="got the policy"):
+        handover_marl.as_receiver(robot)
+
+
+def test_names_and_labels() -> None:
+    assert adapt("receiver", stay, name="mine").resolve(DATA).label == "mine"
+    label = adapt("receiver", stay).resolve(DATA).label
+    assert label.startswith("stay@")
+    labels = {adapt("receiver", make_net(seed=n), **CHOICES["receiver"]).resolve(DATA).label for n in (0, 0, 1)}
+    assert len(labels) == 2
+    assert "pickled" not in repr(adapt("receiver", stay))
+
+
+def hash_of(policy: Any, agent: str = "receiver", **options: Any) -> str:
+    return adapt(agent, policy, **options).resolve(DATA).code_hash
+
+
+def test_hash_covers_weights_code_values_and_encoding(monkeypatch: pytest.MonkeyPatch) -> None:
+    net = make_net()
+    reference = hash_of(net, **CHOICES["receiver"])
+    assert hash_of(make_net(), **CHOICES["receiver"]) == reference
+    assert hash_of(net, **CHOICES["receiver"], control_period=0.2) != reference
+    assert hash_of(net, features="grasp", action_scheme="grasp_servo") != reference
+    with torch.no_grad():
+        net[2].bias[0] += 1e-6
+    assert hash_of(net, **CHOICES["receiver"]) != reference
+    assert hash_of(make_net(activation=torch.nn.ReLU), **CHOICES["receiver"]) != reference
+    before = hash_of(stay)
+    assert hash_of(Counting(0.1)) != hash_of(Counting(0.2))
+    assert hash_of(stay) == before
+    monkeypatch.setattr(networks, "SCALE", 2.0)
+    assert hash_of(stay) != before
+
+
+def list_hashes() -> list[str]:
+    policies: tuple[tuple[Any, dict[str, Any]], ...] = (
+        *((stay, {}), (Counting(), {}), (make_net(), CHOICES["receiver"])),
+        (lambda observation: {"a", "b"} and stay(observation), {}),
+    )
+    return [hash_of(policy, **options) for policy, options in policies]
+
+
+def test_hash_is_equal_in_every_process() -> None:
+    program = "from tests.learning.adapters.test_as_policy import list_hashes; print(*list_hashes())"
+    environment = {**os.environ, "PYTHONHASHSEED": "1"}
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, env=environment)
+    assert done.stdout.split() == list_hashes()
+
+
+def test_adapted_policies_pass_the_conformance_tests() -> None:
+    check_receiver(handover_marl.as_receiver(make_net(), **CHOICES["receiver"]), steps=600)
+    check_giver(handover_marl.as_giver(make_net("giver"), **CHOICES["giver"]), steps=600)
+    with pytest.raises(HandoverError, match=r"another order|second run|repeat"):
+        check_receiver(handover_marl.as_receiver(Forgetful()), steps=300)
+
+
+class Forgetful:
+    """Does not forget earlier episodes."""
+
+    def __init__(self) -> None:
+        self.count = 0
+
+    def __call__(self, observation: dict[str, Any]) -> Any:
+        self.count += 1
+        return observation["robot_joint_position"] + 0.0001 * self.count
+
+
+def test_adapted_policies_are_taken_everywhere(tmp_path: Path) -> None:
+    robot = handover_marl.as_receiver(make_net(), **CHOICES["receiver"], name="net")
+    human = handover_marl.as_giver(networks.replay, name="person")
+    options: dict[str, Any] = {"dataset": "synthetic", "scenes": SCENES, "physics": "fast", "split": "train"}
+
+    def evaluate(workers: int) -> handover_marl.Report:
+        return handover_marl.evaluate_pair(
+            human, robot, workers=workers, out=tmp_path / str(workers), progress=False, **options
+        )
+
+    one, two = evaluate(1), evaluate(2)
+    assert [episode.status for episode in one.episodes] == [episode.status for episode in two.episodes]
+    assert "person" in str(one)
+    assert handover_marl.verify(tmp_path / "1", giver=human).is_verified
+    assert evaluate(1).n_resumed == len(SCENES)
+    table = handover_marl.crossplay(["replay", human], [robot, "hold"], workers=1, progress=False, **options)
+    assert set(table.reports) == {(giver, robot) for giver in ("replay", "person") for robot in ("net", "hold")}
+    page = handover_marl.render_scene(
+        SCENES[0],
+        tmp_path / "scene.png",
+        receiver=robot,
+        giver=human,
+        dataset="synthetic",
+        physics="fast",
+        key_frames=1,
+    )
+    assert page.is_file()
+    env = handover_marl.freeze(handover_marl.parallel_env(dataset="synthetic", physics="fast"), "giver", robot)
+    env.reset(seed=0)
+    env.step({"giver": np.zeros(8, np.float32)})
+    env.close()

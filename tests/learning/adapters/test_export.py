@@ -1,0 +1,284 @@
+"""Policy files from models of Stable-Baselines3 and modules of PyTorch."""
+
+import itertools
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import handover_marl
+from handover_marl import receivers
+from handover_marl.datasets.synthetic import SyntheticDataset
+from handover_marl.errors import DataFormatError, OptionError, UnknownNameError
+from handover_marl.learning.policy_files import read_policy, write_policy
+from handover_marl.learning.policy_spec import DenseNetwork, InputNormalization, OutputBounds, PolicySpec
+
+torch = pytest.importorskip("torch", reason="needs the extra `train`")
+sb3 = pytest.importorskip("stable_baselines3", reason="needs the extra `train`")
+from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize  # noqa: E402
+
+from tests.learning.adapters.networks import CHOICES, make_net  # noqa: E402
+
+DATA = SyntheticDataset()
+NAMES: dict[str, Any] = {"agent": "receiver", **CHOICES["receiver"]}
+
+
+def make_env(encoded: bool = True, agent: str = "receiver") -> Any:
+    partner = "replay" if agent == "receiver" else "hold"
+    base = handover_marl.parallel_env(dataset="synthetic", physics="fast", control_period=0.2)
+    env = handover_marl.freeze(base, agent, partner)
+    if not encoded:
+        return handover_marl.envs.wrappers.wrapper.SingleAgentEnv(env)  # type: ignore[attr-defined]
+    choice = CHOICES[agent]
+    return handover_marl.encode(env, choice["features"], choice["action_scheme"], api="gymnasium")
+
+
+def make_model(kind: str, env: Any, **options: Any) -> Any:
+    policy = "MultiInputPolicy" if isinstance(env.observation_space, gymnasium.spaces.Dict) else "MlpPolicy"
+    if kind in ("SAC", "TD3", "DDPG"):
+        options["buffer_size"] = 10
+    options["policy_kwargs"] = {"net_arch": [16], **options.get("policy_kwargs", {})}
+    model = getattr(sb3, kind)(policy, env, seed=0, device="cpu", **options)
+    for parameter in model.policy.parameters():
+        parameter.data *= 20.0  # so that outputs leave their bounds
+    return model
+
+
+def normalize(env: Any, observations: list[Any], **options: Any) -> VecNormalize:
+    """Return the environment with statistics of some observations."""
+    wrapped = VecNormalize(DummyVecEnv([lambda: env]), **options)
+    for observation in observations:
+        wrapped.obs_rms.update(observation[None]) if not isinstance(observation, dict) else [
+            wrapped.obs_rms[key].update(value[None]) for key, value in observation.items() if key in wrapped.obs_rms
+        ]
+    return wrapped
+
+
+def collect(env: Any, count: int = 5) -> list[Any]:
+    found = [env.reset(seed=0)[0]]
+    for _ in range(count):
+        found.append(env.step(env.action_space.sample())[0])
+    return found
+
+
+@pytest.mark.parametrize("kind", ["PPO", "A2C", "SAC", "TD3"])
+@pytest.mark.parametrize("normalized", [False, True])
+def test_encoded_models_act_as_there(kind: str, normalized: bool, tmp_path: Path) -> None:
+    env = make_env()
+    seen = collect(env)
+    training = normalize(env, seen, clip_obs=0.5) if normalized else env
+    model = make_model(kind, training)
+    path = handover_marl.export_policy(model, tmp_path / "policy.npz", origin="a test")
+    found = read_policy(path, "receiver")
+    assert found.spec == PolicySpec("receiver", "grasp", "cartesian_delta", 0.2, "a test")
+    for observation in seen:
+        inputs = training.normalize_obs(observation) if normalized else observation
+        expected, _ = model.predict(inputs, deterministic=True)
+        np.testing.assert_allclose(found.function(observation), expected, atol=1e-5)
+    direct = handover_marl.as_receiver(model).make(DATA)
+    assert direct.hold_time == 0.2
+    np.testing.assert_array_equal(direct.evaluate(seen[0]), found.function(seen[0]))  # type: ignore[attr-defined]
+    env.close()
+
+
+def test_normalization_equals_that_of_vec_normalize_to_the_bit() -> None:
+    from handover_marl.learning.adapters.sb3_models import find_input_normalization
+
+    env = make_env()
+    seen = collect(env)
+    wrapped = normalize(env, seen, clip_obs=1.0)
+    normalization = find_input_normalization(wrapped)
+    assert normalization is not None
+    for observation in seen:
+        np.testing.assert_array_equal(normalization(observation), wrapped.normalize_obs(observation))
+    assert find_input_normalization(VecNormalize(DummyVecEnv([lambda: env]), norm_obs=False)) is None
+    env.close()
+
+
+@pytest.mark.parametrize("keys", [None, ["robot_joint_position", "time"]])
+def test_normalized_observations_of_plain_environments(keys: list[str] | None, tmp_path: Path) -> None:
+    env = make_env(encoded=False)
+    seen = collect(env)
+    training = normalize(env, seen, norm_obs_keys=keys)
+    model = make_model("PPO", training)
+    path = handover_marl.export_policy(model, tmp_path / "policy.npz")
+    policy = receivers.make(f"learned:{path}", DATA)
+    policy.reset()
+    for observation in seen:
+        expected, _ = model.predict(training.normalize_obs(observation), deterministic=True)
+        np.testing.assert_allclose(policy.act(observation), expected, atol=1e-4)
+    env.close()
+
+
+def test_files_of_encoded_models_need_no_export(tmp_path: Path) -> None:
+    """The space of outputs records features, action scheme and control period."""
+    env = make_env()
+    seen, model = collect(env, 1), make_model("PPO", env)
+    model.save(tmp_path / "model.zip")
+    policy = receivers.make(f"learned:{tmp_path / 'model.zip'}", DATA)
+    assert policy.hold_time == 0.2
+    for made in (policy, handover_marl.as_receiver(tmp_path / "model.zip").make(DATA)):
+        expected, _ = model.predict(seen[0], deterministic=True)
+        np.testing.assert_allclose(made.evaluate(seen[0]), expected, atol=1e-5)  # type: ignore[attr-defined]
+    with pytest.raises(DataFormatError, match="must be for the giver, got one for the receiver"):
+        handover_marl.as_giver(tmp_path / "model.zip")
+    with pytest.raises(OptionError, match=r"control_period must be 0\.2 as in training, got 0\.1"):
+        handover_marl.as_receiver(tmp_path / "model.zip", control_period=0.1)
+    with pytest.raises(OptionError, match="must have 12 inputs, the features"):
+        handover_marl.as_receiver(tmp_path / "model.zip", features="close", action_scheme="grasp_servo").make(DATA)
+    env.close()
+
+
+def test_models_that_record_nothing(tmp_path: Path) -> None:
+    """A model that was trained elsewhere, on numbers of the same sizes."""
+
+    class Elsewhere(gymnasium.Env[Any, Any]):
+        observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (64,), np.float32)
+        action_space = gymnasium.spaces.Box(-1.0, 1.0, (7,), np.float32)
+
+        def reset(self, **_: Any) -> Any:
+            return np.zeros(64, np.float32), {}
+
+    model = make_model("PPO", Elsewhere())
+    with pytest.raises(OptionError, match="agent must be given, because the model does not record it"):
+        handover_marl.export_policy(model, tmp_path / "policy.npz")
+    with pytest.raises(OptionError, match="does not record its encoding"):
+        handover_marl.as_receiver(model)
+    handover_marl.export_policy(model, tmp_path / "policy.npz", **NAMES)
+    model.save(tmp_path / "model.zip")
+    with pytest.raises(DataFormatError, match=r"pass features and action scheme .* handover_marl\.as_receiver"):
+        handover_marl.as_receiver(tmp_path / "model.zip")
+    inputs = np.ones(64, np.float32)
+    expected, _ = model.predict(inputs, deterministic=True)
+    for policy in (model, tmp_path / "model.zip", tmp_path / "policy.npz"):
+        options = {} if str(policy).endswith(".npz") else CHOICES["receiver"]
+        made: Any = handover_marl.as_receiver(policy, **options).make(DATA)
+        np.testing.assert_allclose(made.evaluate(inputs), expected, atol=1e-5)
+
+
+def test_contradictions_to_the_training_are_refused(tmp_path: Path) -> None:
+    env = make_env()
+    model = make_model("PPO", env)
+    for name, value in (("agent", "giver"), ("features", "close"), ("control_period", 0.1)):
+        with pytest.raises(OptionError, match=f"{name} must be .* as in training, got"):
+            handover_marl.export_policy(model, tmp_path / "policy.npz", **{name: value})
+    with pytest.raises(OptionError, match="got one for the receiver"):
+        handover_marl.as_giver(model)
+    env.close()
+
+
+@pytest.mark.parametrize("activation", ["Tanh", "ReLU", "ELU", "LeakyReLU", "SiLU", "Sigmoid", "Identity"])
+def test_modules_of_dense_layers(activation: str, tmp_path: Path) -> None:
+    net = make_net(activation=getattr(torch.nn, activation))
+    for module in (net, torch.nn.Sequential(net, torch.nn.Tanh())):
+        found = read_policy(handover_marl.export_policy(module, tmp_path / "p.npz", **NAMES), "receiver")
+        inputs = np.linspace(-3, 3, 64, dtype=np.float32)
+        with torch.no_grad():
+            expected = module(torch.from_numpy(inputs)[None])[0].numpy()
+        np.testing.assert_allclose(found.function(inputs), expected, atol=1e-5)
+        assert net.training
+
+
+class Functional(torch.nn.Module):  # type: ignore[misc, name-defined]
+    """Has its activation in `forward`, dropout, and a layer without bias."""
+
+    def __init__(self, faulty: bool = False) -> None:
+        super().__init__()
+        self.first, self.last = torch.nn.Linear(64, 16, bias=False), torch.nn.Linear(16, 7)
+        self.dropout, self.faulty = torch.nn.Dropout(0.5), faulty
+
+    def forward(self, inputs: Any) -> Any:
+        outputs = self.last(self.dropout(torch.relu(self.first(inputs))))
+        return outputs**2 if self.faulty else outputs
+
+
+def test_modules_with_functional_activations(tmp_path: Path) -> None:
+    torch.manual_seed(0)
+    net = Functional()
+    found = read_policy(handover_marl.export_policy(net, tmp_path / "p.npz", **NAMES), "receiver").function
+    inputs = np.linspace(-1, 1, 64, dtype=np.float32)
+    with torch.no_grad():
+        np.testing.assert_allclose(found(inputs), net.eval()(torch.from_numpy(inputs)[None])[0], atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("make", "error", "fault"),
+    [
+        (lambda: Functional(faulty=True), DataFormatError, "must consist of linear layers with one activation"),
+        (lambda: torch.nn.Sequential(torch.nn.Linear(64, 7), torch.nn.LayerNorm(7)), DataFormatError, "must consist"),
+        (lambda: torch.nn.Conv1d(64, 7, 1), DataFormatError, "must have one bias vector per weight matrix, got 0"),
+        (lambda: torch.nn.Linear(64, 6), DataFormatError, "64 inputs .* 7 outputs .* got 64 and 6"),
+        (lambda: lambda inputs: inputs, OptionError, "model must be a model of Stable-Baselines3 or a PyTorch"),
+    ],
+)
+def test_other_modules_are_refused(make: Callable[[], Any], error: type, fault: str, tmp_path: Path) -> None:
+    with pytest.raises(error, match=fault):
+        handover_marl.export_policy(make(), tmp_path / "p.npz", **NAMES)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "fault"),
+    [
+        ({"features": None}, OptionError, "features must be given"),
+        ({"features": len}, OptionError, "must be a name or text module:name"),
+        ({"features": "smell"}, UnknownNameError, "features of the receiver 'smell'"),
+        ({"agent": "dog"}, UnknownNameError, "unknown agent 'dog'"),
+        ({"action_scheme": "deviation"}, UnknownNameError, "action scheme of the receiver"),
+        ({"control_period": -1}, OptionError, "control_period must be a time"),
+        ({"normalization": "mean"}, OptionError, "normalization must be an InputNormalization"),
+        ({"path": "policy.pt"}, OptionError, r"path must end in \.npz"),
+    ],
+)
+def test_wrong_arguments_are_refused(change: dict[str, Any], error: type, fault: str, tmp_path: Path) -> None:
+    options = {**NAMES, **change}
+    path = tmp_path / options.pop("path", "policy.npz")
+    with pytest.raises(error, match=fault):
+        handover_marl.export_policy(make_net(), path, **options)
+
+
+def test_files_with_normalization_and_bounds(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    weights = tuple(rng.normal(size=shape).astype(np.float32) for shape in ((16, 64), (7, 16)))
+    normalization = InputNormalization(rng.normal(size=64), rng.uniform(1, 2, 64), np.full(64, np.inf))
+    bounds = OutputBounds(np.full(7, -2, np.float32), np.full(7, 3, np.float32), is_scaled=False)
+    biases = tuple(np.zeros(len(weight), np.float32) for weight in weights)
+    network = DenseNetwork(weights, biases, "silu", "identity", normalization, bounds)
+    write_policy(tmp_path / "p.npz", PolicySpec("receiver", "grasp", "cartesian_delta"), network)
+    found = read_policy(tmp_path / "p.npz", "receiver").function
+    for inputs in rng.normal(size=(5, 64)).astype(np.float32):
+        np.testing.assert_array_equal(found(inputs), network(inputs))
+        assert (found(inputs) >= -2).all()
+        assert (found(inputs) <= 3).all()
+
+
+def test_plain_files_keep_their_format(tmp_path: Path) -> None:
+    """Versions before 0.8 read them."""
+    plain = DenseNetwork((np.zeros((7, 64), np.float32),), (np.zeros(7, np.float32),))
+    write_policy(tmp_path / "p.npz", PolicySpec("receiver", "grasp", "cartesian_delta"), plain)
+    with np.load(tmp_path / "p.npz") as arrays:
+        assert sorted(arrays) == ["about", "bias_0", "weight_0"]
+        assert '"format": 1' in str(arrays["about"])
+
+
+@given(st.data())
+def test_faulty_normalization_and_bounds_are_refused(data: st.DataObject) -> None:
+    size = data.draw(st.integers(1, 4))
+    good = {"mean": np.zeros(size), "scale": np.ones(size), "clip": np.ones(size)}
+    InputNormalization(**good)
+    name = data.draw(st.sampled_from(sorted(good)))
+    bad = data.draw(st.sampled_from([np.zeros((size, 1)), np.ones(size + 1), np.full(size, np.nan)]))
+    with pytest.raises(DataFormatError):
+        InputNormalization(**{**good, name: bad})
+    for low, high in itertools.permutations([np.zeros(size, np.float32), np.full(size, np.nan, np.float32)]):
+        with pytest.raises(DataFormatError):
+            OutputBounds(low, high, is_scaled=True)
+    with pytest.raises(DataFormatError):
+        DenseNetwork(
+            (np.zeros((size, 5), np.float32),), (np.zeros(size, np.float32),), normalization=InputNormalization(**good)
+        )
