@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +19,7 @@ from handover_marl.episode.loop import play
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.panda import PANDA, PANDA_CAMERA
 from handover_marl.policies.policy import Giver, Policy, make_policy_context
+from handover_marl.policies.registry import list_available
 from handover_marl.receivers.reactive.config import ReactiveConfig
 from handover_marl.receivers.reactive.receiver import ReactiveReceiver
 from tests.receivers.quick import QUICK_PREPARATION
@@ -25,7 +27,19 @@ from tests.receivers.quick import QUICK_PREPARATION
 SCENE = 209
 #: Largest time that a giver sees ahead (physics steps of 1 ms).
 PREVIEW = round(1000 * max(OFFICIAL_CONFIG.giver.preview))
-RECEIVERS = ("random", "yang2021:wait=0.1", "omg:wait=0.1", "reactive", "gaddpg:wait=0.1", "vision")
+LEARNED = Path(__file__).parents[1] / "data" / "v0_7_0" / "policies" / "receiver.npz"
+RECEIVERS = (
+    "hold",
+    "random",
+    "yang2021:wait=0.1",
+    "omg:wait=0.1",
+    "omg_hand_aware:wait=0.1",
+    "omg_unchecked_last:wait=0.1",
+    "reactive",
+    "gaddpg:wait=0.1",
+    "vision",
+    f"learned:{LEARNED}",
+)
 Motion = npt.NDArray[np.float32]
 
 
@@ -66,9 +80,11 @@ class UndeviatingGiver(Giver):
 #: Givers, and the largest rate at which they play a recording, relative to the recorded one.
 GIVERS: dict[str | type[Giver], float] = {
     UndeviatingGiver: 1.0,
+    "replay": 1.0,
     "cooperative": 2.0,
     "hesitant": 2.0,
     "hurried": 2.0,
+    "learned": 2.0,
     "noisy": 2.0,
     "stop_when_near": 2.0,
     "withdrawing": 2.0,
@@ -137,7 +153,23 @@ def assert_same_until(end: int, recorded: Recorder, other: list[tuple[int, Obser
         np.testing.assert_array_equal(action, same_action, err_msg=f"action at step {step}")
 
 
-@pytest.mark.parametrize("reference", RECEIVERS)
+def choose_decisions(
+    events: list[tuple[int, Observation, np.ndarray]], after: int, rng: np.random.Generator
+) -> list[int]:
+    """Choose the steps of one decision for each change; policies that decide once have no other."""
+    late = [step for step, *_ in events if step > after]
+    steps = late if len(late) >= len(CHANGES) else [step for step, *_ in events]
+    chosen: list[int] = rng.choice(steps, len(CHANGES), replace=len(steps) < len(CHANGES)).tolist()
+    return chosen
+
+
+def test_all_policies_of_the_library_are_tested() -> None:
+    tested = {reference.partition(":")[0] for reference in RECEIVERS}
+    assert tested == set(list_available("receiver"))
+    assert {name for name in GIVERS if isinstance(name, str)} == set(list_available("giver"))
+
+
+@pytest.mark.parametrize("reference", RECEIVERS, ids=lambda reference: reference.partition(":")[0])
 def test_receivers_do_not_know_motion_that_is_still_to_come(reference: str) -> None:
     robot = PANDA_CAMERA if reference.startswith(("gaddpg", "vision")) else PANDA
     dataset = open_dataset("synthetic", robot=robot)
@@ -149,8 +181,8 @@ def test_receivers_do_not_know_motion_that_is_still_to_come(reference: str) -> N
     play(episode, receiver, until=end)
     events = receiver.events
     # Just after a decision, so that a look 50 ms ahead would see other motion.
-    decisions = rng.choice([step for step, *_ in events if step > end // 4], len(CHANGES), replace=False)
-    for decision, change in zip(decisions.tolist(), CHANGES, strict=True):
+    decisions = choose_decisions(events, end // 4, rng)
+    for decision, change in zip(decisions, CHANGES, strict=True):
         last = decision + int(rng.integers(0, 40))
         episode.reset(change_motion(scene, last, change))
         play(episode, receiver, until=last + 1)
@@ -168,8 +200,8 @@ def test_givers_see_no_further_ahead_than_their_preview(policy: str | type[Giver
     episode.reset(scene)
     play(episode, receiver, giver, until=1500)
     events = giver.events
-    decisions = rng.choice([step for step, *_ in events if 500 < step < 1500], len(CHANGES), replace=False)
-    for decision, change in zip(decisions.tolist(), CHANGES, strict=True):
+    decisions = choose_decisions(events, 500, rng)
+    for decision, change in zip(decisions, CHANGES, strict=True):
         later = int(rng.integers(0, 40))
         frame = round(GIVERS[policy] * decision) + PREVIEW + later
         episode.reset(change_motion(scene, frame, change))
