@@ -20,7 +20,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -31,13 +31,19 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 Position = tuple[int, int]
 # Exit status of pytest without tests.
 NO_TESTS_COLLECTED = 5
+# Between the differences of two survivors.
+SEPARATOR = "\n\n"
 REPORTS = ("tests/evaluation/reports",)
 #: Unit tests of each module.
 TESTS = {
     "handover_marl/episode/referee.py": ("tests/episode/test_protocol.py", "tests/episode/test_lockstep.py"),
     "handover_marl/episode/lockstep.py": ("tests/episode/test_lockstep.py",),
     "handover_marl/episode/loop.py": ("tests/episode/test_clock.py", "tests/episode/test_play.py"),
-    "handover_marl/episode/episode.py": ("tests/episode/test_play.py", "tests/episode/test_camera_observations.py"),
+    "handover_marl/episode/episode.py": (
+        "tests/episode/test_play.py",
+        "tests/episode/test_camera_observations.py",
+        "tests/envs/test_giver_agent.py",
+    ),
     "handover_marl/episode/giver_motion.py": ("tests/episode/test_playback.py", "tests/episode/test_clock.py"),
     "handover_marl/episode/wrist_offset.py": ("tests/episode/test_playback.py", "tests/episode/test_set_points.py"),
     "handover_marl/episode/observations.py": ("tests/episode/test_playback.py", "tests/episode/test_play.py"),
@@ -66,6 +72,7 @@ class Args:
         sample: Number of mutants of each module that are drawn at random and tested; 0 tests all.
         seed: Seed of the random draw.
         slow: Whether survivors are tested with slow tests too.
+        again: Whether to test only the survivors of an earlier run with the same sample, seed and output folder.
         timeout: Time after which tests count as failed, as a multiple of their time without a mutant.
         out: Folder for the table and the survivors.
     """
@@ -74,6 +81,7 @@ class Args:
     sample: int = 40
     seed: int = 0
     slow: bool = False
+    again: bool = False
     timeout: float = 5.0
     out: Path = Path("runs/mutants")
 
@@ -217,12 +225,32 @@ def measure_module(module: str, args: Args, copy: Path, runner: TestRunner) -> M
             raise RuntimeError(f"the tests of {module} fail before it is changed: run pytest {' '.join(tests)}")
         times[slow] = args.timeout * (time.monotonic() - start)
     mutations, survivors = draw_mutants(module, args, copy), []
+    earlier = read_survivors(args.out, module) if args.again else None
+    n_found = 0
     for mutation in tqdm(mutations, desc=module, file=sys.stderr):
         operator = get_operator(mutation.operator_name)(**mutation.operator_args)
         with use_mutation(mutation.module_path, operator, mutation.occurrence) as (original, changed):
+            difference = format_difference(original, changed)
+            if earlier is not None and difference not in earlier:
+                continue
+            n_found += 1
             if all(runner.passes(tests, slow, limit) for slow, limit in times.items()):
-                survivors.append(format_difference(original, changed))
+                survivors.append(difference)
+    if earlier is not None and n_found < len(earlier):
+        raise RuntimeError(f"{module} has changed since the earlier run; run again without --again")
     return ModuleResult(module, len(mutations), survivors)
+
+
+def name_survivors(out: Path, module: str) -> Path:
+    """Return the file with the survivors of a module, e.g. `episode-loop.diff`."""
+    path = Path(module)
+    return out / f"{path.parent.name}-{path.stem}.diff"
+
+
+def read_survivors(out: Path, module: str) -> list[str]:
+    """Return the differences of the survivors of an earlier run."""
+    text = name_survivors(out, module).read_text()
+    return [part for part in text.split(SEPARATOR) if part]
 
 
 def format_difference(original: str, changed: str) -> str:
@@ -256,11 +284,11 @@ def main(args: Args) -> None:
         raise SystemExit(f"modules must be of {', '.join(TESTS)}; got {', '.join(sorted(unknown))}")
     out = args.out.resolve()
     out.mkdir(parents=True, exist_ok=True)
+    args = replace(args, out=out)
     results = []
     for result in measure_modules(args):
         results.append(result)
-        name = Path(result.module).stem
-        write_atomically(out / f"{name}.diff", "\n\n".join(result.survivors).encode())
+        write_atomically(name_survivors(out, result.module), SEPARATOR.join(result.survivors).encode())
     rows = [
         [one.module, one.n_mutants, format_percent_rate(one.n_mutants - len(one.survivors), one.n_mutants)]
         for one in results

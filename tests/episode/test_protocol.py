@@ -55,9 +55,10 @@ def test_fingers_outside_the_region_push() -> None:
     "point", [(0.011, 0, 0.03), (-0.011, 0, 0.03), (0, 0.009, 0.03), (0, -0.009, 0.03), (0, 0, 0), (0, 0, 0.055)]
 )
 def test_the_region_is_open(point: tuple[float, float, float]) -> None:
-    edge = np.array([point], dtype=np.float64)
-    contacts = Contacts(robot_touches_object=True, finger_points=(edge, edge))
-    assert releases([contacts] * 100)[-1] is ReleaseReason.PASSIVE
+    edge, center = np.array([point], dtype=np.float64), np.array([[0, 0, 0.03]])
+    for beyond in (edge, center + 1.5 * (edge - center)):
+        contacts = Contacts(robot_touches_object=True, finger_points=(beyond, beyond))
+        assert releases([contacts] * 100)[-1] is ReleaseReason.PASSIVE
     nudged = edge * 0.999 + np.array([[0, 0, 0.03]]) * 0.001
     contacts = Contacts(robot_touches_object=True, finger_points=(nudged, nudged))
     assert releases([contacts] * 100)[-1] is ReleaseReason.ACTIVE
@@ -143,6 +144,14 @@ def test_timeout_only_without_success() -> None:
 def test_labels() -> None:
     assert EpisodeStatus(0).label == "running"
     assert EpisodeStatus(6).label == "contact+drop"
+    labels = [EpisodeStatus(bit).label for bit in (1, 2, 4, 8)]
+    assert labels == ["success", "contact", "drop", "timeout"]
+
+
+def test_bits_are_those_of_handoversim() -> None:
+    bits = {status.name: status.value for status in EpisodeStatus}
+    assert bits == {"SUCCESS": 1, "HUMAN_CONTACT": 2, "OBJECT_DROP": 4, "TIMEOUT": 8}
+    assert EpisodeStatus.RUNNING == 0
 
 
 def test_referee_reports_the_release_step() -> None:

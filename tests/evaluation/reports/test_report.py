@@ -61,6 +61,27 @@ def test_no_success_prints_dashes_and_json_has_null() -> None:
     assert json.loads(json.dumps(found.to_json(), allow_nan=False))["times"]["exec_s"]["mean"] is None
 
 
+def test_rates_have_two_decimals_and_counts() -> None:
+    text = str(report(1, 1, 6, 8, 8, 8, 8))
+    titles = ("success %", "contact %", "drop %", "timeout %")
+    assert cells(text, "mine", *titles) == ["28.57 (2/7)", "14.29 (1/7)", "14.29 (1/7)", "57.14 (4/7)"]
+    assert cells(text, "95 % interval", "success %") == ["8.2 to 64.1"]
+
+
+def test_without_successes_the_average_success_is_zero() -> None:
+    found = replace(report(2), episodes=())
+    assert found.average_success == 0.0
+    assert report(2, 8).average_success == 0.0
+
+
+def test_the_heading_names_the_shard_and_the_robot() -> None:
+    text = report(1, 2, shard="3/16 of 9,14,19", robot="panda_camera").heading
+    assert "2 of 144 scenes (partial, shard 3/16)" in text
+    assert "mine (robot panda_camera), giver replay" in text
+    assert "robot" not in report(1, 2, robot="".join(["pan", "da"])).heading
+    assert "wait" not in report(1, 2).heading
+
+
 def test_text_describes_the_evaluation() -> None:
     text = str(report(1, 2))
     for word in ("s0 test", "2 of 144 scenes (partial)", "mine", "replay", "exact", "DexYCB, 1 object a scene"):
@@ -69,7 +90,9 @@ def test_text_describes_the_evaluation() -> None:
     assert "a machine" in text
 
 
-@pytest.mark.parametrize("settings", [{"split": "val"}, {"dataset": "synthetic"}, {"physics": "fast"}])
+@pytest.mark.parametrize(
+    "settings", [{"split": "val"}, {"dataset": "synthetic"}, {"physics": "fast"}, {"world": "0123abcd"}]
+)
 def test_published_rows_only_with_comparable_results(settings: dict[str, str]) -> None:
     assert "published:" not in str(report(1, 2, **settings))
 

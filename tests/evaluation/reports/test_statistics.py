@@ -33,6 +33,14 @@ def test_mean_interval() -> None:
     assert compute_mean_interval([]) is None
 
 
+def test_mean_intervals_are_those_of_two_thousand_resamples() -> None:
+    """Intervals of the results pages must come out again in later versions."""
+    values = np.random.default_rng(2).normal(5.0, 2.0, 25)
+    resamples = np.random.default_rng(0).integers(0, 25, (2000, 25))
+    expected = np.percentile(values[resamples].mean(axis=1), [2.5, 97.5])
+    np.testing.assert_allclose(compute_mean_interval(values.tolist()), expected, rtol=1e-12)
+
+
 def test_mean_interval_of_many_values_is_the_normal_one() -> None:
     values = np.random.default_rng(1).normal(5.0, 2.0, 400)
     interval = compute_mean_interval(values.tolist())

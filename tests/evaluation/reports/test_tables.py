@@ -37,6 +37,13 @@ def test_parts_of_a_wide_table_repeat_its_key_columns() -> None:
         assert max(map(len, part.splitlines())) <= 100
 
 
+def test_one_column_is_repeated_by_default() -> None:
+    parts = str(ReportTable(WIDE.header, WIDE.rows)).split("\n\n")
+    first = [[cell.strip() for cell in part.splitlines()[0].strip("|").split("|")] for part in parts]
+    assert [titles[0] for titles in first] == ["giver"] * len(parts)
+    assert [titles.count("receiver") for titles in first] == [1] + [0] * (len(parts) - 1)
+
+
 def test_other_formats_are_not_split() -> None:
     assert list(csv.reader(io.StringIO(WIDE.format("csv")))) == [list(WIDE.header), list(WIDE.rows[0])]
     latex = WIDE.format("latex")
