@@ -1,4 +1,4 @@
-"""Compare the rollouts of two installed versions of the library, to the bit.
+"""Compare the rollouts of two installed versions of the library, bit for bit.
 
 Record the same evaluations with each version, then compare the folders:
 

@@ -31,7 +31,7 @@ class EnvConfig:
         data_dir: Folder in HandoverSim's layout; default: the environment variable HANDOVER_MARL_DATA.
         dataset: "dexycb", "synthetic", or "auto": DexYCB if there is a data folder, else synthetic. Further kinds:
             `handover_marl.datasets.registry`.
-        physics: "exact" is HandoverSim's simulation to the bit; "fast", for training, simulates hand
+        physics: "exact" is HandoverSim's simulation bit for bit; "fast", for training, simulates hand
             and objects only while the robot is near them; "mujoco" is MuJoCo in place of
             PyBullet, faster still.
         control_period: Time for which an action holds (s); a whole number of milliseconds.

@@ -39,7 +39,7 @@ class Episode:
     """Simulator of handover episodes, the common base of environments and evaluations.
 
     Args:
-        physics: "exact" is HandoverSim's simulation to the bit, "fast" leaves out bodies that cannot be
+        physics: "exact" is HandoverSim's simulation bit for bit, "fast" leaves out bodies that cannot be
             touched, "mujoco" is another engine.
         config: Simulated world, protocol and limits of the giver.
         window: Whether to show PyBullet's window.

@@ -23,7 +23,7 @@ from handover_marl.execution.options import resolve_worker_count
 from handover_marl.execution.pool import Job, OpenWorker, Pool, PoolConfig, Result, Task
 from handover_marl.execution.worker import TaskFailure, activate_job, unpickle_result
 
-# Packages that results depend on to the bit. The optional ones may be missing on a node: physics
+# Packages that results depend on bit for bit. The optional ones may be missing on a node: physics
 # that need them raise an error there, and all others do not use them.
 _PACKAGES = ("numpy", "scipy", "pybullet", "mujoco")
 _OPTIONAL, _MISSING = ("mujoco",), "none"

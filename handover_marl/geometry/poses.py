@@ -125,7 +125,7 @@ def compute_rotation_angle(first: npt.ArrayLike, second: npt.ArrayLike) -> float
 def quaternions_from_euler(angles: npt.ArrayLike) -> Array:
     """Convert XYZ Euler angles (n, 3) in rad to unit quaternions (n, 4) xyzw.
 
-    The result equals SciPy's to the bit and is computed several times as fast.
+    The result equals SciPy's bit for bit and is computed several times as fast.
     """
     half = np.asarray(angles, dtype=np.float64).T / 2.0
     (sx, sy, sz), (cx, cy, cz) = np.sin(half), np.cos(half)

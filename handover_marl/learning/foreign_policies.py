@@ -87,9 +87,9 @@ def read_stable_baselines(
             on other, normalized or rescaled spaces.
         OptionError: PyTorch is not installed.
     """
-    state, about = _read_zip(path, content)
-    network, squashed = dense_network_from_state(state, about, str(path))
-    record = _read_record(path, about)
+    state, metadata = _read_zip(path, content)
+    network, squashed = dense_network_from_state(state, metadata, str(path))
+    record = _read_record(path, metadata)
     recorded = _get_recorded_encoding(path, record, agent) if encoding is None else None
     chosen = encoding or recorded
     space = _SPACES[agent]()
@@ -113,13 +113,13 @@ def _check_raw_sizes(path: Path, agent: str, network: DenseNetwork) -> None:
 
 
 def dense_network_from_state(
-    state: Mapping[str, Array], about: Mapping[str, Any], where: str
+    state: Mapping[str, Array], metadata: Mapping[str, Any], where: str
 ) -> tuple[DenseNetwork, bool]:
     """Build the deterministic policy from the weights of a Stable-Baselines3 model.
 
     Args:
         state: Weights of the model's policy by name.
-        about: JSON of the model, with `policy_kwargs` as text.
+        metadata: JSON of the model, with `policy_kwargs` as text.
         where: Name of the model in error messages.
 
     Returns:
@@ -135,7 +135,7 @@ def dense_network_from_state(
         if layers:
             weights, biases = zip(*layers, strict=True)
             try:
-                return DenseNetwork(weights, biases, _parse_activation(about) or default), squashed
+                return DenseNetwork(weights, biases, _parse_activation(metadata) or default), squashed
             except DataFormatError as error:
                 raise DataFormatError(f"{where}: {error}") from error
     raise DataFormatError(f"{where}: no dense policy of PPO, A2C, SAC, TD3 or DDPG found")
@@ -165,7 +165,7 @@ def _read_zip(path: Path, content: bytes) -> tuple[dict[str, Array], dict[str, A
     try:
         check_archive(content, MAX_FILE_BYTES)
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
-            about = json.loads(archive.read(_ABOUT), parse_constant=float)
+            metadata = json.loads(archive.read(_ABOUT), parse_constant=float)
             state = load_tensors(archive.read(_WEIGHTS))
         # Tensors may repeat the few numbers that are stored.
         if sum(value.numel() for value in state.values()) > _MAX_WEIGHTS:
@@ -175,12 +175,12 @@ def _read_zip(path: Path, content: bytes) -> tuple[dict[str, Array], dict[str, A
         raise UnsafeFileError(f"{path}: {_WEIGHTS} holds more than weights and was not loaded") from error
     except Exception as error:  # Damaged archives, JSON and tensors raise exceptions of many types.
         raise DataFormatError(f"{path}: not a policy file of Stable-Baselines3 ({shorten_text(error)})") from error
-    return arrays, about if isinstance(about, dict) else {}
+    return arrays, metadata if isinstance(metadata, dict) else {}
 
 
-def _read_record(path: Path, about: Mapping[str, Any]) -> Sb3TrainingRecord:
+def _read_record(path: Path, metadata: Mapping[str, Any]) -> Sb3TrainingRecord:
     try:
-        return read_training_record(about)
+        return read_training_record(metadata)
     except Exception as error:  # arrays of any shape and type
         raise DataFormatError(f"{path}: not a record of a training ({shorten_text(error)})") from error
 
@@ -204,13 +204,13 @@ def _collect_layers(state: Mapping[str, Array], hidden: str, last: str) -> list[
     return [(state[f"{name}.weight"], state[f"{name}.bias"]) for name in names]
 
 
-def _parse_activation(about: Mapping[str, Any]) -> str | None:
+def _parse_activation(metadata: Mapping[str, Any]) -> str | None:
     """Return the activation that the model's JSON records, or None for the default activation.
 
     Raises:
         DataFormatError: `DenseNetwork` does not support the activation.
     """
-    arguments = about.get("policy_kwargs")
+    arguments = metadata.get("policy_kwargs")
     named = arguments.get("activation_fn") if isinstance(arguments, dict) else None
     if named is None:
         return None

@@ -1,7 +1,7 @@
 """Inverse kinematics: a batched Newton solver, and the IK solvers that receivers use.
 
 Receivers use PyBullet's solver where it is installed, since only its solutions reproduce the
-results of HandoverSim's baselines to the bit, and the library's own solver otherwise.
+results of HandoverSim's baselines bit for bit, and the library's own solver otherwise.
 """
 
 import importlib

@@ -148,7 +148,7 @@ class PoseSceneEstimate(SceneEstimate):
         self._update_obstacles(observation)
 
     def has_released(self, closing_since: float) -> bool:
-        """Return whether the observation says that the person has released the object."""
+        """Return whether the person has released the object, as observed; `closing_since` is not used."""
         return self._is_released
 
     def _update_obstacles(self, observation: Observation) -> None:

@@ -38,7 +38,7 @@ def frozen(data: Path, agent: str = "receiver", partner: Any = None, **options: 
 
 
 def assert_equal(first: Any, second: Any) -> None:
-    """The same to the bit, containers and arrays all the way down."""
+    """The same bit for bit, containers and arrays all the way down."""
     assert type(first) is type(second)
     if isinstance(first, dict):
         assert first.keys() == second.keys()

@@ -412,7 +412,7 @@ def test_bad_max_cycles(cycles: Any) -> None:
 
 
 def assert_as_seen_by_the_giver(one: dict[str, np.ndarray], other: dict[str, np.ndarray], atol: float) -> None:
-    """What stands in the recording to the bit; what fast physics simulates nearly so."""
+    """What stands in the recording bit for bit; what fast physics simulates nearly so."""
     for key, value in one.items():
         own = key in ("replay_wrist_poses", "replay_object_poses", "deviation", "holding", "time", "released")
         np.testing.assert_allclose(value, other[key], rtol=0, atol=0.0 if own else atol, err_msg=key)

@@ -323,7 +323,7 @@ LOOKS: list[Callable[[WristCamera, World], object]] = [
 @pytest.mark.parametrize("camera", [None, NOISY])
 @pytest.mark.parametrize("renderer", ["rays", "bullet"])
 def test_observations_do_not_depend_on_earlier_images(world: World, renderer: str, camera: CameraNoise | None) -> None:
-    """To the bit, although points alone are drawn otherwise than whole pictures."""
+    """Bit for bit, although points alone are drawn otherwise than whole pictures."""
     expected = make_wrist_camera(world, 3, renderer=renderer, camera_noise=camera)
     points = expected.observe(POINTCLOUD, world, STEPS)
     view = as_dict(expected.capture(world, STEPS))

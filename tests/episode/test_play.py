@@ -128,7 +128,7 @@ class Places(EpisodeCallback):
     [("fast", "replay", (209, 214, 219)), ("fast", "noisy", (209, 214, 219)), ("exact", "noisy", (209,))],
 )
 def test_an_episode_does_not_depend_on_those_before_it(physics: str, giver: str, scenes: tuple[int, ...]) -> None:
-    """To the bit; else results would depend on which worker plays what. This receiver hits whatever it can."""
+    """Bit for bit; else results would depend on which worker plays what. This receiver hits whatever it can."""
     dataset = SyntheticDataset()
     players = receivers.make("random", dataset), givers.make(giver, dataset)
     used = Episode(physics)

@@ -1,4 +1,4 @@
-"""Raw DexYCB imported as HandoverSim's own scripts imported it, to the bit."""
+"""Raw DexYCB imported as HandoverSim's own scripts imported it, bit for bit."""
 
 import hashlib
 import json

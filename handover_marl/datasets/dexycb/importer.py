@@ -82,7 +82,7 @@ def import_dexycb(
     workers: int | None = None,
     progress: bool = True,
 ) -> ImportReport:
-    """Import DexYCB into a data folder, equal to the output of HandoverSim's scripts to the bit.
+    """Import DexYCB into a data folder, equal to the output of HandoverSim's scripts bit for bit.
 
     Existing files are compared and kept, so an interrupted import can be resumed. Missing or damaged
     recordings are reported; the others keep their official scene numbers.

@@ -61,8 +61,8 @@ class RandomStream:
 
     def uniforms(self, *shape: int) -> npt.NDArray[np.float64]:
         """Draw an array of numbers from the open interval (0, 1), in the order of single draws."""
-        words: npt.NDArray[np.uint64] = self._bits.random_raw(math.prod(shape))
-        return (((words >> np.uint64(11)) + 0.5) * 2.0**-53).reshape(shape)
+        words = self._bits.random_raw(math.prod(shape))
+        return np.asarray(((words >> np.uint64(11)) + 0.5) * 2.0**-53).reshape(shape)
 
     def normal(self) -> float:
         """Draw a standard normal number."""

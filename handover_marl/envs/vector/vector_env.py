@@ -49,7 +49,7 @@ class _PrecomputedEnv(SingleAgentEnv):
 class HandoverVectorEnv(SyncVectorEnv):
     """Gymnasium vector environment of one agent, made by `handover_marl.vector_env`.
 
-    Results equal those of Gymnasium's `SyncVectorEnv` to the bit: environment k is seeded with
+    Results equal those of Gymnasium's `SyncVectorEnv` bit for bit: environment k is seeded with
     `seed + k` and behaves as a single environment with that seed.
 
     Args:

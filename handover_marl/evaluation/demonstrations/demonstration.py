@@ -83,7 +83,7 @@ class Demonstration:
     """Recorded episode with T decisions of the receiver and G decisions of the giver.
 
     The receiver's i-th action holds from physics step `steps[i]` to `steps[i + 1]`, the giver's j-th
-    from `giver_steps[j]` until its next; applied at these steps they reproduce the episode to the bit.
+    from `giver_steps[j]` until its next; applied at these steps they reproduce the episode bit for bit.
 
     Attributes:
         observations: Arrays (T + 1, ...) by key of `receiver_observation_space`, at every decision and

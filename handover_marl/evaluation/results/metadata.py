@@ -94,7 +94,7 @@ class ResultMetadata:
             n_split_scenes: Number of scenes in the split; may be left out for an official setup.
 
         Raises:
-            OptionError: The shard is one of more scenes than `config.yaml` can list.
+            OptionError: The list of scenes in `shard` is too long for `config.yaml`.
         """
         if len(shard) > _MAX_TEXT:
             raise OptionError(

@@ -187,7 +187,7 @@ def _make_connection_error(error: Exception) -> SimulationError:
 
 
 class ExactWorld(BulletWorld):
-    """PyBullet world with the same states as HandoverSim, to the bit, for equal float32 targets.
+    """PyBullet world with the same states as HandoverSim, bit for bit, for equal float32 targets.
 
     All bodies of a scene are simulated, and all are loaded again at every reset.
 

@@ -33,7 +33,7 @@ _DISTANCE = 8
 class BulletIKStep:
     """Single inverse-kinematics query of the Panda by PyBullet; may not converge.
 
-    The Panda is loaded as in `ExactWorld`, so that the solution equals, to the bit, the solution of
+    The Panda is loaded as in `ExactWorld`, so that the solution equals, bit for bit, the solution of
     a query in the physics client of `ExactWorld` with the same joints. Bullet makes 20 damped
     least-squares steps, stops at 0.1 mm, and uses no joint limits and no rest pose. Queries are
     independent of each other. `BulletIKSolver` repeats the query until it converges.

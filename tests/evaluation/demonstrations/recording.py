@@ -50,7 +50,7 @@ def contents(out: Path) -> dict[str, bytes]:
 
 
 def assert_same(one: Demonstration, other: Demonstration) -> None:
-    """Equal to the bit."""
+    """Equal bit for bit."""
     assert one.metadata == other.metadata
     assert list(one.observations) == list(other.observations)
     for name, array in one.observations.items():

@@ -114,7 +114,7 @@ class Joints(EpisodeCallback):
 @pytest.mark.slow
 @pytest.mark.parametrize(("scene_id", "physics"), [(209, "exact"), (214, "fast")])
 def test_rendering_does_not_change_the_episode(scene_id: int, physics: str) -> None:
-    """To the bit, whenever pictures are taken, and though this robot hits itself and the table."""
+    """Bit for bit, whenever pictures are taken, and though this robot hits itself and the table."""
     dataset = SyntheticDataset()
     players = receivers.make("random", dataset), givers.make("noisy", dataset)
     ends = []

@@ -81,7 +81,7 @@ def test_yang_ends_alike(both: tuple[Episode, Episode], scene_id: int) -> None:
 
 
 def test_a_used_world_equals_a_new_one() -> None:
-    """Whatever was played before, and in whatever state it ended, an episode is the same to the bit."""
+    """Whatever was played before, and in whatever state it ended, an episode is the same bit for bit."""
     policy = receivers.make("yang2021", DATA)
     used = Episode("fast")
     for scene_id in (*SCENES[:3], *SCENES[1::-1]):

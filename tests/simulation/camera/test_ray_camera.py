@@ -250,7 +250,7 @@ def test_objects_of_one_model_have_own_labels() -> None:
 
 
 def assert_targets_equal_the_whole_image(rays: RayCamera, now: JointSnapshot) -> CameraImage:
-    """To the bit, and all else is nothing."""
+    """Bit for bit, and all else is nothing."""
     whole, part = rays.render_wrist_camera(now, False), rays.render_targets(now)
     wanted = whole.compute_mask(SegmentationLabel.TARGET) | whole.compute_mask(SegmentationLabel.HAND)
     np.testing.assert_array_equal(part.segmentation, np.where(wanted, whole.segmentation, 0))
