@@ -15,5 +15,10 @@ def register_environments() -> None:
     # gymnasium.make() does not accept a ParallelEnv.
     pettingzoo.register("parallel", PETTINGZOO_ID, f"{_CONSTRUCTORS}:parallel_env")
     pettingzoo.register("aec", PETTINGZOO_ID, f"{_CONSTRUCTORS}:env")
-    gymnasium.register(RECEIVER_ID, f"{_CONSTRUCTORS}:single_agent_env", kwargs={"agent": "receiver"})
-    gymnasium.register(GIVER_ID, f"{_CONSTRUCTORS}:single_agent_env", kwargs={"agent": "giver"})
+    for name, agent in ((RECEIVER_ID, "receiver"), (GIVER_ID, "giver")):
+        gymnasium.register(
+            name,
+            f"{_CONSTRUCTORS}:single_agent_env",
+            vector_entry_point=f"{_CONSTRUCTORS}:single_agent_vector_env",
+            kwargs={"agent": agent},
+        )

@@ -52,7 +52,7 @@ class OutOfTimeError(KeyboardInterrupt):
 
 
 class EvaluationCallback(Callback):
-    """Callback that evaluates the policies at regular intervals, before an update."""
+    """Callback that records reward terms, and evaluates the policies at regular intervals before an update."""
 
     def __init__(self, run: TrainingRun) -> None:
         super().__init__()
@@ -61,6 +61,9 @@ class EvaluationCallback(Callback):
     def on_batch_collected(self, batch: TensorDictBase) -> None:
         # The policies were trained on all batches before this one.
         steps = self.experiment.total_frames - batch.numel()
+        for agent in AGENTS:
+            self._run.rewards.add_batch(agent, batch["next", agent, "info"], batch["next", "done"].flatten())
+        self._run.rewards.write_point(self.experiment.total_frames)
         if self._run.evaluate_if_due(steps, lambda: extract_policy_networks(self.experiment)):
             raise OutOfTimeError
 

@@ -25,6 +25,7 @@ from handover_marl.envs.vector.parallel_vector_env import ParallelVectorEnv
 from handover_marl.learning.training.arguments import PairArgs, ResumableArgs
 from handover_marl.learning.training.dense_networks import dense_network_from_module, make_mlp
 from handover_marl.learning.training.environments import make_pair_vector_env
+from handover_marl.learning.training.reward_curve import RewardCurve
 from handover_marl.learning.training.run_folder import read_checkpoint, write_checkpoint
 from handover_marl.learning.training.training_run import TrainingRun
 
@@ -66,8 +67,8 @@ class ActorCritic(nn.Module):
 class RolloutCollector:
     """Collector of both agents' transitions from a batch of environments."""
 
-    def __init__(self, envs: ParallelVectorEnv, seed: int) -> None:
-        self.envs = envs
+    def __init__(self, envs: ParallelVectorEnv, seed: int, rewards: RewardCurve) -> None:
+        self.envs, self.rewards = envs, rewards
         self.observations, _ = envs.reset(seed)
         self.finished_returns: list[float] = []
         self._returns = np.zeros(envs.num_envs)
@@ -92,6 +93,8 @@ class RolloutCollector:
                 with torch.no_grad():
                     last = torch.as_tensor(infos[agent]["final_obs"][number])
                     reward[number] += discount * float(model.value(last))
+            for number in np.flatnonzero(ended):
+                self.rewards.add_episode(agent, infos[agent]["final_info"][number])
             step[agent] |= {"reward": reward, "end": ended.astype(np.float32)}
         self.finished_returns += self._returns[ended].tolist()
         self._returns[ended] = 0.0
@@ -186,9 +189,9 @@ def main(args: Args) -> None:
 
     if args.resume and folder.checkpoint.exists():
         read_checkpoint(folder.checkpoint, restore)
-        folder.discard_points_after(done)
+        run.discard_points_after(done)
     writer = SummaryWriter(str(folder.path / "tensorboard"))
-    collector = RolloutCollector(envs, args.seed + 1000 * (done // args.batch_size))
+    collector = RolloutCollector(envs, args.seed + 1000 * (done // args.batch_size), run.rewards)
 
     def evaluate(steps: int) -> None:
         point = run.evaluate(steps, {agent: dense_network_from_module(models[agent].actor) for agent in AGENTS})
@@ -211,6 +214,8 @@ def main(args: Args) -> None:
             advantages = compute_advantages(batches[agent], last_value, args)
             for key, value in update(models[agent], optimizers[agent], batches[agent], advantages, args).items():
                 writer.add_scalar(f"{agent}/{key}", value, steps)
+        for name, mean in run.rewards.write_point(steps).items():
+            writer.add_scalar(f"rewards/{name}", mean, steps)
         if collector.finished_returns:
             writer.add_scalar("rollout/receiver_return", np.mean(collector.finished_returns), steps)
             collector.finished_returns.clear()

@@ -30,13 +30,16 @@ from ray.tune.registry import register_env
 from rich.progress import track
 from torch import nn
 
+from handover_marl.envs.wrappers.episode_returns import RETURN
 from handover_marl.learning.policy_spec import DenseNetwork
 from handover_marl.learning.training.arguments import PairArgs
 from handover_marl.learning.training.dense_networks import dense_network_from_module, make_mlp
 from handover_marl.learning.training.environments import make_pair_env
+from handover_marl.learning.training.reward_curve import RewardCurve
 from handover_marl.learning.training.training_run import TrainingRun
 
 AGENTS = ("giver", "receiver")
+_TERMS = "reward_terms"
 _OBJECT_STORE = 200_000_000  # bytes
 _SAMPLE_TIMEOUT = 3600.0  # s
 
@@ -65,6 +68,22 @@ class ActorCritic(TorchRLModule, ValueFunctionAPI):
         return self.critic(batch[Columns.OBS]).squeeze(-1)
 
 
+def log_reward_terms(episode: Any, metrics_logger: Any, **kwargs: Any) -> None:
+    """Log the sums of the reward terms of a finished episode, for `add_reward_terms`."""
+    for agent in AGENTS:
+        for key, value in (episode.agent_episodes[agent].get_infos(-1) or {}).items():
+            if key.startswith(RETURN):
+                metrics_logger.log_value((_TERMS, agent, key), value, reduce="item_series")
+
+
+def add_reward_terms(rewards: RewardCurve, result: dict[str, Any], steps: int) -> None:
+    """Add the logged episodes of a training iteration to the curve of the reward terms."""
+    for agent, terms in result.get("env_runners", {}).get(_TERMS, {}).items():
+        for values in zip(*terms.values(), strict=True):
+            rewards.add_episode(agent, dict(zip(terms, values, strict=True)))
+    rewards.write_point(steps)
+
+
 def make_config(args: Args) -> PPOConfig:
     register_env("handover", lambda _: ParallelPettingZooEnv(make_pair_env(args)))
     module = RLModuleSpec(ActorCritic, model_config={"width": args.width, "initial_std": args.initial_std})
@@ -73,6 +92,7 @@ def make_config(args: Args) -> PPOConfig:
         .environment("handover")
         # RLlib discards batches that take longer, as they do on a busy machine.
         .env_runners(num_env_runners=args.envs if args.envs > 1 else 0, sample_timeout_s=_SAMPLE_TIMEOUT)
+        .callbacks(on_episode_end=log_reward_terms)
         .learners(num_learners=0)
         .multi_agent(policies=set(AGENTS), policy_mapping_fn=lambda agent, episode, **_: agent)
         .rl_module(rl_module_spec=MultiRLModuleSpec(rl_module_specs=dict.fromkeys(AGENTS, module)))
@@ -111,6 +131,7 @@ def main(args: Args) -> TrainingRun:
             steps = int(result["num_env_steps_sampled_lifetime"])
             returns = result.get("env_runners", {}).get("agent_episode_returns_mean", {})
             print(f"{steps} decisions, mean returns {returns}", flush=True)
+            add_reward_terms(run.rewards, result, steps)
             if run.evaluate_if_due(steps, lambda: extract_policy_networks(algorithm)):
                 break
         algorithm.stop()

@@ -36,6 +36,7 @@ from handover_marl.learning.policy_spec import DenseNetwork
 from handover_marl.learning.training.arguments import PairArgs
 from handover_marl.learning.training.dense_networks import dense_network_from_module, extract_agent_network
 from handover_marl.learning.training.environments import make_pair_env
+from handover_marl.learning.training.reward_curve import RewardCurve
 from handover_marl.learning.training.training_run import TrainingRun
 
 AGENTS = ("giver", "receiver")
@@ -55,10 +56,11 @@ class AgentsVectorEnv(BaseVectorEnv):
 
     Args:
         worlds: Two-agent environments.
+        rewards: Curve to which the reward terms of finished episodes are added; default: none.
     """
 
-    def __init__(self, worlds: Sequence[HomogeneousEnv]) -> None:
-        self.worlds = worlds
+    def __init__(self, worlds: Sequence[HomogeneousEnv], rewards: RewardCurve | None = None) -> None:
+        self.worlds, self._rewards = worlds, rewards
         self.env_num = len(AGENTS) * len(worlds)
         self.is_async, self.is_closed = False, False
         self._seeds: list[int | None] = [None] * len(worlds)
@@ -96,7 +98,11 @@ class AgentsVectorEnv(BaseVectorEnv):
         results: dict[int, tuple[Any, ...]] = {}
         for number in self._worlds_of(chosen):
             own = {agent: actions[each] for agent, each in self._ids(number).items()}
-            results |= self._by_id(number, self.worlds[number].step(own))
+            result = self.worlds[number].step(own)
+            if self._rewards is not None and not self.worlds[number].agents:
+                for agent, info in result[-1].items():
+                    self._rewards.add_episode(agent, info)
+            results |= self._by_id(number, result)
         for each, result in results.items():
             result[-1]["env_id"] = each
         return tuple(np.stack(part) for part in zip(*(results[each] for each in chosen), strict=True))
@@ -173,7 +179,7 @@ def main(args: Args) -> TrainingRun:
     torch.set_num_threads(1)
     run = TrainingRun(args, "train_both_tianshou", args.encodings)
     worlds = [homogeneous(make_pair_env(args)) for _ in range(args.envs)]
-    envs = AgentsVectorEnv(worlds)
+    envs = AgentsVectorEnv(worlds, run.rewards)
     envs.seed(args.seed)
     algorithm = make_algorithm(worlds[0], args)
     run.evaluate(0, extract_policy_networks(algorithm, worlds[0]))
@@ -187,6 +193,7 @@ def main(args: Args) -> TrainingRun:
         collector.reset_buffer(keep_statistics=True)
         steps = number * args.batch_size
         print(summarize(stats, steps), flush=True)
+        run.rewards.write_point(steps)
         if run.evaluate_if_due(steps, lambda: extract_policy_networks(algorithm, worlds[0])):
             break
     envs.close()

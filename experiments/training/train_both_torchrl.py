@@ -183,6 +183,9 @@ def main(args: Args) -> TrainingRun:
             update(batch, loss, optimizers[group], args)
         collector.update_policy_weights_()
         print(summarize(batch, steps), flush=True)
+        for group in AGENTS:
+            run.rewards.add_batch(group, batch["next", group, "info"], batch["next", "done"].flatten())
+        run.rewards.write_point(steps)
         if run.evaluate_if_due(steps, lambda: extract_policy_networks(actors)):
             break
     collector.shutdown()

@@ -74,7 +74,7 @@ def main(args: Args) -> Path:
     model = make_ppo(args, envs)
     if args.resume and run.folder.checkpoint.exists():
         load_checkpoint(model, run.folder.checkpoint)
-        run.folder.discard_points_after(model.num_timesteps)
+        run.discard_points_after(model.num_timesteps)
     elif args.teacher:
         error = imitate(model, args)
         print(f"outputs differ from those of {args.teacher} by {error:.3f} (root mean square)")

@@ -56,7 +56,7 @@ def main(args: Args) -> Path:
     model = make_ppo(args, envs)
     if args.resume and run.folder.checkpoint.exists():
         load_checkpoint(model, run.folder.checkpoint)
-        run.folder.discard_points_after(model.num_timesteps)
+        run.discard_points_after(model.num_timesteps)
     else:
         with torch.no_grad():
             # More exploration than in the motion: random closing succeeds now and then.

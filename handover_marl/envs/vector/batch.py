@@ -4,8 +4,8 @@ import contextlib
 import functools
 import os
 import threading
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -17,7 +17,7 @@ from handover_marl.envs.config import EnvConfig
 from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.envs.wrappers.encode import encode
 from handover_marl.envs.wrappers.freeze import freeze
-from handover_marl.envs.wrappers.wrapper import ByAgent, ParallelStep, ParallelWrapper
+from handover_marl.envs.wrappers.wrapper import ByAgent, ParallelStep, WrappableEnv, check_env
 from handover_marl.errors import ActionError, OptionError, ResetNeededError, SimulationError
 from handover_marl.execution.options import count_available_cores, require_modules
 from handover_marl.learning.encodings.own_features import FeaturesLike
@@ -27,6 +27,8 @@ from handover_marl.policies.reference import PolicyLike
 #: Largest number of environments in a batch; each takes megabytes of memory.
 MAX_ENVS = 65_536
 
+#: Function or class that wraps the environment by a `pettingzoo.utils.BaseParallelWrapper`.
+WrapperFunction: TypeAlias = Callable[[WrappableEnv], WrappableEnv]
 ResetResult = tuple[ByAgent, ByAgent]
 _BUSY = "another thread is using the vector environment; call reset() and step() in turn"
 
@@ -47,6 +49,8 @@ class EnvBatch:
             agents are controlled; None leaves actions as they are.
         threads: Number of simulation threads; default: one per core.
         trust: Whether a policy file may run code.
+        wrappers: Functions or classes that wrap each environment, which has both agents, the innermost
+            first; `partner`, `features` and `schemes` are applied after them.
 
     Attributes:
         envs: Environments of the batch.
@@ -69,6 +73,7 @@ class EnvBatch:
         schemes: SchemeLike | Mapping[str, SchemeLike] | None,
         threads: int | None,
         trust: bool,
+        wrappers: Sequence[WrapperFunction] = (),
     ) -> None:
         count = check_positive_integer("num_envs", num_envs)
         if count > MAX_ENVS:
@@ -76,11 +81,15 @@ class EnvBatch:
         threads = check_positive_integer("threads", count_available_cores() if threads is None else threads)
         if agent is None and partner is not None:
             raise OptionError("partner must be None if both agents are live; leave it out, or name the live agent")
+        if not isinstance(wrappers, Sequence) or isinstance(wrappers, str):
+            raise OptionError(f"wrappers must be a list of functions or classes, got {wrappers!r}")
         if config.render_mode == "human":
             raise OptionError('render_mode must be None or "rgb_array" for several environments, got "human"')
 
-        def make() -> HandoverEnv | ParallelWrapper:
-            env: HandoverEnv | ParallelWrapper = HandoverEnv(config)
+        def make() -> WrappableEnv:
+            env: WrappableEnv = HandoverEnv(config)
+            for wrapper in wrappers:
+                env = _apply_wrapper(wrapper, env)
             if agent is not None:
                 env = freeze(env, agent, partner, trust=trust)
             return env if features is None and schemes is None else encode(env, features, schemes)
@@ -186,7 +195,7 @@ class EnvBatch:
             self._lock.release()
 
     def _step_one(
-        self, env: HandoverEnv | ParallelWrapper, ended: bool, actions: ByAgent
+        self, env: WrappableEnv, ended: bool, actions: ByAgent
     ) -> tuple[ParallelStep | None, ResetResult | None]:
         if ended and self.autoreset is AutoresetMode.NEXT_STEP:
             return None, env.reset()
@@ -226,6 +235,16 @@ def split_actions(actions: object, space: spaces.Space[Any], count: int, agent: 
     if values.shape != shape or values.dtype.kind not in "fiu":
         raise ActionError(f"actions of the {agent} must have shape {shape}, got {values.dtype} {values.shape}")
     return list(values)
+
+
+def _apply_wrapper(wrapper: WrapperFunction, env: WrappableEnv) -> WrappableEnv:
+    if not callable(wrapper):
+        raise OptionError(f"wrappers must be functions or classes that wrap an environment, got {wrapper!r}")
+    wrapped = wrapper(env)
+    check_env(wrapped)
+    if wrapped.unwrapped is not env.unwrapped:
+        raise OptionError(f"wrappers must wrap the environment that they get, got another one from {wrapper!r}")
+    return wrapped
 
 
 def _has_ended(result: ParallelStep | None) -> bool:

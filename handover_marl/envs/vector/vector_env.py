@@ -2,7 +2,7 @@
 
 import collections
 import functools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal, overload
 
 import numpy as np
@@ -10,7 +10,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from handover_marl.envs.config import EnvConfig, make_env_config
 from handover_marl.envs.handover_env import HandoverEnv
-from handover_marl.envs.vector.batch import EnvBatch, split_actions
+from handover_marl.envs.vector.batch import EnvBatch, WrapperFunction, split_actions
 from handover_marl.envs.vector.parallel_vector_env import ParallelVectorEnv
 from handover_marl.envs.wrappers.wrapper import ByAgent, ParallelWrapper, SingleAgentEnv
 from handover_marl.errors import OptionError, check_name
@@ -123,6 +123,7 @@ def vector_env(
     *,
     features: FeaturesLike | None = ...,
     schemes: SchemeLike | None = ...,
+    wrappers: Sequence[WrapperFunction] = ...,
     autoreset: str = ...,
     threads: int | None = ...,
     trust: bool = ...,
@@ -139,6 +140,7 @@ def vector_env(
     *,
     features: Mapping[str, FeaturesLike] | None = ...,
     schemes: Mapping[str, SchemeLike] | None = ...,
+    wrappers: Sequence[WrapperFunction] = ...,
     autoreset: str = ...,
     threads: int | None = ...,
     trust: bool = ...,
@@ -155,6 +157,7 @@ def vector_env(
     *,
     features: FeaturesLike | Mapping[str, FeaturesLike] | None = None,
     schemes: SchemeLike | Mapping[str, SchemeLike] | None = None,
+    wrappers: Sequence[WrapperFunction] = (),
     autoreset: str = "next_step",
     threads: int | None = None,
     trust: bool = False,
@@ -174,6 +177,9 @@ def vector_env(
             by agent for both agents.
         schemes: Action scheme whose outputs replace actions, a name, class or function as in `encode`; a
             mapping by agent for both agents.
+        wrappers: Functions or classes that wrap each environment by a
+            `pettingzoo.utils.BaseParallelWrapper`, the innermost first; the wrapped environment has both
+            agents, their observations and actions as the environment defines them.
         autoreset: Gymnasium's mode of the reset after an episode's end: "next_step", "same_step" or
             "disabled".
         threads: Number of simulation threads; default: one per core.
@@ -190,7 +196,9 @@ def vector_env(
     mode = AutoresetMode[autoreset.upper()]
     if config is None:
         fields = {"physics": MUJOCO, **fields}
-    batch = EnvBatch(make_env_config(config, fields), num_envs, mode, agent, partner, features, schemes, threads, trust)
+    batch = EnvBatch(
+        make_env_config(config, fields), num_envs, mode, agent, partner, features, schemes, threads, trust, wrappers
+    )
     return ParallelVectorEnv(batch) if agent is None else HandoverVectorEnv(batch)
 
 

@@ -10,7 +10,15 @@ from gymnasium.utils import EzPickle
 
 from handover_marl.envs.arguments import GIVER, RECEIVER
 from handover_marl.envs.handover_env import HandoverEnv
-from handover_marl.envs.wrappers.wrapper import Api, ByAgent, ParallelStep, ParallelWrapper, SingleAgentEnv, convert_api
+from handover_marl.envs.wrappers.wrapper import (
+    Api,
+    ByAgent,
+    ParallelStep,
+    ParallelWrapper,
+    SingleAgentEnv,
+    WrappableEnv,
+    convert_api,
+)
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.spaces import check_vector, has_state
 from handover_marl.errors import OptionError, ResetNeededError
@@ -60,7 +68,7 @@ class EncodedEnv(ParallelWrapper):
 
     def __init__(
         self,
-        env: HandoverEnv | ParallelWrapper,
+        env: WrappableEnv,
         features: FeaturesLike | Mapping[str, FeaturesLike] | None = None,
         schemes: SchemeLike | Mapping[str, SchemeLike] | None = None,
     ) -> None:
@@ -145,7 +153,7 @@ class EncodedEnv(ParallelWrapper):
             OptionError: Many episodes in a row have ended before outputs were needed.
         """
         for attempt in range(_MAX_EPISODES):
-            self._observations, infos = self.env.reset(seed if attempt == 0 else None, options)
+            self._observations, infos = self.env.reset(seed=seed if attempt == 0 else None, options=options)
             for scheme in self._schemes.values():
                 scheme.reset()
             for features in self._features.values():
@@ -205,7 +213,7 @@ class EncodedEnv(ParallelWrapper):
 
 @overload
 def encode(
-    env: HandoverEnv | ParallelWrapper,
+    env: WrappableEnv,
     features: FeaturesLike | Mapping[str, FeaturesLike] | None = None,
     schemes: SchemeLike | Mapping[str, SchemeLike] | None = None,
     *,
@@ -215,7 +223,7 @@ def encode(
 
 @overload
 def encode(
-    env: HandoverEnv | ParallelWrapper,
+    env: WrappableEnv,
     features: FeaturesLike | Mapping[str, FeaturesLike] | None = None,
     schemes: SchemeLike | Mapping[str, SchemeLike] | None = None,
     *,
@@ -224,7 +232,7 @@ def encode(
 
 
 def encode(
-    env: HandoverEnv | ParallelWrapper,
+    env: WrappableEnv,
     features: FeaturesLike | Mapping[str, FeaturesLike] | None = None,
     schemes: SchemeLike | Mapping[str, SchemeLike] | None = None,
     *,

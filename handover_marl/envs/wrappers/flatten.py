@@ -8,7 +8,7 @@ from gymnasium import spaces
 from gymnasium.utils import EzPickle
 
 from handover_marl.envs.handover_env import HandoverEnv
-from handover_marl.envs.wrappers.wrapper import ParallelWrapper
+from handover_marl.envs.wrappers.wrapper import ParallelWrapper, WrappableEnv
 from handover_marl.errors import OptionError
 
 Array = npt.NDArray[Any]
@@ -28,7 +28,7 @@ class FlattenedEnv(ParallelWrapper):
 
     metadata: dict[str, Any] = {**HandoverEnv.metadata, "name": "handover_flattened_v0"}
 
-    def __init__(self, env: HandoverEnv | ParallelWrapper) -> None:
+    def __init__(self, env: WrappableEnv) -> None:
         super().__init__(env)
         EzPickle.__init__(self, env)
         self._flat: dict[str, spaces.Box] = {}
@@ -60,7 +60,7 @@ class FlattenedEnv(ParallelWrapper):
         return spaces.unflatten(self.env.observation_space(agent), vector)
 
 
-def flatten(env: HandoverEnv | ParallelWrapper) -> FlattenedEnv:
+def flatten(env: WrappableEnv) -> FlattenedEnv:
     """Return an environment with one vector for each agent's observation, unscaled.
 
     `encode` makes vectors, too: fewer features, scaled for small networks.

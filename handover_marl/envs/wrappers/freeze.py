@@ -6,7 +6,15 @@ from gymnasium.utils import EzPickle, seeding
 
 from handover_marl.envs.arguments import AGENTS, GIVER, RECEIVER
 from handover_marl.envs.handover_env import HandoverEnv
-from handover_marl.envs.wrappers.wrapper import Api, ByAgent, ParallelStep, ParallelWrapper, SingleAgentEnv, convert_api
+from handover_marl.envs.wrappers.wrapper import (
+    Api,
+    ByAgent,
+    ParallelStep,
+    ParallelWrapper,
+    SingleAgentEnv,
+    WrappableEnv,
+    convert_api,
+)
 from handover_marl.episode.loop import PolicyScheduler
 from handover_marl.episode.observations import Observation
 from handover_marl.errors import ActionError, OptionError, ResetNeededError, check_name
@@ -37,7 +45,7 @@ class FrozenPartnerEnv(ParallelWrapper):
 
     def __init__(
         self,
-        env: HandoverEnv | ParallelWrapper,
+        env: WrappableEnv,
         agent: str = RECEIVER,
         partner: PolicyLike | None = None,
         trust: bool = False,
@@ -69,7 +77,7 @@ class FrozenPartnerEnv(ParallelWrapper):
         """
         if seed is not None:
             self._rng, _ = seeding.np_random(seed)
-        observations, infos = self.env.reset(seed, options)
+        observations, infos = self.env.reset(seed=seed, options=options)
         self._scheduler.reset(int(self._rng.integers(2**32)), self.unwrapped.object_names)
         self._steps = 0
         return self._select_live(observations), self._select_live(infos)
@@ -97,7 +105,7 @@ class FrozenPartnerEnv(ParallelWrapper):
         observations, rewards, terminations, truncations, infos = self.env.step(
             {live: actions.get(live), partner: partner_action}
         )
-        self._steps = int(infos[partner]["steps"])
+        self._steps = self.unwrapped.steps
         select = self._select_live
         return select(observations), select(rewards), select(terminations), select(truncations), select(infos)
 
@@ -110,7 +118,7 @@ class FrozenPartnerEnv(ParallelWrapper):
 
 @overload
 def freeze(
-    env: HandoverEnv | ParallelWrapper,
+    env: WrappableEnv,
     agent: str = RECEIVER,
     partner: PolicyLike | None = None,
     *,
@@ -121,7 +129,7 @@ def freeze(
 
 @overload
 def freeze(
-    env: HandoverEnv | ParallelWrapper,
+    env: WrappableEnv,
     agent: str = RECEIVER,
     partner: PolicyLike | None = None,
     *,
@@ -131,7 +139,7 @@ def freeze(
 
 
 def freeze(
-    env: HandoverEnv | ParallelWrapper,
+    env: WrappableEnv,
     agent: str = RECEIVER,
     partner: PolicyLike | None = None,
     *,
@@ -141,7 +149,8 @@ def freeze(
     """Return an environment in which one agent is controlled; a fixed policy acts for the other.
 
     Args:
-        env: `handover_marl.parallel_env(...)`, or a wrapper of it that has both agents.
+        env: `handover_marl.parallel_env(...)`, or a wrapper of it that has both agents. The partner
+            observes what the environment itself returns, unchanged by wrappers.
         agent: Agent that is controlled from outside, "receiver" or "giver".
         partner: Policy of the other agent: a name, a class or an instance; default: "replay" for a
             giver, "yang2021" for a receiver.

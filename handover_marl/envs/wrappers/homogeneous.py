@@ -10,7 +10,7 @@ from gymnasium.utils import EzPickle
 
 from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.envs.wrappers.flatten import flatten
-from handover_marl.envs.wrappers.wrapper import ParallelStep, ParallelWrapper, check_env
+from handover_marl.envs.wrappers.wrapper import ParallelStep, ParallelWrapper, WrappableEnv, check_env
 from handover_marl.episode.spaces import check_vector
 from handover_marl.errors import ActionError, ResetNeededError
 
@@ -31,7 +31,7 @@ class HomogeneousEnv(ParallelWrapper):
 
     metadata: dict[str, Any] = {**HandoverEnv.metadata, "name": "handover_homogeneous_v0"}
 
-    def __init__(self, env: HandoverEnv | ParallelWrapper) -> None:
+    def __init__(self, env: WrappableEnv) -> None:
         check_env(env)
         has_dictionaries = any(isinstance(env.observation_space(agent), spaces.Dict) for agent in env.possible_agents)
         super().__init__(flatten(env) if has_dictionaries else env)
@@ -109,7 +109,7 @@ class HomogeneousEnv(ParallelWrapper):
         return super().step({agent: self.own_action(agent, actions.get(agent)) for agent in self.agents})
 
 
-def homogeneous(env: HandoverEnv | ParallelWrapper) -> HomogeneousEnv:
+def homogeneous(env: WrappableEnv) -> HomogeneousEnv:
     """Return an environment that pads the spaces of all agents to one common size.
 
     Args:

@@ -1,7 +1,7 @@
 """Base class of the environment's wrappers, and a Gymnasium adapter for one agent."""
 
 from collections.abc import Sequence
-from typing import Any, Literal, TypeVar, overload
+from typing import Any, Literal, TypeAlias, TypeVar, overload
 
 import gymnasium
 from gymnasium.utils import EzPickle
@@ -12,6 +12,8 @@ from handover_marl.episode.camera_observations import CameraFrame
 from handover_marl.errors import OptionError, check_name
 
 ByAgent = dict[str, Any]
+#: The environment, or any PettingZoo wrapper of it.
+WrappableEnv: TypeAlias = HandoverEnv | BaseParallelWrapper
 ParallelStep = tuple[ByAgent, dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, float]]]
 
 
@@ -21,7 +23,7 @@ class ParallelWrapper(BaseParallelWrapper, EzPickle):  # type: ignore[misc]
     Other attributes and methods are those of the wrapped environment.
 
     Args:
-        env: A `HandoverEnv`, or a wrapper of one.
+        env: A `HandoverEnv`, or any `pettingzoo.utils.BaseParallelWrapper` of one.
         agents: Agents of the wrapped environment; default: all agents of `env`.
 
     Raises:
@@ -30,12 +32,13 @@ class ParallelWrapper(BaseParallelWrapper, EzPickle):  # type: ignore[misc]
 
     metadata: dict[str, Any] = dict(HandoverEnv.metadata)
 
-    def __init__(self, env: "HandoverEnv | ParallelWrapper", agents: Sequence[str] | None = None) -> None:
+    def __init__(self, env: WrappableEnv, agents: Sequence[str] | None = None) -> None:
         check_env(env)
         super().__init__(env)
         self.possible_agents: list[str] = list(env.possible_agents if agents is None else agents)
-        self.render_mode: str | None = env.render_mode
-        self.metadata = {**self.metadata, "render_fps": env.metadata["render_fps"]}
+        base = self.unwrapped
+        self.render_mode: str | None = base.render_mode
+        self.metadata = {**self.metadata, "render_fps": base.metadata["render_fps"]}
 
     @property
     def unwrapped(self) -> HandoverEnv:
@@ -54,7 +57,7 @@ class ParallelWrapper(BaseParallelWrapper, EzPickle):  # type: ignore[misc]
 
     def reset(self, seed: int | None = None, options: ByAgent | None = None) -> tuple[ByAgent, ByAgent]:
         """Start an episode; arguments and result as in `HandoverEnv.reset`."""
-        observations, infos = self.env.reset(seed, options)
+        observations, infos = self.env.reset(seed=seed, options=options)
         return self._convert_observations(observations), infos
 
     def step(self, actions: dict[str, Any]) -> ParallelStep:
@@ -67,14 +70,23 @@ class ParallelWrapper(BaseParallelWrapper, EzPickle):  # type: ignore[misc]
 
 
 def check_env(env: object) -> None:
-    """Check that a value is a `HandoverEnv` or a wrapper of one.
+    """Check that a value is a `HandoverEnv` or a PettingZoo wrapper of one.
 
     Raises:
         OptionError: It is another kind of environment, or a class.
     """
-    if not isinstance(env, (HandoverEnv, ParallelWrapper)):
+    if isinstance(env, HandoverEnv):
+        return
+    if isinstance(env, BaseParallelWrapper):
+        base = env.unwrapped
+        if isinstance(base, HandoverEnv):
+            return
+        got = f"a wrapper of {type(base).__name__}"
+    else:
         got = f"the class {env.__name__}" if isinstance(env, type) else type(env).__name__
-        raise OptionError(f"env must be made by handover_marl.parallel_env() or be a wrapper of it, got {got}")
+    raise OptionError(
+        f"env must be made by handover_marl.parallel_env() or a pettingzoo.utils.BaseParallelWrapper of it, got {got}"
+    )
 
 
 class SingleAgentEnv(gymnasium.Env[Any, Any], EzPickle):

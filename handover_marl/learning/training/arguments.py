@@ -1,12 +1,15 @@
 """Arguments of the training scripts, as dataclasses that become command-line options."""
 
 import math
+import sys
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 from typing_extensions import Self
 
 from handover_marl.envs.config import EnvConfig
 from handover_marl.envs.own_rewards import set_discount
+from handover_marl.learning.encodings.choices import is_reference
 from handover_marl.learning.training.run_folder import select_training_scenes
 from handover_marl.learning.training.scene_arguments import SetupArgs
 from handover_marl.simulation.engines import MUJOCO
@@ -57,6 +60,12 @@ class TrainingArgs(SetupArgs):
     gae_lambda: float = 0.95
     initial_std: float = 0.4
 
+    def __post_init__(self) -> None:
+        # `module:name` may be in the working folder, which Python does not search when it runs a script.
+        folder = str(Path.cwd())
+        if folder not in sys.path and any(is_reference(value) for value in vars(self).values()):
+            sys.path.append(folder)
+
     @property
     def max_cycles(self) -> int:
         """Number of decisions after which training episodes are truncated."""
@@ -93,8 +102,8 @@ class PpoArgs(ResumableArgs):
     """Arguments of the scripts that train one agent with Stable-Baselines3's PPO.
 
     Attributes:
-        features: Name of the features that the learning agent observes.
-        actions: Name of the learning agent's action scheme.
+        features: Name of the features that the learning agent observes, or module:name of own ones.
+        actions: Name of the learning agent's action scheme, or module:name of an own one.
         envs: Number of environments simulated in parallel; 0 means 64 with mujoco, else 8.
     """
 
@@ -114,10 +123,10 @@ class PairArgs(TrainingArgs):
     """Arguments of the scripts that train giver and receiver together.
 
     Attributes:
-        giver_features: Name of the giver's features.
-        giver_actions: Name of the giver's action scheme.
-        receiver_features: Name of the receiver's features.
-        receiver_actions: Name of the receiver's action scheme.
+        giver_features: Name of the giver's features, or module:name of own ones.
+        giver_actions: Name of the giver's action scheme, or module:name of an own one.
+        receiver_features: Name of the receiver's features, or module:name of own ones.
+        receiver_actions: Name of the receiver's action scheme, or module:name of an own one.
         minibatch_size: Number of decisions per gradient step.
         clip_range: Largest deviation from 1 of the probability ratio in PPO's objective.
         smoke_test: Whether to run with the smallest sizes, to test that everything works.

@@ -1,4 +1,7 @@
-"""Training environments, with encoded observations and actions, on the training scenes."""
+"""Training environments, with encoded observations and actions, on the training scenes.
+
+Infos contain the sums of the reward terms over the episode, see `EpisodeReturns`.
+"""
 
 import functools
 from collections.abc import Callable
@@ -8,6 +11,7 @@ from handover_marl.envs.constructors import parallel_env
 from handover_marl.envs.vector.parallel_vector_env import ParallelVectorEnv
 from handover_marl.envs.vector.vector_env import HandoverVectorEnv, vector_env
 from handover_marl.envs.wrappers.encode import EncodedEnv, encode
+from handover_marl.envs.wrappers.episode_returns import EpisodeReturns
 from handover_marl.envs.wrappers.freeze import freeze
 from handover_marl.learning.training.arguments import PairArgs, PpoArgs
 
@@ -16,7 +20,7 @@ def make_pair_env(args: PairArgs) -> EncodedEnv:
     """Make the training environment in which giver and receiver learn together."""
     encodings = args.encodings.items()
     features, schemes = ({agent: names[part] for agent, names in encodings} for part in (0, 1))
-    return encode(parallel_env(args.make_env_config()), features, schemes)
+    return encode(EpisodeReturns(parallel_env(args.make_env_config())), features, schemes)
 
 
 def make_pair_vector_env(args: PairArgs) -> ParallelVectorEnv:
@@ -27,7 +31,15 @@ def make_pair_vector_env(args: PairArgs) -> ParallelVectorEnv:
     encodings = args.encodings.items()
     features, schemes = ({agent: names[part] for agent, names in encodings} for part in (0, 1))
     config = args.make_env_config()
-    return vector_env(args.envs, None, features=features, schemes=schemes, autoreset="same_step", config=config)
+    return vector_env(
+        args.envs,
+        None,
+        features=features,
+        schemes=schemes,
+        wrappers=[EpisodeReturns],
+        autoreset="same_step",
+        config=config,
+    )
 
 
 def make_frozen_env_factory(args: PpoArgs, agent: str, partner: str) -> Callable[[], EncodedEnv]:
@@ -57,6 +69,7 @@ def make_frozen_vector_env_factory(args: PpoArgs, agent: str, partner: str) -> C
         partner=partner,
         features=args.features,
         schemes=args.actions,
+        wrappers=[EpisodeReturns],
         autoreset="same_step",
         threads=1,
         config=args.make_env_config(),
@@ -64,4 +77,4 @@ def make_frozen_vector_env_factory(args: PpoArgs, agent: str, partner: str) -> C
 
 
 def _make_frozen_env(args: PpoArgs, agent: str, partner: str, config: EnvConfig) -> EncodedEnv:
-    return encode(freeze(parallel_env(config), agent, partner), args.features, args.actions)
+    return encode(freeze(EpisodeReturns(parallel_env(config)), agent, partner), args.features, args.actions)

@@ -108,7 +108,7 @@ def load_checkpoint(model: OnPolicyAlgorithm, path: Path) -> None:
 
 
 class EvaluationCallback(BaseCallback):
-    """Callback that evaluates the policy, writes a checkpoint, and stops when time is up.
+    """Callback that logs reward terms, evaluates the policy, writes checkpoints and stops when time is up.
 
     Evaluations happen between rollouts, so that a resumed run continues exactly.
 
@@ -128,7 +128,14 @@ class EvaluationCallback(BaseCallback):
             self.evaluate()
 
     def _on_step(self) -> bool:
+        for info, is_last in zip(self.locals["infos"], self.locals["dones"], strict=True):
+            if is_last:
+                self._run.rewards.add_episode(self._agent, info)
         return not self._run.is_out_of_time
+
+    def _on_rollout_end(self) -> None:
+        for name, mean in self._run.rewards.write_point(self.num_timesteps).items():
+            self.logger.record(f"rewards/{name}", mean)
 
     def _on_rollout_start(self) -> None:
         if self.num_timesteps >= self._next:

@@ -8,10 +8,12 @@ from pathlib import Path
 from handover_marl.datasets import open_dataset
 from handover_marl.evaluation.benchmark import evaluate_pair
 from handover_marl.evaluation.config import EvaluationConfig, ExecutionConfig
+from handover_marl.learning.encodings.choices import is_reference
 from handover_marl.learning.policy_files import write_policy
 from handover_marl.learning.policy_spec import DenseNetwork, PolicySpec
 from handover_marl.learning.training.arguments import PairArgs, PpoArgs
 from handover_marl.learning.training.learning_curve import CurvePoint
+from handover_marl.learning.training.reward_curve import RewardCurve
 from handover_marl.learning.training.run_folder import POLICY, RunFolder, describe_origin, select_scenes_evenly
 
 
@@ -28,6 +30,7 @@ class TrainingRun:
 
     Attributes:
         folder: Folder of the run.
+        rewards: Curve of the reward terms, `reward_terms.csv` in the folder.
     """
 
     def __init__(
@@ -40,6 +43,7 @@ class TrainingRun:
         self._args, self._encodings, self._partners = args, encodings, dict(partners or {})
         data = open_dataset(args.dataset, args.data_dir)
         self.folder = RunFolder(Path(args.out), args, getattr(args, "resume", None), data.name)
+        self.rewards = RewardCurve(self.folder.path / "reward_terms.csv", getattr(args, "resume", False))
         self._origin = describe_origin(script, args)
         val = select_scenes_evenly(data.list_scenes(args.setup, "val"), args.val_scenes)
         self._config = EvaluationConfig(args.setup, "val", val, args.dataset, args.data_dir, args.physics)
@@ -66,6 +70,11 @@ class TrainingRun:
     def get_policy_path(self, agent: str) -> Path:
         """Return the path of an agent's policy file."""
         return self.folder.path / (POLICY if len(self._encodings) == 1 else f"{agent}.npz")
+
+    def discard_points_after(self, steps: int) -> None:
+        """Discard evaluations and reward terms after a number of decisions; a resumed run repeats them."""
+        self.folder.discard_points_after(steps)
+        self.rewards.discard_points_after(steps)
 
     def is_evaluation_due(self, steps: int) -> bool:
         """Return whether an evaluation is due after a number of decisions.
@@ -101,7 +110,9 @@ class TrainingRun:
             write_policy(self.get_policy_path(agent), spec, network)
         policies = self._partners | {agent: f"learned:{self.get_policy_path(agent)}" for agent in networks}
         config = replace(self._config, **policies)  # type: ignore[arg-type]
-        report = evaluate_pair(config, execution=ExecutionConfig(progress=False))
+        # Own features and schemes were named by the caller, so they may be imported.
+        trust = any(is_reference(name) for names in self._encodings.values() for name in names)
+        report = evaluate_pair(config, execution=ExecutionConfig(progress=False, trust=trust))
         partner = ", ".join(self._partners.values()) or "each other"
         point = CurvePoint.from_report(report, steps, self.seconds, partner)
         self.folder.add(point)

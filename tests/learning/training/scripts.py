@@ -1,5 +1,6 @@
 """Import scripts of experiments/ as modules, and read the folders that they write."""
 
+import csv
 import importlib.util
 import sys
 from pathlib import Path
@@ -7,6 +8,8 @@ from types import ModuleType
 
 import pytest
 
+#: Built-in and own terms together.
+REWARDS = "tests.envs.own_rewards:SHAPED_AND_OWN"
 EXPERIMENTS = Path(__file__).parents[3] / "experiments"
 
 
@@ -20,6 +23,15 @@ def script(name: str, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     monkeypatch.setitem(sys.modules, name, module)
     spec.loader.exec_module(module)
     return module
+
+
+def reward_terms_of(folder: Path, agent: str) -> set[str]:
+    """Return the names of an agent's terms in the table of reward terms; the receiver's are not all 0."""
+    with (folder / "reward_terms.csv").open(newline="") as file:
+        rows = [row for row in csv.DictReader(file) if row["agent"] == agent]
+    assert agent == "giver" or any(float(row["mean"]) for row in rows)
+    assert all(int(row["episodes"]) > 0 for row in rows)
+    return {row["term"] for row in rows}
 
 
 def files(folder: Path) -> set[str]:

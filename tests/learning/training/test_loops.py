@@ -12,7 +12,7 @@ from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.errors import ResultsError
 from handover_marl.learning.policy_files import read_policy
 from handover_marl.learning.policy_spec import DenseNetwork
-from tests.learning.training.scripts import files, script, steps_of
+from tests.learning.training.scripts import REWARDS, files, reward_terms_of, script, steps_of
 
 pytest.importorskip("torch", reason="needs an extra with PyTorch")
 pytest.importorskip("mujoco", reason="needs the extra `mujoco`")
@@ -23,7 +23,9 @@ SCRIPTS = {
     "train_both_benchmarl": "benchmarl",
     "train_both_tianshou": "tianshou",
 }
-MADE = {"arguments.json", "giver.npz", "receiver.npz", "learning_curve.csv", "learning_curve.png"}
+MADE = {
+    *("arguments.json", "giver.npz", "receiver.npz", "learning_curve.csv", "learning_curve.png", "reward_terms.csv")
+}
 
 
 def module(name: str, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
@@ -42,8 +44,10 @@ def test_training_writes_policies_that_run(name: str, tmp_path: Path, monkeypatc
         return evaluate(run, steps, networks)
 
     monkeypatch.setattr(train.TrainingRun, "evaluate", record)
-    args = train.Args(dataset="synthetic", smoke_test=True, out=str(tmp_path / "run"))
+    args = train.Args(dataset="synthetic", smoke_test=True, out=str(tmp_path / "run"), rewards=REWARDS)
     run = train.main(args)
+    assert reward_terms_of(tmp_path / "run", "receiver") >= {"task", "distance", "approach"}
+    assert reward_terms_of(tmp_path / "run", "giver") >= {"task", "effort"}
     assert run.folder.path == tmp_path / "run"
     assert files(tmp_path / "run") >= MADE
     assert steps_of(tmp_path / "run") == ["steps", "0", "32"]

@@ -10,16 +10,18 @@ import pytest
 from handover_marl import benchmark, givers, receivers
 from handover_marl.datasets import DATA_DIR_VARIABLE
 from handover_marl.datasets.synthetic import SyntheticDataset
+from handover_marl.envs.rewards import SHAPED
 from handover_marl.errors import ResultsError
 from handover_marl.learning.imitation.vision.grasp_labels import GraspLabelConfig
 from handover_marl.learning.imitation.vision.view_files import ViewDatasetConfig, generate_views
 from handover_marl.learning.networks.grasp_network import GraspNetwork, GraspNetworkConfig
 from handover_marl.learning.networks.weights import write_network_weights
 from handover_marl.learning.training.run_folder import RunFolder, select_held_out_scenes
+from handover_marl.policies.reference import parse_policy
 from handover_marl.receivers.reactive.config import ReactiveConfig
 from handover_marl.receivers.reactive.grasps import GraspPreparationConfig
 from tests.learning.training.evil import Evil
-from tests.learning.training.scripts import files, script, steps_of
+from tests.learning.training.scripts import REWARDS, files, reward_terms_of, script, steps_of
 
 pytest.importorskip("stable_baselines3", reason="needs the extra `train`")
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning", "ignore::DeprecationWarning")
@@ -75,11 +77,14 @@ def test_train_receiver(physics: str, tmp_path: Path, monkeypatch: pytest.Monkey
     if physics == "mujoco":
         pytest.importorskip("mujoco", reason="needs the extra `mujoco`")
     train = script("train_receiver_sb3", monkeypatch)
-    args = {**RECEIVER, "out": str(tmp_path / "run"), "physics": physics}
+    own = "tests.learning.encodings.own"
+    args = {**RECEIVER, "out": str(tmp_path / "run"), "physics": physics, "rewards": REWARDS, "time_limit": 0.6}
+    args |= {"features": f"{own}:OffsetAndCount", "actions": f"{own}:FirstJoint"}
     train.main(train.Args(**args, steps=16))
     assert files(tmp_path / "run") >= MADE
+    assert reward_terms_of(tmp_path / "run", "receiver") == {*vars(SHAPED.receiver), "approach"}
     train.main(train.Args(**args, steps=24, resume=True))
-    receivers.make(f"learned:{tmp_path / 'run' / 'policy.npz'}", SyntheticDataset())
+    parse_policy("receiver", f"learned:{tmp_path / 'run' / 'policy.npz'}", trust=True).make(SyntheticDataset())
 
 
 def test_train_both(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -95,8 +100,11 @@ def test_train_both(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         "val_scenes": 2,
         "time_limit": 1.5,
         "epochs": 1,
+        "rewards": REWARDS,
     }
     train.main(train.Args(**args, steps=20))
+    assert reward_terms_of(tmp_path / "run", "receiver") == {*vars(SHAPED.receiver), "approach"}
+    assert reward_terms_of(tmp_path / "run", "giver") == set(vars(SHAPED.giver))
     assert (MADE | {"giver.npz", "receiver.npz"}) - {"policy.npz"} <= files(tmp_path / "run")
     train.main(train.Args(**args, steps=40, resume=True))
     assert steps_of(tmp_path / "run") == ["steps", "0", "20", "40"]

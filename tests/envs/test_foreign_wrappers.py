@@ -1,0 +1,169 @@
+"""PettingZoo's own kind of wrapper inside and outside of this library's wrappers."""
+
+import pickle
+from collections.abc import Callable
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from pettingzoo.test import parallel_api_test
+from pettingzoo.utils.wrappers import BaseParallelWrapper
+
+import handover_marl
+from handover_marl.envs.handover_env import HandoverEnv
+from handover_marl.envs.vector.vector_env import HandoverVectorEnv
+from handover_marl.envs.wrappers.episode_returns import EpisodeReturns
+from handover_marl.errors import OptionError
+from tests.envs.own_rewards import approach
+
+OPTIONS: dict[str, Any] = {"dataset": "synthetic", "physics": "fast", "split": "val", "max_cycles": 6}
+pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
+
+
+class Cost(BaseParallelWrapper):
+    """A wrapper that knows nothing of this library: keyword arguments only, a cost, a shifted observation."""
+
+    metadata = {"name": "cost"}
+
+    def reset(self, *, seed: int | None = None, options: Any = None) -> Any:
+        observations, infos = self.env.reset(seed=seed, options=options)
+        return self._shift(observations), infos
+
+    def step(self, actions: Any) -> Any:
+        observations, rewards, *rest = self.env.step(actions)
+        return self._shift(observations), {agent: reward - 1.0 for agent, reward in rewards.items()}, *rest
+
+    def _shift(self, observations: Any) -> Any:
+        receiver = observations["receiver"]
+        shifted = {**receiver, "gripper_pose": receiver["gripper_pose"] + np.float32([1, 0, 0, 0, 0, 0, 0])}
+        return {**observations, "receiver": shifted}
+
+
+def make() -> HandoverEnv:
+    return handover_marl.parallel_env(**OPTIONS)
+
+
+@pytest.mark.parametrize(
+    "wrap",
+    [
+        Cost,
+        lambda env: handover_marl.flatten(Cost(env)),
+        lambda env: handover_marl.encode(Cost(env)),
+        lambda env: handover_marl.homogeneous(Cost(env)),
+        lambda env: Cost(handover_marl.freeze(BaseParallelWrapper(env), "receiver", "replay")),
+        lambda env: handover_marl.encode(Cost(handover_marl.freeze(Cost(env), "receiver", "replay"))),
+        lambda env: handover_marl.encode(EpisodeReturns(Cost(env))),
+    ],
+    ids=["alone", "flatten", "encode", "homogeneous", "freeze", "twice", "returns"],
+)
+def test_wrappers_of_any_origin_can_be_mixed(wrap: Callable[[Any], Any]) -> None:
+    env = wrap(make())
+    parallel_api_test(env, num_cycles=8)
+    env.reset(seed=0)
+    actions = {agent: env.action_space(agent).sample() for agent in env.agents}
+    _, rewards, *_ = env.step(actions)
+    assert set(rewards.values()) <= {-1.0, -2.0}
+    copy = pickle.loads(pickle.dumps(env))
+    assert copy.possible_agents == env.possible_agents
+    env.close()
+
+
+def test_a_wrapper_changes_what_the_learner_gets_and_not_the_partner() -> None:
+    plain = handover_marl.freeze(make(), "receiver", "cooperative")
+    shifted = handover_marl.freeze(Cost(make()), "receiver", "cooperative")
+    for env in (plain, shifted):
+        env.reset(seed=3)
+    action = {"receiver": np.zeros(9, np.float32)}
+    for _ in range(6):
+        one, other = plain.step(action), shifted.step(action)
+        np.testing.assert_array_equal(
+            one[0]["receiver"]["gripper_pose"] + np.float32([1, 0, 0, 0, 0, 0, 0]), other[0]["receiver"]["gripper_pose"]
+        )
+        np.testing.assert_array_equal(one[0]["receiver"]["object_poses"], other[0]["receiver"]["object_poses"])
+        assert other[1]["receiver"] == one[1]["receiver"] - 1.0
+
+
+def test_other_environments_are_refused() -> None:
+    class Other(BaseParallelWrapper):
+        unwrapped = None
+
+    for wrong in (Other(make()), make(), HandoverEnv, "env", None):
+        if isinstance(wrong, HandoverEnv):
+            handover_marl.flatten(wrong)
+            continue
+        with pytest.raises(OptionError, match=r"env must be made by handover_marl.parallel_env\(\) or a pettingzoo"):
+            handover_marl.flatten(wrong)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("physics", ["fast", "mujoco"])
+@pytest.mark.parametrize("agent", ["receiver", None])
+def test_vector_environments_are_wrapped(physics: str, agent: str | None) -> None:
+    pytest.importorskip("mujoco", reason="needs the extra `mujoco`")
+    options = {**OPTIONS, "physics": physics}
+    envs = handover_marl.vector_env(2, agent, wrappers=[Cost, EpisodeReturns], threads=1, **options)
+    alone = EpisodeReturns(Cost(handover_marl.parallel_env(**options)))
+    observations, _ = envs.reset(seed=4)
+    expected, _ = alone.reset(seed=5)
+    still = {"giver": np.zeros((2, 8), np.float32), "receiver": np.zeros((2, 9), np.float32)}
+    for _ in range(6):
+        own = observations if agent else observations["receiver"]
+        for key, value in expected["receiver"].items():
+            np.testing.assert_array_equal(own[key][1], value)
+        observations, rewards, _, _, infos = envs.step(still["receiver"] if agent else still)
+        expected, expected_rewards, _, _, expected_infos = alone.step({key: value[1] for key, value in still.items()})
+        own_rewards, own_infos = (rewards, infos) if agent else (rewards["receiver"], infos["receiver"])
+        assert own_rewards[1] == expected_rewards["receiver"] == -1.0
+        assert own_infos["return"][1] == expected_infos["receiver"]["return"]
+    envs.close()
+
+
+@pytest.mark.parametrize(
+    ("wrappers", "message"),
+    [
+        ([5], "wrappers must be functions or classes that wrap an environment, got 5"),
+        (Cost, "wrappers must be a list of functions or classes"),
+        ("Cost", "wrappers must be a list of functions or classes"),
+        ([lambda env: None], "env must be made by"),
+        ([lambda env: make()], "wrappers must wrap the environment that they get"),
+    ],
+)
+def test_wrong_wrappers_are_refused(wrappers: Any, message: str) -> None:
+    with pytest.raises(OptionError, match=message):
+        handover_marl.vector_env(1, wrappers=wrappers, **OPTIONS)
+
+
+def test_returns_are_the_sums_of_the_terms() -> None:
+    env = EpisodeReturns(handover_marl.parallel_env(**OPTIONS, rewards=approach))
+    for _ in range(2):
+        _, infos = env.reset(seed=0)
+        assert (infos["receiver"]["return/approach"], infos["giver"]["return"]) == (0.0, 0.0)
+        total = 0.0
+        while env.agents:
+            moved = np.full(9, 0.1, np.float32)
+            _, rewards, _, _, infos = env.step({"giver": np.zeros(8), "receiver": moved})
+            total += rewards["receiver"]
+            assert infos["receiver"]["return/approach"] == infos["receiver"]["return"] == total != 0.0
+            assert infos["receiver"]["reward/approach"] == rewards["receiver"]
+    env.close()
+
+
+def test_make_vec_uses_the_vector_environment() -> None:
+    pytest.importorskip("mujoco", reason="needs the extra `mujoco`")
+    options = {**OPTIONS, "partner": "replay", "rewards": approach}
+    envs = gymnasium.make_vec("HandoverMARL/Receiver-v0", 2, **options)
+    assert isinstance(envs, HandoverVectorEnv)
+    assert envs.spec is not None
+    singles = gymnasium.make_vec("HandoverMARL/Receiver-v0", 2, vectorization_mode="sync", **options)
+    for vector in (envs, singles):
+        vector.reset(seed=1)
+    for _ in range(7):
+        one, other = (vector.step(np.full((2, 9), 0.1, np.float32)) for vector in (envs, singles))
+        for key in one[0]:
+            np.testing.assert_array_equal(one[0][key], other[0][key])
+        np.testing.assert_array_equal(one[1], other[1])
+    for vector in (envs, singles):
+        vector.close()
+    giver = gymnasium.make_vec("HandoverMARL/Giver-v0", 1, features="giver", schemes="offer", partner="hold", **OPTIONS)
+    assert giver.single_action_space.shape == (7,)
+    giver.close()

@@ -1,0 +1,203 @@
+"""The described columns are what built-in features and action schemes compute."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from gymnasium import spaces
+from scipy.spatial.transform import Rotation
+
+from handover_marl.datasets.synthetic import SyntheticDataset
+from handover_marl.episode.observations import giver_observation_space, observation_space
+from handover_marl.geometry.panda import LOWER_LIMITS, UPPER_LIMITS
+from handover_marl.learning.encodings.columns import FEATURE_COLUMNS, SCHEME_COLUMNS, locate_columns
+from handover_marl.learning.features import available_features, handover_frame, make_features
+from handover_marl.learning.schemes import available_schemes, make_scheme
+from handover_marl.receivers import make_policy_context
+from handover_marl.receivers.grasp_library import get_nearest_grasp_selector
+
+CONTEXT = make_policy_context(SyntheticDataset())
+AGENTS = ("giver", "receiver")
+#: A sample from the observation space with proper rotations, joints and flags.
+_RNG = np.random.default_rng(1)
+
+
+def _pose(*position: float) -> np.ndarray:
+    return np.array([*position, *Rotation.random(random_state=_RNG).as_quat()], dtype=np.float32)
+
+
+def sample() -> dict[str, Any]:
+    space: spaces.Dict = giver_observation_space()
+    observation = {key: part.sample() for key, part in space.items()}
+    observation |= {
+        "gripper_pose": _pose(0.5, -0.3, 1.3),
+        "object_poses": np.stack([_pose(0.6, 0.2, 1.2) for _ in range(5)]),
+        "replay_object_poses": np.stack([_pose(0.55, 0.15, 1.25) for _ in range(5)]),
+        "replay_wrist_poses": np.stack([_pose(0.6, 0.3, 1.3) for _ in range(5)]),
+        "hand_keypoints": _RNG.normal([0.6, 0.3, 1.2], 0.05, (16, 3)).astype(np.float32),
+        "hand_present": np.float32([1.0]),
+        "object_classes": np.float32([5, 0, 0, 0, 0]),
+        "released": np.float32([1.0]),
+        "time": np.float32([2.6]),
+        "robot_joint_position": _RNG.uniform(LOWER_LIMITS, UPPER_LIMITS).astype(np.float32),
+    }
+    return observation
+
+
+OBSERVATION = sample()
+
+
+def in_gripper(point: Any) -> np.ndarray:
+    gripper = OBSERVATION["gripper_pose"]
+    return Rotation.from_quat(gripper[3:]).inv().apply(np.asarray(point) - gripper[:3])
+
+
+def in_handover_frame(vector: Any) -> np.ndarray:
+    return handover_frame(OBSERVATION)[1].T @ vector
+
+
+def grasp() -> np.ndarray:
+    found = get_nearest_grasp_selector(CONTEXT).select(OBSERVATION)
+    assert found is not None
+    return found[0]
+
+
+def orientation(matrix: Any) -> np.ndarray:
+    return np.asarray(matrix)[:, :2].ravel()
+
+
+def rotation_of(pose: Any) -> Rotation:
+    return Rotation.from_quat(pose[3:])
+
+
+def fingers_in_future() -> np.ndarray:
+    now, future = OBSERVATION["object_poses"][0], OBSERVATION["replay_object_poses"][-1]
+    local = rotation_of(now).inv().apply(OBSERVATION["hand_keypoints"][1:].mean(axis=0) - now[:3])
+    return rotation_of(future).apply(local)
+
+
+GRIPPER, FUTURE = OBSERVATION["gripper_pose"], OBSERVATION["replay_object_poses"][-1]
+GOAL = np.array(CONTEXT.protocol.goal_center)
+#: Quantities by the name of the column, computed from the observation anew.
+QUANTITIES: dict[str, Callable[[], Any]] = {
+    "object, from the gripper": lambda: in_gripper(OBSERVATION["object_poses"][0, :3]),
+    "person's wrist, from the gripper; zeros without a hand": lambda: in_gripper(OBSERVATION["hand_keypoints"][0]),
+    "mean of the person's finger joints, from the gripper": lambda: in_gripper(
+        OBSERVATION["hand_keypoints"][1:].mean(axis=0)
+    ),
+    "goal, from the gripper": lambda: in_gripper(GOAL),
+    "orientation of the object": lambda: orientation(
+        (rotation_of(GRIPPER).inv() * rotation_of(OBSERVATION["object_poses"][0])).as_matrix()
+    ),
+    "vertical of the world": lambda: rotation_of(GRIPPER).inv().apply([0.0, 0.0, 1.0]),
+    "finger joints of the robot": lambda: OBSERVATION["robot_joint_position"][7:],
+    "velocities of the finger joints": lambda: OBSERVATION["robot_joint_velocity"][7:],
+    "arm joints of the robot": lambda: OBSERVATION["robot_joint_position"][:7],
+    "released": lambda: [1.0],
+    "time": lambda: [2.6 / 13.0],
+    "hand present": lambda: [1.0],
+    "YCB class of the object": lambda: np.eye(21)[4],
+    "grasp, from the gripper; zeros without a grasp": lambda: in_gripper(grasp()[:3]),
+    "rotation vector to the grasp; zeros without a grasp": lambda: (
+        rotation_of(GRIPPER).inv() * rotation_of(grasp())
+    ).as_rotvec(),
+    "distance of the person's hand from the gripper at the grasp": lambda: [
+        get_nearest_grasp_selector(CONTEXT).select(OBSERVATION)[1]  # type: ignore[index]
+    ],
+    "grasp exists": lambda: [1.0],
+    "distance to the grasp": lambda: [np.linalg.norm(grasp()[:3] - GRIPPER[:3])],
+    "angle to the grasp": lambda: [(rotation_of(GRIPPER).inv() * rotation_of(grasp())).magnitude()],
+    "horizontal distance of the gripper from the object in 0.5 s": lambda: [np.linalg.norm((GRIPPER - FUTURE)[:2])],
+    "height of the gripper above the object in 0.5 s": lambda: [GRIPPER[2] - FUTURE[2]],
+    "object in 0.5 s, from the goal": lambda: FUTURE[:3] - GOAL,
+    "person's wrist in 0.5 s, from the object": lambda: in_handover_frame(
+        OBSERVATION["replay_wrist_poses"][-1, :3] - FUTURE[:3]
+    ),
+    "mean of the finger joints in 0.5 s, from the object": lambda: in_handover_frame(fingers_in_future()),
+    "orientation of the object in 0.5 s": lambda: orientation(
+        handover_frame(OBSERVATION)[1].T @ rotation_of(FUTURE).as_matrix()
+    ),
+}
+
+
+def described_value(text: str, quantity: Any) -> np.ndarray:
+    """Evaluate the value of a column, such as "10 q - 5", for a quantity q."""
+    formula = text.partition(";")[0]
+    if "q" not in formula.replace("row by row", ""):
+        return np.asarray(quantity)  # a flag, described in words
+    for factor in ("5", "10", "50"):
+        formula = formula.replace(f"{factor} q", f"{factor} * q")
+    values: np.ndarray = eval(formula, {"q": np.asarray(quantity, dtype=float), "exp": np.exp})
+    return values
+
+
+@pytest.mark.parametrize("agent", AGENTS)
+def test_every_feature_and_scheme_is_described(agent: str) -> None:
+    assert set(FEATURE_COLUMNS[agent]) == set(available_features(agent))
+    assert set(SCHEME_COLUMNS[agent]) == set(available_schemes(agent))
+    for name, columns in FEATURE_COLUMNS[agent].items():
+        assert sum(column.size for column in columns) == make_features(agent, name, CONTEXT).size, name
+    for name, columns in SCHEME_COLUMNS[agent].items():
+        assert sum(column.size for column in columns) == make_scheme(agent, name, CONTEXT).size, name
+
+
+@pytest.mark.parametrize(
+    ("agent", "name"), [("giver", "giver"), *(("receiver", n) for n in ("receiver", "grasp", "close"))]
+)
+def test_features_have_the_described_values(agent: str, name: str) -> None:
+    features = make_features(agent, name, CONTEXT)(OBSERVATION)
+    for place, column in locate_columns(FEATURE_COLUMNS[agent][name]):
+        expected = described_value(column.value, QUANTITIES[column.name]())
+        np.testing.assert_allclose(features[place], expected, atol=1e-4, err_msg=column.name)
+
+
+@pytest.mark.parametrize("agent", AGENTS)
+def test_flat_features_are_the_named_entries(agent: str) -> None:
+    features = make_features(agent, f"flat_{agent}", CONTEXT)(OBSERVATION if agent == "giver" else _state())
+    for place, column in locate_columns(FEATURE_COLUMNS[agent][f"flat_{agent}"]):
+        np.testing.assert_array_equal(features[place], OBSERVATION[column.name.strip("`")].ravel())
+
+
+def _state() -> dict[str, Any]:
+    return {key: OBSERVATION[key] for key in observation_space()}
+
+
+def described_scale(text: str) -> list[float]:
+    """Return the numbers before "at 1" in the value of a column, such as "0.01, 0.01 and 0.03 at 1"."""
+    return [float(number) for number in text.partition(" at 1")[0].replace(" and", ",").split(",")]
+
+
+def test_schemes_of_givers_have_the_described_scales() -> None:
+    deviation = make_scheme("giver", "deviation", CONTEXT)
+    deviation.set_outputs(np.ones(8))
+    action = deviation.compute_action(OBSERVATION)
+    for place, column in list(locate_columns(SCHEME_COLUMNS["giver"]["deviation"]))[:3]:
+        np.testing.assert_allclose(action[place], described_scale(column.value)[0], rtol=1e-6)
+    offer: Any = make_scheme("giver", "offer", CONTEXT)
+    scales = [described_scale(column.value)[0] for column in SCHEME_COLUMNS["giver"]["offer"]]
+    assert scales == [offer.max_shift, offer.turn, offer.withdraw]
+
+
+def test_schemes_of_receivers_have_the_described_scales() -> None:
+    columns = SCHEME_COLUMNS["receiver"]
+    delta: Any = make_scheme("receiver", "joint_delta", CONTEXT)
+    centered = {**OBSERVATION, "robot_joint_position": np.float32((np.array(LOWER_LIMITS) + UPPER_LIMITS) / 2)}
+    delta.set_outputs(np.ones(8))
+    moved = delta.compute_action(centered)
+    np.testing.assert_allclose(
+        moved[:7] - centered["robot_joint_position"][:7], described_scale(columns["joint_delta"][0].value)[0], rtol=1e-5
+    )
+    np.testing.assert_array_equal(moved[7:], 0.0)
+    cartesian: Any = make_scheme("receiver", "cartesian_delta", CONTEXT)
+    servo: Any = make_scheme("receiver", "grasp_servo", CONTEXT)
+    assert [described_scale(column.value) for column in columns["cartesian_delta"][:2]] == [
+        [cartesian.step],
+        [cartesian.turn],
+    ]
+    assert [described_scale(column.value) for column in columns["grasp_servo"][:2]] == [list(servo.shift), [servo.tilt]]
+    assert f"above {servo.close_threshold:g}" in columns["grasp_servo"][2].value
+    joints = make_scheme("receiver", "joints", CONTEXT)
+    for value, limits in ((-1.0, LOWER_LIMITS), (1.0, UPPER_LIMITS)):
+        joints.set_outputs(np.full(9, value))
+        np.testing.assert_allclose(joints.compute_action(OBSERVATION), limits, rtol=1e-6)
