@@ -1,8 +1,10 @@
 """Compare generated scenes with DexYCB: Kolmogorov-Smirnov distances over 1,000 scenes each.
 
     python experiments/analysis/compare_distributions.py --data-dir DIR
+    python experiments/analysis/compare_distributions.py --data-dir DIR --datasets generated:n=1000,seed=7
 
-Without a data folder only the synthetic figures are printed.
+Without a data folder only the figures of the generated scenes are printed. The first 1,000 scenes of
+a larger data set are used. The aim holds for the synthetic scenes.
 """
 
 import os
@@ -48,31 +50,44 @@ QUANTITIES = {
 
 @dataclass(frozen=True)
 class Args:
-    """Options of the comparison of synthetic scenes with DexYCB.
+    """Options of the comparison of generated scenes with DexYCB.
 
     Attributes:
+        datasets: Names of the data sets that are compared with DexYCB.
         data_dir: Folder in HandoverSim's layout; default: environment variable HANDOVER_MARL_DATA.
         stride: Use every n-th scene of both data sets.
     """
 
+    datasets: tuple[str, ...] = ("synthetic",)
     data_dir: str | None = None
     stride: int = 1
 
 
 def main(args: Args) -> None:
     scenes = range(0, N_SCENES, args.stride)
-    synthetic = measure_scenes(open_dataset("synthetic"), scenes)
     folder = args.data_dir or os.environ.get(DATA_DIR_VARIABLE)
     real = measure_scenes(open_dataset("dexycb", folder), scenes) if folder else None
+    for name in args.datasets:
+        print_comparison(name, measure_scenes(open_dataset(name), scenes), real)
+
+
+def print_comparison(dataset: str, values: Array, real: Array | None) -> None:
+    """Print a table of the quartiles of `QUANTITIES` and of the distances to DexYCB.
+
+    Args:
+        dataset: Name of the generated data set.
+        values: (n, q) values in its scenes.
+        real: (m, q) values in the scenes of DexYCB, or None.
+    """
     rows = []
     for column, (name, aimed_at) in enumerate(QUANTITIES.items()):
-        row = [name, format_quartiles(synthetic[:, column])]
+        row = [name, format_quartiles(values[:, column])]
         if real is not None:
-            distance = ks_2samp(real[:, column], synthetic[:, column]).statistic
+            distance = ks_2samp(real[:, column], values[:, column]).statistic
             row += [format_quartiles(real[:, column]), f"{distance:.3f}", "at most 0.100" if aimed_at else "-"]
         rows.append(row)
-    header = ["quantity", "synthetic: quartiles", "DexYCB: quartiles", "KS distance", "aim"]
-    print(f"{len(scenes)} synthetic scenes" + ("" if real is None else f", {len(scenes)} of DexYCB") + ".\n")
+    header = ["quantity", f"{dataset}: quartiles", "DexYCB: quartiles", "KS distance", "aim"]
+    print(f"\n{len(values)} scenes of {dataset}" + ("" if real is None else f", {len(real)} of DexYCB") + ".\n")
     print(tabulate(rows, headers=header[: len(rows[0])], tablefmt="github", disable_numparse=True))
 
 

@@ -152,6 +152,11 @@ class Dataset(ABC):
         return dict(CLASS_NAMES)
 
     @property
+    def quick_validation(self) -> bool:
+        """Whether there are too many object classes to validate the grasps of each thoroughly."""
+        return False
+
+    @property
     @abstractmethod
     def panda_urdf(self) -> Path:
         """Path of the robot's URDF; raises `DataNotFoundError` if the file is missing."""

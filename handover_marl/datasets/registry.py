@@ -49,6 +49,14 @@ def _open_synthetic(argument: str, data_dir: str | None, robot: str) -> Dataset:
     return SyntheticDataset(robot)
 
 
+def _open_generated(argument: str, data_dir: str | None, robot: str) -> Dataset:
+    if data_dir is not None:
+        raise OptionError(f"generated scenes need no data folder, but data_dir is {data_dir}; leave one of them out")
+    from handover_marl.datasets.generated.dataset import GeneratedDataset
+
+    return GeneratedDataset(argument, robot)
+
+
 def _open_dexycb(argument: str, data_dir: str | None, robot: str) -> Dataset:
     chosen = data_dir or os.environ.get(DATA_DIR_VARIABLE)
     if not chosen:
@@ -71,6 +79,13 @@ KINDS: Mapping[str, DatasetKind] = MappingProxyType(
             usage="synthetic",
             open_dataset=_open_synthetic,
             note="Synthetic scenes are generated: not comparable with published results, which are on DexYCB.",
+        ),
+        "generated": DatasetKind(
+            title="generated scenes",
+            usage="generated:n=1000,seed=0",
+            open_dataset=_open_generated,
+            takes_argument=True,
+            note="Generated scenes are not comparable with published results, which are on DexYCB.",
         ),
         "dexycb": DatasetKind(title="DexYCB", usage="dexycb", open_dataset=_open_dexycb),
     }

@@ -40,6 +40,8 @@ class PolicyContext:
             setup of other data.
         object_names: Class name of each class number in observations (`object_classes`), e.g.
             `context.object_names[14]` is "025_mug".
+        quick_validation: Whether grasps of objects without a stored validation are validated with few
+            simulations, as `Dataset.quick_validation` says.
     """
 
     panda_urdf: Path
@@ -48,6 +50,7 @@ class PolicyContext:
     config: WorldConfig = OFFICIAL_CONFIG
     setup: str = "s0"
     object_names: Mapping[int, str] = field(default_factory=lambda: dict(CLASS_NAMES), hash=False, repr=False)
+    quick_validation: bool = False
 
     @property
     def panda(self) -> PandaConfig:
@@ -77,6 +80,7 @@ def make_policy_context(
         config,
         dataset.resolve_setup(setup),
         dataset.object_names,
+        dataset.quick_validation,
     )
 
 

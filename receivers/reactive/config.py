@@ -6,7 +6,7 @@ from handover_marl.errors import OptionError
 from handover_marl.planning.arm_control import ServoConfig
 from handover_marl.planning.collision_avoidance import SeparationConfig
 from handover_marl.planning.handover_prediction import HandoverPosePredictorConfig
-from handover_marl.receivers.reactive.grasps import GraspOffsets, GraspPreparationConfig
+from handover_marl.receivers.reactive.grasps import GraspOffsets, GraspPreparationConfig, make_quick_preparation_config
 
 
 @dataclass(frozen=True)
@@ -250,6 +250,8 @@ class ReactiveConfig:
         selection: Configuration of grasp selection.
         offsets: Offsets of additional copies of grasps.
         preparation: Configuration of tilted copies and of the validation of known grasps.
+        quick_preparation: Configuration used instead for objects without a stored validation in data
+            sets with very many objects.
         approach: Configuration of the approach and of closing the fingers.
         retreat: Configuration of the retreat to the goal.
         separation: Minimum clearances to the person, the object and the table.
@@ -277,6 +279,7 @@ class ReactiveConfig:
     selection: GraspSelectorConfig = GraspSelectorConfig()
     offsets: GraspOffsets = field(default_factory=GraspOffsets)
     preparation: GraspPreparationConfig = field(default_factory=GraspPreparationConfig)
+    quick_preparation: GraspPreparationConfig = field(default_factory=make_quick_preparation_config)
     approach: ApproachConfig = ApproachConfig()
     retreat: RetreatConfig = RetreatConfig()
     separation: SeparationConfig = field(default_factory=SeparationConfig)

@@ -16,7 +16,7 @@ from handover_marl.planning.clearance import Spheres, compute_flange_clearances,
 from handover_marl.policies.policy import PolicyContext
 from handover_marl.receivers.grasp_library import GraspLibrary
 from handover_marl.receivers.reactive.config import GraspSelectorConfig, ReactiveConfig
-from handover_marl.receivers.reactive.grasp_validation import validate_grasps
+from handover_marl.receivers.reactive.grasp_validation import has_validation_record, validate_grasps
 from handover_marl.receivers.reactive.grasps import ValidatedGrasps, perturb_grasps
 
 Array = npt.NDArray[np.float64]
@@ -69,7 +69,10 @@ def load_graspable_object(
         ValidatedGrasps(np.zeros((0, 7)), np.zeros(0)) if known is None else ValidatedGrasps(known, np.ones(len(known)))
     )
     if known is not None and validated:
-        grasps = validate_grasps(urdf, context.panda_urdf, known, config.preparation)
+        preparation = config.preparation
+        if context.quick_validation and not has_validation_record(urdf, context.panda_urdf, known, preparation):
+            preparation = config.quick_preparation
+        grasps = validate_grasps(urdf, context.panda_urdf, known, preparation)
     vertices, faces = read_collision_mesh(urdf)
     surface = sample_surface_spheres(vertices, faces, config.n_surface_spheres, config.surface_radius)
     points = sample_surface_points(vertices, faces, config.n_surface_points)

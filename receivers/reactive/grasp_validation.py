@@ -84,6 +84,12 @@ def get_validation_record(
     return _load_or_make(path, known, config, lambda: _release_grasps(object_urdf, panda_urdf, shaken, known, config))
 
 
+def has_validation_record(object_urdf: Path, panda_urdf: Path, known: Array, config: GraspPreparationConfig) -> bool:
+    """Return whether the validation of an object's grasps ships or is in the cache; see `validate_grasps`."""
+    path = get_validation_record_path(object_urdf, panda_urdf, known, config)
+    return path.exists() or load_validation_record(path.stem) is not None
+
+
 def get_validation_record_path(
     object_urdf: Path, panda_urdf: Path, known: Array, config: GraspPreparationConfig
 ) -> Path:

@@ -70,6 +70,14 @@ class GraspPreparationConfig:
     )
 
 
+def make_quick_preparation_config() -> GraspPreparationConfig:
+    """Return the configuration of a validation with few simulations: one for shaking and one for the release.
+
+    It takes a few seconds for each object, and does not vary the place of the gripper.
+    """
+    return GraspPreparationConfig(tilts=(-0.5, 0.5), max_copies=30, lateral_offsets=(), release_offsets=())
+
+
 @dataclass(frozen=True, eq=False)
 class ValidatedGrasps:
     """Grasps of an object with the outcome of their validation in simulation.

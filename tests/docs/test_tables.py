@@ -15,6 +15,7 @@ from gymnasium import spaces
 import handover_marl
 from experiments import make_results
 from handover_marl.config import OFFICIAL_CONFIG
+from handover_marl.datasets.generated.config import FAMILY_DEFAULTS
 from handover_marl.envs import reward_terms
 from handover_marl.envs.config import EnvConfig
 from handover_marl.envs.rewards import SHAPED, SPARSE
@@ -53,6 +54,7 @@ CHECKED = {
         for agent, named in table.items()
         for name in named
     },
+    "docs/reference/generated_scenes.md": {"generated scenes"},
     "docs/reference/rewards.md": {"reward terms"},
     "docs/reference/rules_and_metrics.md": {
         "rules",
@@ -64,6 +66,13 @@ CHECKED = {
     },
 }
 CAMERA_DATA = ("pointcloud", "full_pointcloud", "rgbd")
+
+
+def test_parameters_of_generated_scenes() -> None:
+    rows = checked_table(REPOSITORY / "docs" / "reference" / "generated_scenes.md", "generated scenes")
+    for column, family in ((1, "default"), (2, "hard")):
+        documented = {bare(row[0]): row[column] for row in rows}
+        assert documented == {name: str(value) for name, value in asdict(FAMILY_DEFAULTS[family]).items()}
 
 
 def bare(cell: str) -> str:

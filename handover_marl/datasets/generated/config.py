@@ -1,0 +1,146 @@
+"""Configuration of generated scenes, and the data set's name that describes it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from types import MappingProxyType
+from typing import Any, Final
+
+from handover_marl.config import MAX_OBJECTS
+from handover_marl.errors import OptionError, check_name
+
+#: First word of the name of generated data sets.
+GENERATED: Final = "generated"
+DEFAULT, HARD = "default", "hard"
+#: Families of scenes. "default" continues the synthetic scenes; "hard" has long, rotating motions,
+#: objects of its own, offers at the edge of the robot's reach and cluttered tables.
+FAMILIES: Final = (DEFAULT, HARD)
+#: Kinds of procedural objects.
+OBJECT_KINDS: Final = ("boxes", "cylinders", "bottles", "tools", "superquadrics")
+
+#: Largest seed, number of scenes, and number of objects or people: seeds are 32-bit words, and class
+#: numbers are exact in float32 observations.
+MAX_SEED, MAX_SCENES, MAX_POOL = 2**32 - 1, 100_000_000, 1_000_000
+
+
+def _check_number(name: str, value: float, low: float, high: float) -> None:
+    if not low <= value <= high:  # Also refuses NaN.
+        raise OptionError(f"{name} must be from {low:g} to {high:g}, got {value:g}; choose a number in this range")
+
+
+@dataclass(frozen=True)
+class GeneratedConfig:
+    """Configuration of generated scenes.
+
+    Attributes:
+        n: Number of scenes. Scenes do not depend on it: more scenes continue the same sequence.
+        seed: Seed of all random numbers.
+        family: Family of scenes, one of `FAMILIES`.
+        procedural: Share (0 to 1) of scenes whose handed-over object is procedural; in the others it is one
+            of 18 shipped objects.
+        objects: Number of procedural objects from which scenes are drawn.
+        people: Number of people that hand over procedural objects; the shipped objects are handed over by
+            the ten people of the synthetic scenes.
+        left: Share (0 to 1) of left hands.
+        clutter_min: Smallest number of other objects on the table.
+        clutter_max: Largest number of other objects on the table.
+        boxes: Weight of boxes among the procedural objects.
+        cylinders: Weight of cylinders.
+        bottles: Weight of bottles.
+        tools: Weight of tools.
+        superquadrics: Weight of superquadrics.
+    """
+
+    n: int = 1000
+    seed: int = 0
+    family: str = DEFAULT
+    procedural: float = 0.5
+    objects: int = 1000
+    people: int = 50
+    left: float = 0.5
+    clutter_min: int = 2
+    clutter_max: int = 4
+    boxes: float = 1.0
+    cylinders: float = 1.0
+    bottles: float = 1.0
+    tools: float = 1.0
+    superquadrics: float = 1.0
+
+    def __post_init__(self) -> None:
+        check_name("family", self.family, FAMILIES)
+        for name, low, high in (
+            *(("n", 1, MAX_SCENES), ("seed", 0, MAX_SEED), ("objects", 50, MAX_POOL), ("people", 1, MAX_POOL)),
+            *(("clutter_min", 0, self.clutter_max), ("clutter_max", 0, MAX_OBJECTS - 1)),
+        ):
+            _check_number(name, getattr(self, name), low, high)
+        for name in ("procedural", "left"):
+            _check_number(name, getattr(self, name), 0.0, 1.0)
+        for name in OBJECT_KINDS:
+            _check_number(name, getattr(self, name), 0.0, 1e6)
+        if not any(self.kind_weights):
+            raise OptionError(f"one of {', '.join(OBJECT_KINDS)} must be above 0, got 0 for all; leave them out")
+
+    @property
+    def kind_weights(self) -> tuple[float, ...]:
+        """Weights of the kinds of procedural objects, in the order of `OBJECT_KINDS`."""
+        return tuple(getattr(self, name) for name in OBJECT_KINDS)
+
+    @property
+    def argument(self) -> str:
+        """Text after `generated:` that describes this configuration: n, seed and what is no default."""
+        usual = FAMILY_DEFAULTS[self.family]
+        names = [field.name for field in fields(self)]
+        chosen = [name for name in names if name in ("n", "seed") or getattr(self, name) != getattr(usual, name)]
+        if self.family != DEFAULT:
+            chosen.append("family")
+        return ",".join(f"{name}={_format_value(getattr(self, name))}" for name in names if name in chosen)
+
+
+#: Configuration of each family unless something else is given.
+FAMILY_DEFAULTS: Final[Mapping[str, GeneratedConfig]] = MappingProxyType(
+    {
+        DEFAULT: GeneratedConfig(),
+        HARD: GeneratedConfig(family=HARD, procedural=1.0, clutter_min=4, clutter_max=4),
+    }
+)
+
+
+def parse_generated_config(argument: str) -> GeneratedConfig:
+    """Return the configuration of a text such as "n=100000,seed=7,family=hard".
+
+    Raises:
+        OptionError: The text has another form, or a value is out of range.
+        UnknownNameError: A parameter or the family does not exist.
+    """
+    values: dict[str, Any] = {}
+    types = {field.name: field.type for field in fields(GeneratedConfig)}
+    for entry in argument.split(","):
+        name, separator, text = (word.strip() for word in entry.partition("="))
+        if not separator or not text:
+            raise OptionError(
+                f"generated scenes must be described as n=1000,seed=7, got {entry[:80]!r}; "
+                "separate entries name=value by commas"
+            )
+        check_name("parameter of generated scenes", name, types)
+        if name in values:
+            raise OptionError(f"parameter {name} of generated scenes must be given once, got it twice; leave one out")
+        values[name] = _parse_value(name, text, types[name])
+    family = values.pop("family", DEFAULT)
+    check_name("family", family, FAMILIES)
+    usual = FAMILY_DEFAULTS[family]
+    if "clutter_max" in values and "clutter_min" not in values:
+        values["clutter_min"] = min(usual.clutter_min, values["clutter_max"])
+    return replace(usual, **values)
+
+
+def _parse_value(name: str, text: str, kind: object) -> int | float | str:
+    if kind in (str, "str"):
+        return text
+    try:
+        return int(text) if kind in (int, "int") else float(text)
+    except ValueError:
+        wanted = "a whole number" if kind in (int, "int") else "a number"
+        raise OptionError(f"{name} must be {wanted}, got {text[:80]!r}; write for example {name}=1") from None
+
+
+def _format_value(value: float | str) -> str:
+    return value if isinstance(value, str) else repr(value)

@@ -1,0 +1,123 @@
+"""People that hand over procedural objects, and open postures of hands of their sizes.
+
+The paths of the phalanges while the fingers close freely are computed once for each hand, so that
+closing on an object needs few evaluations of the forward kinematics.
+"""
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.assets.anthropometry import MEN, SKIN_COLORS, WOMEN, HandSize
+from handover_marl.assets.hand_model import HandGeometry, scale_hand
+from handover_marl.assets.hand_openings import OpeningDraws, Openings, make_reference_openings, measure_openings
+from handover_marl.assets.hand_spheres import HandSpheres
+from handover_marl.datasets.generated.config import GeneratedConfig
+from handover_marl.datasets.generated.streams import open_streams
+from handover_marl.datasets.synthetic.random_stream import RandomStream
+
+Array = npt.NDArray[np.float64]
+
+#: Number of steps of the free closing, and flexion in each step of the root, middle and end joint (rad).
+N_STEPS: Final = 20
+STEP_ANGLES: Final = np.radians(5.0) * np.array([[1.0, 1.0, 0.55]] * 4 + [[0.6, 0.7, 0.9]])
+#: Limits of the joints (rad), as `STEP_ANGLES` for the five digits.
+LIMITS: Final = np.radians([[85.0, 100.0, 65.0]] * 4 + [[45.0, 55.0, 70.0]])
+
+_SEED, _N_DRAWS, _N_TEMPLATES = 1010, 3000, 48
+# Correlation of length and breadth of a hand, and largest standard score.
+_CORRELATION, _MAX_SCORE = 0.6, 2.0
+
+
+@dataclass(frozen=True)
+class Person:
+    """Person of a generated scene.
+
+    Attributes:
+        name: Name of the person in results.
+        size: Size of the hand.
+        color: Red, green and blue of the skin, 0 to 1.
+    """
+
+    name: str
+    size: HandSize
+    color: tuple[float, float, float]
+
+
+@lru_cache(maxsize=1024)
+def draw_person(config: GeneratedConfig, number: int) -> Person:
+    """Draw a person: a woman or a man with normally distributed hand length and breadth.
+
+    Args:
+        config: Configuration of the scenes.
+        number: Number of the person, from 0.
+    """
+    random = open_streams(config, "person", number).open("person")
+    lengths, breadths = WOMEN if random.uniform() < 0.5 else MEN
+    first, other = random.normal(), random.normal()
+    second = _CORRELATION * first + np.sqrt(1.0 - _CORRELATION**2) * other
+    one, two = np.clip([first, second], -_MAX_SCORE, _MAX_SCORE).tolist()
+    size = HandSize(round(lengths[0] + one * lengths[1], 4), round(breadths[0] + two * breadths[1], 4))
+    return Person(f"generated-person-{number:05d}", size, SKIN_COLORS[random.integer(len(SKIN_COLORS))])
+
+
+@dataclass(frozen=True, eq=False)
+class HandTemplates:
+    """Open postures of a right hand, sorted by the width of their gap.
+
+    Attributes:
+        model: Geometry of the hand.
+        spheres: Spheres that approximate the hand.
+        openings: K open postures with their gaps.
+        bends: (K, S, 5, 3) flexion of the digits' joints in S steps of closing without an object (rad).
+        path: (K, S, 5, 9, 3) centers of the phalanges' spheres in these steps, in the palm's frame (m).
+        radii: (5, 9) radii of these spheres (m).
+    """
+
+    model: HandGeometry
+    spheres: HandSpheres
+    openings: Openings
+    bends: Array
+    path: npt.NDArray[np.float32]
+    radii: Array
+
+
+@lru_cache(maxsize=1)
+def _sample_openings() -> Openings:
+    """Sample open postures of the reference hand whose gaps have evenly spread widths."""
+    random, n = RandomStream(_SEED), _N_DRAWS
+    weights = -np.log(random.uniforms(n, 3))
+    openings = make_reference_openings(
+        OpeningDraws(
+            root=random.uniforms(n),
+            middle=random.uniforms(n),
+            fingers=random.normals(n, 4, 1),
+            thumb_middle=random.uniforms(n),
+            thumb_end=random.uniforms(n),
+            spread=random.uniforms(n, 1),
+            thumb_direction=weights / weights.sum(axis=1, keepdims=True),
+            thumb_target=random.normals(n, 3),
+        )
+    )
+    goals = np.linspace(openings.width.min(), np.quantile(openings.width, 0.999), _N_TEMPLATES)
+    nearest = np.abs(openings.width[:, None] - goals).argmin(axis=0)
+    return openings[np.unique(nearest)]
+
+
+@lru_cache(maxsize=64)
+def make_hand_templates(size: HandSize) -> HandTemplates:
+    """Return the open postures of a right hand of some size and their closing; cached."""
+    model = scale_hand(size, "right")
+    spheres = HandSpheres(model)
+    openings = measure_openings(model, _sample_openings().posture)
+    openings = openings[np.argsort(openings.width, kind="stable")]
+    steps = np.arange(N_STEPS)[:, None, None] * STEP_ANGLES
+    bends = np.maximum(np.minimum(openings.posture.bends[:, None] + steps, LIMITS), openings.posture.bends[:, None])
+    rows = np.repeat(np.arange(len(openings)), N_STEPS)
+    posture = replace(openings.posture[rows], bends=bends.reshape(-1, 5, 3))
+    centers, _ = spheres.place_phalanges(posture.compute_joint_angles())
+    path = centers.reshape(len(openings), N_STEPS, 5, 9, 3).astype(np.float32)
+    return HandTemplates(model, spheres, openings, bends, path, spheres.radii.reshape(5, 9))

@@ -1,0 +1,289 @@
+"""Human grasps of procedural objects: open hands around the object whose fingers are closed on it.
+
+Grasps of left hands are those of right hands on the mirrored object, mirrored back.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from handover_marl.assets.anthropometry import HandSize
+from handover_marl.assets.hand_model import Side
+from handover_marl.assets.hand_openings import compute_shortest_rotations, normalize
+from handover_marl.assets.hand_postures import Palms, Posture
+from handover_marl.assets.human_grasps import HumanGrasps
+from handover_marl.datasets.generated.hands import (
+    LIMITS,
+    N_STEPS,
+    STEP_ANGLES,
+    HandTemplates,
+    make_hand_templates,
+)
+from handover_marl.datasets.generated.shapes import Solid
+from handover_marl.datasets.synthetic.random_stream import RandomStream
+
+Array = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.int64]
+Flags = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class HumanGraspConfig:
+    """Parameters of the search for human grasps.
+
+    Attributes:
+        n_pairs: Number of surface points from which grasps are tried in one round.
+        n_closed: Largest number of hands whose fingers are closed in one round.
+        n_grasps: Number of grasps at which the search ends.
+        n_rounds: Largest number of rounds.
+        max_width: Largest distance of opposite points (m).
+        spare_width: Smallest and largest difference between the gap of the hand and the object (m).
+        skin_yield: Largest penetration of the object into the fingers (m).
+        palm_yield: Largest penetration of the object into the palm (m).
+        forearm_clearance: Smallest distance of the forearm to the object (m).
+        touch_distance: Largest distance of a digit in contact (m).
+        table_clearance: Smallest distance of the open hand's spheres' centers to a table on which the
+            object lies (m).
+        n_distal_steps: Number of steps in which end joints close on after a root joint has stopped.
+        relaxed_step: Step of closing at which a digit that misses the object stays.
+    """
+
+    n_pairs: int = 320
+    n_closed: int = 10
+    n_grasps: int = 3
+    n_rounds: int = 5
+    max_width: float = 0.1
+    spare_width: tuple[float, float] = (0.003, 0.045)
+    skin_yield: float = 0.002
+    palm_yield: float = 0.003
+    forearm_clearance: float = 0.002
+    touch_distance: float = 0.003
+    table_clearance: float = 0.02
+    n_distal_steps: int = 10
+    relaxed_step: int = 5
+
+
+def draw_human_grasps(
+    random: RandomStream,
+    solid: Solid,
+    up_axes: tuple[float, ...],
+    size: HandSize,
+    side: Side,
+    config: HumanGraspConfig | None = None,
+) -> HumanGrasps | None:
+    """Draw grasps of a procedural object by one hand, sorted by wrist distance; None if none is found.
+
+    Args:
+        random: Random stream of the scene's human grasps.
+        solid: Object.
+        up_axes: Weights of the axes that point up on a table: +x, -x, +y, -y, +z, -z; in every grasp the
+            hand is clear of the table for one of them.
+        size: Size of the hand.
+        side: Side of the hand.
+        config: Parameters of the search.
+    """
+    config = config or HumanGraspConfig()
+    templates = make_hand_templates(size)
+    target = solid.mirror() if side == "left" else solid
+    axes = np.array(up_axes)[[1, 0, 2, 3, 4, 5]] if side == "left" else np.array(up_axes)
+    directions = np.repeat(np.eye(3), 2, axis=0)[axes > 0.0] * np.tile([[1.0], [-1.0]], (3, 1))[axes > 0.0]
+    floors = (target.corners @ directions.T).min(axis=0)
+    found: list[tuple[Palms, Ints, _ClosedHands]] = []
+    for _ in range(config.n_rounds):
+        palms, rows = _sample_open_hands(random, target, templates, config)
+        heights = _find_lowest_points(templates, palms, rows, directions) - floors
+        lifted = np.flatnonzero((heights > config.table_clearance).any(axis=1))[: config.n_closed]
+        palms, rows = palms[lifted], rows[lifted]
+        if len(rows):
+            closed = _close_fingers(target, templates, palms, rows, config)
+            good = np.flatnonzero(_find_firm_grasps(target, templates, palms, closed, config))
+            found.append((palms[good], rows[good], closed.select(good)))
+        if sum(len(rows) for _, rows, _ in found) >= config.n_grasps:
+            break
+    if not any(len(rows) for _, rows, _ in found):
+        return None
+    palms = Palms.concatenate([palms for palms, _, _ in found])
+    rows = np.concatenate([rows for _, rows, _ in found])
+    closed = _ClosedHands.join([closed for _, _, closed in found])
+    order = np.argsort(np.linalg.norm(palms.position, axis=1), kind="stable")
+    return _encode_grasps(templates, palms[order], rows[order], closed.select(order), side)
+
+
+@dataclass(frozen=True, eq=False)
+class _ClosedHands:
+    """Closed hands: n postures, distances (n, 5, 9) (m) of the spheres, and their centers (n, 5, 9, 3)."""
+
+    posture: Posture
+    gaps: Array
+    centers: Array
+
+    def select(self, rows: Ints) -> "_ClosedHands":
+        return _ClosedHands(self.posture[rows], self.gaps[rows], self.centers[rows])
+
+    @staticmethod
+    def join(parts: "list[_ClosedHands]") -> "_ClosedHands":
+        return _ClosedHands(
+            Posture.concatenate([part.posture for part in parts]),
+            np.concatenate([part.gaps for part in parts]),
+            np.concatenate([part.centers for part in parts]),
+        )
+
+
+def _sample_open_hands(
+    random: RandomStream, solid: Solid, templates: HandTemplates, config: HumanGraspConfig
+) -> tuple[Palms, Ints]:
+    """Sample palm poses (m) of open hands around the object, free of contact, and their templates (m,)."""
+    thumb_side, finger_side, cosines = solid.sample_opposite_points(random, config.n_pairs, config.max_width, 0.18)
+    noise, draws = random.normals(config.n_pairs, 6), random.uniforms(config.n_pairs, 4)
+    across = finger_side - thumb_side
+    width = np.linalg.norm(across, axis=1)
+    openings = templates.openings
+    first = np.searchsorted(openings.width, width + config.spare_width[0])
+    last = np.searchsorted(openings.width, width + config.spare_width[1])
+    fits = np.flatnonzero((last > first) & (cosines > 0.6))
+    noise, draws = noise[fits], draws[fits]
+    rows = (first[fits] + draws[:, 0] * (last - first)[fits]).astype(np.int64)
+    goal = normalize(across[fits] / width[fits, None] + 0.12 * noise[:, :3])
+    turns = Rotation.from_rotvec(goal * (2.0 * np.pi * draws[:, 1:2] - np.pi)).as_matrix()
+    rotation = turns @ compute_shortest_rotations(openings.axis[rows], goal)
+    # Fingertip grasps and grasps deep in the hand.
+    depth = 0.065 * draws[:, 2] * (draws[:, 3] < 0.75)
+    grip = openings.center[rows] + np.column_stack([depth, 0.35 * depth, np.zeros_like(depth)])
+    middle = 0.5 * (thumb_side + finger_side)[fits] + 0.004 * noise[:, 3:]
+    palms = Palms(middle - np.einsum("nij,nj->ni", rotation, grip), rotation)
+    free = _find_free_hands(solid, templates, palms, rows, config)
+    return palms[free], rows[free]
+
+
+def _find_lowest_points(templates: HandTemplates, palms: Palms, rows: Ints, directions: Array) -> Array:
+    """Return the lowest coordinates (n, k) (m) of open hands along k directions (k, 3)."""
+    if not len(rows):
+        return np.zeros((0, len(directions)))
+    palm = np.broadcast_to(templates.spheres.palm[0], (len(rows), *templates.spheres.palm[0].shape))
+    centers = np.concatenate([palm, templates.path[rows, 0].reshape(len(rows), -1, 3)], axis=1)
+    return np.asarray((palms.transform(centers) @ directions.T).min(axis=1))
+
+
+def _find_free_hands(
+    solid: Solid, templates: HandTemplates, palms: Palms, rows: Ints, config: HumanGraspConfig
+) -> Ints:
+    """Return the indices of the open hands that are outside of the object."""
+    kept = np.arange(len(rows))
+    for (centers, radii), least in (
+        (templates.spheres.palm, -config.skin_yield),
+        (templates.spheres.forearm, config.forearm_clearance),
+    ):
+        kept = kept[_measure_body(solid, palms[kept], centers, radii) > least]
+    points = palms[kept].transform(templates.path[rows[kept], 0])
+    gaps = solid.compute_distances(points) - templates.radii
+    return np.asarray(kept[gaps.min(axis=(1, 2)) > -0.5 * config.skin_yield])
+
+
+def _measure_body(solid: Solid, palms: Palms, centers: Array, radii: Array) -> Array:
+    """Return the smallest distance (n,) (m) between spheres of the hand's body and the object."""
+    points = palms.transform(np.broadcast_to(centers, (len(palms), *centers.shape)))
+    return np.asarray((solid.compute_distances(points) - radii).min(axis=1))
+
+
+def _close_fingers(
+    solid: Solid, templates: HandTemplates, palms: Palms, rows: Ints, config: HumanGraspConfig
+) -> _ClosedHands:
+    """Close the digits of n hands: all joints until contact, then the joints beyond the contact."""
+    n = len(rows)
+    points = palms.transform(templates.path[rows])
+    gaps = (solid.compute_distances(points) - templates.radii).reshape(n, N_STEPS, 5, 3, 3).min(axis=4)
+    steps, bends = templates.bends[rows], np.empty((n, 5, 3))
+    shares, touches = _find_contacts(gaps.min(axis=3), config.skin_yield)
+    below = np.floor(shares).astype(np.int64)
+    above = np.minimum(below + 1, N_STEPS - 1)
+    hand, digit = np.arange(n)[:, None], np.arange(5)
+    part = (shares - below)[..., None]
+    bends = (1.0 - part) * steps[hand, below, digit] + part * steps[hand, above, digit]
+    phalanx = np.where(touches, gaps[hand, above, digit].argmin(axis=2), 2)
+    bends = _close_end_joints(solid, templates, palms, rows, bends, phalanx, config)
+    relaxed = steps[:, config.relaxed_step]
+    posture = replace(templates.openings.posture[rows], bends=np.where(touches[..., None], bends, relaxed))
+    centers = templates.spheres.place_phalanges(posture.compute_joint_angles())[0].reshape(n, 5, 9, 3)
+    centers = palms.transform(centers)
+    return _ClosedHands(posture, solid.compute_distances(centers) - templates.radii, centers)
+
+
+def _close_end_joints(
+    solid: Solid,
+    templates: HandTemplates,
+    palms: Palms,
+    rows: Ints,
+    bends: Array,
+    phalanx: Ints,
+    config: HumanGraspConfig,
+) -> Array:
+    """Return flexions (n, 5, 3) with the joints beyond the touching phalanges (n, 5) closed further."""
+    n, count = len(rows), config.n_distal_steps
+    beyond = np.arange(3) > phalanx[..., None]
+    if not beyond.any():
+        return bends
+    steps = np.arange(count)[:, None, None] * 1.6 * STEP_ANGLES * beyond[:, None]
+    trial = np.minimum(bends[:, None] + steps, np.maximum(LIMITS, bends[:, None]))
+    posture = replace(templates.openings.posture[np.repeat(rows, count)], bends=trial.reshape(-1, 5, 3))
+    centers = templates.spheres.place_phalanges(posture.compute_joint_angles())[0].reshape(n, count, 5, 9, 3)
+    gaps = (solid.compute_distances(palms.transform(centers)) - templates.radii).reshape(n, count, 5, 3, 3).min(axis=4)
+    shares, _ = _find_contacts(np.where(beyond[:, None], gaps, np.inf).min(axis=3), config.skin_yield)
+    part = shares[..., None] * 1.6 * STEP_ANGLES * beyond
+    return np.asarray(np.minimum(bends + part, np.maximum(LIMITS, bends)))
+
+
+def _find_contacts(gaps: Array, least: float) -> tuple[Array, Flags]:
+    """Return the steps (n, 5), with fractions, at which gaps (n, s, 5) fall below `-least`, and which do."""
+    hits = gaps < -least
+    touches = hits.any(axis=1)
+    step = np.where(touches, hits.argmax(axis=1), gaps.shape[1] - 1)
+    before = np.maximum(step - 1, 0)
+    hand, digit = np.arange(len(gaps))[:, None], np.arange(5)
+    low, high = gaps[hand, before, digit], gaps[hand, step, digit]
+    crosses = touches & (step > 0)
+    low, high = np.where(crosses, low, 0.0), np.where(crosses, high, -1.0)
+    share = np.where(crosses, np.clip((low + least) / (low - high), 0.0, 1.0), 0.0)
+    return np.where(touches, before + share, gaps.shape[1] - 1.0), touches
+
+
+def _find_firm_grasps(
+    solid: Solid, templates: HandTemplates, palms: Palms, closed: _ClosedHands, config: HumanGraspConfig
+) -> Flags:
+    """Return a mask (n,) of the hands whose thumb and two fingers press on opposite sides of the object."""
+    n = len(palms)
+    nearest = closed.gaps.argmin(axis=2)
+    touching = closed.gaps.min(axis=2) < config.touch_distance
+    points = closed.centers[np.arange(n)[:, None], np.arange(5), nearest]
+    normals = solid.compute_normals(points)
+    facing = np.where(touching[:, :4], np.einsum("ndi,ni->nd", normals[:, :4], normals[:, 4]), 0.0)
+    count = touching[:, :4].sum(axis=1)
+    opposed = (facing.sum(axis=1) < -0.2 * count) & (facing.min(axis=1) < -0.4)
+    holds = touching[:, 4] & (count >= 2) & touching[:, :2].any(axis=1)
+    body = _measure_body(solid, palms, *templates.spheres.palm)
+    # Rounding of the steps can press a finger deeper than the skin yields.
+    shallow = closed.gaps.min(axis=(1, 2)) > -2.0 * config.skin_yield
+    thumb, fingers = closed.centers[:, 4].reshape(n, -1, 1, 3), closed.centers[:, :4].reshape(n, 1, -1, 3)
+    apart = np.linalg.norm(thumb - fingers, axis=-1) - templates.radii[4][:, None] - templates.radii[:4].ravel()
+    crossing = -apart.min(axis=(1, 2))
+    return np.asarray(holds & opposed & shallow & (body > -config.palm_yield) & (crossing < 0.005))
+
+
+def _encode_grasps(templates: HandTemplates, palms: Palms, rows: Ints, closed: _ClosedHands, side: Side) -> HumanGrasps:
+    """Return grasps by a hand of some side of the object that is not mirrored."""
+    base = palms.position - np.einsum("nij,j->ni", palms.rotation, templates.model.palm_offset)
+    quaternion = Rotation.from_matrix(palms.rotation).as_quat()
+    flip = np.array([-1.0, 1.0, 1.0]) if side == "left" else np.ones(3)
+    turned = np.array([1.0, -1.0, -1.0]) if side == "left" else np.ones(3)
+    gaps = closed.gaps.min(axis=2)
+    return HumanGrasps(
+        object_from_base=np.concatenate([base * flip, quaternion * [*turned, 1.0]], axis=1),
+        finger_angles=closed.posture.compute_joint_angles() * np.tile(turned, 15),
+        open_angles=templates.openings.posture[rows].compute_joint_angles() * np.tile(turned, 15),
+        wrist_distance=np.linalg.norm(palms.position, axis=1),
+        free_share=np.full(len(rows), np.nan),
+        touching=gaps < 0.003,
+        overlap=np.maximum(0.0, -gaps.min(axis=1)),
+        side=side,
+    )

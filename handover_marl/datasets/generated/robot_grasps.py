@@ -1,0 +1,96 @@
+"""Robot grasps of procedural objects: antipodal, and clear of the object by analytic distances.
+
+A gripper pose has the convention of HandoverSim's grasp files: the fingers close along x, the hand
+approaches along z.
+"""
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.assets.grasp_order import compute_farthest_point_order
+from handover_marl.assets.hand_openings import normalize
+from handover_marl.datasets.generated.shapes import Solid
+from handover_marl.datasets.synthetic.random_stream import RandomStream
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class RobotGraspConfig:
+    """Parameters of robot grasps.
+
+    Attributes:
+        n_points: Number of surface points from which grasps are tried.
+        n_grasps: Largest number of grasps.
+        max_width: Largest distance of the finger contacts (m); the Panda opens to 0.08.
+        tilt: Standard deviation of the components (rad) by which the closing direction deviates from the
+            surface normal.
+        max_cone_angle: Largest angle between closing direction and surface normals (rad).
+        depth_range: Smallest and largest distance of the contacts from the gripper's origin along its
+            approach (m). The finger pads end at 0.112, the palm at 0.066.
+        clearance: Smallest distance of the open gripper's points to the object (m).
+        is_varied: Whether grasps are chosen to be far from each other.
+    """
+
+    n_points: int = 1500
+    n_grasps: int = 60
+    max_width: float = 0.074
+    tilt: float = 0.08
+    max_cone_angle: float = 0.26
+    depth_range: tuple[float, float] = (0.084, 0.106)
+    clearance: float = 0.002
+    is_varied: bool = True
+
+
+#: Few grasps, for the generator's estimate of what the person leaves free.
+SKETCH = RobotGraspConfig(n_points=160, n_grasps=32, is_varied=False)
+
+
+@cache
+def _make_gripper_points() -> Array:
+    """Return points (n, 3) (m) of the open gripper at a grasp, and of its fingers on the approach."""
+    fingers = [
+        (side * x, y, z)
+        for side in (-1, 1)
+        for x in (0.0402, 0.052)
+        for y in (-0.0105, 0.0, 0.0105)
+        for z in (0.066, 0.08, 0.096, 0.1126)
+    ]
+    palm = [(x, y, 0.066) for x in np.linspace(-0.1, 0.1, 9) for y in (-0.03, 0.0, 0.03)]
+    palm += [(x, y, 0.03) for x in (-0.1, -0.05, 0.0, 0.05, 0.1) for y in (-0.03, 0.03)]
+    moved = [np.array(fingers) - [0.0, 0.0, standoff] for standoff in (0.025, 0.06, 0.1)]
+    return np.concatenate([fingers, palm, *moved])
+
+
+def draw_robot_grasps(random: RandomStream, solid: Solid, config: RobotGraspConfig | None = None) -> Array:
+    """Draw robot grasps of an object that are likely to hold it; they are not tried in simulation.
+
+    Args:
+        random: Random stream of the object's robot grasps.
+        solid: Object.
+        config: Parameters of the grasps.
+
+    Returns:
+        (n, 4, 4) transforms `object_from_gripper` (m), rounded to float32; n can be 0.
+    """
+    config = config or RobotGraspConfig()
+    first, second, cosines = solid.sample_opposite_points(random, config.n_points, config.max_width, config.tilt)
+    noise, draws = random.normals(config.n_points, 3), random.uniforms(config.n_points, 2)
+    good = np.flatnonzero(cosines > np.cos(config.max_cone_angle))
+    # The gripper is symmetric: swap the fingers at random.
+    signs = np.where(draws[good, :1] < 0.5, -1.0, 1.0)
+    closing = signs * normalize(second[good] - first[good])
+    approach = normalize(np.cross(closing, noise[good]))
+    low, high = config.depth_range
+    depth = low + (high - low) * draws[good, 1:]
+    grasps = np.tile(np.eye(4), (len(good), 1, 1))
+    grasps[:, :3, 0], grasps[:, :3, 1], grasps[:, :3, 2] = closing, np.cross(approach, closing), approach
+    grasps[:, :3, 3] = 0.5 * (first + second)[good] - depth * approach
+    points = _make_gripper_points() @ grasps[:, :3, :3].swapaxes(1, 2) + grasps[:, None, :3, 3]
+    free = grasps[(solid.compute_distances(points) > config.clearance).all(axis=1)]
+    if config.is_varied:
+        free = free[compute_farthest_point_order(free)[: config.n_grasps]]
+    return free[: config.n_grasps].astype(np.float32).astype(np.float64)

@@ -1,0 +1,296 @@
+"""Convex parts of procedural objects, with analytic distances and surfaces.
+
+Lengths are in metres. A surface is a stack of rings: convex outlines with parallel edges, so that the
+quadrilaterals between two rings are planar and the part is their convex hull.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Final, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.datasets.synthetic.random_stream import RandomStream
+
+Array = npt.NDArray[np.float64]
+Faces = npt.NDArray[np.int64]
+PartKind = Literal["box", "cone", "superellipsoid"]
+
+_N_CORNER, _N_CIRCLE, _N_ELLIPSE, _N_LATITUDES = 3, 24, 20, 9
+_SMALL = 1e-9
+#: Distance (m) of the points between which normals are computed.
+_NORMAL_STEP: Final = 1e-4
+
+
+@dataclass(frozen=True)
+class Part:
+    """Convex part of an object.
+
+    Attributes:
+        kind: "box"; "cone", a truncated cone about z; or "superellipsoid".
+        size: Half lengths along x, y and z (m); of a cone the radii at the lower and the upper end and
+            half its length.
+        color: Name of a color in the palette of the object models.
+        rounding: Radius (m) of the edges of a box or cone.
+        exponents: Exponents along z and in the xy plane of a superellipsoid: 1 is round, 0 angular.
+        position: Position of the part's center in the object (m).
+        axis: Axis of the object along which the part's z axis points: 0, 1 or 2.
+    """
+
+    kind: PartKind
+    size: tuple[float, float, float]
+    color: str
+    rounding: float = 0.0
+    exponents: tuple[float, float] = (1.0, 1.0)
+    position: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    axis: int = 2
+
+    def move(self, offset: npt.ArrayLike) -> "Part":
+        """Return the part moved by an offset (3,) (m)."""
+        x, y, z = (np.asarray(self.position) + offset).tolist()
+        return replace(self, position=(x, y, z))
+
+    def compute_distances(self, points: Array) -> Array:
+        """Return signed distances (...) of points (..., 3) in the object's frame, negative inside (m).
+
+        Those of a superellipsoid are exact to first order at the surface, too small outside, and only of
+        the right sign deep inside.
+        """
+        local = np.roll(points - np.array(self.position), 2 - self.axis, axis=-1)
+        if self.kind == "box":
+            return _box_distances(local, np.array(self.size), self.rounding)
+        if self.kind == "cone":
+            return _cone_distances(local, self.size, self.rounding)
+        return _superellipsoid_distances(local, np.array(self.size), self.exponents)
+
+    def make_rings(self) -> Array:
+        """Return the rings (m, n, 3) of the surface in the object's frame, from the lower to the upper end."""
+        if self.kind == "box":
+            rings = _box_rings(self.size, self.rounding)
+        elif self.kind == "cone":
+            rings = _cone_rings(self.size, self.rounding)
+        else:
+            rings = _superellipsoid_rings(self.size, self.exponents)
+        return np.asarray(np.roll(rings, self.axis - 2, axis=-1) + np.array(self.position))
+
+
+@dataclass(frozen=True, eq=False)
+class ConvexSurface:
+    """Surface of a convex part as polygon mesh.
+
+    Attributes:
+        vertices: (v, 3) vertices (m).
+        faces: (f, 3) vertex numbers of triangles, counterclockwise seen from outside.
+        normals: (p, 3) outward unit normals of the planes that bound the part.
+        offsets: (p,) distances of these planes from the origin along their normals (m).
+    """
+
+    vertices: Array
+    faces: Faces
+    normals: Array
+    offsets: Array
+
+    def find_exits(self, points: Array, directions: Array) -> tuple[Array, Array]:
+        """Return where rays that start in the part leave it: lengths (k,) in m, and normals (k, 3) there.
+
+        Args:
+            points: (k, 3) starts of the rays (m).
+            directions: (k, 3) unit vectors.
+        """
+        slopes = directions @ self.normals.T
+        gaps = self.offsets - points @ self.normals.T
+        lengths = np.where(slopes > _SMALL, gaps / np.maximum(slopes, _SMALL), np.inf)
+        planes = lengths.argmin(axis=1)
+        return lengths[np.arange(len(points)), planes], self.normals[planes]
+
+
+def make_surface(part: Part) -> ConvexSurface:
+    """Return the surface of a part in the object's frame."""
+    rings = part.make_rings()
+    m, n = rings.shape[:2]
+    ends = rings[[0, -1]].mean(axis=1)
+    vertices = np.concatenate([rings.reshape(-1, 3), ends])
+    around = np.arange(n)
+    ahead = np.roll(around, -1)
+    low = n * np.arange(m - 1)[:, None]
+    quads = np.stack([low + around, low + ahead, low + n + ahead, low + n + around], axis=-1).reshape(-1, 4)
+    bottom = np.stack([np.full(n, m * n), ahead, around], axis=-1)
+    top = np.stack([np.full(n, m * n + 1), (m - 1) * n + around, (m - 1) * n + ahead], axis=-1)
+    faces = np.concatenate([quads[:, :3], quads[:, [0, 2, 3]], bottom, top])
+    corners = vertices[quads]
+    # Diagonals and whole rings: stable where edges are short or have no length.
+    across = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
+    around_ends = [vertices[cap[:, 1:]] - vertices[cap[:, :1]] for cap in (bottom, top)]
+    caps = [np.cross(edges[:, 0], edges[:, 1]).sum(axis=0) for edges in around_ends]
+    normals, points = np.concatenate([across, caps]), np.concatenate([corners.mean(axis=1), ends])
+    lengths = np.linalg.norm(normals, axis=1)
+    wide = lengths > 1e-12
+    normals = normals[wide] / lengths[wide, None]
+    return ConvexSurface(vertices, faces, normals, np.einsum("pi,pi->p", normals, points[wide]))
+
+
+class Solid:
+    """Union of convex parts.
+
+    Args:
+        parts: Parts in the object's frame.
+        mirrored: Whether the solid is mirrored in x, as it is for the grasps of left hands.
+
+    Attributes:
+        parts: Parts, not mirrored.
+        surfaces: Surfaces of the parts, not mirrored.
+    """
+
+    def __init__(self, parts: tuple[Part, ...], mirrored: bool = False) -> None:
+        self.parts = parts
+        self.surfaces = tuple(make_surface(part) for part in parts)
+        self._flip = np.array([-1.0 if mirrored else 1.0, 1.0, 1.0])
+
+    def mirror(self) -> "Solid":
+        """Return the solid mirrored in x."""
+        return Solid(self.parts, mirrored=bool(self._flip[0] > 0.0))
+
+    @property
+    def corners(self) -> Array:
+        """Vertices (n, 3) of all parts (m)."""
+        return np.asarray(np.concatenate([surface.vertices for surface in self.surfaces]) * self._flip)
+
+    def compute_distances(self, points: Array) -> Array:
+        """Return signed distances (...) of points (..., 3), negative inside (m)."""
+        flipped = points * self._flip
+        distances = self.parts[0].compute_distances(flipped)
+        for part in self.parts[1:]:
+            distances = np.minimum(distances, part.compute_distances(flipped))
+        return distances
+
+    def compute_normals(self, points: Array) -> Array:
+        """Return outward unit normals (..., 3) at points (..., 3) near the surface."""
+        steps = _NORMAL_STEP * np.concatenate([np.eye(3), -np.eye(3)])
+        around = self.compute_distances(points[..., None, :] + steps)
+        slopes = around[..., :3] - around[..., 3:]
+        return np.asarray(slopes / np.maximum(np.linalg.norm(slopes, axis=-1, keepdims=True), _SMALL))
+
+    def sample_opposite_points(
+        self, random: RandomStream, count: int, max_width: float, tilt: float
+    ) -> tuple[Array, Array, Array]:
+        """Sample pairs of opposite points on the outer surface, both on one part.
+
+        Args:
+            random: Random stream.
+            count: Number of surface points that are tried.
+            max_width: Largest distance of two opposite points (m).
+            tilt: Standard deviation of the components (rad) by which rays deviate from the normal.
+
+        Returns:
+            (k, 3) points, (k, 3) opposite points (m), and (k,) cosines of the angles between the rays and
+            the normals at the opposite points.
+        """
+        draws, noise = random.uniforms(count, 3), random.normals(count, 3)
+        triangles = [surface.vertices[surface.faces] for surface in self.surfaces]
+        normals = [np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) for corners in triangles]
+        areas = np.concatenate([np.linalg.norm(part, axis=1) for part in normals])
+        owner = np.repeat(np.arange(len(triangles)), [len(part) for part in triangles])
+        chosen = np.searchsorted(np.cumsum(areas), draws[:, 0] * areas.sum()).clip(max=len(areas) - 1)
+        corners = np.concatenate(triangles)[chosen]
+        outward = np.concatenate(normals)[chosen] / areas[chosen, None]
+        root = np.sqrt(draws[:, 1:2])
+        weights = np.concatenate([1.0 - root, root * (1.0 - draws[:, 2:]), root * draws[:, 2:]], axis=1)
+        points = np.einsum("nk,nkc->nc", weights, corners)
+        directions = tilt * noise - outward
+        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        lengths, cosines = np.empty(count), np.empty(count)
+        for number, surface in enumerate(self.surfaces):
+            rows = np.flatnonzero(owner[chosen] == number)
+            lengths[rows], exit_normals = surface.find_exits(points[rows], directions[rows])
+            cosines[rows] = np.einsum("ni,ni->n", exit_normals, directions[rows])
+        opposite = points + lengths[:, None] * directions
+        good = (lengths < max_width) & (lengths > 0.002)
+        for number, part in enumerate(self.parts):
+            others = owner[chosen] != number
+            hidden = (part.compute_distances(points) < 0.0) | (part.compute_distances(opposite) < 0.0)
+            good &= ~(others & hidden)
+        return points[good] * self._flip, opposite[good] * self._flip, cosines[good]
+
+
+def _box_distances(points: Array, half: Array, rounding: float) -> Array:
+    beyond = np.abs(points) - (half - rounding)
+    outside = np.sqrt((np.maximum(beyond, 0.0) ** 2).sum(axis=-1))
+    return np.asarray(outside + np.minimum(beyond.max(axis=-1), 0.0) - rounding)
+
+
+def _cone_distances(points: Array, size: tuple[float, float, float], rounding: float) -> Array:
+    """Return distances to a truncated cone (after Quilez, "Distance functions": capped cone)."""
+    low, high, half = (value - rounding for value in size)
+    radius, z = np.hypot(points[..., 0], points[..., 1]), points[..., 2]
+    cap_r, cap_z = np.maximum(radius - np.where(z < 0.0, low, high), 0.0), np.abs(z) - half
+    side = np.array([high - low, 2.0 * half])
+    share = np.clip(((high - radius) * side[0] + (half - z) * side[1]) / (side @ side), 0.0, 1.0)
+    side_r, side_z = radius - high + side[0] * share, z - half + side[1] * share
+    is_inside = (side_r < 0.0) & (cap_z < 0.0)
+    squared = np.minimum(cap_r**2 + cap_z**2, side_r**2 + side_z**2)
+    return np.asarray(np.where(is_inside, -1.0, 1.0) * np.sqrt(squared) - rounding)
+
+
+def _superellipsoid_distances(points: Array, half: Array, exponents: tuple[float, float]) -> Array:
+    """Return (gauge - 1) / |gradient of the gauge|, a lower bound of the distance outside."""
+    along, across = exponents
+    scaled = np.maximum(np.abs(points) / half, 1e-6)
+    power = scaled[..., :2] ** (2.0 / across)
+    flat = power.sum(axis=-1)
+    upright = scaled[..., 2] ** (2.0 / along)
+    inner = flat ** (across / along)
+    total = inner + upright
+    gauge = total ** (along / 2.0)
+    # Derivatives of the gauge by the scaled coordinates; it is homogeneous of degree 1.
+    by_flat = (gauge / total * inner / flat)[..., None] * power / scaled[..., :2]
+    by_z = gauge / total * upright / scaled[..., 2]
+    slope = np.sqrt(((by_flat / half[:2]) ** 2).sum(axis=-1) + (by_z / half[2]) ** 2)
+    return np.asarray((gauge - 1.0) / slope)
+
+
+def _box_rings(size: tuple[float, float, float], rounding: float) -> Array:
+    x, y, z = size
+    arc = np.linspace(0.0, np.pi / 2.0, _N_CORNER)
+    angles = (np.arange(4)[:, None] * np.pi / 2.0 + arc).ravel()
+    signs = np.repeat([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]], _N_CORNER, axis=0)
+    corners = signs * (np.array([x, y]) - rounding)
+    rings = []
+    # Levels of the rounded edge: the outline is smaller at the ends.
+    for height, inset in _rounded_levels(z, rounding):
+        outline = corners + (rounding - inset) * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        rings.append(np.column_stack([outline, np.full(len(outline), height)]))
+    return np.stack(rings)
+
+
+def _cone_rings(size: tuple[float, float, float], rounding: float) -> Array:
+    low, high, half = size
+    angles = np.arange(_N_CIRCLE) * 2.0 * np.pi / _N_CIRCLE
+    rings = []
+    for height, inset in _rounded_levels(half, rounding):
+        share = (height + half) / (2.0 * half)
+        radius = low + share * (high - low) - inset
+        rings.append(np.stack([radius * np.cos(angles), radius * np.sin(angles), np.full(_N_CIRCLE, height)], axis=1))
+    return np.stack(rings)
+
+
+def _rounded_levels(half: float, rounding: float) -> list[tuple[float, float]]:
+    """Return heights and insets (m) of the rings of a solid with rounded ends."""
+    if rounding == 0.0:
+        return [(-half, 0.0), (half, 0.0)]
+    inset = 0.7 * rounding
+    return [(-half, inset), (-half + inset, 0.0), (half - inset, 0.0), (half, inset)]
+
+
+def _superellipsoid_rings(size: tuple[float, float, float], exponents: tuple[float, float]) -> Array:
+    along, across = exponents
+    latitudes = np.linspace(-0.92, 0.92, _N_LATITUDES) * np.pi / 2.0
+    turns = np.arange(_N_ELLIPSE) * 2.0 * np.pi / _N_ELLIPSE
+    outline = np.stack([_signed_power(np.cos(turns), across), _signed_power(np.sin(turns), across)], axis=1)
+    radii, heights = _signed_power(np.cos(latitudes), along), _signed_power(np.sin(latitudes), along)
+    flat = radii[:, None, None] * outline
+    upright = np.broadcast_to(heights[:, None, None], (_N_LATITUDES, _N_ELLIPSE, 1))
+    return np.asarray(np.concatenate([flat, upright], axis=-1) * np.array(size))
+
+
+def _signed_power(values: Array, exponent: float) -> Array:
+    return np.asarray(np.sign(values) * np.maximum(np.abs(values), _SMALL) ** exponent)

@@ -1,0 +1,129 @@
+"""Motions of the hard family: offers at the edge of reach, and objects that keep moving and turning.
+
+After the object has arrived at the handover pose, hand and object follow a smooth curve together
+until 8 s have passed, as in the set t0 of GenH2R (Wang et al., CVPR 2024), and then rest. All poses
+are in the table's frame.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation
+
+from handover_marl.config import TABLE_HEIGHT, PandaConfig
+from handover_marl.datasets.synthetic.handover_motion import KEYFRAME_PERIOD, KeyframeMotion, minimum_jerk
+from handover_marl.datasets.synthetic.object_placement import JOINT_CLEARANCE, HandoverPositions, HeldObject
+from handover_marl.datasets.synthetic.random_stream import RandomStream
+
+Array = npt.NDArray[np.float64]
+
+#: Height (m) of the Panda's shoulder above its base.
+SHOULDER_HEIGHT: Final = 0.333
+
+
+@dataclass(frozen=True)
+class WanderingConfig:
+    """Parameters of motions of the hard family.
+
+    Attributes:
+        duration: Duration of a scene's motion (s).
+        reach: Smallest and largest distance of the handover position from the robot's shoulder (m).
+        max_azimuth: Largest angle between the robot's forward direction and that position (rad).
+        elevation: Smallest and largest elevation of that position seen from the shoulder (rad).
+        min_height: Smallest height of that position above the table (m).
+        n_waypoints: Smallest and largest number of waypoints of the curve.
+        extent: Largest distance of a waypoint from the handover position along x, y and z (m).
+        max_speed: Largest speed of the object's origin (m/s).
+        turn_speed: Smallest and largest value of a scene's peak angular speed (rad/s).
+        max_turn: Largest component of the rotation vector of a waypoint (rad).
+    """
+
+    duration: float = 8.0
+    reach: tuple[float, float] = (0.70, 0.82)
+    max_azimuth: float = 0.6
+    elevation: tuple[float, float] = (-0.25, 0.25)
+    min_height: float = 0.12
+    n_waypoints: tuple[int, int] = (3, 6)
+    extent: tuple[float, float, float] = (0.12, 0.08, 0.10)
+    max_speed: float = 0.30
+    turn_speed: tuple[float, float] = (np.radians(30.0), np.radians(90.0))
+    max_turn: float = 0.9
+
+
+WANDERING: Final = WanderingConfig()
+
+
+def draw_far_positions(random: RandomStream, config: WanderingConfig = WANDERING) -> HandoverPositions:
+    """Draw positions of an object that is offered at the edge of the robot's reach."""
+    start = np.array([random.draw_quantile("start_x"), random.draw_quantile("start_y")])
+    distance, azimuth = random.uniform(*config.reach), random.uniform(-config.max_azimuth, config.max_azimuth)
+    elevation = random.uniform(*config.elevation)
+    x, y, z = PandaConfig().base_position
+    flat = distance * np.cos(elevation)
+    height = z + SHOULDER_HEIGHT - TABLE_HEIGHT + distance * np.sin(elevation)
+    handover = np.array([x + flat * np.sin(azimuth), y + flat * np.cos(azimuth), max(height, config.min_height)])
+    return HandoverPositions(start, handover)
+
+
+def add_wandering(
+    random: RandomStream, motion: KeyframeMotion, held: HeldObject, grasp: int, config: WanderingConfig = WANDERING
+) -> KeyframeMotion:
+    """Return a motion continued by a smooth curve of the held object until a fixed duration.
+
+    Args:
+        random: Random stream of the curve.
+        motion: Motion until the object is held out.
+        held: Object and the subject's grasps of it.
+        grasp: Index of the grasp.
+        config: Parameters of the curve.
+    """
+    count = round(config.duration / KEYFRAME_PERIOD) + 1 - len(motion.fingers)
+    offsets, vectors = _draw_curve(random, count, config)
+    start, start_rotation = motion.object_position[-1], motion.object_rotation[-1]
+    rotation = Rotation.from_rotvec(vectors) * start_rotation
+    position = start + offsets
+    points = np.concatenate([held.corners, held.keypoints[grasp]])
+    lowest = position[:, 2] + np.einsum("tj,pj->tp", rotation.as_matrix()[:, 2], points).min(axis=1)
+    # Lift the curve where it would touch the table; its beginning is where the motion ends.
+    missing = float(np.maximum(0.0, JOINT_CLEARANCE - lowest).max())
+    position[:, 2] += missing * minimum_jerk(np.arange(1, count + 1) * KEYFRAME_PERIOD / 0.6)
+    object_from_base = start_rotation.inv() * motion.base_rotation[-1]
+    base_offset = start_rotation.inv().apply(motion.base_position[-1] - start)
+    return KeyframeMotion(
+        object_position=np.concatenate([motion.object_position, position]),
+        object_rotation=Rotation.concatenate([motion.object_rotation, rotation]),
+        base_position=np.concatenate([motion.base_position, position + rotation.apply(base_offset)]),
+        base_rotation=Rotation.concatenate([motion.base_rotation, rotation * object_from_base]),
+        fingers=np.concatenate([motion.fingers, np.repeat(motion.fingers[-1:], count, axis=0)]),
+        hand_first=motion.hand_first,
+    )
+
+
+def _draw_curve(random: RandomStream, count: int, config: WanderingConfig) -> tuple[Array, Array]:
+    """Draw displacements (n, 3) (m) and rotation vectors (n, 3) (rad) of a curve that starts and ends at rest."""
+    low, high = config.n_waypoints
+    n = low + random.integer(high - low + 1)
+    moves = (2.0 * random.uniforms(n, 3) - 1.0) * np.array(config.extent)
+    turns = (2.0 * random.uniforms(n, 3) - 1.0) * config.max_turn
+    peak = random.uniform(*config.turn_speed)
+    times = np.linspace(0.0, 1.0, n + 1)
+    # The last 0.2 s are at rest.
+    grid = np.minimum(np.arange(count + 1) / max(count - 5, 1), 1.0)
+    curve = CubicSpline(times, np.concatenate([np.zeros((1, 6)), np.hstack([moves, turns])]), bc_type="clamped")(grid)
+    offsets, vectors = curve[:, :3], curve[:, 3:]
+    speed = float(np.linalg.norm(np.diff(offsets, axis=0), axis=1).max()) / KEYFRAME_PERIOD
+    offsets = offsets * min(1.0, config.max_speed / speed)
+    # Speeds grow a little slower than the rotation vectors, so that two corrections suffice.
+    for _ in range(3):
+        vectors = vectors * (peak / max(_find_peak_turn_speed(vectors), 1e-6))
+    vectors = vectors * min(1.0, config.turn_speed[1] / _find_peak_turn_speed(vectors))
+    return offsets[1:], vectors[1:]
+
+
+def _find_peak_turn_speed(vectors: Array) -> float:
+    """Return the largest angular speed (rad/s) of consecutive rotation vectors (n, 3)."""
+    rotations = Rotation.from_rotvec(vectors)
+    return float((rotations[:-1].inv() * rotations[1:]).magnitude().max()) / KEYFRAME_PERIOD

@@ -1,0 +1,130 @@
+import hashlib
+import pickle
+import time
+
+import numpy as np
+import pytest
+
+from handover_marl.datasets import open_dataset
+from handover_marl.datasets.dataset import Scene
+from handover_marl.datasets.generated.config import parse_generated_config
+from handover_marl.datasets.generated.dataset import GeneratedDataset
+from handover_marl.datasets.generated.scenes import FIRST_CLASS, GRASPABLE_CLASSES
+from handover_marl.datasets.generated.streams import find_splits
+from handover_marl.datasets.splits import SPLITS
+from handover_marl.errors import OptionError, SceneError, UnknownNameError
+
+DEFAULT, HARD = "generated:n=100000,seed=7", "generated:n=1000,seed=7,family=hard"
+#: First digits of the scenes' hashes: they change with the generator's version and with nothing else.
+HASHES = {
+    (DEFAULT, 0): "c3b711a2c44f16aa",
+    (DEFAULT, 1): "6eb34d0ba29f580e",
+    (DEFAULT, 99_999): "8f332e7089009167",
+    (HARD, 0): "ea1bce4ea35c2533",
+    (HARD, 17): "f5ddf7ef95dd96ec",
+}
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.getbasetemp() / "generated"))
+
+
+def digest(scene: Scene) -> str:
+    content = scene.object_dof.tobytes() + scene.hand_dof.tobytes() + repr(scene.info).encode()
+    return hashlib.sha256(content).hexdigest()[:16]
+
+
+@pytest.mark.parametrize(("name", "scene_id"), HASHES)
+def test_scenes_equal_their_checksums(name: str, scene_id: int) -> None:
+    assert digest(open_dataset(name).load_scene(scene_id)) == HASHES[name, scene_id]
+
+
+def test_scenes_depend_on_seed_and_number_alone() -> None:
+    dataset = open_dataset(DEFAULT)
+    first = digest(dataset.load_scene(17))
+    for other in range(40, 46):
+        dataset.load_scene(other)
+    assert digest(dataset.load_scene(17)) == first
+    assert digest(open_dataset("generated:n=18,seed=7").load_scene(17)) == first
+    assert digest(open_dataset("generated:n=18,seed=8").load_scene(17)) != first
+    assert digest(open_dataset("generated:n=18,seed=7,left=0.4").load_scene(17)) == first
+
+
+def test_scenes_are_listed_quickly() -> None:
+    start = time.process_time()
+    dataset = open_dataset(DEFAULT)
+    listed = {split: dataset.list_scenes(None, split) for split in SPLITS}
+    assert time.process_time() - start < 1.0
+    assert sorted(scene for scenes in listed.values() for scene in scenes) == list(range(100_000))
+    assert [len(listed[split]) for split in SPLITS] == [79946, 10080, 9974]
+
+
+def test_splits_do_not_depend_on_the_number_of_scenes() -> None:
+    few = open_dataset("generated:n=1000,seed=3").list_scenes("random", "test")
+    assert few == tuple(scene for scene in open_dataset(DEFAULT).list_scenes(None, "test") if scene < 1000)
+
+
+def test_procedural_objects_differ_between_splits() -> None:
+    dataset = GeneratedDataset("n=60,seed=1,procedural=1,objects=100")
+    for scene_id in range(0, 60, 3):
+        ids = dataset.load_info(scene_id).object_ids
+        assert min(ids) >= FIRST_CLASS
+        numbers = np.array(ids) - FIRST_CLASS
+        assert (find_splits(numbers, of_objects=True) == find_splits([scene_id])).all()
+
+
+def test_shipped_objects_only() -> None:
+    dataset = GeneratedDataset("n=10,seed=1,procedural=0")
+    for scene_id in range(5):
+        info = dataset.load_info(scene_id)
+        assert info.object_ids[0] in GRASPABLE_CLASSES
+        assert max(info.object_ids) < FIRST_CLASS
+
+
+@pytest.mark.parametrize("name", [DEFAULT, HARD])
+@pytest.mark.parametrize("scene_id", range(5, 8))
+def test_scenes_are_complete(name: str, scene_id: int) -> None:
+    dataset = open_dataset(name)
+    scene = dataset.load_scene(scene_id)
+    info = scene.info
+    assert info.side == dataset.find_side(scene_id)
+    assert info.object_names == tuple(dataset.object_names[number] for number in info.object_ids)
+    assert len(set(info.object_ids)) == len(info.object_ids)
+    assert scene.object_dof.dtype == scene.hand_dof.dtype == np.float32
+    assert scene.object_dof.shape[1] == len(info.object_ids)
+    assert np.isfinite(scene.hand_dof).all()
+    assert np.abs(np.diff(scene.object_dof[:, 0, :3], axis=0)).max() < 0.005
+    assert not np.ptp(scene.object_dof[:, 1:], axis=0).any()
+    assert all(path.is_file() for path in (*scene.assets.objects, scene.assets.hand, scene.assets.panda))
+
+
+def test_names_of_objects() -> None:
+    dataset = GeneratedDataset("objects=50")
+    names = pickle.loads(pickle.dumps(dataset.object_names))
+    assert (names[14], names[FIRST_CLASS], names[FIRST_CLASS + 49]) == ("025_mug", "object_00000", "object_00049")
+    assert len(names) == len(list(names)) == 71
+    for number in (0, FIRST_CLASS + 50):
+        with pytest.raises(KeyError):
+            names[number]
+    for name in ("object_00050", "object_x", "mug"):
+        with pytest.raises(UnknownNameError):
+            dataset.find_object_urdf(name)
+
+
+def test_name_opens_the_data_set_again() -> None:
+    dataset = open_dataset("generated:family=hard,seed=3,n=10")
+    assert dataset.name == "generated:n=10,seed=3,family=hard"
+    assert open_dataset(dataset.name).config == parse_generated_config("n=10,seed=3,family=hard")
+    assert dataset.compute_fingerprint(1) == open_dataset("generated:n=99,seed=3,family=hard").compute_fingerprint(1)
+
+
+def test_wrong_use_is_refused() -> None:
+    with pytest.raises(OptionError, match="need no data folder"):
+        open_dataset(DEFAULT, "/tmp")
+    with pytest.raises(UnknownNameError):
+        open_dataset("generated")
+    with pytest.raises(SceneError, match="0 to 9"):
+        open_dataset("generated:n=10").load_scene(10)
+    with pytest.raises(UnknownNameError):
+        open_dataset(DEFAULT).list_scenes("s0", "test")

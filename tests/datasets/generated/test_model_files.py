@@ -1,0 +1,64 @@
+import os
+from pathlib import Path
+
+import pytest
+
+from handover_marl.datasets.generated import model_files
+from handover_marl.datasets.generated.config import parse_generated_config
+from handover_marl.datasets.generated.dataset import GeneratedDataset
+from handover_marl.datasets.generated.hands import draw_person
+from handover_marl.errors import DataNotFoundError
+from handover_marl.geometry.meshes import check_model, read_collision_mesh
+
+
+@pytest.fixture
+def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    return tmp_path / "handover_marl" / "generated"
+
+
+def test_models_can_be_loaded(root: Path) -> None:
+    dataset = GeneratedDataset("seed=2")
+    for number in range(6):
+        urdf = dataset.find_object_urdf(f"object_{number:05d}")
+        check_model(urdf, n_joints=6)
+        vertices, _ = read_collision_mesh(urdf)
+        assert abs(vertices.min(axis=0) + vertices.max(axis=0)).max() < 2e-4
+    person = draw_person(dataset.config, 3)
+    check_model(model_files.write_hand_model(person, "left"), n_joints=51)
+    assert not list(root.glob(".tmp-*"))
+
+
+def test_models_are_written_once(root: Path) -> None:
+    dataset = GeneratedDataset("seed=2")
+    urdf = dataset.find_object_urdf("object_00001")
+    before = urdf.stat().st_mtime_ns
+    assert dataset.find_object_urdf("object_00001") == urdf
+    assert urdf.stat().st_mtime_ns == before
+    assert GeneratedDataset("seed=3").find_object_urdf("object_00001") != urdf
+
+
+def test_oldest_folders_are_removed(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(model_files, "_n_written", 0)
+    root.mkdir(parents=True)
+    for number in range(8):
+        (root / str(number)).mkdir()
+        os.utime(root / str(number), (number, number))
+    (root / "new").mkdir()
+    model_files._remove_old_folders(root, limit=6)
+    assert sorted(path.name for path in root.iterdir()) == ["6", "7", "new"]
+
+
+def test_folders_that_cannot_be_written_are_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "handover_marl").write_text("")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    with pytest.raises(DataNotFoundError, match="set XDG_CACHE_HOME"):
+        GeneratedDataset("seed=2").find_object_urdf("object_00001")
+
+
+def test_people_have_human_hands() -> None:
+    config = parse_generated_config("seed=5")
+    sizes = [draw_person(config, number).size for number in range(50)]
+    assert all(0.155 < size.length < 0.22 and 0.068 < size.breadth < 0.102 for size in sizes)
+    assert len({size.length for size in sizes}) > 30
+    assert draw_person(config, 7) == draw_person(config, 7)
