@@ -84,6 +84,14 @@ class HandTemplates:
     path: npt.NDArray[np.float32]
     radii: Array
 
+    def get_path(self, rows: npt.NDArray[np.int64]) -> Array:
+        """Return the paths (n, S, 5, 9, 3) of some postures."""
+        return self.path[rows].astype(np.float64)
+
+    def get_open_hands(self, rows: npt.NDArray[np.int64]) -> Array:
+        """Return the spheres' centers (n, 5, 9, 3) of some open postures, in the palm's frame (m)."""
+        return self.path[rows, 0].astype(np.float64)
+
 
 @lru_cache(maxsize=1)
 def _sample_openings() -> Openings:

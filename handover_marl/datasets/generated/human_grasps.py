@@ -162,7 +162,7 @@ def _find_lowest_points(templates: HandTemplates, palms: Palms, rows: Ints, dire
     if not len(rows):
         return np.zeros((0, len(directions)))
     palm = np.broadcast_to(templates.spheres.palm[0], (len(rows), *templates.spheres.palm[0].shape))
-    centers = np.concatenate([palm, templates.path[rows, 0].reshape(len(rows), -1, 3)], axis=1)
+    centers = np.concatenate([palm, templates.get_open_hands(rows).reshape(len(rows), -1, 3)], axis=1)
     return np.asarray((palms.transform(centers) @ directions.T).min(axis=1))
 
 
@@ -176,7 +176,7 @@ def _find_free_hands(
         (templates.spheres.forearm, config.forearm_clearance),
     ):
         kept = kept[_measure_body(solid, palms[kept], centers, radii) > least]
-    points = palms[kept].transform(templates.path[rows[kept], 0])
+    points = palms[kept].transform(templates.get_open_hands(rows[kept]))
     gaps = solid.compute_distances(points) - templates.radii
     return np.asarray(kept[gaps.min(axis=(1, 2)) > -0.5 * config.skin_yield])
 
@@ -192,7 +192,7 @@ def _close_fingers(
 ) -> _ClosedHands:
     """Close the digits of n hands: all joints until contact, then the joints beyond the contact."""
     n = len(rows)
-    points = palms.transform(templates.path[rows])
+    points = palms.transform(templates.get_path(rows))
     gaps = (solid.compute_distances(points) - templates.radii).reshape(n, N_STEPS, 5, 3, 3).min(axis=4)
     steps, bends = templates.bends[rows], np.empty((n, 5, 3))
     shares, touches = _find_contacts(gaps.min(axis=3), config.skin_yield)
@@ -237,7 +237,7 @@ def _close_end_joints(
 def _find_contacts(gaps: Array, least: float) -> tuple[Array, Flags]:
     """Return the steps (n, 5), with fractions, at which gaps (n, s, 5) fall below `-least`, and which do."""
     hits = gaps < -least
-    touches = hits.any(axis=1)
+    touches = np.asarray(hits.any(axis=1))
     step = np.where(touches, hits.argmax(axis=1), gaps.shape[1] - 1)
     before = np.maximum(step - 1, 0)
     hand, digit = np.arange(len(gaps))[:, None], np.arange(5)
@@ -245,7 +245,7 @@ def _find_contacts(gaps: Array, least: float) -> tuple[Array, Flags]:
     crosses = touches & (step > 0)
     low, high = np.where(crosses, low, 0.0), np.where(crosses, high, -1.0)
     share = np.where(crosses, np.clip((low + least) / (low - high), 0.0, 1.0), 0.0)
-    return np.where(touches, before + share, gaps.shape[1] - 1.0), touches
+    return np.asarray(np.where(touches, before + share, gaps.shape[1] - 1.0)), touches
 
 
 def _find_firm_grasps(

@@ -1,15 +1,25 @@
 """Tests of pad contacts and of offset grasps."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
+from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.planning.clearance import Spheres, compute_grasp_clearances
+from handover_marl.policies.policy import make_policy_context
+from handover_marl.receivers.reactive import grasp_contact
+from handover_marl.receivers.reactive.config import ReactiveConfig
 from handover_marl.receivers.reactive.grasp_contact import compute_pad_margins, sample_surface_points
-from handover_marl.receivers.reactive.grasps import GraspOffsets, ValidatedGrasps, perturb_grasps
+from handover_marl.receivers.reactive.grasps import (
+    GraspOffsets,
+    GraspPreparationConfig,
+    ValidatedGrasps,
+    perturb_grasps,
+)
 
 TIP = 0.1126  # m, of the fingers before the hand's frame
 HALVES = np.array([0.05, 0.02, 0.05])
@@ -82,3 +92,22 @@ def test_unstable_grasps_get_no_offsets() -> None:
 def test_number_of_offset_grasps_is_limited() -> None:
     grasps = ValidatedGrasps(np.stack([pose_above(0.02, 0.001 * number) for number in range(10)]), np.ones(10))
     assert len(perturb_grasps(grasps, POINTS, FAR, 0.08, GraspOffsets(max_grasps=20)).poses) <= 20
+
+
+@pytest.mark.parametrize(("quick", "stored"), [(True, False), (True, True), (False, False)])
+def test_many_objects_are_validated_quickly(monkeypatch: pytest.MonkeyPatch, quick: bool, stored: bool) -> None:
+    """Only objects without a stored validation, in data sets with many objects, get the quick one."""
+    used: list[GraspPreparationConfig] = []
+
+    def validate(urdf: Path, panda: Path, known: np.ndarray, config: GraspPreparationConfig) -> ValidatedGrasps:
+        used.append(config)
+        return ValidatedGrasps(known, np.ones(len(known)))
+
+    monkeypatch.setattr(grasp_contact, "validate_grasps", validate)
+    monkeypatch.setattr(grasp_contact, "has_validation_record", lambda *_: stored)
+    config = ReactiveConfig()
+    context = replace(make_policy_context(SyntheticDataset()), quick_validation=quick)
+    grasp_contact.load_graspable_object.cache_clear()
+    grasp_contact.load_graspable_object(context, "025_mug", config)
+    grasp_contact.load_graspable_object.cache_clear()
+    assert used == [config.quick_preparation if quick and not stored else config.preparation]
