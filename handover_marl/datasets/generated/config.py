@@ -19,7 +19,7 @@ OBJECT_KINDS: Final = ("boxes", "cylinders", "bottles", "tools", "superquadrics"
 
 #: Largest seed, number of scenes, and number of objects or people: seeds are 32-bit words, and class
 #: numbers are exact in float32 observations.
-MAX_SEED, MAX_SCENES, MAX_POOL = 2**32 - 1, 100_000_000, 1_000_000
+MAX_SEED, MAX_SCENES, MAX_POOL = 2**32 - 1, 10_000_000, 1_000_000
 
 
 def _check_number(name: str, value: float, low: float, high: float) -> None:

@@ -199,7 +199,7 @@ def _load_shape(config: GeneratedConfig, number: int) -> tuple[ProceduralObject,
     return item, corners
 
 
-@lru_cache(maxsize=1024)
+@lru_cache(maxsize=256)
 def load_object_model(config: GeneratedConfig, number: int) -> ObjectModel:
     """Return a procedural object with its solid and a few robot grasps; cached."""
     item, corners = _load_shape(config, number)
