@@ -3,7 +3,7 @@
     python experiments/count_touched_code.py
     python experiments/count_touched_code.py --list-names
 
-Counted, over code objects whose file belongs to the library (packages `handover_marl`, its givers,
+The script counts code objects whose file belongs to the library (packages `handover_marl`, its givers,
 receivers and assets):
 
 - files: files with at least one executed function;
@@ -12,7 +12,7 @@ receivers and assets):
 - depth: the largest number of library frames on the call stack, recursive calls included.
 
 Code that runs while modules are imported is not counted, nor are stack frames of other libraries.
-Measured: `benchmark()` of one scene with `yang2021` in fast physics and one worker in this process;
+The measured calls are `benchmark()` of one scene with `yang2021` in fast physics and one worker in this process;
 one step of exact and one of MuJoCo physics after 500 steps; one decision of `vision`.
 """
 

@@ -2,7 +2,7 @@
 
 env = handover_marl.parallel_env(setup="s0", split="train")      PettingZoo parallel environment
 env = handover_marl.env(setup="s0", split="train")               PettingZoo AEC environment
-env = handover_marl.freeze(env, "receiver", "replay")            one live agent, the other frozen
+env = handover_marl.freeze(env, "receiver", "replay")            one agent to control
 env = handover_marl.encode(env)                                  features and scaled outputs
 env = handover_marl.flatten(env)                                 vectors instead of dictionaries
 env = handover_marl.homogeneous(env)                             equal spaces for all agents
@@ -12,9 +12,9 @@ robot = handover_marl.as_receiver(network)                       function, netwo
 report = handover_marl.benchmark(setup="s3")                     official protocol of HandoverSim
 data = handover_marl.demonstrate(setup="s0", out="data/s0")      data set of recorded episodes
 
-Public are the names in `__all__`, here and in `handover_marl.givers`, `handover_marl.receivers` and
-`handover_marl.testing`, the errors, the configurations, and what the documentation names; other names
-may change at any time.
+Public names are the names in `__all__`, here and in `handover_marl.givers`, `handover_marl.receivers`
+and `handover_marl.testing`, the errors, the configurations, and all names on the pages of the
+documentation. Other names may change at any time.
 """
 
 from importlib import import_module

@@ -8,11 +8,11 @@ carries the object to the goal in a straight line. It uses neither the person's 
 Details of the authors' scripts that determine the results:
 
 - The receiver waits at the robot's start configuration, not at the waiting pose of other methods.
-- The cloud is the last one with the object in view, thinned more at each decision by draws of a
-  fixed seed; while the object is out of sight the policy uses this cloud. Clouds are rounded to
-  float32 in the robot's base frame, and so are intermediate poses.
-- An object that has moved by more than 0.1 m since the last view grants five more decisions, up to
-  20.
+- While the object is out of sight, the policy uses the last point cloud in which the object was
+  visible. Each decision uses a smaller random part of the cloud; the random numbers have a fixed
+  seed. Clouds and intermediate poses are rounded to float32 in the robot's base frame.
+- If the object has moved by more than 0.1 m since the last view, five decisions are added, up to a
+  total of 20.
 - Before the first view the start configuration is commanded and no decision is counted.
 - Each decision makes one inverse kinematics query from the present joints, converged or not.
 - The end of the approach is checked in the last millisecond of each decision: more than 50 of 1,024

@@ -2,7 +2,7 @@
 
 The program validates the grasps of the library's objects, and of the objects in a data folder, with
 both variants of the robot. An object takes about 20 core minutes. Results in the user's cache
-folder are reused. Needs the extra `planning`.
+folder are reused. The program needs the extra `planning`.
 """
 
 from collections.abc import Iterator

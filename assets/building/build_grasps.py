@@ -2,7 +2,7 @@
 
 Candidates pinch pairs of opposite surface points. Candidates whose approach is free of collisions
 are simulated, the most different ones first, until enough of them have held the object while it
-was shaken. Needs the extra `assets`.
+was shaken. The program needs the extra `assets`.
 """
 
 import itertools

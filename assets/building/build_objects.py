@@ -1,6 +1,6 @@
 """Build the object models: `python -m handover_marl.assets.building.build_objects [--out DIR]`.
 
-Needs the extra `assets`. With the same versions of the packages in this extra, the files are equal
+The program needs the extra `assets`. With the same versions of the packages in this extra, the files are equal
 byte by byte.
 """
 

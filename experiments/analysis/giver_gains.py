@@ -3,7 +3,7 @@
     python experiments/analysis/giver_gains.py --data-dir DIR --out results/gains
     python experiments/analysis/giver_gains.py --data-dir DIR --parts test --out results/gains-test
 
-Evaluates every giver on the val split and the held-out tenth of the train split (s0: 36 and 72
+The script evaluates every giver on the val split and the held-out tenth of the train split (s0: 36 and 72
 scenes), or on the test split, and prints outcomes and gains over the first giver, paired by scene.
 With --out an interrupted run resumes, and the table is written to `gains.md`.
 """

@@ -2,8 +2,8 @@
 
     python experiments/analysis/handover_pose_error.py --data-dir DIR
 
-Predicts the final position of the recorded objects of a split every 50 ms, as the receiver
-`reactive` does, from the time at which they are lifted. Prints the distance to the final position
+The script predicts the final position of the recorded objects of a split every 50 ms, as the receiver
+`reactive` does, from the time at which they are lifted. It prints the distance to the final position
 in the recording, by time and by the object's speed, for the prediction, for the current position
 and for the mean final position of all scenes. `--fit` also fits the constants of the prediction.
 """

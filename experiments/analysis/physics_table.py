@@ -2,7 +2,7 @@
 
     python experiments/analysis/physics_table.py --data-dir DIR --out runs/physics
 
-Evaluates every receiver on the same scenes with every engine, and prints success rates and the
+The script evaluates every receiver on the same scenes with every engine, and prints success rates and the
 share of scenes with the same outcome as in exact physics. The output folder gets a result folder
 for each evaluation, from which an interrupted run continues, the table `physics.md` and a plot of
 it, `physics.png`. Receivers with camera observations use the robot `panda_camera` and the renderer

@@ -6,7 +6,7 @@
 `study.csv` has a line for each receiver: its name and its success rate, in percent or as a
 fraction. By default, simulated rates are HandoverSim's published ones (Table II, test split of
 `--setup`), under the names in that table; with `--simulated` they are read from result folders.
-Prints both rates side by side with the rank correlations and a note on the small number of
+The script prints both rates side by side with the rank correlations and a note on the small number of
 receivers.
 """
 

@@ -2,7 +2,7 @@
 
     python experiments/analysis/risk_curve.py --data-dir DIR --out docs/risk.png
 
-Evaluates `reactive` with several values of `risk` on the validation split and on every tenth scene
+The script evaluates `reactive` with several values of `risk` on the validation split and on every tenth scene
 of the training split, prints a table with 95 % intervals and plots it. With `--results` an
 interrupted run can be continued.
 """

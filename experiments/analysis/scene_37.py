@@ -2,7 +2,7 @@
 
     python experiments/analysis/scene_37.py --scene 37 --receivers yang2021,reactive --data-dir DIR
 
-Simulates a scene with each receiver and prints the time of the first contact of robot and object,
+The script simulates a scene with each receiver and prints the time of the first contact of robot and object,
 the time and cause of the release by the giver, the time with contact of both fingers, the arrival
 at the goal, and the outcome. `--hold 3` requires the object to be held at the goal for 3 s instead
 of the official 0.1 s, to show whether the grasp is stable; the outcome is then not official.

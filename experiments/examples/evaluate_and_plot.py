@@ -2,7 +2,7 @@
 
     python experiments/examples/evaluate_and_plot.py --dataset synthetic --out runs/outcomes.png
 
-Needs the extra `plot`. Bars show the share of scenes with each outcome; error bars are Wilson's
+The script needs the extra `plot`. Bars show the share of scenes with each outcome; error bars are Wilson's
 95 % intervals.
 """
 

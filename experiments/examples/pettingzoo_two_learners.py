@@ -2,7 +2,7 @@
 
     python experiments/examples/pettingzoo_two_learners.py --dataset synthetic
 
-Needs the extra `train`. Each agent has its own actor and critic and learns by the advantages of its
+The script needs the extra `train`. Each agent has its own actor and critic and learns by the advantages of its
 own rewards (advantage actor-critic), so that the other agent is a part of its environment.
 """
 

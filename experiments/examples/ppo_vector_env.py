@@ -2,7 +2,7 @@
 
     python experiments/examples/ppo_vector_env.py --dataset synthetic --out runs/ppo.npz
 
-Needs the extras `train` and `mujoco`. The giver is frozen. The policy file runs without PyTorch:
+The script needs the extras `train` and `mujoco`. The giver is frozen. The policy file runs without PyTorch:
 `handover-marl benchmark --setup s0 --receiver learned:runs/ppo.npz`.
 """
 

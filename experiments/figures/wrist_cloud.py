@@ -1,4 +1,4 @@
-"""Draw images and point cloud of the wrist camera. Needs the extras `plot` and `vision`.
+"""Draw images and point cloud of the wrist camera. The script needs the extras `plot` and `vision`.
 
     python experiments/figures/wrist_cloud.py --out docs/wrist.png
 

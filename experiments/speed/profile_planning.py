@@ -1,9 +1,9 @@
-"""Profile the planner: time, share of each package, and memory. Needs the extra `planning`.
+"""Profile the planner: time, share of each package, and memory. The script needs the extra `planning`.
 
     python experiments/speed/profile_planning.py --data-dir DIR --out planning.md
 
-Plans every scene of a split in one process on one core, from the observation after the receiver's
-waiting time (fast physics). Prints planning times, the share of time in each file of the planner
+The script plans every scene of a split in one process on one core, from the observation after the receiver's
+waiting time (fast physics). It prints planning times, the share of time in each file of the planner
 and the peak memory of the process. Each scene is planned twice: the first time includes loading the
 object's signed distance field, or computing it if it is not in the cache yet.
 """

@@ -4,7 +4,7 @@
 
 Each round trains both agents anew for the other's latest policy, with `train_giver_sb3.py` and
 `train_receiver_sb3.py` in this folder, and evaluates all givers with all receivers on the
-validation split (`crossplay.md`, `.csv` and `.png`). Needs the extras `train` and `plot`. The same
+validation split (`crossplay.md`, `.csv` and `.png`). The script needs the extras `train` and `plot`. The same
 command continues an interrupted run.
 """
 

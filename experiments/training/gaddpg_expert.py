@@ -3,7 +3,7 @@
     python experiments/training/gaddpg_expert.py --data-dir DIR --split val --wait 3
 
 The result is an upper bound for imitation. The expert knows the true pose of the object, but not
-the person's hand. Needs the extras `planning` and `vision`.
+the person's hand. The script needs the extras `planning` and `vision`.
 """
 
 from dataclasses import dataclass

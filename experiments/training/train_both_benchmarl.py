@@ -1,6 +1,6 @@
 """Train giver and receiver together with BenchMARL, by MAPPO or another of its algorithms.
 
-Needs the extras `benchmarl`, `plot` and, by default, `mujoco`; `--physics fast` does not need
+The script needs the extras `benchmarl`, `plot` and, by default, `mujoco`; `--physics fast` does not need
 MuJoCo, but is slower.
 
     python experiments/training/train_both_benchmarl.py --dataset synthetic --out runs/benchmarl

@@ -1,6 +1,6 @@
 """Train giver and receiver together by independent PPO in plain PyTorch.
 
-Needs the extras `train`, `plot` and, by default, `mujoco`; `--physics fast` does not need MuJoCo,
+The script needs the extras `train`, `plot` and, by default, `mujoco`; `--physics fast` does not need MuJoCo,
 but is slower.
 
     python experiments/training/train_both_ippo.py --data-dir DIR --out runs/both

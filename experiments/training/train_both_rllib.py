@@ -1,6 +1,6 @@
 """Train giver and receiver together with RLlib's PPO on its new API stack.
 
-Needs the extras `rllib`, `plot` and, by default, `mujoco`; `--physics fast` does not need MuJoCo,
+The script needs the extras `rllib`, `plot` and, by default, `mujoco`; `--physics fast` does not need MuJoCo,
 but is slower.
 
     python experiments/training/train_both_rllib.py --dataset synthetic --out runs/rllib

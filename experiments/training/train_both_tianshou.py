@@ -1,6 +1,6 @@
 """Train giver and receiver together with Tianshou's PPO, with one network for both.
 
-Needs the extras `tianshou`, `plot` and, by default, `mujoco`; `--physics fast` does not need
+The script needs the extras `tianshou`, `plot` and, by default, `mujoco`; `--physics fast` does not need
 MuJoCo, but is slower.
 
     python experiments/training/train_both_tianshou.py --dataset synthetic --out runs/tianshou

@@ -1,6 +1,6 @@
 """Train giver and receiver together with TorchRL, by MAPPO or IPPO.
 
-Needs the extras `torchrl`, `plot` and, by default, `mujoco`; `--physics fast` does not need MuJoCo,
+The script needs the extras `torchrl`, `plot` and, by default, `mujoco`; `--physics fast` does not need MuJoCo,
 but is slower.
 
     python experiments/training/train_both_torchrl.py --dataset synthetic --out runs/torchrl

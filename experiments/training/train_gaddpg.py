@@ -1,12 +1,12 @@
 """Train the network of the receiver `gaddpg` by imitation.
 
-Needs the extras `train`, `plot`, `planning` and `vision`.
+The script needs the extras `train`, `plot`, `planning` and `vision`.
 
     python experiments/training/train_gaddpg.py --data-dir DIR --out runs/gaddpg
 
-After Wang et al. (CoRL 2021): objects at rest without a hand, the planner `omg` as the expert,
-behavior cloning with an auxiliary loss of goals, then rounds in which the network acts and the
-expert labels the states (DAgger). Only the evaluation on the validation split simulates physics.
+The training follows Wang et al. (CoRL 2021): objects are at rest without a hand, the expert is the planner
+`omg`, and the network is trained by behavior cloning with an auxiliary loss of goals. In later rounds the
+network acts and the expert labels the states (DAgger). Only the evaluation on the validation split simulates physics.
 The folder gets `policy.npz`, the best network (`--receiver gaddpg:weights=runs/gaddpg/policy.npz
 --robot panda_camera`), `last.npz`, a learning curve, TensorBoard logs, `plans/`, `states/`, and a
 checkpoint, from which `--resume` continues.
@@ -284,7 +284,7 @@ class Training:
         self._save()
 
     def _save(self) -> None:
-        state = {"learner": self._learner.state(), "round": self._round, "best": self._best}
+        state = {"learner": self._learner.get_state(), "round": self._round, "best": self._best}
         write_checkpoint(self._folder.checkpoint, state)
 
     def _restore(self, state: dict[str, Any]) -> None:

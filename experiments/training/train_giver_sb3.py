@@ -1,6 +1,6 @@
 """Train a giver for a frozen receiver with Stable-Baselines3's PPO.
 
-Needs the extras `train` and `plot`.
+The script needs the extras `train` and `plot`.
 
     python experiments/training/train_giver_sb3.py --data-dir DIR --out runs/giver
 

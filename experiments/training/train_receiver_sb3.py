@@ -1,6 +1,6 @@
 """Train a receiver from scratch for a frozen giver with Stable-Baselines3's PPO.
 
-Needs the extras `train`, `plot` and, by default, `mujoco`; `--physics fast` does not need MuJoCo,
+The script needs the extras `train`, `plot` and, by default, `mujoco`; `--physics fast` does not need MuJoCo,
 but is slower.
 
     python experiments/training/train_receiver_sb3.py --data-dir DIR --out runs/receiver

@@ -1,10 +1,10 @@
 """Train the grasp network of the receiver `vision`.
 
-Needs the extras `train`, `plot`, `planning` and `vision`.
+The script needs the extras `train`, `plot`, `planning` and `vision`.
 
     python experiments/training/train_vision.py --data-dir DIR --out runs/vision
 
-Renders views of a training split from random poses of the wrist camera, validates the objects'
+The script renders views of a training split from random poses of the wrist camera, validates the objects'
 grasps in simulation if that was not done yet, and trains the network to predict good grasps. In
 later rounds, views recorded while the receiver uses the trained network are added (DAgger). After
 every round the receiver is evaluated on the validation split in fast physics. The folder gets
@@ -218,7 +218,7 @@ class Training:
         self._writer.add_scalar("val/success", point.success, point.steps)
 
     def _save(self) -> None:
-        write_checkpoint(self._folder.checkpoint, {**self._trainer.state(), "seconds": self._seconds})
+        write_checkpoint(self._folder.checkpoint, {**self._trainer.get_state(), "seconds": self._seconds})
 
     def _restore(self, state: dict[str, object]) -> None:
         self._trainer.restore(state)

@@ -2,11 +2,11 @@
 
     python experiments/training/vision_ablations.py --data-dir DIR --out runs/ablations
 
-Trains the complete network, and one without each component, on half of a training split with the
+The script trains the complete network, and one without each component, on half of a training split with the
 same camera views. Each network is evaluated in fast physics on the validation split and on scenes
 of the training split that are not trained on; the complete one also with camera noise. The folder
 gets a run and results per variant, from which an interrupted command continues, and the table
-`ablations.md`. Needs the extras `train`, `plot`, `planning` and `vision`.
+`ablations.md`. The script needs the extras `train`, `plot`, `planning` and `vision`.
 """
 
 from collections.abc import Sequence

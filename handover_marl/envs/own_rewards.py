@@ -114,7 +114,7 @@ class RewardSource(Protocol):
         """Start an episode; return the terms, all 0, by agent."""
 
     def compute(self, transition: Transition) -> dict[str, Terms]:
-        """Return the terms of a control step by agent."""
+        """Return the reward terms of a control step, by agent."""
 
 
 def make_reward_source(rewards: RewardLike, goal: Position) -> RewardSource:
@@ -152,7 +152,7 @@ class ConfiguredRewards:
         return self._function.reset(read_reward_state(transition))
 
     def compute(self, transition: Transition) -> dict[str, Terms]:
-        """Return the terms of a control step by agent."""
+        """Return the reward terms of a control step, by agent."""
         return self._function.compute_terms(transition.status, lambda: read_reward_state(transition))
 
 

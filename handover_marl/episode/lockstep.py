@@ -130,7 +130,7 @@ def judge_steps(
 ) -> tuple[Counts, RefereeStateBatch]:
     """Apply release and end rules to k steps of n episodes, up to the first release or end of each.
 
-    Gives the same states as `Referee.update` after every step, without a loop over the steps.
+    The states are the same as with `Referee.update` after every step, but there is no loop over steps.
 
     Args:
         before: Referee states before these steps; all episodes are running.

@@ -6,9 +6,9 @@ whole episode; a person is active while the wrist moves faster than `ACTIVE_SPEE
 while its hand link moves faster than `ACTIVE_SPEED` or its fingers faster than `ACTIVE_FINGER_SPEED`.
 Smoothness is the spectral arc length of Balasubramanian et al., "On the analysis of movement
 smoothness", Journal of NeuroEngineering and Rehabilitation 12:112, 2015. It does not depend on speed
-and duration. Jerk does: it is the root of the mean squared jerk, which the minimum-jerk model of Flash
-and Hogan, Journal of Neuroscience 5(7), 1985, minimises in human reaching. Positions are differentiated
-by the filter of Savitzky and Golay, Analytical Chemistry 36(8), 1964.
+and duration. The root mean square of the jerk depends on both; it is minimal in the minimum-jerk model
+of human reaching (Flash and Hogan, Journal of Neuroscience 5(7), 1985). Positions are differentiated by
+the filter of Savitzky and Golay, Analytical Chemistry 36(8), 1964.
 """
 
 import functools

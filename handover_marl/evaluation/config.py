@@ -256,7 +256,7 @@ def resolve_config(config: EvaluationConfig, trust: bool = False) -> tuple[Evalu
 
 
 def set_dataset(config: EvaluationConfig, dataset: Dataset) -> EvaluationConfig:
-    """Return a copy of a configuration that opens a given dataset, by its name in results."""
+    """Return a copy of a configuration with the name and the folder of a given dataset."""
     folder = dataset.source_folder
     return replace(config, dataset=dataset.name, data_dir=config.data_dir if folder is None else str(folder))
 

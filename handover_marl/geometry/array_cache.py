@@ -1,6 +1,6 @@
 """Cache files of arrays computed from object models, in the user's cache folder.
 
-Needs platformdirs (extra `planning`). Several processes may share the folder: files are written
+The module needs platformdirs (extra `planning`). Several processes may share the folder: files are written
 atomically, and unreadable files are computed again.
 """
 

@@ -29,7 +29,9 @@ def available_schemes(agent: str) -> tuple[str, ...]:
 
 
 def scheme_size(agent: str, name: str) -> int:
-    """Return the number of outputs that a built-in action scheme decodes; own ones have `make_scheme(...).size`.
+    """Return the number of outputs that a built-in action scheme decodes.
+
+    The number of outputs of a user-defined scheme is `make_scheme(...).size`.
 
     Raises:
         UnknownNameError: The agent has no scheme of that name.

@@ -23,7 +23,7 @@ class HandoverPosePredictorConfig:
 
     The second term moves the prediction of a moving object towards the mean handover position; it
     is zero for an object at rest. An object that was lifted and then stays within a small region
-    counts as hovering. Its velocity is extrapolated for a shorter time, without the second term.
+    counts as held still. Its velocity is extrapolated for a shorter time, without the second term.
     `experiments/analysis/handover_pose_error.py` fits the constants.
 
     Attributes:
@@ -36,11 +36,11 @@ class HandoverPosePredictorConfig:
         rotation_horizon: Time for which the angular velocity is extrapolated (s).
         smoothing_time: Time constant of the velocity filter (s).
         rest_speed: Speed below which an object counts as at rest (m/s).
-        hover_radius: Maximum distance of a hovering object from its position `hover_time` ago (m).
-        hover_time: Time for which a hovering object has stayed within `hover_radius` (s).
-        hover_min_lift: Minimum distance between the object's position `hover_time` ago and its
+        held_still_radius: Maximum distance of an object that is held still from its position `held_still_time` ago (m).
+        held_still_time: Time for which an object that is held still has stayed within `held_still_radius` (s).
+        held_still_min_lift: Minimum distance between the object's position `held_still_time` ago and its
             position at the start of the episode (m).
-        hover_horizon: Time for which the velocity of a hovering object is extrapolated (s).
+        held_still_horizon: Time for which the velocity of an object that is held still is extrapolated (s).
     """
 
     velocity_horizon: float = 0.21
@@ -50,10 +50,10 @@ class HandoverPosePredictorConfig:
     rotation_horizon: float = 0.1
     smoothing_time: float = 0.05
     rest_speed: float = 0.05
-    hover_radius: float = 0.08
-    hover_time: float = 0.6
-    hover_min_lift: float = 0.1
-    hover_horizon: float = 0.05
+    held_still_radius: float = 0.08
+    held_still_time: float = 0.6
+    held_still_min_lift: float = 0.1
+    held_still_horizon: float = 0.05
 
 
 class HandoverPosePredictor:
@@ -92,7 +92,7 @@ class HandoverPosePredictor:
             self._update_velocities(time - self._time, pose)
         self._time, self._pose = time, pose.copy()
         self._history.append((time, self._pose[:3]))
-        oldest = time - self.config.hover_time + _TIME_TOLERANCE
+        oldest = time - self.config.held_still_time + _TIME_TOLERANCE
         while len(self._history) > 1 and self._history[1][0] < oldest:
             self._history.popleft()
 
@@ -110,14 +110,14 @@ class HandoverPosePredictor:
         self.rest_time = self.rest_time + step if self.speed < self.config.rest_speed else 0.0
 
     @property
-    def is_hovering(self) -> bool:
+    def is_held_still(self) -> bool:
         """Whether the object was lifted and has since stayed within a small region."""
         if self.start is None:
             return False
         config, (since, position) = self.config, self._history[0]
         lift, distance = (float(np.linalg.norm(position - other)) for other in (self.start, self._pose[:3]))
-        is_long_enough = self._time - since > config.hover_time - _TIME_TOLERANCE
-        return is_long_enough and lift > config.hover_min_lift and distance < config.hover_radius
+        is_long_enough = self._time - since > config.held_still_time - _TIME_TOLERANCE
+        return is_long_enough and lift > config.held_still_min_lift and distance < config.held_still_radius
 
     @property
     def speed(self) -> float:
@@ -132,8 +132,8 @@ class HandoverPosePredictor:
     def predict_handover_pose(self) -> Array:
         """Return the world pose (7,) at which the object is expected to be held out."""
         config = self.config
-        if self.is_hovering:
-            return self.extrapolate_pose(config.hover_horizon)
+        if self.is_held_still:
+            return self.extrapolate_pose(config.held_still_horizon)
         attraction = config.attraction * np.tanh(self.speed / config.attraction_speed)
         to_mean = np.array(config.mean_handover_position) - self._pose[:3]
         position = self._pose[:3] + config.velocity_horizon * self.velocity + attraction * to_mean

@@ -30,7 +30,7 @@ _MAX_DEPTH = 12
 def hash_function(function: object) -> str:
     """Compute a hash (64 hex digits) of a function, a PyTorch module or another callable object.
 
-    Covers the code of functions and classes that are not in an installed package, the values of variables
+    The hash covers the code of functions and classes that are not in an installed package, the values of variables
     that they use, default arguments, attributes of objects, arrays and tensors. Installed packages
     count with their version. The hash is equal in every process.
 

@@ -61,7 +61,7 @@ def hash_library() -> str:
 def hash_packages(policy_class: type) -> str:
     """Compute a hash (8 hex digits) of the packages that define a class and its base classes.
 
-    Covers all Python files of the top-level packages in which the classes are defined; for a module
+    The hash covers all Python files of the top-level packages in which the classes are defined; for a module
     outside a package, all in its folder. This library and the standard library are left out.
     """
     digest = hashlib.sha256()
@@ -92,7 +92,7 @@ def is_installed_package(name: str) -> bool:
 def hash_package(name: str) -> str:
     """Compute a hash of all Python files of a top-level package; empty if it has no files.
 
-    For a module outside a package, covers all files in its folder.
+    For a module outside a package, the hash covers all files in its folder.
     """
     folders = getattr(sys.modules.get(name), "__path__", None)
     if folders is not None:
@@ -130,7 +130,7 @@ def find_source_file(module: str) -> Path | None:
 def describe_class(policy_class: type) -> str:
     """Return the code of a class without a source file as text, for its hash.
 
-    Includes the plain values (numbers, text, tuples) and helper functions that its methods use.
+    The text includes the plain values (numbers, text, tuples) and helper functions that its methods use.
     """
     texts = []
     for name, value in sorted(vars(policy_class).items()):

@@ -120,12 +120,12 @@ class ApproachConfig:
         max_posture_change: Maximum joint change towards the selected configuration by which the
             seed of inverse kinematics is moved in a decision (rad).
         max_object_speed: Speed of the object above which the gripper does not come closer (m/s).
-        max_hover_speed: Value of `max_object_speed` for an object that is held almost still in the air
+        max_held_still_speed: Value of `max_object_speed` for an object that is held almost still in the air
             (m/s).
         close_speed: Maximum speed of the object at which the fingers close (m/s), relative to the
             gripper if the object is held almost still in the air.
         axial_tolerance: Maximum axial distance at which the fingers close (m).
-        hover_tolerance_factor: Factor on `close_speed`, `axial_tolerance` and `lateral_tolerance`
+        held_still_tolerance_factor: Factor on `close_speed`, `axial_tolerance` and `lateral_tolerance`
             for an object that is held almost still in the air.
         close_timeout: Maximum time from closing the fingers until the person releases the object
             (s).
@@ -163,10 +163,10 @@ class ApproachConfig:
     max_joint_speed: float = 1.3
     max_posture_change: float = 0.05
     max_object_speed: float = 0.2
-    max_hover_speed: float = 0.6
+    max_held_still_speed: float = 0.6
     close_speed: float = 0.08
     axial_tolerance: float = 0.006
-    hover_tolerance_factor: float = 2.0
+    held_still_tolerance_factor: float = 2.0
     close_timeout: float = 0.8
     close_period: float = 0.01
     close_gain: float = 10.0
@@ -309,7 +309,7 @@ def apply_risk(config: ReactiveConfig, risk: float) -> ReactiveConfig:
             speed=pace * approach.speed,
             max_object_speed=pace * approach.max_object_speed,
             close_speed=pace * approach.close_speed,
-            max_hover_speed=pace * approach.max_hover_speed,
+            max_held_still_speed=pace * approach.max_held_still_speed,
             lateral_tolerance=approach.lateral_tolerance * max(1.0, pace) ** 0.5,
             rotation_tolerance=approach.rotation_tolerance * max(1.0, pace) ** 0.5,
         ),

@@ -214,7 +214,7 @@ class ApproachController:
         before, speed = max(axial, 0.0), motion.speed
         is_aligned = lateral < factor * (config.lateral_tolerance + config.lateral_funnel * before)
         is_aligned &= rotation < factor * (config.rotation_tolerance + config.rotation_funnel * before)
-        if is_aligned and speed < (config.max_hover_speed if motion.is_hovering else config.max_object_speed):
+        if is_aligned and speed < (config.max_held_still_speed if motion.is_held_still else config.max_object_speed):
             period = self._motion.servo.period
             half = 0.5 * config.deceleration * period
             braking_speed = float(np.sqrt(half**2 + 2.0 * config.deceleration * before)) - half

@@ -95,7 +95,7 @@ class SceneEstimate(ABC):
     @property
     def is_settled(self) -> bool:
         """Whether the object is at rest, or is held almost still in the air."""
-        return self.motion.rest_time > self.config.settle_time or self.motion.is_hovering
+        return self.motion.rest_time > self.config.settle_time or self.motion.is_held_still
 
     @property
     def has_motion_nearby(self) -> bool:
@@ -107,8 +107,8 @@ class SceneEstimate(ABC):
     @property
     def tolerance_factor(self) -> float:
         """Factor on tolerances of the approach: above 1 for a slowly moving object in the air, else 1."""
-        is_moving = self.motion.is_hovering and self.motion.rest_time == 0.0
-        return self.config.approach.hover_tolerance_factor if is_moving else 1.0
+        is_moving = self.motion.is_held_still and self.motion.rest_time == 0.0
+        return self.config.approach.held_still_tolerance_factor if is_moving else 1.0
 
 
 class PoseSceneEstimate(SceneEstimate):

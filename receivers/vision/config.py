@@ -132,5 +132,5 @@ def make_vision_reactive_config() -> ReactiveConfig:
             hard_min_clearance=0.0,
             offset_delay=np.inf,
         ),
-        approach=replace(config.approach, max_object_speed=0.08, max_hover_speed=0.15, close_period=0.05),
+        approach=replace(config.approach, max_object_speed=0.08, max_held_still_speed=0.15, close_period=0.05),
     )

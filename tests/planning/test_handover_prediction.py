@@ -69,21 +69,21 @@ def track_swaying_motion(times: np.ndarray, size: float) -> HandoverPosePredicto
     return predictor
 
 
-def test_swaying_object_hovers() -> None:
+def test_swaying_object_counts_as_held_still() -> None:
     times = np.arange(0.0, 2.0, STEP)
     predictor = track_swaying_motion(times, 0.03)
-    assert predictor.is_hovering
+    assert predictor.is_held_still
     assert predictor.speed > HandoverPosePredictorConfig().rest_speed
-    # A hovering object is not attracted.
+    # A object that is held still is not attracted.
     assert np.linalg.norm(predictor.predict_handover_pose()[:3] - predictor.extrapolate_pose(0.0)[:3]) < 0.02
-    assert not track_swaying_motion(times, 0.3).is_hovering
+    assert not track_swaying_motion(times, 0.3).is_held_still
 
 
 @pytest.mark.parametrize("seconds", [0.3, 0.9])
-def test_lifted_object_does_not_hover_at_once(seconds: float) -> None:
-    """An object that was not lifted does not hover either."""
-    assert not track_swaying_motion(np.arange(0.0, seconds, STEP), 0.03).is_hovering
-    assert not track_steady_motion(0.0, 2.0).is_hovering
+def test_lifted_object_is_not_held_still_at_once(seconds: float) -> None:
+    """An object that was not lifted does not count as held still either."""
+    assert not track_swaying_motion(np.arange(0.0, seconds, STEP), 0.03).is_held_still
+    assert not track_steady_motion(0.0, 2.0).is_held_still
 
 
 def test_twist_of_a_rotating_object() -> None:

@@ -56,7 +56,7 @@ def find_first_betas(sequences: Iterable[SequenceFolder]) -> dict[tuple[str, str
 def read_hand_betas(sequences: Sequence[SequenceFolder]) -> tuple[float, ...]:
     """Return MANO's shape parameters for the models of a subject's two hands.
 
-    HandoverSim uses those of the subject's first recording for both hands. In DexYCB the parameters
+    HandoverSim uses the parameters of the subject's first recording for both hands. In DexYCB the parameters
     of all recordings of a subject are equal, so a later one is used if the first is damaged.
 
     Args:

@@ -60,7 +60,7 @@ def build_official_table(metadata: ResultMetadata, episodes: Sequence[EpisodeRes
 
 
 def find_comparable_rows(metadata: ResultMetadata) -> tuple[PublishedResult, ...]:
-    """Return the published results of the same scenes, physics and rules as an evaluation's."""
+    """Return the published results that were measured with the scenes, physics and rules of an evaluation."""
     identity = (metadata.split, metadata.dataset, metadata.physics, metadata.world)
     return PUBLISHED.get(metadata.setup, ()) if identity == ("test", "dexycb", "exact", OFFICIAL_WORLD) else ()
 

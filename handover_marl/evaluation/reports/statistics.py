@@ -47,8 +47,8 @@ def compute_mean_interval(values: Sequence[float]) -> tuple[float, float] | None
     """Compute the bootstrap 95 % interval of a mean (percentiles of 2,000 resamples).
 
     The interval lies within the range of the values, so that no share exceeds one and no force is
-    negative. The generator has a fixed seed: equal values have equal intervals. Returns None for
-    fewer than two values.
+    negative. The generator has a fixed seed: equal values have equal intervals. The
+    result is None for fewer than two values.
     """
     if len(values) < 2:
         return None

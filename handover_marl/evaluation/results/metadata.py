@@ -131,7 +131,7 @@ class ResultMetadata:
         return {key: value for key, value in asdict(self).items() if value or key != "n_split_scenes"}
 
     def describe_differences(self, other: "ResultMetadata", here: str, there: str) -> list[str]:
-        """Describe each field that differs from another evaluation's.
+        """Describe each field in which this evaluation and another one differ.
 
         Args:
             other: Identity of the other evaluation.

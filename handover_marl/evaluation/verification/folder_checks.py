@@ -34,11 +34,11 @@ def check_giver(giver: PolicyReference, metadata: ResultMetadata) -> list[Differ
 
 
 def check_reports(path: Path) -> list[Difference]:
-    """Compare the reports of a folder with those of the result files beside them.
+    """Compare the reports in a result folder with reports that are computed from its result files.
 
     Args:
-        path: Result folder. Texts and web pages of other versions are not compared, and a folder
-            without any report, as HandoverSim writes it, has nothing to compare.
+        path: Result folder. Texts and web pages of other versions are not compared. A folder without
+            a report, such as a folder that HandoverSim wrote, has no differences.
     """
     try:
         report = evaluate(path)

@@ -1,4 +1,4 @@
-"""Conversion of models of Stable-Baselines3 to networks of policy files. Needs the extra `train`."""
+"""Conversion of models of Stable-Baselines3 to networks of policy files. The module needs the extra `train`."""
 
 from dataclasses import replace
 from typing import Any

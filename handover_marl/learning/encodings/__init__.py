@@ -1,1 +1,1 @@
-"""User-defined features and action schemes: declared sizes, checks at run time, and references by text."""
+"""User-defined features and action schemes: declared sizes, checks of values, and names `module:name`."""

@@ -145,14 +145,14 @@ class GaddpgNetwork(SavedNetwork):
         present = np.tile(IDENTITY, (len(goals), 1))
         return compute_approach_steps(present, goals, remaining, self.approach).astype(np.float32)
 
-    def settings(self) -> dict[str, Any]:
+    def get_settings(self) -> dict[str, Any]:
         """Return the constructor's arguments, approach rule and number of decisions, in JSON types."""
         approach = None if self.approach is None else asdict(self.approach)
         return {"approach": approach, "max_steps": self.max_steps}
 
     @classmethod
     def from_settings(cls, settings: dict[str, Any]) -> "GaddpgNetwork":
-        """Create an untrained network from its arguments, as returned by `settings`."""
+        """Create an untrained network from its arguments, as returned by `get_settings`."""
         approach = settings.get("approach")
         return cls(None if approach is None else ApproachFieldConfig.from_settings(approach), settings.get("max_steps"))
 

@@ -83,7 +83,7 @@ class PointCloudBatch(NamedTuple):
     center_indices: Tensor
     object_velocity: Tensor
 
-    def centers(self) -> Tensor:
+    def get_center_points(self) -> Tensor:
         """Return the points (B, C, 3) at which grasps are predicted (m)."""
         return self.object_points.gather(1, self.center_indices[..., None].expand(-1, -1, 3))
 
@@ -117,13 +117,13 @@ class GraspNetwork(SavedNetwork):
         self.grasp = nn.Sequential(_layers(width, config.grasp, config.grasp), nn.Linear(config.grasp, 4 + _N_ROTATION))
         self.rest = nn.Sequential(_layers(config.whole, config.grasp), nn.Linear(config.grasp, 6))
 
-    def settings(self) -> dict[str, Any]:
+    def get_settings(self) -> dict[str, Any]:
         """Return the configuration in JSON types."""
         return asdict(self.config)
 
     @classmethod
     def from_settings(cls: "type[_Self]", settings: dict[str, Any]) -> "_Self":
-        """Create an untrained network from its arguments, as returned by `settings`."""
+        """Create an untrained network from its arguments, as returned by `get_settings`."""
         return cls(GraspNetworkConfig(**(settings | {"groups": tuple(settings["groups"])})))
 
     def forward(self, clouds: PointCloudBatch) -> GraspOutputs:
@@ -138,7 +138,7 @@ class GraspNetwork(SavedNetwork):
         points = self.points(torch.cat([local, _FAR_SCALE * positions, is_hand], dim=-1))
         mask = torch.cat([torch.ones_like(clouds.object_points[..., 0], dtype=torch.bool), hand_mask], dim=1)
         whole = self._encode_cloud(points, mask, clouds)
-        centers = clouds.centers()
+        centers = clouds.get_center_points()
         features = [
             points.gather(1, clouds.center_indices[..., None].expand(-1, -1, points.shape[-1])),
             *self._encode_groups(points, positions - mean, mask, centers - mean),

@@ -58,13 +58,13 @@ class SavedNetwork(nn.Module):
     kind: ClassVar[str]
     uses_int8: ClassVar[bool] = False
 
-    def settings(self) -> dict[str, Any]:
+    def get_settings(self) -> dict[str, Any]:
         """Return the arguments of the network in JSON types."""
         return {}
 
     @classmethod
     def from_settings(cls: type[_Network], settings: dict[str, Any]) -> _Network:
-        """Create an untrained network from its arguments, as returned by `settings`."""
+        """Create an untrained network from its arguments, as returned by `get_settings`."""
         return cls(**settings)
 
 
@@ -83,7 +83,7 @@ def write_network_weights(path: Path, network: SavedNetwork, provenance: Mapping
     for name, value in network.state_dict().items():
         if not name.endswith(_COUNTERS):
             arrays |= _encode_array(name, value.detach().cpu().numpy(), network.uses_int8)
-    about = {"format": _FORMAT, "kind": network.kind, "settings": network.settings(), "made_by": dict(provenance)}
+    about = {"format": _FORMAT, "kind": network.kind, "settings": network.get_settings(), "made_by": dict(provenance)}
     write_arrays(path, {_ABOUT: np.array(json.dumps(about)), **arrays})
 
 

@@ -102,7 +102,7 @@ class PpoArgs(ResumableArgs):
     """Arguments of the scripts that train one agent with Stable-Baselines3's PPO.
 
     Attributes:
-        features: Name of the features that the learning agent observes, or module:name of own ones.
+        features: Name of the features that the learning agent observes, or module:name of user-defined features.
         actions: Name of the learning agent's action scheme, or module:name of an own one.
         envs: Number of environments simulated in parallel; 0 means 64 with mujoco, else 8.
     """
@@ -123,9 +123,9 @@ class PairArgs(TrainingArgs):
     """Arguments of the scripts that train giver and receiver together.
 
     Attributes:
-        giver_features: Name of the giver's features, or module:name of own ones.
+        giver_features: Name of the giver's features, or module:name of user-defined features.
         giver_actions: Name of the giver's action scheme, or module:name of an own one.
-        receiver_features: Name of the receiver's features, or module:name of own ones.
+        receiver_features: Name of the receiver's features, or module:name of user-defined features.
         receiver_actions: Name of the receiver's action scheme, or module:name of an own one.
         minibatch_size: Number of decisions per gradient step.
         clip_range: Largest deviation from 1 of the probability ratio in PPO's objective.

@@ -1,4 +1,4 @@
-"""Handover as a BenchMARL task, for all its algorithms. Needs the extra `benchmarl`.
+"""Handover as a BenchMARL task, for all its algorithms. The module needs the extra `benchmarl`.
 
 Example:
     Experiment(HandoverTask.TAKE.get_task(make_task_config(args)), MappoConfig.get_from_yaml(), ...)

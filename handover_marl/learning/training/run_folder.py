@@ -1,6 +1,6 @@
 """Folder of a training run: arguments, checkpoint, policy, learning curve; and choice of scenes.
 
-Needs the extras `train` and `plot`.
+The module needs the extras `train` and `plot`.
 """
 
 import csv

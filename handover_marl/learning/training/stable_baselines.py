@@ -1,4 +1,4 @@
-"""Training of one agent with Stable-Baselines3's PPO. Needs the extra `train`.
+"""Training of one agent with Stable-Baselines3's PPO. The module needs the extra `train`.
 
 The module has functions for environments, policy files and checkpoints, and a callback that
 evaluates the policy.

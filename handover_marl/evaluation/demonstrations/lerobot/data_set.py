@@ -56,7 +56,7 @@ policies of every episode."""
 
 @dataclass(frozen=True)
 class DataSetContent:
-    """Content of a data set beside its episodes.
+    """Properties of a data set that its episodes have in common, and their results.
 
     Attributes:
         evaluation: Identity of the evaluation that was recorded.

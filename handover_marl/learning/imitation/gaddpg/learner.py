@@ -188,7 +188,7 @@ class GaddpgLearner:
             action, goal, _ = self._compute_losses(self.averaged, batch)
         return {"action": float(action.detach()), "goal": float(goal.detach())}
 
-    def state(self) -> dict[str, Any]:
+    def get_state(self) -> dict[str, Any]:
         """Return weights, optimizer state and progress for a checkpoint."""
         return {
             "done": self.done,

@@ -1,4 +1,4 @@
-"""Training and metrics of the grasp network. Needs the extra `train`."""
+"""Training and metrics of the grasp network. The module needs the extra `train`."""
 
 import math
 from dataclasses import dataclass
@@ -89,9 +89,9 @@ class LabelledClouds(NamedTuple):
     object_center: Tensor
     object_motion: Tensor
 
-    def losses(self, outputs: GraspOutputs) -> GraspLosses:
+    def compute_losses(self, outputs: GraspOutputs) -> GraspLosses:
         """Compute the losses of the grasp network's outputs on this batch."""
-        centers = self.clouds.centers()
+        centers = self.clouds.get_center_points()
         return compute_grasp_losses(outputs, centers, self.targets, self.object_center, self.object_motion)
 
 
@@ -158,7 +158,7 @@ class GraspTrainer:
         # Half precision suffices for training and takes a third of the time.
         with torch.autocast(self.device.type, torch.bfloat16):
             outputs = self.network(batch.clouds)
-        losses = batch.losses(outputs)
+        losses = batch.compute_losses(outputs)
         total = config.grasp * losses.grasp + config.quality * losses.quality
         total = total + config.center * losses.object_center + config.motion * losses.object_motion
         self._optimizer.zero_grad()
@@ -168,7 +168,7 @@ class GraspTrainer:
         self.done += 1
         return GraspLosses(*(value.detach() for value in losses))
 
-    def state(self) -> dict[str, Any]:
+    def get_state(self) -> dict[str, Any]:
         """Return weights, optimizer state and progress for a checkpoint."""
         return {
             "network": self.network.state_dict(),
@@ -225,7 +225,7 @@ def compute_grasp_metrics(
         for numbers in torch.split(torch.arange(len(views)), 4 * config.batch):
             batch = views.select(numbers, 2 * config.centers, generator)
             outputs = network(batch.clouds)
-            losses.append(torch.stack([*batch.losses(outputs)]) * len(numbers))
+            losses.append(torch.stack([*batch.compute_losses(outputs)]) * len(numbers))
             distances.append(_compute_best_distances(outputs, batch.targets, min_quality))
     best = torch.cat(distances)
     best = best[torch.isfinite(best)]

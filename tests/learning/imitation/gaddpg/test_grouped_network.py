@@ -136,5 +136,5 @@ def test_resumed_learner_continues_exactly() -> None:
     half = GaddpgLearner(12, 0, torch.device("cpu"), config, ApproachFieldConfig())
     learned(half, 0, 6)
     rest = GaddpgLearner(12, 5, torch.device("cpu"), config, ApproachFieldConfig())
-    rest.restore(half.state())
+    rest.restore(half.get_state())
     assert learned(rest, 6, 12) == after
