@@ -90,7 +90,7 @@ class HandTemplates:
 
     def get_open_hands(self, rows: npt.NDArray[np.int64]) -> Array:
         """Return the spheres' centers (n, 5, 9, 3) of some open postures, in the palm's frame (m)."""
-        return self.path[rows, 0].astype(np.float64)
+        return np.asarray(self.path[rows, 0], dtype=np.float64)
 
 
 @lru_cache(maxsize=1)

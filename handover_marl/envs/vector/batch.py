@@ -80,8 +80,11 @@ class EnvBatch:
             raise OptionError(f"num_envs must be at most {MAX_ENVS}, got {num_envs}; run several processes")
         threads = check_positive_integer("threads", count_available_cores() if threads is None else threads)
         if agent is None and partner is not None:
-            raise OptionError("partner must be None if both agents are live; leave it out, or name the live agent")
-        if not isinstance(wrappers, Sequence) or isinstance(wrappers, str):
+            raise OptionError(
+                f"partner must be None if both agents are controlled, got {partner!r}; leave it out, or name one agent"
+            )
+        given: object = wrappers
+        if not isinstance(given, Sequence) or isinstance(given, str):
             raise OptionError(f"wrappers must be a list of functions or classes, got {wrappers!r}")
         if config.render_mode == "human":
             raise OptionError('render_mode must be None or "rgb_array" for several environments, got "human"')
