@@ -5,6 +5,7 @@ import pytest
 
 import handover_marl
 from handover_marl.cli import main
+from handover_marl.datasets.splits import list_split_scenes
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import ResultsError
 from handover_marl.evaluation.results.episode_result import EpisodeResult
@@ -12,10 +13,18 @@ from handover_marl.evaluation.results.metadata import ResultMetadata
 from handover_marl.evaluation.results.result_folder import ResultFolder, encode_result
 
 
-def folder(path: Path, receiver: str, outcomes: dict[int, int], fingerprint: str = "data", split: str = "test") -> Path:
-    made = ResultFolder(path, ResultMetadata("s0", split, receiver, "replay", "exact", "dexycb", "1"))
+def folder(
+    path: Path,
+    receiver: str,
+    outcomes: dict[int, int],
+    fingerprint: str = "data",
+    split: str = "test",
+    version: str = "1",
+) -> Path:
+    made = ResultFolder(path, ResultMetadata("s0", split, receiver, "replay", "exact", "dexycb", version))
+    scenes = list_split_scenes("s0", split, lambda scene: "")
     for index, status in outcomes.items():
-        result = EpisodeResult(index, EpisodeStatus(status), 100 + index, 0.0, scene_id=index, fingerprint=fingerprint)
+        result = EpisodeResult(index, EpisodeStatus(status), 100 + index, 0.0, scenes[index], fingerprint=fingerprint)
         content = encode_result(result, np.zeros((result.steps, 9), np.float32), np.zeros(result.steps))
         made.write(result, content)
     return path
@@ -33,14 +42,22 @@ def test_common_scenes_are_paired(tmp_path: Path, capsys: pytest.CaptureFixture[
     text = capsys.readouterr().out
     assert "Receiver mine" in text
     assert "3 scenes that both folders have" in text
+    (success,) = [line for line in text.splitlines() if line.startswith("| success ")]
+    assert [cell.split()[0] for cell in success.strip("| ").split(" | ")] == [
+        "success",
+        "66.67",
+        "33.33",
+        "+33.33",
+        "3",
+    ]
     (speed,) = [line for line in text.splitlines() if line.startswith("| AS")]
     # Successes of 100 and 101 steps of 13,000, beside one of 100.
     assert [cell.split()[0] for cell in speed.strip("| ").split(" | ")] == ["AS", "66.15", "33.08", "+33.07", "3"]
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in text.splitlines() if "|" in line]
     assert ["scene id", "object name", "A outcome", "B outcome", "A steps", "B steps"] in rows
     assert ["scene id", "object name", "A release step", "B release step"] in rows
-    changed = [row for row in rows if row[0] == "1"]
-    assert changed == [["1", "-", "success", "drop", "101", "101"], ["1", "-", "-", "-"]]
+    changed = [row for row in rows if row[0] == "214"]
+    assert changed == [["214", "-", "success", "drop", "101", "101"], ["214", "-", "-", "-"]]
 
 
 def test_scenes_with_different_outcomes_are_listed_in_either_order(tmp_path: Path) -> None:
@@ -54,6 +71,10 @@ def test_incomparable_folders_are_refused(tmp_path: Path) -> None:
     one = folder(tmp_path / "one", "mine", {0: 1})
     with pytest.raises(ResultsError, match="different data"):
         handover_marl.compare(one, folder(tmp_path / "two", "mine", {0: 1}, fingerprint="other"))
+    # Other versions may compute other fingerprints of the same data.
+    for version in ("0", "2"):
+        newer = folder(tmp_path / version, "mine", {0: 1}, fingerprint="other", version=version)
+        assert len(handover_marl.compare(one, newer).pairs) == len(handover_marl.compare(newer, one).pairs) == 1
     three = folder(tmp_path / "three", "mine", {0: 1}, split="val")
     with pytest.raises(ResultsError, match=r"must have the same split, got test and val$"):
         handover_marl.compare(one, three)

@@ -11,10 +11,13 @@ from handover_marl.evaluation.reports.pages import find_replay_links, render_rep
 from handover_marl.evaluation.reports.report import Report
 from handover_marl.evaluation.reports.scene_tables import format_episodes_csv
 from handover_marl.evaluation.results.episode_result import EpisodeResult
-from handover_marl.evaluation.results.metadata import read_result_metadata
+from handover_marl.evaluation.results.metadata import ResultMetadata, read_result_metadata
 from handover_marl.evaluation.results.result_folder import REPORT_FILES, read_results
 from handover_marl.execution.files import write_atomically
 from handover_marl.geometry.ycb import CLASS_NAMES, SCENE_CLASSES, SUBJECTS
+
+# Data sets with the scene numbers of DexYCB.
+_OFFICIAL_SCENES = ("dexycb", "synthetic")
 
 
 def evaluate(folder: str | os.PathLike[str]) -> Report:
@@ -39,7 +42,8 @@ def evaluate(folder: str | os.PathLike[str]) -> Report:
     results = read_results(path)
     if results[-1].index >= size:
         raise ResultsError(f"{path}: {results[-1].index:03d}.npz exceeds {setup} {split}, which has {size} scenes")
-    return Report(metadata, tuple(_add_scene_info(result, setup, split) for result in results), size)
+    scenes = _list_known_scenes(metadata)
+    return Report(metadata, tuple(_add_scene_info(path, result, scenes) for result in results), size)
 
 
 def format_report_files(folder: Path, report: Report) -> dict[str, str]:
@@ -68,12 +72,30 @@ def write_report(folder: Path, report: Report) -> None:
         write_atomically(folder / name, content)
 
 
-def _add_scene_info(result: EpisodeResult, setup: str, split: str) -> EpisodeResult:
-    """Add scene, object and subject to a result of HandoverSim, if the index determines them."""
-    # In s2 the index of a scene depends on the hand used, which only the dataset knows.
-    if result.scene_id is not None or setup == "s2" or setup not in SETUPS:
+def _list_known_scenes(metadata: ResultMetadata) -> tuple[int, ...] | None:
+    """Return the scene number of every index of a split, or None if only the data set knows them."""
+    # In s2 the index of a scene depends on the hand used.
+    if metadata.setup == "s2" or metadata.setup not in SETUPS or metadata.dataset not in _OFFICIAL_SCENES:
+        return None
+    return list_split_scenes(metadata.setup, metadata.split, lambda _: "")
+
+
+def _add_scene_info(path: Path, result: EpisodeResult, scenes: tuple[int, ...] | None) -> EpisodeResult:
+    """Add scene, object and subject to a result of HandoverSim, if the index determines them.
+
+    Raises:
+        ResultsError: A result states another scene than its index.
+    """
+    if scenes is None:
         return result
-    scene_id = list_split_scenes(setup, split, lambda _: "")[result.index]
+    scene_id = scenes[result.index]
+    if result.scene_id is not None:
+        if result.scene_id != scene_id:
+            raise ResultsError(
+                f"{path}: {result.index:03d}.npz must be of scene {scene_id}, got scene {result.scene_id}; delete it, "
+                "or give it its name back"
+            )
+        return result
     return replace(
         result,
         scene_id=scene_id,

@@ -9,12 +9,18 @@ import pytest
 
 import handover_marl
 from handover_marl.cli import main
+from handover_marl.episode.metrics import FluencyMetrics
 from handover_marl.errors import UnknownNameError
 from handover_marl.evaluation.agreement import Agreement
 from handover_marl.evaluation.comparison import Comparison
 from handover_marl.evaluation.crossplay import CrossPlay
-from handover_marl.evaluation.reports.fluency_tables import build_fluency_table
-from handover_marl.evaluation.reports.scene_tables import format_episodes_csv
+from handover_marl.evaluation.reports.columns import FLUENCY
+from handover_marl.evaluation.reports.fluency_tables import (
+    build_fluency_table,
+    format_fluency_header,
+    format_fluency_row,
+)
+from handover_marl.evaluation.reports.scene_tables import format_episodes_csv, format_scene_cells
 from handover_marl.evaluation.reports.tables import (
     TABLE_FORMATS,
     ReportTable,
@@ -23,7 +29,8 @@ from handover_marl.evaluation.reports.tables import (
     format_percent_mean,
     format_table,
 )
-from tests.evaluation.reports.test_report import report
+from handover_marl.evaluation.results.episode_result import EpisodeResult
+from tests.evaluation.reports.test_report import episode, report
 from tests.evaluation.test_old_files import OLD
 
 WIDE = ReportTable(["giver", "receiver", *(f"column_{n} %" for n in range(9))], [["a_b", "50 %", *["x & y"] * 9]], 0, 2)
@@ -132,10 +139,10 @@ def test_episodes_as_csv(tmp_path: Path) -> None:
     assert text == format_episodes_csv(made.metadata, made.episodes)
     rows = list(csv.DictReader(io.StringIO(text)))
     assert len(rows) == 2
-    for row, episode in zip(rows, content["episodes"], strict=True):  # type: ignore[call-overload]
-        values = {**content, **episode, **episode["fluency"]}
+    for row, stored in zip(rows, content["episodes"], strict=True):  # type: ignore[call-overload]
+        values = {**content, **stored, **stored["fluency"]}
         assert row == {key: "" if values[key] is None else str(values[key]) for key in row}
-        missing = {*episode, *episode["fluency"]} - {*row}
+        missing = {*stored, *stored["fluency"]} - {*row}
         assert missing == {"fluency"}
     assert main(["evaluate", str(OLD / "benchmark"), "--episodes", str(tmp_path / "all.txt")]) == 2
 
@@ -154,6 +161,37 @@ def test_formats_of_means_and_differences() -> None:
     assert format_percent_mean([0.25, 0.5], signed=True) == "+37.50 (+25.0 to +50.0)"
     assert format_percent_mean([-0.5], signed=True) == "-50.00"
     assert format_percent_difference((0.125, -0.25, 0.5)) == "+12.5 (-25.0 to +50.0)"
+
+
+def test_tables_print_shares_in_percent_and_distances_in_centimetres() -> None:
+    units = {column.key: (column.unit, column.scale) for column in FLUENCY}
+    assert {key for key, (unit, _) in units.items() if unit == "%"} == {
+        "human_idle",
+        "robot_idle",
+        "concurrent",
+        "functional_delay",
+    }
+    assert {key for key, (unit, _) in units.items() if unit == "cm"} == {"min_distance"}
+    for unit, scale in units.values():
+        assert scale == (100.0 if unit in ("%", "cm") else 1.0)
+
+
+def test_cells_of_fluency_metrics_have_mean_interval_and_n() -> None:
+    metrics = {column.key: 0.25 for column in FLUENCY}
+    known = [episode(index, 1, fluency=FluencyMetrics(**metrics)) for index in range(2)]
+    place = format_fluency_header().index("human idle %")
+    assert format_fluency_row(known)[place] == "25 (25 to 25; n 2)"
+    assert format_fluency_row(known[:1])[place] == "25 (n 1)"
+    unknown = [episode(0, 1, fluency=FluencyMetrics(**{**metrics, "handover_time": None}))]
+    assert format_fluency_row(unknown)[format_fluency_header().index("handover time s")] == "-"
+    assert format_fluency_row([episode(0, 1)]) == ["-"] * len(FLUENCY)
+
+
+def test_cells_of_scenes() -> None:
+    one = episode(0, 6, 1234, 0.12345, subject="20200709-subject-01", side="left", release_step=1000)
+    row = ["204", "003_cracker_box", "20200709-subject-01", "left", "contact+drop", "1234", "1000", "0.123"]
+    assert format_scene_cells(one) == row
+    assert format_scene_cells(EpisodeResult(0, one.status, 5, 0.0)) == ["-"] * 4 + ["contact+drop", "5", "-", "0.000"]
 
 
 def test_wide_tables_keep_the_order_of_columns() -> None:

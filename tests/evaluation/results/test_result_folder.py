@@ -25,7 +25,7 @@ RESULT = EpisodeResult(
     status=EpisodeStatus.TIMEOUT,
     steps=50,
     plan_s=0.5,
-    scene_id=9,
+    scene_id=209,
     object_name="003_cracker_box",
     subject="20200709-subject-01",
     side="right",
@@ -138,6 +138,12 @@ def test_unreadable_results(kind: str, folder: ResultFolder) -> None:
         # Its scene is then run again.
         folder.write(RESULT, CONTENT)
         assert len(evaluate(folder.path).episodes) == 1
+
+
+def test_a_renamed_result_is_refused(folder: ResultFolder) -> None:
+    (folder.path / "000.npz").rename(folder.path / "001.npz")
+    with pytest.raises(ResultsError, match=r"001\.npz must be of scene 214, got scene 209; delete it"):
+        evaluate(folder.path)
 
 
 def test_archives_that_unpack_to_too_much_are_refused(folder: ResultFolder) -> None:
@@ -264,5 +270,5 @@ def test_a_folder_that_another_evaluation_took_over_is_not_written(folder: Resul
 
 def test_a_copied_result_is_not_counted_twice(folder: ResultFolder) -> None:
     (folder.path / "001.npz").write_bytes((folder.path / "000.npz").read_bytes())
-    with pytest.raises(ResultsError, match=r"000\.npz and 001\.npz are both of scene 9"):
+    with pytest.raises(ResultsError, match=r"000\.npz and 001\.npz are both of scene 209"):
         read_results(folder.path)
