@@ -156,6 +156,24 @@ def test_smoothness_is_as_published() -> None:
     assert rough < -1.8
 
 
+def test_smoothness_is_that_of_the_published_program() -> None:
+    """The program of Balasubramanian et al. (2015), in its own terms."""
+    rate, speed = 50.0, np.convolve(np.abs(np.random.default_rng(0).normal(size=90)), np.hanning(9), "same")
+    length = 2 ** int(np.ceil(np.log2(len(speed))) + 4)
+    frequency = np.arange(0, rate, rate / length)
+    spectrum = np.abs(np.fft.fft(speed, length))
+    spectrum = spectrum / spectrum.max()
+    low = (frequency <= 10.0).nonzero()
+    frequency, spectrum = frequency[low], spectrum[low]
+    large = (spectrum >= 0.05).nonzero()[0]
+    chosen = range(large[0], large[-1] + 1)
+    frequency, spectrum = frequency[chosen], spectrum[chosen]
+    steps = np.diff(frequency) / (frequency[-1] - frequency[0])
+    expected = -np.sum(np.sqrt(steps**2 + np.diff(spectrum) ** 2))
+    assert compute_spectral_arc_length(speed, rate) == pytest.approx(expected, rel=1e-9)
+    assert compute_spectral_arc_length(np.ones(10), rate, threshold=1.0) == 0.0
+
+
 @given(st.floats(0.1, 10.0))
 def test_smoothness_does_not_depend_on_speed(factor: float) -> None:
     speed = minimum_jerk(0.8)

@@ -1,6 +1,7 @@
 """The one loop: who is asked when, with what, and with which seed."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from handover_marl import givers, receivers
 from handover_marl.config import OFFICIAL_CONFIG
 from handover_marl.datasets.synthetic import SyntheticDataset
+from handover_marl.episode import loop
 from handover_marl.episode.callbacks import EpisodeCallback, PolicyDecision
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import derive_receiver_seed, derive_scene_seed, play
@@ -254,3 +256,23 @@ def test_receiver_seed_ignores_an_empty_cloud_of_other_objects() -> None:
     scene = {**targets, "wrist_other_points": 0.0 * points, "wrist_point_counts": counts}
     assert derive_receiver_seed(0, scene) == derive_receiver_seed(0, targets)
     assert derive_receiver_seed(0, {**scene, "wrist_other_points": points}) != derive_receiver_seed(0, targets)
+
+
+def test_times_of_a_decision_are_those_of_rendering_and_policy(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Times(EpisodeCallback):
+        def on_decision(self, episode: Episode, decision: PolicyDecision) -> None:
+            self.seconds = (decision.rendering_time, decision.planning_time)
+
+    clock, times = iter([1.0, 3.0, 4.0, 9.0]), Times()
+    monkeypatch.setattr(loop, "time", SimpleNamespace(perf_counter=lambda: next(clock)))
+    dataset = SyntheticDataset()
+    episode = Episode("fast")
+    episode.reset(dataset.load_scene(SCENE))
+    play(episode, receivers.make("hold", dataset), until=1, callbacks=[times])
+    episode.close()
+    assert times.seconds == (2.0, 5.0)
+
+
+def test_no_seed_is_the_seed_zero() -> None:
+    assert derive_scene_seed(None, SCENE, "giver") == derive_scene_seed(0, SCENE, "giver")
+    assert derive_scene_seed(1, SCENE, "giver") != derive_scene_seed(0, SCENE, "giver")
