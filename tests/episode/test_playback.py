@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 """The giver's action: what it does to the recording."""
 
 import numpy as np
@@ -174,6 +176,13 @@ def test_the_preview_shows_what_comes() -> None:
         compute_wrist_positions(SCENE.hand_dof, find_wrist_offset(SCENE))[1000 + ahead],
         atol=1e-6,
     )
+
+
+def test_the_preview_has_zeros_without_a_hand() -> None:
+    preview = MotionPreview(replace(SCENE, hand_last=1250), CONFIG)
+    wrists, objects = preview.read_poses(1000)
+    assert (np.abs(wrists).max(axis=1) > 0).tolist() == [True, True, False, False, False]
+    assert (np.abs(objects).max(axis=1) > 0).all()
 
 
 def seen(played: Playback) -> tuple[object, ...]:

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from handover_marl.config import GiverConfig
+from handover_marl.episode.observations import observation_space
 from handover_marl.episode.spaces import (
     GiverAction,
     check_giver_action,
@@ -115,3 +116,25 @@ def test_every_sample_is_an_action() -> None:
     for _ in range(20):
         sample = space.sample()
         np.testing.assert_array_equal(check_receiver_action(sample), sample)
+
+
+def test_bounds_of_the_givers_action() -> None:
+    space = giver_action_space(GiverConfig(displacement=0.25, rotation=0.5))
+    np.testing.assert_array_equal(space.high, np.float32([1, 0.25, 0.25, 0.25, 0.5, 0.5, 0.5, 1]))
+    np.testing.assert_array_equal(space.low, np.float32([-1, -0.25, -0.25, -0.25, -0.5, -0.5, -0.5, 0]))
+
+
+@pytest.mark.parametrize(("value", "releases"), [(0.0, False), (0.5, False), (0.51, True), (1.0, True)])
+def test_the_giver_releases_above_one_half(value: float, releases: bool) -> None:
+    action = np.arange(8, dtype=np.float32)
+    action[7] = value
+    parts = GiverAction.from_array(action)
+    assert parts.release is releases
+    assert (parts.rate, *parts.displacement, *parts.rotation) == tuple(range(7))
+
+
+def test_poses_are_unbounded_and_flags_are_not() -> None:
+    space = observation_space()
+    assert space["gripper_pose"].low.min() == -np.inf  # type: ignore[attr-defined]
+    assert space["gripper_pose"].high.max() == np.inf  # type: ignore[attr-defined]
+    assert (space["hand_present"].low, space["hand_present"].high) == ([0.0], [1.0])  # type: ignore[attr-defined]
