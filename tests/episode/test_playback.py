@@ -1,6 +1,6 @@
-from dataclasses import replace
-
 """The giver's action: what it does to the recording."""
+
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
