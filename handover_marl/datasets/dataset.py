@@ -23,7 +23,7 @@ class SceneInfo:
     """Description of a handover scene without its motion.
 
     Attributes:
-        scene_id: Number of the scene; of an official one 100 * subject + 5 * object + trial.
+        scene_id: Number of the scene; for official scenes it is 100 * subject + 5 * object + trial.
         name: `<subject>/<sequence>` as in the data set.
         subject: Name of the human giver, e.g. `20200709-subject-01`.
         side: Hand of the giver, "right" or "left".

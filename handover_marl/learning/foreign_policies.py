@@ -126,7 +126,7 @@ def dense_network_from_state(
         The network, and whether its outputs have to be squashed by tanh.
 
     Raises:
-        DataFormatError: The policy contains other than dense layers.
+        DataFormatError: The policy contains layers that are not dense.
     """
     if any(key.startswith(("features_extractor.", "actor.features_extractor.")) for key in state):
         raise DataFormatError(f"{where}: features extractors with weights are not supported")
