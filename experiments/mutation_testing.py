@@ -45,6 +45,8 @@ TESTS = {
         "tests/envs/test_giver_agent.py",
     ),
     "handover_marl/episode/giver_motion.py": ("tests/episode/test_playback.py", "tests/episode/test_clock.py"),
+    "handover_marl/episode/batch/giver_motion.py": ("tests/episode/batch/test_giver_motion.py",),
+    "handover_marl/episode/batch/wrist_offset.py": ("tests/episode/batch/test_giver_motion.py",),
     "handover_marl/episode/wrist_offset.py": ("tests/episode/test_playback.py", "tests/episode/test_set_points.py"),
     "handover_marl/episode/observations.py": ("tests/episode/test_playback.py", "tests/episode/test_play.py"),
     "handover_marl/episode/camera_observations.py": ("tests/episode/test_camera_observations.py",),

@@ -27,8 +27,8 @@ Array = npt.NDArray[np.float64]
 #: Clearance beyond which more clearance makes no difference (m).
 MAX_CLEARANCE = 0.2
 
-# Extent of the gripper along the hand link's z axis, from behind its palm to the fingertips (m).
-_BACK_Z, _TIP_Z = -0.05, 0.11
+#: Extent of the gripper along the hand link's z axis, from behind its palm to the fingertips (m).
+BACK_Z, TIP_Z = -0.05, 0.11
 # Entries of the observation on which the selection depends.
 _INPUTS = ("gripper_pose", "object_poses", "object_classes", "hand_present", "hand_keypoints")
 # Number of cached selections: environments that run side by side query in turns.
@@ -119,10 +119,7 @@ class NearestGraspSelector:
         return self._cache[key]
 
     def _compute(self, observation: Observation) -> tuple[Array, float] | None:
-        object_class = int(observation["object_classes"][0])
-        if object_class not in self._known:
-            self._known[object_class] = self._load(self._object_names[object_class])
-        known = self._known[object_class]
+        known = self.load_known(int(observation["object_classes"][0]))
         if known is None:
             return None
         grasps, axes = known
@@ -138,8 +135,20 @@ class NearestGraspSelector:
         selected.flags.writeable = False
         return selected, float(clearances[best])
 
+    def load_known(self, object_class: int) -> tuple[Array, Array] | None:
+        """Return the known grasps of an object class with their half turns, and their z axes.
+
+        Args:
+            object_class: YCB class number.
+
+        Returns:
+            Hand link poses (n, 7) and z axes (n, 3) in the object's frame, or None without grasps.
+        """
+        if object_class not in self._known:
+            self._known[object_class] = self._load(self._object_names[object_class])
+        return self._known[object_class]
+
     def _load(self, object_name: str) -> tuple[Array, Array] | None:
-        """Return the grasps of an object class with their half turns and their z axes, or None."""
         poses = self._library.get_hand_poses_in_object(object_name)
         if poses is None:
             return None
@@ -152,7 +161,7 @@ class NearestGraspSelector:
             return np.full(len(grasps), MAX_CLEARANCE)
         joints = inverse_transform_points(item, observation["hand_keypoints"])
         offsets = joints - grasps[:, None, :3]
-        along = np.clip(np.einsum("gki,gi->gk", offsets, axes), _BACK_Z, _TIP_Z)
+        along = np.clip(np.einsum("gki,gi->gk", offsets, axes), BACK_Z, TIP_Z)
         across = offsets - along[..., None] * axes[:, None]
         distances = np.sqrt(np.einsum("gki,gki->gk", across, across).min(axis=1))
         clearances: Array = np.minimum(distances, MAX_CLEARANCE)

@@ -2,7 +2,7 @@
 
 import time
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -34,9 +34,6 @@ from handover_marl.execution.options import forward_signature
 from handover_marl.geometry.panda import FINGERTIPS
 from handover_marl.geometry.poses import transform_points
 from handover_marl.policies.policy import PolicyContext, make_policy_context
-
-if TYPE_CHECKING:
-    from handover_marl.episode.lockstep import LockstepScheduler
 
 #: Release reasons; the value `release` of infos is an index into this tuple.
 RELEASE_REASONS = tuple(ReleaseReason)
@@ -309,16 +306,6 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         episode = self._episode
         observation = episode.observe_giver(state) if agent == GIVER else episode.observe_for_policy(policy, state)
         return {key: value.copy() for key, value in observation.items()}
-
-    def join_lockstep(self, scheduler: "LockstepScheduler", index: int) -> None:
-        """Simulate this environment in lockstep with equally configured ones from now on.
-
-        Args:
-            scheduler: Scheduler of the environments.
-            index: Index of this environment in the scheduler.
-        """
-        self._stop()
-        self._episode.join_lockstep(scheduler, index)
 
     @property
     def _split_name(self) -> str:

@@ -1,8 +1,6 @@
 """Episode of a handover: advances giver motion, simulated world, wrist camera and referee."""
 
-import functools
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -11,7 +9,7 @@ from handover_marl.config import OFFICIAL_CONFIG, TIME_STEP, CameraConfig, World
 from handover_marl.datasets.dataset import Scene
 from handover_marl.episode.camera_observations import BENCHMARK_CAMERA, CameraFrame, WristCamera, WristCameraConfig
 from handover_marl.episode.giver_motion import NO_DEVIATION, Playback
-from handover_marl.episode.lockstep import RolloutSegment, simulate_segments
+from handover_marl.episode.lockstep import RefereeStateBatch, simulate_worlds
 from handover_marl.episode.observations import (
     MotionPreview,
     Observation,
@@ -27,9 +25,6 @@ from handover_marl.simulation.camera.renderers import resolve_renderer
 from handover_marl.simulation.contacts import Contacts
 from handover_marl.simulation.engines import check_physics, make_world
 from handover_marl.simulation.world import BatchWorld, World
-
-if TYPE_CHECKING:
-    from handover_marl.episode.lockstep import LockstepScheduler
 
 # Physics steps for which the giver's motion is planned at a time.
 _PLANNED_STEPS = 200
@@ -58,9 +53,6 @@ class Episode:
     ) -> None:
         check_physics(physics)
         self.config = config
-        self._simulate_segment: Callable[[RolloutSegment], None] = lambda segment: simulate_segments(
-            [segment], config.protocol
-        )
         self._physics, self._window = physics, window
         resolve_renderer(wrist_camera.renderer, physics, installed=False)
         self._camera_config, self._camera_seed = wrist_camera, 0
@@ -71,17 +63,6 @@ class Episode:
         # Contacts of the last step; None if they have not been read from the world.
         self._contacts: Contacts | None = Contacts()
         self._referee = Referee(config.protocol)
-
-    def join_lockstep(self, scheduler: "LockstepScheduler", index: int) -> None:
-        """Simulate this episode in lockstep with other episodes from now on.
-
-        Args:
-            scheduler: Scheduler with the same physics and configuration.
-            index: Index of this episode in the scheduler.
-        """
-        self.close()
-        self._world = scheduler.get_world(index)
-        self._simulate_segment = functools.partial(scheduler.simulate, index)
 
     def reset(self, scene: Scene) -> None:
         """Reset simulation, giver motion, camera and referee to the start of a scene.
@@ -135,10 +116,11 @@ class Episode:
             world.set_reference(playback.plan(planned, giver_action, referee.released, opening=is_voluntary))
             steps -= planned
             if isinstance(world, BatchWorld) and not on_step and camera is None:
-                segment = RolloutSegment(world, referee, target, planned)
-                self._simulate_segment(segment)
+                states = RefereeStateBatch.from_states([referee.get_state()])
+                simulated = int(simulate_worlds([world], [target], states, planned, self.config.protocol)[0])
+                referee.restore(states.select(0))
                 self._contacts = None
-                playback.commit(segment.simulated_steps)
+                playback.commit(simulated)
                 continue
             simulated = 0
             while simulated < planned and not referee.status:

@@ -46,14 +46,20 @@ def apply_wrist_offset(
     rotation = Rotation.from_rotvec(np.tile(rotations, (count, 1)))
     moved = np.empty(recorded.shape)
     moved[:, :3] = pivots + shifts + rotation.apply(recorded[:, :3] - pivots)
-    with warnings.catch_warnings():
-        # At gimbal lock the solution is not unique, and any is right.
-        warnings.simplefilter("ignore", UserWarning)
-        angles = Rotation.from_quat(multiply_quaternions(rotation.as_quat(), orientation.as_quat())).as_euler("XYZ")
+    angles = euler_from_quaternions(multiply_quaternions(rotation.as_quat(), orientation.as_quat()))
     for index, before in enumerate(previous):
         rows = slice(index * n_rows, (index + 1) * n_rows)
         moved[rows, 3:] = unwrap_euler(angles[rows], before[3:].astype(np.float64))
     return np.split(moved.astype(np.float32), count)
+
+
+def euler_from_quaternions(quaternions: Array) -> Array:
+    """Convert quaternions (n, 4) xyzw to intrinsic XYZ Euler angles (n, 3) (rad)."""
+    with warnings.catch_warnings():
+        # At gimbal lock the solution is not unique, and any is right.
+        warnings.simplefilter("ignore", UserWarning)
+        angles: Array = Rotation.from_quat(quaternions).as_euler("XYZ")
+    return angles
 
 
 def compute_wrist_positions(hand_dof: npt.NDArray[np.float32], base_from_wrist: Array) -> Array:

@@ -102,6 +102,37 @@ class ArmKinematics:
         jacobian: Array = columns.transpose(1, 0, 2)
         return jacobian
 
+    def compute_hand_jacobians(self, joints: Array) -> tuple[Array, Array]:
+        """Compute Jacobians and rotations of the robot's hand for arm joints (n, 7) in rad.
+
+        The result of each configuration does not depend on the others to the last bit.
+
+        Returns:
+            Jacobians (n, 6, 7): linear rows (m/rad), then angular; and rotations (n, 3, 3).
+        """
+        origin, rotation = np.zeros((3, len(joints))), np.repeat(np.eye(3)[..., None], len(joints), axis=2)
+        origins, axes = [], []
+        sines, cosines = np.sin(joints.T), np.cos(joints.T)
+        for (offset, turn), sine, cosine in zip(self._segments, sines, cosines, strict=True):
+            origin = origin + _combine(offset, rotation)
+            x, y, z = (_combine(column, rotation) for column in turn.T)
+            rotation = np.stack([cosine * x + sine * y, cosine * y - sine * x, z])
+            origins.append(origin)
+            axes.append(z)
+        offset, turn = self._hand
+        hand = origin + _combine(offset, rotation)
+        levers = hand - np.stack(origins)
+        (ax, ay, az), (lx, ly, lz) = np.moveaxis(np.stack(axes), 1, 0), np.moveaxis(levers, 1, 0)
+        rows = [ay * lz - az * ly, az * lx - ax * lz, ax * ly - ay * lx, ax, ay, az]
+        columns = np.stack([_combine(column, rotation) for column in turn.T])
+        return np.ascontiguousarray(np.stack(rows).transpose(2, 0, 1)), columns.transpose(2, 1, 0)
+
+
+def _combine(weights: Array, vectors: Array) -> Array:
+    """Return the sum of vectors (3, 3, n), weighted by the three weights along the first axis, (3, n)."""
+    combined: Array = weights[0] * vectors[0] + weights[1] * vectors[1] + weights[2] * vectors[2]
+    return combined
+
 
 def transform_body_points(frames: LinkFrames, on_links: Sequence[Array]) -> Array:
     """Transform points on the links of a robot to its base frame for n configurations.

@@ -15,6 +15,11 @@ IDENTITY = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 IDENTITY.flags.writeable = False
 
 
+def compute_lengths(vectors: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
+    """Compute the lengths (...) of vectors (..., k), each equal to `np.linalg.norm` to the bit."""
+    return np.asarray(np.sqrt(np.vecdot(vectors, vectors)))
+
+
 def multiply_quaternions(left: npt.ArrayLike, right: npt.ArrayLike) -> Array:
     """Compute the Hamilton product of quaternions (..., 4) xyzw: rotate by `right`, then `left`."""
     ax, ay, az, aw = np.moveaxis(np.asarray(left), -1, 0)
@@ -148,10 +153,10 @@ def unwrap_euler(angles: Array, previous: Array) -> Array:
     # Vectorized: rows with the same solution and full turns as the first row are taken at once.
     while done < len(angles):
         rest = angles[done:]
-        solution, turns = _select_nearest(rest[:1], previous[None])
+        solution, turns = select_nearest_euler(rest[:1], previous[None])
         guess = _euler_solutions(rest)[:, solution[0]] + 2.0 * np.pi * turns[0]
         before = np.concatenate([previous[None], guess[:-1]])
-        nearest, nearest_turns = _select_nearest(rest, before)
+        nearest, nearest_turns = select_nearest_euler(rest, before)
         is_right = (nearest == solution[0]) & (nearest_turns == turns[0]).all(axis=1)
         count = len(rest) if is_right.all() else int(is_right.argmin())
         rows[done : done + count] = guess[:count]
@@ -164,7 +169,7 @@ def _euler_solutions(angles: Array) -> Array:
     return np.stack([angles, [np.pi, np.pi, np.pi] + angles * [1.0, -1.0, 1.0]], axis=1)
 
 
-def _select_nearest(angles: Array, previous: Array) -> tuple[npt.NDArray[np.int_], Array]:
+def select_nearest_euler(angles: Array, previous: Array) -> tuple[npt.NDArray[np.int_], Array]:
     """Select the Euler solution nearest to the previous angles (n, 3).
 
     Returns its index (n,) and the full turns (n, 3) that are added to it.

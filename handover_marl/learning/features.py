@@ -31,7 +31,8 @@ from handover_marl.receivers.grasp_library import get_nearest_grasp_selector
 
 Array = npt.NDArray[np.float64]
 
-_SCALE, _GRASP_SCALE = 10.0, 5.0  # 1/m
+#: Scale of positions, and of the translation to a grasp (1/m).
+SCALE, GRASP_SCALE = 10.0, 5.0
 _N_RECEIVER, _N_GRASP, _N_PROXIMITY = 35 + LARGEST_YCB_CLASS, 8, 12
 _GIVER_SPACE, _RECEIVER_SPACE = giver_observation_space(), observation_space()
 
@@ -67,10 +68,10 @@ def giver_features(observation: Observation, protocol: ProtocolConfig) -> Vector
     fingers = Rotation.from_quat(now[3:]).inv().apply(keypoints[1:].mean(axis=0) - now[:3])
     gripper = observation["gripper_pose"][:3] - origin
     parts = [
-        _SCALE * np.array([np.linalg.norm(gripper[:2]), gripper[2]]) - 5.0,
-        _SCALE * (origin - np.array(protocol.goal_center)),
-        _SCALE * (wrist[:3] - origin) @ axes,
-        _SCALE * object_rotation.apply(fingers) @ axes,
+        SCALE * np.array([np.linalg.norm(gripper[:2]), gripper[2]]) - 5.0,
+        SCALE * (origin - np.array(protocol.goal_center)),
+        SCALE * (wrist[:3] - origin) @ axes,
+        SCALE * object_rotation.apply(fingers) @ axes,
         (axes.T @ object_rotation.as_matrix())[:, :2].ravel(),
         observation["released"],
         _one_hot_class(observation),
@@ -96,7 +97,7 @@ def receiver_features(observation: Observation, protocol: ProtocolConfig) -> Vec
         hand = np.tile(gripper[:3], (2, 1))
     positions = np.stack([object_pose[:3], *hand, np.array(protocol.goal_center)]) - gripper[:3]
     parts = [
-        (0.5 * _SCALE * positions @ rotation).ravel(),
+        (0.5 * SCALE * positions @ rotation).ravel(),
         (rotation.T @ Rotation.from_quat(object_pose[3:]).as_matrix())[:, :2].ravel(),
         rotation[2],
         50.0 * observation["robot_joint_position"][7:] - 1.0,
@@ -137,7 +138,7 @@ class GraspFeatures:
         gripper = observation["gripper_pose"].astype(np.float64)
         gripper_from_world = Rotation.from_quat(gripper[3:]).inv()
         rotation = (gripper_from_world * Rotation.from_quat(grasp[3:])).as_rotvec()
-        translation = _GRASP_SCALE * gripper_from_world.apply(grasp[:3] - gripper[:3])
+        translation = GRASP_SCALE * gripper_from_world.apply(grasp[:3] - gripper[:3])
         return np.array([*translation, *rotation, 10.0 * clearance, 1.0], dtype=np.float32)
 
 
@@ -165,7 +166,7 @@ class GraspProximityFeatures:
     def __call__(self, observation: Observation) -> Vector:
         """Return the features (12,) of the grasp and the gripper in an observation."""
         translation, rotation, (_, exists) = np.split(self._grasp.grasp(observation), [3, 6])
-        distance = float(np.linalg.norm(translation)) / _GRASP_SCALE
+        distance = float(np.linalg.norm(translation)) / GRASP_SCALE
         angle = float(np.linalg.norm(rotation))
         proximity = np.exp([-distance / self.position_scale, -angle / self.angle_scale]) * exists
         fingers = 50.0 * observation["robot_joint_position"][7:] - 1.0

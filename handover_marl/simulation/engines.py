@@ -9,7 +9,7 @@ from handover_marl.errors import check_name
 from handover_marl.execution.options import is_pybullet_installed, require_modules, require_pybullet
 from handover_marl.simulation.clearance import DistanceQuery
 from handover_marl.simulation.grasp_validation import GraspValidationConfig, GraspValidator
-from handover_marl.simulation.world import World
+from handover_marl.simulation.world import BatchWorld, World
 
 EXACT, FAST, MUJOCO = "exact", "fast", "mujoco"
 #: "exact" equals HandoverSim's PyBullet simulation bit for bit; "fast" is PyBullet without the
@@ -67,28 +67,22 @@ def make_world(physics: str, config: PhysicsConfig, window: bool = False) -> Wor
     return FastWorld(config, window)
 
 
-def make_worlds(physics: str, config: PhysicsConfig, count: int, threads: int) -> list[World]:
-    """Create simulated worlds without scenes, for one process.
+def make_batch_worlds(config: PhysicsConfig, count: int) -> list[BatchWorld]:
+    """Create simulated worlds of MuJoCo without scenes, which are simulated in batches by one thread.
 
     Args:
-        physics: Kind of physics, one of `PHYSICS`.
         config: Constants of the worlds.
         count: Number of worlds.
-        threads: Number of threads that will simulate them; world k belongs to thread k modulo
-            `threads`.
 
     Raises:
-        UnknownNameError: There is no physics of that name.
-        OptionError: The engine is not installed.
+        OptionError: MuJoCo is not installed.
     """
-    if physics != MUJOCO:
-        return [make_world(physics, config) for _ in range(count)]
-    check_physics(physics)
+    check_physics(MUJOCO)
     from handover_marl.simulation.mujoco.batch import BatchSimulation
     from handover_marl.simulation.mujoco.world import MujocoWorld
 
-    simulations = [BatchSimulation(-(-count // threads)) for _ in range(threads)]
-    return [MujocoWorld(config, simulation=simulations[number % threads]) for number in range(count)]
+    simulation = BatchSimulation(count)
+    return [MujocoWorld(config, simulation=simulation) for _ in range(count)]
 
 
 def make_distance_query(panda_urdf: Path, config: PandaConfig) -> DistanceQuery:

@@ -235,7 +235,7 @@ def test_partners_are_asked_at_the_first_step_after_their_time(hold: float, expe
         env.reset(options={"scene_id": 9})
         for _ in range(5):
             env.step({"receiver": START})
-        partner = env._policy
+        partner = env.policy
         assert isinstance(partner, Slow)
         assert partner.asked == expected
     assert env.unwrapped._episode.deviation[0] == pytest.approx(0.1 * len(expected), abs=1e-6)
@@ -269,6 +269,6 @@ def test_partners_get_ready_for_the_objects_of_their_episode() -> None:
         _ = env.unwrapped.object_names
     for scene in (9, 14):
         env.reset(options={"scene_id": scene})
-        partner = env._policy
+        partner = env.policy
         assert isinstance(partner, Prepared)
         assert partner.known == env.unwrapped.dataset.load_scene(scene).info.object_names == env.unwrapped.object_names

@@ -1,5 +1,6 @@
 """Many environments in one process: each plays what a single one plays, however many there are."""
 
+import copy
 import inspect
 import os
 from collections.abc import Callable, Iterator
@@ -12,9 +13,11 @@ import pytest
 pytest.importorskip("mujoco", reason="needs the extra `mujoco`")
 
 import handover_marl
-from handover_marl.envs.handover_env import HandoverEnv
+from handover_marl.envs.own_rewards import combine_rewards
+from handover_marl.envs.transition import Transition
 from handover_marl.envs.vector.vector_env import HandoverVectorEnv
 from handover_marl.errors import ActionError, OptionError, ResetNeededError, SimulationError, UnknownNameError
+from handover_marl.learning.encodings.choices import declare_size
 from tests.failing import Failing
 
 #: Boxes, cylinders and balls, so that models of several layouts are mixed.
@@ -81,6 +84,85 @@ def test_features_and_schemes_that_wait_are_equal_too() -> None:
         COUNT, "receiver", "cooperative", features="close", schemes="grasp_servo", threads=2, **options
     )
     assert_equal(rollout(together, 20), expected)
+
+
+@pytest.mark.parametrize("rewards", ["sparse", "shaped"])
+def test_the_next_episode_is_the_one_that_a_single_environment_draws(rewards: str) -> None:
+    """Resets with a seed, a scene, a mask or nothing, also while the next episodes are prepared."""
+    options = {**OPTIONS, "control_period": 0.2, "max_cycles": 14, "rewards": rewards}
+    together = handover_marl.vector_env(
+        3, "receiver", "hesitant", features="close", schemes="grasp_servo", threads=1, **options
+    )
+    live = [handover_marl.freeze(handover_marl.parallel_env(**options), "receiver", "hesitant") for _ in range(3)]
+    alone = gymnasium.vector.SyncVectorEnv(
+        [lambda env=env: handover_marl.encode(env, "close", "grasp_servo", api="gymnasium") for env in live]
+    )
+    rng, mask = np.random.default_rng(0), np.array([True, False, True])
+    scene = together.scene_ids[4]
+    resets: list[dict[str, Any]] = [
+        {"seed": 5},
+        {},
+        {"options": {"scene_id": scene}},
+        {"options": {"reset_mask": mask}},
+        {"seed": [1, None, 2], "options": {"reset_mask": mask}},
+    ]
+    for arguments in resets:
+        found, expected = (envs.reset(**copy.deepcopy(arguments)) for envs in (together, alone))
+        assert_equal(list(found), list(expected))
+        for _ in range(7):
+            actions = rng.uniform(-1.0, 1.0, (3, 7)).astype(np.float32)
+            assert_equal(list(together.step(actions)), list(alone.step(actions)))
+    together.close()
+
+
+def test_own_features_and_schemes_are_those_of_single_environments() -> None:
+    options = {**OPTIONS, "control_period": 0.2, "max_cycles": 6}
+
+    def make_single() -> gymnasium.Env[Any, Any]:
+        live = handover_marl.freeze(handover_marl.parallel_env(**options), "receiver", "replay")
+        return handover_marl.encode(live, count_features, move_first_joint, api="gymnasium")
+
+    expected = rollout(gymnasium.vector.SyncVectorEnv([make_single] * 2), 12)
+    together = handover_marl.vector_env(
+        2, "receiver", "replay", features=count_features, schemes=move_first_joint, threads=1, **options
+    )
+    assert_equal(rollout(together, 12), expected)
+
+
+def reward_height(transition: Transition) -> dict[str, dict[str, float]]:
+    force = transition.contacts.robot_object_force
+    height = float(transition.next_state["gripper_pose"][2] - transition.state["gripper_pose"][2])
+    return {
+        "receiver": {"height": height, "force": force},
+        "giver": {"steps": 1e-3 * transition.infos["giver"]["steps"]},
+    }
+
+
+@pytest.mark.parametrize("agent", ["giver", "receiver"])
+def test_own_rewards_are_those_of_single_environments(agent: str) -> None:
+    options = {**SHORT, "rewards": combine_rewards((0.5, reward_height), "sparse")}
+    partner = "noisy" if agent == "receiver" else "hold"
+    expected = rollout(gymnasium.vector.SyncVectorEnv([lambda: single(agent, partner, **options)] * 2), 16)
+    assert_equal(rollout(handover_marl.vector_env(2, agent, partner, threads=2, **options), 16), expected)
+    assert any(step.any() for step in expected[3::5]), "no reward"
+
+
+@declare_size(2)
+def count_features(observation: dict[str, Any]) -> np.ndarray:
+    return np.array([observation["time"][0], observation["gripper_pose"][2]], dtype=np.float32)
+
+
+@declare_size(1)
+def move_first_joint(outputs: np.ndarray, observation: dict[str, Any]) -> np.ndarray:
+    target = observation["robot_joint_position"].copy()
+    target[0] += 0.1 * outputs[0]
+    return target
+
+
+def test_environments_with_a_camera_are_stepped_one_after_another() -> None:
+    options = {**SHORT, "obs_mode": "state+pointcloud"}
+    expected = rollout(gymnasium.vector.SyncVectorEnv([lambda: single("receiver", "replay", **options)] * 2), 3)
+    assert_equal(rollout(handover_marl.vector_env(2, "receiver", "replay", **options), 3), expected)
 
 
 def test_an_environment_does_not_depend_on_how_many_there_are() -> None:
@@ -154,7 +236,7 @@ def test_some_may_be_reset_alone() -> None:
     envs.reset(seed=1)
     still = np.tile(np.array([0.0, -1.285, 0, -2.356, 0, 1.571, 0.785, 0.04, 0.04], np.float32), (3, 1))
     envs.step(still)
-    scene = envs.envs[0].unwrapped.scene_ids[2]
+    scene = envs.scene_ids[2]
     seen, infos = envs.reset(seed=[7, 8, 9], options={"reset_mask": np.array([True, False, True]), "scene_id": scene})
     np.testing.assert_allclose(seen["time"][:, 0], [0.0, 0.1, 0.0], atol=1e-6)
     assert infos["scene_id"][[0, 2]].tolist() == [scene, scene]
@@ -178,8 +260,8 @@ def test_a_failing_partner_raises_an_error_and_resets_work() -> None:
     envs.close()
 
 
-def test_without_greenlet_it_is_said_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None if name == "greenlet" else True)
+def test_without_mujoco_the_error_names_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None if name == "mujoco" else True)
     with pytest.raises(OptionError, match=r"pip install 'handover-marl\[mujoco\]'"):
         handover_marl.vector_env(2, **OPTIONS)
 
@@ -225,7 +307,7 @@ def test_what_cannot_be_is_refused(both: Callable[..., Any]) -> None:
 
 def test_scenes_of_a_generator_are_those_of_every_environment() -> None:
     envs = handover_marl.vector_env(2, threads=1, scenes=(scene for scene in (5, 6)), **OPTIONS)
-    assert [env.unwrapped.env.unwrapped.scene_ids for env in envs.envs] == [(5, 6), (5, 6)]  # type: ignore[attr-defined]
+    assert envs.scene_ids == (5, 6)
     envs.close()
 
 
@@ -235,7 +317,6 @@ def test_other_physics_play_in_turns(physics: str) -> None:
     alone = gymnasium.vector.SyncVectorEnv([lambda: single("receiver", "replay", **options)] * 2)
     together = handover_marl.vector_env(2, "receiver", "replay", **options)
     assert isinstance(together, HandoverVectorEnv)
-    assert isinstance(together.envs[0].unwrapped.env.unwrapped, HandoverEnv)
     assert_equal(rollout(together, 3), rollout(alone, 3))
 
 
@@ -299,15 +380,15 @@ def test_malformed_resets_change_nothing(three: HandoverVectorEnv, arguments: di
 def test_two_threads_at_once_are_refused(three: HandoverVectorEnv, monkeypatch: pytest.MonkeyPatch) -> None:
     three.reset(seed=1)
     batch = three._batch
-    run_together = batch._scheduler.run_together
+    simulate = batch._map
 
-    def step_twice(tasks: Any) -> Any:
+    def step_twice(function: Any) -> Any:
         for call in (lambda: three.step(STILL), lambda: three.reset(seed=1)):
             with pytest.raises(SimulationError, match="another thread is using the vector environment"):
                 call()
-        return run_together(tasks)
+        return simulate(function)
 
-    monkeypatch.setattr(batch._scheduler, "run_together", step_twice)
+    monkeypatch.setattr(batch, "_map", step_twice)
     after, *_ = three.step(STILL)
     np.testing.assert_allclose(after["time"], 0.1, atol=1e-6)
 

@@ -1,127 +1,146 @@
-"""Batch of handover environments that are simulated in lockstep."""
+"""Batch of handover environments: seeds, resets after an episode's end, and threads."""
 
 import contextlib
-import functools
 import os
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any, TypeAlias
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 
-from handover_marl.envs.arguments import check_positive_integer
-from handover_marl.envs.config import EnvConfig
-from handover_marl.envs.handover_env import HandoverEnv
-from handover_marl.envs.wrappers.encode import encode
-from handover_marl.envs.wrappers.freeze import freeze
-from handover_marl.envs.wrappers.wrapper import ByAgent, ParallelStep, WrappableEnv, check_env
+from handover_marl.envs.vector.results import EnvResult, merge_results, replace_rows, select_rows
+from handover_marl.envs.wrappers.wrapper import ByAgent
 from handover_marl.errors import ActionError, OptionError, ResetNeededError, SimulationError
-from handover_marl.execution.options import count_available_cores, require_modules
-from handover_marl.learning.encodings.own_features import FeaturesLike
-from handover_marl.learning.encodings.own_schemes import SchemeLike
-from handover_marl.policies.reference import PolicyLike
 
-#: Largest number of environments in a batch; each takes megabytes of memory.
-MAX_ENVS = 65_536
+Rows = npt.NDArray[np.int_]
+Flags = npt.NDArray[np.bool_]
 
-#: Function or class that wraps the environment by a `pettingzoo.utils.BaseParallelWrapper`.
-WrapperFunction: TypeAlias = Callable[[WrappableEnv], WrappableEnv]
-ResetResult = tuple[ByAgent, ByAgent]
 _BUSY = "another thread is using the vector environment; call reset() and step() in turn"
 
 
-class EnvBatch:
-    """Batch of environments with one configuration that are simulated in lockstep.
+class Envs(Protocol):
+    """Interface of environments that are simulated by one thread; `rows` are their numbers."""
 
-    Args:
-        config: Configuration of each environment.
-        num_envs: Number of environments.
-        autoreset: Gymnasium's mode of the reset after an episode's end.
-        agent: Agent that is controlled from outside, "receiver" or "giver"; None for both.
-        partner: Policy of the other agent if only one is controlled from outside; default: "replay"
-            for a giver, "yang2021" for a receiver.
-        features: Features that replace observations, see `encode`; a mapping by agent if both agents
-            are controlled; None leaves observations as they are.
-        schemes: Action scheme whose outputs replace actions, see `encode`; a mapping by agent if both
-            agents are controlled; None leaves actions as they are.
-        threads: Number of simulation threads; default: one per core.
-        trust: Whether a policy file may run code.
-        wrappers: Functions or classes that wrap each environment, which has both agents, the innermost
-            first; `partner`, `features` and `schemes` are applied after them.
+    def reset(self, rows: Rows, seeds: Sequence[int | None], options: Mapping[str, Any] | None) -> EnvResult:
+        """Start episodes in the environments `rows` (r,), with a seed for each."""
+
+    def check_actions(self, actions: ByAgent) -> ByAgent:
+        """Check the actions (n, ...) of all environments, and return them as `step` takes them."""
+
+    def step(self, rows: Rows, actions: ByAgent) -> EnvResult:
+        """Step the environments `rows` (r,) with checked actions (r, ...) by agent."""
+
+    def render(self) -> list[Any] | None:
+        """Return the image of each environment; None without camera."""
+
+    def close(self) -> None:
+        """Free the simulation."""
+
+
+class BatchStep(NamedTuple):
+    """Result of a step of all n environments.
 
     Attributes:
-        envs: Environments of the batch.
-        autoreset: Gymnasium's mode of the reset after an episode's end.
-        is_running: Whether every environment has been reset, and no reset or step has failed since.
-
-    Raises:
-        OptionError: A number is out of range, a partner is given although both agents are controlled
-            from outside, windows are requested, or a package is missing.
+        result: Result of the step; the observations and infos of environments that were reset are
+            those of the reset.
+        ended: Environments (e,) that were reset in the step that ended their episodes.
+        final: Result (e, ...) of the steps that ended these episodes; None if there are none.
     """
 
-    def __init__(
-        self,
-        config: EnvConfig,
-        num_envs: int,
-        autoreset: AutoresetMode,
-        agent: str | None,
-        partner: PolicyLike | None,
-        features: FeaturesLike | Mapping[str, FeaturesLike] | None,
-        schemes: SchemeLike | Mapping[str, SchemeLike] | None,
-        threads: int | None,
-        trust: bool,
-        wrappers: Sequence[WrapperFunction] = (),
-    ) -> None:
-        count = check_positive_integer("num_envs", num_envs)
-        if count > MAX_ENVS:
-            raise OptionError(f"num_envs must be at most {MAX_ENVS}, got {num_envs}; run several processes")
-        threads = check_positive_integer("threads", count_available_cores() if threads is None else threads)
-        if agent is None and partner is not None:
-            raise OptionError(
-                f"partner must be None if both agents are controlled, got {partner!r}; leave it out, or name one agent"
-            )
-        given: object = wrappers
-        if not isinstance(given, Sequence) or isinstance(given, str):
-            raise OptionError(f"wrappers must be a list of functions or classes, got {wrappers!r}")
-        if config.render_mode == "human":
-            raise OptionError('render_mode must be None or "rgb_array" for several environments, got "human"')
+    result: EnvResult
+    ended: Rows
+    final: EnvResult | None
 
-        def make() -> WrappableEnv:
-            env: WrappableEnv = HandoverEnv(config)
-            for wrapper in wrappers:
-                env = _apply_wrapper(wrapper, env)
-            if agent is not None:
-                env = freeze(env, agent, partner, trust=trust)
-            return env if features is None and schemes is None else encode(env, features, schemes)
 
-        self.autoreset, self.is_running = autoreset, False
+class _Share:
+    """Environments of one thread, with the resets after an episode's end.
+
+    Args:
+        envs: The environments.
+        rows: Their numbers in the batch.
+        autoreset: Mode of the resets.
+    """
+
+    def __init__(self, envs: Envs, rows: Rows, autoreset: AutoresetMode) -> None:
+        self.envs, self.rows, self._autoreset = envs, rows, autoreset
+        self._ended = np.zeros(len(rows), dtype=bool)
+
+    def reset(self, rows: Rows, seeds: Sequence[int | None], options: Mapping[str, Any] | None) -> EnvResult:
+        """Start episodes in some of the environments."""
+        result = self.envs.reset(rows, seeds, options)
+        self._ended[rows] = False
+        return result
+
+    def has_ended(self) -> bool:
+        """Return whether any episode has ended."""
+        return bool(self._ended.any())
+
+    def step(self, actions: ByAgent) -> BatchStep:
+        """Step the environments, and reset those whose episode has ended as the mode specifies."""
+        count = len(self.rows)
+        waiting = np.flatnonzero(self._ended)
+        parts = []
+        if len(waiting):
+            parts.append((waiting, self.reset(waiting, [None] * len(waiting), None)))
+        running = np.setdiff1d(np.arange(count), waiting)
+        if len(running):
+            parts.append((running, self.envs.step(running, {agent: own[running] for agent, own in actions.items()})))
+        result = merge_results(count, parts)
+        ended = np.flatnonzero(result.ended)
+        if self._autoreset is not AutoresetMode.SAME_STEP or not len(ended):
+            self._ended = result.ended
+            return BatchStep(result, ended[:0], None)
+        first = self.reset(ended, [None] * len(ended), None)
+        observations = replace_rows(result.observations, ended, first.observations)
+        infos = replace_rows(result.infos, ended, first.infos)
+        return BatchStep(
+            result._replace(observations=observations, infos=infos), self.rows[ended], select_rows(result, ended)
+        )
+
+
+class EnvBatch:
+    """Batch of n environments, divided among threads.
+
+    Args:
+        make: Function that makes a number of environments.
+        num_envs: Number n of environments.
+        autoreset: Gymnasium's mode of the reset after an episode's end.
+        threads: Number of threads.
+
+    Attributes:
+        num_envs: Number n of environments.
+        autoreset: Gymnasium's mode of the reset after an episode's end.
+        is_running: Whether every environment has been reset, and no reset or step has failed since.
+    """
+
+    def __init__(self, make: Callable[[int], Envs], num_envs: int, autoreset: AutoresetMode, threads: int) -> None:
+        self.num_envs, self.autoreset, self.is_running = num_envs, autoreset, False
         self._is_closed, self._process, self._lock = False, os.getpid(), threading.Lock()
-        self.envs = [make() for _ in range(count)]
-        self._ended = np.zeros(count, dtype=bool)
-        require_modules("a vector environment", "mujoco", "greenlet")
-        # Imported after the check, because it needs greenlet.
-        from handover_marl.episode.lockstep import LockstepScheduler
-
-        self._scheduler = LockstepScheduler(config.physics, config.world_config, count, threads)
-        for index, env in enumerate(self.envs):
-            env.unwrapped.join_lockstep(self._scheduler, index)
+        parts = np.array_split(np.arange(num_envs), min(threads, num_envs))
+        self._shares = [_Share(make(len(rows)), rows, autoreset) for rows in parts]
+        self._pool = ThreadPoolExecutor(len(parts)) if len(parts) > 1 else None
+        self._latest: EnvResult | None = None
 
     def reset(
         self,
         seed: int | Sequence[int | None] | None,
         options: dict[str, Any] | None,
-        chosen: npt.NDArray[np.bool_] | None = None,
-    ) -> list[ResetResult]:
-        """Start an episode in every environment, or in some, and return their observations and infos.
+        chosen: Flags | None = None,
+    ) -> EnvResult:
+        """Start an episode in every environment, or in some.
 
         Args:
             seed: Seed of the first environment, environment k gets `seed + k`; or a sequence with a
                 seed for each environment; None keeps the state of all random generators.
             options: Options of `reset` that every environment gets.
             chosen: (n,) mask of the environments to reset; default: all.
+
+        Returns:
+            Result of all environments; that of environments that were not reset is their last one.
 
         Raises:
             OptionError: The number of seeds is not the number of environments, a seed is not an integer,
@@ -132,52 +151,83 @@ class EnvBatch:
         self._require_usable()
         if options is not None and not isinstance(options, Mapping):
             raise OptionError(f"options must be a dict, got {options!r}")
-        chosen = np.ones(len(self.envs), dtype=bool) if chosen is None else chosen
-        tasks = zip(self.envs, self._spread_seeds(seed), chosen, strict=True)
+        rows = np.arange(self.num_envs) if chosen is None else np.flatnonzero(chosen)
+        seeds = self._spread_seeds(seed)
         # If a task fails, the states of the others are undefined: all must be reset.
         with self._exclude_other_threads():
-            is_running, self.is_running = self.is_running or bool(chosen.all()), False
-            results: list[ResetResult] = self._scheduler.run_together(
-                [functools.partial(env.reset, one, options or None) for env, one, resets in tasks if resets]
-            )
-            self.is_running, self._ended = is_running, self._ended & ~chosen
-        return results
+            is_running, self.is_running = self.is_running or len(rows) == self.num_envs, False
+
+            def reset(share: _Share) -> tuple[Rows, EnvResult] | None:
+                own = share.rows[np.isin(share.rows, rows)]
+                if not len(own):
+                    return None
+                return own, share.reset(own - share.rows[0], [seeds[row] for row in own.tolist()], options or None)
+
+            parts = [part for part in self._map(reset) if part is not None]
+            if self._latest is not None and len(rows) < self.num_envs:
+                parts.insert(0, (np.arange(self.num_envs), self._latest))
+            self.is_running, self._latest = is_running, merge_results(self.num_envs, parts)
+        return self._latest
 
     def require_running(self) -> None:
         """Check that every environment can be stepped.
 
         Raises:
-            ResetNeededError: There was no reset, or a reset or step has failed since.
+            ResetNeededError: There was no reset, a reset or step has failed since, or an episode has
+                ended and autoreset is "disabled".
             SimulationError: Another thread is using the environments.
         """
         self._require_usable()
-        if not self.is_running:
+        is_disabled = self.autoreset is AutoresetMode.DISABLED
+        if not self.is_running or (is_disabled and any(share.has_ended() for share in self._shares)):
             raise ResetNeededError("no episode is running; call reset() before step()")
 
-    def step(self, actions: Sequence[ByAgent]) -> list[tuple[ParallelStep | None, ResetResult | None]]:
+    def step(self, actions: ByAgent) -> BatchStep:
         """Step every environment, and reset those whose episode has ended as `autoreset` specifies.
 
         Args:
-            actions: Actions by agent, for each environment.
+            actions: Actions (n, ...) by agent.
 
-        Returns:
-            For each environment the result of its step, or None if it was only reset, and the result
-            of its reset, or None if it was not reset.
+        Raises:
+            ActionError: An action is malformed; no environment has advanced.
         """
-        tasks = zip(self.envs, self._ended, actions, strict=True)
+        checked = self._shares[0].envs.check_actions(actions)
         with self._exclude_other_threads():
             self.is_running = False
-            outcomes = self._scheduler.run_together([functools.partial(self._step_one, *task) for task in tasks])
+            parts = self._map(lambda share: share.step({agent: own[share.rows] for agent, own in checked.items()}))
             self.is_running = True
-            self._ended = np.array([reset is None and _has_ended(result) for result, reset in outcomes])
-        return outcomes
+        results = [(share.rows, part.result) for share, part in zip(self._shares, parts, strict=True)]
+        self._latest = merge_results(self.num_envs, results)
+        finals = [(len(part.ended), part.final) for part in parts if part.final is not None]
+        ended, final = np.concatenate([part.ended for part in parts]), None
+        if finals:
+            starts = np.cumsum([0, *(count for count, _ in finals)])
+            places = [(start + np.arange(count), one) for start, (count, one) in zip(starts, finals, strict=False)]
+            final = merge_results(len(ended), places)
+        return BatchStep(self._latest, ended, final)
+
+    def render(self) -> tuple[Any, ...] | None:
+        """Return the images of all environments; None without camera."""
+        images = [image for share in self._shares for image in share.envs.render() or ()]
+        return tuple(images) if images else None
 
     def close(self) -> None:
         """Free the simulations of all environments."""
         self.is_running, self._is_closed = False, True
-        for env in self.envs:
-            env.close()
-        self._scheduler.close()
+        for share in self._shares:
+            share.envs.close()
+        if self._pool is not None:
+            self._pool.shutdown()
+
+    def _map(self, function: Callable[[_Share], Any]) -> list[Any]:
+        if self._pool is None:
+            return [function(share) for share in self._shares]
+        futures = [self._pool.submit(function, share) for share in self._shares]
+        # All threads finish before the first error is raised.
+        errors = [error for future in futures if (error := future.exception()) is not None]
+        if errors:
+            raise errors[0]
+        return [future.result() for future in futures]
 
     def _require_usable(self) -> None:
         if self._is_closed:
@@ -197,17 +247,9 @@ class EnvBatch:
         finally:
             self._lock.release()
 
-    def _step_one(
-        self, env: WrappableEnv, ended: bool, actions: ByAgent
-    ) -> tuple[ParallelStep | None, ResetResult | None]:
-        if ended and self.autoreset is AutoresetMode.NEXT_STEP:
-            return None, env.reset()
-        result = env.step(actions)
-        return result, env.reset() if self.autoreset is AutoresetMode.SAME_STEP and _has_ended(result) else None
-
     def _spread_seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
         """Derive one seed for each environment from a seed or a sequence of seeds."""
-        count = len(self.envs)
+        count = self.num_envs
         if seed is None:
             return [None] * count
         if isinstance(seed, (int, np.integer)):
@@ -218,8 +260,8 @@ class EnvBatch:
         return [None if one is None else int(one) for one in seeds]
 
 
-def split_actions(actions: object, space: spaces.Space[Any], count: int, agent: str) -> list[npt.NDArray[Any]]:
-    """Check the actions of all environments and return one row for each.
+def check_action_array(actions: object, space: spaces.Space[Any], count: int, agent: str) -> npt.NDArray[Any]:
+    """Check the shape and type of the actions of all environments, and return them as an array.
 
     Args:
         actions: Actions (count, ...) of an agent.
@@ -237,18 +279,4 @@ def split_actions(actions: object, space: spaces.Space[Any], count: int, agent: 
         raise ActionError(f"actions of the {agent} must be an array of shape {shape} ({error})") from error
     if values.shape != shape or values.dtype.kind not in "fiu":
         raise ActionError(f"actions of the {agent} must have shape {shape}, got {values.dtype} {values.shape}")
-    return list(values)
-
-
-def _apply_wrapper(wrapper: WrapperFunction, env: WrappableEnv) -> WrappableEnv:
-    if not callable(wrapper):
-        raise OptionError(f"wrappers must be functions or classes that wrap an environment, got {wrapper!r}")
-    wrapped = wrapper(env)
-    check_env(wrapped)
-    if wrapped.unwrapped is not env.unwrapped:
-        raise OptionError(f"wrappers must wrap the environment that they get, got another one from {wrapper!r}")
-    return wrapped
-
-
-def _has_ended(result: ParallelStep | None) -> bool:
-    return result is not None and (any(result[2].values()) or any(result[3].values()))
+    return values

@@ -1,69 +1,67 @@
 """Vector environment of one agent (Gymnasium's VectorEnv), and the constructor of vector environments."""
 
-import collections
-import functools
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal, overload
 
 import numpy as np
-from gymnasium.vector import AutoresetMode, SyncVectorEnv
+import numpy.typing as npt
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
 
+from handover_marl.envs.arguments import check_positive_integer
 from handover_marl.envs.config import EnvConfig, make_env_config
 from handover_marl.envs.handover_env import HandoverEnv
-from handover_marl.envs.vector.batch import EnvBatch, WrapperFunction, split_actions
+from handover_marl.envs.vector.array_envs import ArrayEnvs, can_use_arrays
+from handover_marl.envs.vector.batch import EnvBatch, Envs, check_action_array
 from handover_marl.envs.vector.parallel_vector_env import ParallelVectorEnv
-from handover_marl.envs.wrappers.wrapper import ByAgent, ParallelWrapper, SingleAgentEnv
+from handover_marl.envs.vector.results import EnvResult, select_rows
+from handover_marl.envs.vector.single_envs import SingleEnvs, WrapperFunction, apply_wrapper
+from handover_marl.envs.wrappers.encode import encode
+from handover_marl.envs.wrappers.freeze import freeze
+from handover_marl.envs.wrappers.wrapper import WrappableEnv
 from handover_marl.errors import OptionError, check_name
-from handover_marl.execution.options import forward_signature
+from handover_marl.execution.options import count_available_cores, forward_signature
 from handover_marl.learning.encodings.own_features import FeaturesLike
 from handover_marl.learning.encodings.own_schemes import SchemeLike
 from handover_marl.policies.reference import PolicyLike
-from handover_marl.simulation.engines import MUJOCO
+from handover_marl.simulation.engines import MUJOCO, check_physics
 
 AUTORESETS = tuple(mode.name.lower() for mode in AutoresetMode)
 
 
-class _PrecomputedEnv(SingleAgentEnv):
-    """Environment whose results of `reset` and `step` are computed before these methods are called.
-
-    Args:
-        env: Parallel environment of one agent.
-
-    Attributes:
-        results: Results by agent, in the order in which they will be returned.
-    """
-
-    def __init__(self, env: ParallelWrapper) -> None:
-        super().__init__(env)
-        self.results: collections.deque[tuple[ByAgent, ...]] = collections.deque()
-
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
-        """Return the next result, which is that of a reset."""
-        return tuple(part[self.agent] for part in self.results.popleft())
-
-    def step(self, action: Any) -> Any:
-        """Return the next result, which is that of a step."""
-        return tuple(part[self.agent] for part in self.results.popleft())
+#: Largest number of environments in a batch; each takes megabytes of memory.
+MAX_ENVS = 65_536
 
 
-class HandoverVectorEnv(SyncVectorEnv):
+class HandoverVectorEnv(VectorEnv[Any, Any, Any]):
     """Gymnasium vector environment of one agent, made by `handover_marl.vector_env`.
 
-    Results equal those of Gymnasium's `SyncVectorEnv` bit for bit: environment k is seeded with
-    `seed + k` and behaves as a single environment with that seed.
+    Environment k is seeded with `seed + k` and behaves as a single environment with that seed.
+    Results have the form of Gymnasium's `SyncVectorEnv`.
 
     Args:
-        batch: Environments that are simulated in lockstep.
+        batch: The environments.
+        template: Single environment with the same spaces.
     """
 
     metadata: dict[str, Any] = {**HandoverEnv.metadata, "name": "handover_vector_v0"}
 
-    def __init__(self, batch: EnvBatch) -> None:
-        self._batch = batch
-        self._precomputed = [_PrecomputedEnv(env) for env in batch.envs]
-        super().__init__(
-            [functools.partial(_identity, env) for env in self._precomputed], autoreset_mode=batch.autoreset
-        )
+    def __init__(self, batch: EnvBatch, template: WrappableEnv) -> None:
+        agents: list[str] = list(template.possible_agents)
+        (self._agent,) = agents
+        self._batch, self._template = batch, template
+        self.num_envs, self.render_mode = batch.num_envs, template.render_mode
+        self.metadata = {**type(self).metadata, **template.metadata, "autoreset_mode": batch.autoreset}
+        self.single_observation_space = template.observation_space(self._agent)
+        self.single_action_space = template.action_space(self._agent)
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+
+    @property
+    def scene_ids(self) -> tuple[int, ...]:
+        """Numbers of the scenes that the environments draw from."""
+        base: HandoverEnv = self._template.unwrapped
+        return base.scene_ids
 
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
@@ -87,10 +85,8 @@ class HandoverVectorEnv(SyncVectorEnv):
         chosen = np.ones(self.num_envs, dtype=bool) if mask is None else np.asarray(mask)
         if chosen.shape != (self.num_envs,) or chosen.dtype != bool or not chosen.any():
             raise OptionError(f"reset_mask must be {self.num_envs} truth values with at least one True, got {mask!r}")
-        results = iter(self._batch.reset(seed, own, chosen))
-        for env, resets in zip(self._precomputed, chosen, strict=True):
-            env.results = collections.deque([next(results)] if resets else [])
-        return super().reset(options=None if mask is None else own | {"reset_mask": chosen})
+        result = self._batch.reset(seed, own, chosen)
+        return result.observations[self._agent], _mask_infos(result.infos[self._agent], chosen)
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Step every environment for one control period, or until its action scheme needs outputs.
@@ -103,16 +99,39 @@ class HandoverVectorEnv(SyncVectorEnv):
             ResetNeededError: There was no reset, or a reset or step has failed since.
         """
         self._batch.require_running()
-        agent = self._precomputed[0].agent
-        split = split_actions(actions, self.single_action_space, self.num_envs, agent)
-        rows = [{agent: row} for row in split]
-        for env, outcome in zip(self._precomputed, self._batch.step(rows), strict=True):
-            env.results.extend(result for result in outcome if result is not None)
-        return super().step(np.stack(split))
+        agent = self._agent
+        values = check_action_array(actions, self.single_action_space, self.num_envs, agent)
+        step = self._batch.step({agent: values})
+        observations, rewards, terminated, truncated, infos = (part[agent] for part in step.result)
+        infos = _mask_infos(infos, np.ones(self.num_envs, dtype=bool))
+        if step.final is not None:
+            infos |= self._make_final_infos(step.ended, step.final)
+        return observations, rewards, terminated, truncated, infos
+
+    def render(self) -> tuple[Any, ...] | None:
+        """Return the images of all environments in the mode "rgb_array", else None."""
+        return self._batch.render()
 
     def close_extras(self, **kwargs: Any) -> None:
         """Free the simulations of all environments."""
         self._batch.close()
+
+    def _make_final_infos(self, ended: npt.NDArray[np.int_], final: EnvResult) -> dict[str, Any]:
+        """Return the last observations and infos of the episodes that have ended in this step."""
+        mask = np.isin(np.arange(self.num_envs), ended)
+        final_obs = np.full(self.num_envs, None, dtype=object)
+        for place, number in enumerate(ended.tolist()):
+            final_obs[number] = select_rows(final.observations[self._agent], place)
+        infos = {}
+        for key, values in final.infos[self._agent].items():
+            infos[key] = np.zeros((self.num_envs, *values.shape[1:]), dtype=values.dtype)
+            infos[key][ended] = values
+        return {
+            "final_obs": final_obs,
+            "_final_obs": mask,
+            "final_info": _mask_infos(infos, mask),
+            "_final_info": mask.copy(),
+        }
 
 
 @overload
@@ -164,9 +183,10 @@ def vector_env(
     config: EnvConfig | None = None,
     **fields: Any,
 ) -> HandoverVectorEnv | ParallelVectorEnv:
-    """Make many environments in one process, which MuJoCo simulates in lockstep on several threads.
+    """Make many environments in one process, which MuJoCo simulates together on several threads.
 
     Each environment behaves as a single one with its seed, whatever the number of environments and threads.
+    In other physics, with a camera or with wrappers, environments are stepped one after another.
 
     Args:
         num_envs: Number of environments.
@@ -179,7 +199,8 @@ def vector_env(
             mapping by agent for both agents.
         wrappers: Functions or classes that wrap each environment by a
             `pettingzoo.utils.BaseParallelWrapper`, the innermost first; the wrapped environment has both
-            agents, their observations and actions as the environment defines them.
+            agents, their observations and actions as the environment defines them. With wrappers other
+            than `EpisodeReturns`, environments are stepped one after another.
         autoreset: Gymnasium's mode of the reset after an episode's end: "next_step", "same_step" or
             "disabled".
         threads: Number of simulation threads; default: one per core.
@@ -193,14 +214,50 @@ def vector_env(
         OptionError: A number is out of range, or MuJoCo is not installed.
     """
     check_name("autoreset", autoreset, AUTORESETS)
-    mode = AutoresetMode[autoreset.upper()]
+    count = check_positive_integer("num_envs", num_envs)
+    if count > MAX_ENVS:
+        raise OptionError(f"num_envs must be at most {MAX_ENVS}, got {num_envs}; run several processes")
+    threads = check_positive_integer("threads", count_available_cores() if threads is None else threads)
+    if agent is None and partner is not None:
+        raise OptionError(
+            f"partner must be None if both agents are controlled, got {partner!r}; leave it out, or name one agent"
+        )
+    given: object = wrappers
+    if not isinstance(given, Sequence) or isinstance(given, str):
+        raise OptionError(f"wrappers must be a list of functions or classes, got {wrappers!r}")
     if config is None:
         fields = {"physics": MUJOCO, **fields}
-    batch = EnvBatch(
-        make_env_config(config, fields), num_envs, mode, agent, partner, features, schemes, threads, trust, wrappers
-    )
-    return ParallelVectorEnv(batch) if agent is None else HandoverVectorEnv(batch)
+    chosen = make_env_config(config, fields)
+    if chosen.render_mode == "human":
+        raise OptionError('render_mode must be None or "rgb_array" for several environments, got "human"')
+    check_physics(chosen.physics)
+
+    def make_single() -> WrappableEnv:
+        env: WrappableEnv = HandoverEnv(chosen)
+        for wrapper in wrappers:
+            env = apply_wrapper(wrapper, env)
+        if agent is not None:
+            env = freeze(env, agent, partner, trust=trust)
+        return env if features is None and schemes is None else encode(env, features, schemes)
+
+    template = make_single()
+    has_arrays = can_use_arrays(template)
+
+    def make(size: int) -> Envs:
+        return (
+            ArrayEnvs(template, size, partner, trust, autoreset != "disabled")
+            if has_arrays
+            else SingleEnvs(make_single, size)
+        )
+
+    batch = EnvBatch(make, count, AutoresetMode[autoreset.upper()], threads if has_arrays else 1)
+    return ParallelVectorEnv(batch, template) if agent is None else HandoverVectorEnv(batch, template)
 
 
-def _identity(env: _PrecomputedEnv) -> _PrecomputedEnv:
-    return env
+def _mask_infos(infos: dict[str, Any], mask: npt.NDArray[np.bool_]) -> dict[str, Any]:
+    """Return the infos of the environments in a mask in Gymnasium's form: zeros elsewhere, and masks."""
+    masked = {}
+    for key, values in infos.items():
+        masked[key] = values.copy() if mask.all() else np.where(mask, values, np.zeros_like(values))
+        masked[f"_{key}"] = mask.copy()
+    return masked

@@ -56,6 +56,7 @@ class EncodedEnv(ParallelWrapper):
     Attributes:
         feature_names: Name of the features, by agent.
         scheme_names: Name of the action scheme, by agent.
+        choices: Features and action scheme as they were given, by agent.
 
     Raises:
         UnknownNameError: There are no such features, or no such scheme.
@@ -84,6 +85,7 @@ class EncodedEnv(ParallelWrapper):
         if RECEIVER in agents:
             _check_state(base.config.obs_mode, chosen_features[RECEIVER], chosen_schemes[RECEIVER])
         context = base.policy_context
+        self.choices = {agent: (chosen_features[agent], chosen_schemes[agent]) for agent in agents}
         self._features = {
             agent: make_features(agent, choice, context, trust=True) for agent, choice in chosen_features.items()
         }

@@ -35,6 +35,7 @@ class FrozenPartnerEnv(ParallelWrapper):
     Attributes:
         live_agent: Agent that is controlled from outside, "receiver" or "giver".
         partner_agent: Agent that the partner policy acts for.
+        policy: Policy of that agent.
 
     Raises:
         UnknownNameError: There is no such agent or policy.
@@ -65,8 +66,8 @@ class FrozenPartnerEnv(ParallelWrapper):
             )
         chosen = DEFAULT_PARTNERS[agent] if partner is None else partner
         reference = parse_policy(self.partner_agent, chosen, trust)
-        self._policy = reference.make(base.dataset, base.config.world_config, base.config.setup)
-        self._scheduler = PolicyScheduler(self._policy)
+        self.policy = reference.make(base.dataset, base.config.world_config, base.config.setup)
+        self._scheduler = PolicyScheduler(self.policy)
         self._steps = 0
         self._rng, _ = seeding.np_random(None)
 
@@ -110,7 +111,7 @@ class FrozenPartnerEnv(ParallelWrapper):
         return select(observations), select(rewards), select(terminations), select(truncations), select(infos)
 
     def _observe_partner(self) -> Observation:
-        return self.unwrapped.observe_for_policy(self.partner_agent, self._policy)
+        return self.unwrapped.observe_for_policy(self.partner_agent, self.policy)
 
     def _select_live(self, by_agent: ByAgent) -> ByAgent:
         return {self.live_agent: by_agent[self.live_agent]}

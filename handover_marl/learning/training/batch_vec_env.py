@@ -21,9 +21,8 @@ BatchFactory = Callable[[int], HandoverVectorEnv]
 class BatchVecEnv(VecEnv):
     """Stable-Baselines3 VecEnv whose environments are simulated in one batch per process.
 
-    Only the simulation of a batch runs in several threads, not the observations and rewards of its
-    environments. On several cores, one process per core is therefore fastest. Episodes do not depend
-    on the number of processes.
+    The threads of one process take turns with everything but the simulation. On several cores, one
+    process per core is therefore fastest. Episodes do not depend on the number of processes.
 
     Args:
         count: Number of environments.

@@ -1,0 +1,195 @@
+"""Scripted givers that act in many episodes at once, on arrays with the episode as first axis.
+
+Actions equal those of single givers to 1e-6 after the rounding to float32, and do not depend on the
+batch.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.episode.observations import Observation
+from handover_marl.episode.spaces import GIVER_ACTION_SIZE
+from handover_marl.geometry.poses import compute_lengths
+from handover_marl.givers.cooperative import CooperativeGiver
+from handover_marl.givers.cooperative_batch import CooperativeBatch, compute_grip_distances, make_giver_actions
+from handover_marl.givers.noisy import NoisyGiver
+from handover_marl.givers.replay import ReplayGiver
+from handover_marl.givers.timing import HesitantGiver, HurriedGiver, StopWhenNearGiver
+from handover_marl.givers.withdrawing import WithdrawingGiver
+from handover_marl.policies.batch import ArrayPolicy, PolicyBatch
+from handover_marl.policies.policy import Policy
+
+Actions = npt.NDArray[np.float32]
+Rows = npt.NDArray[np.int_]
+
+_PAUSE = -1.0  # playback rate minus 1
+
+
+class ReplayBatch(ArrayPolicy):
+    """Batch of `ReplayGiver`.
+
+    Args:
+        policy: Giver of a single episode.
+        count: Number of episodes.
+    """
+
+    def __init__(self, policy: ReplayGiver, count: int) -> None:
+        super().__init__(policy, count, GIVER_ACTION_SIZE)
+
+    def decide(self, rows: Rows, observation: Observation) -> Actions:
+        """Return the actions (r, 8) that follow the recordings."""
+        return make_giver_actions(len(rows))
+
+
+class HurriedBatch(ArrayPolicy):
+    """Batch of `HurriedGiver`.
+
+    Args:
+        policy: Giver of a single episode, with the constants.
+        count: Number of episodes.
+    """
+
+    def __init__(self, policy: HurriedGiver, count: int) -> None:
+        super().__init__(policy, count, GIVER_ACTION_SIZE)
+        self._giver, self._rate = policy, np.zeros(count)
+
+    def start(self, row: int, seed: int | None) -> None:
+        """Draw the playback speed of an episode."""
+        self._rate[row] = np.random.default_rng(seed).uniform(self._giver.min_rate, self._giver.max_rate)
+
+    def decide(self, rows: Rows, observation: Observation) -> Actions:
+        """Return the actions (r, 8) that replay at the speeds drawn for these episodes."""
+        return make_giver_actions(len(rows), rate=self._rate[rows])
+
+
+class StopWhenNearBatch(ArrayPolicy):
+    """Batch of `StopWhenNearGiver`.
+
+    Args:
+        policy: Giver of a single episode, with the constants.
+        count: Number of episodes.
+    """
+
+    def __init__(self, policy: StopWhenNearGiver, count: int) -> None:
+        super().__init__(policy, count, GIVER_ACTION_SIZE)
+        self._distance = policy.distance
+
+    def decide(self, rows: Rows, observation: Observation) -> Actions:
+        """Return the actions (r, 8) that pause near the gripper."""
+        return make_giver_actions(
+            len(rows), rate=np.where(compute_grip_distances(observation) < self._distance, _PAUSE, 0.0)
+        )
+
+
+class HesitantBatch(ArrayPolicy):
+    """Batch of `HesitantGiver`, whose random numbers are drawn episode by episode.
+
+    Args:
+        policy: Giver of a single episode, with the constants.
+        count: Number of episodes.
+    """
+
+    def __init__(self, policy: HesitantGiver, count: int) -> None:
+        super().__init__(policy, count, GIVER_ACTION_SIZE)
+        self._giver, self._until = policy, np.zeros(count)
+        self._rngs = [np.random.default_rng(0)] * count
+
+    def start(self, row: int, seed: int | None) -> None:
+        """Start an episode without a pause."""
+        self._rngs[row], self._until[row] = np.random.default_rng(seed), 0.0
+
+    def decide(self, rows: Rows, observation: Observation) -> Actions:
+        """Return the actions (r, 8) that pause, or replay at the recorded speed."""
+        giver, now = self._giver, observation["time"][:, 0].astype(np.float64)
+        for row, time in zip(rows.tolist(), now.tolist(), strict=True):
+            rng = self._rngs[row]
+            if time >= self._until[row] and rng.random() < giver.pauses_per_second * giver.control_period:
+                self._until[row] = time + rng.uniform(giver.shortest_pause, giver.longest_pause)
+        return make_giver_actions(len(rows), rate=np.where(now < self._until[rows], _PAUSE, 0.0))
+
+
+class NoisyBatch(ArrayPolicy):
+    """Batch of `NoisyGiver`, whose random numbers are drawn episode by episode.
+
+    Args:
+        policy: Giver of a single episode, with the constants.
+        count: Number of episodes.
+    """
+
+    def __init__(self, policy: NoisyGiver, count: int) -> None:
+        super().__init__(policy, count, GIVER_ACTION_SIZE)
+        self._rngs, self._deviation = [np.random.default_rng(0)] * count, np.zeros((count, 7))
+        self._scale = np.array([policy.rate, *[policy.displacement] * 3, *[policy.rotation] * 3])
+        self._decay = np.exp(-policy.control_period / policy.time_constant)
+
+    def start(self, row: int, seed: int | None) -> None:
+        """Start an episode without deviation."""
+        self._rngs[row], self._deviation[row] = np.random.default_rng(seed), 0.0
+
+    def decide(self, rows: Rows, observation: Observation) -> Actions:
+        """Return the actions (r, 8) with the next random deviations."""
+        noise = np.array([self._rngs[row].standard_normal(7) for row in rows.tolist()])
+        self._deviation[rows] = (
+            self._decay * self._deviation[rows] + np.sqrt(1.0 - self._decay**2) * self._scale * noise
+        )
+        deviation = self._deviation[rows]
+        return make_giver_actions(len(rows), deviation[:, 0], deviation[:, 1:4], deviation[:, 4:])
+
+
+class WithdrawingBatch(ArrayPolicy):
+    """Batch of `WithdrawingGiver`.
+
+    Args:
+        policy: Giver of a single episode, with the constants.
+        count: Number of episodes.
+    """
+
+    def __init__(self, policy: WithdrawingGiver, count: int) -> None:
+        super().__init__(policy, count, GIVER_ACTION_SIZE)
+        self._giver = policy
+        self._last_distance, self._until = np.full(count, np.nan), np.full(count, -1.0)
+        self._displacement = np.zeros((count, 3))
+
+    def start(self, row: int, seed: int | None) -> None:
+        """Start an episode without deviation."""
+        self._last_distance[row], self._until[row], self._displacement[row] = np.nan, -1.0, 0.0
+
+    def decide(self, rows: Rows, observation: Observation) -> Actions:
+        """Return the actions (r, 8) that withdraw the hands, or follow the recordings."""
+        giver, now = self._giver, observation["time"][:, 0].astype(np.float64)
+        away = observation["hand_keypoints"][:, 0] - observation["gripper_pose"][:, :3]
+        distance = compute_lengths(away).astype(np.float64)
+        speed = (self._last_distance[rows] - distance) / giver.control_period
+        self._last_distance[rows] = distance
+        # Before the second decision the speed is nan, which is not above the limit.
+        flees = (observation["hand_present"][:, 0] != 0.0) & (distance < giver.max_distance) & (speed > giver.max_speed)
+        self._until[rows[flees]] = now[flees] + giver.return_after
+        withdrawal = giver.withdrawal * away / np.maximum(compute_lengths(away), 1e-6)[:, None]
+        self._displacement[rows[flees]] = withdrawal[flees]
+        is_away = now < self._until[rows]
+        return make_giver_actions(len(rows), displacement=np.where(is_away[:, None], self._displacement[rows], 0.0))
+
+
+_BATCHES: dict[type[Policy], Callable[[Any, int], PolicyBatch]] = {
+    ReplayGiver: ReplayBatch,
+    HurriedGiver: HurriedBatch,
+    StopWhenNearGiver: StopWhenNearBatch,
+    HesitantGiver: HesitantBatch,
+    NoisyGiver: NoisyBatch,
+    WithdrawingGiver: WithdrawingBatch,
+    CooperativeGiver: CooperativeBatch,
+}
+
+
+def make_giver_batch(policy: Policy, count: int) -> PolicyBatch | None:
+    """Return the batch of a scripted giver, or None for a giver that has none.
+
+    Args:
+        policy: Giver of a single episode. A subclass of a scripted giver has no batch.
+        count: Number of episodes.
+    """
+    batch = _BATCHES.get(type(policy))
+    return None if batch is None else batch(policy, count)

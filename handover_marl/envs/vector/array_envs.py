@@ -1,0 +1,181 @@
+"""Handover environments whose episodes are simulated together as arrays."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium.utils import seeding
+
+from handover_marl.envs.arguments import check_scene_option
+from handover_marl.envs.handover_env import HandoverEnv
+from handover_marl.envs.vector.array_episodes import ArrayEpisodes
+from handover_marl.envs.vector.results import EnvResult
+from handover_marl.envs.wrappers.encode import EncodedEnv
+from handover_marl.envs.wrappers.episode_returns import EpisodeReturns
+from handover_marl.envs.wrappers.freeze import FrozenPartnerEnv
+from handover_marl.envs.wrappers.wrapper import ByAgent, WrappableEnv
+from handover_marl.episode.spaces import STATE
+from handover_marl.errors import OptionError
+from handover_marl.policies.reference import PolicyLike
+from handover_marl.simulation.engines import MUJOCO
+
+Rows = npt.NDArray[np.int_]
+
+# Episodes in a row that may end before an action scheme needs outputs.
+_MAX_EPISODES = 100
+_NONE = -1
+
+
+def can_use_arrays(template: WrappableEnv) -> bool:
+    """Return whether `ArrayEnvs` can simulate environments like a single one.
+
+    They can in MuJoCo's physics without camera, and with no wrappers but `EpisodeReturns`, `freeze` and
+    `encode`, in this order.
+
+    Args:
+        template: Single environment of the configuration, with its wrappers.
+    """
+    config = template.unwrapped.config
+    if config.physics != MUJOCO or config.obs_mode != STATE or config.render_mode is not None:
+        return False
+    env: Any = template
+    for wrapper in (EncodedEnv, FrozenPartnerEnv, EpisodeReturns):
+        if type(env) is wrapper:
+            if wrapper is FrozenPartnerEnv and env.policy.obs_mode != STATE:
+                return False
+            env = env.env
+    return type(env) is HandoverEnv
+
+
+class ArrayEnvs:
+    """Environments of one configuration whose episodes are simulated together; see `batch.Envs`.
+
+    Environment k equals a single environment, with the wrappers `freeze` and `encode`, that draws the
+    same scenes. If episodes start with control periods in which no outputs are needed, the next
+    episode of each environment is simulated through them beside the present one, because a large
+    batch takes less time than many small ones.
+
+    Args:
+        template: Single environment of the configuration, with its wrappers; it is not simulated.
+        count: Number n of environments.
+        partner: Policy of the agent that is not controlled from outside.
+        trust: Whether a policy file may run code.
+        resets: Whether environments are reset after an episode's end without seed and options.
+    """
+
+    def __init__(
+        self,
+        template: WrappableEnv,
+        count: int,
+        partner: PolicyLike | None,
+        trust: bool,
+        resets: bool,
+    ) -> None:
+        self._base, self._agents = template.unwrapped, list(template.possible_agents)
+        self._prepares = resets and isinstance(template, EncodedEnv) and len(self._agents) == 1
+        self._episodes = ArrayEpisodes(template, count * (1 + self._prepares), partner, trust)
+        self._rngs, self._partner_rngs = ([seeding.np_random(None)[0] for _ in range(count)] for _ in range(2))
+        # Number of the present episode of each environment, and of its next one, which has started.
+        self._present, self._next = np.arange(count), np.full(count, _NONE)
+        self._free = np.arange(count, 2 * count)
+        self._states_before: list[tuple[Any, Any]] = [(None, None)] * count
+
+    def reset(self, rows: Rows, seeds: Sequence[int | None], options: Mapping[str, Any] | None) -> EnvResult:
+        """Start episodes, and simulate them until an action scheme needs outputs.
+
+        Args:
+            rows: Numbers (r,) of the environments.
+            seeds: Seed of each of these environments; None keeps the state of its random generators.
+            options: Options of `HandoverEnv.reset`.
+
+        Raises:
+            OptionError: Many episodes in a row have ended before outputs were needed.
+        """
+        for row, seed in zip(rows.tolist(), seeds, strict=True):
+            if seed is not None or options:
+                self._discard_next(row)
+            if seed is not None:
+                self._rngs[row], self._partner_rngs[row] = (seeding.np_random(seed)[0] for _ in range(2))
+        left, episodes = rows, self._episodes
+        for _ in range(_MAX_EPISODES):
+            for row in left.tolist():
+                if self._next[row] == _NONE:
+                    self._start(row, int(self._present[row]), options)
+                else:
+                    self._present[row], self._free[row], self._next[row] = self._next[row], self._present[row], _NONE
+            while len(waiting := episodes.find_waiting(self._present[left])):
+                self._wait(waiting)
+            left = left[episodes.have_ended(self._present[left])]
+            if not len(left):
+                break
+        else:
+            raise OptionError(
+                f"no outputs of the {self._agents[0]} were needed in {_MAX_EPISODES} episodes in a row; choose "
+                "another partner or action scheme"
+            )
+        result = episodes.make_result(self._present[rows])
+        return result._replace(rewards={agent: np.zeros(len(rows)) for agent in self._agents})
+
+    def check_actions(self, actions: ByAgent) -> ByAgent:
+        """Check the actions or outputs (n, ...) of all environments, and return them as float32.
+
+        Raises:
+            ActionError: A number is not finite.
+        """
+        return self._episodes.check_actions(actions)
+
+    def step(self, rows: Rows, actions: ByAgent) -> EnvResult:
+        """Let the agents act for one control period, or until an action scheme needs outputs again.
+
+        Args:
+            rows: Numbers (r,) of environments with running episodes.
+            actions: Checked actions or outputs (r, ...) by agent.
+        """
+        episodes, present = self._episodes, self._present[rows]
+        if self._prepares:
+            self._start_next(rows)
+        given = episodes.set_actions(present, actions)
+        episodes.clear_rewards(present)
+        active = present
+        while len(active):
+            coming = episodes.find_waiting(self._next[self._next != _NONE])
+            episodes.clear_rewards(coming)
+            episodes.advance(np.concatenate([active, coming]), given)
+            active = episodes.find_waiting(active)
+        return episodes.make_result(present)
+
+    def render(self) -> None:
+        """Return None: without a camera there is nothing to render."""
+
+    def close(self) -> None:
+        """Free the simulation."""
+        self._episodes.close()
+
+    def _wait(self, waiting: Rows) -> None:
+        self._episodes.clear_rewards(waiting)
+        self._episodes.advance(waiting, {})
+
+    def _start(self, row: int, episode: int, options: Mapping[str, Any] | None) -> None:
+        """Start an episode of an environment in a scene that the options choose, or a drawn one."""
+        base = self._base
+        scene_id = check_scene_option(options or {}, base.scene_ids, f"{base.config.setup} {base.config.split}")
+        if scene_id is None:
+            scene_id = int(self._rngs[row].choice(base.scene_ids))
+        self._episodes.start(episode, base.dataset.load_scene(scene_id), int(self._partner_rngs[row].integers(2**32)))
+
+    def _start_next(self, rows: Rows) -> None:
+        """Start the next episode of environments that have none."""
+        for row in rows[self._next[rows] == _NONE].tolist():
+            rngs = self._rngs[row], self._partner_rngs[row]
+            self._states_before[row] = rngs[0].bit_generator.state, rngs[1].bit_generator.state
+            self._start(row, int(self._free[row]), None)
+            self._next[row] = self._free[row]
+
+    def _discard_next(self, row: int) -> None:
+        """Forget the next episode of an environment, as if its scene had not been drawn."""
+        if self._next[row] != _NONE:
+            rngs = self._rngs[row], self._partner_rngs[row]
+            for rng, state in zip(rngs, self._states_before[row], strict=True):
+                rng.bit_generator.state = state
+            self._next[row] = _NONE

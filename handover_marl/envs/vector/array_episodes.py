@@ -1,0 +1,204 @@
+"""Episodes with the policies and encodings of an environment, simulated together as arrays."""
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.datasets.dataset import Scene
+from handover_marl.envs.arguments import AGENTS, GIVER, RECEIVER
+from handover_marl.envs.handover_env import HandoverEnv
+from handover_marl.envs.vector.policy_batches import make_policy_batch
+from handover_marl.envs.vector.results import EnvResult
+from handover_marl.envs.vector.reward_rows import RewardRows
+from handover_marl.envs.wrappers.encode import EncodedEnv
+from handover_marl.envs.wrappers.episode_returns import EpisodeReturns
+from handover_marl.envs.wrappers.freeze import DEFAULT_PARTNERS
+from handover_marl.envs.wrappers.wrapper import ByAgent, WrappableEnv
+from handover_marl.episode.batch.episodes import EpisodeBatch
+from handover_marl.episode.observations import Observation
+from handover_marl.episode.referee import EpisodeStatus
+from handover_marl.episode.spaces import check_giver_action, check_receiver_action, check_vector
+from handover_marl.learning.batch.encodings import make_feature_batch, make_scheme_batch
+from handover_marl.learning.batch.features import FeatureBatch
+from handover_marl.learning.batch.schemes import SchemeBatch
+from handover_marl.policies.batch import PolicyBatch
+from handover_marl.policies.reference import PolicyLike, parse_policy
+from handover_marl.receivers.grasp_library import get_nearest_grasp_selector
+from handover_marl.receivers.grasp_selection import GraspSelectionBatch
+
+Rows = npt.NDArray[np.int_]
+Flags = npt.NDArray[np.bool_]
+
+
+def has_episode_returns(template: WrappableEnv) -> bool:
+    """Return whether a wrapper adds the sums of the rewards to the infos."""
+    env: Any = template
+    while not isinstance(env, (EpisodeReturns, HandoverEnv)):
+        env = env.env
+    return isinstance(env, EpisodeReturns)
+
+
+class ArrayEpisodes:
+    """Episodes of one configuration as arrays, with a partner policy and encodings if there are any.
+
+    An episode equals that of a single environment with the wrappers `freeze` and `encode`. Methods take
+    the numbers `rows` (r,) of the episodes that they concern.
+
+    Args:
+        template: Single environment of the configuration, with its wrappers; it is not simulated.
+        count: Number of episodes.
+        partner: Policy of the agent that is not controlled from outside.
+        trust: Whether a policy file may run code.
+    """
+
+    def __init__(self, template: WrappableEnv, count: int, partner: PolicyLike | None, trust: bool) -> None:
+        base: HandoverEnv = template.unwrapped
+        self._base = base
+        config = base.config
+        self._agents = list(template.possible_agents)
+        self._episodes = EpisodeBatch(config.world_config, count)
+        self._rewards = RewardRows(config, self._episodes, count)
+        self._has_returns = has_episode_returns(template)
+        self._cycles = np.zeros(count, dtype=np.int_)
+        self._terminated, self._truncated = np.zeros(count, dtype=bool), np.zeros(count, dtype=bool)
+        self._partner: PolicyBatch | None = None
+        if len(self._agents) == 1:
+            (self._partner_agent,) = set(AGENTS) - set(self._agents)
+            chosen = DEFAULT_PARTNERS[self._agents[0]] if partner is None else partner
+            reference = parse_policy(self._partner_agent, chosen, trust)
+            self._partner = make_policy_batch(reference, base.dataset, config.world_config, config.setup, count)
+        self._features: dict[str, FeatureBatch] = {}
+        self._schemes: dict[str, SchemeBatch] = {}
+        if isinstance(template, EncodedEnv):
+            self._make_encodings(template, count)
+
+    def _make_encodings(self, template: EncodedEnv, count: int) -> None:
+        context = self._base.policy_context
+        selection = GraspSelectionBatch(get_nearest_grasp_selector(context), count)
+        for agent, (features, scheme) in template.choices.items():
+            self._features[agent] = make_feature_batch(agent, features, context, selection, count)
+            self._schemes[agent] = make_scheme_batch(agent, scheme, context, selection, count)
+
+    @property
+    def can_wait(self) -> bool:
+        """Whether episodes may need no outputs for some control periods: a single agent is encoded."""
+        return len(self._agents) == 1 and bool(self._schemes)
+
+    def check_actions(self, actions: ByAgent) -> ByAgent:
+        """Check the actions or outputs (n, ...) of all environments, and return them as float32.
+
+        Raises:
+            ActionError: A number is not finite.
+        """
+        return {agent: self._check_actions(agent, values) for agent, values in actions.items()}
+
+    def _check_actions(self, agent: str, actions: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
+        with np.errstate(over="ignore"):
+            values = actions.astype(np.float32)
+        wrong = np.flatnonzero(~np.isfinite(values).all(axis=1))
+        if len(wrong):
+            row = actions[wrong[0]]
+            if agent in self._schemes:
+                check_vector(f"outputs of the {agent}", row, len(row), "within [-1, 1]")
+            elif agent == RECEIVER:
+                check_receiver_action(row)
+            check_giver_action(row, self._base.action_space(GIVER))
+        return values
+
+    def start(self, row: int, scene: Scene, seed: int | None) -> None:
+        """Start an episode.
+
+        Args:
+            row: Number of the episode.
+            scene: Scene of the episode.
+            seed: Seed of the partner.
+        """
+        episodes, rows = self._episodes, np.array([row])
+        episodes.reset(row, scene)
+        if self._partner is not None:
+            self._partner.reset(row, seed, scene.info.object_names)
+        for scheme in self._schemes.values():
+            scheme.reset(row)
+        for features in self._features.values():
+            features.reset(row)
+        episodes.observe(rows)
+        self._cycles[row] = 0
+        self._terminated[row] = self._truncated[row] = False
+        self._rewards.start(row)
+
+    def clear_rewards(self, rows: Rows) -> None:
+        """Set the rewards and their terms, which add up until the next call, to zero."""
+        self._rewards.clear(rows)
+
+    def have_ended(self, rows: Rows) -> Flags:
+        """Return whether each episode has ended, (r,)."""
+        return np.asarray(self._terminated[rows] | self._truncated[rows])
+
+    def find_waiting(self, rows: Rows) -> Rows:
+        """Return the running episodes that need no outputs, if a single agent is encoded."""
+        if not self.can_wait:
+            return rows[:0]
+        (agent,) = self._agents
+        running = rows[~self.have_ended(rows)]
+        return running[~self._schemes[agent].needs_outputs(running, self._select_observation(agent, running))]
+
+    def set_actions(self, rows: Rows, actions: ByAgent) -> ByAgent:
+        """Give actions (r, ...) by agent to the action schemes; return those of agents without scheme."""
+        given: ByAgent = {}
+        for agent, values in actions.items():
+            if agent in self._schemes:
+                scheme = self._schemes[agent]
+                needs = scheme.needs_outputs(rows, self._select_observation(agent, rows))
+                scheme.set_outputs(rows[needs], values[needs])
+            else:
+                given[agent] = values
+        return given
+
+    def advance(self, rows: Rows, given: ByAgent) -> None:
+        """Simulate one control period.
+
+        Args:
+            rows: Numbers (r,) of running episodes.
+            given: Actions (r, ...) of agents without action scheme, by agent.
+        """
+        config, episodes, actions = self._base.config, self._episodes, dict(given)
+        if self._partner is not None:
+            agent, steps = self._partner_agent, episodes.referees.steps[rows]
+            actions[agent] = self._partner.act(rows, lambda some: self._select_observation(agent, some), steps)
+        for agent, scheme in self._schemes.items():
+            actions[agent] = scheme.compute_actions(rows, self._select_observation(agent, rows))
+        space = self._base.action_space(GIVER)
+        actions[GIVER] = np.clip(actions[GIVER], space.low, space.high)
+        episodes.advance(rows, actions[RECEIVER], config.control_steps, actions[GIVER])
+        episodes.observe(rows)
+        self._cycles[rows] += 1
+        status, timeout = episodes.referees.status[rows], int(EpisodeStatus.TIMEOUT)
+        terminated = (status & ~timeout) != 0
+        cut_off = (
+            np.zeros(len(rows), dtype=bool) if config.max_cycles is None else self._cycles[rows] >= config.max_cycles
+        )
+        self._terminated[rows] = terminated
+        self._truncated[rows] = ((status & timeout) != 0) | (cut_off & ~terminated)
+        self._rewards.add(rows, actions, self._terminated[rows], self._truncated[rows])
+
+    def make_result(self, rows: Rows) -> EnvResult:
+        """Return observations, infos and the rewards since `clear_rewards` of episodes."""
+        result = EnvResult({}, {}, {}, {}, {})
+        for agent in self._agents:
+            found = self._select_observation(agent, rows)
+            result.observations[agent] = self._features[agent](rows, found) if agent in self._features else found
+            terms = self._rewards.make_infos(agent, rows, self._has_returns)
+            result.infos[agent] = {**self._episodes.make_infos(rows), **terms}
+            result.rewards[agent] = self._rewards.totals[agent][rows]
+            result.terminated[agent], result.truncated[agent] = self._terminated[rows], self._truncated[rows]
+        return result
+
+    def close(self) -> None:
+        """Free the simulation."""
+        self._episodes.close()
+
+    def _select_observation(self, agent: str, rows: Rows) -> Observation:
+        if agent == GIVER:
+            return self._episodes.select_giver_observation(rows)
+        return self._episodes.select_state(rows)

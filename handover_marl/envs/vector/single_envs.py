@@ -1,0 +1,93 @@
+"""Single environments that are stepped one after another, for configurations without arrays."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium.vector.utils import concatenate, create_empty_array
+
+from handover_marl.envs.vector.results import EnvResult
+from handover_marl.envs.wrappers.wrapper import ByAgent, WrappableEnv, check_env
+from handover_marl.errors import OptionError
+
+Rows = npt.NDArray[np.int_]
+#: Function or class that wraps the environment by a `pettingzoo.utils.BaseParallelWrapper`.
+WrapperFunction: TypeAlias = Callable[[WrappableEnv], WrappableEnv]
+
+
+class SingleEnvs:
+    """Environments of one configuration, each simulated on its own; see `batch.Envs`.
+
+    Args:
+        make: Function that makes an environment.
+        count: Number of environments.
+
+    Attributes:
+        envs: The environments.
+    """
+
+    def __init__(self, make: Callable[[], WrappableEnv], count: int) -> None:
+        self.envs = [make() for _ in range(count)]
+
+    def reset(self, rows: Rows, seeds: Sequence[int | None], options: Mapping[str, Any] | None) -> EnvResult:
+        """Start episodes in the environments `rows` (r,), with a seed for each."""
+        own = None if options is None else dict(options)
+        found = [self.envs[row].reset(seed=seed, options=own) for row, seed in zip(rows.tolist(), seeds, strict=True)]
+        observations, infos = zip(*found, strict=True)
+        agents, count = list(observations[0]), len(rows)
+        nothing = {agent: np.zeros(count, dtype=bool) for agent in agents}
+        rewards = {agent: np.zeros(count) for agent in agents}
+        return EnvResult(self._stack(observations), rewards, nothing, nothing, _stack_infos(infos))
+
+    def check_actions(self, actions: ByAgent) -> ByAgent:
+        """Return the actions unchanged; each environment checks its own."""
+        return actions
+
+    def step(self, rows: Rows, actions: ByAgent) -> EnvResult:
+        """Step the environments `rows` (r,) with actions (r, ...) by agent."""
+        found = [
+            self.envs[row].step({agent: values[number] for agent, values in actions.items()})
+            for number, row in enumerate(rows.tolist())
+        ]
+        observations, *flags, infos = zip(*found, strict=True)
+        rewards, terminated, truncated = (
+            {agent: np.array([one[agent] for one in part]) for agent in part[0]} for part in flags
+        )
+        return EnvResult(self._stack(observations), rewards, terminated, truncated, _stack_infos(infos))
+
+    def render(self) -> list[Any]:
+        """Return the image of each environment, or None without images."""
+        return [env.render() for env in self.envs]
+
+    def close(self) -> None:
+        """Free the simulations."""
+        for env in self.envs:
+            env.close()
+
+    def _stack(self, observations: Sequence[ByAgent]) -> ByAgent:
+        stacked = {}
+        for agent in observations[0]:
+            space = self.envs[0].observation_space(agent)
+            buffer: Any = create_empty_array(space, n=len(observations))
+            stacked[agent] = concatenate(space, [one[agent] for one in observations], buffer)
+        return stacked
+
+
+def _stack_infos(infos: Sequence[ByAgent]) -> ByAgent:
+    return {agent: {key: np.array([one[agent][key] for one in infos]) for key in infos[0][agent]} for agent in infos[0]}
+
+
+def apply_wrapper(wrapper: WrapperFunction, env: WrappableEnv) -> WrappableEnv:
+    """Wrap an environment.
+
+    Raises:
+        OptionError: The wrapper cannot be called, or does not wrap the environment that it gets.
+    """
+    if not callable(wrapper):
+        raise OptionError(f"wrappers must be functions or classes that wrap an environment, got {wrapper!r}")
+    wrapped = wrapper(env)
+    check_env(wrapped)
+    if wrapped.unwrapped is not env.unwrapped:
+        raise OptionError(f"wrappers must wrap the environment that they get, got another one from {wrapper!r}")
+    return wrapped

@@ -1,0 +1,1 @@
+"""Batches of episodes: state, giver motion and rules as arrays with the episode as first axis."""

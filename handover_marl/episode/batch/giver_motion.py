@@ -1,0 +1,230 @@
+"""Motion of many givers at once: playback rates, offsets of the wrist and opening hands as arrays.
+
+The functions compute what `handover_marl.episode.giver_motion` computes for one giver. Values before
+the rounding to float32 agree to 1e-12 (m, rad), and results do not depend on the batch.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.config import OBJECT_DOF, TIME_STEP, GiverConfig
+from handover_marl.datasets.dataset import Scene
+from handover_marl.episode.batch.wrist_offset import apply_wrist_offsets, track_set_points
+from handover_marl.episode.giver_motion import find_pick_up_frame, find_wrist_offset
+from handover_marl.simulation.kinematic_paths import BASE_JOINTS, ReferenceMotion
+
+Array = npt.NDArray[np.float64]
+Float32 = npt.NDArray[np.float32]
+Rows = npt.NDArray[np.int_]
+Flags = npt.NDArray[np.bool_]
+
+# Pick-up frame of objects that are never picked up.
+_NEVER = 2**62
+
+
+@dataclass(frozen=True, eq=False)
+class PlannedMotion:
+    """Planned motion of r givers in k physics steps.
+
+    Attributes:
+        rows: Numbers (r,) of the givers.
+        references: Reference motion of each giver.
+        clocks: Playback times (r, k) after each step (frames).
+        frames: Frames (r, k) of the recordings.
+        rates: Playback rates minus 1 (r, k).
+        moving: Indices (d,) in `rows` of the givers with an offset of the wrist.
+        offsets: Displacements (m) and rotation vectors (rad) of the wrists, (k, d, 2, 3).
+        velocities: Their velocities (k, d, 2, 3).
+        opening: Progress of the hands' opening (r, k), 0 to 1.
+    """
+
+    rows: Rows
+    references: list[ReferenceMotion]
+    clocks: Array
+    frames: Rows
+    rates: Array
+    moving: Rows
+    offsets: Array
+    velocities: Array
+    opening: Array
+
+
+class GiverMotionBatch:
+    """Playback of one recorded scene for each of n givers, with their deviations.
+
+    `plan` returns the motion of the next physics steps, `commit` applies as many of them as were
+    simulated. See `handover_marl.episode.giver_motion.Playback` for one giver.
+
+    Args:
+        count: Number n of givers.
+        config: Limits of the deviation from the recordings.
+
+    Attributes:
+        frame: Present frame (n,) of each recording.
+        rate: Playback rates minus 1 (n,).
+        offset: Wrist displacement (m) and rotation vector (rad) of each giver, (n, 2, 3).
+        opened: Progress (n,) of each hand's opening, 0 to 1.
+    """
+
+    def __init__(self, count: int, config: GiverConfig) -> None:
+        self._config = config
+        self._scenes: list[Scene | None] = [None] * count
+        self._present: list[Flags] = [np.zeros(0, dtype=bool)] * count
+        self._base_from_wrist = np.zeros((count, 3))
+        self._last_frame, self._pick_up = np.zeros(count, dtype=np.int_), np.full(count, _NEVER)
+        self._clock, self.frame, self.rate = np.zeros(count), np.zeros(count, dtype=np.int_), np.zeros(count)
+        self.offset, self._velocity = np.zeros((count, 2, 3)), np.zeros((count, 2, 3))
+        self._has_deviated, self.opened = np.zeros(count, dtype=bool), np.zeros(count)
+        # Last reference of hand base and object; their Euler angles continue from it without a jump.
+        self._last = np.zeros((count, 2, OBJECT_DOF), dtype=np.float32)
+
+    def reset(self, row: int, scene: Scene) -> ReferenceMotion:
+        """Start to play a scene, and return its first frame as a reference motion of one row.
+
+        Args:
+            row: Number of the giver.
+            scene: Scene to play.
+        """
+        self._scenes[row] = scene
+        self._present[row] = scene.is_hand_present(np.arange(scene.n_frames))
+        self._base_from_wrist[row] = find_wrist_offset(scene)
+        pick_up = find_pick_up_frame(scene)
+        self._last_frame[row], self._pick_up[row] = scene.n_frames - 1, _NEVER if pick_up is None else pick_up
+        for state in (self._clock, self.frame, self.rate, self.offset, self._velocity, self._has_deviated, self.opened):
+            state[row] = 0
+        self._last[row] = scene.hand_dof[0, :BASE_JOINTS], scene.object_dof[0, 0]
+        return self._read_frames(row, np.array([0]))
+
+    @property
+    def holding(self) -> Flags:
+        """Whether each person has picked up the object, so that displacements take effect, (n,)."""
+        return np.asarray(self.frame >= self._pick_up)
+
+    @property
+    def deviation(self) -> Float32:
+        """(n, 7) playback rates minus 1, wrist displacements (m) and rotation vectors (rad)."""
+        return np.concatenate([self.rate[:, None], self.offset.reshape(-1, 6)], axis=1).astype(np.float32)
+
+    def plan(self, rows: Rows, steps: int, actions: Float32, released: Flags, opening: Flags) -> PlannedMotion:
+        """Return the motion of r givers in the next physics steps, without advancing the playback.
+
+        Args:
+            rows: Numbers (r,) of the givers.
+            steps: Number of physics steps k.
+            actions: (r, 8) actions.
+            released: Whether each object has been released, so that it does not follow the hand, (r,).
+            opening: Whether each hand opens after a voluntary release, (r,).
+        """
+        rates = self._ramp_rates(rows, actions[:, 0].astype(np.float64), steps)
+        clocks = self._clock[rows, None] + np.cumsum(1.0 + rates, axis=1)
+        # Rates often sum to halves; rounding to 9 digits first keeps float noise from deciding.
+        frames = np.minimum(np.rint(np.round(clocks, 9)), self._last_frame[rows, None]).astype(np.int_)
+        references = [self._read_frames(row, own) for row, own in zip(rows.tolist(), frames, strict=True)]
+        # An object that is picked up during these steps must not move early.
+        set_points = np.where(self.holding[rows, None], actions[:, 1:7].astype(np.float64), 0.0).reshape(-1, 2, 3)
+        moving = np.flatnonzero(self._has_deviated[rows] | set_points.any(axis=(1, 2)))
+        offsets, velocities = np.zeros((steps, 0, 2, 3)), np.zeros((steps, 0, 2, 3))
+        if len(moving):
+            who, config = rows[moving], self._config
+            limits = np.array([[config.speed, config.turn_speed], [config.acceleration, config.turn_acceleration]])
+            offsets, velocities = track_set_points(
+                self.offset[who], self._velocity[who], set_points[moving], steps, limits
+            )
+            self._apply_offsets(who, moving, references, offsets, released[moving])
+        opened = np.repeat(self.opened[rows, None], steps, axis=1)
+        if opening.any():
+            self._open_hands(opening, references, opened)
+        return PlannedMotion(rows, references, clocks, frames, rates, moving, offsets, velocities, opened)
+
+    def commit(self, motion: PlannedMotion, steps: Rows) -> None:
+        """Advance the playback by the planned steps that were simulated.
+
+        Args:
+            motion: Motion as returned by `plan`.
+            steps: Number of simulated steps (r,) of each giver.
+        """
+        simulated = np.flatnonzero(steps)
+        rows, last = motion.rows[simulated], steps[simulated] - 1
+        self._clock[rows], self.frame[rows] = motion.clocks[simulated, last], motion.frames[simulated, last]
+        self.rate[rows], self.opened[rows] = motion.rates[simulated, last], motion.opening[simulated, last]
+        for index, step in zip(simulated.tolist(), last.tolist(), strict=True):
+            reference, row = motion.references[index], motion.rows[index]
+            self._last[row] = reference.hand[step, :BASE_JOINTS], reference.objects[step, 0]
+        moved = steps[motion.moving] > 0
+        index, who = np.flatnonzero(moved), motion.rows[motion.moving[moved]]
+        last = steps[motion.moving[moved]] - 1
+        self.offset[who], self._velocity[who] = motion.offsets[last, index], motion.velocities[last, index]
+        self._has_deviated[who] = True
+
+    def _ramp_rates(self, rows: Rows, targets: Array, steps: int) -> Array:
+        """Return playback rates minus 1 (r, k) that approach targets (r,) with limited slope."""
+        change = (targets - self.rate[rows])[:, None]
+        limits = np.arange(1, steps + 1) * (self._config.rate_change * TIME_STEP)
+        limited = np.clip(change, -limits, limits)
+        ramp: Array = np.where(np.abs(limited) < np.abs(change), self.rate[rows, None] + limited, targets[:, None])
+        return ramp
+
+    def _apply_offsets(
+        self, who: Rows, moving: Rows, references: list[ReferenceMotion], offsets: Array, released: Flags
+    ) -> None:
+        """Move hands and held objects with their wrists' offsets, in the reference motions.
+
+        Args:
+            who: Numbers (d,) of the givers.
+            moving: Indices (d,) in `references` of the motions that change.
+            references: Reference motions.
+            offsets: Offsets (k, d, 2, 3) of the wrists.
+            released: Whether each object has been released, (d,).
+        """
+        own = [references[index] for index in moving.tolist()]
+        bodies = [np.stack([one.hand[:, :BASE_JOINTS], one.objects[:, 0]]) for one in own]
+        # At rest, rows are equal from some row on: compute the first of them.
+        counts = [
+            _count_distinct_rows(offsets[:, number].reshape(len(offsets), 6), *both)
+            for number, both in enumerate(bodies)
+        ]
+        moved = apply_wrist_offsets(
+            [both[:, :count] for both, count in zip(bodies, counts, strict=True)],
+            self._base_from_wrist[who],
+            [offsets[:count, number] for number, count in enumerate(counts)],
+            self._last[who],
+        )
+        for number, index in enumerate(moving.tolist()):
+            before, count = own[number], counts[number]
+            hand = before.hand.copy()
+            hand[:count, :BASE_JOINTS], hand[count:, :BASE_JOINTS] = moved[number][0], moved[number][0, -1]
+            objects = before.objects
+            if not released[number]:
+                objects = objects.copy()
+                objects[:count, 0], objects[count:, 0] = moved[number][1], moved[number][1, -1]
+            references[index] = ReferenceMotion(objects, hand, before.hand_present)
+
+    def _open_hands(self, opening: Flags, references: list[ReferenceMotion], opened: Array) -> None:
+        """Move the finger angles of opening hands towards zero, which is a flat hand in MANO."""
+        steps = opened.shape[1]
+        pace = TIME_STEP / self._config.opening_time
+        opened[opening] = np.minimum(opened[opening] + pace * np.arange(1, steps + 1), 1.0)
+        for index in np.flatnonzero(opening).tolist():
+            before = references[index]
+            hand = before.hand.copy()
+            hand[:, BASE_JOINTS:] *= (1.0 - self._config.opening * opened[index, :, None]).astype(np.float32)
+            references[index] = ReferenceMotion(before.objects, hand, before.hand_present)
+
+    def _read_frames(self, row: int, frames: Rows) -> ReferenceMotion:
+        scene, first, last = self._scenes[row], int(frames[0]), int(frames[-1])
+        if scene is None:
+            raise ValueError(f"giver {row} has no scene; call reset() first")
+        # A slice needs no copy. At the recording's end, and at other speeds, frames are not consecutive.
+        is_consecutive = last - first == len(frames) - 1 and bool((np.diff(frames) == 1).all())
+        part = slice(first, last + 1) if is_consecutive else frames
+        return ReferenceMotion(scene.object_dof[part], scene.hand_dof[part], self._present[row][part])
+
+
+def _count_distinct_rows(*arrays: npt.NDArray[np.floating]) -> int:
+    """Return the number of rows up to the last one that differs from the row before it in any array."""
+    differs = np.zeros(len(arrays[0]), dtype=bool)
+    for array in arrays:
+        differs[1:] |= (array[1:] != array[:-1]).any(axis=1)
+    return int(np.flatnonzero(differs)[-1]) + 1 if differs.any() else 1

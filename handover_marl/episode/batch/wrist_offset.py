@@ -1,0 +1,149 @@
+"""Offsets of many hands about their wrists, with limited speed and acceleration.
+
+See `handover_marl.episode.wrist_offset` for one hand; Euler angles are intrinsic XYZ.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from handover_marl.config import TIME_STEP
+from handover_marl.episode.wrist_offset import euler_from_quaternions
+from handover_marl.geometry.poses import (
+    multiply_quaternions,
+    quaternions_from_euler,
+    rotate_points,
+    select_nearest_euler,
+    unwrap_euler,
+)
+
+Array = npt.NDArray[np.float64]
+Float32 = npt.NDArray[np.float32]
+Flags = npt.NDArray[np.bool_]
+
+_TOLERANCE = 1e-6  # m, rad
+
+
+def track_set_points(
+    values: Array, velocities: Array, set_points: Array, steps: int, limits: Array
+) -> tuple[Array, Array]:
+    """Move wrist offsets towards set-points, with limited speed and acceleration.
+
+    Args:
+        values: Displacements (m) and rotation vectors (rad) before the first step, (d, 2, 3).
+        velocities: Velocities before the first step (d, 2, 3).
+        set_points: Values to reach, (d, 2, 3).
+        steps: Number k of physics steps.
+        limits: Largest speeds and largest accelerations, (2, 2): of displacements, of rotations.
+
+    Returns:
+        Values and velocities (k, d, 2, 3) after each step.
+    """
+    shape = (steps, *values.shape)
+    path, speeds = np.empty((steps, values.size // 3, 3)), np.empty((steps, values.size // 3, 3))
+    goal, now, velocity = (array.reshape(-1, 3) for array in (set_points, values, velocities))
+    max_speed, max_acceleration = (np.tile(limit, len(values)) for limit in limits)
+    path[:], speeds[:] = goal, 0.0
+    active = np.flatnonzero((now != goal).any(axis=1) | velocity.any(axis=1))
+    now, velocity, goal = now[active].T.copy(), velocity[active].T.copy(), goal[active].T.copy()
+    max_speed, max_acceleration = max_speed[active], max_acceleration[active]
+    for step in range(steps):
+        if not len(active):
+            break
+        now, velocity, is_reached = _track_step(now, velocity, goal, max_speed, max_acceleration)
+        path[step, active], speeds[step, active] = now.T, velocity.T
+        if is_reached.any():
+            left = ~is_reached
+            active, now, velocity, goal = active[left], now[:, left], velocity[:, left], goal[:, left]
+            max_speed, max_acceleration = max_speed[left], max_acceleration[left]
+    return path.reshape(shape), speeds.reshape(shape)
+
+
+def _track_step(
+    now: Array, velocity: Array, goal: Array, max_speed: Array, max_acceleration: Array
+) -> tuple[Array, Array, Flags]:
+    """Advance vectors (3, m) by one step; return values, velocities, and which reached the goal."""
+    left = goal - now
+    distance, max_change = _compute_column_lengths(left), max_acceleration * TIME_STEP
+    is_reached = distance < _TOLERANCE
+    is_reached &= _compute_column_lengths(velocity) <= max_change
+    # Highest speed that still allows to stop at the goal, in steps of finite length.
+    braking = np.sqrt(2.0 * max_acceleration * distance + max_change**2 / 4.0) - max_change / 2.0
+    speed = np.minimum(np.minimum(max_speed, braking), distance / TIME_STEP)
+    change = speed * left / np.where(distance > 0.0, distance, 1.0) - velocity
+    size = _compute_column_lengths(change)
+    velocity = velocity + np.minimum(1.0, max_change / np.maximum(size, 1e-300)) * change
+    now = now + velocity * TIME_STEP
+    if is_reached.any():
+        now[:, is_reached], velocity[:, is_reached] = goal[:, is_reached], 0.0
+    return now, velocity, is_reached
+
+
+def apply_wrist_offsets(
+    bodies: Sequence[Float32], base_from_wrist: Array, offsets: Sequence[Array], previous: Float32
+) -> list[Float32]:
+    """Move hands and held objects rigidly with the offsets of their wrists.
+
+    Args:
+        bodies: Joint positions (2, k, 6) of each hand's base and of its object: xyz (m), Euler
+            angles (rad). The number k of rows may differ.
+        base_from_wrist: (d, 3) positions of the wrists in the frames of the hands' bases (m).
+        offsets: Displacements (m) and rotation vectors (rad) of each wrist, (k, 2, 3).
+        previous: (d, 2, 6) joint positions of base and object before the first row; Euler angles
+            continue from them without a jump.
+
+    Returns:
+        Moved joint positions (2, k, 6) of each hand's base and of its object.
+    """
+    counts = [len(own) for own in offsets]
+    recorded = np.concatenate(bodies, axis=1).astype(np.float64)
+    shifts = np.concatenate(offsets)
+    orientation = quaternions_from_euler(recorded[..., 3:].reshape(-1, 3)).reshape(2, -1, 4)
+    orientation /= np.sqrt((orientation**2).sum(axis=-1, keepdims=True))
+    pivots = recorded[0, :, :3] + rotate_points(orientation[0], np.repeat(base_from_wrist, counts, axis=0))
+    rotation = Rotation.from_rotvec(shifts[:, 1]).as_quat()
+    moved = np.empty(recorded.shape)
+    moved[..., :3] = pivots + shifts[:, 0] + rotate_points(rotation, recorded[..., :3] - pivots)
+    turned = multiply_quaternions(rotation, orientation)
+    moved[..., 3:] = _continue_euler(turned, counts, previous[..., 3:].astype(np.float64))
+    ends = np.cumsum(counts)[:-1].tolist()
+    return np.split(moved.astype(np.float32), ends, axis=1)
+
+
+def _continue_euler(quaternions: Array, counts: list[int], previous: Array) -> Array:
+    """Return Euler angles (2, N, 3) of quaternions (2, N, 4) that continue without a jump.
+
+    Args:
+        quaternions: Quaternions of d pairs of bodies, one pair's rows after the other.
+        counts: Number of rows of each pair.
+        previous: (d, 2, 3) angles before the first row of each pair.
+    """
+    angles = euler_from_quaternions(quaternions.reshape(-1, 4)).reshape(2, -1, 3)
+    ends = np.cumsum(counts)
+    starts = ends - counts
+    # Mostly the same solution and full turns are right in all rows of a body: try those of its first.
+    found = select_nearest_euler(angles[:, starts].reshape(-1, 3), previous.swapaxes(0, 1).reshape(-1, 3))
+    first = np.repeat(found[0].reshape(2, -1, 1), counts, axis=1)
+    turns = np.repeat(found[1].reshape(2, -1, 3), counts, axis=1)
+    other = np.pi + angles * [1.0, -1.0, 1.0]
+    guess = np.where(first == 0, angles, other) + 2.0 * np.pi * turns
+    before = np.roll(guess, 1, axis=1)
+    before[:, starts] = previous.swapaxes(0, 1)
+    nearest, nearest_turns = select_nearest_euler(angles.reshape(-1, 3), before.reshape(-1, 3))
+    is_right = (nearest.reshape(first.shape[:2]) == first[..., 0]) & (nearest_turns.reshape(turns.shape) == turns).all(
+        axis=-1
+    )
+    for number, (start, end) in enumerate(zip(starts.tolist(), ends.tolist(), strict=True)):
+        for body in range(2):
+            if not is_right[body, start:end].all():
+                guess[body, start:end] = unwrap_euler(angles[body, start:end], previous[number, body])
+    return guess
+
+
+def _compute_column_lengths(vectors: Array) -> Array:
+    """Return the lengths (m,) of vectors (3, m)."""
+    x, y, z = vectors
+    lengths: Array = np.sqrt(x * x + y * y + z * z)
+    return lengths

@@ -1,0 +1,77 @@
+"""Batches of features and action schemes by name; own ones are called episode by episode."""
+
+from collections.abc import Callable
+from typing import Any
+
+from handover_marl.learning.action_scheme import ActionScheme
+from handover_marl.learning.batch.features import FEATURE_BATCHES, FeatureBatch, FeatureRows
+from handover_marl.learning.batch.giver_schemes import DeviationBatch, HandoverPoseBatch
+from handover_marl.learning.batch.receiver_schemes import (
+    CartesianDeltaBatch,
+    GraspServoBatch,
+    JointDeltaBatch,
+    JointPositionBatch,
+)
+from handover_marl.learning.batch.schemes import RawSchemeBatch, SchemeBatch, SchemeRows
+from handover_marl.learning.encodings.own_features import FeaturesLike
+from handover_marl.learning.encodings.own_schemes import SchemeLike
+from handover_marl.learning.features import make_features
+from handover_marl.learning.giver_schemes import DeviationScheme, HandoverPoseScheme, RawGiverScheme
+from handover_marl.learning.receiver_schemes import (
+    CartesianDeltaScheme,
+    GraspServoScheme,
+    JointDeltaScheme,
+    JointPositionScheme,
+    RawReceiverScheme,
+)
+from handover_marl.learning.schemes import make_scheme
+from handover_marl.policies.policy import PolicyContext
+from handover_marl.receivers.grasp_selection import GraspSelectionBatch
+
+_SCHEME_BATCHES: dict[type[ActionScheme], Callable[[Any, GraspSelectionBatch, int], SchemeBatch]] = {
+    RawGiverScheme: RawSchemeBatch,
+    RawReceiverScheme: RawSchemeBatch,
+    JointPositionScheme: JointPositionBatch,
+    JointDeltaScheme: JointDeltaBatch,
+    CartesianDeltaScheme: CartesianDeltaBatch,
+    GraspServoScheme: GraspServoBatch,
+    DeviationScheme: DeviationBatch,
+    HandoverPoseScheme: HandoverPoseBatch,
+}
+
+
+def make_feature_batch(
+    agent: str, choice: FeaturesLike, context: PolicyContext, selection: GraspSelectionBatch, count: int
+) -> FeatureBatch:
+    """Make an agent's features in n episodes: on arrays for built-in features, else one for each episode.
+
+    Args:
+        agent: "giver" or "receiver".
+        choice: Features, see `features.make_features`.
+        context: Robot, task and known grasps of the objects.
+        selection: Selector of grasps.
+        count: Number n of episodes.
+    """
+    known = FEATURE_BATCHES[agent].get(choice) if isinstance(choice, str) else None
+    if known is not None:
+        return known(context, selection)
+    return FeatureRows([make_features(agent, choice, context, trust=True) for _ in range(count)])
+
+
+def make_scheme_batch(
+    agent: str, choice: SchemeLike, context: PolicyContext, selection: GraspSelectionBatch, count: int
+) -> SchemeBatch:
+    """Make an agent's action scheme in n episodes: on arrays for a built-in one, else one for each episode.
+
+    Args:
+        agent: "giver" or "receiver".
+        choice: Action scheme, see `schemes.make_scheme`.
+        context: Robot, task and known grasps of the objects.
+        selection: Selector of grasps.
+        count: Number n of episodes.
+    """
+    first = make_scheme(agent, choice, context, trust=True)
+    batch = _SCHEME_BATCHES.get(type(first))
+    if batch is not None:
+        return batch(first, selection, count)
+    return SchemeRows([first, *(make_scheme(agent, choice, context, trust=True) for _ in range(count - 1))])

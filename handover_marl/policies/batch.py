@@ -1,0 +1,127 @@
+"""Policies that act in many episodes at once, as one policy on arrays or as one policy per episode."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.episode.loop import PolicyScheduler, steps_from_hold_time
+from handover_marl.episode.observations import Observation
+from handover_marl.policies.policy import Policy
+
+Actions = npt.NDArray[np.float32]
+Rows = npt.NDArray[np.int_]
+#: Function that returns the observations (r, ...) of the episodes with given numbers (r,).
+ObserveFunction = Callable[[Rows], Observation]
+
+
+class PolicyBatch(ABC):
+    """One agent's policy in n episodes; the last action holds until the policy's next decision."""
+
+    @abstractmethod
+    def reset(self, row: int, seed: int | None, object_names: Sequence[str]) -> None:
+        """Start an episode.
+
+        Args:
+            row: Number of the episode.
+            seed: Seed of the policy.
+            object_names: YCB names of the objects, the one that is handed over first.
+
+        Raises:
+            PolicyError: The policy fails.
+        """
+
+    @abstractmethod
+    def act(self, rows: Rows, observe: ObserveFunction, steps: Rows) -> Actions:
+        """Return actions (r, ...), new or held.
+
+        Args:
+            rows: Numbers (r,) of the episodes.
+            observe: Function that returns observations; called for episodes with a decision.
+            steps: Number (r,) of physics steps since each episode's start.
+
+        Raises:
+            PolicyError: The policy fails.
+        """
+
+
+class PolicyRows(PolicyBatch):
+    """Batch of one policy per episode, which are called one after another.
+
+    Args:
+        policies: Policy of each episode.
+        check: Function that checks an action and returns it as float32.
+    """
+
+    def __init__(self, policies: Sequence[Policy], check: Callable[[object], Actions]) -> None:
+        self._schedulers = [PolicyScheduler(policy) for policy in policies]
+        self._check = check
+
+    def reset(self, row: int, seed: int | None, object_names: Sequence[str]) -> None:
+        """Start an episode; see `PolicyBatch.reset`."""
+        self._schedulers[row].reset(seed, object_names)
+
+    def act(self, rows: Rows, observe: ObserveFunction, steps: Rows) -> Actions:
+        """Return actions (r, ...), new or held; see `PolicyBatch.act`."""
+        schedulers = [self._schedulers[row] for row in rows.tolist()]
+        is_due = steps >= np.array([scheduler.due for scheduler in schedulers])
+        found = observe(rows[is_due]) if is_due.any() else {}
+        observations = iter(range(int(is_due.sum())))
+
+        def observe_next() -> Observation:
+            number = next(observations)
+            return {key: values[number] for key, values in found.items()}
+
+        return np.stack(
+            [
+                self._check(scheduler.act(observe_next, step))
+                for scheduler, step in zip(schedulers, steps.tolist(), strict=True)
+            ]
+        )
+
+
+class ArrayPolicy(PolicyBatch):
+    """Base class of policies on arrays; subclasses define `decide` and, with a state, `start`.
+
+    Args:
+        policy: Policy of a single episode, with the constants.
+        count: Number of episodes.
+        size: Number of components of an action.
+    """
+
+    def __init__(self, policy: Policy, count: int, size: int) -> None:
+        self._hold_steps = steps_from_hold_time(policy.hold_time)
+        self._actions = np.zeros((count, size), dtype=np.float32)
+        self._due = np.zeros(count, dtype=np.int64)
+
+    def reset(self, row: int, seed: int | None, object_names: Sequence[str]) -> None:
+        """Start an episode; see `PolicyBatch.reset`."""
+        self._due[row] = 0
+        self.start(row, seed)
+
+    def act(self, rows: Rows, observe: ObserveFunction, steps: Rows) -> Actions:
+        """Return actions (r, ...), new or held; see `PolicyBatch.act`."""
+        is_due = steps >= self._due[rows]
+        if is_due.any():
+            due = rows[is_due]
+            self._actions[due] = self.decide(due, observe(due))
+            self._due[due] = steps[is_due] + self._hold_steps
+        return self._actions[rows]
+
+    def start(self, row: int, seed: int | None) -> None:
+        """Start an episode.
+
+        Args:
+            row: Number of the episode.
+            seed: Seed of the policy.
+        """
+
+    @abstractmethod
+    def decide(self, rows: Rows, observation: Observation) -> Actions:
+        """Return new actions (r, ...).
+
+        Args:
+            rows: Numbers (r,) of the episodes.
+            observation: Arrays (r, ...) of the agent's observations.
+        """

@@ -1,0 +1,92 @@
+"""Givers on arrays act as each giver does."""
+
+import functools
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from handover_marl import givers
+from handover_marl.episode.observations import Observation
+from handover_marl.givers.batch import make_giver_actions, make_giver_batch
+from handover_marl.givers.cooperative import CooperativeGiver
+from handover_marl.policies.policy import make_giver_action
+from tests.givers.test_givers import seen
+
+COUNT = 6
+NAMES = ("replay", "hesitant", "hurried", "stop_when_near", "noisy", "withdrawing", "cooperative")
+
+
+def stack(observations: list[Observation]) -> Observation:
+    return {key: np.stack([one[key] for one in observations]) for key in observations[0]}
+
+
+def select(observation: Observation, rows: np.ndarray) -> Observation:
+    return {key: values[rows] for key, values in observation.items()}
+
+
+def draw_observations(seed: int, decisions: int = 60) -> Iterator[list[Observation]]:
+    """Yield observations in which grippers approach, fingers rest, and objects are released."""
+    rng = np.random.default_rng(seed)
+    gripper = seen()["gripper_pose"] + np.zeros((COUNT, 7), dtype=np.float32)
+    for decision in range(decisions):
+        gripper[:, :3] += rng.normal([0.0, 0.012, 0.0], 0.012, (COUNT, 3)).astype(np.float32)
+        rests = rng.random(COUNT) < 0.8
+        found = []
+        for number in range(COUNT):
+            changes: Observation = {
+                "time": np.float32([0.1 * decision]),
+                "gripper_pose": gripper[number].copy(),
+                "hand_present": np.float32([decision > 2]),
+                "holding": np.float32([decision > 5 + number]),
+                "released": np.float32([decision > 45 + number]),
+                "robot_joint_position": np.float32([0.0] * 7 + [0.02, 0.02]),
+                "robot_joint_velocity": np.full(9, 0.0 if rests[number] else 0.1, dtype=np.float32),
+            }
+            one = seen(**changes)
+            moving = max(0.0, 0.1 - 0.01 * decision)
+            one["replay_wrist_poses"] = one["replay_wrist_poses"] + np.float32(moving * np.arange(5)[:, None])
+            one["hand_keypoints"] = one["hand_keypoints"] + rng.normal(0, 0.01, (16, 3)).astype(np.float32)
+            found.append(one)
+        yield found
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_batches_act_as_single_givers(name: str) -> None:
+    singles = [givers.make(name) for _ in range(COUNT)]
+    batch = make_giver_batch(givers.make(name), COUNT)
+    assert batch is not None
+    for row, single in enumerate(singles):
+        single.reset(row)
+        batch.reset(row, row, ("025_mug",))
+    acted = []
+    for decision, observations in enumerate(draw_observations(1)):
+        arrays = stack(observations)
+        steps = np.full(COUNT, 100 * decision)
+        # In two parts, because an action must not depend on which episodes are decided together.
+        parts = [np.array([1, 3, 4]), np.array([0, 2, 5])]
+        found = np.empty((COUNT, 8), dtype=np.float32)
+        for rows in parts:
+            found[rows] = batch.act(rows, functools.partial(select, arrays), steps[rows])
+        expected = np.array([single.act(one) for single, one in zip(singles, observations, strict=True)])
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-6)
+        acted.append(expected)
+    if name != "replay":
+        assert np.ptp(acted, axis=(0, 1)).any()
+    if name == "cooperative":
+        assert np.array(acted)[..., 7].any(), "no object was released"
+
+
+def test_a_subclass_has_no_batch() -> None:
+    class Own(CooperativeGiver):
+        near_distance = 0.1
+
+    assert make_giver_batch(Own(), 2) is None
+    assert make_giver_batch(CooperativeGiver(), 2) is not None
+
+
+def test_actions_of_components() -> None:
+    shift = np.arange(6.0).reshape(2, 3)
+    found = make_giver_actions(2, 0.5, shift, -shift, [True, False])
+    for row, release in enumerate((True, False)):
+        np.testing.assert_array_equal(found[row], make_giver_action(0.5, shift[row], -shift[row], release))
