@@ -93,13 +93,17 @@ def _interpolate_positions(keyframes: npt.NDArray[np.float64]) -> npt.NDArray[np
 def _interpolate_fingers(keyframes: npt.NDArray[np.float64], angles: npt.NDArray[np.float32]) -> None:
     """Write finger joint angles at 1 kHz to `angles` (T, 45); only intervals in which joints move are interpolated."""
     n, n_joints = len(keyframes), keyframes.shape[1] // 3
-    rotations = Rotation.from_euler("XYZ", keyframes.reshape(-1, 3))
-    still = round_to_grid(rotations.as_euler("XYZ")).reshape(n, -1)
-    angles[:-1].reshape(n - 1, STRIDE, -1)[:] = still[:-1, None]
+    moves = (keyframes[1:] != keyframes[:-1]).any(axis=1)
+    # Number of each keyframe among those that differ from the one before.
+    posture = np.concatenate([[0], np.cumsum(moves)])
+    postures = keyframes[np.concatenate([[True], moves])]
+    rotations = Rotation.from_euler("XYZ", postures.reshape(-1, 3))
+    still = round_to_grid(rotations.as_euler("XYZ")).reshape(len(postures), -1)
+    angles[:-1].reshape(n - 1, STRIDE, -1)[:] = still[posture[:-1], None]
     angles[-1] = still[-1]
-    moving = np.flatnonzero((keyframes[1:] != keyframes[:-1]).any(axis=1))
+    moving = np.flatnonzero(moves)
     if len(moving):
-        starts = (moving[:, None] * n_joints + np.arange(n_joints)).ravel()
+        starts = (posture[moving, None] * n_joints + np.arange(n_joints)).ravel()
         between = _interpolate_intervals(rotations, starts, starts + n_joints, np.repeat(moving, n_joints))
         frames = between.reshape(len(moving), n_joints, STRIDE, 3).swapaxes(1, 2)
         angles[:-1].reshape(n - 1, STRIDE, -1)[moving] = round_to_grid(frames).reshape(len(moving), STRIDE, -1)
