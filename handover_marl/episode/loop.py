@@ -213,7 +213,7 @@ def derive_scene_seed(seed: int | None, scene_id: int, user: str) -> int:
 def derive_receiver_seed(seed: int | None, observation: Observation) -> int:
     """Derive the seed of a receiver: a hash of the run's seed and the receiver's first observation.
 
-    The seed differs between scenes and depends on nothing else that the receiver does not observe.
+    The seed differs between scenes. Apart from the run's seed it depends only on what the receiver observes.
 
     Args:
         seed: Seed of the run; None is 0.

@@ -48,8 +48,8 @@ def compute_hand_trajectory(poses: Float32, tag: TagFrame, model: ManoModel, wri
             the first and after the last row with a hand.
         tag: Transform from the world frame to the AprilTag's frame.
         model: MANO's model of the hand's side.
-        wrist: (3,) root joint at rest (m), by the shape in this recording.
-        base: (3,) root joint at rest (m), by the shape of the articulated body.
+        wrist: (3,) root joint at rest (m), for the hand's shape in this recording.
+        base: (3,) root joint at rest (m), for the hand's shape in the articulated body.
 
     Returns:
         (T, 51) float32 base position (m), unwrapped base angles and finger angles (rad, intrinsic

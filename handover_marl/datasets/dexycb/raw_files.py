@@ -3,9 +3,9 @@
 <raw>/<subject>/<sequence>/meta.yml, pose.npz   (camera folders are not read)
 <raw>/calibration/                              camera extrinsics and hand shapes
 
-A scene number is 100 * subject + rank of the recording's name among those of the subject. Known
-DexYCB names have their official rank, even if other recordings are missing. A subject with other
-names must have all 100 recordings.
+A scene number is 100 * subject + the rank of the recording's name among the names of the subject's
+recordings. Known DexYCB names have their official rank, even if other recordings are missing. A
+subject with other names must have all 100 recordings.
 """
 
 import re
