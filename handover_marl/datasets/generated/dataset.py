@@ -170,7 +170,7 @@ class GeneratedDataset(Dataset):
         )
 
     def find_object_urdf(self, object_name: str) -> Path:
-        """Return the path of a class's URDF; that of a procedural object is written on first use.
+        """Return the path of a class's URDF; the URDF of a procedural object is written on first use.
 
         Raises:
             UnknownNameError: There is no such class.
