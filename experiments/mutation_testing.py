@@ -182,12 +182,11 @@ def run_pytest(options: list[str]) -> None:
     sys.exit(int(pytest.main(options)))
 
 
-def draw_mutants(module: str, args: Args, copy: Path) -> list[Any]:
-    """Return the mutants of a module that are tested, as Cosmic Ray's mutations.
+def list_mutants(module: str, copy: Path) -> list[Any]:
+    """Return all mutants of a module outside of type annotations, as Cosmic Ray's mutations.
 
     Args:
         module: Path of the module in the repository.
-        args: Options of the script.
         copy: Folder with a copy of the repository; must be the working directory.
     """
     from cosmic_ray.commands.init import init
@@ -197,12 +196,7 @@ def draw_mutants(module: str, args: Args, copy: Path) -> list[Any]:
         init([Path(module)], database, {})
         mutations = [item.mutations[0] for item in database.work_items]
     skipped = find_annotations((copy / module).read_text())
-    mutations = [
-        mutation for mutation in mutations if not any(start <= mutation.start_pos < end for start, end in skipped)
-    ]
-    if args.sample and args.sample < len(mutations):
-        mutations = random.Random(args.seed).sample(mutations, args.sample)
-    return mutations
+    return [mutation for mutation in mutations if not any(start <= mutation.start_pos < end for start, end in skipped)]
 
 
 def measure_module(module: str, args: Args, copy: Path, runner: TestRunner) -> ModuleResult:
@@ -226,21 +220,28 @@ def measure_module(module: str, args: Args, copy: Path, runner: TestRunner) -> M
         if not runner.passes(tests, slow):
             raise RuntimeError(f"the tests of {module} fail before it is changed: run pytest {' '.join(tests)}")
         times[slow] = args.timeout * (time.monotonic() - start)
-    mutations, survivors = draw_mutants(module, args, copy), []
-    earlier = read_survivors(args.out, module) if args.again else None
+    mutations, survivors = list_mutants(module, copy), []
+    n_mutants = min(args.sample or len(mutations), len(mutations))
+    earlier = {extract_change(text) for text in read_survivors(args.out, module)} if args.again else set()
+    chosen = mutations if args.again else random.Random(args.seed).sample(mutations, n_mutants)
     n_found = 0
-    for mutation in tqdm(mutations, desc=module, file=sys.stderr):
+    for mutation in tqdm(chosen, desc=module, file=sys.stderr):
         operator = get_operator(mutation.operator_name)(**mutation.operator_args)
         with use_mutation(mutation.module_path, operator, mutation.occurrence) as (original, changed):
             difference = format_difference(original, changed)
-            if earlier is not None and difference not in earlier:
+            if args.again and extract_change(difference) not in earlier:
                 continue
             n_found += 1
             if all(runner.passes(tests, slow, limit) for slow, limit in times.items()):
                 survivors.append(difference)
-    if earlier is not None and n_found < len(earlier):
+    if n_found < len(earlier):
         raise RuntimeError(f"{module} has changed since the earlier run; run again without --again")
-    return ModuleResult(module, len(mutations), survivors)
+    return ModuleResult(module, n_mutants, survivors)
+
+
+def extract_change(difference: str) -> str:
+    """Return the changed lines of a difference, without their place and neighbours."""
+    return "\n".join(line for line in difference.splitlines()[2:] if line.startswith(("-", "+")))
 
 
 def name_survivors(out: Path, module: str) -> Path:
