@@ -139,7 +139,7 @@ def test_spaces_are_as_documented() -> None:
     }
     scene = {key: space.shape for key, space in camera_observation_space(SCENE_POINTCLOUD).items()}
     assert scene == {OBJECT: (1024, 3), HAND: (1024, 3), "wrist_other_points": (1024, 3), COUNTS: (3,)}
-    for key, high in ((COUNTS, 224 * 224), ("wrist_segmentation", 5), ("wrist_rgb", 255)):
+    for key, high in ((COUNTS, 224 * 224), ("wrist_segmentation", 5), ("wrist_rgb", 255), ("wrist_depth", np.inf)):
         space = {**points, **images}[key]
         assert isinstance(space, spaces.Box)
         assert (space.low.min(), space.high.max()) == (0, high)
