@@ -1,5 +1,6 @@
 """Motion of the giver: reference motion of hand and objects, from the recording and the giver's actions."""
 
+import functools
 from typing import NamedTuple
 
 import numpy as np
@@ -9,7 +10,7 @@ from handover_marl.config import TIME_STEP, GiverConfig
 from handover_marl.datasets.dataset import Scene
 from handover_marl.episode.spaces import GIVER_ACTION_SIZE, GiverAction
 from handover_marl.episode.wrist_offset import TrackedVector, apply_wrist_offset, track_set_point
-from handover_marl.geometry.kinematic_tree import read_tree
+from handover_marl.geometry.kinematic_tree import KinematicTree, read_tree
 from handover_marl.simulation.kinematic_paths import ReferenceMotion
 
 Frames = npt.NDArray[np.int_]
@@ -231,7 +232,12 @@ def _round_frames(clock: npt.ArrayLike) -> npt.NDArray[np.float64]:
 
 def find_wrist_offset(scene: Scene) -> npt.NDArray[np.float64]:
     """Return the (3,) position of the human wrist in the frame of the hand's base (m)."""
-    tree = read_tree(scene.assets.hand)
+    offset: npt.NDArray[np.float64] = _compute_wrist_offset(read_tree(scene.assets.hand)).copy()
+    return offset
+
+
+@functools.lru_cache(maxsize=64)
+def _compute_wrist_offset(tree: KinematicTree) -> npt.NDArray[np.float64]:
     origins, _ = tree.compute_link_frames(np.zeros((1, tree.n_dof)))
     base_from_wrist: npt.NDArray[np.float64] = origins[0, _WRIST_LINK] - origins[0, _BASE_LINK]
     return base_from_wrist

@@ -183,10 +183,16 @@ class HandTrajectory:
         """
         return np.where(self._present[row + 1 :, None], self._path[row + 1 :, :3], np.inf)
 
-    def find_changes(self) -> npt.NDArray[np.bool_]:
-        """Return a mask (n,) of the n steps in which the hand moves, appears or disappears."""
-        moved = (self._path[1:] != self._path[:-1]).any(axis=1)
-        return np.asarray(moved | (self._present[1:] != self._present[:-1]))
+    def get_path(self, row: int) -> tuple[Array, npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
+        """Return the trajectory of the hand in the m steps from `row` of the reference motion on.
+
+        Returns:
+            Joint positions (m, 51) after each step (m, rad); whether the hand is present after it (m,);
+            and whether the hand moves, appears or disappears in it (m,).
+        """
+        path, present = self._path[row:], self._present[row:]
+        changes = (path[1:] != path[:-1]).any(axis=1) | (present[1:] != present[:-1])
+        return path[1:], present[1:], changes
 
     def is_present_after(self, row: int) -> bool:
         """Return whether the hand is in the scene after step `row` of the reference motion.

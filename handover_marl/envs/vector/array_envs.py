@@ -1,12 +1,13 @@
 """Handover environments whose episodes are simulated together as arrays."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from gymnasium.utils import seeding
 
+from handover_marl.datasets.dataset import Scene
 from handover_marl.envs.arguments import check_scene_option
 from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.envs.vector.array_episodes import ArrayEpisodes
@@ -62,6 +63,7 @@ class ArrayEnvs:
         partner: Policy of the agent that is not controlled from outside.
         trust: Whether a policy file may run code.
         resets: Whether environments are reset after an episode's end without seed and options.
+        load_scene: Function that loads a scene by its number.
     """
 
     def __init__(
@@ -71,7 +73,9 @@ class ArrayEnvs:
         partner: PolicyLike | None,
         trust: bool,
         resets: bool,
+        load_scene: Callable[[int], Scene],
     ) -> None:
+        self._load_scene = load_scene
         self._base, self._agents = template.unwrapped, list(template.possible_agents)
         self._prepares = resets and isinstance(template, EncodedEnv) and len(self._agents) == 1
         self._episodes = ArrayEpisodes(template, count * (1 + self._prepares), partner, trust)
@@ -162,7 +166,7 @@ class ArrayEnvs:
         scene_id = check_scene_option(options or {}, base.scene_ids, f"{base.config.setup} {base.config.split}")
         if scene_id is None:
             scene_id = int(self._rngs[row].choice(base.scene_ids))
-        self._episodes.start(episode, base.dataset.load_scene(scene_id), int(self._partner_rngs[row].integers(2**32)))
+        self._episodes.start(episode, self._load_scene(scene_id), int(self._partner_rngs[row].integers(2**32)))
 
     def _start_next(self, rows: Rows) -> None:
         """Start the next episode of environments that have none."""

@@ -7,6 +7,7 @@ import heapq
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -14,7 +15,7 @@ import numpy.typing as npt
 from mujoco.batch import Batch
 
 from handover_marl.simulation.mujoco.contacts import SensorReadings
-from handover_marl.simulation.mujoco.engine import check_warnings, configure_engine
+from handover_marl.simulation.mujoco.engine import HandKinematics, check_warnings, configure_engine
 from handover_marl.simulation.mujoco.scene_model import RobotOnlyModel, SceneModel
 from handover_marl.simulation.mujoco.sleep import RobotOnlyRollouts
 
@@ -24,6 +25,8 @@ Array = npt.NDArray[np.float64]
 _CONTROLS = (mujoco.mjtState.mjSTATE_CTRL, mujoco.mjtState.mjSTATE_MOCAP_POS, mujoco.mjtState.mjSTATE_MOCAP_QUAT)
 _CONTROL_SPEC = sum(int(part) for part in _CONTROLS)
 _RECORDED = ("sensordata", "qpos")
+# Largest number of worlds of a group, whose memory is reserved even if few of them have its layout.
+_MAX_GROUP_SIZE = 64
 # Number of groups without worlds that are kept. A group takes 5 MB, and 2 ms to make.
 _MAX_EMPTY_GROUPS = 8
 
@@ -34,6 +37,7 @@ class ModelGroup:
     Args:
         scene: Scene model with the layout of the group.
         capacity: Largest number of worlds.
+        buffers: Memory of rollouts by name, shared with groups that are simulated by the same thread.
 
     Attributes:
         scene: Scene model with the layout of the group.
@@ -51,7 +55,7 @@ class ModelGroup:
         recorded: Sensor data and joint positions of all rows.
     """
 
-    def __init__(self, scene: SceneModel, capacity: int) -> None:
+    def __init__(self, scene: SceneModel, capacity: int, buffers: dict[str, Array]) -> None:
         self.scene = scene
         # One thread: further cores simulate batches of their own.
         self.batch = Batch(scene.model, capacity, nthread=1)
@@ -63,7 +67,7 @@ class ModelGroup:
         self.qpos, self.qvel, self.forces = bind("qpos"), bind("qvel"), bind("xfrc_applied")
         self.ctrl, self.mocap_pos, self.mocap_quat = bind("ctrl"), bind("mocap_pos"), bind("mocap_quat")
         self.recorded = [bind(name) for name in _RECORDED]
-        self._buffers: dict[str, Array] = {}
+        self._buffers = buffers
 
     def get_record_buffers(self, worlds: int, steps: int) -> dict[str, Array]:
         """Return uninitialized arrays for the sensor data and joint positions of a rollout, by name.
@@ -205,9 +209,11 @@ class BatchSimulation:
 
     def __init__(self, count: int) -> None:
         configure_engine()
-        self._count = count
+        self._capacity = min(count, _MAX_GROUP_SIZE)
+        self._buffers: dict[str, Array] = {}
         self._groups: dict[tuple[int, ...], list[ModelGroup]] = {}
         self._robot_rollouts: dict[RobotOnlyModel, RobotOnlyRollouts] = {}
+        self._hand_kinematics: dict[tuple[Path, int, tuple[int, ...]], HandKinematics] = {}
         # Groups that were empty when last checked, in the order in which they became so.
         self._empty_groups: list[ModelGroup] = []
 
@@ -245,13 +251,25 @@ class BatchSimulation:
             self._robot_rollouts[model] = RobotOnlyRollouts(model)
         return self._robot_rollouts[model]
 
+    def get_hand_kinematics(self, urdf: Path, links: Sequence[int]) -> HandKinematics:
+        """Return forward kinematics of a hand, shared by all worlds.
+
+        Args:
+            urdf: Model of the hand.
+            links: Numbers of the links whose poses are computed.
+        """
+        key = urdf, urdf.stat().st_mtime_ns, tuple(links)
+        if key not in self._hand_kinematics:
+            self._hand_kinematics[key] = HandKinematics(urdf, np.array(links))
+        return self._hand_kinematics[key]
+
     def _find_group(self, scene: SceneModel) -> ModelGroup:
         """Return a model group with a free row that accepts the scene's model."""
         groups = self._groups.setdefault(_get_sizes(scene.model), [])
         for group in groups:
             if group.free_rows and group.try_model(scene.model, group.free_rows[0]):
                 return group
-        groups.append(ModelGroup(scene, self._count))
+        groups.append(ModelGroup(scene, self._capacity, self._buffers))
         return groups[-1]
 
 
@@ -264,7 +282,7 @@ def _get_sizes(model: "mujoco.MjModel") -> tuple[int, ...]:
 class BatchRollout:
     """Rollout of k physics steps of n worlds in one model group.
 
-    The rollout is valid until the next rollout of the group.
+    The rollout is valid until the next rollout of the thread.
 
     Attributes:
         slots: Batch slots of the n worlds.

@@ -18,9 +18,9 @@ from handover_marl.simulation.kinematic_paths import (
     set_hand_references,
     set_object_references,
 )
-from handover_marl.simulation.mujoco.batch import BatchSlot
-from handover_marl.simulation.mujoco.engine import XYZW, HandKinematics, wxyz_from_euler
-from handover_marl.simulation.mujoco.sleep import RobotOnlyRollouts, SleepState
+from handover_marl.simulation.mujoco.batch import BatchSimulation, BatchSlot
+from handover_marl.simulation.mujoco.engine import XYZW, wxyz_from_euler
+from handover_marl.simulation.mujoco.sleep import SleepState
 
 Array = npt.NDArray[np.float64]
 
@@ -33,7 +33,7 @@ class WorldController:
 
     Args:
         slot: Batch slot of the world.
-        rollouts: Cache of rollouts of the robot without hand and objects.
+        simulation: Simulation of the batch, with computations that worlds share.
         hand_urdf: Model of the human hand.
         config: Motors of all bodies, and gravity.
         start: Reference motion of one row: the initial state of hand and objects.
@@ -57,7 +57,7 @@ class WorldController:
     def __init__(
         self,
         slot: BatchSlot,
-        rollouts: RobotOnlyRollouts,
+        simulation: BatchSimulation,
         hand_urdf: Path,
         config: PhysicsConfig,
         start: ReferenceMotion,
@@ -66,16 +66,17 @@ class WorldController:
         self.slot, self.reference, self.row = slot, start, -1
         tree = read_tree(hand_urdf)
         self.hand = HandTrajectory(tree, config.hand, start)
+        rollouts = simulation.get_robot_rollouts(scene.robot_only)
         self.sleep: SleepState | None = SleepState(scene, rollouts, config, start)
         self.robot_target: list[float] | None = None
         self.is_tracked, self.release_pending = True, False
         self.controls, self.controls_row, self.hand_free_steps = np.zeros((0, 0)), 0, 0
         self._gravity = config.gravity
-        self._hand_kinematics = HandKinematics(hand_urdf, scene.hand_links)
+        self._hand_kinematics = simulation.get_hand_kinematics(hand_urdf, scene.hand_links.tolist())
         moving = [link for link, joint in enumerate(tree.joints) if joint.kind != "fixed"]
-        self._keypoint_kinematics = HandKinematics(hand_urdf, np.array(select_keypoint_links(moving)))
+        self._keypoint_kinematics = simulation.get_hand_kinematics(hand_urdf, select_keypoint_links(moving))
         slot.get_controls()[1][scene.hand] = _ABSENT
-        self.set_row(-1)
+        self._is_state_set = False
 
     @property
     def coming_controls(self) -> Array:
@@ -102,25 +103,27 @@ class WorldController:
         """Set the reference motion of hand and objects for the coming steps."""
         # Trajectories continue from the end of the last reference.
         track_references([self])
+        self.set_state()
         if self.sleep is not None:
             self.sleep.advance_rows(self.row + 1)
         self.row, self.reference, self.robot_target, self.is_tracked = -1, motion, None, False
 
     def set_row(self, row: int) -> None:
-        """Set the last simulated row of the reference motion.
+        """Set the last simulated row of the reference motion; row -1 is before the first step."""
+        self.row, self._is_state_set = row, self.sleep is None
 
-        A sleeping world is set to its state after that row; row -1 is before the first step.
-        """
-        self.row = row
-        if self.sleep is not None:
+    def set_state(self) -> None:
+        """Set the state of a sleeping world in its slot, which follows `row` only when it is needed."""
+        if self.sleep is not None and not self._is_state_set:
             slot, scene = self.slot, self.slot.scene
-            slot.qpos[scene.robot_qpos], slot.qvel[scene.robot_qvel] = self.sleep.get_robot_state(row)
-            slot.qpos[scene.object_qpos] = self.sleep.compute_object_poses(row).ravel()
+            slot.qpos[scene.robot_qpos], slot.qvel[scene.robot_qvel] = self.sleep.get_robot_state(self.row)
+            slot.qpos[scene.object_qpos] = self.sleep.compute_object_poses(self.row).ravel()
+            self._is_state_set = True
 
     def wake(self) -> None:
         """Wake the world: robot and objects are simulated together from the coming step on."""
         if self.sleep is not None:
-            self.set_row(self.row)
+            self.set_state()
             self.slot.qvel[self.slot.scene.object_qvel] = self.sleep.compute_object_velocities(self.row).ravel()
             self.slot.set_time(self.sleep.compute_time(self.row))
             self.sleep, self.robot_target = None, None
@@ -170,17 +173,21 @@ class WorldController:
         self.hand_free_steps = free_steps
         if free_steps >= len(positions):
             return
-        first, changes = self.row + 1, self.hand.find_changes()[self.row + 1 :]
-        for number in range(free_steps, len(positions)):
-            if not self.hand.is_present_after(first + number):
-                positions[number] = _ABSENT
-                free_steps += free_steps == number
-            elif number > free_steps and not changes[number]:
-                positions[number], quaternions[number] = positions[number - 1], quaternions[number - 1]
-            else:
-                poses = self._hand_kinematics.compute_poses(self.hand.get_joints(first + number))
-                positions[number], quaternions[number] = poses
-        self.hand_free_steps = free_steps
+        joints, present, changes = self.hand.get_path(self.row + 1)
+        # Steps before the hand appears are free of contact, too.
+        coming = np.flatnonzero(present[free_steps:])
+        self.hand_free_steps = free_steps + (int(coming[0]) if len(coming) else len(present) - free_steps)
+        positions[free_steps:][~present[free_steps:]] = _ABSENT
+        if not len(coming):
+            return
+        changes[self.hand_free_steps] = True
+        new = np.flatnonzero(present & changes)
+        new = new[new >= self.hand_free_steps]
+        poses = self._hand_kinematics.compute_path(joints[new])
+        # Each step has the poses of the last change before it.
+        steps = free_steps + coming
+        source = np.searchsorted(new, steps, side="right") - 1
+        positions[steps], quaternions[steps] = poses[0][source], poses[1][source]
 
 
 def track_references(controllers: Sequence[WorldController]) -> None:

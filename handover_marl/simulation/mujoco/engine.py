@@ -257,6 +257,17 @@ class HandKinematics:
         mujoco.mj_kinematics(self._model, self._data)
         return self._positions[self._bodies], self._quaternions[self._bodies]
 
+    def compute_path(self, joints: Array) -> tuple[Array, Array]:
+        """Compute positions (n, k, 3) (m) and quaternions wxyz (n, k, 4) for joint positions (n, d)."""
+        count, place = len(joints), self._joints
+        positions = np.empty((count, *self._positions.shape))
+        quaternions = np.empty((count, *self._quaternions.shape))
+        for number in range(count):
+            place[:] = joints[number]
+            mujoco.mj_kinematics(self._model, self._data)
+            positions[number], quaternions[number] = self._positions, self._quaternions
+        return positions[:, self._bodies], quaternions[:, self._bodies]
+
 
 @functools.lru_cache(maxsize=64)
 def _compile_tree(urdf: Path, mtime: int) -> "mujoco.MjModel":

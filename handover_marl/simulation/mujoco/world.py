@@ -80,8 +80,7 @@ class MujocoWorld(BatchWorld):
         # A slot is invalid as soon as the next scene is loaded.
         previous, self._controller = self._controller, None
         slot = self._simulation.load_scene(model, None if previous is None else previous.slot)
-        rollouts = self._simulation.get_robot_rollouts(model.robot_only)
-        self._controller = WorldController(slot, rollouts, scene.assets.hand, self._config, start)
+        self._controller = WorldController(slot, self._simulation, scene.assets.hand, self._config, start)
         self._scene = scene
         self._object_joints = start.objects[0].astype(np.float64)
 
@@ -155,6 +154,7 @@ class MujocoWorld(BatchWorld):
 
     def read_state(self) -> WorldState:
         """Return the current state of robot, objects and human hand."""
+        self.controller.set_state()
         controller, slot, scene = self.controller, self.controller.slot, self.controller.slot.scene
         hand, row = controller.track_hand(), controller.row
         positions, quaternions = slot.compute_body_poses()
@@ -181,12 +181,14 @@ class MujocoWorld(BatchWorld):
 
     def read_joints_float64(self) -> Array:
         """Return the robot's joint positions (9,) in double precision (rad, m)."""
+        self.controller.set_state()
         slot = self.controller.slot
         joints: Array = slot.qpos[slot.scene.robot_qpos].copy()
         return joints
 
     def read_object_joints(self) -> npt.NDArray[np.float32]:
         """Return the joint positions (n, 6) of n objects: xyz (m), Euler angles (rad), float32."""
+        self.controller.set_state()
         slot = self.controller.slot
         poses = slot.qpos[slot.scene.object_qpos].reshape(-1, 7)
         self._object_joints = chain_joints_from_poses(poses, self._object_joints)

@@ -90,6 +90,16 @@ def test_hand_kinematics(scene: SceneModel) -> None:
     np.testing.assert_allclose(np.abs((np.roll(turns, -1, axis=1) * poses[:, 3:]).sum(axis=1)), 1.0, atol=1e-9)
 
 
+def test_hand_kinematics_of_many_steps(scene: SceneModel) -> None:
+    joints = RNG.uniform(-1.0, 1.0, (5, read_tree(ASSETS.hand).n_dof))
+    kinematics = HandKinematics(ASSETS.hand, scene.hand_links)
+    found = kinematics.compute_path(joints)
+    for number, row in enumerate(joints):
+        for path, poses in zip(found, kinematics.compute_poses(row), strict=True):
+            np.testing.assert_array_equal(path[number], poses)
+    assert kinematics.compute_path(joints[:0])[0].shape == (0, len(scene.hand_links), 3)
+
+
 def meet(model: "mujoco.MjModel", first: int, second: int) -> bool:
     """Return whether the masks of two bodies let them collide."""
     types, affinities = model.body_contype, model.body_conaffinity
