@@ -49,10 +49,15 @@ def find_object_urdf(name: str, root: Path = OBJECTS_ROOT) -> Path:
     return path
 
 
-def format_object_urdf() -> str:
-    """Return the URDF of an object: six base joints, then a link with the meshes of its folder."""
+def format_object_urdf(mass: float = MASS, friction: float = FRICTION) -> str:
+    """Return the URDF of an object: six base joints, then a link with the meshes of its folder.
+
+    Args:
+        mass: Mass (kg).
+        friction: Lateral friction coefficient.
+    """
     names = {"visual": VISUAL_NAME, "collision": COLLISION_NAME}
-    return render_urdf(TEMPLATES_PACKAGE, "object.urdf", **names, mass=MASS, friction=FRICTION)
+    return render_urdf(TEMPLATES_PACKAGE, "object.urdf", **names, mass=mass, friction=friction)
 
 
 def find_bullet_data(feature: str, advice: str) -> Path:

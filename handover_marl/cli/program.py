@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 
 import tyro
 
+from handover_marl.cli import scenes
 from handover_marl.cli.data_folders import run_doctor, run_import
 from handover_marl.cli.folders import run_compare, run_evaluate, run_merge, run_verify
 from handover_marl.cli.options import registry
@@ -33,6 +34,14 @@ _COMMANDS: dict[str, Callable[..., int | None]] = {
     "doctor": run_doctor,
 }
 
+_SCENE_COMMANDS: dict[str, Callable[..., None]] = {
+    "add-object": scenes.add_object,
+    "add-motion": scenes.add_motion,
+    "add-split": scenes.add_split,
+    "check": scenes.check,
+    "preview": scenes.preview,
+}
+
 
 def run_program(arguments: Sequence[str]) -> int:
     """Run a command and return its exit status.
@@ -47,6 +56,10 @@ def run_program(arguments: Sequence[str]) -> int:
     app = tyro.extras.SubcommandApp()
     for name, run in _COMMANDS.items():
         app.command(name=name)(run)
+    scenes_app = tyro.extras.SubcommandApp()
+    for name, run in _SCENE_COMMANDS.items():
+        scenes_app.command(name=name)(run)
+    app.command(scenes_app, name="scenes", help="Build and check folders of own scenes.")
     status: object = app.cli(
         prog="handover-marl",
         description=_DESCRIPTION.format(**names),

@@ -71,6 +71,12 @@ def _open_dexycb(argument: str, data_dir: str | None, robot: str) -> Dataset:
     return OfficialDataset(folder, robot)
 
 
+def _open_own(argument: str, data_dir: str | None, robot: str) -> Dataset:
+    from handover_marl.datasets.own import open_own_dataset
+
+    return open_own_dataset(argument, data_dir, robot)
+
+
 #: Kinds of data sets by name, in the order of help texts.
 KINDS: Mapping[str, DatasetKind] = MappingProxyType(
     {
@@ -88,6 +94,13 @@ KINDS: Mapping[str, DatasetKind] = MappingProxyType(
             note="Generated scenes are not comparable with published results, which are on DexYCB.",
         ),
         "dexycb": DatasetKind(title="DexYCB", usage="dexycb", open_dataset=_open_dexycb),
+        "own": DatasetKind(
+            title="own data",
+            usage="own:FOLDER",
+            open_dataset=_open_own,
+            takes_argument=True,
+            note="Own data: not comparable with published results, which are on DexYCB.",
+        ),
     }
 )
 

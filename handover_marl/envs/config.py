@@ -29,8 +29,8 @@ class EnvConfig:
         setup: Official setup, "s0" to "s3", or one of the data set; default: its first, "s0" of the official ones.
         split: "train", "val" or "test".
         data_dir: Folder in HandoverSim's layout; default: the environment variable HANDOVER_MARL_DATA.
-        dataset: "dexycb", "synthetic", or "auto": DexYCB if there is a data folder, else synthetic. Further kinds:
-            `handover_marl.datasets.registry`.
+        dataset: "dexycb", "synthetic", "own:FOLDER" (own scenes), or "auto": DexYCB if there is a data folder,
+            else synthetic. Further kinds: `handover_marl.datasets.registry`.
         physics: "exact" is HandoverSim's simulation bit for bit; "fast", for training, simulates hand
             and objects only while the robot is near them; "mujoco" is MuJoCo in place of
             PyBullet, faster still.

@@ -29,6 +29,7 @@ TARGETS = (
     "handover_marl.evaluation.reports.report_files.evaluate",
     "handover_marl.evaluation.benchmark.benchmark",
     "handover_marl.evaluation.benchmark.evaluate_pair",
+    "handover_marl.assets.building.own_scenes.OwnScenes",
     "handover_marl.datasets.dexycb.importer.import_dexycb",
     "handover_marl.evaluation.demonstrations.record.demonstrate",
     "handover_marl.datasets.folder_check.examine_data_folder",
@@ -125,7 +126,9 @@ def _check_own(arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
     args, kwargs = called[0]
     for value in (*args, *kwargs.values()):
         if isinstance(value, EvaluationConfig):
-            check_setup_and_split(value.setup or "s0", value.split)
+            # Other data sets have setups of their own.
+            is_official = value.setup is not None and ":" not in value.dataset
+            check_setup_and_split(value.setup if value.setup and is_official else "s0", value.split)
             for agent in ("giver", "receiver"):
                 parse_policy(agent, getattr(value, agent))
     if arguments[0] == "crossplay":

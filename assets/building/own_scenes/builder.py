@@ -1,0 +1,312 @@
+"""Builder of a folder of own scenes."""
+
+import contextlib
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import trimesh
+
+from handover_marl.assets.building.object_files import merge_meshes, read_parts
+from handover_marl.assets.building.own_scenes.finger_closing import close_hand
+from handover_marl.assets.building.own_scenes.motion_tables import (
+    OBJECT,
+    MotionConfig,
+    MotionTable,
+    read_motion_table,
+)
+from handover_marl.assets.building.own_scenes.object_meshes import MeshConfig, make_object_mesh, write_object
+from handover_marl.assets.building.own_scenes.robot_grasps import make_robot_grasps
+from handover_marl.assets.building.own_scenes.splits import check_placement, split_scenes
+from handover_marl.assets.building.own_scenes.trajectories import make_trajectory
+from handover_marl.assets.hand_model import SUBJECTS, Side, make_hand_geometry
+from handover_marl.assets.object_models import URDF_NAME, VISUAL_NAME
+from handover_marl.config import MAX_OBJECTS
+from handover_marl.datasets.own.dataset import GRASP_FILE, MOTION_FOLDER, OBJECT_FOLDER, OwnDataset, get_motion_path
+from handover_marl.datasets.own.scene_file import (
+    SCENE_FILE,
+    OwnObject,
+    OwnScene,
+    SceneFile,
+    check_class_name,
+    check_file_name,
+    read_scene_file,
+)
+from handover_marl.errors import DataFormatError, OptionError, ResultsError, check_name
+from handover_marl.execution.files import exclusive_lock, write_arrays
+from handover_marl.execution.options import check_path
+from handover_marl.geometry.ycb import CLASS_NAMES, LARGEST_YCB_CLASS
+
+#: Hand of recordings without a choice: a man's at the 50th percentile of hand length.
+DEFAULT_HAND = 6
+
+
+class OwnScenes:
+    """Builder of a folder of own scenes, created if it does not exist.
+
+    Every method checks its arguments first and writes the folder last, so that an error leaves it unchanged.
+
+    Args:
+        folder: The folder.
+        name: Name of the data set in results; default: the name of the folder.
+
+    Attributes:
+        folder: The folder.
+
+    Raises:
+        OptionError: `folder` is not a path, or the folder has another name.
+        ResultsError: The folder has other files.
+        DataFormatError: The file `scenes.json` is damaged.
+    """
+
+    def __init__(self, folder: str | os.PathLike[str], name: str | None = None) -> None:
+        self.folder = check_path("folder", folder).resolve()
+        if (self.folder / SCENE_FILE).exists():
+            known = read_scene_file(self.folder).name
+            if name not in (None, known):
+                raise OptionError(f"name must be {known!r}, the name of the scenes in {self.folder}, got {name!r}")
+            self._name = known
+            return
+        self._name = _check("name", check_file_name, self.folder.name if name is None else name)
+        if self.folder.exists() and (not self.folder.is_dir() or any(self.folder.iterdir())):
+            raise ResultsError(f"{self.folder} is not empty and has no {SCENE_FILE}; choose another folder")
+
+    @property
+    def content(self) -> SceneFile:
+        """Objects, scenes and splits of the folder."""
+        if not (self.folder / SCENE_FILE).exists():
+            return SceneFile(self._name)
+        return read_scene_file(self.folder)
+
+    @property
+    def dataset(self) -> str:
+        """Name that opens the scenes: `dataset=...` of all functions, `--dataset` of all commands."""
+        return f"own:{self.folder}"
+
+    def add_object(
+        self,
+        name: str,
+        mesh: "str | os.PathLike[str] | trimesh.Trimesh",
+        config: MeshConfig | None = None,
+        *,
+        grasps: int = 60,
+        seed: int = 0,
+        workers: int | None = None,
+        progress: bool = True,
+    ) -> OwnObject:
+        """Add an object class from a triangle mesh, with convex parts and robot grasps.
+
+        Args:
+            name: Class name of the object.
+            mesh: Mesh file of any format that trimesh reads, or a mesh. Its frame is that of the recorded poses.
+            config: Units, mass, friction and color.
+            grasps: Number of robot grasps to find in simulation; 0 for none.
+            seed: Random seed of the grasps.
+            workers: Number of worker processes; default: one per core. The result does not depend on it.
+            progress: Whether to show progress bars on stderr.
+
+        Returns:
+            The object, with the number of grasps that held it and the repairs of its mesh.
+
+        Raises:
+            OptionError: The name is that of a YCB class or of an object of the folder, or no file name.
+            DataNotFoundError, DataFormatError: The mesh file is missing, damaged or no solid body.
+        """
+        text = _check("name", check_class_name, name)
+        if text in [item.name for item in self.content.objects]:
+            raise OptionError(f"name must be new, got {text!r}, which {self.folder} has already; choose another one")
+        config = config or MeshConfig()
+        source = mesh if isinstance(mesh, trimesh.Trimesh) else check_path("mesh", mesh)
+        item = make_object_mesh(source, config)
+        with self._prepare(OBJECT_FOLDER) as scratch:
+            new = scratch / text
+            new.mkdir()
+            write_object(new, item, config)
+            report = make_robot_grasps(new / URDF_NAME, grasps, seed, workers, progress)
+            write_arrays(new / GRASP_FILE, {"grasps": report.grasps.astype(np.float32)})
+            with self._change() as content:
+                if text in [other.name for other in content.objects]:
+                    raise OptionError(f"name must be new, got {text!r}, which was added meanwhile; choose another one")
+                number = max([LARGEST_YCB_CLASS, *(other.number for other in content.objects)]) + 1
+                added = OwnObject(
+                    name=text,
+                    number=number,
+                    mass=round(item.mass, 6),
+                    friction=float(config.friction),
+                    n_grasps=len(report.grasps),
+                    n_candidates=report.n_candidates,
+                    repairs=item.repairs,
+                )
+                target = self.folder / OBJECT_FOLDER / text
+                # What an interrupted call left there belongs to no object.
+                shutil.rmtree(target, ignore_errors=True)
+                new.rename(target)
+                replace(content, objects=(*content.objects, added)).write(self.folder)
+        return added
+
+    def add_motion(
+        self,
+        motion: "str | os.PathLike[str] | Mapping[str, npt.ArrayLike]",
+        object_name: str,
+        subject: str,
+        config: MotionConfig | None = None,
+        *,
+        recording: str | None = None,
+        side: str = "right",
+        hand: int | None = DEFAULT_HAND,
+        others: Sequence[str] = (),
+    ) -> OwnScene:
+        """Add a scene: the recorded motion of an object, a wrist and other objects.
+
+        Args:
+            motion: CSV or NPZ file of poses, or arrays with the names of an NPZ file; see
+                `handover_marl.assets.building.own_scenes.motion_tables`.
+            object_name: Class of the object that is handed over, an own class or a YCB class.
+            subject: Name of the person, for splits.
+            config: Frames and units.
+            recording: Name of the recording; default: the number of the scene.
+            side: Hand of the person, "right" or "left".
+            hand: Number of the shipped hand, 1 to 10; None for a scene without a hand. Its fingers follow the
+                recording, or close on the object before it leaves its place.
+            others: Classes of the other objects on the table, each with poses in the recording.
+
+        Returns:
+            The scene, with the repairs of its motion.
+
+        Raises:
+            OptionError: An argument is out of range.
+            UnknownNameError: A class or a side does not exist.
+            DataNotFoundError, DataFormatError: The recording is missing, malformed, or not at the table.
+        """
+        content = self.content
+        names = (object_name, *others)
+        for item in names:
+            check_name("object", item, content.object_names.values())
+        if len(names) > MAX_OBJECTS or len(set(names)) < len(names):
+            raise OptionError(f"others must be at most {MAX_OBJECTS - 1} different classes, got {', '.join(others)}")
+        check_name("side", side, ("right", "left"))
+        if hand is not None:
+            check_name("hand", hand, SUBJECTS)
+        person = _check("subject", check_file_name, subject)
+        source = motion if isinstance(motion, Mapping) else check_path("motion", motion)
+        table = read_motion_table(source, config or MotionConfig())
+        self._check_bodies(table, others, hand)
+        mesh = self._load_mesh(object_name)
+        check_placement(table, mesh)
+        side_name: Side = "left" if side == "left" else "right"
+        model, fingers = None, None
+        if hand is not None and table.wrist is not None:
+            model = make_hand_geometry(hand, side_name)
+            fingers = table.fingers
+            if fingers is None:
+                table, fingers = close_hand(table, mesh, hand, side_name)
+        trajectory = make_trajectory(table, others, model, fingers)
+        with self._prepare(MOTION_FOLDER) as scratch, self._change() as content:
+            number = len(content.scenes)
+            name = f"{person}/{_check('recording', check_file_name, recording or f'{number:06d}')}"
+            if name in [other.name for other in content.scenes]:
+                raise OptionError(f"recording must be new, got {name!r}, which {self.folder} has already; rename it")
+            scene = OwnScene(name, side, None if model is None else hand, names, table.repairs)
+            arrays = {
+                "object_dof": trajectory.object_dof,
+                "hand_dof": trajectory.hand_dof,
+                "hand_span": np.array(trajectory.hand_span),
+            }
+            write_arrays(scratch / "motion.npz", arrays)
+            (scratch / "motion.npz").rename(get_motion_path(self.folder, number))
+            # The new scene is in no split until the splits are made again.
+            replace(content, scenes=(*content.scenes, scene)).write(self.folder)
+        return scene
+
+    def add_split(
+        self, name: str, by: str, *, val: Iterable[str] | float = 0.2, test: Iterable[str] | float = 0.2, seed: int = 0
+    ) -> dict[str, tuple[int, ...]]:
+        """Add a setup: a division of all scenes into train, val and test.
+
+        Args:
+            name: Name of the setup; an existing one is replaced.
+            by: "object" or "person", which are then in one split only, or "random".
+            val: Names of the objects or persons in the val split; or the share of them, or of the scenes, that is
+                drawn.
+            test: The same for the test split.
+            seed: Random seed of drawn shares.
+
+        Returns:
+            Scene numbers of each split.
+
+        Raises:
+            OptionError: The name is reserved, a share is out of range, or the train split would be empty.
+            UnknownNameError: There is no such way to divide scenes, or no such object or person.
+        """
+        with self._change() as content:
+            setup = split_scenes(content, name, by, val, test, seed)
+            replace(content, setups={**content.setups, name: setup}).write(self.folder)
+        return setup
+
+    def check(self) -> OwnDataset:
+        """Check every file of the folder by loading all scenes, models and grasps.
+
+        Raises:
+            DataNotFoundError, DataFormatError: A file is missing or damaged.
+        """
+        dataset = OwnDataset(self.folder)
+        dataset.check_scenes(tuple(range(dataset.n_scenes)))
+        for item in dataset.content.objects:
+            read_parts(dataset.find_object_urdf(item.name).with_name(VISUAL_NAME))
+            dataset.load_grasps(item.name)
+        for scene_id in range(dataset.n_scenes):
+            dataset.load_scene(scene_id)
+        return dataset
+
+    def _check_bodies(self, table: MotionTable, others: Sequence[str], hand: int | None) -> None:
+        missing = [name for name in others if name not in table.bodies]
+        unknown = [name for name in table.bodies if name not in (OBJECT, *others)]
+        if missing:
+            raise DataFormatError(f"the motion has no poses of {missing[0]!r}, which others names; add its columns")
+        if unknown:
+            raise DataFormatError(f"the motion has poses of {unknown[0]!r}; name it in others, or remove its columns")
+        if hand is not None and table.wrist is None:
+            raise DataFormatError("the motion has no wrist; add its poses, or pass hand=None")
+
+    def _load_mesh(self, name: str) -> trimesh.Trimesh:
+        if name in CLASS_NAMES.values():
+            from handover_marl.assets.building.object_files import load_visual_mesh
+
+            return load_visual_mesh(name)
+        return merge_meshes(read_parts(self.folder / OBJECT_FOLDER / name / VISUAL_NAME))
+
+    @contextlib.contextmanager
+    def _prepare(self, subfolder: str) -> Iterator[Path]:
+        """Create a temporary folder beside the files that are to be written, and delete it in the end."""
+        existed = [path for path in (self.folder, self.folder / subfolder) if not path.exists()]
+        try:
+            (self.folder / subfolder).mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryDirectory(prefix=".new-", dir=self.folder) as scratch:
+                yield Path(scratch)
+        except OSError as error:
+            raise ResultsError(f"cannot write to {self.folder} ({error.strerror or error})") from error
+        finally:
+            for path in reversed(existed):
+                # Only folders that are still empty are removed.
+                with contextlib.suppress(OSError):
+                    path.rmdir()
+
+    @contextlib.contextmanager
+    def _change(self) -> Iterator[SceneFile]:
+        """Lock the folder against other processes and read its present content."""
+        if not self.folder.is_dir():
+            raise ResultsError(f"{self.folder} does not exist; add an object or a motion first")
+        with exclusive_lock(self.folder):
+            yield self.content
+
+
+def _check(argument: str, check: Callable[[object], str], value: object) -> str:
+    try:
+        return check(value)
+    except ValueError as error:
+        raise OptionError(f"{argument} {error}") from None

@@ -1,0 +1,286 @@
+"""Objects from triangle meshes: checks, repairs, convex parts and mass."""
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+import trimesh
+from scipy.spatial import QhullError
+
+from handover_marl.assets.building.object_files import PALETTE, write_convex_parts, write_palette, write_visual
+from handover_marl.assets.object_models import COLLISION_NAME, FRICTION, URDF_NAME, VISUAL_NAME, format_object_urdf
+from handover_marl.errors import DataFormatError, DataNotFoundError, OptionError, check_name
+from handover_marl.execution.files import shorten_text
+from handover_marl.execution.options import require_modules
+from handover_marl.execution.reading import check_plain_file
+from handover_marl.geometry.array_cache import get_cache_folder, load_cached_arrays, save_cached_arrays
+from handover_marl.geometry.meshes import compute_convex_hull, select_extreme_points
+
+Array = npt.NDArray[np.float64]
+
+#: Metres in each unit of length.
+UNITS: Final = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
+#: Smallest and largest extent of an object (m).
+MIN_EXTENT, MAX_EXTENT = 0.005, 0.7
+_MIN_MASS, _MAX_MASS = 0.001, 20.0
+_MAX_BYTES = 1_000_000_000
+_MIN_VOLUME_SHARE = 1e-4  # of the box around the mesh
+_MAX_CORNERS = 64  # of a convex part, as in HandoverSim's files
+_SEARCH_OPTIONS = {"mcts_iterations": 60, "mcts_max_depth": 2, "mcts_nodes": 15}
+_CACHE_KIND, _DESCRIPTION = "convex-parts", "convex parts"
+
+
+@dataclass(frozen=True)
+class MeshConfig:
+    """Configuration of an object that is made from a mesh.
+
+    Attributes:
+        unit: Unit of length in the mesh file: m, cm, mm or inch.
+        scale: Factor on the size, after the unit.
+        mass: Mass (kg); default: from the density.
+        density: Density (kg/m^3) if no mass is given; default: 300, a half-filled plastic bottle.
+        friction: Lateral friction coefficient; that of HandoverSim's objects is 0.9.
+        color: Color in images, a name of the library's palette.
+        concavity: CoACD's threshold: largest concavity of a convex part, 0.01 (many parts) to 1.
+        max_faces: Largest number of triangles; larger meshes are simplified.
+
+    Raises:
+        OptionError: A number is out of range, or both mass and density are given.
+        UnknownNameError: The unit or the color does not exist.
+    """
+
+    unit: str = "m"
+    scale: float = 1.0
+    mass: float | None = None
+    density: float | None = None
+    friction: float = FRICTION
+    color: str = "blue"
+    concavity: float = 0.05
+    max_faces: int = 20_000
+
+    def __post_init__(self) -> None:
+        check_name("unit", self.unit, UNITS)
+        check_name("color", self.color, PALETTE)
+        if self.mass is not None and self.density is not None:
+            raise OptionError("mass and density must not both be given; leave one of them out")
+        limits: dict[str, tuple[float, float]] = {
+            "scale": (1e-6, 1e6),
+            "mass": (_MIN_MASS, _MAX_MASS),
+            "density": (1.0, 30_000.0),
+            "friction": (0.0, 10.0),
+            "concavity": (0.01, 1.0),
+            "max_faces": (100, 1_000_000),
+        }
+        for name, (low, high) in limits.items():
+            value = getattr(self, name)
+            is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+            if value is not None and not (is_number and low <= value <= high):
+                raise OptionError(f"{name} must be a number from {low:g} to {high:g}, got {value!r}")
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectMesh:
+    """Checked mesh of an object.
+
+    Attributes:
+        mesh: Surface in the object's frame (m).
+        parts: Convex parts (m).
+        mass: Mass (kg).
+        repairs: Changes that were made to the mesh.
+    """
+
+    mesh: trimesh.Trimesh
+    parts: tuple[trimesh.Trimesh, ...]
+    mass: float
+    repairs: tuple[str, ...]
+
+
+def make_object_mesh(source: "str | Path | trimesh.Trimesh", config: MeshConfig) -> ObjectMesh:
+    """Read a mesh, repair it, and divide it into convex parts.
+
+    Args:
+        source: Mesh file of any format that trimesh reads, or a mesh.
+        config: Units, mass and limits.
+
+    Raises:
+        DataFormatError: The mesh has no solid body, or not the size of an object.
+        DataNotFoundError: The file does not exist.
+        OptionError: A package is missing.
+    """
+    require_modules("own objects", "assets,import", "coacd", "trimesh")
+    name = str(source) if isinstance(source, (str, Path)) else "the mesh"
+    mesh, repairs = _repair_mesh(_read_mesh(source), config, name)
+    parts = decompose_mesh(mesh, config.concavity, name)
+    volume = sum(float(part.volume) for part in parts)
+    mass = config.mass if config.mass is not None else (config.density or 300.0) * volume
+    if not _MIN_MASS <= mass <= _MAX_MASS:
+        raise DataFormatError(
+            f"{name}: mass must be {_MIN_MASS:g} to {_MAX_MASS:g} kg, got {mass:.3g} kg from the volume {volume:.3g} "
+            "m^3; give mass or density"
+        )
+    return ObjectMesh(mesh, parts, mass, tuple(repairs))
+
+
+def write_object(folder: Path, item: ObjectMesh, config: MeshConfig) -> None:
+    """Write the URDF and the meshes of an object into an existing folder."""
+    write_visual(folder / VISUAL_NAME, [(config.color, item.mesh)])
+    write_convex_parts(folder / COLLISION_NAME, list(item.parts))
+    write_palette(folder)
+    (folder / URDF_NAME).write_text(format_object_urdf(item.mass, config.friction), newline="\n")
+
+
+def _read_mesh(source: "str | Path | trimesh.Trimesh") -> trimesh.Trimesh:
+    if isinstance(source, trimesh.Trimesh):
+        return source.copy()
+    path = Path(source).expanduser()
+    try:
+        check_plain_file(path, _MAX_BYTES)
+    except FileNotFoundError:
+        raise DataNotFoundError(f"mesh file {path} does not exist; give the path of a mesh file") from None
+    except (OSError, ValueError) as error:
+        raise DataFormatError(f"{path}: cannot be read ({error}); give a mesh file") from error
+    try:
+        loaded: Any = trimesh.load(path, force="mesh", process=False)
+    except Exception as error:  # trimesh and its readers raise many types on damaged files
+        raise DataFormatError(
+            f"{path}: no mesh that trimesh can read ({type(error).__name__}: {shorten_text(error)}); export it as STL, "
+            "OBJ or PLY"
+        ) from error
+    if not isinstance(loaded, trimesh.Trimesh) or not len(loaded.faces):
+        raise DataFormatError(f"{path}: has no triangles; export a triangle mesh as STL, OBJ or PLY")
+    return loaded
+
+
+def _repair_mesh(mesh: trimesh.Trimesh, config: MeshConfig, name: str) -> tuple[trimesh.Trimesh, list[str]]:
+    """Return a mesh in metres with repaired surface, and descriptions of the repairs."""
+    repairs: list[str] = []
+    vertices, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces)
+    if not len(faces):
+        raise DataFormatError(f"{name}: has no triangles; export a triangle mesh")
+    if not np.isfinite(vertices).all():
+        raise DataFormatError(f"{name}: vertices must be finite, got NaN or infinity; export the mesh again")
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise DataFormatError(f"{name}: a triangle names a vertex that does not exist; export the mesh again")
+    factor, is_small = UNITS[config.unit] * config.scale, len(faces) <= config.max_faces
+    mesh = trimesh.Trimesh(vertices * factor, faces, process=is_small)
+    _check_size(mesh, config, name)
+    n_faces = len(mesh.faces)
+    if n_faces > config.max_faces:
+        # First of all, since hulls and edges of a million triangles take minutes.
+        mesh = _simplify(mesh, config.max_faces)
+        repairs.append(f"simplified from {n_faces} to {len(mesh.faces)} triangles")
+        n_faces = len(mesh.faces)
+    mesh.update_faces(mesh.nondegenerate_faces() & mesh.unique_faces())
+    mesh.remove_unreferenced_vertices()
+    if len(mesh.faces) < n_faces:
+        repairs.append(f"{n_faces - len(mesh.faces)} empty or repeated triangles removed")
+    if not len(mesh.faces):
+        raise DataFormatError(f"{name}: all triangles are empty; export the mesh again")
+    _check_solid(mesh, name)
+    if not mesh.is_winding_consistent:
+        trimesh.repair.fix_normals(mesh, multibody=True)  # type: ignore[no-untyped-call]
+        repairs.append("triangles turned so that all have the same winding")
+    if not mesh.is_watertight:
+        trimesh.repair.fill_holes(mesh)
+        closed = "holes filled" if mesh.is_watertight else "open surface kept; its convex parts are closed"
+        repairs.append(closed)
+    if mesh.volume < 0.0:
+        mesh.invert()
+        repairs.append("flipped, because its inside was outside")
+    return mesh, repairs
+
+
+def _check_size(mesh: trimesh.Trimesh, config: MeshConfig, name: str) -> None:
+    extents = np.asarray(mesh.extents if mesh.extents is not None else np.zeros(3))
+    size = " x ".join(f"{value:.3g}" for value in extents)
+    largest = float(extents.max())
+    if MIN_EXTENT <= largest <= MAX_EXTENT:
+        distance = float(np.linalg.norm(mesh.bounds.mean(axis=0)))
+        if distance > MAX_EXTENT:
+            raise DataFormatError(
+                f"{name}: the body must be near the origin of its frame, got a distance of {distance:.3g} m; move it"
+            )
+        return
+    fitting = [
+        unit
+        for unit, metres in UNITS.items()
+        if 0.03 <= largest / UNITS[config.unit] * metres <= 0.5 and unit != config.unit
+    ]
+    advice = f"if it is in {' or '.join(fitting)}, pass unit={fitting[0]!r}" if fitting else "pass unit or scale"
+    raise DataFormatError(
+        f"{name}: the largest extent must be {MIN_EXTENT} to {MAX_EXTENT} m, got {size} m in unit {config.unit!r}; "
+        f"{advice}"
+    )
+
+
+def _check_solid(mesh: trimesh.Trimesh, name: str) -> None:
+    try:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            hull = float(mesh.convex_hull.volume)
+    except (QhullError, ValueError, IndexError):
+        hull = 0.0
+    extents = np.sort(mesh.extents)
+    if hull < _MIN_VOLUME_SHARE * float(extents[2]) ** 3 * 0.1 or extents[0] < 5e-4:
+        raise DataFormatError(
+            f"{name}: must be a solid body, got a flat or empty one of {extents[0]:.2g} m thickness; export a closed "
+            "surface"
+        )
+
+
+def _simplify(mesh: trimesh.Trimesh, max_faces: int) -> trimesh.Trimesh:
+    require_modules("meshes of many triangles", "replay", "fast_simplification")
+    import fast_simplification
+
+    vertices, faces = fast_simplification.simplify(
+        np.asarray(mesh.vertices, dtype=np.float32),
+        np.asarray(mesh.faces, dtype=np.int32),
+        target_reduction=1.0 - max_faces / len(mesh.faces),
+    )
+    return trimesh.Trimesh(vertices.astype(np.float64), faces, process=True)
+
+
+def decompose_mesh(mesh: trimesh.Trimesh, concavity: float, name: str) -> tuple[trimesh.Trimesh, ...]:
+    """Return the convex parts (m) of a mesh by CoACD (Wei et al., SIGGRAPH 2022), kept in the user's cache.
+
+    Args:
+        mesh: Surface (m).
+        concavity: Largest concavity of a part.
+        name: Name of the mesh, for errors.
+
+    Raises:
+        DataFormatError: CoACD finds no body.
+    """
+    key = hashlib.sha256(repr((concavity, sorted(_SEARCH_OPTIONS.items()))).encode())
+    for array in (np.round(mesh.vertices, 7), np.asarray(mesh.faces, dtype=np.int64)):
+        key.update(np.ascontiguousarray(array).tobytes())
+    path = get_cache_folder(_CACHE_KIND) / f"{key.hexdigest()[:24]}.npz"
+    cached = load_cached_arrays(path, ("corners", "sizes"), _DESCRIPTION)
+    if cached is None:
+        corners = _run_coacd(mesh, concavity)
+        if not corners:
+            raise DataFormatError(f"{name}: CoACD finds no body in it; export a closed surface")
+        cached = {"corners": np.concatenate(corners), "sizes": np.array([len(part) for part in corners])}
+        save_cached_arrays(path, cached, _DESCRIPTION)
+    hulls = (compute_convex_hull(part) for part in np.split(cached["corners"], np.cumsum(cached["sizes"])[:-1]))
+    return tuple(trimesh.Trimesh(vertices, faces, process=False) for vertices, faces in hulls)
+
+
+def _run_coacd(mesh: trimesh.Trimesh, concavity: float) -> list[Array]:
+    import coacd  # type: ignore[import-untyped]
+
+    coacd.set_log_level("error")
+    body = coacd.Mesh(np.asarray(mesh.vertices), np.asarray(mesh.faces))
+    parts: Sequence[Any] = coacd.run_coacd(body, threshold=concavity, seed=0, **_SEARCH_OPTIONS)
+    corners = []
+    for points, _ in parts:
+        try:
+            hull = compute_convex_hull(np.asarray(points, dtype=np.float64))[0]
+            part = np.round(select_extreme_points(hull, _MAX_CORNERS), 6) + 0.0
+            corners.append(compute_convex_hull(part)[0])
+        except QhullError:  # a part without volume
+            continue
+    return corners

@@ -1,0 +1,93 @@
+"""Splits of own scenes, and the check that a recording is at the table."""
+
+from collections.abc import Iterable
+
+import numpy as np
+import trimesh
+
+from handover_marl.assets.building.own_scenes.motion_tables import OBJECT, MotionTable
+from handover_marl.config import OFFICIAL_CONFIG, TABLE_HEIGHT
+from handover_marl.datasets.own.scene_file import ALL_SCENES, SceneFile, check_file_name
+from handover_marl.datasets.splits import SETUPS, SPLITS
+from handover_marl.errors import DataFormatError, OptionError, check_name
+from handover_marl.geometry.poses import transform_points
+
+#: Ways to divide scenes: by the object that is handed over, by the person, or at random.
+DIVISIONS = ("object", "person", "random")
+_MAX_REACH = 1.2  # m; the Panda reaches 0.855 m
+_MAX_SINK = 0.03  # m below the table's surface
+
+
+def split_scenes(
+    content: SceneFile, name: str, by: str, val: Iterable[str] | float, test: Iterable[str] | float, seed: int
+) -> dict[str, tuple[int, ...]]:
+    """Return the scene numbers of each split; arguments and errors as of `OwnScenes.add_split`."""
+    try:
+        check_file_name(name)
+    except ValueError as error:
+        raise OptionError(f"name {error}") from None
+    if name in (*SETUPS, ALL_SCENES):
+        raise OptionError(f"name must not be {', '.join(SETUPS)} or {ALL_SCENES}, got {name!r}; choose another one")
+    check_name("by", by, DIVISIONS)
+    keys = [
+        {"object": scene.objects[0], "person": scene.subject, "random": str(number)}[by]
+        for number, scene in enumerate(content.scenes)
+    ]
+    if not keys:
+        raise OptionError("a split needs scenes, got none; add a motion first")
+    groups = list(dict.fromkeys(keys))
+    order = list(np.random.default_rng(seed).permutation(len(groups)))
+    parts: dict[str, list[str]] = {"val": [], "test": []}
+    for split, chosen in (("val", val), ("test", test)):
+        if isinstance(chosen, (int, float)) and not isinstance(chosen, bool):
+            if not 0.0 <= chosen < 1.0:
+                raise OptionError(f"{split} must be a share from 0 to 1 or names, got {chosen!r}")
+            count = round(chosen * len(groups)) or int(chosen > 0.0)
+            free = [groups[index] for index in order if groups[index] not in parts["val"]]
+            parts[split] = free[:count]
+        else:
+            parts[split] = [str(key) for key in chosen]  # type: ignore[union-attr]
+            for key in parts[split]:
+                check_name(by, key, groups)
+    both = sorted(set(parts["val"]) & set(parts["test"]))
+    if both:
+        raise OptionError(f"val and test must not share a name, got {both[0]!r} in both; remove it from one")
+    home = {key: split for split, members in parts.items() for key in members}
+    setup = {
+        split: tuple(number for number, key in enumerate(keys) if home.get(key, "train") == split) for split in SPLITS
+    }
+    if not setup["train"]:
+        raise OptionError(
+            f"the train split must not be empty, got all {len(keys)} scenes in val and test; lower the shares"
+        )
+    return setup
+
+
+def check_placement(table: MotionTable, mesh: trimesh.Trimesh) -> None:
+    """Check that an object starts above the table and ends where a robot can reach it.
+
+    Args:
+        table: Recorded poses in the world frame.
+        mesh: Surface of the object in its frame (m).
+
+    Raises:
+        DataFormatError: The object is below the table, or out of the robot's reach; the frame is wrong.
+    """
+    poses = table.bodies[OBJECT]
+    advice = "check frame: 'world' has its origin 0.92 m below the table's surface, 'table' on it; z points up"
+    lowest = float(transform_points(poses[0], np.asarray(mesh.vertices))[:, 2].min()) - TABLE_HEIGHT
+    if lowest < -_MAX_SINK:
+        raise DataFormatError(
+            f"object must start above the table, got its lowest point {-100 * lowest:.0f} cm below the surface; "
+            f"{advice}"
+        )
+    base = np.array(OFFICIAL_CONFIG.physics.panda.base_position)
+    distance = float(np.linalg.norm(poses[-1, :3] - base))
+    if distance > _MAX_REACH:
+        raise DataFormatError(
+            f"object must end within {_MAX_REACH} m of the robot's base, got {distance:.2f} m; {advice}"
+        )
+    others = {name: body for name, body in table.bodies.items() if name != OBJECT}
+    for name, body in others.items():
+        if body[0, 2] < TABLE_HEIGHT - _MAX_SINK:
+            raise DataFormatError(f"{name} must be above the table, got z = {body[0, 2]:.2f} m in the world; {advice}")

@@ -1,0 +1,188 @@
+"""Commands `handover-marl scenes ...`, which build and check folders of own scenes."""
+
+from typing import Annotated, Literal
+
+import tyro
+
+from handover_marl.cli.streams import print_result
+
+_Folder = Annotated[str, tyro.conf.arg(metavar="DIR")]
+_Names = Annotated[str | None, tyro.conf.arg(metavar="NAME,...")]
+
+
+def add_object(
+    folder: _Folder,
+    name: str,
+    mesh: Annotated[str, tyro.conf.arg(metavar="FILE")],
+    /,
+    unit: Literal["m", "cm", "mm", "inch"] = "m",
+    scale: float = 1.0,
+    mass: float | None = None,
+    density: float | None = None,
+    friction: float = 0.9,
+    color: str = "blue",
+    concavity: float = 0.05,
+    grasps: int = 60,
+    seed: int = 0,
+    workers: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
+    progress: bool = True,
+) -> None:
+    """Add an object class from a triangle mesh, with convex parts and robot grasps.
+
+    Args:
+        folder: Folder of own scenes; created if it does not exist.
+        name: Class name of the object.
+        mesh: Mesh file of any format that trimesh reads (STL, OBJ, PLY, ...).
+        unit: Unit of length in the mesh file.
+        scale: Factor on the size, after the unit.
+        mass: Mass (kg); default: from the density.
+        density: Density (kg/m^3); default: 300, a half-filled plastic bottle.
+        friction: Lateral friction coefficient.
+        color: Color in images, a name of the library's palette.
+        concavity: CoACD's threshold, 0.01 (many convex parts) to 1 (one).
+        grasps: Number of robot grasps to find in simulation; 0 for none.
+        seed: Random seed of the grasps.
+        workers: Number of worker processes; default: one per core.
+        progress: Show progress bars on stderr.
+    """
+    from handover_marl.assets.building.own_scenes import MeshConfig, OwnScenes
+
+    config = MeshConfig(unit, scale, mass, density, friction, color, concavity)
+    item = OwnScenes(folder).add_object(
+        name, mesh, config, grasps=grasps, seed=seed, workers=workers, progress=progress
+    )
+    print_result(str(item))
+
+
+def add_motion(
+    folder: _Folder,
+    motion: Annotated[str, tyro.conf.arg(metavar="FILE")],
+    /,
+    object: str,  # noqa: A002 - the name of the option
+    subject: str,
+    recording: str | None = None,
+    side: Literal["right", "left"] = "right",
+    hand: Annotated[str, tyro.conf.arg(metavar="{1..10,none}")] = "6",
+    others: _Names = None,
+    frame: Annotated[str, tyro.conf.arg(metavar="{world,table}|x,y,z,qx,qy,qz,qw")] = "world",
+    length: Literal["m", "cm", "mm"] = "m",
+    time: Literal["s", "ms"] = "s",
+    quaternion: Literal["xyzw", "wxyz"] = "xyzw",
+    fingers: Literal["euler", "rotvec"] = "euler",
+    max_gap: float = 0.2,
+) -> None:
+    """Add a scene: the recorded motion of an object, a wrist and other objects.
+
+    Args:
+        folder: Folder of own scenes.
+        motion: CSV or NPZ file of poses at any rate.
+        object: Class of the object that is handed over, an own class or a YCB class.
+        subject: Name of the person.
+        recording: Name of the recording; default: the number of the scene.
+        side: Hand of the person.
+        hand: Number of the shipped hand, or none for a scene without a hand.
+        others: Classes of the other objects, whose poses are in the file.
+        frame: Frame of the poses: world, table, or its pose in the world.
+        length: Unit of positions.
+        time: Unit of times.
+        quaternion: Order of quaternions in NPZ files.
+        fingers: Form of finger angles in the file: intrinsic XYZ Euler angles or rotation vectors.
+        max_gap: Largest gap (s) that is filled by interpolation.
+    """
+    from handover_marl.assets.building.own_scenes import MotionConfig, OwnScenes
+
+    chosen = frame if frame in ("world", "table") else _parse_numbers("frame", frame)
+    config = MotionConfig(chosen, length, time, quaternion, fingers, max_gap)
+    scene = OwnScenes(folder).add_motion(
+        motion,
+        object,
+        subject,
+        config,
+        recording=recording,
+        side=side,
+        hand=None if hand == "none" else _parse_hand(hand),
+        others=tuple(others.split(",")) if others else (),
+    )
+    print_result(str(scene))
+
+
+def add_split(
+    folder: _Folder,
+    name: str,
+    /,
+    by: Literal["object", "person", "random"] = "random",
+    val: str = "0.2",
+    test: str = "0.2",
+    seed: int = 0,
+) -> None:
+    """Divide all scenes into train, val and test.
+
+    Args:
+        folder: Folder of own scenes.
+        name: Name of the setup.
+        by: Division by object, by person, or at random.
+        val: Share of the val split, or names of its objects or persons, separated by commas.
+        test: Share of the test split, or names.
+        seed: Random seed.
+    """
+    from handover_marl.assets.building.own_scenes import OwnScenes
+
+    setup = OwnScenes(folder).add_split(name, by, val=_parse_share(val), test=_parse_share(test), seed=seed)
+    print_result(f"{name}: " + ", ".join(f"{split} {len(numbers)} scenes" for split, numbers in setup.items()))
+
+
+def check(folder: _Folder, /) -> None:
+    """Check all files of a folder of own scenes and print its objects, scenes and setups.
+
+    Args:
+        folder: Folder of own scenes.
+    """
+    from handover_marl.assets.building.own_scenes import OwnScenes
+
+    dataset = OwnScenes(folder).check()
+    print_result(f"{dataset.content}\nNo faults. Use it: --dataset own:{dataset.folder}")
+
+
+def preview(
+    folder: _Folder,
+    scene: int,
+    /,
+    out: Annotated[str, tyro.conf.arg(metavar="FILE")],
+    progress: bool = True,
+) -> None:
+    """Render a scene with a robot that does not move, as a page that plays it in three dimensions, image or film.
+
+    Args:
+        folder: Folder of own scenes.
+        scene: Number of the scene.
+        out: Output file: .html, .png, .gif or .mp4.
+        progress: Show a progress bar on stderr.
+    """
+    from handover_marl.evaluation.rendering.scene import render_scene
+
+    print_result(render_scene(scene, out, dataset=f"own:{folder}", physics="fast", progress=progress))
+
+
+def _parse_numbers(name: str, text: str) -> tuple[float, ...]:
+    from handover_marl.cli.options import ArgumentError
+
+    try:
+        return tuple(float(part) for part in text.split(","))
+    except ValueError as error:
+        raise ArgumentError(f"{name} must be world, table or seven numbers, got {text!r}") from error
+
+
+def _parse_hand(text: str) -> int:
+    from handover_marl.cli.options import ArgumentError
+
+    try:
+        return int(text)
+    except ValueError as error:
+        raise ArgumentError(f"hand must be a number from 1 to 10 or none, got {text!r}") from error
+
+
+def _parse_share(text: str) -> float | tuple[str, ...]:
+    try:
+        return float(text)
+    except ValueError:
+        return tuple(text.split(","))

@@ -1,0 +1,270 @@
+"""Data set of own scenes, `own:FOLDER`.
+
+The motion of scene N is in `motion/00000N.npz`: `object_dof` (T, n, 6) positions (m) and intrinsic XYZ Euler
+angles (rad) of the objects, the handed-over one first; `hand_dof` (T, 51) position of the hand's base (m), its
+angles and 45 finger joint angles (rad), zeros without a hand; `hand_span` (2,) first and last frame with the
+hand, -1 without one. World frame, float32, 1 kHz.
+"""
+
+import hashlib
+from collections.abc import Mapping
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.assets.hand_model import find_hand_urdf
+from handover_marl.assets.object_models import TABLE_URDF, URDF_NAME
+from handover_marl.assets.object_models import find_object_urdf as find_ycb_urdf
+from handover_marl.assets.robot_model import PANDA_URDF, write_camera_panda_urdf
+from handover_marl.assets.shipped import load_object_grasps
+from handover_marl.config import HAND_DOF, OBJECT_DOF
+from handover_marl.datasets.dataset import Dataset, Scene, SceneAssets, SceneInfo
+from handover_marl.datasets.own.scene_file import ALL_SCENES, OwnScene, SceneFile, read_scene_file
+from handover_marl.datasets.splits import SPLITS
+from handover_marl.errors import DataFormatError, DataNotFoundError, OptionError, UnknownNameError, check_name
+from handover_marl.execution.options import check_path
+from handover_marl.execution.reading import read_arrays, read_plain_file
+from handover_marl.geometry.panda import PANDA
+from handover_marl.geometry.urdf import list_mesh_references
+from handover_marl.geometry.ycb import CLASS_NAMES
+
+OBJECT_FOLDER, MOTION_FOLDER, GRASP_FILE = "objects", "motion", "grasps.npz"
+#: Prefix of the names of own data sets.
+OWN = "own"
+_MAX_BYTES = 500_000_000
+
+
+def open_own_dataset(argument: str, data_dir: str | None, robot: str) -> "OwnDataset":
+    """Open own scenes by the argument of a data set's name.
+
+    Args:
+        argument: The folder; with `data_dir`, the name of the data set.
+        data_dir: The folder, or None.
+        robot: Variant of the Panda.
+
+    Raises:
+        OptionError: The folder has another data set than the one that is named.
+        DataNotFoundError: The folder does not exist or has no scenes.
+        DataFormatError: A file is damaged.
+    """
+    folder = check_path("dataset" if data_dir is None else "data_dir", data_dir or argument)
+    if not folder.is_dir():
+        raise DataNotFoundError(
+            f"folder of own scenes {folder} does not exist; give its path as dataset='{OWN}:PATH', or the name of the "
+            f"data set and data_dir=PATH"
+        )
+    dataset = OwnDataset(folder.resolve(), robot)
+    if data_dir is not None and argument != dataset.content.name:
+        raise OptionError(
+            f"data_dir must hold the scenes {argument!r}, got {folder} with {dataset.content.name!r}; pass their folder"
+        )
+    return dataset
+
+
+def get_motion_path(folder: Path, scene_id: int) -> Path:
+    """Return the path of a scene's motion in a folder of own scenes."""
+    return folder / MOTION_FOLDER / f"{scene_id:06d}.npz"
+
+
+class OwnDataset(Dataset):
+    """Own scenes of a folder, see `handover_marl.datasets.own.scene_file`.
+
+    Args:
+        folder: The folder.
+        robot: Variant of the Panda, one of `handover_marl.geometry.panda.ROBOTS`.
+
+    Attributes:
+        folder: The folder.
+        content: Content of `scenes.json`.
+
+    Raises:
+        UnknownNameError: `robot` is not in `ROBOTS`.
+        DataNotFoundError: The folder has no `scenes.json`.
+        DataFormatError: The file is damaged.
+    """
+
+    def __init__(self, folder: Path, robot: str = PANDA) -> None:
+        super().__init__(robot)
+        self.folder = folder
+        self.content: SceneFile = read_scene_file(folder)
+        self.name = f"{OWN}:{self.content.name}"
+        self._numbers = {name: number for number, name in self.content.object_names.items()}
+        self._hash_model = lru_cache(maxsize=None)(_hash_model)
+        self._read_grasps = lru_cache(maxsize=None)(self._load_grasps)
+
+    @property
+    def source_folder(self) -> Path:
+        """The folder."""
+        return self.folder
+
+    @property
+    def n_scenes(self) -> int:
+        """Number of scenes."""
+        return len(self.content.scenes)
+
+    @property
+    def setups(self) -> tuple[str, ...]:
+        """The setup "all", whose splits all have every scene, and the setups of the file."""
+        return (ALL_SCENES, *self.content.setups)
+
+    @property
+    def object_names(self) -> Mapping[int, str]:
+        """YCB classes and own classes by class number."""
+        return self.content.object_names
+
+    @property
+    def panda_urdf(self) -> Path:
+        """Path of the URDF of PyBullet's Panda, with or without a camera on its hand."""
+        return PANDA_URDF if self.robot == PANDA else write_camera_panda_urdf()
+
+    def list_scenes(self, setup: str | None, split: str) -> tuple[int, ...]:
+        """Return the scene numbers of a split in ascending order; raises `UnknownNameError`."""
+        check_name("split", split, SPLITS)
+        setup = self.resolve_setup(setup)
+        if not self.n_scenes:
+            raise DataNotFoundError(f"{self.folder} has no scenes; add one with `handover-marl scenes add-motion`")
+        if setup == ALL_SCENES:
+            return tuple(range(self.n_scenes))
+        numbers = self.content.setups[setup][split]
+        if not numbers:
+            filled = [name for name in SPLITS if self.content.setups[setup][name]]
+            raise UnknownNameError("split", split, filled, f"the split of setup {setup!r} is empty")
+        return numbers
+
+    def load_info(self, scene_id: int) -> SceneInfo:
+        """Return the description of a scene; raises `SceneError`."""
+        scene = self._get_scene(scene_id)
+        return SceneInfo(
+            scene_id=scene_id,
+            name=scene.name,
+            subject=scene.subject,
+            side=scene.side,
+            object_ids=tuple(self._numbers[name] for name in scene.objects),
+            object_names=scene.objects,
+        )
+
+    def load_scene(self, scene_id: int) -> Scene:
+        """Load a scene with its motion in the world frame.
+
+        Raises:
+            SceneError: The scene number does not exist.
+            DataNotFoundError: A file is missing.
+            DataFormatError: The motion is damaged.
+        """
+        info = self.load_info(scene_id)
+        object_dof, hand_dof, span = _read_motion(get_motion_path(self.folder, scene_id), len(info.object_ids))
+        has_hand = self._get_scene(scene_id).hand is not None and span[0] >= 0
+        return Scene(
+            info=info,
+            dataset=self.name,
+            assets=self._find_scene_assets(scene_id),
+            object_dof=object_dof,
+            hand_dof=hand_dof,
+            hand_first=span[0] if has_hand else None,
+            hand_last=span[1] if has_hand else None,
+        )
+
+    def find_object_urdf(self, object_name: str) -> Path:
+        """Return the path of an object class's URDF.
+
+        Raises:
+            DataNotFoundError: The file is missing.
+        """
+        if object_name in CLASS_NAMES.values():
+            return find_ycb_urdf(object_name)
+        return _require_file(self.folder / OBJECT_FOLDER / object_name / URDF_NAME)
+
+    def load_grasps(self, object_name: str) -> npt.NDArray[np.float64] | None:
+        """Load the robot grasps (n, 4, 4) of an object class, or None if it has none.
+
+        Raises:
+            DataNotFoundError: The grasp file is missing.
+            DataFormatError: The grasp file is damaged.
+        """
+        if object_name in CLASS_NAMES.values():
+            return load_object_grasps(object_name)
+        return self._read_grasps(object_name)
+
+    def check_scenes(self, scene_ids: tuple[int, ...]) -> None:
+        """Raise `DataNotFoundError` for the first missing file of the given scenes."""
+        for scene_id in scene_ids:
+            self._find_scene_assets(scene_id)
+            _require_file(get_motion_path(self.folder, scene_id))
+            self.load_grasps(self.load_info(scene_id).target_name)
+
+    def compute_fingerprint(self, scene_id: int) -> str:
+        """Return a hash of a scene's motion, models and grasps."""
+        assets, scene = self._find_scene_assets(scene_id), self._get_scene(scene_id)
+        digest = hashlib.sha256(read_plain_file(_require_file(get_motion_path(self.folder, scene_id)), _MAX_BYTES))
+        digest.update(repr((scene.name, scene.side, scene.hand, scene.objects)).encode())
+        grasps = self.load_grasps(scene.objects[0])
+        digest.update(b"" if grasps is None else grasps.tobytes())
+        digest.update(self.robot.encode())
+        for urdf in (assets.table, assets.hand, *assets.objects):
+            digest.update(self._hash_model(urdf))
+        return digest.hexdigest()[:16]
+
+    def describe_models(self, scene_id: int) -> str:
+        """Return an empty note: the models are the user's and the library's."""
+        return ""
+
+    def _get_scene(self, scene_id: int) -> OwnScene:
+        self.check_scene_id(scene_id)
+        return self.content.scenes[scene_id]
+
+    def _find_scene_assets(self, scene_id: int) -> SceneAssets:
+        scene = self._get_scene(scene_id)
+        return SceneAssets(
+            table=TABLE_URDF,
+            panda=self.panda_urdf,
+            objects=tuple(self.find_object_urdf(name) for name in scene.objects),
+            # A scene without a hand never shows it.
+            hand=find_hand_urdf(scene.hand or 1, "left" if scene.side == "left" else "right"),
+        )
+
+    def _load_grasps(self, object_name: str) -> npt.NDArray[np.float64] | None:
+        path = _require_file(self.folder / OBJECT_FOLDER / object_name / GRASP_FILE)
+        try:
+            grasps = read_arrays(path, ("grasps",), _MAX_BYTES)["grasps"].astype(np.float64)
+            if grasps.ndim != 3 or grasps.shape[1:] != (4, 4) or not np.isfinite(grasps).all():
+                raise ValueError(f"grasps must be finite numbers of shape (n, 4, 4), got shape {grasps.shape}")
+        except Exception as error:  # NumPy and zipfile raise many types on damaged files
+            raise DataFormatError(f"{path}: not a readable grasp file ({error}); add the object again") from error
+        return grasps if len(grasps) else None
+
+
+def _read_motion(
+    path: Path, n_objects: int
+) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], tuple[int, int]]:
+    _require_file(path)
+    try:
+        arrays = read_arrays(path, ("object_dof", "hand_dof", "hand_span"), _MAX_BYTES)
+        objects, hand = arrays["object_dof"].astype(np.float32), arrays["hand_dof"].astype(np.float32)
+        first, last = (int(value) for value in arrays["hand_span"])
+        expected = {"object_dof": (len(objects), n_objects, OBJECT_DOF), "hand_dof": (len(objects), HAND_DOF)}
+        for name, shape in expected.items():
+            if arrays[name].shape != shape or not len(objects):
+                raise ValueError(f"{name} must have shape {shape}, got {arrays[name].shape}")
+            if not np.isfinite(arrays[name]).all():
+                raise ValueError(f"{name} must be finite everywhere")
+        if not (first == last == -1 or 0 <= first <= last < len(objects)):
+            raise ValueError(f"hand_span must be frames of the motion or -1, got {first} and {last}")
+    except Exception as error:  # NumPy and zipfile raise many types on damaged files
+        raise DataFormatError(f"{path}: not a readable motion ({error}); add the motion again") from error
+    return objects, hand, (first, last)
+
+
+def _hash_model(urdf: Path) -> bytes:
+    digest = hashlib.sha256(read_plain_file(urdf))
+    for _, mesh in list_mesh_references(urdf):
+        if mesh.is_file():
+            digest.update(read_plain_file(mesh))
+    return digest.digest()
+
+
+def _require_file(path: Path) -> Path:
+    if not path.is_file():
+        raise DataNotFoundError(f"{path} is missing; copy the folder again, or add its object or motion again")
+    return path

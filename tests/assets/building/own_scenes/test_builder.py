@@ -1,0 +1,316 @@
+"""Folders of own scenes from recordings and meshes to results."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import handover_marl
+from handover_marl.assets.building.own_scenes import MeshConfig, MotionConfig, OwnScenes
+from handover_marl.assets.building.own_scenes.finger_closing import find_hand_grasp
+from handover_marl.assets.hand_model import make_hand_geometry
+from handover_marl.config import TABLE_HEIGHT
+from handover_marl.datasets import open_dataset
+from handover_marl.datasets.own import OwnDataset
+from handover_marl.errors import DataFormatError, HandoverError, OptionError, ResultsError, SceneError, UnknownNameError
+from handover_marl.evaluation.verification.verify import verify
+from handover_marl.simulation.engines import PHYSICS
+from tests.own_scenes import WRIST_IN_OBJECT, WRIST_ROTATION, make_box, make_recording, write_csv
+
+MUG = (0.3, 0.3, TABLE_HEIGHT + 0.05, 0.0, 0.0, 0.0, 1.0)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        yield
+
+
+def mirror(recording: dict[str, Any]) -> dict[str, Any]:
+    """The recording of a left hand: everything mirrored in x about the object's place."""
+    result = {name: value.copy() for name, value in recording.items()}
+    for key in ("object", "wrist"):
+        result[key][:, 0] = 1.2 - result[key][:, 0]
+        result[key][:, [4, 5]] *= -1.0
+    return result
+
+
+@pytest.fixture(scope="module")
+def scenes(tmp_path_factory: pytest.TempPathFactory) -> OwnScenes:
+    """A box that is handed over with the right hand beside a mug, with the left hand, and without a hand."""
+    builder = OwnScenes(tmp_path_factory.mktemp("own") / "boxes")
+    builder.add_object("box", make_box(), MeshConfig(mass=0.2, concavity=1.0), grasps=8, workers=1, progress=False)
+    recording = make_recording()
+    mug = np.tile(MUG, (len(recording["time"]), 1))
+    table = write_csv(builder.folder.parent / "motion.csv", {**recording, "025_mug": mug})
+    builder.add_motion(table, "box", "anna", recording="first", others=["025_mug"])
+    builder.add_motion(mirror(recording), "box", "ben", side="left", hand=3)
+    builder.add_motion({key: recording[key] for key in ("time", "object")}, "box", "anna", hand=None)
+    return builder
+
+
+def list_files(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+
+
+def test_content_of_the_folder(scenes: OwnScenes) -> None:
+    dataset = scenes.check()
+    assert (dataset.name, dataset.n_scenes, dataset.setups) == ("own:boxes", 3, ("all",))
+    assert dataset.object_names[22] == "box"
+    (item,) = dataset.content.objects
+    assert (item.mass, item.n_grasps) == (0.2, 8)
+    assert item.n_candidates >= 8
+    grasps = dataset.load_grasps("box")
+    assert grasps is not None
+    assert grasps.shape == (8, 4, 4)
+    info = dataset.load_info(0)
+    assert (info.name, info.subject, info.side) == ("anna/first", "anna", "right")
+    assert (info.object_ids, info.object_names) == ((22, 14), ("box", "025_mug"))
+    assert dataset.load_info(1).side == "left"
+    assert dataset.list_scenes(None, "test") == (0, 1, 2)
+    assert not list(scenes.folder.glob(".new-*"))
+    with pytest.raises(SceneError, match="numbered 0 to 2"):
+        dataset.load_info(3)
+
+
+def test_motion_of_the_scenes(scenes: OwnScenes) -> None:
+    recording = make_recording()
+    scene = scenes.check().load_scene(0)
+    assert scene.n_frames == 3001
+    assert (scene.hand_first, scene.hand_last) == (0, 3000)
+    np.testing.assert_allclose(scene.object_dof[::1000, 0, :3], recording["object"][::60, :3], atol=1e-4)
+    np.testing.assert_allclose(scene.object_dof[:, 1, :3], np.tile(MUG[:3], (3001, 1)), atol=1e-6)
+    model = make_hand_geometry(6, "right")
+    wrists = model.compute_keypoints(scene.hand_dof[::1000])[:, 0]
+    np.testing.assert_allclose(wrists, recording["wrist"][::60, :3], atol=0.025)
+
+
+def test_a_hand_closes_on_the_object(scenes: OwnScenes) -> None:
+    scene = scenes.check().load_scene(0)
+    start, end = scene.hand_dof[0, 6:], scene.hand_dof[-1, 6:]
+    assert np.abs(end - start).max() > 0.1
+    np.testing.assert_array_equal(end, scene.hand_dof[2500, 6:])
+    model = make_hand_geometry(6, "right")
+    tips = model.compute_keypoints(scene.hand_dof[-1])[[4, 8, 12, 16, 20]] - scene.object_dof[-1, 0, :3]
+    # Thumb and fingers are on different sides of the box.
+    outside = np.abs(tips[:, :2]).max(axis=1)
+    assert (outside < 0.06).sum() >= 2
+    assert (outside > 0.02).all()
+
+
+def test_left_hands_are_mirrored_right_hands() -> None:
+    position, rotation = np.array(WRIST_IN_OBJECT), np.array(WRIST_ROTATION)
+    right = find_hand_grasp(make_box(), np.array([*position, *rotation]), 6, "right", "")
+    mirrored = np.array([-position[0], *position[1:], rotation[0], -rotation[1], -rotation[2], rotation[3]])
+    left = find_hand_grasp(make_box(), mirrored, 6, "left", "")
+    np.testing.assert_allclose(left.closed, right.closed * np.tile([1.0, -1.0, -1.0], 15), atol=0.12)
+    np.testing.assert_allclose(left.shift, right.shift * [-1.0, 1.0, 1.0], atol=1e-9)
+
+
+def test_scenes_without_a_hand(scenes: OwnScenes) -> None:
+    scene = scenes.check().load_scene(2)
+    assert scene.hand_first is scene.hand_last is None
+    assert not scene.hand_dof.any()
+
+
+@pytest.mark.parametrize("physics", PHYSICS)
+@pytest.mark.parametrize("scene_id", range(3))
+def test_every_kind_of_physics(scenes: OwnScenes, physics: str, scene_id: int) -> None:
+    env = handover_marl.parallel_env(dataset=scenes.dataset, physics=physics, control_period=0.05)
+    observations, _ = env.reset(options={"scene_id": scene_id})
+    assert observations["receiver"]["hand_present"][0] == (scene_id < 2)
+    action = {"receiver": observations["receiver"]["robot_joint_position"], "giver": np.zeros(8, dtype=np.float32)}
+    for _ in range(3):
+        observations, *_ = env.step(action)
+    assert env.observation_space("receiver").contains(observations["receiver"])
+    height = TABLE_HEIGHT + 0.081
+    np.testing.assert_allclose(observations["receiver"]["object_poses"][0, 2], height, atol=0.003)
+    env.close()
+
+
+def test_results_of_own_scenes(scenes: OwnScenes, tmp_path: Path) -> None:
+    report = handover_marl.evaluate_pair(
+        receiver="yang2021", dataset=scenes.dataset, physics="fast", workers=1, out=tmp_path / "out", progress=False
+    )
+    assert "data: own data: boxes" in report.heading
+    assert "all test, all 3 scenes" in report.heading
+    assert "Own data: not comparable" in report.format_notes()
+    assert {episode.object_name for episode in report.episodes} == {"box"}
+    # The folder is found by its path, since results have the name alone.
+    assert verify(tmp_path / "out", data_dir=scenes.folder, workers=1, progress=False).is_verified
+    with pytest.raises(HandoverError, match="data_dir"):
+        verify(tmp_path / "out", workers=1, progress=False)
+
+
+def test_demonstrations_of_own_scenes(scenes: OwnScenes, tmp_path: Path) -> None:
+    data = handover_marl.demonstrate(
+        receiver="hold", dataset=scenes.dataset, scenes=[2], physics="fast", workers=1, out=tmp_path, progress=False
+    )
+    assert data.observation_space["object_classes"].high[0] == 22
+    card = (tmp_path / "data" / "README.md").read_text()
+    assert "license: other" in card
+    assert "own:boxes all train" in card
+
+
+def test_names_of_own_data_sets(scenes: OwnScenes, tmp_path: Path) -> None:
+    assert isinstance(open_dataset(scenes.dataset), OwnDataset)
+    assert open_dataset("own:boxes", scenes.folder).name == "own:boxes"
+    with pytest.raises(OptionError, match=r"data_dir must hold the scenes 'cups', got .* with 'boxes'"):
+        open_dataset("own:cups", scenes.folder)
+    with pytest.raises(HandoverError, match="does not exist"):
+        open_dataset(f"own:{tmp_path / 'gone'}")
+    with pytest.raises(HandoverError, match=r"has no scenes\.json"):
+        open_dataset(f"own:{tmp_path}")
+
+
+def table_frame() -> dict[str, Any]:
+    """Poses in the table's frame, which are below the table as poses in the world."""
+    recording = make_recording()
+    for key in ("object", "wrist"):
+        recording[key][:, 2] -= TABLE_HEIGHT
+    return recording
+
+
+def y_up() -> dict[str, Any]:
+    recording = make_recording()
+    for key in ("object", "wrist"):
+        recording[key][:, [1, 2]] = recording[key][:, [2, 1]]
+    return recording
+
+
+def far_away() -> dict[str, Any]:
+    recording = make_recording()
+    for key in ("object", "wrist"):
+        recording[key][:, 1] += 1.5
+    return recording
+
+
+def wrist_moved(offset: tuple[float, float, float]) -> dict[str, Any]:
+    recording = make_recording()
+    recording["wrist"][:, :3] += offset
+    return recording
+
+
+FAULTS: dict[str, tuple[Any, dict[str, Any], str]] = {
+    "table's frame": (table_frame, {}, r"object must start above the table, got its lowest point 92 cm below"),
+    "y points up": (y_up, {}, r"object must (start above the table|end within)"),
+    "out of reach": (far_away, {}, r"must end within 1\.2 m of the robot's base, got 2\.0"),
+    "wrist far away": (lambda: wrist_moved((0.0, 0.4, 0.0)), {}, r"wrist must be where the fingers reach.*mm away"),
+    "wrist inside": (lambda: wrist_moved((0.055, -0.06, 0.0)), {}, r"wrist must be where the fingers reach.*mm inside"),
+    "no wrist": (lambda: {key: make_recording()[key] for key in ("time", "object")}, {}, "no wrist.*pass hand=None"),
+    "others without poses": (make_recording, {"others": ["025_mug"]}, "no poses of '025_mug'"),
+    "poses of others": (lambda: {**make_recording(), "cup": make_recording()["object"]}, {}, "has poses of 'cup'"),
+    "unknown class": (make_recording, {"object_name": "cup"}, "unknown object 'cup'"),
+    "unknown others": (make_recording, {"others": ["cup"]}, "unknown object 'cup'"),
+    "the object twice": (make_recording, {"others": ["box"]}, "different classes"),
+    "side": (make_recording, {"side": "both"}, "unknown side"),
+    "hand": (make_recording, {"hand": 11}, "unknown hand"),
+    "person": (make_recording, {"subject": "a/b"}, "subject must be"),
+    "no person": (make_recording, {"subject": ""}, "subject must be"),
+    "recording": (make_recording, {"recording": "../x"}, "recording must be"),
+    "known recording": (make_recording, {"recording": "first", "hand": None}, "recording must be new"),
+    "motion": (lambda: 3, {}, "motion must be a path"),
+}
+
+
+@pytest.mark.parametrize("kind", FAULTS)
+def test_wrong_motions_change_nothing(kind: str, scenes: OwnScenes) -> None:
+    make, options, message = FAULTS[kind]
+    before = list_files(scenes.folder)
+    arguments = {"object_name": "box", "subject": "anna", **options}
+    with pytest.raises(HandoverError, match=message):
+        scenes.add_motion(make(), **arguments)
+    assert list_files(scenes.folder) == before
+    assert not [path for path in scenes.folder.iterdir() if path.name.startswith(".new")]
+
+
+def test_splits(scenes: OwnScenes) -> None:
+    setup = scenes.add_split("people", "person", val=["ben"], test=0.0)
+    assert setup == {"train": (0, 2), "val": (1,), "test": ()}
+    assert scenes.check().setups == ("all", "people")
+    assert open_dataset(scenes.dataset).list_scenes("people", "val") == (1,)
+    with pytest.raises(UnknownNameError, match="split of setup 'people' is empty"):
+        open_dataset(scenes.dataset).list_scenes("people", "test")
+    drawn = scenes.add_split("drawn", "random", val=0.34, test=0.34, seed=3)
+    assert drawn == scenes.add_split("drawn", "random", val=0.34, test=0.34, seed=3)
+    assert sorted(number for numbers in drawn.values() for number in numbers) == [0, 1, 2]
+    assert [len(drawn[split]) for split in ("train", "val", "test")] == [1, 1, 1]
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "message"),
+    [
+        ("s0", {"by": "random"}, "name must not be s0"),
+        ("all", {"by": "random"}, "name must not be"),
+        ("a b", {"by": "random"}, "name must be"),
+        ("a", {"by": "color"}, "unknown by"),
+        ("a", {"by": "person", "val": ["carl"]}, "unknown person 'carl'; valid: anna, ben"),
+        ("a", {"by": "person", "val": ["ben"], "test": ["ben"]}, "must not share a name"),
+        ("a", {"by": "person", "val": ["ben"], "test": ["anna"]}, "train split must not be empty"),
+        ("a", {"by": "object"}, "train split must not be empty"),
+        ("a", {"by": "random", "val": 1.5}, "share from 0 to 1"),
+        ("a", {"by": "random", "val": -0.1}, "share from 0 to 1"),
+    ],
+)
+def test_wrong_splits(scenes: OwnScenes, name: str, options: dict[str, Any], message: str) -> None:
+    with pytest.raises(HandoverError, match=message):
+        scenes.add_split(name, **options)
+
+
+def test_objects_are_added_once(scenes: OwnScenes) -> None:
+    with pytest.raises(OptionError, match="name must be new, got 'box'"):
+        scenes.add_object("box", make_box(), grasps=0)
+
+
+def test_grasps_do_not_depend_on_the_number_of_workers(tmp_path: Path) -> None:
+    folders = [tmp_path / str(workers) / "boxes" for workers in (1, 2)]
+    for workers, folder in enumerate(folders, start=1):
+        config = MeshConfig(concavity=1.0)
+        OwnScenes(folder).add_object("box", make_box(), config, grasps=3, workers=workers, progress=False)
+    assert list_files(folders[0]) == list_files(folders[1])
+
+
+def test_folders_with_other_files(tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").touch()
+    with pytest.raises(ResultsError, match="is not empty"):
+        OwnScenes(tmp_path)
+    with pytest.raises(OptionError, match="name must be"):
+        OwnScenes(tmp_path / "a b")
+
+
+def test_damaged_files_are_named(scenes: OwnScenes, tmp_path: Path) -> None:
+    import shutil
+
+    folder = tmp_path / "copy"
+    shutil.copytree(scenes.folder, folder)
+    (folder / "motion" / "000001.npz").write_bytes(b"PK")
+    with pytest.raises(DataFormatError, match=r"000001\.npz: not a readable motion"):
+        OwnScenes(folder).check()
+    (folder / "motion" / "000001.npz").unlink()
+    with pytest.raises(HandoverError, match=r"000001\.npz is missing"):
+        OwnScenes(folder).check()
+
+
+def test_fingerprints_change_with_the_files(scenes: OwnScenes, tmp_path: Path) -> None:
+    import shutil
+
+    folder = tmp_path / "copy"
+    shutil.copytree(scenes.folder, folder)
+    before = OwnDataset(scenes.folder).compute_fingerprint(0)
+    assert OwnDataset(folder).compute_fingerprint(0) == before
+    urdf = folder / "objects" / "box" / "model_normalized.urdf"
+    urdf.write_text(urdf.read_text().replace("0.9", "0.8"))
+    assert OwnDataset(folder).compute_fingerprint(0) != before
+
+
+def test_configuration_of_the_frame(scenes: OwnScenes) -> None:
+    """A pose of the recording's frame is applied to all bodies."""
+    builder = OwnScenes(scenes.folder)
+    builder.add_motion(table_frame(), "box", "carl", MotionConfig(frame="table"), recording="table")
+    dataset = OwnDataset(scenes.folder)
+    first, last = dataset.load_scene(0), dataset.load_scene(dataset.n_scenes - 1)
+    np.testing.assert_allclose(last.object_dof[:, 0], first.object_dof[:, 0], atol=1e-5)
+    np.testing.assert_allclose(last.hand_dof, first.hand_dof, atol=1e-4)

@@ -1,0 +1,84 @@
+"""Commands `handover-marl scenes ...`."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from handover_marl.cli import main
+from handover_marl.datasets.own.scene_file import read_scene_file
+from tests.own_scenes import make_box, make_recording, write_csv
+
+MUG = ("add-motion", "mine", "motion.csv", "--object", "025_mug", "--subject", "a")
+OBJECT = ("--grasps", "0", "--concavity", "1", "--no-progress")
+
+
+@pytest.fixture
+def work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.chdir(tmp_path)
+    box = make_box()
+    box.apply_scale(1000.0)
+    box.export("box.stl")
+    recording = make_recording()
+    recording["object"][:, 2] -= 0.92
+    write_csv(tmp_path / "motion.csv", {key: recording[key] for key in ("time", "object")})
+    return tmp_path
+
+
+def test_commands_build_a_folder(work: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["scenes", "add-object", "mine", "box", "box.stl", "--unit", "mm", "--mass", "0.2", *OBJECT]) == 0
+    assert "object box: class 22, 0.2 kg, friction 0.9; 0 grasps held" in capsys.readouterr().out
+    for person in ("anna", "ben"):
+        motion = ["scenes", "add-motion", "mine", "motion.csv", "--object", "box", "--subject", person]
+        assert main([*motion, "--frame", "table", "--hand", "none"]) == 0
+    assert "scene ben/000001: box; no hand" in capsys.readouterr().out
+    assert main(["scenes", "add-split", "mine", "people", "--by", "person", "--val", "ben", "--test", "0"]) == 0
+    assert main(["scenes", "check", "mine"]) == 0
+    output = capsys.readouterr().out
+    assert "own data: mine, 2 scenes" in output
+    assert "setup people: train 1, val 1, test 0" in output
+    content = read_scene_file(work / "mine")
+    assert content.setups["people"] == {"train": (0,), "val": (1,), "test": ()}
+    assert main(["scenes", "preview", "mine", "1", "--out", "scene.png", "--no-progress"]) == 0
+    assert (work / "scene.png").stat().st_size > 1000
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["add-object", "mine", "box", "box.stl", *OBJECT], "unit='mm'"),
+        (["add-object", "mine", "box", "gone.stl", *OBJECT], "does not exist"),
+        (["add-object", "mine", "025_mug", "box.stl", *OBJECT], "must not be the name of a YCB class"),
+        (["add-motion", "mine", "motion.csv", "--object", "box", "--subject", "a"], "unknown object 'box'"),
+        (
+            ["add-motion", "mine", "motion.csv", "--object", "025_mug", "--subject", "a", "--frame", "1,2"],
+            "frame must be",
+        ),
+        (
+            ["add-motion", "mine", "motion.csv", "--object", "025_mug", "--subject", "a", "--frame", "up"],
+            "frame must be",
+        ),
+        (
+            ["add-motion", "mine", "motion.csv", "--object", "025_mug", "--subject", "a", "--hand", "big"],
+            "hand must be",
+        ),
+        (["add-split", "mine", "people"], "does not exist"),
+        (["check", "mine"], "is no folder of own scenes"),
+        (["preview", "mine", "0", "--out", "x.png"], "does not exist"),
+    ],
+)
+def test_errors_are_one_message(
+    work: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], message: str
+) -> None:
+    assert main(["scenes", *arguments]) == 2
+    assert message in capsys.readouterr().err
+    assert not (work / "mine").exists()
+
+
+def test_poses_of_a_frame(work: Path) -> None:
+    assert main(["scenes", "add-object", "mine", "box", "box.stl", "--unit", "mm", *OBJECT]) == 0
+    motion = ["scenes", "add-motion", "mine", "motion.csv", "--object", "box", "--subject", "anna", "--hand", "none"]
+    assert main([*motion, "--frame", "0,0,0.92,0,0,0,1"]) == 0
+    with np.load(work / "mine" / "motion" / "000000.npz") as arrays:
+        np.testing.assert_allclose(arrays["object_dof"][0, 0, 2], 0.92 + 0.081, atol=1e-5)
