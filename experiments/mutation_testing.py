@@ -53,7 +53,7 @@ TESTS = {
     "handover_marl/episode/spaces.py": ("tests/episode/test_spaces.py", "tests/episode/test_camera_observations.py"),
     "handover_marl/episode/callbacks.py": ("tests/episode/test_fluency.py", "tests/episode/test_play.py"),
     "handover_marl/episode/metrics.py": ("tests/episode/test_fluency.py",),
-    "handover_marl/evaluation/comparison.py": ("tests/evaluation/test_comparison.py",),
+    "handover_marl/evaluation/comparison.py": ("tests/evaluation/test_comparison.py", *REPORTS),
     "handover_marl/evaluation/reports/statistics.py": ("tests/evaluation/reports/test_statistics.py",),
     "handover_marl/evaluation/reports/columns.py": REPORTS,
     "handover_marl/evaluation/reports/fluency_tables.py": (*REPORTS, "tests/episode/test_fluency.py"),

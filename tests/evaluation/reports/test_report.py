@@ -4,6 +4,7 @@ from dataclasses import replace
 import pytest
 
 from handover_marl.episode.referee import EpisodeStatus
+from handover_marl.evaluation.reports.pair_tables import build_difference_table
 from handover_marl.evaluation.reports.published import PUBLISHED, SOURCES
 from handover_marl.evaluation.reports.report import Report
 from handover_marl.evaluation.reports.scene_tables import build_object_table, build_scene_table
@@ -80,6 +81,21 @@ def test_the_heading_names_the_shard_and_the_robot() -> None:
     assert "mine (robot panda_camera), giver replay" in text
     assert "robot" not in report(1, 2, robot="".join(["pan", "da"])).heading
     assert "wait" not in report(1, 2).heading
+
+
+def test_whole_and_partial_splits() -> None:
+    whole, part = report(*[1] * 144), report(1)
+    assert (whole.is_partial, part.is_partial) == (False, True)
+    assert whole.extent == "all 144 scenes"
+    assert part.extent == "1 of 144 scenes (partial)"
+    assert (report(1, wait_s="1.5").wait_label, part.wait_label) == ("1.5", "-")
+
+
+def test_scenes_with_different_outcomes_are_listed_whichever_is_better() -> None:
+    better, worse = report(1, 2, 1).episodes, report(4, 2, 8).episodes
+    for first, second in ((better, worse), (worse, better)):
+        table = build_difference_table(list(zip(first, second, strict=True)), ("A", "B"))
+        assert [row[0] for row in table.rows] == ["204", "214"]
 
 
 def test_text_describes_the_evaluation() -> None:

@@ -14,7 +14,7 @@ from handover_marl.errors import UnknownNameError
 from handover_marl.evaluation.agreement import Agreement
 from handover_marl.evaluation.comparison import Comparison
 from handover_marl.evaluation.crossplay import CrossPlay
-from handover_marl.evaluation.reports.columns import FLUENCY
+from handover_marl.evaluation.reports.columns import AVERAGE_SUCCESS, FLUENCY, RATES
 from handover_marl.evaluation.reports.fluency_tables import (
     build_fluency_table,
     format_fluency_header,
@@ -172,7 +172,8 @@ def test_tables_print_shares_in_percent_and_distances_in_centimetres() -> None:
         "functional_delay",
     }
     assert {key for key, (unit, _) in units.items() if unit == "cm"} == {"min_distance"}
-    for unit, scale in units.values():
+    assert [column.unit for column in (*RATES, AVERAGE_SUCCESS)] == ["%"] * 5
+    for unit, scale in (*units.values(), *((column.unit, column.scale) for column in (*RATES, AVERAGE_SUCCESS))):
         assert scale == (100.0 if unit in ("%", "cm") else 1.0)
 
 
