@@ -178,8 +178,10 @@ def _close_best(
     closed = close_fingers(target.field, spheres, palms, openings)
     clearances = compute_clearances(target.field, spheres, palms, closed.compute_joint_angles())
     touching = clearances.reshape(len(palms), 5, -1).min(axis=2) < 2 * SKIN_YIELD
-    # The thumb counts twice: without it nothing is opposite the fingers.
-    best = int(np.argmax(touching.sum(axis=1) + touching[:, 4]))
+    # The thumb counts twice: without it nothing is opposite the fingers. Of equal postures the tightest is taken, whose
+    # links are nearest to the object on average (m).
+    looseness = np.maximum(clearances, 0.0).mean(axis=(1, 2))
+    best = int(np.argmax(touching.sum(axis=1) + touching[:, 4] - np.minimum(looseness, 0.9)))
     if touching[best].sum() < _MIN_TOUCHING:
         return None
     return openings.compute_joint_angles()[best], closed.compute_joint_angles()[best]
