@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 import trimesh
+from rich.console import Console
 
 from handover_marl.assets.building.object_files import merge_meshes, read_parts
 from handover_marl.assets.building.own_scenes.finger_closing import close_hand
@@ -122,7 +123,9 @@ class OwnScenes:
             raise OptionError(f"name must be new, got {text!r}, which {self.folder} has already; choose another one")
         config = config or MeshConfig()
         source = mesh if isinstance(mesh, trimesh.Trimesh) else check_path("mesh", mesh)
-        item = make_object_mesh(source, config)
+        # CoACD gives no account of its progress.
+        with Console(stderr=True).status("convex parts") if progress else contextlib.nullcontext():
+            item = make_object_mesh(source, config)
         with self._prepare(OBJECT_FOLDER) as scratch:
             new = scratch / text
             new.mkdir()
