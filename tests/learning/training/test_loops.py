@@ -75,7 +75,7 @@ def test_torchrl_policies_equal_the_policy_files(monkeypatch: pytest.MonkeyPatch
     args = train.Args(dataset="synthetic", smoke_test=True).shrink_for_smoke_test()
     env = train.make_env(args)
     actors = {group: train.make_actor(env, group, args) for group in train.AGENTS}
-    networks = train.policy_networks(actors)
+    networks = train.extract_policy_networks(actors)
     start = env.reset()
     for group, actor in actors.items():
         seen = start[group, "observation"]
@@ -108,7 +108,7 @@ def test_tianshou_policies_are_extracted_from_the_shared_network(monkeypatch: py
     algorithm = train.make_algorithm(world, args)
     with torch.no_grad():
         algorithm.policy.actor.mu.model[-1].weight.mul_(100.0)
-    networks = train.policy_networks(algorithm, world)
+    networks = train.extract_policy_networks(algorithm, world)
     seen, _ = world.reset(seed=0)
     for agent in train.AGENTS:
         with torch.no_grad():
