@@ -235,15 +235,7 @@ class PandaIkSolver:
     def solve(
         self, start: npt.ArrayLike, position: npt.ArrayLike, orientation: npt.ArrayLike | None = None
     ) -> Array | None:
-        """Return arm joints (7,) in rad that bring the hand link to a world pose.
-
-        None is returned if the search does not converge.
-
-        Args:
-            start: (9,) joints at which the search starts (rad, m); the fingers are ignored.
-            position: (3,) world position of the hand link (m).
-            orientation: World quaternion xyzw of the hand link; None leaves the rotation free.
-        """
+        """Return arm joints (7,) in rad that bring the hand link to a world pose, see `IkSolver.solve`."""
         if self._reach.is_unreachable(position, orientation, _REACH_DISTANCE, _REACH_ANGLE):
             return None
         joints, solved = self._search(start, position, orientation, _TOLERANCE, _MAX_ITERATIONS, _MIN_STEP)

@@ -1,6 +1,12 @@
-"""Recorder of demonstrations: observations and actions at every decision of an episode."""
+"""Recorder of demonstrations, and base class of writers that keep one file per recorded episode."""
 
+import contextlib
+import re
+from abc import abstractmethod
+from collections.abc import Iterable
 from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar, Generic, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -14,7 +20,12 @@ from handover_marl.evaluation.config import EvaluationConfig
 from handover_marl.evaluation.demonstrations.demonstration import Demonstration, EpisodeMetadata
 from handover_marl.evaluation.demonstrations.episode_groups import encode_episode
 from handover_marl.evaluation.results.episode_result import EpisodeResult
-from handover_marl.evaluation.writers import EpisodeRecorder
+from handover_marl.evaluation.writers import EpisodeRecorder, EpisodeWriter
+from handover_marl.execution.files import write_atomically
+
+EPISODES_FOLDER = "episodes"
+
+_Location = TypeVar("_Location")
 
 
 @dataclass(frozen=True)
@@ -109,3 +120,81 @@ class DemonstrationRecorder(EpisodeRecorder):
             giver_actions=np.array(self._giver_actions, dtype=np.float32).reshape(-1, GIVER_ACTION_SIZE),
             metadata=EpisodeMetadata.from_result(result, self._config),
         )
+
+
+class EpisodeFilesWriter(EpisodeWriter, Generic[_Location]):
+    """Writer of one file per recorded episode in the folder `episodes` of a result folder.
+
+    Args:
+        folder: Result folder of the evaluation, with its subfolder for episodes.
+        config: Resolved configuration of the evaluation.
+        recording: Observation mode, and choice of the episodes to record.
+
+    Attributes:
+        folder: Result folder of the evaluation.
+        config: Resolved configuration of the evaluation.
+        recording: Observation mode, and choice of the episodes to record.
+    """
+
+    #: Suffix of the files of single episodes, e.g. ".zip".
+    suffix: ClassVar[str]
+
+    def __init__(self, folder: Path, config: EvaluationConfig, recording: RecordingConfig) -> None:
+        self.folder, self.config, self.recording = folder, config, recording
+
+    @abstractmethod
+    def find_episode(self, metadata: EpisodeMetadata, path: Path) -> _Location | None:
+        """Return the location of an episode's recording; None if it does not exist.
+
+        Args:
+            metadata: Metadata that the recording must have.
+            path: File of the single episode.
+        """
+
+    def contains(self, result: EpisodeResult) -> bool:
+        """Return whether the episode is recorded already, or is not to be recorded."""
+        return not self.recording.includes(result.status) or self._find(result) is not None
+
+    def write(self, result: EpisodeResult, content: bytes) -> None:
+        """Write the file of a recorded episode.
+
+        Raises:
+            ResultsError: The file cannot be written.
+        """
+        if content:
+            write_atomically(self._get_path(result), content)
+
+    def find_recorded(self, results: Iterable[EpisodeResult]) -> dict[EpisodeResult, _Location]:
+        """Return the locations of the recordings of those results that are to be recorded."""
+        return {
+            result: location
+            for result in results
+            if self.recording.includes(result.status) and (location := self._find(result)) is not None
+        }
+
+    def delete_episode_files(self) -> None:
+        """Delete the files of single episodes and their folder.
+
+        Files that cannot be deleted do no harm: their episodes are in the data set.
+        """
+        with contextlib.suppress(OSError):
+            delete_episode_files(self.folder / EPISODES_FOLDER, self.suffix)
+            (self.folder / EPISODES_FOLDER).rmdir()
+
+    def _find(self, result: EpisodeResult) -> _Location | None:
+        return self.find_episode(EpisodeMetadata.from_result(result, self.config), self._get_path(result))
+
+    def _get_path(self, result: EpisodeResult) -> Path:
+        return self.folder / EPISODES_FOLDER / f"{result.index:03d}{self.suffix}"
+
+
+def delete_episode_files(folder: Path, suffix: str) -> None:
+    """Delete the files of single episodes in a folder; other files are kept.
+
+    Raises:
+        OSError: A file cannot be deleted.
+    """
+    name = re.compile(r"[0-9]{3,7}" + re.escape(suffix))
+    for path in folder.iterdir():
+        if name.fullmatch(path.name):
+            path.unlink()

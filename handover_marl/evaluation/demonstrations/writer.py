@@ -10,7 +10,6 @@ data/main_data.hdf5, metadata.json, README.md       data set in Minari's layout,
 """
 
 import contextlib
-import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -29,20 +28,23 @@ from handover_marl.evaluation.demonstrations.minari_layout import (
     METADATA_FILE,
     format_group_name,
 )
-from handover_marl.evaluation.demonstrations.recorder import DemonstrationRecorder, RecordingConfig
-from handover_marl.evaluation.results.episode_result import EpisodeResult
+from handover_marl.evaluation.demonstrations.recorder import (
+    EPISODES_FOLDER,
+    DemonstrationRecorder,
+    EpisodeFilesWriter,
+    RecordingConfig,
+    delete_episode_files,
+)
 from handover_marl.evaluation.results.result_folder import read_results
-from handover_marl.evaluation.writers import EpisodeRecorder, EpisodeWriter
+from handover_marl.evaluation.writers import EpisodeRecorder
 from handover_marl.execution.files import (
     exclusive_lock,
     remove_stale_temporaries,
     shorten_text,
-    write_atomically,
 )
 from handover_marl.policies.policy import Policy
 
-_EPISODES_FOLDER = "episodes"
-_EPISODE_FILE = re.compile(r"[0-9]{3,7}\.hdf5")
+_SUFFIX = ".hdf5"
 
 
 @contextlib.contextmanager
@@ -61,7 +63,7 @@ def open_demonstration_writer(
         ResultsError: The data set in the folder is damaged, another process records in this folder, or
             it cannot be written.
     """
-    data, episodes = folder / DATA_FOLDER, folder / _EPISODES_FOLDER
+    data, episodes = folder / DATA_FOLDER, folder / EPISODES_FOLDER
     with contextlib.ExitStack() as stack:
         try:
             for subfolder in (data, episodes):
@@ -73,13 +75,13 @@ def open_demonstration_writer(
             if fresh:
                 for name in (METADATA_FILE, MAIN_FILE, CARD_FILE):
                     (data / name).unlink(missing_ok=True)
-                _delete_episode_files(episodes)
+                delete_episode_files(episodes, _SUFFIX)
         except OSError as error:
             raise ResultsError(f"cannot use {folder} for demonstrations: {error.strerror or error}") from error
         yield DemonstrationWriter(folder, config, recording)
 
 
-class DemonstrationWriter(EpisodeWriter):
+class DemonstrationWriter(EpisodeFilesWriter[EpisodeLocation]):
     """Writer of one HDF5 file per recorded episode, and of the data set made of these files.
 
     Opened by `open_demonstration_writer`.
@@ -93,27 +95,25 @@ class DemonstrationWriter(EpisodeWriter):
         ResultsError: The data set in the folder is damaged.
     """
 
+    suffix = _SUFFIX
+
     def __init__(self, folder: Path, config: EvaluationConfig, recording: RecordingConfig) -> None:
-        self._folder, self._config, self._recording = folder, config, recording
+        super().__init__(folder, config, recording)
         self._data_set = folder / DATA_FOLDER / MAIN_FILE
         self._assembled_groups = _read_groups(self._data_set)
 
     def create_recorder(self, config: EvaluationConfig, receiver: Policy) -> EpisodeRecorder:
         """Create the recorder of demonstrations in one worker process."""
-        return DemonstrationRecorder(self._recording, config)
+        return DemonstrationRecorder(self.recording, config)
 
-    def contains(self, result: EpisodeResult) -> bool:
-        """Return whether the episode is recorded already, or is not to be recorded."""
-        return not self._recording.includes(result.status) or self._find_episode(result) is not None
-
-    def write(self, result: EpisodeResult, content: bytes) -> None:
-        """Write the HDF5 file of a recorded episode.
-
-        Raises:
-            ResultsError: The file cannot be written.
-        """
-        if content:
-            write_atomically(self._get_episode_path(result), content)
+    def find_episode(self, metadata: EpisodeMetadata, path: Path) -> EpisodeLocation | None:
+        """Return the location of an episode's recording; None if it does not exist."""
+        # h5py raises exceptions of many types on damaged files; such episodes are simulated again.
+        with contextlib.suppress(Exception), open_hdf5(path, "r") as file:
+            if read_episode_metadata(get_episode_group(file, SINGLE_EPISODE_GROUP)) == metadata:
+                return EpisodeLocation(path, SINGLE_EPISODE_GROUP)
+        group = self._assembled_groups.get(metadata)
+        return None if group is None else EpisodeLocation(self._data_set, group)
 
     def assemble(self) -> None:
         """Write the data set of all episodes in the split's order; delete the files of single episodes.
@@ -121,37 +121,17 @@ class DemonstrationWriter(EpisodeWriter):
         Raises:
             ResultsError: A file in the folder is damaged, or the folder cannot be written.
         """
-        results = read_results(self._folder)
-        locations = {
-            result: location
-            for result in results
-            if self._recording.includes(result.status) and (location := self._find_episode(result))
-        }
+        results = read_results(self.folder)
+        locations = self.find_recorded(results)
         present = None
         if self._data_set.exists():
             names = map(format_group_name, range(len(self._assembled_groups)))
             present = [EpisodeLocation(self._data_set, name) for name in names]
-        largest_class = max(self._config.open_dataset().object_names)
-        observation_space = receiver_observation_space(self._recording.obs_mode, largest_class)
-        assemble_data_set(self._folder, observation_space, receiver_action_space(), results, locations, present)
+        largest_class = max(self.config.open_dataset().object_names)
+        observation_space = receiver_observation_space(self.recording.obs_mode, largest_class)
+        assemble_data_set(self.folder, observation_space, receiver_action_space(), results, locations, present)
         self._assembled_groups = _read_groups(self._data_set)
-        # Single files that cannot be deleted do no harm: their episodes are in the data set.
-        with contextlib.suppress(OSError):
-            _delete_episode_files(self._folder / _EPISODES_FOLDER)
-            (self._folder / _EPISODES_FOLDER).rmdir()
-
-    def _get_episode_path(self, result: EpisodeResult) -> Path:
-        return self._folder / _EPISODES_FOLDER / f"{result.index:03d}.hdf5"
-
-    def _find_episode(self, result: EpisodeResult) -> EpisodeLocation | None:
-        """Return the location of an episode's recording; None if it does not exist."""
-        metadata, path = EpisodeMetadata.from_result(result, self._config), self._get_episode_path(result)
-        # h5py raises exceptions of many types on damaged files; such episodes are simulated again.
-        with contextlib.suppress(Exception), open_hdf5(path, "r") as file:
-            if read_episode_metadata(get_episode_group(file, SINGLE_EPISODE_GROUP)) == metadata:
-                return EpisodeLocation(path, SINGLE_EPISODE_GROUP)
-        group = self._assembled_groups.get(metadata)
-        return None if group is None else EpisodeLocation(self._data_set, group)
+        self.delete_episode_files()
 
 
 def _read_groups(path: Path) -> dict[EpisodeMetadata, str]:
@@ -167,9 +147,3 @@ def _read_groups(path: Path) -> dict[EpisodeMetadata, str]:
             f"{path} is damaged or no data set of this library ({shorten_text(error)}); remove it and run again to "
             "record its episodes again, or choose another folder"
         ) from error
-
-
-def _delete_episode_files(folder: Path) -> None:
-    for path in folder.iterdir():
-        if _EPISODE_FILE.fullmatch(path.name):
-            path.unlink()

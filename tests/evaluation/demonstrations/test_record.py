@@ -16,7 +16,6 @@ from handover_marl import Demonstrations
 from handover_marl.cli import main
 from handover_marl.config import OFFICIAL_CONFIG
 from handover_marl.errors import DataNotFoundError, OptionError, ResultsError, UnknownNameError
-from handover_marl.evaluation import episode_runner
 from handover_marl.evaluation.demonstrations import files as hdf5
 from handover_marl.evaluation.demonstrations import join, writer
 from tests.evaluation.demonstrations.recording import (
@@ -37,20 +36,6 @@ def whole(fake_data: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str
     """What an undisturbed recording makes."""
     record(fake_data, out := tmp_path_factory.mktemp("whole") / "out")
     return contents(out)
-
-
-@pytest.fixture
-def played(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """The scenes that this process plays from now on."""
-    scenes: list[int] = []
-    play = episode_runner.EpisodeRunner.run
-
-    def noted(player: Any, task: Any) -> Any:
-        scenes.append(task.scene_id)
-        return play(player, task)
-
-    monkeypatch.setattr(episode_runner.EpisodeRunner, "run", noted)
-    return scenes
 
 
 def test_data_do_not_depend_on_workers(tmp_path: Path) -> None:

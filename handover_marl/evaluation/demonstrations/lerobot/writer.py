@@ -10,7 +10,6 @@ lerobot/meta, lerobot/data, lerobot/videos          data set, replaced as a whol
 """
 
 import contextlib
-import re
 import shutil
 import tempfile
 from collections.abc import Iterator
@@ -31,17 +30,20 @@ from handover_marl.evaluation.demonstrations.lerobot.data_set import (
 from handover_marl.evaluation.demonstrations.lerobot.encoded_episode import read_metadata
 from handover_marl.evaluation.demonstrations.lerobot.recorder import LeRobotRecorder
 from handover_marl.evaluation.demonstrations.lerobot.summary import LeRobotSummary
-from handover_marl.evaluation.demonstrations.recorder import RecordingConfig
-from handover_marl.evaluation.results.episode_result import EpisodeResult
+from handover_marl.evaluation.demonstrations.recorder import (
+    EPISODES_FOLDER,
+    EpisodeFilesWriter,
+    RecordingConfig,
+    delete_episode_files,
+)
 from handover_marl.evaluation.results.metadata import read_result_metadata
 from handover_marl.evaluation.results.result_folder import read_results
-from handover_marl.evaluation.writers import EpisodeRecorder, EpisodeWriter
-from handover_marl.execution.files import exclusive_lock, remove_stale_temporaries, shorten_text, write_atomically
+from handover_marl.evaluation.writers import EpisodeRecorder
+from handover_marl.execution.files import exclusive_lock, remove_stale_temporaries, shorten_text
 from handover_marl.policies.policy import Policy
 
 LEROBOT_FOLDER = "lerobot"
-_EPISODES_FOLDER = "episodes"
-_EPISODE_FILE = re.compile(r"[0-9]{3,7}\.zip")
+_SUFFIX = ".zip"
 _PREVIOUS, _TEMPORARY_PREFIX = ".lerobot.previous", ".lerobot.part."
 
 
@@ -61,7 +63,7 @@ def open_lerobot_writer(
         ResultsError: The data set in the folder is damaged or has other files, another process records
             in this folder, or it cannot be written.
     """
-    data, episodes = folder / LEROBOT_FOLDER, folder / _EPISODES_FOLDER
+    data, episodes = folder / LEROBOT_FOLDER, folder / EPISODES_FOLDER
     with contextlib.ExitStack() as stack:
         try:
             stack.enter_context(exclusive_lock(folder))
@@ -72,14 +74,14 @@ def open_lerobot_writer(
             episodes.mkdir(exist_ok=True)
             remove_stale_temporaries(episodes)
             if fresh:
-                _delete_episode_files(episodes)
+                delete_episode_files(episodes, _SUFFIX)
                 shutil.rmtree(data, ignore_errors=True)
         except OSError as error:
             raise ResultsError(f"cannot use {folder} for demonstrations: {error.strerror or error}") from error
         yield LeRobotWriter(folder, config, recording)
 
 
-class LeRobotWriter(EpisodeWriter):
+class LeRobotWriter(EpisodeFilesWriter[EpisodeFiles]):
     """Writer of one archive per recorded episode, and of the data set made of these archives.
 
     Opened by `open_lerobot_writer`.
@@ -93,26 +95,24 @@ class LeRobotWriter(EpisodeWriter):
         ResultsError: The data set in the folder is damaged.
     """
 
+    suffix = _SUFFIX
+
     def __init__(self, folder: Path, config: EvaluationConfig, recording: RecordingConfig) -> None:
-        self._folder, self._config, self._recording = folder, config, recording
+        super().__init__(folder, config, recording)
         self._assembled = _read_assembled(folder / LEROBOT_FOLDER)
 
     def create_recorder(self, config: EvaluationConfig, receiver: Policy) -> EpisodeRecorder:
         """Create the recorder of demonstrations in one worker process."""
-        return LeRobotRecorder(self._recording, config)
+        return LeRobotRecorder(self.recording, config)
 
-    def contains(self, result: EpisodeResult) -> bool:
-        """Return whether the episode is recorded already, or is not to be recorded."""
-        return not self._recording.includes(result.status) or self._find_episode(result) is not None
-
-    def write(self, result: EpisodeResult, content: bytes) -> None:
-        """Write the archive of a recorded episode.
-
-        Raises:
-            ResultsError: The file cannot be written.
-        """
-        if content:
-            write_atomically(self._get_episode_path(result), content)
+    def find_episode(self, metadata: EpisodeMetadata, path: Path) -> EpisodeFiles | None:
+        """Return the location of an episode's recording; None if it does not exist."""
+        # Damaged archives raise errors of many types; their episodes are simulated again.
+        with contextlib.suppress(Exception):
+            episode = EpisodeFiles.from_archive(path)
+            if read_metadata(episode.row) == metadata:
+                return episode
+        return self._assembled.get(metadata)
 
     def assemble(self) -> LeRobotSummary:
         """Write the data set of all episodes in the split's order; delete the archives of single episodes.
@@ -120,14 +120,10 @@ class LeRobotWriter(EpisodeWriter):
         Raises:
             ResultsError: A file in the folder is damaged, or the folder cannot be written.
         """
-        target, results = self._folder / LEROBOT_FOLDER, read_results(self._folder)
-        recorded = {
-            result: episode
-            for result in results
-            if self._recording.includes(result.status) and (episode := self._find_episode(result))
-        }
-        metadata = read_result_metadata(self._folder)
-        content = DataSetContent(metadata, self._recording.obs_mode, self._recording.fps, results, list(recorded))
+        target, results = self.folder / LEROBOT_FOLDER, read_results(self.folder)
+        recorded = self.find_recorded(results)
+        metadata = read_result_metadata(self.folder)
+        content = DataSetContent(metadata, self.recording.obs_mode, self.recording.fps, results, list(recorded))
         episodes = list(recorded.values())
         frames = sum(episode.row["length"] for episode in episodes)
         try:
@@ -140,37 +136,21 @@ class LeRobotWriter(EpisodeWriter):
                 "folder, then run the same command again to resume"
             ) from error
         self._assembled = _read_assembled(target)
-        # Archives that cannot be deleted do no harm: their episodes are in the data set.
-        with contextlib.suppress(OSError):
-            _delete_episode_files(self._folder / _EPISODES_FOLDER)
-            (self._folder / _EPISODES_FOLDER).rmdir()
+        self.delete_episode_files()
         counts = count_outcomes(results), count_outcomes(recorded)
-        return LeRobotSummary(target, self._recording.fps, frames, metadata, *counts)
+        return LeRobotSummary(target, self.recording.fps, frames, metadata, *counts)
 
     def _replace(self, target: Path, content: DataSetContent, episodes: list[EpisodeFiles]) -> None:
         """Write the data set under a temporary name, then rename it."""
-        temporary = Path(tempfile.mkdtemp(prefix=_TEMPORARY_PREFIX, dir=self._folder))
+        temporary = Path(tempfile.mkdtemp(prefix=_TEMPORARY_PREFIX, dir=self.folder))
         try:
             write_data_set(temporary, content, episodes)
             temporary.chmod(0o755)
             if target.exists():
-                target.rename(self._folder / _PREVIOUS)
+                target.rename(self.folder / _PREVIOUS)
             temporary.rename(target)
         finally:
-            _restore_interrupted(self._folder)
-
-    def _get_episode_path(self, result: EpisodeResult) -> Path:
-        return self._folder / _EPISODES_FOLDER / f"{result.index:03d}.zip"
-
-    def _find_episode(self, result: EpisodeResult) -> EpisodeFiles | None:
-        """Return the location of an episode's recording; None if it does not exist."""
-        metadata = EpisodeMetadata.from_result(result, self._config)
-        # Damaged archives raise errors of many types; their episodes are simulated again.
-        with contextlib.suppress(Exception):
-            episode = EpisodeFiles.from_archive(self._get_episode_path(result))
-            if read_metadata(episode.row) == metadata:
-                return episode
-        return self._assembled.get(metadata)
+            _restore_interrupted(self.folder)
 
 
 def _read_assembled(folder: Path) -> dict[EpisodeMetadata, EpisodeFiles]:
@@ -194,9 +174,3 @@ def _restore_interrupted(folder: Path) -> None:
             previous.rename(target)
     for path in folder.glob(f"{_TEMPORARY_PREFIX}*"):
         shutil.rmtree(path)
-
-
-def _delete_episode_files(folder: Path) -> None:
-    for path in folder.iterdir():
-        if _EPISODE_FILE.fullmatch(path.name):
-            path.unlink()

@@ -11,7 +11,6 @@ import pytest
 import handover_marl
 from handover_marl.cli import main
 from handover_marl.errors import OptionError, ResultsError, UnknownNameError
-from handover_marl.evaluation import episode_runner
 from handover_marl.evaluation.demonstrations.lerobot import writer
 from tests.evaluation.demonstrations.lerobot.reading import data_set_contents, read_rows
 from tests.evaluation.demonstrations.recording import SCENES, SHORT, MovingReceiver, record
@@ -32,20 +31,6 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def out(recorded: Path, tmp_path: Path) -> Path:
     """A copy of it."""
     return Path(shutil.copytree(recorded, tmp_path / "copy"))
-
-
-@pytest.fixture
-def played(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """The scenes that this process plays from now on."""
-    scenes: list[int] = []
-    play = episode_runner.EpisodeRunner.run
-
-    def noted(player: Any, task: Any) -> Any:
-        scenes.append(task.scene_id)
-        return play(player, task)
-
-    monkeypatch.setattr(episode_runner.EpisodeRunner, "run", noted)
-    return scenes
 
 
 def test_data_do_not_depend_on_workers(recorded: Path, tmp_path: Path) -> None:
