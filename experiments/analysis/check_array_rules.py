@@ -24,7 +24,7 @@ from handover_marl.episode.lockstep import RefereeStateBatch, judge_steps
 from handover_marl.episode.loop import play
 from handover_marl.episode.referee import EpisodeStatus, Referee, RefereeState
 from handover_marl.evaluation.reports.tables import format_table
-from handover_marl.execution.pool import PoolConfig
+from handover_marl.execution.options import PoolConfig
 from handover_marl.execution.tasks import map_with_progress
 from handover_marl.learning.training.scene_arguments import EvaluationArgs
 from handover_marl.simulation.contacts import ContactBatch, Contacts

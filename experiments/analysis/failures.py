@@ -32,7 +32,7 @@ from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import play
 from handover_marl.episode.referee import EpisodeStatus, ReleaseReason
 from handover_marl.evaluation.reports.tables import format_table
-from handover_marl.execution.pool import PoolConfig
+from handover_marl.execution.options import PoolConfig
 from handover_marl.execution.tasks import map_with_progress
 from handover_marl.geometry.arm import ArmKinematics, transform_body_points
 from handover_marl.geometry.kinematic_tree import read_tree

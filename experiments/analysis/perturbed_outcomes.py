@@ -24,7 +24,7 @@ from handover_marl.episode.loop import play
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.evaluation.reports.tables import format_percent_rate, format_table
-from handover_marl.execution.pool import PoolConfig
+from handover_marl.execution.options import PoolConfig
 from handover_marl.execution.tasks import map_with_progress
 from handover_marl.learning.training.scene_arguments import EvaluationArgs
 from handover_marl.policies.policy import Action

@@ -35,7 +35,7 @@ from handover_marl.episode.loop import play
 from handover_marl.evaluation.config import EvaluationConfig, resolve_config
 from handover_marl.evaluation.episode_runner import SceneTask, run_episodes
 from handover_marl.evaluation.reports.tables import format_table
-from handover_marl.execution.pool import PoolConfig
+from handover_marl.execution.options import PoolConfig
 from handover_marl.learning.training.scene_arguments import DatasetArgs
 from handover_marl.simulation.bullet.client import BulletClient
 from handover_marl.simulation.engines import MUJOCO, list_available_physics

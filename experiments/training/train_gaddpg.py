@@ -27,7 +27,7 @@ from handover_marl.datasets import open_dataset
 from handover_marl.errors import OptionError
 from handover_marl.evaluation.benchmark import evaluate_pair
 from handover_marl.evaluation.config import EvaluationConfig, ExecutionConfig
-from handover_marl.execution.pool import LOCAL
+from handover_marl.execution.options import LOCAL
 from handover_marl.geometry.panda import PANDA_CAMERA
 from handover_marl.learning.imitation.gaddpg.batches import ImitationBatches, StateAugmentationConfig
 from handover_marl.learning.imitation.gaddpg.data_generation import (

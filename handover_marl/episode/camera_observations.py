@@ -18,15 +18,15 @@ from handover_marl.episode.spaces import (
     check_obs_mode,
     get_camera_data_kind,
 )
-from handover_marl.errors import ResetNeededError
+from handover_marl.errors import ResetNeededError, check_name
 from handover_marl.geometry.arm import ArmKinematics
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.simulation.camera.frames import (
+    CAMERA_MODELS,
     HANDOVERSIM_MODEL,
     IMAGE_SIZE,
     CameraImage,
     SegmentationLabel,
-    check_camera_model,
     deproject,
 )
 from handover_marl.simulation.camera.noise import CameraNoise, apply_camera_noise, resolve_camera_noise
@@ -125,7 +125,7 @@ class WristCameraConfig:
     camera_noise: str | CameraNoise | None = None
 
     def __post_init__(self) -> None:
-        check_camera_model(self.camera_model)
+        check_name("camera_model", self.camera_model, CAMERA_MODELS)
         resolve_camera_noise(self.camera_noise)
 
     @property

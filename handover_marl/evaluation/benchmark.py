@@ -27,7 +27,7 @@ from handover_marl.evaluation.results.metadata import ResultMetadata
 from handover_marl.evaluation.results.result_folder import ResultFolder
 from handover_marl.evaluation.shards import Shard
 from handover_marl.evaluation.writers import EpisodeWriter
-from handover_marl.execution.options import forward_signature
+from handover_marl.execution.options import check_pool, forward_signature
 from handover_marl.policies.reference import PolicyLike
 
 
@@ -117,7 +117,7 @@ class Evaluation:
     def __init__(self, config: EvaluationConfig, execution: ExecutionConfig, recorded: str = "") -> None:
         if execution.replays != REPLAYS_NONE:
             check_replay_options(execution)
-        execution.pool.check()
+        check_pool(execution.pool)
         shard = None if execution.shard is None else Shard.parse(execution.shard)
         self.config, dataset = resolve_config(config, execution.trust)
         split_ids = dataset.list_scenes(self.config.setup, config.split)

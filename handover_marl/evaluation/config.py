@@ -20,8 +20,7 @@ from handover_marl.episode.camera_observations import WristCameraConfig
 from handover_marl.episode.spaces import get_camera_data_kind
 from handover_marl.errors import OptionError, check_name
 from handover_marl.execution.files import shorten_text
-from handover_marl.execution.options import check_boolean, check_path
-from handover_marl.execution.pool import LOCAL, PoolConfig
+from handover_marl.execution.options import LOCAL, PoolConfig, check_boolean, check_path
 from handover_marl.geometry.panda import PANDA
 from handover_marl.policies.reference import PolicyLike, PolicyReference, parse_policy
 from handover_marl.simulation.camera.frames import HANDOVERSIM_MODEL

@@ -22,8 +22,7 @@ from handover_marl.errors import ActionError, DataNotFoundError, HandoverError, 
 from handover_marl.evaluation.config import REPLAY, EvaluationConfig, require_policy_reference
 from handover_marl.evaluation.results.episode_result import EpisodeResult
 from handover_marl.evaluation.writers import EpisodeWriter
-from handover_marl.execution.options import describe_machine
-from handover_marl.execution.pool import PoolConfig
+from handover_marl.execution.options import PoolConfig, describe_machine
 from handover_marl.execution.tasks import open_pool
 from handover_marl.policies.bundle import PolicyBundle
 

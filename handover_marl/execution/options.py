@@ -5,15 +5,19 @@ import inspect
 import os
 import platform
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, TypeVar
 
 import loky
 
-from handover_marl.errors import OptionError
+from handover_marl.errors import OptionError, check_name
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
+
+LOCAL, RAY = "local", "ray"
+BACKENDS = (LOCAL, RAY)
 
 
 def forward_signature(
@@ -74,6 +78,40 @@ def resolve_worker_count(workers: int | None) -> int:
     if isinstance(workers, bool) or not isinstance(workers, int) or workers < 1:
         raise OptionError(f"workers must be an integer of at least 1, got {workers!r}")
     return workers
+
+
+@dataclass(frozen=True)
+class PoolConfig:
+    """Configuration of a worker pool.
+
+    Attributes:
+        workers: Number of worker processes; None for one per core of this machine or of the cluster.
+        backend: "local" for processes of this machine, or "ray".
+        address: Address of the Ray cluster, as `ray.init` takes it; None lets Ray find or start one.
+    """
+
+    workers: int | None = None
+    backend: str = LOCAL
+    address: str | None = None
+
+
+def check_pool(config: PoolConfig) -> None:
+    """Check that a worker pool with a configuration can be started, without starting it.
+
+    Raises:
+        UnknownNameError: The backend is unknown.
+        OptionError: The number of workers is invalid, Ray is not installed, or an address is given
+            without Ray.
+    """
+    check_name("backend", config.backend, BACKENDS)
+    resolve_worker_count(config.workers)
+    if config.backend == RAY:
+        require_modules("backend 'ray'", "ray", "ray", advice="; or leave out `backend`")
+    elif config.address is not None:
+        raise OptionError(
+            "ray_address must be used with backend='ray', got "
+            f"{config.address!r} with backend {config.backend!r}; pass backend='ray'"
+        )
 
 
 def check_path(name: str, path: object) -> Path:

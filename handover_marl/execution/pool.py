@@ -1,4 +1,4 @@
-"""Configuration and base class of worker pools (local processes or Ray)."""
+"""Base class of worker pools (local processes or Ray), and the function that they apply to tasks."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator, Sequence
@@ -6,49 +6,10 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Generic, TypeAlias, TypeVar
 
-from handover_marl.errors import OptionError, check_name
-from handover_marl.execution.options import require_modules, resolve_worker_count
-
-LOCAL, RAY = "local", "ray"
-BACKENDS = (LOCAL, RAY)
-
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 #: Factory of the function that a worker process applies to its tasks; entered once per process.
 OpenWorker: TypeAlias = Callable[[], AbstractContextManager[Callable[[Task], Result]]]
-
-
-@dataclass(frozen=True)
-class PoolConfig:
-    """Configuration of a worker pool.
-
-    Attributes:
-        workers: Number of worker processes; None for one per core of this machine or of the cluster.
-        backend: "local" for processes of this machine, or "ray".
-        address: Address of the Ray cluster, as `ray.init` takes it; None lets Ray find or start one.
-    """
-
-    workers: int | None = None
-    backend: str = LOCAL
-    address: str | None = None
-
-    def check(self) -> None:
-        """Check that a pool with this configuration can be started, without starting it.
-
-        Raises:
-            UnknownNameError: The backend is unknown.
-            OptionError: The number of workers is invalid, Ray is not installed, or an address is
-                given without Ray.
-        """
-        check_name("backend", self.backend, BACKENDS)
-        resolve_worker_count(self.workers)
-        if self.backend == RAY:
-            require_modules("backend 'ray'", "ray", "ray", advice="; or leave out `backend`")
-        if self.backend != RAY and self.address is not None:
-            raise OptionError(
-                "ray_address must be used with backend='ray', got "
-                f"{self.address!r} with backend {self.backend!r}; pass backend='ray'"
-            )
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,8 @@ import cloudpickle
 
 from handover_marl import __version__
 from handover_marl.errors import WorkerError
-from handover_marl.execution.options import resolve_worker_count
-from handover_marl.execution.pool import Job, OpenWorker, Pool, PoolConfig, Result, Task
+from handover_marl.execution.options import PoolConfig, resolve_worker_count
+from handover_marl.execution.pool import Job, OpenWorker, Pool, Result, Task
 from handover_marl.execution.worker import TaskFailure, activate_job, unpickle_result
 
 # Packages that results depend on bit for bit. The optional ones may be missing on a node: physics

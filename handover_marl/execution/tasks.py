@@ -18,8 +18,8 @@ from rich.console import Console
 from rich.progress import track
 
 from handover_marl.errors import WorkerError
-from handover_marl.execution.options import open_missing_descriptors, resolve_worker_count
-from handover_marl.execution.pool import RAY, Job, OpenWorker, Pool, PoolConfig, Result, Task
+from handover_marl.execution.options import RAY, PoolConfig, check_pool, open_missing_descriptors, resolve_worker_count
+from handover_marl.execution.pool import Job, OpenWorker, Pool, Result, Task
 from handover_marl.execution.worker import run_local_task, start_local_worker, unpickle_result
 
 _EXIT_CODES = re.compile(r"\{(.*)\}")
@@ -119,7 +119,7 @@ def open_pool(config: PoolConfig) -> Pool:
         OptionError: The configuration is invalid.
         WorkerError: The Ray cluster cannot be reached.
     """
-    config.check()
+    check_pool(config)
     if config.backend == RAY:
         # Imported only here, because Ray is an optional dependency.
         from handover_marl.execution.ray_pool import RayPool

@@ -14,8 +14,7 @@ from typing import Any
 import pytest
 
 from handover_marl.errors import OptionError, ResultsError, UnknownNameError, WorkerError
-from handover_marl.execution.options import open_missing_descriptors
-from handover_marl.execution.pool import PoolConfig
+from handover_marl.execution.options import PoolConfig, open_missing_descriptors
 from handover_marl.execution.tasks import map_with_progress, open_pool
 
 
@@ -53,7 +52,7 @@ def test_worker_processes_run_local_functions() -> None:
 
 _WITHOUT_A_STREAM = """
 import os, sys
-from handover_marl.execution.pool import PoolConfig
+from handover_marl.execution.options import PoolConfig
 from handover_marl.execution.tasks import open_pool
 from contextlib import nullcontext
 os.close(int(sys.argv[1]))

@@ -10,7 +10,7 @@ import pytest
 
 from handover_marl.errors import WorkerError
 from handover_marl.execution import ray_pool
-from handover_marl.execution.pool import PoolConfig
+from handover_marl.execution.options import PoolConfig
 from handover_marl.execution.tasks import open_pool
 
 

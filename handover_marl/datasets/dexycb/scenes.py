@@ -22,7 +22,7 @@ from handover_marl.datasets.dexycb.rotations import Float32, TagFrame
 from handover_marl.datasets.scene_files import CACHE_FOLDER, MAX_MOTION_BYTES
 from handover_marl.errors import DataFormatError, DataNotFoundError, HandoverError, ResultsError
 from handover_marl.execution.files import create_exclusively, has_content
-from handover_marl.execution.pool import PoolConfig
+from handover_marl.execution.options import PoolConfig
 from handover_marl.execution.reading import read_arrays
 from handover_marl.execution.tasks import map_with_progress
 

@@ -30,7 +30,7 @@ from handover_marl.datasets.official_files import (
 )
 from handover_marl.errors import DataFormatError
 from handover_marl.execution.archives import read_members
-from handover_marl.execution.pool import PoolConfig
+from handover_marl.execution.options import PoolConfig
 from handover_marl.execution.reading import read_plain_file
 from handover_marl.execution.tasks import map_with_progress
 from handover_marl.geometry.meshes import compute_convex_hull, select_extreme_points

@@ -27,8 +27,7 @@ from handover_marl.evaluation.verification.differences import (
 from handover_marl.evaluation.verification.folder_checks import check_giver, check_reports
 from handover_marl.evaluation.verification.stored_actions import StoredActions, read_actions
 from handover_marl.execution.files import shorten_text
-from handover_marl.execution.options import check_path
-from handover_marl.execution.pool import PoolConfig
+from handover_marl.execution.options import PoolConfig, check_path
 from handover_marl.execution.tasks import open_pool
 from handover_marl.policies.reference import PolicyLike
 

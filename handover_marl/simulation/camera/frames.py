@@ -75,15 +75,6 @@ class CameraImage:
         return mask
 
 
-def check_camera_model(camera_model: str) -> None:
-    """Check that a camera model for deprojection has a known name.
-
-    Raises:
-        UnknownNameError: There is no camera model of that name.
-    """
-    check_name("camera_model", camera_model, CAMERA_MODELS)
-
-
 def deproject(depth: Array, mask: npt.NDArray[np.bool_], camera_model: str = HANDOVERSIM_MODEL) -> Array:
     """Compute the 3D points of the masked pixels of a wrist-camera depth image.
 
@@ -98,7 +89,7 @@ def deproject(depth: Array, mask: npt.NDArray[np.bool_], camera_model: str = HAN
     Raises:
         UnknownNameError: There is no camera model of that name.
     """
-    check_camera_model(camera_model)
+    check_name("camera_model", camera_model, CAMERA_MODELS)
     pixels = np.flatnonzero(mask)
     down, right = (number.astype(np.float32) for number in np.divmod(pixels, IMAGE_SIZE))
     if camera_model == PINHOLE_MODEL:

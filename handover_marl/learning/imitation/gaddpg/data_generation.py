@@ -22,7 +22,7 @@ from handover_marl.datasets.dataset import SceneAssets
 from handover_marl.datasets.location import DataLocation, check_scene_fingerprint
 from handover_marl.errors import OptionError, ResultsError
 from handover_marl.execution.files import shorten_text, write_arrays
-from handover_marl.execution.pool import PoolConfig
+from handover_marl.execution.options import PoolConfig
 from handover_marl.execution.reading import read_arrays
 from handover_marl.execution.tasks import open_pool
 from handover_marl.geometry.panda import PANDA_CAMERA

@@ -11,7 +11,7 @@ import numpy as np
 from handover_marl.datasets import open_dataset
 from handover_marl.errors import DataFormatError, DataNotFoundError, ResultsError
 from handover_marl.execution.files import shorten_text, write_arrays, write_atomically
-from handover_marl.execution.pool import PoolConfig
+from handover_marl.execution.options import PoolConfig
 from handover_marl.execution.reading import read_arrays, read_plain_file
 from handover_marl.execution.tasks import map_with_progress
 from handover_marl.learning.imitation.vision.dagger import DaggerCollector
