@@ -195,6 +195,7 @@ class Dataset(ABC):
 
         Raises:
             DataNotFoundError: A file is missing.
+            UnsafeFileError, DataFormatError: A file that is read at once may run code, or is damaged.
         """
 
     @abstractmethod

@@ -41,7 +41,7 @@ class PickledDtype(PickledObject):
 
     __slots__ = ("value",)
 
-    def __init__(self, name: object) -> None:
+    def __init__(self, name: object, *_: object) -> None:
         text = decode_name(name)
         if not _DTYPE_NAME.fullmatch(text):
             reject(f"arrays of type '{sanitize_text(text)}' are not admitted")
@@ -82,8 +82,9 @@ class PickledArray(PickledObject):
 def _make_array(data: object, dtype: object, shape: object, order: str) -> npt.NDArray[Any]:
     if not isinstance(dtype, PickledDtype) or not isinstance(shape, tuple):
         reject("an array lacks its type or shape")
-    if not all(type(length) is int and length >= 0 for length in shape):
-        reject("an array has an impossible shape")
+    for length in shape:
+        if type(length) is not int or length < 0:
+            reject("an array has an impossible shape")
     size = math.prod(shape)
     if dtype.value.hasobject:
         if not isinstance(data, list) or len(data) != size:
@@ -128,7 +129,7 @@ def _encode_latin1(text: object, encoding: object) -> bytes:
 #: Names in pickles of arrays, and of dicts of arrays, by all versions of NumPy.
 ARRAY_NAMES: AllowedNames = {
     ("numpy", "ndarray"): AllowedFunction(_reject_call),
-    ("numpy", "dtype"): AllowedFunction(lambda name, *_: PickledDtype(name)),
+    ("numpy", "dtype"): AllowedFunction(PickledDtype),
     # The arguments of `_reconstruct` make an empty array; the state sets everything.
     **dict.fromkeys(
         [("numpy.core.multiarray", "_reconstruct"), ("numpy._core.multiarray", "_reconstruct")],
@@ -153,7 +154,12 @@ def load_pickled_dict(path: Path) -> dict[str, Any]:
         DataFormatError: The file is not a pickled dict in a `.npy`, or is damaged.
     """
     try:
-        content = _load_npy_dict(io.BytesIO(read_plain_file(path, _MAX_BYTES)))
+        pickled = _remove_npy_header(read_plain_file(path, _MAX_BYTES))
+        content: Any = load_restricted(pickled, ARRAY_NAMES)
+        if isinstance(content, PickledArray) and content.value is not None:
+            content = content.value.item()
+        if not isinstance(content, dict):
+            reject(f"expected a pickled dict, found {type(content).__name__}")
         return {
             decode_name(key): value.value if isinstance(value, PickledArray) else value
             for key, value in content.items()
@@ -170,7 +176,9 @@ def load_pickled_dict(path: Path) -> dict[str, Any]:
         ) from error
 
 
-def _load_npy_dict(stream: io.BytesIO) -> dict[Any, Any]:
+def _remove_npy_header(data: bytes) -> bytes:
+    """Return the pickle in a `.npy` file."""
+    stream = io.BytesIO(data)
     version = np.lib.format.read_magic(stream)
     read_header = {
         (1, 0): np.lib.format.read_array_header_1_0,
@@ -179,11 +187,7 @@ def _load_npy_dict(stream: io.BytesIO) -> dict[Any, Any]:
     _, _, dtype = read_header(stream)
     if dtype.hasobject is False:
         reject("it holds a plain array where a pickled dict belongs")
-    content: Any = load_restricted(stream.read(), ARRAY_NAMES)
-    content = content.value.item() if isinstance(content, PickledArray) and content.value is not None else content
-    if not isinstance(content, dict):
-        reject(f"expected a pickled dict, found {type(content).__name__}")
-    return content
+    return stream.read()
 
 
 def unpickle_arrays(data: bytes) -> dict[str, npt.NDArray[Any]] | npt.NDArray[Any]:

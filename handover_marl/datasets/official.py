@@ -58,7 +58,6 @@ class OfficialDataset(Dataset):
                 )
         self._assets = data_dir / "assets"
         self._info = lru_cache(maxsize=None)(lambda scene_id: read_scene_info(self._find_meta_file(scene_id), scene_id))
-        self._grasps = lru_cache(maxsize=None)(self._read_grasps)
         self._origin = lru_cache(maxsize=None)(lambda path: find_origin(self._assets, path))
         self._hand_origin = lru_cache(maxsize=None)(lambda name: find_hand_origin(self._assets / name))
 
@@ -136,15 +135,21 @@ class OfficialDataset(Dataset):
             UnsafeFileError: The grasp file may run code.
             DataFormatError: The grasp file is damaged.
         """
-        return self._grasps(object_name)
+        path = self._find_grasp_file(object_name)
+        return None if path is None else _read_grasps(path, path.stat().st_mtime_ns)
 
     def check_scenes(self, scene_ids: tuple[int, ...]) -> None:
-        """Raise `DataNotFoundError` for the first missing file of the given scenes."""
+        """Check that all files of the given scenes exist, and read the grasps of their objects.
+
+        Raises:
+            DataNotFoundError: A file is missing.
+            UnsafeFileError, DataFormatError: A grasp file may run code, or is damaged.
+        """
         for scene_id in scene_ids:
             info = self.load_info(scene_id)
             self._find_scene_assets(info)
             require_file(self._pose_path(scene_id))
-            self._find_grasp_file(info.target_name)
+            self.load_grasps(info.target_name)
 
     def compute_fingerprint(self, scene_id: int) -> str:
         """Return a hash of a scene's meta, pose and grasp files, URDFs and mesh sizes."""
@@ -189,9 +194,11 @@ class OfficialDataset(Dataset):
         path = self._assets / "grasps" / f"{name}.npy"
         return None if name in CLASSES_WITHOUT_GRASPS and not path.exists() else require_file(path)
 
-    def _read_grasps(self, name: str) -> npt.NDArray[np.float64] | None:
-        path = self._find_grasp_file(name)
-        return None if path is None else load_grasps(path)
+
+@lru_cache(maxsize=64)
+def _read_grasps(path: Path, modified_ns: int) -> npt.NDArray[np.float64]:
+    """Load a grasp file; an unchanged file is read once."""
+    return load_grasps(path)
 
 
 def _encode_mesh_sizes(urdf: Path) -> bytes:

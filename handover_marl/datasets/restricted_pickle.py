@@ -160,7 +160,7 @@ class _Interpreter:
         del self._stack[-count:]
         return values
 
-    def mark(self) -> None:
+    def mark(self, _: object) -> None:
         self._marked.append(self._stack)
         self._stack = []
 
@@ -168,7 +168,7 @@ class _Interpreter:
         values, self._stack = self._stack, self._marked.pop()
         return values
 
-    def push_dict(self) -> None:
+    def push_dict(self, _: object) -> None:
         pairs = self.pop_mark()
         self.push({})
         self.update(pairs)
@@ -207,7 +207,8 @@ class _Interpreter:
         except KeyError:
             raise UnsafeFileError(f"asks for {sanitize_text(f'{module}.{name}')}") from None
 
-    def call(self, function: object, arguments: object) -> None:
+    def call(self, _: object) -> None:
+        function, arguments = self.pop(2)
         if not isinstance(function, AllowedFunction) or not isinstance(arguments, tuple):
             reject(f"{type(function).__name__} is called")
         value = function.call(*arguments)
@@ -218,12 +219,13 @@ class _Interpreter:
                 reject("the pickle unfolds to more than it holds")
         self.push(value)
 
-    def create(self, created_class: object, arguments: object) -> None:
+    def create(self, _: object) -> None:
+        created_class, arguments = self.pop(2)
         if not isinstance(created_class, AllowedClass) or arguments != ():
             reject("an object is made of what is no class, or with arguments")
         self.push(PickledRecord(created_class.kind))
 
-    def set_state(self) -> None:
+    def set_state(self, _: object) -> None:
         state = self._stack.pop()
         target = self._stack[-1]
         if not isinstance(target, PickledObject):
@@ -255,17 +257,17 @@ _ACTIONS: dict[str, Callable[[_Interpreter, Any], None]] = {
     "TUPLE3": lambda interpreter, _: interpreter.push(tuple(interpreter.pop(3))),
     "TUPLE": lambda interpreter, _: interpreter.push(tuple(interpreter.pop_mark())),
     **dict.fromkeys(("LIST", "FROZENSET"), lambda interpreter, _: interpreter.push(interpreter.pop_mark())),
-    "DICT": lambda interpreter, _: interpreter.push_dict(),
-    "MARK": lambda interpreter, _: interpreter.mark(),
+    "DICT": _Interpreter.push_dict,
+    "MARK": _Interpreter.mark,
     "APPEND": lambda interpreter, _: interpreter.extend(interpreter.pop(1)),
     **dict.fromkeys(("APPENDS", "ADDITEMS"), lambda interpreter, _: interpreter.extend(interpreter.pop_mark())),
     "SETITEM": lambda interpreter, _: interpreter.update(interpreter.pop(2)),
     "SETITEMS": lambda interpreter, _: interpreter.update(interpreter.pop_mark()),
     "GLOBAL": lambda interpreter, name: interpreter.push_name(*name.split(" ", 1)),
     "STACK_GLOBAL": lambda interpreter, _: interpreter.push_name(*interpreter.pop(2)),
-    "REDUCE": lambda interpreter, _: interpreter.call(*interpreter.pop(2)),
-    "NEWOBJ": lambda interpreter, _: interpreter.create(*interpreter.pop(2)),
-    "BUILD": lambda interpreter, _: interpreter.set_state(),
+    "REDUCE": _Interpreter.call,
+    "NEWOBJ": _Interpreter.create,
+    "BUILD": _Interpreter.set_state,
     **dict.fromkeys(("PUT", "BINPUT", "LONG_BINPUT", "MEMOIZE"), _Interpreter.memoize),
     **dict.fromkeys(("GET", "BINGET", "LONG_BINGET"), _Interpreter.recall),
 }

@@ -39,7 +39,8 @@ def check_plain_file(path: Path, largest: int = MAX_FILE_BYTES) -> int:
     state = path.stat()
     if not stat.S_ISREG(state.st_mode):
         raise ValueError("it is not a plain file")
-    _check_size(state.st_size, largest)
+    if state.st_size > largest:
+        raise ValueError(f"it is larger than {_format_size(largest)}")
     return state.st_size
 
 
@@ -72,10 +73,10 @@ def check_archive(source: Path | bytes, largest: int) -> None:
         OSError: The file cannot be opened.
     """
     # Checked before opening, since even the list of contents may be huge.
-    if isinstance(source, bytes):
-        _check_size(len(source), largest + _MAX_ARCHIVE_OVERHEAD)
-    else:
-        check_plain_file(source, largest + _MAX_ARCHIVE_OVERHEAD)
+    limit = largest + _MAX_ARCHIVE_OVERHEAD
+    size = len(source) if isinstance(source, bytes) else check_plain_file(source, limit)
+    if size > limit:
+        raise ValueError(f"it is larger than {_format_size(limit)}")
     with zipfile.ZipFile(_open_source(source)) as archive:
         parts = archive.infolist()
     if sum(part.file_size for part in parts) > largest:
@@ -148,11 +149,6 @@ class _StrictLoader(yaml.SafeLoader):
 
 def _open_source(source: Path | bytes) -> Path | io.BytesIO:
     return io.BytesIO(source) if isinstance(source, bytes) else source
-
-
-def _check_size(size: int, largest: int) -> None:
-    if size > largest:
-        raise ValueError(f"it is larger than {_format_size(largest)}")
 
 
 def _format_size(size: int) -> str:

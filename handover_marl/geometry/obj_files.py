@@ -28,15 +28,12 @@ class ObjMesh:
     Attributes:
         vertices: (v, 3) vertices of all objects in the file (m).
         groups: One (f, 3) array per object with the vertex numbers of its triangles; polygons are split into fans.
+        faces: (f, 3) vertex numbers of the triangles of all objects.
     """
 
     vertices: Array
     groups: tuple[Faces, ...]
-
-    @property
-    def faces(self) -> Faces:
-        """Vertex numbers (f, 3) of the triangles of all objects."""
-        return np.concatenate(self.groups)
+    faces: Faces
 
 
 def read_obj(path: Path) -> ObjMesh:
@@ -72,7 +69,7 @@ def read_obj(path: Path) -> ObjMesh:
         raise DataFormatError(f"{path}: a face names a corner that is not there; check the file")
     if not np.isfinite(points).all():
         raise DataFormatError(f"{path}: a vertex is not finite; check the file")
-    return ObjMesh(points, found)
+    return ObjMesh(points, found, faces)
 
 
 def format_obj(vertices: Array, faces: Faces, first: int = 1) -> str:
@@ -91,32 +88,19 @@ def format_obj(vertices: Array, faces: Faces, first: int = 1) -> str:
 def check_mesh(path: Path, solid: bool = False) -> None:
     """Check quickly that a mesh file can be loaded; only the content of OBJ files is checked.
 
+    PyBullet crashes on vertex numbers out of range, and loads empty meshes without an error.
+
     Args:
         path: Mesh file. Files of other formats than OBJ may be missing.
         solid: Whether to refuse meshes whose vertices all lie in one plane.
 
     Raises:
-        DataFormatError: The file is not a plain file, is too large, or is not an OBJ mesh, see `check_obj`.
+        DataFormatError: The file is not a plain file or is too large; or an OBJ file cannot be read, has no
+            faces, a vertex that is not finite, a vertex number out of range, or is flat.
     """
-    if path.suffix.lower() == ".obj":
-        check_obj(path, solid)
-    else:
+    if path.suffix.lower() != ".obj":
         _check_if_present(path)
-
-
-def check_obj(path: Path, solid: bool = False) -> None:
-    """Check quickly that an OBJ file is a mesh that PyBullet can load.
-
-    PyBullet crashes on vertex numbers out of range, and loads empty meshes without an error.
-
-    Args:
-        path: OBJ file.
-        solid: Whether to refuse meshes whose vertices all lie in one plane.
-
-    Raises:
-        DataFormatError: The file cannot be read, has no faces, a vertex that is not finite, a vertex
-            number out of range, or is flat.
-    """
+        return
     try:
         lines = _read_lines(path)
     except (OSError, ValueError) as error:
@@ -138,15 +122,16 @@ def check_obj(path: Path, solid: bool = False) -> None:
         raise DataFormatError(f"{path}: all vertices are in one plane; check the file")
 
 
-def _read_lines(path: Path, largest: int = MAX_FILE_BYTES) -> list[str]:
-    return read_plain_file(path, largest).decode(errors="replace").splitlines()
+def _read_lines(path: Path) -> list[str]:
+    return read_plain_file(path).decode(errors="replace").splitlines()
 
 
 def _check_materials(folder: Path, lines: list[str]) -> None:
     """Check the material files and textures that lines of an OBJ file name; PyBullet opens them."""
     for name in {line[7:].strip() for line in lines if line.startswith(("mtllib ", "mtllib\t"))}:
         if name and _check_if_present(folder / name, _MAX_MATERIAL_BYTES):
-            words = map(str.split, _read_lines(folder / name, _MAX_MATERIAL_BYTES))
+            material = read_plain_file(folder / name, _MAX_MATERIAL_BYTES).decode(errors="replace")
+            words = map(str.split, material.splitlines())
             for texture in {entry[-1] for entry in words if entry and entry[0].startswith("map_")}:
                 _check_if_present(folder / texture)
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from handover_marl.assets.object_models import OBJECTS_ROOT
 from handover_marl.errors import DataFormatError, SimulationError
-from handover_marl.geometry.obj_files import check_obj, read_obj
+from handover_marl.geometry.obj_files import check_mesh, read_obj
 from handover_marl.simulation.bullet.client import connect, load_urdf
 
 TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
@@ -58,7 +58,7 @@ def test_damaged_files(tmp_path: Path, text: str, message: str) -> None:
 )
 def test_unusable_meshes_are_refused_quickly(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(DataFormatError, match=message):
-        check_obj(write(tmp_path, text), solid=True)
+        check_mesh(write(tmp_path, text), solid=True)
 
 
 @pytest.mark.parametrize("corner", ["4", "0", "-4", "999999999"])
@@ -76,7 +76,7 @@ def test_shipped_meshes_are_whole() -> None:
     paths = sorted(OBJECTS_ROOT.rglob("*.obj"))
     assert len(paths) > 20
     for path in paths:
-        check_obj(path)
+        check_mesh(path)
         assert np.isfinite(read_obj(path).vertices).all()
 
 
@@ -92,4 +92,4 @@ def test_check_and_reader_agree(tmp_path_factory: pytest.TempPathFactory, corner
             return True
         return False
 
-    assert refused(check_obj) == refused(read_obj)
+    assert refused(check_mesh) == refused(read_obj)

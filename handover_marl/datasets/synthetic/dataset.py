@@ -16,7 +16,12 @@ from handover_marl.datasets.synthetic.assign_subjects import class_id_from_scene
 from handover_marl.datasets.synthetic.clutter import ClutterItem, draw_clutter, make_ycb_clutter_item
 from handover_marl.datasets.synthetic.grasp_clearance import hand_poses_from_grasps
 from handover_marl.datasets.synthetic.handover_motion import draw_motion
-from handover_marl.datasets.synthetic.object_placement import HeldObject, draw_placement, make_ycb_held_object
+from handover_marl.datasets.synthetic.object_placement import (
+    HeldObject,
+    compute_hull_corners,
+    draw_placement,
+    make_ycb_held_object,
+)
 from handover_marl.datasets.synthetic.random_stream import VERSION, RandomStream, open_scene_streams
 from handover_marl.datasets.synthetic.resampling import compute_trajectories
 from handover_marl.geometry.panda import PANDA
@@ -78,7 +83,13 @@ class SyntheticDataset(Dataset):
         return load_object_grasps(object_name)
 
     def check_scenes(self, scene_ids: tuple[int, ...]) -> None:
-        """Do nothing: all files are part of the library."""
+        """Check that the library's object models can be read.
+
+        Raises:
+            DataNotFoundError, DataFormatError: A model is missing or damaged.
+        """
+        for name in CLASS_NAMES.values():
+            compute_hull_corners(name)
 
     def compute_fingerprint(self, scene_id: int) -> str:
         """Return the version of the scene generator."""

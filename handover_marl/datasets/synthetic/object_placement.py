@@ -135,7 +135,7 @@ def make_held_object(
         grasps: Grasps of the subject.
         robot_grasps: Poses of the gripper's hand link.
     """
-    dof = np.stack([grasps.compute_hand_dof(row) for row in range(len(grasps))])
+    dof = np.stack(list(map(grasps.compute_hand_dof, range(len(grasps)))))
     return HeldObject(
         corners=corners,
         up_axes=up_axes,

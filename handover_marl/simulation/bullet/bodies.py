@@ -16,7 +16,7 @@ from handover_marl.geometry.panda import CAMERA_LINK, FINGER_LINKS, HAND_FROM_CA
 from handover_marl.geometry.poses import compose
 from handover_marl.geometry.ycb import SCENE_CLASSES
 from handover_marl.simulation.bullet.body import ArticulatedBody, ContactParameters, InitialState
-from handover_marl.simulation.bullet.client import BulletClient, load_urdf, to_float32_list
+from handover_marl.simulation.bullet.client import BulletClient, to_float32_list
 from handover_marl.simulation.kinematic_paths import list_hand_motors, list_object_motors, select_keypoint_links
 
 #: Collision masks: the Panda collides with everything, the hand with the Panda only, a released object with all but
@@ -194,7 +194,7 @@ def load_workcell(client: BulletClient, assets: SceneAssets, config: PhysicsConf
     client.resetSimulation()
     client.setGravity(0.0, 0.0, config.gravity)
     client.setPhysicsEngineParameter(fixedTimeStep=TIME_STEP, numSubSteps=1, deterministicOverlappingPairs=1)
-    load_urdf(client, find_bullet_data("this", "take physics='mujoco'") / "plane_implicit.urdf")
+    client.loadURDF(str(find_bullet_data("this", "take physics='mujoco'") / "plane_implicit.urdf"))
     start = InitialState(base=[*to_float32_list(config.table_position), 0.0, 0.0, 0.0, 1.0])
     table = ArticulatedBody(client, assets.table, (), TABLE_MASK, start)
     return Workcell(table.id, PandaBody(client, assets.panda, config.panda))

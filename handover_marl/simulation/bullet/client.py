@@ -16,8 +16,6 @@ import numpy as np
 from handover_marl.config import CameraConfig
 from handover_marl.errors import SimulationError
 from handover_marl.execution.options import require_pybullet
-from handover_marl.execution.reading import check_plain_file
-from handover_marl.geometry.kinematic_tree import MAX_URDF_BYTES
 from handover_marl.geometry.obj_files import check_mesh
 from handover_marl.geometry.urdf import list_mesh_references
 
@@ -191,14 +189,9 @@ def load_urdf(client: BulletClient, path: Path | str, **options: object) -> int:
         SimulationError: PyBullet cannot load the model.
     """
     urdf = Path(path)
-    try:
-        check_plain_file(urdf, MAX_URDF_BYTES)
-        _check_meshes(urdf, urdf.stat().st_mtime_ns)
-    except ValueError as error:
-        raise SimulationError(f"{urdf}: PyBullet cannot load this model ({error}); check the file") from error
-    except OSError:
-        # A missing file may still be in PyBullet's own data folder.
-        pass
+    # A missing file may still be in PyBullet's own data folder.
+    with contextlib.suppress(OSError):
+        check_model_files(urdf, urdf.stat().st_mtime_ns)
     try:
         return int(client.loadURDF(str(path), **options))
     except pybullet.error as error:
@@ -208,11 +201,23 @@ def load_urdf(client: BulletClient, path: Path | str, **options: object) -> int:
 
 
 @functools.lru_cache(maxsize=256)
-def _check_meshes(urdf: Path, modified_ns: int) -> None:
-    """Check a model's mesh files: PyBullet crashes on invalid vertex numbers and waits without end on a pipe."""
-    for _, mesh in list_mesh_references(urdf):
-        if mesh.exists():
-            check_mesh(mesh)
+def check_model_files(urdf: Path, modified_ns: int) -> None:
+    """Check a model's files: PyBullet crashes on invalid vertex numbers and waits without end on a pipe.
+
+    Args:
+        urdf: URDF file of the model.
+        modified_ns: Time of the file's last change (ns); an unchanged model is checked once.
+
+    Raises:
+        OSError: The URDF file cannot be read.
+        SimulationError: The URDF file or a mesh file is not a plain file, is too large, or is damaged.
+    """
+    try:
+        for _, mesh in list_mesh_references(urdf):
+            if mesh.exists():
+                check_mesh(mesh)
+    except ValueError as error:
+        raise SimulationError(f"{urdf}: PyBullet cannot load this model ({error}); check the file") from error
 
 
 def to_float32_list(values: Sequence[float]) -> list[float]:

@@ -14,7 +14,13 @@ from handover_marl.errors import ResetNeededError, SimulationError
 from handover_marl.geometry.poses import inverse_transform_points
 from handover_marl.simulation.bullet.bodies import HandBody, ObjectBody, Workcell, compute_object_masks, load_workcell
 from handover_marl.simulation.bullet.body import InitialState
-from handover_marl.simulation.bullet.client import BulletClient, connect, pause_window_rendering, pybullet_error
+from handover_marl.simulation.bullet.client import (
+    BulletClient,
+    check_model_files,
+    connect,
+    pause_window_rendering,
+    pybullet_error,
+)
 from handover_marl.simulation.bullet.rendering import (
     SceneRenderer,
     label_bodies,
@@ -49,11 +55,15 @@ class BulletWorld(World):
 
     @contextmanager
     def _start_scene(self, scene: Scene) -> Iterator[None]:
-        """Pause the window while the models of a scene are loaded in this context.
+        """Check a scene's files, and pause the window while its models are loaded in this context.
 
         Raises:
-            SimulationError: A model cannot be loaded, or PyBullet's window was closed.
+            OSError: The URDF file of a model cannot be read.
+            SimulationError: A file is damaged, a model cannot be loaded, or PyBullet's window was closed.
         """
+        assets = scene.assets
+        for urdf in (assets.table, assets.panda, *assets.objects, assets.hand):
+            check_model_files(urdf, urdf.stat().st_mtime_ns)
         self._scene, self._release_pending = scene, False
         try:
             with pause_window_rendering(self._client):
