@@ -29,10 +29,13 @@ BIN := $(VENV)/bin
 # Without compiling: most modules are never imported, and Python compiles the others at their first import.
 INSTALL := -m pip --disable-pip-version-check install --no-compile --progress-bar on
 
+# The tests of a file run in one process, which makes its fixtures once; tests/conftest.py sorts the files.
+SIDE_BY_SIDE := -n auto --dist loadfile --no-loadscope-reorder
+
 .PHONY: test benchmark quick fast types lint slow-tests check loops lerobot newer docs smoke release lowest clean
 
 test: $(VENV)/.tested-with
-	$(BIN)/python -m pytest -n auto --dist worksteal
+	$(BIN)/python -m pytest $(SIDE_BY_SIDE)
 
 benchmark: $(VENV)/.installed
 	$(BIN)/handover-marl benchmark --setup $(SETUP) --receiver yang2021 --dataset $(DATASET) --physics $(PHYSICS) \
@@ -43,7 +46,7 @@ quick: $(VENV)/.tested-with lint
 	$(MAKE) --no-print-directory -j2 types fast
 
 fast: $(VENV)/.tested-with
-	$(BIN)/python -m pytest -n auto --dist worksteal -q -m "not slow"
+	$(BIN)/python -m pytest $(SIDE_BY_SIDE) -q -m "not slow"
 
 lint: $(VENV)/.tested-with
 	$(BIN)/ruff check .
@@ -60,7 +63,7 @@ check: lint types
 
 slow-tests: $(VENV)/.tested-with
 	mkdir -p build
-	$(BIN)/python -m pytest -n auto --dist worksteal -q --junitxml=build/times.xml
+	$(BIN)/python -m pytest $(SIDE_BY_SIDE) -q --junitxml=build/times.xml
 	$(BIN)/python -m tests.slow build/times.xml
 
 # These libraries have their own pins, see constraints-loops.txt. Learning uses one thread.

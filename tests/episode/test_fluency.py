@@ -433,7 +433,7 @@ class Sketch(EpisodeCallback):
 @pytest.mark.slow
 def test_recording_changes_nothing_and_notes_what_can_be_seen() -> None:
     dataset = SyntheticDataset()
-    episode, policy, scene = Episode("exact"), make("yang2021", dataset), dataset.load_scene(209)
+    episode, policy, scene = Episode("fast"), make("yang2021", dataset), dataset.load_scene(209)
     recorder, sketch = TraceRecorder(), Sketch()
     plain, _ = play(episode, scene, policy)
     recorded, _ = play(episode, scene, policy, None, recorder, sketch)

@@ -122,10 +122,10 @@ def test_the_script_compares_whole_episodes(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     check = script("check_array_rules", monkeypatch)
-    args = check.Args(dataset="synthetic", episodes=3, together=2, receiver="yang2021", workers=1)
+    args = check.Args(dataset="synthetic", episodes=2, together=2, receiver="yang2021", workers=1)
     check.main(args)
     output = capsys.readouterr().out
-    assert "synthetic, s0 train, 3 episodes (3 replay)" in output
+    assert "synthetic, s0 train, 2 episodes (2 replay)" in output
     assert " times, 0 differences" in output
 
     def late(before: RefereeStateBatch, seen: ContactBatch, rules: ProtocolConfig) -> object:

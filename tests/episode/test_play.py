@@ -20,8 +20,10 @@ from handover_marl.receivers import make_policy_context
 from handover_marl.receivers.yang2021 import Yang2021Receiver
 
 SCENE = 209
+#: A step at which both agents have moved for a while.
+HALF_WAY = 2500
 
-SegmentationLabel = dict[str, np.ndarray]
+Observation = dict[str, np.ndarray]
 
 
 class Decisions(EpisodeCallback):
@@ -41,14 +43,14 @@ class Decisions(EpisodeCallback):
 class CopyingReceiver(Yang2021Receiver):
     """Plans with arrays of its own."""
 
-    def act(self, observation: SegmentationLabel) -> np.ndarray:
+    def act(self, observation: Observation) -> np.ndarray:
         return np.array(super().act({key: value.copy() for key, value in observation.items()}))
 
 
 class ScribblingReceiver(CopyingReceiver):
     """And spoils those that it was given."""
 
-    def act(self, observation: SegmentationLabel) -> np.ndarray:
+    def act(self, observation: Observation) -> np.ndarray:
         action = super().act(observation)
         for value in observation.values():
             value[...] = 0.0
@@ -56,7 +58,7 @@ class ScribblingReceiver(CopyingReceiver):
 
 
 class ScribblingGiver(CooperativeGiver):
-    def act(self, observation: SegmentationLabel) -> np.ndarray:
+    def act(self, observation: Observation) -> np.ndarray:
         action = np.array(super().act({key: value.copy() for key, value in observation.items()}))
         for value in observation.values():
             value[...] = 7.0
@@ -68,9 +70,9 @@ class KeepingGiver(CooperativeGiver):
 
     def reset(self, seed: int | None = None) -> None:
         super().reset(seed)
-        self.kept: list[tuple[SegmentationLabel, SegmentationLabel]] = []
+        self.kept: list[tuple[Observation, Observation]] = []
 
-    def act(self, observation: SegmentationLabel) -> np.ndarray:
+    def act(self, observation: Observation) -> np.ndarray:
         self.kept.append((observation, {key: value.copy() for key, value in observation.items()}))
         return super().act(observation)
 
@@ -95,7 +97,7 @@ def assert_same(first: tuple[Any, ...], second: tuple[Any, ...]) -> None:
 @pytest.mark.slow
 def test_what_policies_write_into_their_observations_is_seen_by_nobody() -> None:
     keeping = KeepingGiver()
-    clean = played(CopyingReceiver, keeping)
+    clean = played(CopyingReceiver, keeping, HALF_WAY)
     assert np.abs(clean[3].giver).max() > 0.01
     for seen, as_it_was in keeping.kept:
         for key, value in seen.items():
@@ -105,9 +107,9 @@ def test_what_policies_write_into_their_observations_is_seen_by_nobody() -> None
         (CopyingReceiver, ScribblingGiver()),
         (ScribblingReceiver, ScribblingGiver()),
     ):
-        assert_same(played(receiver, giver), clean)
+        assert_same(played(receiver, giver, HALF_WAY), clean)
     spoilt = keeping.kept
-    assert len(spoilt) > 30
+    assert len(spoilt) > 20
     for seen, as_it_was in spoilt:
         for key, value in seen.items():
             np.testing.assert_array_equal(value, as_it_was[key], err_msg=f"the receiver spoilt the giver's {key}")
@@ -127,7 +129,7 @@ class Places(EpisodeCallback):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("physics", "giver", "scenes"),
-    [("fast", "replay", (209, 214, 219)), ("fast", "noisy", (209, 214, 219)), ("exact", "noisy", (209,))],
+    [("fast", "replay", (209, 214)), ("fast", "noisy", (214, 219)), ("exact", "noisy", (209,))],
 )
 def test_an_episode_does_not_depend_on_those_before_it(physics: str, giver: str, scenes: tuple[int, ...]) -> None:
     """Bit for bit; else results would depend on which worker plays what. This receiver hits whatever it can."""
@@ -139,7 +141,7 @@ def test_an_episode_does_not_depend_on_those_before_it(physics: str, giver: str,
         for scene_id in scenes:
             episode, places = Episode(physics) if turn == 0 else used, Places()
             episode.reset(dataset.load_scene(scene_id))
-            play(episode, *players, seed=0, callbacks=[places])
+            play(episode, *players, seed=0, until=HALF_WAY, callbacks=[places])
             end = (episode.status, episode.steps, episode.release_step)
             if turn == 0:
                 first[scene_id] = (end, np.array(places.rows))
@@ -172,7 +174,7 @@ class Counting(Policy):
         self.seeds.append(seed)
         self.times = []
 
-    def act(self, observation: SegmentationLabel) -> np.ndarray:
+    def act(self, observation: Observation) -> np.ndarray:
         if not self.times:
             self.first_observation = {key: value.copy() for key, value in observation.items()}
         self.times.append(round(1000 * float(observation["time"][0])))

@@ -2,6 +2,7 @@
 
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -11,8 +12,10 @@ import yaml
 
 import handover_marl
 from handover_marl.cli import main
+from handover_marl.config import ProtocolConfig, WorldConfig
 from handover_marl.episode import loop as play
 from handover_marl.errors import DataFormatError, DataNotFoundError, HandoverError, OptionError, ResultsError
+from handover_marl.evaluation import benchmark
 from handover_marl.evaluation.results.result_folder import read_results
 from tests.evaluation import quick
 from tests.evaluation.quick import SHORT, QuickReceiver
@@ -22,6 +25,7 @@ from tests.unreadable import UNREADABLE, refuses_within
 SPLIT = {"setup": "s0", "split": "val", "dataset": "synthetic", "physics": "fast", "world_config": SHORT}
 OPTIONS: dict[str, Any] = {**SPLIT, "receiver": QuickReceiver, "workers": 1, "progress": False}
 SCENES = (9, 14, 19, 24, 29)
+VERY_SHORT = WorldConfig(protocol=ProtocolConfig(horizon_steps=100))
 
 
 @pytest.fixture(autouse=True)
@@ -72,11 +76,13 @@ def test_folders_store_their_shard(three: list[Path]) -> None:
 
 
 @pytest.mark.slow
-def test_a_whole_split(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_whole_split(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     """By the command line, with its own names; the last shard is interrupted at first."""
-    # In MuJoCo, a robot that is far from everything takes hardly any time.
-    pytest.importorskip("mujoco", reason="needs the extra `mujoco`")
-    command = ["pair", "--setup", "s0", "--split", "val", "--dataset", "synthetic", "--physics", "mujoco"]
+    resolve = benchmark.resolve_config
+    monkeypatch.setattr(
+        benchmark, "resolve_config", lambda config, trust: resolve(replace(config, world_config=VERY_SHORT), trust)
+    )
+    command = ["pair", "--setup", "s0", "--split", "val", "--dataset", "synthetic", "--physics", "fast"]
     command += ["--receiver", "hold", "--workers", "1", "--no-progress"]
     assert main([*command, "--out", str(tmp_path / "whole")]) == 0
     whole = capsys.readouterr().out.rpartition("\nReport: ")[0]

@@ -28,7 +28,8 @@ CAMERA = CameraConfig(width=96, height=72)
 
 
 def draw(out: Path, **options: Any) -> Path:
-    return render_scene(209, out, **{"dataset": "synthetic", "camera": CAMERA, "progress": False, **options})
+    chosen = {"dataset": "synthetic", "physics": "fast", "camera": CAMERA, "progress": False, **options}
+    return render_scene(209, out, **chosen)
 
 
 def pictures(sheet: Path) -> list[np.ndarray]:
@@ -66,9 +67,9 @@ def test_key_frames(tmp_path: Path) -> None:
     assert (pixels[72:, 96:] == 255).all()
 
 
-@pytest.mark.parametrize("key_frames", [6, 7, 4, 3, 2, 1])
+@pytest.mark.parametrize("key_frames", [7, 3, 1])
 def test_number_of_key_frames(tmp_path: Path, drawn_after: list[int], key_frames: int) -> None:
-    path = draw(tmp_path / "sheet.png", key_frames=key_frames, physics="fast")
+    path = draw(tmp_path / "sheet.png", key_frames=key_frames)
     assert len(pictures(path)) == key_frames
     end = SyntheticDataset().load_scene(209).n_frames + 500
     if key_frames > 1:
@@ -79,11 +80,9 @@ def test_number_of_key_frames(tmp_path: Path, drawn_after: list[int], key_frames
 @pytest.mark.parametrize(
     "players",
     [
-        {"receiver": "yang2021", "physics": "fast"},
-        {"receiver": "yang2021", "giver": "noisy", "physics": "fast", "seed": 5},
-        {"receiver": "random", "giver": "noisy", "physics": "exact"},
+        {"receiver": "yang2021"},
         # Policies that draw, and hit whatever they can.
-        *({"receiver": "random", "giver": "noisy", "physics": "fast", "seed": seed} for seed in range(3)),
+        {"receiver": "random", "giver": "noisy", "seed": 1},
     ],
 )
 def test_key_frames_span_the_episode(
@@ -125,6 +124,7 @@ def test_rendering_does_not_change_the_episode(scene_id: int, physics: str) -> N
             episode,
             *players,
             seed=0,
+            until=2000,
             callbacks=[joints, film_module.FrameRecorder(times, lambda now: now.render(CAMERA))],
         )
         ends.append((episode.status, episode.steps, np.array(joints.rows)))
@@ -136,11 +136,11 @@ def test_rendering_does_not_change_the_episode(scene_id: int, physics: str) -> N
         assert end == list(ends[0][:-1])
 
 
-@pytest.mark.parametrize("name", ["sheet.PNG", "film.GIF", "film.gif", "sheet.Png"])
+@pytest.mark.parametrize("name", ["sheet.Png", "film.GIF"])
 def test_suffixes_in_upper_case(tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     for module in (film_module, scene_rendering):
         monkeypatch.setattr(module, "FRAME_PERIOD_MS", 800)
-    path = draw(tmp_path / name, key_frames=2, physics="fast")
+    path = draw(tmp_path / name, key_frames=2)
     assert path.name == name
     with Image.open(path) as image:
         assert image.format == path.suffix[1:].upper()
@@ -271,7 +271,7 @@ def test_read_only_folder_is_reported_before_rendering(tmp_path: Path, monkeypat
 
 
 def test_any_giver(tmp_path: Path) -> None:
-    options: dict[str, Any] = {"key_frames": 4, "physics": "fast"}
+    options: dict[str, Any] = {"key_frames": 4}
     shown = {
         giver: pictures(draw(tmp_path / f"{giver}.png", giver=giver, **options))
         for giver in ("replay", "cooperative", "hesitant")
@@ -303,7 +303,7 @@ class Asking(HoldReceiver):
 @pytest.mark.parametrize("trust", [True, False])
 def test_code_in_policy_files_needs_trust(tmp_path: Path, trust: bool) -> None:
     Asking.answers.clear()
-    draw(tmp_path / "x.png", giver="hurried", receiver=Asking, trust=trust, physics="fast")
+    draw(tmp_path / "x.png", giver="hurried", receiver=Asking, trust=trust)
     assert Asking.answers == [trust]
 
 
