@@ -61,6 +61,7 @@ def normalize(env: Any, observations: list[Any], **options: Any) -> VecNormalize
 
 def collect(env: Any, count: int = 5) -> list[Any]:
     found = [env.reset(seed=0)[0]]
+    env.action_space.seed(0)
     for _ in range(count):
         found.append(env.step(env.action_space.sample())[0])
     return found
