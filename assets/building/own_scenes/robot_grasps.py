@@ -15,7 +15,7 @@ from handover_marl.assets.building.object_files import read_parts
 from handover_marl.assets.grasp_order import compute_farthest_point_order
 from handover_marl.assets.object_models import COLLISION_NAME
 from handover_marl.errors import OptionError
-from handover_marl.execution.pool import PoolConfig
+from handover_marl.execution.options import PoolConfig
 from handover_marl.execution.tasks import map_with_progress
 from handover_marl.simulation.engines import make_grasp_validator
 
