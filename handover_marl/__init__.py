@@ -33,9 +33,9 @@ if TYPE_CHECKING:
     from handover_marl.envs.constructors import benchmark_env as benchmark_env
     from handover_marl.envs.constructors import env as env
     from handover_marl.envs.constructors import parallel_env as parallel_env
+    from handover_marl.envs.custom_rewards import combine_rewards as combine_rewards
+    from handover_marl.envs.custom_rewards import declare_terms as declare_terms
     from handover_marl.envs.handover_env import HandoverEnv as HandoverEnv
-    from handover_marl.envs.own_rewards import combine_rewards as combine_rewards
-    from handover_marl.envs.own_rewards import declare_terms as declare_terms
     from handover_marl.envs.reward_terms import TermWeights as TermWeights
     from handover_marl.envs.transition import Transition as Transition
     from handover_marl.envs.vector.vector_env import vector_env as vector_env
@@ -65,7 +65,7 @@ if TYPE_CHECKING:
     from handover_marl.learning.adapters.as_policy import as_receiver as as_receiver
     from handover_marl.learning.adapters.export import export_policy as export_policy
     from handover_marl.learning.encodings.choices import declare_size as declare_size
-    from handover_marl.learning.encodings.own_features import FeatureExtractor as FeatureExtractor
+    from handover_marl.learning.encodings.custom_features import FeatureExtractor as FeatureExtractor
     from handover_marl.simulation.camera.frames import SegmentationLabel as SegmentationLabel
     from handover_marl.simulation.camera.noise import CameraNoise as CameraNoise
 
@@ -79,7 +79,7 @@ _MODULES = {
     "EpisodeStatus": "episode.referee",
     "EvaluationConfig": "evaluation.config",
     "ExecutionConfig": "evaluation.config",
-    "FeatureExtractor": "learning.encodings.own_features",
+    "FeatureExtractor": "learning.encodings.custom_features",
     "HandoverEnv": "envs.handover_env",
     "Report": "evaluation.reports.report",
     "SegmentationLabel": "simulation.camera.frames",
@@ -90,12 +90,12 @@ _MODULES = {
     "as_receiver": "learning.adapters.as_policy",
     "benchmark": "evaluation.benchmark",
     "benchmark_env": "envs.constructors",
-    "combine_rewards": "envs.own_rewards",
+    "combine_rewards": "envs.custom_rewards",
     "compare": "evaluation.comparison",
     "compare_physics": "evaluation.agreement",
     "crossplay": "evaluation.crossplay",
     "declare_size": "learning.encodings.choices",
-    "declare_terms": "envs.own_rewards",
+    "declare_terms": "envs.custom_rewards",
     "demonstrate": "evaluation.demonstrations.record",
     "encode": "envs.wrappers.encode",
     "env": "envs.constructors",

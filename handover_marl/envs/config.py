@@ -7,7 +7,7 @@ from typing import Any
 
 from handover_marl.config import OFFICIAL_CONFIG, TIME_STEP, CameraConfig, WorldConfig, check_config
 from handover_marl.envs.arguments import check_positive_integer
-from handover_marl.envs.own_rewards import RewardLike, resolve_rewards
+from handover_marl.envs.custom_rewards import RewardLike, resolve_rewards
 from handover_marl.episode.camera_observations import WristCameraConfig
 from handover_marl.episode.spaces import STATE, check_obs_mode, get_camera_data_kind
 from handover_marl.errors import OptionError, check_name

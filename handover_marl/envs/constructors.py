@@ -15,8 +15,8 @@ from handover_marl.envs.wrappers.freeze import FrozenPartnerEnv, freeze
 from handover_marl.envs.wrappers.wrapper import SingleAgentEnv
 from handover_marl.errors import OptionError
 from handover_marl.execution.options import forward_signature
-from handover_marl.learning.encodings.own_features import FeaturesLike
-from handover_marl.learning.encodings.own_schemes import SchemeLike
+from handover_marl.learning.encodings.custom_features import FeaturesLike
+from handover_marl.learning.encodings.custom_schemes import SchemeLike
 from handover_marl.policies.reference import PolicyLike
 
 # Fields that the benchmark does not fix; it prescribes physics, rules, horizon and camera.

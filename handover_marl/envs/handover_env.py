@@ -15,7 +15,7 @@ from handover_marl.datasets import open_dataset
 from handover_marl.datasets.splits import choose_scenes
 from handover_marl.envs.arguments import AGENTS, GIVER, RECEIVER, check_actions, check_scene_option, has_display
 from handover_marl.envs.config import RENDER_MODES, EnvConfig, make_env_config
-from handover_marl.envs.own_rewards import RewardSource, make_reward_source, resolve_rewards
+from handover_marl.envs.custom_rewards import RewardSource, make_reward_source, resolve_rewards
 from handover_marl.envs.rewards import RewardConfig, RewardFunction, RewardState, Terms
 from handover_marl.envs.transition import TransitionRecorder
 from handover_marl.episode.camera_observations import CameraFrame
@@ -63,7 +63,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
           rotation vector (3, rad) and release (1); zeros replay the recording.
 
     Reward: 1 to both agents in the step that completes the handover, else 0; or shaped, see
-        `handover_marl.envs.rewards`; or a user-defined function, see `handover_marl.envs.own_rewards`.
+        `handover_marl.envs.rewards`; or a user-defined function, see `handover_marl.envs.custom_rewards`.
 
     Termination: success (the gripper holds the object at the goal for 0.1 s after the release), contact
         of robot and person, or drop of the object.
@@ -120,11 +120,11 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         world_config = config.world_config
         self._episode = Episode(config.physics, world_config, config.render_mode == "human", config.wrist_camera)
         goal, rewards = world_config.protocol.goal_center, resolve_rewards(config.rewards)
-        self._own_rewards: RewardSource | None = None
+        self._reward_source: RewardSource | None = None
         if isinstance(rewards, RewardConfig):
             self._rewards = RewardFunction(rewards, goal)
         else:
-            self._own_rewards = make_reward_source(rewards, goal)
+            self._reward_source = make_reward_source(rewards, goal)
         self._recorder = TransitionRecorder(config.control_period)
         self._largest_class = max(self.dataset.object_names)
         self._observation: Observation | None = None
@@ -201,10 +201,10 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         self._cycles = 0
         observations = self._observe()
         infos = self._make_infos()
-        if self._own_rewards is None:
+        if self._reward_source is None:
             terms = self._rewards.reset(self._read_reward_state())
         else:
-            terms = self._own_rewards.start(self._recorder.start(observations, infos))
+            terms = self._reward_source.start(self._recorder.start(observations, infos))
         self.agents = list(AGENTS)
         return observations, _add_terms(infos, terms)
 
@@ -238,7 +238,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         cut_off = self.config.max_cycles is not None and self._cycles >= self.config.max_cycles
         truncated = bool(status & EpisodeStatus.TIMEOUT) or (cut_off and not terminated)
         infos = self._make_infos()
-        if self._own_rewards is None:
+        if self._reward_source is None:
             terms = self._rewards.compute_terms(status, self._read_reward_state)
         else:
             transition = self._recorder.record(
@@ -250,7 +250,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
                 terminated=terminated,
                 truncated=truncated,
             )
-            terms = self._own_rewards.compute(transition)
+            terms = self._reward_source.compute(transition)
         if not (terminated or truncated):
             self.agents = list(AGENTS)
         return (

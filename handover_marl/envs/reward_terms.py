@@ -213,7 +213,7 @@ class TermWeights:
                     raise OptionError(f"weight of term {name!r} of the {agent} must be a finite number, got {weight!r}")
 
 
-class WeightedTerms:
+class TermRewardSource:
     """Weighted ready-made terms of both agents.
 
     Args:

@@ -18,13 +18,13 @@ from handover_marl.episode.observations import Observation, giver_observation_sp
 from handover_marl.errors import check_name
 from handover_marl.geometry.ycb import LARGEST_YCB_CLASS
 from handover_marl.learning.encodings.choices import import_reference, is_reference
-from handover_marl.learning.encodings.own_features import (
+from handover_marl.learning.encodings.custom_features import (
     KIND,
     AgentFeatures,
     FeatureFunction,
     FeaturesLike,
     Vector,
-    make_own_features,
+    make_custom_features,
 )
 from handover_marl.policies.policy import PolicyContext
 from handover_marl.receivers.grasp_library import get_nearest_grasp_selector
@@ -247,6 +247,6 @@ def make_features(agent: str, choice: FeaturesLike, context: PolicyContext, trus
     if is_reference(choice):
         own = import_reference(KIND, str(choice), trust)
     if not isinstance(own, str):
-        return make_own_features(agent, own, context, str(choice) if is_reference(choice) else "")
+        return make_custom_features(agent, own, context, str(choice) if is_reference(choice) else "")
     space = spaces.Box(-np.inf, np.inf, (n_features(agent, own),), np.float32)
     return AgentFeatures(own, space, _FEATURES[agent][own][0](context))

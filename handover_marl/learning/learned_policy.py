@@ -7,7 +7,7 @@ import handover_marl.givers
 from handover_marl.errors import DataFormatError, OptionError
 from handover_marl.learning.action_scheme import Outputs
 from handover_marl.learning.adapters.network_policy import NetworkPolicy
-from handover_marl.learning.encodings.own_features import Vector
+from handover_marl.learning.encodings.custom_features import Vector
 from handover_marl.learning.features import make_features
 from handover_marl.learning.policy_files import read_policy
 from handover_marl.learning.schemes import make_scheme

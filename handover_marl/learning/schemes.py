@@ -5,7 +5,7 @@ from typing import Any
 from handover_marl.errors import check_name
 from handover_marl.learning.action_scheme import ActionScheme
 from handover_marl.learning.encodings.choices import import_reference, is_reference
-from handover_marl.learning.encodings.own_schemes import KIND, SchemeLike, make_own_scheme
+from handover_marl.learning.encodings.custom_schemes import KIND, SchemeLike, make_custom_scheme
 from handover_marl.learning.giver_schemes import DeviationScheme, HandoverPoseScheme, RawGiverScheme
 from handover_marl.learning.receiver_schemes import (
     CartesianDeltaScheme,
@@ -61,6 +61,6 @@ def make_scheme(agent: str, choice: SchemeLike, context: PolicyContext, trust: b
     if is_reference(choice):
         own = import_reference(KIND, str(choice), trust)
     if not isinstance(own, str):
-        return make_own_scheme(agent, own, context, str(choice) if is_reference(choice) else "")
+        return make_custom_scheme(agent, own, context, str(choice) if is_reference(choice) else "")
     scheme_size(agent, own)
     return _SCHEMES[own](context)

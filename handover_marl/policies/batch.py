@@ -46,7 +46,7 @@ class PolicyBatch(ABC):
         """
 
 
-class PolicyRows(PolicyBatch):
+class SequentialPolicyBatch(PolicyBatch):
     """Batch of one policy per episode, which are called one after another.
 
     Args:

@@ -15,7 +15,7 @@ from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.envs.vector.vector_env import HandoverVectorEnv
 from handover_marl.envs.wrappers.episode_returns import EpisodeReturns
 from handover_marl.errors import OptionError
-from tests.envs.own_rewards import approach
+from tests.envs.custom_rewards import approach
 
 OPTIONS: dict[str, Any] = {"dataset": "synthetic", "physics": "fast", "split": "val", "max_cycles": 6}
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")

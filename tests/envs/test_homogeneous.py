@@ -122,7 +122,7 @@ def test_padded_observations_are_ones_own_with_zeros() -> None:
     plain, env = handover_marl.encode(handover_marl.parallel_env(**SYNTHETIC)), encoded()
     shown, seen = plain.reset(seed=2)[0], env.reset(seed=2)[0]
     for agent in AGENTS:
-        np.testing.assert_array_equal(env.own_observation(agent, seen[agent]), shown[agent])
+        np.testing.assert_array_equal(env.unpad_observation(agent, seen[agent]), shown[agent])
 
 
 @settings(max_examples=50)
@@ -135,11 +135,11 @@ def test_ones_own_action_comes_back_whatever_follows_it(seed: int, agent: str, r
     space = env.action_space(agent)
     filled = np.random.default_rng(seed).uniform(space.low, space.high).astype(np.float32)
     filled[: len(wanted)] = wanted
-    np.testing.assert_array_equal(env.own_action(agent, filled), wanted)
+    np.testing.assert_array_equal(env.unpad_action(agent, filled), wanted)
     assert space.contains(filled)
     # Whatever all agents may do is within one's own bounds.
     space.seed(seed)
-    assert own.contains(env.own_action(agent, space.sample()))
+    assert own.contains(env.unpad_action(agent, space.sample()))
 
 
 ENVS = {True: equal(), False: encoded()}

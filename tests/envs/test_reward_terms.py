@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handover_marl.envs.reward_terms import TERMS, TermWeights, WeightedTerms, compute_hand_distance, make_term
+from handover_marl.envs.reward_terms import TERMS, TermRewardSource, TermWeights, compute_hand_distance, make_term
 from handover_marl.envs.transition import Transition
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import OptionError, UnknownNameError
@@ -101,7 +101,7 @@ def test_clearance_is_measured_from_the_gripper() -> None:
 
 
 def test_weights_multiply_terms() -> None:
-    terms = WeightedTerms(TermWeights(receiver={"time": -2.0, "success": 5.0}, giver={"time": 3.0}))
+    terms = TermRewardSource(TermWeights(receiver={"time": -2.0, "success": 5.0}, giver={"time": 3.0}))
     assert terms.start(transition()) == {"giver": {"time": 0.0}, "receiver": {"time": 0.0, "success": 0.0}}
     found = terms.compute(transition(status=EpisodeStatus.SUCCESS))
     assert found == {"giver": {"time": pytest.approx(0.3)}, "receiver": {"time": pytest.approx(-0.2), "success": 5.0}}

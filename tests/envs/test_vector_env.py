@@ -13,7 +13,7 @@ import pytest
 pytest.importorskip("mujoco", reason="needs the extra `mujoco`")
 
 import handover_marl
-from handover_marl.envs.own_rewards import combine_rewards
+from handover_marl.envs.custom_rewards import combine_rewards
 from handover_marl.envs.transition import Transition
 from handover_marl.envs.vector.vector_env import HandoverVectorEnv
 from handover_marl.errors import ActionError, OptionError, ResetNeededError, SimulationError, UnknownNameError

@@ -10,7 +10,7 @@ from handover_marl.envs.arguments import AGENTS, GIVER, RECEIVER
 from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.envs.vector.policy_batches import make_policy_batch
 from handover_marl.envs.vector.results import EnvResult
-from handover_marl.envs.vector.reward_rows import RewardRows
+from handover_marl.envs.vector.reward_batch import RewardBatch
 from handover_marl.envs.wrappers.encode import EncodedEnv
 from handover_marl.envs.wrappers.episode_returns import EpisodeReturns
 from handover_marl.envs.wrappers.freeze import DEFAULT_PARTNERS
@@ -58,7 +58,7 @@ class ArrayEpisodes:
         config = base.config
         self._agents = list(template.possible_agents)
         self._episodes = EpisodeBatch(config.world_config, count)
-        self._rewards = RewardRows(config, self._episodes, count)
+        self._rewards = RewardBatch(config, self._episodes, count)
         self._has_returns = has_episode_returns(template)
         self._cycles = np.zeros(count, dtype=np.int_)
         self._terminated, self._truncated = np.zeros(count, dtype=bool), np.zeros(count, dtype=bool)

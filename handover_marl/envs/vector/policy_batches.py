@@ -7,7 +7,7 @@ from handover_marl.config import WorldConfig
 from handover_marl.datasets.dataset import Dataset
 from handover_marl.episode.spaces import check_giver_action, check_receiver_action, giver_action_space
 from handover_marl.givers.batch import make_giver_batch
-from handover_marl.policies.batch import PolicyBatch, PolicyRows
+from handover_marl.policies.batch import PolicyBatch, SequentialPolicyBatch
 from handover_marl.policies.reference import PolicyReference
 
 
@@ -35,4 +35,4 @@ def make_policy_batch(
     def check(action: object) -> npt.NDArray[np.float32]:
         return check_giver_action(action, space) if reference.agent == "giver" else check_receiver_action(action)
 
-    return PolicyRows([first, *(reference.make(dataset, config, setup) for _ in range(count - 1))], check)
+    return SequentialPolicyBatch([first, *(reference.make(dataset, config, setup) for _ in range(count - 1))], check)

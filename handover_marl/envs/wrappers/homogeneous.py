@@ -60,7 +60,7 @@ class HomogeneousEnv(ParallelWrapper):
         """Return the lengths of an agent's observation and of its action, both without padding."""
         return _size(self._own[agent]), _size(self.env.action_space(agent))
 
-    def own_observation(self, agent: str, vector: Array) -> Array:
+    def unpad_observation(self, agent: str, vector: Array) -> Array:
         """Return an agent's observation without padding and without the one-hot code of the agent.
 
         Args:
@@ -69,7 +69,7 @@ class HomogeneousEnv(ParallelWrapper):
         """
         return vector[: self.sizes(agent)[0]]
 
-    def own_action(self, agent: str, action: Any) -> Array:
+    def unpad_action(self, agent: str, action: Any) -> Array:
         """Return an agent's action without padding, clipped to the bounds of the agent's actions.
 
         Args:
@@ -106,7 +106,7 @@ class HomogeneousEnv(ParallelWrapper):
             raise ResetNeededError("no episode is running; call reset() before step()")
         if not isinstance(actions, Mapping) or actions.keys() - set(self.agents):
             raise ActionError(f"actions must be a dict for {' and '.join(self.agents)}")
-        return super().step({agent: self.own_action(agent, actions.get(agent)) for agent in self.agents})
+        return super().step({agent: self.unpad_action(agent, actions.get(agent)) for agent in self.agents})
 
 
 def homogeneous(env: WrappableEnv) -> HomogeneousEnv:

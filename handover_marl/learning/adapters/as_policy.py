@@ -21,8 +21,8 @@ from handover_marl.learning.adapters.export import is_sb3_model
 from handover_marl.learning.adapters.function_policy import OBSERVATION, Encoding, FunctionPolicy
 from handover_marl.learning.adapters.models import CallableModel, GraphModel, Model, NetworkModel, TorchModel
 from handover_marl.learning.encodings.choices import is_reference
-from handover_marl.learning.encodings.own_features import FeaturesLike
-from handover_marl.learning.encodings.own_schemes import SchemeLike
+from handover_marl.learning.encodings.custom_features import FeaturesLike
+from handover_marl.learning.encodings.custom_schemes import SchemeLike
 from handover_marl.learning.features import available_features
 from handover_marl.learning.policy_files import RAW_ENCODINGS, check_control_period, read_file, read_policy
 from handover_marl.learning.schemes import available_schemes

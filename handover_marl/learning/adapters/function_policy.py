@@ -13,8 +13,8 @@ from handover_marl.errors import ActionError, HandoverError, OptionError
 from handover_marl.execution.files import shorten_text
 from handover_marl.learning.adapters.models import Model, reset_function
 from handover_marl.learning.adapters.network_policy import NetworkPolicy
-from handover_marl.learning.encodings.own_features import AgentFeatures, FeaturesLike
-from handover_marl.learning.encodings.own_schemes import SchemeLike
+from handover_marl.learning.encodings.custom_features import AgentFeatures, FeaturesLike
+from handover_marl.learning.encodings.custom_schemes import SchemeLike
 from handover_marl.learning.features import make_features
 from handover_marl.learning.schemes import make_scheme
 from handover_marl.policies.policy import PolicyContext

@@ -13,8 +13,8 @@ from handover_marl.learning.batch.receiver_schemes import (
     JointPositionBatch,
 )
 from handover_marl.learning.batch.schemes import RawSchemeBatch, SchemeBatch, SchemeRows
-from handover_marl.learning.encodings.own_features import FeaturesLike
-from handover_marl.learning.encodings.own_schemes import SchemeLike
+from handover_marl.learning.encodings.custom_features import FeaturesLike
+from handover_marl.learning.encodings.custom_schemes import SchemeLike
 from handover_marl.learning.features import make_features
 from handover_marl.learning.giver_schemes import DeviationScheme, HandoverPoseScheme, RawGiverScheme
 from handover_marl.learning.receiver_schemes import (

@@ -16,7 +16,7 @@ from handover_marl.config import TIME_STEP
 from handover_marl.episode.observations import Observation, giver_observation_space, observation_space
 from handover_marl.geometry.poses import compute_lengths, multiply_quaternions, rotate_points
 from handover_marl.geometry.ycb import LARGEST_YCB_CLASS
-from handover_marl.learning.encodings.own_features import AgentFeatures
+from handover_marl.learning.encodings.custom_features import AgentFeatures
 from handover_marl.learning.features import GRASP_SCALE, SCALE, GraspProximityFeatures
 from handover_marl.policies.policy import PolicyContext
 from handover_marl.receivers.grasp_selection import GraspSelectionBatch

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing_extensions import Self
 
 from handover_marl.envs.config import EnvConfig
-from handover_marl.envs.own_rewards import set_discount
+from handover_marl.envs.custom_rewards import set_discount
 from handover_marl.learning.encodings.choices import is_reference
 from handover_marl.learning.training.run_folder import select_training_scenes
 from handover_marl.learning.training.scene_arguments import SetupArgs

@@ -9,7 +9,7 @@ from types import ModuleType
 import pytest
 
 #: Built-in and own terms together.
-REWARDS = "tests.envs.own_rewards:SHAPED_AND_OWN"
+REWARDS = "tests.envs.custom_rewards:SHAPED_AND_OWN"
 EXPERIMENTS = Path(__file__).parents[3] / "experiments"
 
 

@@ -90,7 +90,7 @@ class CheckedScheme(ActionScheme):
             raise EncodingError(f"{KIND} {self.name!r} failed ({type(error).__name__}: {error})") from error
 
 
-def make_own_scheme(agent: str, choice: Any, context: PolicyContext, name: str = "") -> CheckedScheme:
+def make_custom_scheme(agent: str, choice: Any, context: PolicyContext, name: str = "") -> CheckedScheme:
     """Make a checked action scheme from a subclass of `ActionScheme` or a function with a declared size.
 
     Args:

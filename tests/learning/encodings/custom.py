@@ -5,7 +5,7 @@ import numpy as np
 from handover_marl.episode.observations import Observation
 from handover_marl.learning.action_scheme import ActionScheme
 from handover_marl.learning.encodings.choices import declare_size
-from handover_marl.learning.encodings.own_features import FeatureExtractor
+from handover_marl.learning.encodings.custom_features import FeatureExtractor
 
 
 @declare_size(3)

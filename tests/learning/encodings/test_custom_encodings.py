@@ -11,7 +11,7 @@ from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.errors import EncodingError, OptionError, UnknownNameError, UnsafeFileError
 from handover_marl.learning.action_scheme import ActionScheme
 from handover_marl.learning.encodings.choices import declare_size
-from handover_marl.learning.encodings.own_features import FeatureExtractor
+from handover_marl.learning.encodings.custom_features import FeatureExtractor
 from handover_marl.learning.features import available_features, make_features, n_features
 from handover_marl.learning.learned_policy import LearnedPolicy
 from handover_marl.learning.policy_files import write_policy
@@ -19,10 +19,10 @@ from handover_marl.learning.policy_spec import DenseNetwork, PolicySpec
 from handover_marl.learning.schemes import available_schemes, make_scheme
 from handover_marl.receivers import make_policy_context
 from tests.givers.test_givers import START, seen
-from tests.learning.encodings.own import FirstJoint, OffsetAndCount, move_first_joint, offset_to_object
+from tests.learning.encodings.custom import FirstJoint, OffsetAndCount, move_first_joint, offset_to_object
 
 CONTEXT = make_policy_context(SyntheticDataset())
-MODULE = "tests.learning.encodings.own"
+MODULE = "tests.learning.encodings.custom"
 SYNTHETIC: dict[str, Any] = {"dataset": "synthetic", "physics": "fast", "split": "val"}
 
 

@@ -10,17 +10,17 @@ import pytest
 
 import handover_marl
 from handover_marl.config import PandaConfig
+from handover_marl.envs.custom_rewards import combine_rewards, declare_terms, resolve_rewards, set_discount
 from handover_marl.envs.handover_env import HandoverEnv
-from handover_marl.envs.own_rewards import combine_rewards, declare_terms, resolve_rewards, set_discount
 from handover_marl.envs.reward_terms import TermWeights
 from handover_marl.envs.rewards import SHAPED, SPARSE
 from handover_marl.envs.transition import Transition
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import OptionError, ResetNeededError, RewardError, UnknownNameError
-from tests.envs.own_rewards import Counter, approach
+from tests.envs.custom_rewards import Counter, approach
 
 START = np.array(PandaConfig().start_joints, dtype=np.float32)
-MODULE = "tests.envs.own_rewards"
+MODULE = "tests.envs.custom_rewards"
 Make = Callable[..., HandoverEnv]
 
 

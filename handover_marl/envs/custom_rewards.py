@@ -10,7 +10,7 @@ from typing import Any, Protocol, TypeAlias, TypeVar
 import numpy as np
 
 from handover_marl.envs.arguments import AGENTS
-from handover_marl.envs.reward_terms import TermWeights, WeightedTerms
+from handover_marl.envs.reward_terms import TermRewardSource, TermWeights
 from handover_marl.envs.rewards import REWARDS, RewardConfig, RewardFunction, RewardState, Terms, make_reward_config
 from handover_marl.envs.transition import Transition
 from handover_marl.errors import HandoverError, OptionError, RewardError, UnknownNameError
@@ -20,7 +20,7 @@ from handover_marl.geometry.poses import transform_points
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 Position: TypeAlias = tuple[float, ...]
 #: Function from a transition to the reward terms by agent and name.
-OwnReward: TypeAlias = Callable[[Transition], Mapping[str, Mapping[str, float]]]
+CustomReward: TypeAlias = Callable[[Transition], Mapping[str, Mapping[str, float]]]
 
 
 def declare_terms(giver: tuple[str, ...] = (), receiver: tuple[str, ...] = ()) -> Callable[[_Function], _Function]:
@@ -53,7 +53,7 @@ class CombinedRewards:
 
 
 #: Value of `rewards`: name, weights, function, combination, or text `module:name`.
-RewardLike: TypeAlias = str | RewardConfig | TermWeights | CombinedRewards | OwnReward
+RewardLike: TypeAlias = str | RewardConfig | TermWeights | CombinedRewards | CustomReward
 
 
 def combine_rewards(*parts: RewardLike | tuple[float, RewardLike]) -> CombinedRewards:
@@ -128,15 +128,15 @@ def make_reward_source(rewards: RewardLike, goal: Position) -> RewardSource:
     """
     found = resolve_rewards(rewards)
     if isinstance(found, RewardConfig):
-        return ConfiguredRewards(found, goal)
+        return BuiltinRewardSource(found, goal)
     if isinstance(found, CombinedRewards):
-        return SummedRewards([(weight, make_reward_source(part, goal)) for weight, part in found.parts])
+        return SummedRewardSource([(weight, make_reward_source(part, goal)) for weight, part in found.parts])
     if isinstance(found, TermWeights):
-        return WeightedTerms(found)
-    return CheckedRewards(found() if isinstance(found, type) else copy.deepcopy(found))
+        return TermRewardSource(found)
+    return CustomRewardSource(found() if isinstance(found, type) else copy.deepcopy(found))
 
 
-class ConfiguredRewards:
+class BuiltinRewardSource:
     """Built-in rewards ("sparse", "shaped" or a `RewardConfig`) as a part of combined rewards.
 
     Args:
@@ -156,7 +156,7 @@ class ConfiguredRewards:
         return self._function.compute_terms(transition.status, lambda: read_reward_state(transition))
 
 
-class SummedRewards:
+class SummedRewardSource:
     """Weighted terms of several rewards, whose names must differ.
 
     Args:
@@ -192,7 +192,7 @@ class SummedRewards:
         return terms
 
 
-class CheckedRewards:
+class CustomRewardSource:
     """Terms of a user-defined function, each checked.
 
     Args:
@@ -200,7 +200,7 @@ class CheckedRewards:
             the start of an episode.
     """
 
-    def __init__(self, function: OwnReward) -> None:
+    def __init__(self, function: CustomReward) -> None:
         self.function = function
         self.name = str(getattr(function, "__qualname__", None) or type(function).__qualname__)
         declared = getattr(function, "terms", None)

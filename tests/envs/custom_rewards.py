@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from handover_marl.envs.own_rewards import combine_rewards
+from handover_marl.envs.custom_rewards import combine_rewards
 from handover_marl.envs.transition import Transition
 
 

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from handover_marl.envs.arguments import AGENTS, GIVER, RECEIVER
 from handover_marl.envs.config import EnvConfig
-from handover_marl.envs.own_rewards import make_reward_source, resolve_rewards
+from handover_marl.envs.custom_rewards import make_reward_source, resolve_rewards
 from handover_marl.envs.rewards import RewardConfig, RewardFunction, RewardState, Terms
 from handover_marl.envs.transition import TransitionRecorder
 from handover_marl.episode.batch.episodes import EpisodeBatch
@@ -26,7 +26,7 @@ Flags = npt.NDArray[np.bool_]
 Actions = Mapping[str, npt.NDArray[np.float32]]
 
 
-class RewardRows:
+class RewardBatch:
     """Weighted reward terms of n episodes, which add up until `clear`.
 
     Args:

@@ -128,7 +128,7 @@ class AgentFeatures:
             )
 
 
-def make_own_features(agent: str, choice: Any, context: PolicyContext, name: str = "") -> AgentFeatures:
+def make_custom_features(agent: str, choice: Any, context: PolicyContext, name: str = "") -> AgentFeatures:
     """Make checked features from a class, an instance or a function that declares its size or space.
 
     Args:
