@@ -25,22 +25,22 @@ Array = npt.NDArray[np.float64]
 _CONTROLS = (mujoco.mjtState.mjSTATE_CTRL, mujoco.mjtState.mjSTATE_MOCAP_POS, mujoco.mjtState.mjSTATE_MOCAP_QUAT)
 _CONTROL_SPEC = sum(int(part) for part in _CONTROLS)
 _RECORDED = ("sensordata", "qpos")
-# Largest number of worlds of a group, whose memory is reserved even if few of them have its layout.
-_MAX_GROUP_SIZE = 64
-# Number of groups without worlds that are kept. A group takes 5 MB, and 2 ms to make.
-_MAX_EMPTY_GROUPS = 8
+# Largest number of worlds of a batch, whose memory is reserved even if few of them have its layout.
+_MAX_BATCH_SIZE = 64
+# Number of batches without worlds that are kept. A batch takes 5 MB, and 2 ms to make.
+_MAX_EMPTY_BATCHES = 8
 
 
-class ModelGroup:
-    """Group of worlds whose MuJoCo models have the same layout, simulated as one batch.
+class WorldBatch:
+    """Worlds that are simulated as one MuJoCo batch; their models have the same layout, as MuJoCo requires.
 
     Args:
-        scene: Scene model with the layout of the group.
+        scene: Scene model with the layout of the batch.
         capacity: Largest number of worlds.
-        buffers: Memory of rollouts by name, shared with groups that are simulated by the same thread.
+        buffers: Memory of rollouts by name, shared with batches that are simulated by the same thread.
 
     Attributes:
-        scene: Scene model with the layout of the group.
+        scene: Scene model with the layout of the batch.
         batch: MuJoCo batch; each row is a world.
         models: MuJoCo model of each row.
         free_rows: Heap of the numbers of the rows without a world.
@@ -89,7 +89,7 @@ class ModelGroup:
         return self._buffers[name][:size].reshape(shape)
 
     def try_model(self, model: "mujoco.MjModel", row: int) -> bool:
-        """Set the model of a row if it has the group's layout, and return whether it has."""
+        """Set the model of a row if it has the layout of the batch, and return whether it has."""
         before = self.models[row]
         self.models[row] = model
         try:
@@ -107,7 +107,7 @@ class ModelGroup:
 
     @property
     def is_empty(self) -> bool:
-        """Whether the group has no world."""
+        """Whether the batch has no world."""
         return len(self.free_rows) == len(self.models)
 
 
@@ -115,19 +115,19 @@ class BatchSlot:
     """Row of a batch in which a world is simulated during one episode.
 
     Args:
-        group: Group of the row.
-        row: Number of the row in its group.
+        world_batch: Batch of the row.
+        row: Number of the row in its batch.
         scene: Model of the scene.
 
     Attributes:
-        group: Group of the row.
-        row: Number of the row in its group.
+        world_batch: Batch of the row.
+        row: Number of the row in its batch.
         scene: Model of the scene.
         released: Whether the human has released the target object.
     """
 
-    def __init__(self, group: ModelGroup, row: int, scene: SceneModel) -> None:
-        self.group, self.row, self.scene = group, row, scene
+    def __init__(self, world_batch: WorldBatch, row: int, scene: SceneModel) -> None:
+        self.world_batch, self.row, self.scene = world_batch, row, scene
         self.released = False
         # Variants that were used in this episode are held, since they are likely to be used again.
         self._variants: dict[tuple[bool, bool], mujoco.MjModel] = {}
@@ -151,18 +151,18 @@ class BatchSlot:
         """
         self.released = True
         body = self.scene.objects[0]
-        self.group.forces[self.row, body, 2] = gravity * float(self.scene.model.body_mass[body])
+        self.world_batch.forces[self.row, body, 2] = gravity * float(self.scene.model.body_mass[body])
 
     @property
     def qpos(self) -> Array:
         """Writable view of the world's joint positions (q,)."""
-        found: Array = self.group.qpos[self.row]
+        found: Array = self.world_batch.qpos[self.row]
         return found
 
     @property
     def qvel(self) -> Array:
         """Writable view of the world's joint velocities (v,)."""
-        found: Array = self.group.qvel[self.row]
+        found: Array = self.world_batch.qvel[self.row]
         return found
 
     def get_controls(self) -> tuple[Array, Array, Array]:
@@ -171,12 +171,12 @@ class BatchSlot:
         Returns:
             Actuator targets (u,), mocap positions (m, 3), mocap quaternions wxyz (m, 4).
         """
-        group, row = self.group, self.row
-        return group.ctrl[row], group.mocap_pos[row], group.mocap_quat[row]
+        world_batch, row = self.world_batch, self.row
+        return world_batch.ctrl[row], world_batch.mocap_pos[row], world_batch.mocap_quat[row]
 
     def set_time(self, seconds: float) -> None:
         """Set the simulation time of the world (s)."""
-        self.group.batch.bind("time")[self.row] = seconds
+        self.world_batch.batch.bind("time")[self.row] = seconds
 
     def step(self) -> None:
         """Simulate one physics step of the world with its current controls.
@@ -184,17 +184,17 @@ class BatchSlot:
         Raises:
             SimulationError: MuJoCo warned; the state is invalid.
         """
-        group, rows = self.group, np.array([self.row], dtype=np.int32)
-        group.batch.step(ids=rows)
-        check_warnings(group.batch, rows)
+        world_batch, rows = self.world_batch, np.array([self.row], dtype=np.int32)
+        world_batch.batch.step(ids=rows)
+        check_warnings(world_batch.batch, rows)
 
     def read_sensors(self) -> SensorReadings:
         """Return the contact-sensor readings of the last physics step."""
-        return SensorReadings(self.scene.contact_sensors, *(array[self.row] for array in self.group.recorded))
+        return SensorReadings(self.scene.contact_sensors, *(array[self.row] for array in self.world_batch.recorded))
 
     def compute_body_poses(self) -> tuple[Array, Array]:
         """Compute the world positions (b, 3) and quaternions wxyz (b, 4) of all bodies."""
-        scratch = self.group.scratch
+        scratch = self.world_batch.scratch
         scratch.qpos[:] = self.qpos
         mujoco.mj_kinematics(self.scene.model, scratch)
         return scratch.xpos, scratch.xquat
@@ -209,13 +209,13 @@ class BatchSimulation:
 
     def __init__(self, count: int) -> None:
         configure_engine()
-        self._capacity = min(count, _MAX_GROUP_SIZE)
+        self._capacity = min(count, _MAX_BATCH_SIZE)
         self._buffers: dict[str, Array] = {}
-        self._groups: dict[tuple[int, ...], list[ModelGroup]] = {}
+        self._batches: dict[tuple[int, ...], list[WorldBatch]] = {}
         self._robot_rollouts: dict[RobotOnlyModel, RobotOnlyRollouts] = {}
         self._hand_kinematics: dict[tuple[Path, int, tuple[int, ...]], HandKinematics] = {}
         # Groups that were empty when last checked, in the order in which they became so.
-        self._empty_groups: list[ModelGroup] = []
+        self._empty_batches: list[WorldBatch] = []
 
     def load_scene(self, scene: SceneModel, previous: BatchSlot | None = None) -> BatchSlot:
         """Load a scene, and return its batch slot in the initial state of the model.
@@ -224,26 +224,26 @@ class BatchSimulation:
             scene: Model of the scene.
             previous: Slot of the world's previous episode, which becomes invalid.
         """
-        if previous is not None and previous.group.try_model(scene.model, previous.row):
-            slot = BatchSlot(previous.group, previous.row, scene)
+        if previous is not None and previous.world_batch.try_model(scene.model, previous.row):
+            slot = BatchSlot(previous.world_batch, previous.row, scene)
         else:
             if previous is not None:
                 self.free(previous)
-            group = self._find_group(scene)
-            slot = BatchSlot(group, heapq.heappop(group.free_rows), scene)
-        slot.group.batch.reset(ids=np.array([slot.row], dtype=np.int32), stage=int(mujoco.mjtStage.mjSTAGE_NONE))
-        slot.group.batch.warning[slot.row] = 0
+            world_batch = self._find_batch(scene)
+            slot = BatchSlot(world_batch, heapq.heappop(world_batch.free_rows), scene)
+        slot.world_batch.batch.reset(ids=np.array([slot.row], dtype=np.int32), stage=int(mujoco.mjtStage.mjSTAGE_NONE))
+        slot.world_batch.batch.warning[slot.row] = 0
         return slot
 
     def free(self, slot: BatchSlot) -> None:
         """Free the batch row of a slot; the slot becomes invalid."""
-        group = slot.group
-        group.free_row(slot.row)
-        if group.is_empty:
-            kept = [*(one for one in self._empty_groups if one.is_empty and one is not group), group]
-            self._empty_groups, dropped = kept[-_MAX_EMPTY_GROUPS:], kept[:-_MAX_EMPTY_GROUPS]
+        world_batch = slot.world_batch
+        world_batch.free_row(slot.row)
+        if world_batch.is_empty:
+            kept = [*(one for one in self._empty_batches if one.is_empty and one is not world_batch), world_batch]
+            self._empty_batches, dropped = kept[-_MAX_EMPTY_BATCHES:], kept[:-_MAX_EMPTY_BATCHES]
             for one in dropped:
-                self._groups[_get_sizes(one.scene.model)].remove(one)
+                self._batches[_get_sizes(one.scene.model)].remove(one)
 
     def get_robot_rollouts(self, model: RobotOnlyModel) -> RobotOnlyRollouts:
         """Return the cache of rollouts without hand and objects, shared by all worlds."""
@@ -263,14 +263,14 @@ class BatchSimulation:
             self._hand_kinematics[key] = HandKinematics(urdf, np.array(links))
         return self._hand_kinematics[key]
 
-    def _find_group(self, scene: SceneModel) -> ModelGroup:
-        """Return a model group with a free row that accepts the scene's model."""
-        groups = self._groups.setdefault(_get_sizes(scene.model), [])
-        for group in groups:
-            if group.free_rows and group.try_model(scene.model, group.free_rows[0]):
-                return group
-        groups.append(ModelGroup(scene, self._capacity, self._buffers))
-        return groups[-1]
+    def _find_batch(self, scene: SceneModel) -> WorldBatch:
+        """Return a world batch with a free row that accepts the scene's model."""
+        batches = self._batches.setdefault(_get_sizes(scene.model), [])
+        for world_batch in batches:
+            if world_batch.free_rows and world_batch.try_model(scene.model, world_batch.free_rows[0]):
+                return world_batch
+        batches.append(WorldBatch(scene, self._capacity, self._buffers))
+        return batches[-1]
 
 
 def _get_sizes(model: "mujoco.MjModel") -> tuple[int, ...]:
@@ -280,7 +280,7 @@ def _get_sizes(model: "mujoco.MjModel") -> tuple[int, ...]:
 
 @dataclass(frozen=True, eq=False)
 class BatchRollout:
-    """Rollout of k physics steps of n worlds in one model group.
+    """Rollout of k physics steps of n worlds in one world batch.
 
     The rollout is valid until the next rollout of the thread.
 
@@ -304,13 +304,13 @@ class BatchRollout:
             steps: Number of steps to keep.
         """
         slot = self.slots[number]
-        batch, rows = slot.group.batch, np.array([slot.row], dtype=np.int32)
+        batch, rows = slot.world_batch.batch, np.array([slot.row], dtype=np.int32)
         batch.state[slot.row] = self.before[number]
         batch.rollout(steps, self.controls[number, None, :steps], _CONTROL_SPEC, (), rows)
 
 
 def simulate_slots(slots: Sequence[BatchSlot], controls: Sequence[Array]) -> BatchRollout:
-    """Simulate k physics steps of the worlds in slots of one model group.
+    """Simulate k physics steps of the worlds in slots of one world batch.
 
     Args:
         slots: Slots in the order of their rows.
@@ -320,11 +320,11 @@ def simulate_slots(slots: Sequence[BatchSlot], controls: Sequence[Array]) -> Bat
     Raises:
         SimulationError: MuJoCo warned; the states of these worlds are invalid.
     """
-    group, rows = slots[0].group, np.array([slot.row for slot in slots], dtype=np.int32)
-    stacked = np.stack(controls, out=group.get_buffer("controls", (len(controls), *controls[0].shape)))
-    before = group.batch.state[rows]
-    buffers = group.get_record_buffers(*stacked.shape[:2])
-    found = group.batch.rollout(stacked.shape[1], stacked, _CONTROL_SPEC, _RECORDED, rows, buffers)
-    check_warnings(group.batch, rows)
+    world_batch, rows = slots[0].world_batch, np.array([slot.row for slot in slots], dtype=np.int32)
+    stacked = np.stack(controls, out=world_batch.get_buffer("controls", (len(controls), *controls[0].shape)))
+    before = world_batch.batch.state[rows]
+    buffers = world_batch.get_record_buffers(*stacked.shape[:2])
+    found = world_batch.batch.rollout(stacked.shape[1], stacked, _CONTROL_SPEC, _RECORDED, rows, buffers)
+    check_warnings(world_batch.batch, rows)
     arrays = (found[name].swapaxes(0, 1) for name in _RECORDED)
-    return BatchRollout(list(slots), SensorReadings(group.scene.contact_sensors, *arrays), stacked, before)
+    return BatchRollout(list(slots), SensorReadings(world_batch.scene.contact_sensors, *arrays), stacked, before)

@@ -206,19 +206,19 @@ def track_references(controllers: Sequence[WorldController]) -> None:
 
 
 def select_model_variants(slots: Sequence[BatchSlot], hands: Sequence[bool]) -> None:
-    """Set the model variants of slots of one model group for the coming steps.
+    """Set the model variants of slots of one world batch for the coming steps.
 
     Args:
-        slots: Batch slots of one model group.
+        slots: Batch slots of one world batch.
         hands: Whether the hand can collide in these steps, for each slot.
     """
-    group, changed = slots[0].group, False
+    world_batch, changed = slots[0].world_batch, False
     for slot, hand in zip(slots, hands, strict=True):
         model = slot.select_model(hand)
-        if group.models[slot.row] is not model:
-            group.models[slot.row], changed = model, True
+        if world_batch.models[slot.row] is not model:
+            world_batch.models[slot.row], changed = model, True
     if changed:
-        group.batch.set_models(group.models)
+        world_batch.batch.set_models(world_batch.models)
 
 
 def prepare_controls(controllers: Sequence[WorldController], robot_targets: Sequence[list[float]]) -> None:

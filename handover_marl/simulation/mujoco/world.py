@@ -130,7 +130,7 @@ class MujocoWorld(BatchWorld):
         Worlds with equal keys may be simulated together. Worlds whose robot is simulated alone, because
         nothing is near it, share one key.
         """
-        return (SleepState, 0) if self.is_asleep else (self.controller.slot.group, self.controller.slot.row)
+        return (SleepState, 0) if self.is_asleep else (self.controller.slot.world_batch, self.controller.slot.row)
 
     @property
     def is_asleep(self) -> bool:

@@ -1,4 +1,4 @@
-"""Batches of worlds: rows, groups of models, and the memory that they hold."""
+"""Batches of worlds: rows, models, and the memory that they hold."""
 
 import gc
 import weakref
@@ -32,47 +32,47 @@ def models(count: int) -> list[SceneModel]:
 
 
 @pytest.fixture
-def max_empty_groups(monkeypatch: pytest.MonkeyPatch) -> int:
-    """Keep at most two groups without worlds."""
-    monkeypatch.setattr(batch, "_MAX_EMPTY_GROUPS", 2)
+def max_empty_batches(monkeypatch: pytest.MonkeyPatch) -> int:
+    """Keep at most two batches without worlds."""
+    monkeypatch.setattr(batch, "_MAX_EMPTY_BATCHES", 2)
     return 2
 
 
-def n_groups(simulation: BatchSimulation) -> int:
-    return sum(len(groups) for groups in simulation._groups.values())
+def n_batches(simulation: BatchSimulation) -> int:
+    return sum(len(batches) for batches in simulation._batches.values())
 
 
-def test_memory_does_not_grow_with_the_scenes_that_were_played(max_empty_groups: int) -> None:
+def test_memory_does_not_grow_with_the_scenes_that_were_played(max_empty_batches: int) -> None:
     simulation, slot = BatchSimulation(1), None
     for model in models(6) * 2:
         slot = simulation.load_scene(model, slot)
-        assert slot.group.batch.model.nq == model.model.nq
-        assert n_groups(simulation) <= max_empty_groups + 1
+        assert slot.world_batch.batch.model.nq == model.model.nq
+        assert n_batches(simulation) <= max_empty_batches + 1
 
 
-def test_groups_with_worlds_are_kept(max_empty_groups: int) -> None:
+def test_batches_with_worlds_are_kept(max_empty_batches: int) -> None:
     simulation = BatchSimulation(2)
     first, *others = models(6)
     stays, moves = simulation.load_scene(first), None
-    group = stays.group
+    world_batch = stays.world_batch
     for model in others:
         moves = simulation.load_scene(model, moves)
-    assert stays.group is group
+    assert stays.world_batch is world_batch
     moves = simulation.load_scene(first, moves)
-    assert moves.group is group
+    assert moves.world_batch is world_batch
     assert moves.row != stays.row
-    assert n_groups(simulation) <= max_empty_groups + 1
+    assert n_batches(simulation) <= max_empty_batches + 1
 
 
-def test_free_rows_hold_no_model(max_empty_groups: int) -> None:
+def test_free_rows_hold_no_model(max_empty_batches: int) -> None:
     (model,) = models(1)
     simulation = BatchSimulation(2)
     slot = simulation.load_scene(model)
-    group, row = slot.group, slot.row
-    group.models[row] = model.variants.select(True, False)
+    world_batch, row = slot.world_batch, slot.row
+    world_batch.models[row] = model.variants.select(True, False)
     simulation.free(slot)
-    assert group.models[row] is group.scene.model
-    assert group.is_empty
+    assert world_batch.models[row] is world_batch.scene.model
+    assert world_batch.is_empty
 
 
 def test_model_variants_are_shared_while_worlds_hold_them() -> None:
