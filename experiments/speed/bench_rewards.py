@@ -1,4 +1,4 @@
-"""Measure how much own rewards slow down the environments of a training, as ratios within one run.
+"""Measure how much user-defined rewards slow down the environments of a training, as ratios within one run.
 
     python experiments/speed/bench_rewards.py --dataset synthetic
 
@@ -27,7 +27,7 @@ from handover_marl.simulation.engines import MUJOCO
 
 @dataclass(frozen=True)
 class Args(DatasetArgs, OutputArgs):
-    """Options of the measurement of own rewards.
+    """Options of the measurement of user-defined rewards.
 
     Attributes:
         physics: Simulation: mujoco, fast or exact.

@@ -26,11 +26,11 @@ class EnvConfig:
     """Configuration of the handover environment, shared by all its constructors.
 
     Attributes:
-        setup: Official setup, "s0" to "s3", or one of the data set; default: its first, "s0" of the official ones.
+        setup: Setup of the data set; default: its first setup. Official setups are "s0" (default) to "s3".
         split: "train", "val" or "test".
         data_dir: Folder in HandoverSim's layout; default: the environment variable HANDOVER_MARL_DATA.
-        dataset: "dexycb", "synthetic", "own:FOLDER" (own scenes), or "auto": DexYCB if there is a data folder,
-            else synthetic. Further kinds: `handover_marl.datasets.registry`.
+        dataset: "dexycb", "synthetic", "generated:n=N,seed=S", "own:FOLDER" (custom scenes in a folder), or
+            "auto": DexYCB if there is a data folder, else synthetic. See `handover_marl.datasets.registry`.
         physics: "exact" is HandoverSim's simulation bit for bit; "fast", for training, simulates hand
             and objects only while the robot is near them; "mujoco" is MuJoCo in place of
             PyBullet, faster still.
@@ -39,8 +39,8 @@ class EnvConfig:
         camera: Camera of the "rgb_array" images.
         rewards: "sparse", 1 for a completed handover; "shaped", with potential-based shaping and
             costs in addition; a `RewardConfig`; `TermWeights` of ready-made terms; a function of a
-            `Transition` that returns terms by agent; a combination (`combine_rewards`); or text
-            `module:name` of one of these.
+            `Transition` that returns terms by agent; a combination (`combine_rewards`); or the text
+            `module:name` that names one of these.
         scenes: Scene numbers to draw from; default: the whole split.
         max_cycles: Control steps after which an episode is truncated; default: never.
         world_config: Simulated world, protocol and limits of the giver.

@@ -6,7 +6,7 @@
 | gripper_path | distance of the hand link's positions before and after the step | m |
 | hand_path | distance of the person's wrist positions before and after the step; 0 without a hand | m |
 | gripper_jerk | norm of the third difference of the last four positions of the hand link, by T^2 | m/s^2 |
-| hand_jerk | the same of the person's wrist; 0 without a hand | m/s^2 |
+| hand_jerk | the same for the person's wrist; 0 without a hand | m/s^2 |
 | object_force | sum of the normal forces between robot and object at the end of the step, times T | N s |
 | hand_force | sum of the normal forces between robot and human hand at the end of the step, times T | N s |
 | time | T | s |

@@ -21,7 +21,7 @@ class Transition:
     """One control step of the environment: what was observed, done and observed again.
 
     World frame; m, rad, s, N; quaternions xyzw. All arrays are read-only copies. Observations and
-    actions are those of the environment itself, before any wrapper, features or action scheme.
+    actions are the environment's own, not the values of a wrapper, features or action scheme.
 
     Attributes:
         observations: Observation before the step, by agent ("giver", "receiver"); elements of the

@@ -48,7 +48,7 @@ class EvaluationConfig:
             setup of other data. Default: the first of the dataset, s0 of the official ones.
         split: Split of the setup: train, val or test.
         scenes: Scene numbers of the split to evaluate, e.g. 209,214; default: all. Reports say if they are partial.
-        dataset: Dataset: dexycb, synthetic, own:FOLDER (own scenes), or auto (dexycb if a data folder is found, else
+        dataset: Dataset: dexycb, synthetic, own:FOLDER (custom scenes), or auto (dexycb if a data folder is found, else
             synthetic).
         data_dir: Data folder in HandoverSim's layout; default: the environment variable HANDOVER_MARL_DATA.
         physics: Physics: exact (official results), fast, or mujoco (another engine).

@@ -17,7 +17,7 @@ ObserveFunction = Callable[[Rows], Observation]
 
 
 class PolicyBatch(ABC):
-    """One agent's policy in n episodes; the last action holds until the policy's next decision."""
+    """Policy that acts for one agent in n episodes; an action is held until the policy's next decision."""
 
     @abstractmethod
     def reset(self, row: int, seed: int | None, object_names: Sequence[str]) -> None:
@@ -47,7 +47,7 @@ class PolicyBatch(ABC):
 
 
 class SequentialPolicyBatch(PolicyBatch):
-    """Batch of one policy per episode, which are called one after another.
+    """Batch of n policies, one for each episode, that are called one after another.
 
     Args:
         policies: Policy of each episode.

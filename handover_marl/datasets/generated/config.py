@@ -86,7 +86,7 @@ class GeneratedConfig:
 
     @property
     def argument(self) -> str:
-        """Text after `generated:` that describes this configuration: n, seed and what is no default."""
+        """Text after `generated:` that describes this configuration: n, seed and values that are not defaults."""
         usual = FAMILY_DEFAULTS[self.family]
         names = [field.name for field in fields(self)]
         chosen = [name for name in names if name in ("n", "seed") or getattr(self, name) != getattr(usual, name)]

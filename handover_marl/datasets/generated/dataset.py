@@ -184,8 +184,8 @@ class GeneratedDataset(Dataset):
     def load_grasps(self, object_name: str) -> npt.NDArray[np.float64] | None:
         """Return robot grasps (n, 4, 4) of a class, or None if it has none.
 
-        Those of shipped objects are tried in simulation; those of procedural objects are antipodal grasps
-        that are clear of the object, and are not tried.
+        Grasps of shipped objects have held the object in simulation. Grasps of procedural objects are
+        antipodal and do not collide with the object; they are not simulated.
         """
         number = self._names.find_procedural(object_name)
         if number is None:
@@ -202,7 +202,7 @@ class GeneratedDataset(Dataset):
         return f"{GENERATED}-{VERSION}-{self.name.partition(',')[2]}"
 
     def describe_models(self, scene_id: int) -> str:
-        """Return an empty note: all generated scenes have the library's models."""
+        """Return an empty text: all generated scenes have the library's models."""
         return ""
 
 

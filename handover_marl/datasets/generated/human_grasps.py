@@ -1,6 +1,6 @@
 """Human grasps of procedural objects: open hands around the object whose fingers are closed on it.
 
-Grasps of left hands are those of right hands on the mirrored object, mirrored back.
+Grasps of a left hand are computed for a right hand and the mirrored object, and then mirrored.
 """
 
 from dataclasses import dataclass, replace

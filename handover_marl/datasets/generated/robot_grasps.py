@@ -1,4 +1,6 @@
-"""Robot grasps of procedural objects: antipodal, and clear of the object by analytic distances.
+"""Robot grasps of procedural objects: antipodal grasps at which the gripper does not touch the object.
+
+Collisions are excluded by analytic signed distances.
 
 A gripper pose has the convention of HandoverSim's grasp files: the fingers close along x, the hand
 approaches along z.

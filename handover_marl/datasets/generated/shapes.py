@@ -53,8 +53,8 @@ class Part:
     def compute_distances(self, points: Array) -> Array:
         """Return signed distances (...) of points (..., 3) in the object's frame, negative inside (m).
 
-        Those of a superellipsoid are exact to first order at the surface, too small outside, and only of
-        the right sign deep inside.
+        Distances to a superellipsoid are approximate: exact to first order near the surface, and too
+        small farther outside. Deep inside only their sign is right.
         """
         local = np.roll(points - np.array(self.position), 2 - self.axis, axis=-1)
         if self.kind == "box":

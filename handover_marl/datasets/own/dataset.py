@@ -1,9 +1,12 @@
-"""Data set of own scenes, `own:FOLDER`.
+"""Data set of custom scenes in a folder, `own:FOLDER`.
 
-The motion of scene N is in `motion/00000N.npz`: `object_dof` (T, n, 6) positions (m) and intrinsic XYZ Euler
-angles (rad) of the objects, the handed-over one first; `hand_dof` (T, 51) position of the hand's base (m), its
-angles and 45 finger joint angles (rad), zeros without a hand; `hand_span` (2,) first and last frame with the
-hand, -1 without one. World frame, float32, 1 kHz.
+The motion of scene N is in `motion/00000N.npz`, in the world frame at 1 kHz:
+
+- `object_dof` (T, n, 6): positions (m) and intrinsic XYZ Euler angles (rad) of the objects, the handed-over object
+  first.
+- `hand_dof` (T, 51): position (m) and Euler angles (rad) of the hand's base, then 45 finger joint angles (rad);
+  zeros without a hand.
+- `hand_span` (2,): first and last frame in which the hand is present; -1 and -1 without a hand.
 """
 
 import hashlib
@@ -37,15 +40,15 @@ _MAX_BYTES = 500_000_000
 
 
 def open_own_dataset(argument: str, data_dir: str | None, robot: str) -> "OwnDataset":
-    """Open own scenes by the argument of a data set's name.
+    """Open the custom scenes in a folder.
 
     Args:
-        argument: The folder; with `data_dir`, the name of the data set.
+        argument: Text after "own:": the folder, or the name of the data set if `data_dir` is given.
         data_dir: The folder, or None.
         robot: Variant of the Panda.
 
     Raises:
-        OptionError: The folder has another data set than the one that is named.
+        OptionError: The data set in the folder has another name than `argument`.
         DataNotFoundError: The folder does not exist or has no scenes.
         DataFormatError: A file is damaged.
     """
@@ -64,7 +67,7 @@ def open_own_dataset(argument: str, data_dir: str | None, robot: str) -> "OwnDat
 
 
 def get_motion_path(folder: Path, scene_id: int) -> Path:
-    """Return the path of a scene's motion in a folder of own scenes."""
+    """Return the path of a scene's motion in a folder of custom scenes."""
     return folder / MOTION_FOLDER / f"{scene_id:06d}.npz"
 
 
@@ -207,7 +210,7 @@ class OwnDataset(Dataset):
         return digest.hexdigest()[:16]
 
     def describe_models(self, scene_id: int) -> str:
-        """Return an empty note: the models are the user's and the library's."""
+        """Return an empty text: all models are the user's or the library's."""
         return ""
 
     def _get_scene(self, scene_id: int) -> OwnScene:

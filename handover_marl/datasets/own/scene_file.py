@@ -120,7 +120,7 @@ class SceneFile:
 
     @property
     def object_names(self) -> dict[int, str]:
-        """Class names by class number, YCB classes and own ones."""
+        """Class names by class number: the YCB classes and the user's classes."""
         return {**CLASS_NAMES, **{item.number: item.name for item in self.objects}}
 
     def write(self, folder: Path) -> None:
@@ -141,10 +141,10 @@ class SceneFile:
 
 
 def check_class_name(name: object) -> str:
-    """Return the name of an own object class.
+    """Check the name of a custom object class and return it.
 
     Raises:
-        ValueError: The name is that of a YCB class, or has other characters than letters, digits and "_.-".
+        ValueError: The name is the name of a YCB class, or has characters other than letters, digits and "_.-".
     """
     text = check_file_name(name)
     if text in CLASS_NAMES.values():
@@ -153,7 +153,7 @@ def check_class_name(name: object) -> str:
 
 
 def check_file_name(name: object) -> str:
-    """Return a name that may be part of a file name.
+    """Check that a name can be part of a file name, and return it.
 
     Raises:
         ValueError: The name is not 1 to 64 letters, digits and "_.-", the first a letter or digit.

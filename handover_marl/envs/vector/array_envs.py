@@ -52,17 +52,18 @@ def can_use_arrays(template: WrappableEnv) -> bool:
 class ArrayEnvs:
     """Environments of one configuration whose episodes are simulated together; see `batch.Envs`.
 
-    Environment k equals a single environment, with the wrappers `freeze` and `encode`, that draws the
-    same scenes. If episodes start with control periods in which no outputs are needed, the next
-    episode of each environment is simulated through them beside the present one, because a large
-    batch takes less time than many small ones.
+    Environment k behaves like a single environment with the wrappers `freeze` and `encode` that draws
+    the same scenes. Action schemes may need no outputs in the first control periods of an episode,
+    for example while the robot waits. These periods of the next episode are simulated together with
+    the current episode, which is faster than simulating them alone after a reset.
 
     Args:
         template: Single environment of the configuration, with its wrappers; it is not simulated.
         count: Number n of environments.
         partner: Policy of the agent that is not controlled from outside.
         trust: Whether a policy file may run code.
-        resets: Whether environments are reset after an episode's end without seed and options.
+        resets: Whether `reset` gets no seed and no options after the end of an episode, so that the
+            next episode can be simulated in advance.
         load_scene: Function that loads a scene by its number.
     """
 

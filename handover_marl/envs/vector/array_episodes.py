@@ -40,10 +40,10 @@ def has_episode_returns(template: WrappableEnv) -> bool:
 
 
 class ArrayEpisodes:
-    """Episodes of one configuration as arrays, with a partner policy and encodings if there are any.
+    """Simulator of episodes of one configuration on arrays, with their rewards, features and action schemes.
 
-    An episode equals that of a single environment with the wrappers `freeze` and `encode`. Methods take
-    the numbers `rows` (r,) of the episodes that they concern.
+    An episode equals an episode of a single environment with the wrappers `freeze` and `encode`. The
+    argument `rows` (r,) of methods contains the indices of the episodes to which a method applies.
 
     Args:
         template: Single environment of the configuration, with its wrappers; it is not simulated.
@@ -82,7 +82,7 @@ class ArrayEpisodes:
 
     @property
     def can_wait(self) -> bool:
-        """Whether episodes may need no outputs for some control periods: a single agent is encoded."""
+        """Whether there may be control periods without outputs: only with one agent and an action scheme."""
         return len(self._agents) == 1 and bool(self._schemes)
 
     def check_actions(self, actions: ByAgent) -> ByAgent:
@@ -128,7 +128,7 @@ class ArrayEpisodes:
         self._rewards.start(row)
 
     def clear_rewards(self, rows: Rows) -> None:
-        """Set the rewards and their terms, which add up until the next call, to zero."""
+        """Set the rewards of episodes and their terms to zero; they add up until the next call."""
         self._rewards.clear(rows)
 
     def have_ended(self, rows: Rows) -> Flags:
@@ -136,7 +136,7 @@ class ArrayEpisodes:
         return np.asarray(self._terminated[rows] | self._truncated[rows])
 
     def find_waiting(self, rows: Rows) -> Rows:
-        """Return the running episodes that need no outputs, if a single agent is encoded."""
+        """Return the indices of the running episodes whose action scheme needs no outputs now."""
         if not self.can_wait:
             return rows[:0]
         (agent,) = self._agents
@@ -144,7 +144,7 @@ class ArrayEpisodes:
         return running[~self._schemes[agent].needs_outputs(running, self._select_observation(agent, running))]
 
     def set_actions(self, rows: Rows, actions: ByAgent) -> ByAgent:
-        """Give actions (r, ...) by agent to the action schemes; return those of agents without scheme."""
+        """Pass outputs (r, ...) to the agents' action schemes; return the actions of agents without a scheme."""
         given: ByAgent = {}
         for agent, values in actions.items():
             if agent in self._schemes:
@@ -183,7 +183,7 @@ class ArrayEpisodes:
         self._rewards.add(rows, actions, self._terminated[rows], self._truncated[rows])
 
     def make_result(self, rows: Rows) -> EnvResult:
-        """Return observations, infos and the rewards since `clear_rewards` of episodes."""
+        """Return observations and infos of episodes, and their rewards since the last `clear_rewards`."""
         result = EnvResult({}, {}, {}, {}, {})
         for agent in self._agents:
             found = self._select_observation(agent, rows)

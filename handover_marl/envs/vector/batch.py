@@ -23,7 +23,7 @@ _BUSY = "another thread is using the vector environment; call reset() and step()
 
 
 class Envs(Protocol):
-    """Interface of environments that are simulated by one thread; `rows` are their numbers."""
+    """Interface of the environments that one thread simulates; `rows` are indices of environments."""
 
     def reset(self, rows: Rows, seeds: Sequence[int | None], options: Mapping[str, Any] | None) -> EnvResult:
         """Start episodes in the environments `rows` (r,), with a seed for each."""
@@ -45,8 +45,8 @@ class BatchStep(NamedTuple):
     """Result of a step of all n environments.
 
     Attributes:
-        result: Result of the step; the observations and infos of environments that were reset are
-            those of the reset.
+        result: Result of the step; for environments that were reset, it has the observations and infos
+            of the reset.
         ended: Environments (e,) that were reset in the step that ended their episodes.
         final: Result (e, ...) of the steps that ended these episodes; None if there are none.
     """
@@ -140,7 +140,7 @@ class EnvBatch:
             chosen: (n,) mask of the environments to reset; default: all.
 
         Returns:
-            Result of all environments; that of environments that were not reset is their last one.
+            Result of all environments; environments that were not reset keep their last result.
 
         Raises:
             OptionError: The number of seeds is not the number of environments, a seed is not an integer,

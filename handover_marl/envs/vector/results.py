@@ -37,7 +37,7 @@ class EnvResult(NamedTuple):
 
 
 def merge_results(count: int, parts: Sequence[tuple[Rows, EnvResult]]) -> EnvResult:
-    """Join results of some rows each to the result of `count` rows; later parts replace earlier ones."""
+    """Join results of different rows to one result of `count` rows; a later part replaces earlier parts."""
     if len(parts) == 1 and len(parts[0][0]) == count:
         return parts[0][1]
     return EnvResult(*(_merge(count, [(rows, result[k]) for rows, result in parts]) for k in range(5)))

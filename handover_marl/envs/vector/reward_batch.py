@@ -27,7 +27,7 @@ Actions = Mapping[str, npt.NDArray[np.float32]]
 
 
 class RewardBatch:
-    """Weighted reward terms of n episodes, which add up until `clear`.
+    """Weighted reward terms of n episodes, summed since the last call of `clear`.
 
     Args:
         config: Configuration of the environment, with the rewards.

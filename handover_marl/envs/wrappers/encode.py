@@ -113,7 +113,7 @@ class EncodedEnv(ParallelWrapper):
         return self._output_spaces[agent]
 
     def convert_observation(self, agent: str, observation: Observation) -> Vector:
-        """Compute the feature vector of an agent's observation."""
+        """Compute the features (m,) of an agent's observation."""
         return self._features[agent](observation)
 
     def last_observation(self, agent: str) -> Observation:
@@ -240,11 +240,11 @@ def encode(
     *,
     api: Api = "parallel",
 ) -> EncodedEnv | SingleAgentEnv:
-    """Return an environment with feature vectors as observations and outputs in [-1, 1] as actions.
+    """Return an environment whose observations are feature vectors and whose actions are outputs in [-1, 1].
 
     Args:
         env: `handover_marl.parallel_env(...)`, or `freeze(...)` of it.
-        features: Name of built-in features, or own ones: a subclass of `FeatureExtractor`, a function
+        features: Name of built-in features, or user-defined ones: a subclass of `FeatureExtractor`, a function
             with `declare_size`, or text `module:name`; a mapping by agent if `env` has two agents;
             default: "giver" for the giver and "receiver" for the receiver.
         schemes: Name of a built-in action scheme, or a user-defined one: a subclass of `ActionScheme`, a
@@ -289,5 +289,5 @@ def _check_state(obs_mode: str, features: Any, scheme: Any) -> None:
     if uses_state and not has_state(obs_mode):
         raise OptionError(
             f"obs_mode must include the state that features are computed from, got {obs_mode!r}; take 'state' or "
-            f"'state+{obs_mode}', or own features of the camera data"
+            f"'state+{obs_mode}', or write features of the camera data"
         )

@@ -46,7 +46,7 @@ class FunctionPolicy(NetworkPolicy):
     Args:
         agent: Agent that the policy controls, "giver" or "receiver".
         context: Robot, task and known grasps of the objects.
-        model: Function, module, network or graph of a file.
+        model: Function, PyTorch module, network of a policy file, or content of a TorchScript or ONNX file.
         encoding: Encoding of inputs and outputs.
         name: Name of the policy.
         label: Unique label of the policy in result files.

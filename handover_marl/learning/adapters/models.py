@@ -1,4 +1,4 @@
-"""Models of adapted policies: functions, PyTorch modules, networks and graphs of files.
+"""Models of adapted policies: functions, PyTorch modules, networks, and TorchScript or ONNX files.
 
 A model is a small picklable value. `load` makes the function that is called in each decision.
 """
@@ -105,7 +105,7 @@ class GraphModel(Model):
     content: bytes
 
     def load(self, agent: str, sizes: tuple[int, int] | None) -> ModelFunction:
-        """Return a function that evaluates the file's graph for one decision."""
+        """Return a function that evaluates the file's network for one decision."""
         if sizes is None:
             raise ValueError("graphs take vectors, not observations")
         if self.path.suffix == ".onnx":

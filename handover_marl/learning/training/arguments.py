@@ -103,7 +103,7 @@ class PpoArgs(ResumableArgs):
 
     Attributes:
         features: Name of the features that the learning agent observes, or module:name of user-defined features.
-        actions: Name of the learning agent's action scheme, or module:name of an own one.
+        actions: Name of the learning agent's action scheme, or module:name of a user-defined scheme.
         envs: Number of environments simulated in parallel; 0 means 64 with mujoco, else 8.
     """
 
@@ -124,9 +124,9 @@ class PairArgs(TrainingArgs):
 
     Attributes:
         giver_features: Name of the giver's features, or module:name of user-defined features.
-        giver_actions: Name of the giver's action scheme, or module:name of an own one.
+        giver_actions: Name of the giver's action scheme, or module:name of a user-defined scheme.
         receiver_features: Name of the receiver's features, or module:name of user-defined features.
-        receiver_actions: Name of the receiver's action scheme, or module:name of an own one.
+        receiver_actions: Name of the receiver's action scheme, or module:name of a user-defined scheme.
         minibatch_size: Number of decisions per gradient step.
         clip_range: Largest deviation from 1 of the probability ratio in PPO's objective.
         smoke_test: Whether to run with the smallest sizes, to test that everything works.

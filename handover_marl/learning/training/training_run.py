@@ -110,7 +110,7 @@ class TrainingRun:
             write_policy(self.get_policy_path(agent), spec, network)
         policies = self._partners | {agent: f"learned:{self.get_policy_path(agent)}" for agent in networks}
         config = replace(self._config, **policies)  # type: ignore[arg-type]
-        # Own features and schemes were named by the caller, so they may be imported.
+        # User-defined features and schemes were named by the caller, so they may be imported.
         trust = any(is_reference(name) for names in self._encodings.values() for name in names)
         report = evaluate_pair(config, execution=ExecutionConfig(progress=False, trust=trust))
         partner = ", ".join(self._partners.values()) or "each other"
