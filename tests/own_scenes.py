@@ -1,4 +1,4 @@
-"""Recordings and meshes of the tests of own scenes."""
+"""Recordings and meshes of the tests of custom scenes."""
 
 from collections.abc import Mapping
 from pathlib import Path

@@ -59,7 +59,7 @@ def run_program(arguments: Sequence[str]) -> int:
     scenes_app = tyro.extras.SubcommandApp()
     for name, run in _SCENE_COMMANDS.items():
         scenes_app.command(name=name)(run)
-    app.command(scenes_app, name="scenes", help="Build and check folders of own scenes.")
+    app.command(scenes_app, name="scenes", help="Build and check folders of custom scenes.")
     status: object = app.cli(
         prog="handover-marl",
         description=_DESCRIPTION.format(**names),

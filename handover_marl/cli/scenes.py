@@ -1,4 +1,4 @@
-"""Commands `handover-marl scenes ...`, which build and check folders of own scenes."""
+"""Commands `handover-marl scenes ...`, which build and check folders of custom scenes."""
 
 from typing import Annotated, Literal
 
@@ -30,7 +30,7 @@ def add_object(
     """Add an object class from a triangle mesh, with convex parts and robot grasps.
 
     Args:
-        folder: Folder of own scenes; created if it does not exist.
+        folder: Folder of custom scenes; created if it does not exist.
         name: Class name of the object.
         mesh: Mesh file of any format that trimesh reads (STL, OBJ, PLY, ...).
         unit: Unit of length in the mesh file.
@@ -74,9 +74,9 @@ def add_motion(
     """Add a scene: the recorded motion of an object, a wrist and other objects.
 
     Args:
-        folder: Folder of own scenes.
+        folder: Folder of custom scenes.
         motion: CSV or NPZ file of poses at any rate.
-        object: Class of the object that is handed over, an own class or a YCB class.
+        object: Class of the object that is handed over: a class of the folder or a YCB class.
         subject: Name of the person.
         recording: Name of the recording; default: the number of the scene.
         side: Hand of the person.
@@ -118,7 +118,7 @@ def add_split(
     """Divide all scenes into train, val and test.
 
     Args:
-        folder: Folder of own scenes.
+        folder: Folder of custom scenes.
         name: Name of the setup.
         by: Division by object, by person, or at random.
         val: Share of the val split, or names of its objects or persons, separated by commas.
@@ -132,10 +132,10 @@ def add_split(
 
 
 def check(folder: _Folder, /) -> None:
-    """Check all files of a folder of own scenes and print its objects, scenes and setups.
+    """Check all files of a folder of custom scenes and print its objects, scenes and setups.
 
     Args:
-        folder: Folder of own scenes.
+        folder: Folder of custom scenes.
     """
     from handover_marl.assets.building.own_scenes import OwnScenes
 
@@ -153,7 +153,7 @@ def preview(
     """Render a scene with a robot that does not move, as a page that plays it in three dimensions, image or film.
 
     Args:
-        folder: Folder of own scenes.
+        folder: Folder of custom scenes.
         scene: Number of the scene.
         out: Output file: .html, .png, .gif or .mp4.
         progress: Show a progress bar on stderr.

@@ -71,10 +71,10 @@ def _open_dexycb(argument: str, data_dir: str | None, robot: str) -> Dataset:
     return OfficialDataset(folder, robot)
 
 
-def _open_own(argument: str, data_dir: str | None, robot: str) -> Dataset:
-    from handover_marl.datasets.own import open_own_dataset
+def _open_custom(argument: str, data_dir: str | None, robot: str) -> Dataset:
+    from handover_marl.datasets.custom import open_custom_dataset
 
-    return open_own_dataset(argument, data_dir, robot)
+    return open_custom_dataset(argument, data_dir, robot)
 
 
 #: Kinds of data sets by name, in the order of help texts.
@@ -97,7 +97,7 @@ KINDS: Mapping[str, DatasetKind] = MappingProxyType(
         "own": DatasetKind(
             title="own data",
             usage="own:FOLDER",
-            open_dataset=_open_own,
+            open_dataset=_open_custom,
             takes_argument=True,
             note="Own data: not comparable with published results, which are on DexYCB.",
         ),

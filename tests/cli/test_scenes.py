@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from handover_marl.cli import main
-from handover_marl.datasets.own.scene_file import read_scene_file
+from handover_marl.datasets.custom.scene_file import read_scene_file
 from tests.own_scenes import make_box, make_recording, write_csv
 
 MUG = ("add-motion", "mine", "motion.csv", "--object", "025_mug", "--subject", "a")
@@ -64,7 +64,7 @@ def test_commands_build_a_folder(work: Path, capsys: pytest.CaptureFixture[str])
             "hand must be",
         ),
         (["add-split", "mine", "people"], "does not exist"),
-        (["check", "mine"], "is no folder of own scenes"),
+        (["check", "mine"], "is no folder of custom scenes"),
         (["preview", "mine", "0", "--out", "x.png"], "does not exist"),
     ],
 )

@@ -1,4 +1,4 @@
-"""Builder of folders of own scenes: `OwnScenes`. Needs the extras `assets` and `import`."""
+"""Builder of folders of custom scenes: `OwnScenes`. Needs the extras `assets` and `import`."""
 
 from handover_marl.assets.building.own_scenes.builder import OwnScenes
 from handover_marl.assets.building.own_scenes.motion_tables import MotionConfig

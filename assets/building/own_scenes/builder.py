@@ -1,4 +1,4 @@
-"""Builder of a folder of own scenes."""
+"""Builder of a folder of custom scenes."""
 
 import contextlib
 import os
@@ -28,11 +28,17 @@ from handover_marl.assets.building.own_scenes.trajectories import make_trajector
 from handover_marl.assets.hand_model import SUBJECTS, Side, make_hand_geometry
 from handover_marl.assets.object_models import URDF_NAME, VISUAL_NAME
 from handover_marl.config import MAX_OBJECTS
-from handover_marl.datasets.own.dataset import GRASP_FILE, MOTION_FOLDER, OBJECT_FOLDER, OwnDataset, get_motion_path
-from handover_marl.datasets.own.scene_file import (
+from handover_marl.datasets.custom.dataset import (
+    GRASP_FILE,
+    MOTION_FOLDER,
+    OBJECT_FOLDER,
+    CustomDataset,
+    get_motion_path,
+)
+from handover_marl.datasets.custom.scene_file import (
     SCENE_FILE,
-    OwnObject,
-    OwnScene,
+    CustomObject,
+    CustomScene,
     SceneFile,
     check_class_name,
     check_file_name,
@@ -48,7 +54,7 @@ DEFAULT_HAND = 6
 
 
 class OwnScenes:
-    """Builder of a folder of own scenes, created if it does not exist.
+    """Builder of a folder of custom scenes, created if it does not exist.
 
     Every method checks its arguments first and writes the folder last, so that an error leaves it unchanged.
 
@@ -99,7 +105,7 @@ class OwnScenes:
         seed: int = 0,
         workers: int | None = None,
         progress: bool = True,
-    ) -> OwnObject:
+    ) -> CustomObject:
         """Add an object class from a triangle mesh, with convex parts and robot grasps.
 
         Args:
@@ -136,7 +142,7 @@ class OwnScenes:
                 if text in [other.name for other in content.objects]:
                     raise OptionError(f"name must be new, got {text!r}, which was added meanwhile; choose another one")
                 number = max([LARGEST_YCB_CLASS, *(other.number for other in content.objects)]) + 1
-                added = OwnObject(
+                added = CustomObject(
                     name=text,
                     number=number,
                     mass=round(item.mass, 6),
@@ -163,13 +169,13 @@ class OwnScenes:
         side: str = "right",
         hand: int | None = DEFAULT_HAND,
         others: Sequence[str] = (),
-    ) -> OwnScene:
+    ) -> CustomScene:
         """Add a scene: the recorded motion of an object, a wrist and other objects.
 
         Args:
             motion: CSV or NPZ file of poses, or arrays with the names of an NPZ file; see
                 `handover_marl.assets.building.own_scenes.motion_tables`.
-            object_name: Class of the object that is handed over, an own class or a YCB class.
+            object_name: Class of the object that is handed over: a class of the folder or a YCB class.
             subject: Name of the person, for splits.
             config: Frames and units.
             recording: Name of the recording; default: the number of the scene.
@@ -214,7 +220,7 @@ class OwnScenes:
             name = f"{person}/{_check('recording', check_file_name, recording or f'{number:06d}')}"
             if name in [other.name for other in content.scenes]:
                 raise OptionError(f"recording must be new, got {name!r}, which {self.folder} has already; rename it")
-            scene = OwnScene(name, side, None if model is None else hand, names, table.repairs)
+            scene = CustomScene(name, side, None if model is None else hand, names, table.repairs)
             arrays = {
                 "object_dof": trajectory.object_dof,
                 "hand_dof": trajectory.hand_dof,
@@ -251,13 +257,13 @@ class OwnScenes:
             replace(content, setups={**content.setups, name: setup}).write(self.folder)
         return setup
 
-    def check(self) -> OwnDataset:
+    def check(self) -> CustomDataset:
         """Check every file of the folder by loading all scenes, models and grasps.
 
         Raises:
             DataNotFoundError, DataFormatError: A file is missing or damaged.
         """
-        dataset = OwnDataset(self.folder)
+        dataset = CustomDataset(self.folder)
         dataset.check_scenes(tuple(range(dataset.n_scenes)))
         for item in dataset.content.objects:
             read_parts(dataset.find_object_urdf(item.name).with_name(VISUAL_NAME))

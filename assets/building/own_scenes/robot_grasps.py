@@ -1,4 +1,4 @@
-"""Robot grasps of an own object: antipodal candidates that hold it in simulation."""
+"""Robot grasps of a custom object: antipodal candidates that hold it in simulation."""
 
 import functools
 import itertools

@@ -1,4 +1,4 @@
-"""Splits of own scenes, and the check that a recording is at the table."""
+"""Splits of custom scenes, and the check that a recording is at the table."""
 
 from collections.abc import Iterable
 
@@ -7,7 +7,7 @@ import trimesh
 
 from handover_marl.assets.building.own_scenes.motion_tables import OBJECT, MotionTable
 from handover_marl.config import OFFICIAL_CONFIG, TABLE_HEIGHT
-from handover_marl.datasets.own.scene_file import ALL_SCENES, SceneFile, check_file_name
+from handover_marl.datasets.custom.scene_file import ALL_SCENES, SceneFile, check_file_name
 from handover_marl.datasets.splits import SETUPS, SPLITS
 from handover_marl.errors import DataFormatError, OptionError, check_name
 from handover_marl.geometry.poses import transform_points

@@ -22,7 +22,7 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class SceneTrajectory:
-    """Motion of a scene as in its file, see `handover_marl.datasets.own.dataset`.
+    """Motion of a scene as in its file, see `handover_marl.datasets.custom.dataset`.
 
     Attributes:
         object_dof: (T, n, 6) float32.

@@ -1,4 +1,4 @@
-"""Folders of own scenes from recordings and meshes to results."""
+"""Folders of custom scenes from recordings and meshes to results."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,7 +13,7 @@ from handover_marl.assets.building.own_scenes.finger_closing import find_hand_gr
 from handover_marl.assets.hand_model import make_hand_geometry
 from handover_marl.config import TABLE_HEIGHT
 from handover_marl.datasets import open_dataset
-from handover_marl.datasets.own import OwnDataset
+from handover_marl.datasets.custom import CustomDataset
 from handover_marl.errors import DataFormatError, HandoverError, OptionError, ResultsError, SceneError, UnknownNameError
 from handover_marl.evaluation.verification.verify import verify
 from handover_marl.simulation.engines import PHYSICS
@@ -156,7 +156,7 @@ def test_demonstrations_of_own_scenes(scenes: OwnScenes, tmp_path: Path) -> None
 
 
 def test_names_of_own_data_sets(scenes: OwnScenes, tmp_path: Path) -> None:
-    assert isinstance(open_dataset(scenes.dataset), OwnDataset)
+    assert isinstance(open_dataset(scenes.dataset), CustomDataset)
     assert open_dataset("own:boxes", scenes.folder).name == "own:boxes"
     with pytest.raises(OptionError, match=r"data_dir must hold the scenes 'cups', got .* with 'boxes'"):
         open_dataset("own:cups", scenes.folder)
@@ -299,18 +299,18 @@ def test_fingerprints_change_with_the_files(scenes: OwnScenes, tmp_path: Path) -
 
     folder = tmp_path / "copy"
     shutil.copytree(scenes.folder, folder)
-    before = OwnDataset(scenes.folder).compute_fingerprint(0)
-    assert OwnDataset(folder).compute_fingerprint(0) == before
+    before = CustomDataset(scenes.folder).compute_fingerprint(0)
+    assert CustomDataset(folder).compute_fingerprint(0) == before
     urdf = folder / "objects" / "box" / "model_normalized.urdf"
     urdf.write_text(urdf.read_text().replace("0.9", "0.8"))
-    assert OwnDataset(folder).compute_fingerprint(0) != before
+    assert CustomDataset(folder).compute_fingerprint(0) != before
 
 
 def test_configuration_of_the_frame(scenes: OwnScenes) -> None:
     """A pose of the recording's frame is applied to all bodies."""
     builder = OwnScenes(scenes.folder)
     builder.add_motion(table_frame(), "box", "carl", MotionConfig(frame="table"), recording="table")
-    dataset = OwnDataset(scenes.folder)
+    dataset = CustomDataset(scenes.folder)
     first, last = dataset.load_scene(0), dataset.load_scene(dataset.n_scenes - 1)
     np.testing.assert_allclose(last.object_dof[:, 0], first.object_dof[:, 0], atol=1e-5)
     np.testing.assert_allclose(last.hand_dof, first.hand_dof, atol=1e-4)

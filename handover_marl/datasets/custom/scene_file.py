@@ -1,9 +1,9 @@
-"""File `scenes.json` of a folder of own scenes: objects, scenes and splits.
+"""File `scenes.json` in a folder of custom scenes: objects, scenes and splits.
 
 ```
 scenes.json                   this file
 objects/CLASS/                model_normalized.urdf, model_normalized_convex.obj, textured_simple.obj, grasps.npz
-motion/000000.npz             motion of scene 0, see `handover_marl.datasets.own.dataset`
+motion/000000.npz             motion of scene 0, see `handover_marl.datasets.custom.dataset`
 ```
 """
 
@@ -36,8 +36,8 @@ _Item = TypeVar("_Item")
 
 
 @dataclass(frozen=True)
-class OwnObject:
-    """Object class of the user.
+class CustomObject:
+    """Object class that a user has defined.
 
     Attributes:
         name: Class name.
@@ -64,8 +64,8 @@ class OwnObject:
 
 
 @dataclass(frozen=True)
-class OwnScene:
-    """Scene of the user without its motion.
+class CustomScene:
+    """Scene that a user has defined, without its motion.
 
     Attributes:
         name: `<subject>/<recording>`.
@@ -104,8 +104,8 @@ class SceneFile:
     """
 
     name: str
-    objects: tuple[OwnObject, ...] = ()
-    scenes: tuple[OwnScene, ...] = ()
+    objects: tuple[CustomObject, ...] = ()
+    scenes: tuple[CustomScene, ...] = ()
     setups: Mapping[str, Mapping[str, tuple[int, ...]]] = ()  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
@@ -175,7 +175,7 @@ def read_scene_file(folder: Path) -> SceneFile:
         content = json.loads(read_plain_file(path, _MAX_BYTES), object_pairs_hook=_reject_duplicates)
     except (FileNotFoundError, NotADirectoryError) as error:
         raise DataNotFoundError(
-            f"{folder} is no folder of own scenes: it has no {SCENE_FILE}; create one with "
+            f"{folder} is no folder of custom scenes: it has no {SCENE_FILE}; create one with "
             "`handover-marl scenes add-object`"
         ) from error
     except (OSError, ValueError, RecursionError) as error:
@@ -209,11 +209,11 @@ class _Reader:
         setups = self._read_setups(top["setups"], len(scenes))
         return SceneFile(self._call("name", check_file_name, top["name"]), objects, scenes, setups)
 
-    def _read_object(self, field: str, value: object) -> OwnObject:
+    def _read_object(self, field: str, value: object) -> CustomObject:
         item = self._read_mapping(
             field, value, ("name", "number", "mass", "friction", "n_grasps", "n_candidates", "repairs")
         )
-        return OwnObject(
+        return CustomObject(
             name=self._call(f"{field}.name", check_class_name, item["name"]),
             number=self._read_integer(f"{field}.number", item["number"], LARGEST_YCB_CLASS + 1, 2**23),
             mass=self._read_number(f"{field}.mass", item["mass"], 1e-3, 20.0),
@@ -223,14 +223,14 @@ class _Reader:
             repairs=self._read_texts(f"{field}.repairs", item["repairs"]),
         )
 
-    def _check_objects(self, objects: tuple[OwnObject, ...]) -> None:
+    def _check_objects(self, objects: tuple[CustomObject, ...]) -> None:
         for key in ("name", "number"):
             values = [getattr(item, key) for item in objects]
             for position, value in enumerate(values):
                 field = f"objects[{position}].{key}"
                 self._require(field, value not in values[:position], "must differ from all others", value)
 
-    def _read_scene(self, field: str, value: object, names: set[str]) -> OwnScene:
+    def _read_scene(self, field: str, value: object, names: set[str]) -> CustomScene:
         scene = self._read_mapping(field, value, ("name", "side", "hand", "objects", "repairs"))
         name, side, hand = scene["name"], scene["side"], scene["hand"]
         is_name = isinstance(name, str) and bool(_SCENE_NAME.fullmatch(name))
@@ -242,9 +242,9 @@ class _Reader:
         limit = f"must be 1 to {MAX_OBJECTS} class names"
         self._require(f"{field}.objects", 1 <= len(objects) <= MAX_OBJECTS, limit, objects)
         for position, item in enumerate(objects):
-            rule = "must be an own class in `objects` or a YCB class"
+            rule = "must be a class in `objects` or a YCB class"
             self._require(f"{field}.objects[{position}]", item in names, rule, item)
-        return OwnScene(name, side, hand, objects, self._read_texts(f"{field}.repairs", scene["repairs"]))
+        return CustomScene(name, side, hand, objects, self._read_texts(f"{field}.repairs", scene["repairs"]))
 
     def _read_setups(self, value: object, n_scenes: int) -> dict[str, dict[str, tuple[int, ...]]]:
         setups: dict[str, dict[str, tuple[int, ...]]] = {}
@@ -322,5 +322,5 @@ def _reject_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return content
 
 
-def _encode(item: OwnObject | OwnScene) -> dict[str, Any]:
+def _encode(item: CustomObject | CustomScene) -> dict[str, Any]:
     return {key: list(value) if isinstance(value, tuple) else value for key, value in vars(item).items()}

@@ -23,8 +23,8 @@ from handover_marl.assets.object_models import find_object_urdf as find_ycb_urdf
 from handover_marl.assets.robot_model import PANDA_URDF, write_camera_panda_urdf
 from handover_marl.assets.shipped import load_object_grasps
 from handover_marl.config import HAND_DOF, OBJECT_DOF
+from handover_marl.datasets.custom.scene_file import ALL_SCENES, CustomScene, SceneFile, read_scene_file
 from handover_marl.datasets.dataset import Dataset, Scene, SceneAssets, SceneInfo
-from handover_marl.datasets.own.scene_file import ALL_SCENES, OwnScene, SceneFile, read_scene_file
 from handover_marl.datasets.splits import SPLITS
 from handover_marl.errors import DataFormatError, DataNotFoundError, OptionError, UnknownNameError, check_name
 from handover_marl.execution.options import check_path
@@ -34,12 +34,12 @@ from handover_marl.geometry.urdf import list_mesh_references
 from handover_marl.geometry.ycb import CLASS_NAMES
 
 OBJECT_FOLDER, MOTION_FOLDER, GRASP_FILE = "objects", "motion", "grasps.npz"
-#: Prefix of the names of own data sets.
-OWN = "own"
+#: Prefix of the names of these data sets.
+PREFIX = "own"
 _MAX_BYTES = 500_000_000
 
 
-def open_own_dataset(argument: str, data_dir: str | None, robot: str) -> "OwnDataset":
+def open_custom_dataset(argument: str, data_dir: str | None, robot: str) -> "CustomDataset":
     """Open the custom scenes in a folder.
 
     Args:
@@ -55,10 +55,10 @@ def open_own_dataset(argument: str, data_dir: str | None, robot: str) -> "OwnDat
     folder = check_path("dataset" if data_dir is None else "data_dir", data_dir or argument)
     if not folder.is_dir():
         raise DataNotFoundError(
-            f"folder of own scenes {folder} does not exist; give its path as dataset='{OWN}:PATH', or the name of the "
-            f"data set and data_dir=PATH"
+            f"folder of custom scenes {folder} does not exist; give its path as dataset='{PREFIX}:PATH', or the "
+            f"name of the data set and data_dir=PATH"
         )
-    dataset = OwnDataset(folder.resolve(), robot)
+    dataset = CustomDataset(folder.resolve(), robot)
     if data_dir is not None and argument != dataset.content.name:
         raise OptionError(
             f"data_dir must hold the scenes {argument!r}, got {folder} with {dataset.content.name!r}; pass their folder"
@@ -71,8 +71,8 @@ def get_motion_path(folder: Path, scene_id: int) -> Path:
     return folder / MOTION_FOLDER / f"{scene_id:06d}.npz"
 
 
-class OwnDataset(Dataset):
-    """Own scenes of a folder, see `handover_marl.datasets.own.scene_file`.
+class CustomDataset(Dataset):
+    """Data set of the custom scenes in a folder, see `handover_marl.datasets.custom.scene_file`.
 
     Args:
         folder: The folder.
@@ -92,7 +92,7 @@ class OwnDataset(Dataset):
         super().__init__(robot)
         self.folder = folder
         self.content: SceneFile = read_scene_file(folder)
-        self.name = f"{OWN}:{self.content.name}"
+        self.name = f"{PREFIX}:{self.content.name}"
         self._numbers = {name: number for number, name in self.content.object_names.items()}
         self._hash_model = lru_cache(maxsize=None)(_hash_model)
         self._read_grasps = lru_cache(maxsize=None)(self._load_grasps)
@@ -213,7 +213,7 @@ class OwnDataset(Dataset):
         """Return an empty text: all models are the user's or the library's."""
         return ""
 
-    def _get_scene(self, scene_id: int) -> OwnScene:
+    def _get_scene(self, scene_id: int) -> CustomScene:
         self.check_scene_id(scene_id)
         return self.content.scenes[scene_id]
 

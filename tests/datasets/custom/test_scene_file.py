@@ -6,15 +6,15 @@ from typing import Any
 
 import pytest
 
-from handover_marl.datasets.own.scene_file import OwnObject, OwnScene, SceneFile, read_scene_file
+from handover_marl.datasets.custom.scene_file import CustomObject, CustomScene, SceneFile, read_scene_file
 from handover_marl.errors import DataFormatError, DataNotFoundError
 
 CONTENT = SceneFile(
     "bottles",
-    (OwnObject("bottle", 22, 0.3, 0.9, 5, 8, ("flipped",)), OwnObject("cup", 23, 0.1, 0.5)),
+    (CustomObject("bottle", 22, 0.3, 0.9, 5, 8, ("flipped",)), CustomObject("cup", 23, 0.1, 0.5)),
     (
-        OwnScene("anna/1", "right", 6, ("bottle", "025_mug")),
-        OwnScene("ben/2", "left", None, ("cup",), ("gaps filled",)),
+        CustomScene("anna/1", "right", 6, ("bottle", "025_mug")),
+        CustomScene("ben/2", "left", None, ("cup",), ("gaps filled",)),
     ),
     {"mine": {"train": (0,), "val": (1,), "test": ()}},
 )
@@ -51,7 +51,7 @@ FAULTS: list[tuple[str, Any, str]] = [
     ("scenes.0.side", "both", r"scenes\[0\]\.side must be 'right' or 'left', got 'both'"),
     ("scenes.0.hand", 11, r"scenes\[0\]\.hand must be an integer from 1 to 10"),
     ("scenes.0.objects", [], r"scenes\[0\]\.objects must be 1 to 5 class names"),
-    ("scenes.0.objects", ["can"], r"scenes\[0\]\.objects\[0\] must be an own class in `objects` or a YCB class"),
+    ("scenes.0.objects", ["can"], r"scenes\[0\]\.objects\[0\] must be a class in `objects` or a YCB class"),
     ("setups", [], "setups must be a mapping"),
     ("setups.s0", {}, r"setups\.s0 must not be s0"),
     ("setups.mine.val", [2], r"setups\.mine\.val\[0\] must be an integer from 0 to 1, got 2"),
@@ -95,5 +95,5 @@ def test_files_of_another_kind(text: str, tmp_path: Path) -> None:
 
 
 def test_no_file(tmp_path: Path) -> None:
-    with pytest.raises(DataNotFoundError, match="is no folder of own scenes"):
+    with pytest.raises(DataNotFoundError, match="is no folder of custom scenes"):
         read_scene_file(tmp_path)
