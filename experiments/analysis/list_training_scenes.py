@@ -1,9 +1,9 @@
-"""List the training scenes of files of weights; write each list into a YAML file beside its file.
+"""List the scenes on which shipped weights were trained, in a YAML file beside each weight file.
 
     python experiments/analysis/list_training_scenes.py --data-dir DIR --files assets/data/vision_s0.npz
 
-The scenes follow from the arguments that the file records. The lists of the shipped weights are made
-with DexYCB: the hand of some scenes of setup s2 is known from its recordings only.
+The scenes follow from the training arguments that a weight file contains. DexYCB is needed for setup
+s2, whose splits depend on the hand (right or left) that a recording shows.
 """
 
 import ast

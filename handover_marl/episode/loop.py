@@ -78,7 +78,7 @@ class PolicyScheduler:
         self._action, self.due = None, 0
 
     def act(self, observe: Callable[[], Observation], step: int) -> Action:
-        """Return the policy's action at a physics step, new or held.
+        """Return the policy's action at a physics step: a new one if a decision is due, else the last one.
 
         Args:
             observe: Returns the policy's observation; called only if the policy is due.

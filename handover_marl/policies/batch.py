@@ -24,7 +24,7 @@ class PolicyBatch(ABC):
         """Start an episode.
 
         Args:
-            row: Number of the episode.
+            row: Index of the episode.
             seed: Seed of the policy.
             object_names: YCB names of the objects, the one that is handed over first.
 
@@ -34,12 +34,12 @@ class PolicyBatch(ABC):
 
     @abstractmethod
     def act(self, rows: Rows, observe: ObserveFunction, steps: Rows) -> Actions:
-        """Return actions (r, ...), new or held.
+        """Return the actions (r, ...): new ones at decisions, otherwise those of the last decision.
 
         Args:
-            rows: Numbers (r,) of the episodes.
+            rows: Indices (r,) of the episodes.
             observe: Function that returns observations; called for episodes with a decision.
-            steps: Number (r,) of physics steps since each episode's start.
+            steps: Physics steps (r,) since the start of each episode.
 
         Raises:
             PolicyError: The policy fails.
@@ -63,7 +63,7 @@ class SequentialPolicyBatch(PolicyBatch):
         self._schedulers[row].reset(seed, object_names)
 
     def act(self, rows: Rows, observe: ObserveFunction, steps: Rows) -> Actions:
-        """Return actions (r, ...), new or held; see `PolicyBatch.act`."""
+        """Return the current actions (r, ...); see `PolicyBatch.act`."""
         schedulers = [self._schedulers[row] for row in rows.tolist()]
         is_due = steps >= np.array([scheduler.due for scheduler in schedulers])
         found = observe(rows[is_due]) if is_due.any() else {}
@@ -82,10 +82,12 @@ class SequentialPolicyBatch(PolicyBatch):
 
 
 class ArrayPolicy(PolicyBatch):
-    """Base class of policies on arrays; subclasses define `decide` and, with a state, `start`.
+    """Base class of policies that compute the actions of all episodes as arrays.
+
+    Subclasses define `decide`, and `start` if they store anything between decisions.
 
     Args:
-        policy: Policy of a single episode, with the constants.
+        policy: Policy of a single episode; its parameters apply to all episodes.
         count: Number of episodes.
         size: Number of components of an action.
     """
@@ -101,7 +103,7 @@ class ArrayPolicy(PolicyBatch):
         self.start(row, seed)
 
     def act(self, rows: Rows, observe: ObserveFunction, steps: Rows) -> Actions:
-        """Return actions (r, ...), new or held; see `PolicyBatch.act`."""
+        """Return the current actions (r, ...); see `PolicyBatch.act`."""
         is_due = steps >= self._due[rows]
         if is_due.any():
             due = rows[is_due]
@@ -113,15 +115,15 @@ class ArrayPolicy(PolicyBatch):
         """Start an episode.
 
         Args:
-            row: Number of the episode.
+            row: Index of the episode.
             seed: Seed of the policy.
         """
 
     @abstractmethod
     def decide(self, rows: Rows, observation: Observation) -> Actions:
-        """Return new actions (r, ...).
+        """Decide on the actions (r, ...) of episodes whose last action has expired.
 
         Args:
-            rows: Numbers (r,) of the episodes.
+            rows: Indices (r,) of the episodes.
             observation: Arrays (r, ...) of the agent's observations.
         """

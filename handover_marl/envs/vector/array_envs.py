@@ -90,7 +90,7 @@ class ArrayEnvs:
         """Start episodes, and simulate them until an action scheme needs outputs.
 
         Args:
-            rows: Numbers (r,) of the environments.
+            rows: Indices (r,) of the environments.
             seeds: Seed of each of these environments; None keeps the state of its random generators.
             options: Options of `HandoverEnv.reset`.
 
@@ -134,7 +134,7 @@ class ArrayEnvs:
         """Let the agents act for one control period, or until an action scheme needs outputs again.
 
         Args:
-            rows: Numbers (r,) of environments with running episodes.
+            rows: Indices (r,) of environments with running episodes.
             actions: Checked actions or outputs (r, ...) by agent.
         """
         episodes, present = self._episodes, self._present[rows]

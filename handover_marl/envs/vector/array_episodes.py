@@ -110,7 +110,7 @@ class ArrayEpisodes:
         """Start an episode.
 
         Args:
-            row: Number of the episode.
+            row: Index of the episode.
             scene: Scene of the episode.
             seed: Seed of the partner.
         """
@@ -159,7 +159,7 @@ class ArrayEpisodes:
         """Simulate one control period.
 
         Args:
-            rows: Numbers (r,) of running episodes.
+            rows: Indices (r,) of running episodes.
             given: Actions (r, ...) of agents without action scheme, by agent.
         """
         config, episodes, actions = self._base.config, self._episodes, dict(given)

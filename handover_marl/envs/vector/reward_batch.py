@@ -77,7 +77,7 @@ class RewardBatch:
 
         Args:
             agent: "giver" or "receiver".
-            rows: Numbers (r,) of the episodes.
+            rows: Indices (r,) of the episodes.
             has_returns: Whether to include the sums since the starts of the episodes, see `EpisodeReturns`.
         """
         infos = {f"reward/{name}": values[rows] for name, values in self.terms[agent].items()}
@@ -94,7 +94,7 @@ class RewardBatch:
         """Add the rewards of a control step.
 
         Args:
-            rows: Numbers (r,) of the episodes, whose states after the step have been observed.
+            rows: Indices (r,) of the episodes, whose states after the step have been observed.
             actions: Actions (r, ...) by agent.
             terminated: Whether each episode has terminated, (r,).
             truncated: Whether each episode was truncated, (r,).
