@@ -32,6 +32,7 @@ from handover_marl.testing import check_giver, check_receiver
 
 torch = pytest.importorskip("torch", reason="needs the extra `train`")
 
+from tests.evaluation.quick import SHORT  # noqa: E402
 from tests.learning.adapters import networks  # noqa: E402
 from tests.learning.adapters.networks import CHOICES, Counting, DictModule, NoisyModule, make_net, stay  # noqa: E402
 
@@ -367,6 +368,7 @@ def test_adapted_policies_are_taken_everywhere(tmp_path: Path) -> None:
     robot = handover_marl.as_receiver(make_net(), **CHOICES["receiver"], name="net")
     human = handover_marl.as_giver(networks.replay, name="person")
     options: dict[str, Any] = {"dataset": "synthetic", "scenes": SCENES, "physics": "fast", "split": "train"}
+    options["world_config"] = SHORT
 
     def evaluate(workers: int) -> handover_marl.Report:
         return handover_marl.evaluate_pair(
@@ -376,7 +378,7 @@ def test_adapted_policies_are_taken_everywhere(tmp_path: Path) -> None:
     one, two = evaluate(1), evaluate(2)
     assert [episode.status for episode in one.episodes] == [episode.status for episode in two.episodes]
     assert "person" in str(one)
-    assert handover_marl.verify(tmp_path / "1", giver=human).is_verified
+    assert handover_marl.verify(tmp_path / "1", giver=human, world_config=SHORT).is_verified
     assert evaluate(1).n_resumed == len(SCENES)
     table = handover_marl.crossplay(["replay", human], [robot, "hold"], workers=1, progress=False, **options)
     assert set(table.reports) == {(giver, robot) for giver in ("replay", "person") for robot in ("net", "hold")}
@@ -387,6 +389,7 @@ def test_adapted_policies_are_taken_everywhere(tmp_path: Path) -> None:
         giver=human,
         dataset="synthetic",
         physics="fast",
+        world_config=SHORT,
         key_frames=1,
     )
     assert page.is_file()
