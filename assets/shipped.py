@@ -87,7 +87,7 @@ def _load_grasps(path: Path) -> MappingProxyType[str, npt.NDArray[np.float64]]:
 def load_validation_record(name: str, path: Path = VALIDATION_PATH) -> ValidationRecord | None:
     """Return the record (n, 4) of an object's grasp validations, or None if there is no such record.
 
-    The columns are those of `ValidationRecord`.
+    `ValidationRecord` describes the columns.
 
     Args:
         name: Name of the record.

@@ -240,7 +240,7 @@ def measure_module(module: str, args: Args, copy: Path, runner: TestRunner) -> M
 
 
 def extract_change(difference: str) -> str:
-    """Return the changed lines of a difference, without their place and neighbours."""
+    """Return the changed lines of a unified diff, without line numbers and context."""
     return "\n".join(line for line in difference.splitlines()[2:] if line.startswith(("-", "+")))
 
 

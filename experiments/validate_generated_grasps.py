@@ -1,11 +1,12 @@
-"""Compare the analytic robot grasps of procedural objects with simulations, quick and thorough ones.
+"""Test the analytic robot grasps of procedural objects in simulation.
 
     python experiments/validate_generated_grasps.py --objects 10
     python experiments/validate_generated_grasps.py --objects 8 --thorough
 
-Prints for each object how many of its grasps the open hand reaches without contact, how many hold
-it while it is shaken, and the time of its validation for the receiver `reactive`. With `--thorough`
-the validation that other data sets use is made, too, and compared.
+For each object the script prints the number of grasps that the open gripper reaches without contact,
+the number of grasps that hold the object while it is shaken, and the time of the quick validation by
+which the receiver `reactive` selects grasps of procedural objects. With `--thorough` the table also
+has the validation for objects of other data sets, which takes longer.
 """
 
 import time
@@ -42,7 +43,7 @@ class Args:
 
 
 def simulate_grasps(dataset: GeneratedDataset, name: str) -> tuple[int, int, int]:
-    """Return the number of an object's grasps, of those clear of it, and of those that hold it when shaken."""
+    """Return how many grasps an object has, how many are free of collisions, and how many hold it when shaken."""
     grasps = dataset.load_grasps(name)
     if grasps is None:
         return 0, 0, 0
@@ -58,7 +59,7 @@ def simulate_grasps(dataset: GeneratedDataset, name: str) -> tuple[int, int, int
 def measure_validation(
     dataset: GeneratedDataset, name: str, config: GraspPreparationConfig
 ) -> tuple[float, npt.NDArray[np.bool_]]:
-    """Return the time of an object's validation (s), less if it is cached, and which known grasps have held."""
+    """Validate an object's grasps; return the time (s), less if cached, and a mask of the grasps that held."""
     known = GraspLibrary(dataset.load_grasps).get_hand_poses_in_object(name)
     if known is None:
         return 0.0, np.zeros(0, dtype=bool)

@@ -68,7 +68,7 @@ def validate_object(task: ValidationTask) -> tuple[str, ValidationRecord] | None
 
 
 def list_tasks(data_dir: Path | None) -> Iterator[ValidationTask]:
-    """Yield all validation tasks; those of the second robot come last and reuse results of the first."""
+    """Yield all validation tasks; tasks with the second robot come last and reuse results of the first."""
     for folder in (None, data_dir) if data_dir else (None,):
         for robot in (PANDA, PANDA_CAMERA):
             yield from (ValidationTask(folder, robot, name) for name in CLASS_NAMES.values())

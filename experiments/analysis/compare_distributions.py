@@ -4,7 +4,8 @@
     python experiments/analysis/compare_distributions.py --data-dir DIR --datasets generated:n=1000,seed=7
 
 Without a data folder only the figures of the generated scenes are printed. The first 1,000 scenes of
-a larger data set are used. The aim holds for the synthetic scenes.
+a larger data set are used. The column "aim" has the largest distance that was allowed in the design
+of the synthetic scenes.
 """
 
 import os
@@ -42,7 +43,7 @@ QUANTITIES = {
     "hand onset (s)": True,
     "duration (s)": True,
     "tilt from start to offer (deg)": False,
-    "turn from start to offer (deg)": False,
+    "rotation from start to offer (deg)": False,
     "fingers towards the robot at the offer (-y)": False,
     "left hands": False,
 }

@@ -53,7 +53,7 @@ class Args(DatasetArgs, OutputArgs):
 
 
 def reward_approach(transition: Transition) -> dict[str, dict[str, float]]:
-    """Return a cheap reward: the approach to the object (m), force (N s) and success."""
+    """Return a reward that is fast to compute: the approach to the object (m), force (N s) and success."""
     before, after = (
         np.linalg.norm(state["object_poses"][0, :3] - state["gripper_pose"][:3])
         for state in (transition.state, transition.next_state)

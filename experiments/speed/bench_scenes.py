@@ -26,7 +26,7 @@ class Args(OutputArgs):
     Attributes:
         datasets: Names of the data sets.
         scenes: Number of scenes that are measured.
-        first: Number of scenes that are generated before.
+        first: Number of scenes that are generated before the measurement.
     """
 
     datasets: tuple[str, ...] = (

@@ -6,9 +6,9 @@ but is slower.
     python experiments/training/train_both_rllib.py --dataset synthetic --out runs/rllib
 
 Each agent has an RLModule of its own, because the spaces differ; EnvRunners run in processes, with
-the default connectors. RLModules need vectors, as `encode` makes them here; `handover_marl.flatten`
-makes them of complete observations. The folder gets `giver.npz` and `receiver.npz`, which need no
-Ray, and a learning curve.
+the default connectors. RLModules need vectors. This script makes them with `encode`;
+`handover_marl.flatten` converts complete observations to vectors. The folder gets `giver.npz` and
+`receiver.npz`, which need no Ray, and a learning curve.
 """
 
 import math

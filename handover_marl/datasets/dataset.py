@@ -105,7 +105,7 @@ class Scene:
 class Dataset(ABC):
     """Numbered handover scenes with their URDF models, robot grasps, setups and splits.
 
-    Numbers, setups, splits and object classes are the official ones of HandoverSim; a data set with others
+    By default, scene numbers, setups, splits and object classes are HandoverSim's; a data set with others
     overrides `n_scenes`, `setups`, `object_names` and `list_scenes`.
 
     Args:
@@ -127,7 +127,7 @@ class Dataset(ABC):
 
     @property
     def source_folder(self) -> Path | None:
-        """Folder that the name does not determine, to be passed as `data_dir` with it; None without one."""
+        """Folder to pass as `data_dir` with the name, to open the data set again; None if the name suffices."""
         return None
 
     @property
@@ -153,7 +153,7 @@ class Dataset(ABC):
 
     @property
     def quick_validation(self) -> bool:
-        """Whether there are too many object classes to validate the grasps of each thoroughly."""
+        """Whether grasps are validated with few simulations, because there are very many object classes."""
         return False
 
     @property

@@ -1,4 +1,4 @@
-"""Third-party files in HandoverSim's folder `assets/`, and the origin of those in a data folder.
+"""Third-party files in HandoverSim's folder `assets/`, and the origin of such files in a data folder.
 
 `third_party.sha256` lists their paths within `assets/` with the known checksums. A stand-in file
 (a substitute made by this library) is marked as such in its first bytes.

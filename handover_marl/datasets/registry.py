@@ -1,6 +1,6 @@
 """Kinds of data sets, by the first word of their name: `KIND` or `KIND:ARGUMENT`.
 
-A further kind is a further entry of `KINDS`.
+To add a kind, add an entry to `KINDS`.
 """
 
 import os
@@ -25,7 +25,7 @@ class DatasetKind:
     """Kind of data sets.
 
     Attributes:
-        title: Name in reports; a data set with an argument adds it: `TITLE: ARGUMENT`.
+        title: Name in reports; reports show `TITLE: ARGUMENT` if the data set's name has an argument.
         usage: Form of the name, for help and errors.
         open_dataset: Function from argument ("" without one), data folder (None without one) and robot to
             the data set.

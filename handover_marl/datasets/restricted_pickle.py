@@ -1,7 +1,7 @@
 """Restricted interpreter of pickles from untrusted files.
 
 A pickle is a program for a stack machine that can run any code. This interpreter knows only the
-operations that write data. It returns plain values, inert records and results of functions that the
+operations that create data. It returns plain values, inert records and results of functions that the
 caller allows; it imports nothing. `pickle.Unpickler` with a restricted `find_class` is not enough:
 a file of 300 bytes can make it hash nested tuples without end
 (docs/decisions/001-restricted-unpickling.md).

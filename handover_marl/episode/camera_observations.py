@@ -74,8 +74,8 @@ def camera_observation_space(obs_mode: str) -> dict[str, spaces.Space[Any]]:
     "scene_pointcloud" has the clouds of "pointcloud", too. Clouds of more than 1024 points are subsampled without
     replacement, shorter ones padded with zeros; full clouds are padded, too. A camera with latency shows earlier
     images; their points are in the hand link's present frame.
-    "full_pointcloud" is for methods that subsample themselves and need unrounded joints, as HandoverSim's scripts for
-    GA-DDPG do.
+    "full_pointcloud" is for methods that subsample the points themselves and need unrounded joints, as HandoverSim's
+    scripts for GA-DDPG do.
 
     Raises:
         UnknownNameError: There is no such observation mode.

@@ -50,9 +50,10 @@ def forward_signature(
 
 
 def open_missing_descriptors() -> None:
-    """Open the null device on closed descriptors 0 to 2, so that no pipe or file of the library gets their numbers.
+    """Open the null device on the file descriptors 0 to 2 that are closed.
 
-    Worker processes take these numbers for their standard streams.
+    Otherwise a pipe or file of the library could get one of these numbers, which worker processes use as
+    their standard streams.
     """
     while (handle := os.open(os.devnull, os.O_RDWR)) <= 2:
         os.set_inheritable(handle, True)

@@ -171,8 +171,8 @@ class ReachabilityBound:
 
     Joint limits are ignored. The hand must not be farther from the shoulder than the arm is long.
     For a given orientation, the wrist (origin of the last joint but one) can only be on a circle
-    around the last joint's axis, and a point of that circle must be as near to the shoulder as the
-    arm without the hand is long.
+    around the last joint's axis, and the distance of a point of that circle from the shoulder must be
+    at most the length of the arm without the hand.
 
     Args:
         tree: Kinematic tree of the arm.

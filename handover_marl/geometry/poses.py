@@ -141,8 +141,8 @@ def quaternions_from_euler(angles: npt.ArrayLike) -> Array:
 def unwrap_euler(angles: Array, previous: Array) -> Array:
     """Return XYZ Euler angles (n, 3) of the same rotations without jumps from row to row.
 
-    Of all angles of a rotation, each row has those nearest to the row before it, in the sum of
-    absolute differences.
+    Of all Euler angles that describe a rotation, those nearest to the previous row are chosen, by the
+    sum of absolute differences.
 
     Args:
         angles: (n, 3) XYZ Euler angles (rad).

@@ -44,9 +44,9 @@ def hash_function(function: object) -> str:
 
 
 def list_packages(function: object) -> tuple[str, ...]:
-    """Return the top-level packages from which a function or object is imported, without installed ones.
+    """Return the top-level packages from which a function or object is imported, except installed packages.
 
-    Code that is not imported but pickled, such as that of scripts, is left out.
+    Code that is pickled and not imported, such as the code of a script, is left out.
     """
     if isinstance(function, functools.partial):
         return list_packages(function.func)

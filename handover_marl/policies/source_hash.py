@@ -1,4 +1,4 @@
-"""Hashes of code and weights of policies, so that results of different ones are never mixed."""
+"""Hashes of code and weights of policies, so that results of different policies are never mixed."""
 
 import functools
 import hashlib

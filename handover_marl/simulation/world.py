@@ -176,7 +176,7 @@ class BatchWorld(World):
     @property
     @abstractmethod
     def batch_key(self) -> tuple[object, int]:
-        """Key of this world's batch, shared by all its worlds, and this world's row there."""
+        """Key of this world's batch, which all worlds of the batch share, and this world's row in the batch."""
 
     @classmethod
     def prepare_rollout(cls, worlds: Sequence[Self], robot_targets: Sequence[list[float]]) -> None:

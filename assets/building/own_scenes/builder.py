@@ -110,7 +110,7 @@ class OwnScenes:
 
         Args:
             name: Class name of the object.
-            mesh: Mesh file of any format that trimesh reads, or a mesh. Its frame is that of the recorded poses.
+            mesh: Mesh file of any format that trimesh reads, or a mesh. Recorded poses are poses of its frame.
             config: Units, mass, friction and color.
             grasps: Number of robot grasps to find in simulation; 0 for none.
             seed: Random seed of the grasps.
@@ -240,9 +240,9 @@ class OwnScenes:
         Args:
             name: Name of the setup; an existing one is replaced.
             by: "object" or "person", which are then in one split only, or "random".
-            val: Names of the objects or persons in the val split; or the share of them, or of the scenes, that is
-                drawn.
-            test: The same for the test split.
+            val: Names of the objects or persons in the val split; or a share (0 to 1) of the objects, persons or
+                scenes, which are then drawn at random.
+            test: Names or share for the test split.
             seed: Random seed of drawn shares.
 
         Returns:

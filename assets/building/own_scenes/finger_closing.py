@@ -79,7 +79,7 @@ class HandGrasp:
 
 
 def close_hand(table: MotionTable, mesh: trimesh.Trimesh, hand: int, side: Side) -> tuple[MotionTable, Array]:
-    """Make finger joint angles that open before the pick-up and close on the object.
+    """Make finger joint angles of a hand that is open at first and closed when the object is picked up.
 
     Args:
         table: Recorded poses with a wrist.
@@ -113,8 +113,8 @@ def close_hand(table: MotionTable, mesh: trimesh.Trimesh, hand: int, side: Side)
 def find_hand_grasp(mesh: trimesh.Trimesh, object_from_wrist: Array, hand: int, side: Side, place: str) -> HandGrasp:
     """Return the open hand and the hand closed on the object at a pose of the wrist.
 
-    Of many open postures that do not touch the object, the one is taken whose fingers touch it most. If there is
-    none, the wrist is moved by as little as needed.
+    Of many open postures that do not touch the object, the posture is selected whose fingers touch the object most
+    when they close. If there is no such posture, the wrist is moved by as little as needed.
 
     Args:
         mesh: Surface of the object in its frame (m).

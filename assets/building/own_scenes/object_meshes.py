@@ -43,7 +43,7 @@ class MeshConfig:
         scale: Factor on the size, after the unit.
         mass: Mass (kg); default: from the density.
         density: Density (kg/m^3) if no mass is given; default: 300, a half-filled plastic bottle.
-        friction: Lateral friction coefficient; that of HandoverSim's objects is 0.9.
+        friction: Lateral friction coefficient; HandoverSim's objects have 0.9.
         color: Color in images, a name of the library's palette.
         concavity: CoACD's threshold: largest concavity of a convex part, 0.01 (many parts) to 1.
         max_faces: Largest number of triangles; larger meshes are simplified.

@@ -21,7 +21,7 @@ _MAX_SINK = 0.03  # m below the table's surface
 def split_scenes(
     content: SceneFile, name: str, by: str, val: Iterable[str] | float, test: Iterable[str] | float, seed: int
 ) -> dict[str, tuple[int, ...]]:
-    """Return the scene numbers of each split; arguments and errors as of `OwnScenes.add_split`."""
+    """Return the scene numbers of each split; see `OwnScenes.add_split` for arguments and errors."""
     try:
         check_file_name(name)
     except ValueError as error:

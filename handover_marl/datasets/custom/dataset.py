@@ -109,12 +109,12 @@ class CustomDataset(Dataset):
 
     @property
     def setups(self) -> tuple[str, ...]:
-        """The setup "all", whose splits all have every scene, and the setups of the file."""
+        """Names of the setups: "all", in which each split has every scene, then the setups in `scenes.json`."""
         return (ALL_SCENES, *self.content.setups)
 
     @property
     def object_names(self) -> Mapping[int, str]:
-        """YCB classes and own classes by class number."""
+        """Class names by class number: the YCB classes and the user's classes."""
         return self.content.object_names
 
     @property

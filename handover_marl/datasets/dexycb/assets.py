@@ -102,8 +102,8 @@ def write_hand_assets(assets: Path, subject: str, model: ManoModel, betas: Seque
         assets: Folder `assets/` of the data folder.
         subject: Name of the subject, e.g. "20200709-subject-01".
         model: MANO's model of one side.
-        betas: (10,) shape parameters; HandoverSim uses those of the subject's first scene for both
-            sides.
+        betas: (10,) shape parameters; HandoverSim uses the parameters of the subject's first scene for
+            both sides.
 
     Raises:
         UnknownNameError: The subject is not in DexYCB.

@@ -114,7 +114,7 @@ class GeneratedDataset(Dataset):
 
     @property
     def quick_validation(self) -> bool:
-        """Whether there are too many object classes to validate the grasps of each thoroughly."""
+        """Whether grasps are validated with few simulations, because there are very many object classes."""
         return True
 
     @property

@@ -48,7 +48,7 @@ _MIN_ROBOT_GRASPS = 5
 
 @dataclass(frozen=True, eq=False)
 class ObjectModel:
-    """Procedural object with what scenes need of it; arrays are read-only.
+    """Procedural object with the geometry and grasps that scenes need; arrays are read-only.
 
     Attributes:
         item: Object.

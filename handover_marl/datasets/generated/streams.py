@@ -25,7 +25,7 @@ def open_streams(config: GeneratedConfig, kind: ItemKind, number: int, attempt: 
     """Return the random streams of a scene, an object or a person by its number.
 
     Args:
-        config: Configuration, of which family and seed matter.
+        config: Configuration; only its family and seed are used.
         kind: Kind of the item.
         number: Number of the item, from 0.
         attempt: Number of earlier attempts to generate the item that failed.
@@ -40,7 +40,7 @@ def find_splits(numbers: npt.ArrayLike, of_objects: bool = False) -> npt.NDArray
 
     Args:
         numbers: (n,) numbers from 0.
-        of_objects: Whether the numbers are those of procedural objects.
+        of_objects: Whether the numbers are numbers of procedural objects, not of scenes.
     """
     words = np.asarray(numbers, dtype=np.uint64) + np.uint64(_OBJECT_OFFSET if of_objects else 0)
     # SplitMix64 (Steele, Lea and Flood, 2014).

@@ -3,7 +3,7 @@
 There is one file per episode during the recording, and one data set after it:
 
 ```
-config.yaml, 000.npz, ..., report.json, report.md   results, as of every evaluation
+config.yaml, 000.npz, ..., report.json, report.md   results, as in every evaluation
 episodes/000.hdf5, ...                              episodes that are not in the data set yet
 data/main_data.hdf5, metadata.json, README.md       data set in Minari's layout, and its card
 ```

@@ -140,7 +140,7 @@ def format_interval(interval: Sequence[float] | None, spec: str = ".1f", scale: 
 
 
 def append_interval(text: str, interval: Sequence[float] | None, spec: str = ".1f", scale: float = 100.0) -> str:
-    """Append an interval, if there is one, to a formatted value; arguments as of `format_interval`."""
+    """Append an interval, if there is one, to a formatted value; see `format_interval` for the arguments."""
     return text if interval is None else f"{text} ({format_interval(interval, spec, scale)})"
 
 

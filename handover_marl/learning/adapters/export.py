@@ -50,7 +50,8 @@ def export_policy(
             `InputNormalization`; default: that of the model's environment, or none.
         origin: Description of the training, for human readers.
 
-    Models of Stable-Baselines3 record the first four; for a PyTorch module they must be passed.
+    Models of Stable-Baselines3 record agent, features, action scheme and control period. For a PyTorch
+    module they must be passed.
 
     Returns:
         Path of the file.

@@ -29,7 +29,7 @@ def convert_sb3_model(
 
     Args:
         model: Model of PPO, A2C, SAC, TD3 or DDPG with dense layers only.
-        normalization: Normalization of the observations; default: that of the model's environment.
+        normalization: Normalization of the observations; default: as in the model's environment.
 
     Raises:
         DataFormatError: The policy contains other layers, or computes something else than these layers.

@@ -1,4 +1,4 @@
-"""User-defined features: base class, and the check of what they return."""
+"""User-defined features: base class, and checks of the returned vectors."""
 
 import copy
 from abc import ABC, abstractmethod
@@ -135,7 +135,7 @@ def make_custom_features(agent: str, choice: Any, context: PolicyContext, name: 
         agent: "giver" or "receiver".
         choice: Class, instance or function.
         context: Robot, task and known grasps of the objects.
-        name: Name of the features; default: that of the class or function.
+        name: Name of the features; default: the name of the class or function.
 
     Raises:
         OptionError: The size is missing or malformed, or the features are for the other agent.

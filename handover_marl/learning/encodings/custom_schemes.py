@@ -97,7 +97,7 @@ def make_custom_scheme(agent: str, choice: Any, context: PolicyContext, name: st
         agent: "giver" or "receiver".
         choice: Subclass of `ActionScheme`, or function from outputs and observation to an action.
         context: Robot, task and known grasps of the objects.
-        name: Name of the scheme; default: that of the class or function.
+        name: Name of the scheme; default: the name of the class or function.
 
     Raises:
         OptionError: The size is missing or malformed, the scheme is for the other agent, or the class

@@ -21,8 +21,8 @@ BatchFactory = Callable[[int], HandoverVectorEnv]
 class BatchVecEnv(VecEnv):
     """Stable-Baselines3 VecEnv whose environments are simulated in one batch per process.
 
-    The threads of one process take turns with everything but the simulation. On several cores, one
-    process per core is therefore fastest. Episodes do not depend on the number of processes.
+    Threads of one process run at the same time only while they simulate, so on several cores one process
+    per core is fastest. Episodes do not depend on the number of processes.
 
     Args:
         count: Number of environments.

@@ -81,8 +81,8 @@ class ObjectBody(ArticulatedBody):
 def compute_object_masks(class_ids: Sequence[int]) -> list[int]:
     """Return the collision masks of a scene's objects before their release, each a bit of its own.
 
-    The objects collide with the robot but not with each other. The YCB classes of DexYCB have the bits of
-    HandoverSim, 1 to 20; other classes, and further objects of the same class, the next unused bits.
+    The objects collide with the robot but not with each other. The YCB classes of DexYCB have HandoverSim's
+    bits, 1 to 20. Other classes, and further objects of the same class, get the next unused bits.
 
     Args:
         class_ids: Class numbers of the objects.

@@ -202,7 +202,9 @@ def load_urdf(client: BulletClient, path: Path | str, **options: object) -> int:
 
 @functools.lru_cache(maxsize=256)
 def check_model_files(urdf: Path, modified_ns: int) -> None:
-    """Check a model's files: PyBullet crashes on invalid vertex numbers and waits without end on a pipe.
+    """Check the files of a model before PyBullet loads them.
+
+    PyBullet crashes on invalid vertex numbers, and waits forever if a path is a pipe.
 
     Args:
         urdf: URDF file of the model.

@@ -61,7 +61,7 @@ class Sleepable(Protocol):
 
 
 class SleepableObject:
-    """Scene object that is simulated while awake and follows its reference kinematically asleep.
+    """Scene object that is simulated while it is awake and follows its reference kinematically while it sleeps.
 
     Args:
         client: Physics client.

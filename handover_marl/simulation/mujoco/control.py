@@ -113,7 +113,7 @@ class WorldController:
         self.row, self._is_state_set = row, self.sleep is None
 
     def set_state(self) -> None:
-        """Set the state of a sleeping world in its slot, which follows `row` only when it is needed."""
+        """Write the state of a sleeping world to its batch slot, which is updated only on demand."""
         if self.sleep is not None and not self._is_state_set:
             slot, scene = self.slot, self.slot.scene
             slot.qpos[scene.robot_qpos], slot.qvel[scene.robot_qvel] = self.sleep.get_robot_state(self.row)

@@ -3,7 +3,7 @@
 There is one archive per episode during the recording, and one data set after it:
 
 ```
-config.yaml, 000.npz, ..., report.json, report.md   results, as of every evaluation
+config.yaml, 000.npz, ..., report.json, report.md   results, as in every evaluation
 episodes/000.zip, ...                               episodes that are not in the data set yet
 lerobot/meta, lerobot/data, lerobot/videos          data set, replaced as a whole
 ```

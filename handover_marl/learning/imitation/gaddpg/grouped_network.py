@@ -1,9 +1,9 @@
 """Efficient evaluation of GA-DDPG's network on stored groups of points.
 
-PointNet++ pads every group by repeating a point, which max pooling ignores: of the 128 members of a
-group of groups at most 32 are distinct, mostly 8. This module evaluates every member once. In
-training, the statistics of batch normalization therefore count every member once; with fixed
-statistics the output equals that of PointNet++.
+PointNet++ pads every group to a fixed size by repeating a point, which max pooling ignores. Of the
+128 members of a group of groups, for example, at most 32 and usually 8 are distinct. This module
+evaluates every distinct member once. In training, the statistics of batch normalization therefore
+count every member once; with fixed statistics the output equals the output of PointNet++.
 """
 
 import itertools
