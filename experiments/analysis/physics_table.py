@@ -85,7 +85,7 @@ def format_report(args: Args, rows: dict[str, dict[str, Report]]) -> str:
 
     Args:
         args: Options of the script.
-        rows: Reports by physics engine, by receiver.
+        rows: Reports of each receiver, by name of the receiver; the reports are indexed by physics engine.
     """
     cells = []
     for receiver, reports in rows.items():
@@ -131,7 +131,7 @@ def draw_success_rates(args: Args, rows: dict[str, dict[str, Report]]) -> bytes:
 
     Args:
         args: Options of the script.
-        rows: Reports by physics engine, by receiver.
+        rows: Reports of each receiver, by name of the receiver; the reports are indexed by physics engine.
     """
     from matplotlib.figure import Figure
 

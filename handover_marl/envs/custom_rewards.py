@@ -137,7 +137,7 @@ def make_reward_source(rewards: RewardLike, goal: Position) -> RewardSource:
 
 
 class BuiltinRewardSource:
-    """Built-in rewards ("sparse", "shaped" or a `RewardConfig`) as a part of combined rewards.
+    """Source of the terms of built-in rewards: "sparse", "shaped" or a `RewardConfig`.
 
     Args:
         config: Weights of the terms.
@@ -157,7 +157,7 @@ class BuiltinRewardSource:
 
 
 class SummedRewardSource:
-    """Weighted terms of several rewards, whose names must differ.
+    """Source of the weighted terms of several rewards; terms of one agent must have different names.
 
     Args:
         parts: Pairs of weight and source of terms.
@@ -193,7 +193,7 @@ class SummedRewardSource:
 
 
 class CustomRewardSource:
-    """Terms of a user-defined function, each checked.
+    """Source of the terms of a user-defined reward function; checks the names and values of the terms.
 
     Args:
         function: Function of a transition; its method `reset(transition)`, if it has one, is called at

@@ -214,7 +214,7 @@ class TermWeights:
 
 
 class TermRewardSource:
-    """Weighted ready-made terms of both agents.
+    """Source of the weighted ready-made terms of both agents.
 
     Args:
         weights: Weights by agent and term.

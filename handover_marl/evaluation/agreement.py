@@ -51,7 +51,7 @@ class Agreement(TabularResult):
 
     @property
     def step_differences(self) -> list[int]:
-        """Numbers of steps in the other minus in exact physics, one for each scene with equal outcomes."""
+        """Numbers of steps in the other physics minus those in exact physics, for the scenes with equal outcomes."""
         return [other.steps - exact.steps for exact, other in self._pairs if exact.status == other.status]
 
     @property

@@ -160,7 +160,7 @@ class ExecutionConfig:
 
 
 class EpisodeOptions(TypedDict, total=False):
-    """Keyword arguments of functions that render an episode, as fields of both configurations."""
+    """Keyword arguments of functions that render an episode: fields of `EvaluationConfig` and `ExecutionConfig`."""
 
     dataset: str
     data_dir: str | os.PathLike[str] | None
@@ -175,7 +175,10 @@ class EpisodeOptions(TypedDict, total=False):
 
 
 class EvaluationOptions(EpisodeOptions, total=False):
-    """Keyword arguments of evaluations: configuration fields except setup, split and policies."""
+    """Keyword arguments of evaluations: fields of both configurations except setup, split and policies.
+
+    The configurations are `EvaluationConfig` and `ExecutionConfig`.
+    """
 
     scenes: Iterable[int] | None
     world_config: WorldConfig

@@ -56,7 +56,7 @@ class BatchStep(NamedTuple):
     final: EnvResult | None
 
 
-class _Share:
+class _ThreadEnvs:
     """Environments of one thread, with the resets after an episode's end.
 
     Args:
@@ -121,7 +121,7 @@ class EnvBatch:
         self.num_envs, self.autoreset, self.is_running = num_envs, autoreset, False
         self._is_closed, self._process, self._lock = False, os.getpid(), threading.Lock()
         parts = np.array_split(np.arange(num_envs), min(threads, num_envs))
-        self._shares = [_Share(make(len(rows)), rows, autoreset) for rows in parts]
+        self._thread_envs = [_ThreadEnvs(make(len(rows)), rows, autoreset) for rows in parts]
         self._pool = ThreadPoolExecutor(len(parts)) if len(parts) > 1 else None
         self._latest: EnvResult | None = None
 
@@ -157,11 +157,11 @@ class EnvBatch:
         with self._exclude_other_threads():
             is_running, self.is_running = self.is_running or len(rows) == self.num_envs, False
 
-            def reset(share: _Share) -> tuple[Rows, EnvResult] | None:
-                own = share.rows[np.isin(share.rows, rows)]
+            def reset(envs: _ThreadEnvs) -> tuple[Rows, EnvResult] | None:
+                own = envs.rows[np.isin(envs.rows, rows)]
                 if not len(own):
                     return None
-                return own, share.reset(own - share.rows[0], [seeds[row] for row in own.tolist()], options or None)
+                return own, envs.reset(own - envs.rows[0], [seeds[row] for row in own.tolist()], options or None)
 
             parts = [part for part in self._map(reset) if part is not None]
             if self._latest is not None and len(rows) < self.num_envs:
@@ -179,7 +179,7 @@ class EnvBatch:
         """
         self._require_usable()
         is_disabled = self.autoreset is AutoresetMode.DISABLED
-        if not self.is_running or (is_disabled and any(share.has_ended() for share in self._shares)):
+        if not self.is_running or (is_disabled and any(envs.has_ended() for envs in self._thread_envs)):
             raise ResetNeededError("no episode is running; call reset() before step()")
 
     def step(self, actions: ByAgent) -> BatchStep:
@@ -191,12 +191,12 @@ class EnvBatch:
         Raises:
             ActionError: An action is malformed; no environment has advanced.
         """
-        checked = self._shares[0].envs.check_actions(actions)
+        checked = self._thread_envs[0].envs.check_actions(actions)
         with self._exclude_other_threads():
             self.is_running = False
-            parts = self._map(lambda share: share.step({agent: own[share.rows] for agent, own in checked.items()}))
+            parts = self._map(lambda envs: envs.step({agent: own[envs.rows] for agent, own in checked.items()}))
             self.is_running = True
-        results = [(share.rows, part.result) for share, part in zip(self._shares, parts, strict=True)]
+        results = [(envs.rows, part.result) for envs, part in zip(self._thread_envs, parts, strict=True)]
         self._latest = merge_results(self.num_envs, results)
         finals = [(len(part.ended), part.final) for part in parts if part.final is not None]
         ended, final = np.concatenate([part.ended for part in parts]), None
@@ -208,21 +208,21 @@ class EnvBatch:
 
     def render(self) -> tuple[Any, ...] | None:
         """Return the images of all environments; None without camera."""
-        images = [image for share in self._shares for image in share.envs.render() or ()]
+        images = [image for envs in self._thread_envs for image in envs.envs.render() or ()]
         return tuple(images) if images else None
 
     def close(self) -> None:
         """Free the simulations of all environments."""
         self.is_running, self._is_closed = False, True
-        for share in self._shares:
-            share.envs.close()
+        for envs in self._thread_envs:
+            envs.envs.close()
         if self._pool is not None:
             self._pool.shutdown()
 
-    def _map(self, function: Callable[[_Share], Any]) -> list[Any]:
+    def _map(self, function: Callable[[_ThreadEnvs], Any]) -> list[Any]:
         if self._pool is None:
-            return [function(share) for share in self._shares]
-        futures = [self._pool.submit(function, share) for share in self._shares]
+            return [function(envs) for envs in self._thread_envs]
+        futures = [self._pool.submit(function, envs) for envs in self._thread_envs]
         # All threads finish before the first error is raised.
         errors = [error for future in futures if (error := future.exception()) is not None]
         if errors:

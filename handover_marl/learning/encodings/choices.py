@@ -100,7 +100,7 @@ def check_agent(kind: str, choice: object, agent: str) -> None:
         )
 
 
-def construct(kind: str, choice: type, context: PolicyContext) -> Any:
+def construct_encoding(kind: str, choice: type, context: PolicyContext) -> Any:
     """Construct user-defined features or a user-defined scheme from its class, with the context if it takes one.
 
     Args:

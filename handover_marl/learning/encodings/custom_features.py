@@ -15,7 +15,7 @@ from handover_marl.learning.encodings.choices import (
     MAX_SIZE,
     check_agent,
     check_size,
-    construct,
+    construct_encoding,
     get_choice_name,
 )
 from handover_marl.policies.policy import PolicyContext
@@ -145,7 +145,7 @@ def make_custom_features(agent: str, choice: Any, context: PolicyContext, name: 
         raise OptionError(f"{KIND} must be a name, a class or a function, got {choice!r}")
     name = name or get_choice_name(choice)
     check_agent(KIND, choice, agent)
-    function = construct(KIND, choice, context) if isinstance(choice, type) else choice
+    function = construct_encoding(KIND, choice, context) if isinstance(choice, type) else choice
     if function is choice and hasattr(choice, "reset"):
         # Environments must not share the memory of an instance.
         function = copy.deepcopy(choice)

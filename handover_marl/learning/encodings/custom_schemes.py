@@ -10,7 +10,7 @@ from handover_marl.episode.observations import Observation
 from handover_marl.episode.spaces import GIVER_ACTION_SIZE
 from handover_marl.errors import EncodingError, HandoverError, OptionError
 from handover_marl.learning.action_scheme import Action, ActionScheme, Outputs
-from handover_marl.learning.encodings.choices import check_agent, check_size, construct, get_choice_name
+from handover_marl.learning.encodings.choices import check_agent, check_size, construct_encoding, get_choice_name
 from handover_marl.policies.policy import PolicyContext
 
 KIND = "action scheme"
@@ -118,5 +118,5 @@ def make_custom_scheme(agent: str, choice: Any, context: PolicyContext, name: st
             "above a function"
         )
     check_size(f"size of {KIND} {name!r}", size)
-    scheme = construct(KIND, choice, context) if isinstance(choice, type) else choice
+    scheme = construct_encoding(KIND, choice, context) if isinstance(choice, type) else choice
     return CheckedScheme(agent, name, size, scheme, context)

@@ -1,9 +1,9 @@
 """Actor of GA-DDPG (Wang et al., CoRL 2021): from a point cloud to the next hand motion.
 
-The actor predicts an action and, as an auxiliary output, the pose of the grasp. The original
-executes the action. The weights of this library execute the grasp prediction: the step to it
-follows from the expert's rule (`handover_marl.learning.networks.approach_field`), whose
-discontinuities a network does not learn well.
+The actor predicts an action and, as an auxiliary output, the pose of the grasp. With the original
+authors' weights, the predicted action is executed. With this library's weights, the hand moves to
+the predicted grasp; a fixed rule computes each step (`handover_marl.learning.networks.approach_field`).
+The rule has discontinuities that a network does not learn well.
 """
 
 import math

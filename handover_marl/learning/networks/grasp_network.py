@@ -55,8 +55,8 @@ class GraspOutputs(NamedTuple):
         positions: (B, C, 3) points between the pads (m).
         rotations: (B, C, 3, 3) orientations of the hand link; a rotation by pi about z is equivalent.
         object_center: (B, 3) center of the whole object, with its unobserved parts (m).
-        object_motion: (B, 3) displacement of the object within the prediction time, which the training
-            data fix (m).
+        object_motion: (B, 3) displacement of the object within the prediction time (m), whose length is a
+            parameter of the training data.
     """
 
     quality: Tensor

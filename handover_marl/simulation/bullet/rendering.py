@@ -1,7 +1,7 @@
 """Images of overview cameras and of the wrist camera by PyBullet's software renderer.
 
-The images are the same with and without a screen or graphics driver; those of the wrist camera are bit-equal to
-HandoverSim's.
+The images are the same with and without a screen or graphics driver. Images of the wrist camera equal HandoverSim's
+bit for bit.
 """
 
 from collections.abc import Mapping, Sequence

@@ -60,7 +60,7 @@ class GraspCostConfig:
 
 @dataclass(frozen=True, eq=False)
 class CostedGrasps:
-    """Grasps of one object, each in both orientations about the hand's z axis.
+    """Grasps of one object, and the same grasps rotated by half a turn about the hand's z axis.
 
     Attributes:
         poses: (n, 7) poses of the hand link in the object's frame, quaternion xyzw.
