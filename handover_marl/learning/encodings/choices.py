@@ -1,4 +1,4 @@
-"""Choices of features and action schemes: names, classes, functions, or text `module:name`."""
+"""Checks and imports of user-defined features and action schemes: classes, functions, or text `module:name`."""
 
 import importlib
 import inspect

@@ -1,4 +1,4 @@
-"""User-defined action schemes: functions as schemes, and the check of the actions that they return."""
+"""User-defined action schemes: use of functions as schemes, and checks of the returned actions."""
 
 from collections.abc import Callable
 from typing import Any, TypeAlias
