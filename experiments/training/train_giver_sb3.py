@@ -99,7 +99,7 @@ def imitate(model: PPO, args: Args) -> float:
         features, _ = env.reset(seed=args.seed if episode == 0 else None)
         teacher.reset(episode)
         observations.append(features["giver"])
-        outputs.append(env.outputs_from_action("giver", teacher.act(env.last_observation("giver"))))
+        outputs.append(env.outputs_from_action("giver", teacher.act(env.get_last_observation("giver"))))
     env.close()
     inputs, targets = torch.as_tensor(np.stack(observations)), torch.as_tensor(np.stack(outputs))
     optimizer = torch.optim.Adam(model.policy.parameters(), lr=1e-3)

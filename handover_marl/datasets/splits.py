@@ -93,11 +93,11 @@ def _is_in_split(scene: int, selected: _Filter, find_side: Callable[[int], str])
         return False
     if selected.side is None:
         return True
-    side = prescribed_side(scene) if trial in PRESCRIBED_SIDE_TRIALS else find_side(scene)
+    side = get_prescribed_side(scene) if trial in PRESCRIBED_SIDE_TRIALS else find_side(scene)
     return selected.side == side
 
 
-def prescribed_side(scene: int) -> Literal["left", "right"]:
+def get_prescribed_side(scene: int) -> Literal["left", "right"]:
     """Return the giver's hand in a scene whose trial is in `PRESCRIBED_SIDE_TRIALS`."""
     return "right" if scene % 5 < 2 else "left"
 

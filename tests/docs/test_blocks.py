@@ -11,7 +11,7 @@ import gymnasium
 import pytest
 
 import handover_marl
-from handover_marl.datasets.splits import choose_scenes, list_split_scenes, prescribed_side
+from handover_marl.datasets.splits import choose_scenes, get_prescribed_side, list_split_scenes
 from handover_marl.errors import HandoverError
 from tests.docs.commands import check, commands
 from tests.docs.pages import PAGES, Block, blocks, inline_commands, name
@@ -82,7 +82,7 @@ def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     # Else Ray joins whatever cluster another test has on this machine, and falls with it.
     monkeypatch.setenv("RAY_ADDRESS", "local")
-    first, *_ = list_split_scenes("s3", "test", prescribed_side)
+    first, *_ = list_split_scenes("s3", "test", get_prescribed_side)
     write_layout(tmp_path / "handover" / "data", (FakeScene(first),))
 
     def one_scene(split: tuple[int, ...], scenes: Iterable[int] | None, where: str) -> tuple[int, ...]:

@@ -115,11 +115,11 @@ def test_infos_tell_the_terms_of_what_was_added_up() -> None:
 def test_imitation_knows_what_a_giver_would_have_decided() -> None:
     env = encoded("giver", "hold", "offer")
     with pytest.raises(ResetNeededError):
-        env.last_observation("giver")
+        env.get_last_observation("giver")
     env.reset(seed=0)
     teacher = givers.make("cooperative")
     teacher.reset()
-    wanted = env.outputs_from_action("giver", teacher.act(env.last_observation("giver")))
+    wanted = env.outputs_from_action("giver", teacher.act(env.get_last_observation("giver")))
     assert wanted.shape == (7,)
     assert np.abs(wanted).max() > 0.1
     receiver = encoded("receiver", "replay")

@@ -105,13 +105,13 @@ def test_all_agents_have_the_same_spaces(make: Callable[[], HomogeneousEnv]) -> 
     assert env.observation_space("giver") == env.observation_space("receiver")
     assert env.action_space("giver") == env.action_space("receiver")
     inner = env.env
-    assert env.sizes("receiver") == tuple(
+    assert env.get_sizes("receiver") == tuple(
         getattr(inner, f"{what}_space")("receiver").shape[0] for what in ("observation", "action")
     )
     seen = env.reset(seed=0)[0]
-    n = max(env.sizes(agent)[0] for agent in AGENTS)
+    n = max(env.get_sizes(agent)[0] for agent in AGENTS)
     for number, agent in enumerate(AGENTS):
-        own = env.sizes(agent)[0]
+        own = env.get_sizes(agent)[0]
         assert env.observation_space(agent).contains(seen[agent])
         np.testing.assert_array_equal(seen[agent][n:], np.eye(2)[number])
         assert not seen[agent][own:n].any()
@@ -147,8 +147,8 @@ ENVS = {True: equal(), False: encoded()}
 
 def test_what_is_beyond_an_agents_own_changes_nothing() -> None:
     one, other = encoded(), encoded()
-    assert one.sizes("giver")[1] == 8
-    assert one.sizes("receiver")[1] == 7
+    assert one.get_sizes("giver")[1] == 8
+    assert one.get_sizes("receiver")[1] == 7
     states = []
     for env, rest in ((one, -1.0), (other, 1.0)):
         env.reset(seed=3)

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handover_marl.datasets.splits import SPLIT_SIZES, list_split_scenes, prescribed_side
+from handover_marl.datasets.splits import SPLIT_SIZES, get_prescribed_side, list_split_scenes
 from handover_marl.errors import OptionError
 from handover_marl.evaluation.shards import Shard
 
@@ -24,12 +24,12 @@ def test_shards_are_disjoint_complete_and_of_about_equal_size(chosen: set[int], 
 def test_scenes_of_a_shard_are_stable() -> None:
     """Shards of different machines and versions must fit together."""
     assert Shard(1, 3).select(range(12)) == (0, 2, 4, 9)
-    assert Shard(3, 16).select(list_split_scenes("s0", "test", prescribed_side))[:3] == (214, 264, 284)
+    assert Shard(3, 16).select(list_split_scenes("s0", "test", get_prescribed_side))[:3] == (214, 264, 284)
 
 
 def test_shards_are_mixed() -> None:
     """Objects repeat periodically in a split, so every n-th scene could have the same object."""
-    scenes = list_split_scenes("s0", "test", prescribed_side)
+    scenes = list_split_scenes("s0", "test", get_prescribed_side)
     for count in (6, 9, 18):
         objects = Counter(scene // 5 % 20 for scene in Shard(1, count).select(scenes))
         assert len(objects) >= min(6, len(scenes) // count - 2)

@@ -20,7 +20,7 @@ from experiments.analysis.list_training_scenes import (  # noqa: E402
 )
 from handover_marl.assets.object_models import DATA_ROOT  # noqa: E402
 from handover_marl.datasets import OfficialDataset  # noqa: E402
-from handover_marl.datasets.splits import SETUPS, list_split_scenes, prescribed_side  # noqa: E402
+from handover_marl.datasets.splits import SETUPS, get_prescribed_side, list_split_scenes  # noqa: E402
 from handover_marl.datasets.synthetic import SyntheticDataset  # noqa: E402
 from tests.learning.training.scripts import script  # noqa: E402
 
@@ -64,7 +64,7 @@ def test_no_scene_of_a_test_split_was_used(weights: Path) -> None:
 def test_hands_of_s2() -> None:
     scenes = scenes_of(NEEDS_RECORDINGS)
     known = [scene for scene in scenes.training if scene % 5 < 4]
-    assert {prescribed_side(scene) for scene in known} == {"right"}
+    assert {get_prescribed_side(scene) for scene in known} == {"right"}
 
 
 @pytest.mark.parametrize("setup", [setup for setup in SETUPS if setup != "s2"])

@@ -3,7 +3,7 @@
 from functools import cache
 
 from handover_marl.assets.hand_model import Side
-from handover_marl.datasets.splits import PRESCRIBED_SIDE_TRIALS, SKIPPED_OBJECTS, prescribed_side
+from handover_marl.datasets.splits import PRESCRIBED_SIDE_TRIALS, SKIPPED_OBJECTS, get_prescribed_side
 from handover_marl.datasets.synthetic.random_stream import open_scene_streams
 from handover_marl.geometry.ycb import SCENE_CLASSES
 
@@ -26,7 +26,7 @@ def class_id_from_scene(scene_id: int) -> int:
 def side_from_scene(scene_id: int) -> Side:
     """Return the giver's hand in a scene: prescribed in trials 0 to 3, drawn in trial 4."""
     if scene_id % 5 in PRESCRIBED_SIDE_TRIALS:
-        return prescribed_side(scene_id)
+        return get_prescribed_side(scene_id)
     return "left" if scene_id in _draw_left_handed_trials() else "right"
 
 

@@ -116,7 +116,7 @@ class EncodedEnv(ParallelWrapper):
         """Compute the features (m,) of an agent's observation."""
         return self._features[agent](observation)
 
-    def last_observation(self, agent: str) -> Observation:
+    def get_last_observation(self, agent: str) -> Observation:
         """Return the last observation of an agent before it was encoded.
 
         Raises:
@@ -139,7 +139,7 @@ class EncodedEnv(ParallelWrapper):
             scheme = scheme.scheme
         if not isinstance(scheme, GiverScheme):
             raise OptionError(f"action scheme {scheme.name!r} cannot imitate; use a scheme of the giver")
-        return np.asarray(scheme.outputs_from_action(action, self.last_observation(agent)), dtype=np.float32)
+        return np.asarray(scheme.outputs_from_action(action, self.get_last_observation(agent)), dtype=np.float32)
 
     def reset(self, seed: int | None = None, options: ByAgent | None = None) -> tuple[ByAgent, ByAgent]:
         """Start an episode and simulate it until an action scheme needs outputs.

@@ -56,7 +56,7 @@ class HomogeneousEnv(ParallelWrapper):
         """Return the action space that all agents share."""
         return self._actions
 
-    def sizes(self, agent: str) -> tuple[int, int]:
+    def get_sizes(self, agent: str) -> tuple[int, int]:
         """Return the lengths of an agent's observation and of its action, both without padding."""
         return _size(self._own[agent]), _size(self.env.action_space(agent))
 
@@ -67,7 +67,7 @@ class HomogeneousEnv(ParallelWrapper):
             agent: Name of the agent.
             vector: Padded observation of the agent.
         """
-        return vector[: self.sizes(agent)[0]]
+        return vector[: self.get_sizes(agent)[0]]
 
     def unpad_action(self, agent: str, action: Any) -> Array:
         """Return an agent's action without padding, clipped to the bounds of the agent's actions.
@@ -79,7 +79,7 @@ class HomogeneousEnv(ParallelWrapper):
         Raises:
             ActionError: The action has another shape, or a component of the agent is not finite.
         """
-        space, n = self.env.action_space(agent), self.sizes(agent)[1]
+        space, n = self.env.action_space(agent), self.get_sizes(agent)[1]
         values = check_vector(
             f"action of the {agent}", action, _size(self._actions), f"of which {n} are used", n_finite=n
         )

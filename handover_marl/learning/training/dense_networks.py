@@ -61,7 +61,7 @@ def extract_agent_network(network: DenseNetwork, env: HomogeneousEnv, agent: str
     Returns:
         The network from the agent's own observations to its own actions, with the same outputs.
     """
-    n_inputs, n_outputs = env.sizes(agent)
+    n_inputs, n_outputs = env.get_sizes(agent)
     first = network.weights[0]
     # The indicator is constant, so its column is part of the bias; the padding is zero.
     indicator = first[:, env.possible_agents.index(agent) - len(env.possible_agents)]
