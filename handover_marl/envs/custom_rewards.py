@@ -307,7 +307,7 @@ class CustomRewardSource:
 
 
 def read_reward_state(transition: Transition) -> RewardState:
-    """Return the state after a transition on which the built-in terms depend."""
+    """Return the quantities, after a transition, from which the built-in reward terms are computed."""
     state = transition.next_state
     return RewardState(
         time=float(state["time"][0]),

@@ -85,7 +85,7 @@ class HandTemplates:
     radii: Array
 
     def get_path(self, rows: npt.NDArray[np.int64]) -> Array:
-        """Return the paths (n, S, 5, 9, 3) of some postures."""
+        """Return the spheres' centers (n, S, 5, 9, 3) while n postures close, in the palm's frame (m)."""
         return self.path[rows].astype(np.float64)
 
     def get_open_hands(self, rows: npt.NDArray[np.int64]) -> Array:

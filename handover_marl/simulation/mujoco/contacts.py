@@ -1,8 +1,8 @@
 """Contact sensors of MuJoCo models, and conversion of their data to contacts.
 
-MuJoCo's list of contacts has another length in every step and world. Sensors collect the data that
-the rules need in arrays of fixed shape inside the engine, so that the data of one or many worlds
-are read in the same way.
+The length of MuJoCo's list of contacts changes from step to step and differs between worlds. Sensors
+inside the engine collect the data that the rules need in arrays of fixed shape. The data of one world
+and of many worlds are therefore read in the same way.
 """
 
 from collections.abc import Sequence
