@@ -34,34 +34,39 @@ NO_TESTS_COLLECTED = 5
 # Between the differences of two survivors.
 SEPARATOR = "\n\n"
 REPORTS = ("tests/evaluation/reports",)
+DATACLASSES = "tests/test_dataclasses.py"
 #: Unit tests of each module.
 TESTS = {
     "handover_marl/episode/referee.py": ("tests/episode/test_protocol.py", "tests/episode/test_lockstep.py"),
-    "handover_marl/episode/lockstep.py": ("tests/episode/test_lockstep.py",),
+    "handover_marl/episode/lockstep.py": ("tests/episode/test_simulate_worlds.py", "tests/episode/test_lockstep.py"),
     "handover_marl/episode/loop.py": ("tests/episode/test_clock.py", "tests/episode/test_play.py"),
-    "handover_marl/episode/episode.py": (
-        "tests/episode/test_play.py",
-        "tests/episode/test_camera_observations.py",
-        "tests/envs/test_giver_agent.py",
-    ),
-    "handover_marl/episode/giver_motion.py": ("tests/episode/test_playback.py", "tests/episode/test_clock.py"),
-    "handover_marl/episode/batch/giver_motion.py": ("tests/episode/batch/test_giver_motion.py",),
+    "handover_marl/episode/episode.py": ("tests/episode/test_episode.py", "tests/episode/test_play.py"),
+    "handover_marl/episode/giver_motion.py": ("tests/episode/test_playback.py",),
+    "handover_marl/episode/batch/giver_motion.py": ("tests/episode/batch/test_giver_motion.py", DATACLASSES),
     "handover_marl/episode/batch/wrist_offset.py": ("tests/episode/batch/test_giver_motion.py",),
     "handover_marl/episode/wrist_offset.py": ("tests/episode/test_playback.py", "tests/episode/test_set_points.py"),
-    "handover_marl/episode/observations.py": ("tests/episode/test_playback.py", "tests/episode/test_play.py"),
-    "handover_marl/episode/camera_observations.py": ("tests/episode/test_camera_observations.py",),
-    "handover_marl/episode/spaces.py": ("tests/episode/test_spaces.py", "tests/episode/test_camera_observations.py"),
-    "handover_marl/episode/callbacks.py": ("tests/episode/test_fluency.py", "tests/episode/test_play.py"),
-    "handover_marl/episode/metrics.py": ("tests/episode/test_fluency.py",),
-    "handover_marl/evaluation/comparison.py": ("tests/evaluation/test_comparison.py", *REPORTS),
-    "handover_marl/evaluation/reports/statistics.py": ("tests/evaluation/reports/test_statistics.py",),
-    "handover_marl/evaluation/reports/columns.py": REPORTS,
-    "handover_marl/evaluation/reports/fluency_tables.py": (*REPORTS, "tests/episode/test_fluency.py"),
+    "handover_marl/episode/observations.py": ("tests/episode/test_observations.py", "tests/episode/test_playback.py"),
+    "handover_marl/episode/camera_observations.py": ("tests/episode/test_camera_observations.py", DATACLASSES),
+    "handover_marl/episode/spaces.py": (
+        "tests/episode/test_spaces.py",
+        "tests/episode/test_camera_observations.py",
+        DATACLASSES,
+    ),
+    "handover_marl/episode/callbacks.py": ("tests/episode/test_fluency.py", "tests/episode/test_play.py", DATACLASSES),
+    "handover_marl/episode/metrics.py": ("tests/episode/test_fluency.py", DATACLASSES),
+    "handover_marl/evaluation/comparison.py": ("tests/evaluation/test_comparison.py", *REPORTS, DATACLASSES),
+    "handover_marl/evaluation/reports/statistics.py": (
+        "tests/evaluation/reports/test_statistics.py",
+        "tests/evaluation/reports/test_tables.py",
+        DATACLASSES,
+    ),
+    "handover_marl/evaluation/reports/columns.py": (*REPORTS, DATACLASSES),
+    "handover_marl/evaluation/reports/fluency_tables.py": REPORTS,
     "handover_marl/evaluation/reports/official_table.py": REPORTS,
     "handover_marl/evaluation/reports/pair_tables.py": (*REPORTS, "tests/evaluation/test_comparison.py"),
-    "handover_marl/evaluation/reports/report.py": REPORTS,
+    "handover_marl/evaluation/reports/report.py": (*REPORTS, DATACLASSES),
     "handover_marl/evaluation/reports/scene_tables.py": REPORTS,
-    "handover_marl/evaluation/reports/tables.py": REPORTS,
+    "handover_marl/evaluation/reports/tables.py": (*REPORTS, DATACLASSES),
 }
 
 

@@ -159,13 +159,13 @@ class TraceRecorder(EpisodeCallback):
     """
 
     trace: EpisodeTrace
+    _robot: list[npt.NDArray[np.float32]]
+    _hand: list[npt.NDArray[np.float32] | None]
+    _max_object_force: float
+    _hand_forces: list[float]
 
     def __init__(self) -> None:
         self._monitors: dict[Path, ClearanceMonitor] = {}
-        self._robot: list[npt.NDArray[np.float32]] = []
-        self._hand: list[npt.NDArray[np.float32] | None] = []
-        self._max_object_force = 0.0
-        self._hand_forces: list[float] = []
 
     def on_reset(self, episode: "Episode") -> None:
         """Discard the records of the last episode."""
@@ -176,8 +176,7 @@ class TraceRecorder(EpisodeCallback):
     def on_step(self, episode: "Episode") -> None:
         """Record contacts in every step, and joint positions every `SAMPLE_STEPS` steps."""
         contacts = episode.contacts
-        if contacts.robot_object_force > self._max_object_force:
-            self._max_object_force = contacts.robot_object_force
+        self._max_object_force = max(self._max_object_force, contacts.robot_object_force)
         if contacts.robot_touches_hand:
             self._hand_forces.append(contacts.robot_hand_force)
         if episode.steps % SAMPLE_STEPS == 0:

@@ -1,7 +1,6 @@
 """Episode loop: policies act, the simulation advances, callbacks observe."""
 
 import hashlib
-import math
 import time
 from collections.abc import Callable, Sequence
 from typing import Protocol
@@ -19,7 +18,7 @@ from handover_marl.errors import HandoverError, OptionError, PolicyError
 
 Action = npt.NDArray[np.float32]
 
-_FOREVER = 2**62  # physics steps
+_LONGEST_HOLD = 1e9  # s
 
 
 class EpisodePolicy(Protocol):
@@ -114,14 +113,14 @@ class PolicyScheduler:
 
 
 def steps_from_hold_time(hold_time: float) -> int:
-    """Convert a hold time (s) to physics steps: at least 1, and 2^62 for infinity.
+    """Convert a hold time (s) to physics steps: at least 1, and at most 10^12.
 
     Raises:
         OptionError: The hold time is not a positive number.
     """
     if isinstance(hold_time, (bool, str)) or not isinstance(hold_time, (int, float, np.number)) or not hold_time > 0:
         raise OptionError(f"hold_time must be a positive number (s), got {hold_time!r}")
-    return max(1, round(hold_time / TIME_STEP)) if math.isfinite(hold_time) and hold_time < 1e9 else _FOREVER
+    return max(1, round(min(hold_time, _LONGEST_HOLD) / TIME_STEP))
 
 
 def play(

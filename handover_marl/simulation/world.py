@@ -16,7 +16,7 @@ from handover_marl.simulation.contacts import ContactBatch, Contacts
 from handover_marl.simulation.kinematic_paths import ReferenceMotion
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class WorldState:
     """State of robot, objects and human hand after a physics step.
 

@@ -57,6 +57,7 @@ def test_policies_are_asked_when_they_want_to_be(hold_time: float, expected: lis
 
 def test_due_is_reported_in_physics_steps() -> None:
     clock = PolicyScheduler(CountingPolicy(0.13))
+    assert clock.due == 0, "a policy that has not acted is due"
     clock.reset(None)
     assert clock.due == 0
     clock.act(lambda: SEEN, 0)
@@ -80,7 +81,11 @@ def test_no_time_at_all_is_refused(hold_time: Any) -> None:
 def test_short_times_are_one_step() -> None:
     assert steps_from_hold_time(1e-9) == steps_from_hold_time(0.001) == 1
     assert steps_from_hold_time(np.float32(0.1)) == 100
-    assert steps_from_hold_time(1e300) > 10**12
+    assert steps_from_hold_time(1e300) == steps_from_hold_time(np.inf) == steps_from_hold_time(1e9) == 10**12
+    assert steps_from_hold_time(np.float32(1e30)) == 10**12
+    assert steps_from_hold_time(999_999_999.0) == 10**12 - 1000
+    assert steps_from_hold_time(0.0014) == 1
+    assert steps_from_hold_time(0.0016) == 2
 
 
 @pytest.mark.parametrize("error", [ZeroDivisionError("nought"), SystemExit("bye")])

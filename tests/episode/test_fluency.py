@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from handover_marl.config import OFFICIAL_CONFIG, TIME_STEP
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode import loop
-from handover_marl.episode.callbacks import SAMPLE_STEPS, EpisodeCallback, EpisodeTrace, TraceRecorder
+from handover_marl.episode.callbacks import SAMPLE_STEPS, ActionRecorder, EpisodeCallback, EpisodeTrace, TraceRecorder
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.metrics import (
     FluencyMetrics,
@@ -27,11 +27,13 @@ from handover_marl.evaluation.reports.columns import FLUENCY
 from handover_marl.evaluation.reports.fluency_tables import estimate_fluency
 from handover_marl.geometry.link_trajectory import LinkFrameTrajectory, compute_link_trajectory
 from handover_marl.geometry.panda import ROBOTS
+from handover_marl.policies.policy import Policy
 from handover_marl.receivers import make
 from handover_marl.simulation.bullet.kinematics import BulletDistanceQuery
 from handover_marl.simulation.clearance import ClearanceMonitor, DistanceQuery
 from handover_marl.simulation.contacts import Contacts
 from handover_marl.simulation.engines import make_distance_query
+from handover_marl.simulation.world import AgentJoints
 from tests.playing import play
 
 PERIOD = SAMPLE_STEPS * TIME_STEP
@@ -406,16 +408,26 @@ class PushedEpisode:
 
     contacts, steps = Contacts(), 1
 
+    @property
+    def world(self) -> "PushedEpisode":
+        return self
+
+    def read_agent_joints(self) -> AgentJoints:
+        return AgentJoints(np.zeros(9, dtype=np.float32), None)
+
 
 def test_forces_of_several_steps_are_collected() -> None:
     """Under other rules an episode may go on after a contact."""
     recorder, episode = TraceRecorder(), PushedEpisode()
+    recorder.on_reset(episode)  # type: ignore[arg-type]
     for object_force, hand_force in [(0.0, 0.0), (5.0, 20.0), (40.0, 10.0), (3.0, 0.0)]:
         touches = hand_force > 0.0
         episode.contacts = Contacts(touches, robot_object_force=object_force, robot_hand_force=hand_force)
         recorder.on_step(episode)  # type: ignore[arg-type]
     assert recorder._max_object_force == 40.0
     assert recorder._hand_forces == [20.0, 10.0]
+    recorder.on_reset(episode)  # type: ignore[arg-type]
+    assert (recorder._max_object_force, recorder._hand_forces) == (0.0, [])
 
 
 class Sketch(EpisodeCallback):
@@ -473,3 +485,55 @@ def test_motion_is_sampled_every_twenty_steps(until: int, n_samples: int) -> Non
     # The hand is not in the scene yet.
     assert np.isnan(trace.wrist).all()
     assert trace.min_distance is None
+
+
+def test_positions_of_a_trace_are_those_of_the_world() -> None:
+    """Of gripper, fingers and wrist, while the person holds the object."""
+    dataset, recorder, episode = SyntheticDataset(), TraceRecorder(), Episode("fast")
+    episode.reset(dataset.load_scene(209))
+    target = np.array(OFFICIAL_CONFIG.physics.panda.start_joints, dtype=np.float32)
+    episode.advance(target, 2800)
+    target[7:] = 0.01
+    recorder.on_reset(episode)
+    states = [episode.observe()]
+    for _ in range(3):
+        episode.advance(target, 20, on_step=[recorder.on_step])
+        states.append(episode.observe())
+    recorder.on_end(episode)
+    for found, expected in (
+        (recorder.trace.gripper, [state["gripper_pose"][:3] for state in states]),
+        (recorder.trace.fingers, [state["robot_joint_position"][7:] for state in states]),
+        (recorder.trace.wrist, [state["hand_keypoints"][0] for state in states]),
+    ):
+        np.testing.assert_allclose(found, np.array(expected), atol=1e-5)
+    assert recorder.trace.min_distance is not None
+    assert 0.1 < recorder.trace.min_distance < 1.0
+    assert (recorder.trace.steps, recorder.trace.release_step, recorder.trace.release_time) == (2860, None, None)
+    assert (recorder.trace.period, recorder.trace.duration) == (0.02, 2.86)
+    recorder.close()
+    episode.close()
+
+
+def test_recorded_actions_are_those_of_every_step() -> None:
+    class Alternating(Policy):
+        """Policy with the actions 0, 1, 2, ... which it holds for 70 steps."""
+
+        name, hold_time = "alternating", 0.07
+
+        def reset(self, seed: int | None = None) -> None:
+            self.count = -1
+
+        def act(self, observation: dict[str, np.ndarray]) -> np.ndarray:
+            self.count += 1
+            return start + np.float32(0.001 * self.count)
+
+    start = np.array(OFFICIAL_CONFIG.physics.panda.start_joints, dtype=np.float32)
+    recorder, episode = ActionRecorder(), Episode("fast")
+    for until in (200, 70):
+        episode.reset(SyntheticDataset().load_scene(209))
+        loop.play(episode, Alternating(), until=until, callbacks=[recorder])
+        numbers = np.arange(until) // 70
+        np.testing.assert_array_equal(recorder.actions, start + (0.001 * numbers[:, None]).astype(np.float32))
+        assert recorder.actions.dtype == np.float32
+        assert np.flatnonzero(recorder.times).tolist() == list(range(0, until, 70))
+    episode.close()

@@ -279,3 +279,21 @@ def test_no_seed_is_the_seed_zero() -> None:
     assert derive_scene_seed(None, SCENE, "giver") == derive_scene_seed(0, SCENE, "giver")
     seeds = {derive_scene_seed(seed, SCENE, "giver") for seed in (-1, 0, 1)}
     assert len(seeds) == 3
+
+
+def test_seeds_are_those_of_earlier_versions() -> None:
+    """Results of stored runs must come out again."""
+    assert derive_scene_seed(0, 209, "giver") == 989422024
+    assert derive_receiver_seed(3, {"time": np.zeros(1, dtype=np.float32)}) == 2691522388
+
+
+def test_an_episode_ends_at_the_horizon_of_the_rules(pair: tuple[Counting, Counting]) -> None:
+    receiver, _ = pair
+    rules = replace(OFFICIAL_CONFIG.protocol, horizon_steps=100)
+    episode = Episode("fast", replace(OFFICIAL_CONFIG, protocol=rules))
+    for until in (None, 500, lambda: False):
+        episode.reset(SyntheticDataset().load_scene(SCENE))
+        play(episode, receiver, until=until)
+        assert (episode.steps, episode.status.label) == (100, "timeout")
+        assert receiver.times == [0, 70]
+    episode.close()

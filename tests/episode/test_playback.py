@@ -16,7 +16,8 @@ from handover_marl.episode import wrist_offset as carrying
 from handover_marl.episode.giver_motion import NO_DEVIATION, Playback, find_pick_up_frame, find_wrist_offset
 from handover_marl.episode.observations import MotionPreview
 from handover_marl.episode.wrist_offset import compute_wrist_positions
-from handover_marl.simulation.kinematic_paths import ReferenceMotion
+from handover_marl.geometry.link_trajectory import compute_link_trajectory
+from handover_marl.simulation.kinematic_paths import ReferenceMotion, select_keypoint_links
 
 SCENE = SyntheticDataset().load_scene(209)
 CONFIG = GiverConfig()
@@ -239,3 +240,103 @@ def test_how_steps_are_cut_does_not_matter(rate: float) -> None:
         parts = [advance(cut, length, action(rate=rate)).hand for _ in range(300 // length)]
         np.testing.assert_array_equal(planned, np.concatenate(parts))
         assert seen(whole) == seen(cut)
+
+
+def test_the_wrist_is_the_first_key_point_of_the_hand() -> None:
+    rows = SCENE.hand_dof[1500:4000:500]
+    frames = compute_link_trajectory(SCENE.assets.hand, rows)
+    (wrist,) = select_keypoint_links([])
+    expected = frames.get_positions(wrist)
+    np.testing.assert_allclose(compute_wrist_positions(rows, find_wrist_offset(SCENE)), expected, atol=1e-6)
+
+
+def test_a_displaced_hand_rests() -> None:
+    """Many steps at rest equal one."""
+    many, few, wanted = held(), held(), action(shift=(0.1, -0.2, 0.05), turn=(0.3, 0.0, -0.5))
+    for played in (many, few):
+        advance(played, 3000, wanted)
+    rested = advance(many, 200, wanted)
+    for _ in range(3):
+        one = advance(few, 1, wanted)
+        for found, expected in ((rested.hand, one.hand), (rested.objects, one.objects)):
+            np.testing.assert_array_equal(found, np.repeat(expected, 200, axis=0))
+    back = advance(many, 3000)
+    np.testing.assert_allclose(back.objects[-1], SCENE.object_dof[-1], atol=1e-6)
+
+
+def test_a_replayed_recording_is_not_copied() -> None:
+    motion = advance(playback(), 500)
+    assert np.shares_memory(motion.hand, SCENE.hand_dof)
+    assert np.shares_memory(motion.objects, SCENE.object_dof)
+    np.testing.assert_array_equal(motion.hand_present, SCENE.is_hand_present(np.arange(1, 501)))
+
+
+def test_the_preview_of_later_frames() -> None:
+    """Poses are those of the frame, whichever frames were read before."""
+    preview, ahead = MotionPreview(SCENE, CONFIG), np.array([100, 200, 300, 400, 500])
+    for frame in (100, 900, 2500, 0, 1000, 999):
+        rows = np.minimum(frame + ahead, SCENE.n_frames - 1)
+        np.testing.assert_allclose(preview.read_poses(frame)[1][:, :3], SCENE.object_dof[rows, 0, :3], atol=1e-6)
+
+
+def test_rates_change_with_limited_slope() -> None:
+    """A change of rate by 1 takes 1 / rate_change seconds."""
+    played, duration = playback(), round(1000 / CONFIG.rate_change)
+    advance(played, 500)
+    advance(played, duration // 2, action(rate=1.0))
+    assert played.deviation[0] == pytest.approx(0.5, abs=0.01)
+    advance(played, duration // 2 - 1, action(rate=1.0))
+    assert 0.98 < played.deviation[0] < 1.0
+    advance(played, 2, action(rate=1.0))
+    assert played.deviation[0] == 1.0
+    assert played.frame == pytest.approx(500 + 1.5 * duration, abs=3)
+    advance(played, 100, action(rate=1.0))
+    assert played.frame == pytest.approx(500 + 1.5 * duration + 200, abs=4)
+
+
+def test_the_object_is_picked_up_beyond_five_millimetres() -> None:
+    dof = np.zeros((4, 1, 6), dtype=np.float32)
+    for path, expected in (([0, 4, 6, 8], 2), ([0, 6, 0, 0], 1), ([0, 4, 5, 4], None), ([0, -6, 0, 0], 1)):
+        moved = dof.copy()
+        moved[:, 0, 1] = np.array(path) / 1000
+        assert find_pick_up_frame(replace(SCENE, object_dof=moved)) == expected
+
+
+@settings(max_examples=20)
+@given(st.lists(st.tuples(st.floats(-1.0, 1.0) | st.sampled_from([0.0, 0.5, -0.5, 1.0]), st.integers(1, 300))))
+def test_frames_follow_the_rates(parts: list[tuple[float, int]]) -> None:
+    """Rates change by at most 5/s; a frame is the rounded sum of the speeds so far."""
+    played, rate, clock = playback(), 0.0, 0.0
+    for target, steps in parts:
+        target = float(np.float32(target))
+        frames = []
+        start = rate
+        for number in range(1, steps + 1):
+            change = np.clip(target - start, -0.005 * number, 0.005 * number)
+            rate = target if abs(change) >= abs(target - start) else start + change
+            clock += 1.0 + rate
+            frames.append(min(round(round(clock, 9)), SCENE.n_frames - 1))
+        motion = advance(played, steps, action(rate=target))
+        np.testing.assert_array_equal(motion.objects, SCENE.object_dof[frames])
+        np.testing.assert_array_equal(motion.hand_present, SCENE.is_hand_present(np.array(frames)))
+        assert played.frame == frames[-1]
+        assert played.deviation[0] == np.float32(rate)
+
+
+def test_an_opening_hand_opens_evenly() -> None:
+    played = held()
+    before = advance(played, 1).hand[0]
+    parts = [advance(played, steps, released=True, opening=True) for steps in (100, 50, 350)]
+    opened = np.minimum(np.arange(1, 501) / 300.0, 1.0)
+    fingers = np.concatenate([part.hand[:, 6:] for part in parts])
+    np.testing.assert_allclose(fingers, (1.0 - CONFIG.opening * opened[:, None]) * before[6:], atol=1e-6)
+    np.testing.assert_array_equal(np.concatenate([part.hand[:, :6] for part in parts]), np.tile(before[:6], (500, 1)))
+
+
+def test_the_progress_of_opening_is_kept() -> None:
+    played = held()
+    assert played.opened == 0.0
+    advance(played, 150, released=True, opening=True)
+    assert played.opened == pytest.approx(0.5)
+    advance(played, 75, released=True, opening=True)
+    assert played.opened == pytest.approx(0.75)

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from handover_marl.config import ProtocolConfig
-from handover_marl.episode.referee import EpisodeStatus, Referee, ReleaseReason
+from handover_marl.episode.referee import EpisodeStatus, Referee, RefereeState, ReleaseReason
 from handover_marl.simulation.contacts import NO_POINTS, Contacts
 
 CONFIG = ProtocolConfig()
@@ -182,3 +182,29 @@ def test_a_restored_referee_continues_as_the_original(parts: list[Contacts], giv
         assert (restored.release, restored.released) == (original.release, original.released)
         assert restored.update(contacts) == original.update(contacts)
         assert restored.get_state() == original.get_state()
+
+
+def test_the_state_before_a_release() -> None:
+    referee = Referee(CONFIG)
+    assert referee.get_state() == RefereeState(0, 0, -1, -1, 0, 0, 0)
+    for _ in range(3):
+        referee.update(GRASP)
+    assert referee.get_state() == RefereeState(0, 3, -1, -1, 3, 0, 0)
+    referee.update(PUSH)
+    assert referee.get_state() == RefereeState(0, 4, -1, -1, 0, 1, 0)
+    referee.release_voluntarily()
+    assert referee.get_state() == RefereeState(0, 4, 2, 4, 0, 1, 0)
+    referee.update(AT_GOAL)
+    referee.release_voluntarily()
+    assert referee.get_state() == RefereeState(0, 5, 2, 4, 0, 1, 1), "a release is for good"
+
+
+@pytest.mark.parametrize("kind", [GRASP, PUSH])
+def test_other_numbers_of_steps(kind: Contacts) -> None:
+    rules = dataclasses.replace(CONFIG, release_steps=300, success_steps=400, horizon_steps=1000)
+    referee = Referee(rules)
+    assert [bool(referee.update(kind)) or referee.released for _ in range(300)] == [False] * 299 + [True]
+    assert (referee.release_step, referee.status) == (300, EpisodeStatus.RUNNING)
+    assert [referee.update(AT_GOAL) for _ in range(400)] == [EpisodeStatus.RUNNING] * 399 + [EpisodeStatus.SUCCESS]
+    idle = Referee(rules)
+    assert [idle.update(NOTHING) for _ in range(1000)] == [EpisodeStatus.RUNNING] * 999 + [EpisodeStatus.TIMEOUT]

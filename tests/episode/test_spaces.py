@@ -10,6 +10,7 @@ from handover_marl.episode.spaces import (
     GiverAction,
     check_giver_action,
     check_receiver_action,
+    check_vector,
     giver_action_space,
     receiver_action_space,
 )
@@ -79,6 +80,7 @@ def test_agents_without_an_action_are_named(check: Callable[[object], object], a
         (np.zeros(8), r"shape \(8,\), expected \(9,\)"),
         (np.zeros((9, 1)), r"shape \(9, 1\)"),
         ([0.0] * 8 + [float("nan")], "component 8 is nan"),
+        ([0.0] * 3 + [float("nan"), 0.0, float("inf")] + [0.0] * 3, "component 3 is nan"),
         ([1e300] + [0.0] * 8, "component 0 is inf"),
     ],
 )
@@ -138,3 +140,29 @@ def test_poses_are_unbounded_and_flags_are_not() -> None:
     assert space["gripper_pose"].low.min() == -np.inf  # type: ignore[attr-defined]
     assert space["gripper_pose"].high.max() == np.inf  # type: ignore[attr-defined]
     assert (space["hand_present"].low, space["hand_present"].high) == ([0.0], [1.0])  # type: ignore[attr-defined]
+
+
+def test_only_the_first_numbers_must_be_finite() -> None:
+    values = [1.0, 2.0, float("nan")]
+    np.testing.assert_array_equal(check_vector("pose", values, 3, "metres", n_finite=2), np.float32(values))
+    for n_finite in (3, None):
+        with pytest.raises(ActionError, match="pose must be 3 numbers, metres, but component 2 is nan"):
+            check_vector("pose", values, 3, "metres", n_finite)
+
+
+def test_tensors_on_a_gpu_are_explained() -> None:
+    class GpuTensor(Tensor):
+        """Tensor that has the method `detach`."""
+
+        def detach(self) -> None: ...
+
+    with pytest.raises(ActionError, match=r"got GpuTensor with a gradient or on a GPU; pass tensor\.detach"):
+        check_receiver_action(GpuTensor())
+    with pytest.raises(ActionError, match=r"got Tensor$"):
+        check_receiver_action(Tensor())
+
+
+def test_checked_actions_are_copies() -> None:
+    action = np.zeros(9, dtype=np.float32)
+    check_receiver_action(action)[0] = 1.0
+    assert action[0] == 0.0

@@ -84,3 +84,25 @@ def test_incomparable_folders_are_refused(tmp_path: Path) -> None:
         handover_marl.compare(one, folder(tmp_path / "four", "mine", {3: 1}))
     with pytest.raises(ResultsError, match="does not exist"):
         handover_marl.compare(one, tmp_path / "five")
+
+
+@pytest.mark.parametrize(("first", "second"), [("", "data"), ("data", ""), ("", "")])
+def test_unknown_data_can_be_compared(first: str, second: str, tmp_path: Path) -> None:
+    """Results of HandoverSim have no fingerprints."""
+    one = folder(tmp_path / "one", "mine", {0: 1}, fingerprint=first)
+    two = folder(tmp_path / "two", "mine", {0: 1}, fingerprint=second)
+    assert len(handover_marl.compare(one, two).pairs) == 1
+
+
+def test_rates_of_other_outcomes_can_be_compared(tmp_path: Path) -> None:
+    one = folder(tmp_path / "one", "mine", {0: 2, 1: 6, 2: 1, 3: 1})
+    two = folder(tmp_path / "two", "theirs", {0: 1, 1: 4, 2: 8, 3: 1})
+    found = handover_marl.compare(one, two)
+    differences = [found.compute_difference(EpisodeStatus(status))[0] for status in (1, 2, 4, 8)]
+    assert differences == [0.0, 0.5, 0.0, -0.25]
+    assert [row[0] for row in found.build_tables()[0].rows] == ["success", "contact", "drop", "timeout", "AS"]
+    assert found.note.startswith("4 scenes that both folders have")
+    sections = found.build_sections()
+    assert sections[0] == f"A: {found.first.heading}\nB: {found.second.heading}"
+    assert "Receiver mine" in found.first.heading
+    assert handover_marl.compare(one, one).build_sections()[-1] == "Every scene has the same outcome."

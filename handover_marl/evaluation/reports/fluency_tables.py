@@ -28,12 +28,14 @@ def build_fluency_table(episodes: Sequence[EpisodeResult]) -> ReportTable:
     means = estimate_fluency(episodes)
     rows = []
     for column in FLUENCY if means else ():
-        estimate = means[column.key]
-        ends = (estimate.mean or 0.0, *(estimate.interval_95 or ()))
+        mean, interval = means[column.key].mean, means[column.key].interval_95
+        if mean is None:
+            rows.append([column.title, NO_VALUE, NO_VALUE, 0])
+            continue
         # Three digits, without exponents.
-        spec = ".0f" if column.scale * max(map(abs, ends)) >= 999.5 else ".3g"
-        mean = NO_VALUE if estimate.mean is None else f"{column.scale * estimate.mean:{spec}}"
-        rows.append([column.title, mean, format_interval(estimate.interval_95, spec, column.scale), estimate.n])
+        spec = ".0f" if column.scale * max(map(abs, (mean, *(interval or ())))) >= 999.5 else ".3g"
+        cells = [f"{column.scale * mean:{spec}}", format_interval(interval, spec, column.scale)]
+        rows.append([column.title, *cells, means[column.key].n])
     return ReportTable(["metric", "mean", "95 % interval", "n"], rows)
 
 

@@ -226,6 +226,5 @@ class Report(TabularResult):
 def _describe_object_count(counts: list[int]) -> str:
     if not counts:
         return ""
-    if counts == [1]:
-        return "1 object a scene"
-    return f"{counts[0]} to {counts[-1]} objects a scene" if len(counts) > 1 else f"{counts[0]} objects a scene"
+    ends = " to ".join(str(count) for count in dict.fromkeys((counts[0], counts[-1])))
+    return f"{ends} object{'' if counts == [1] else 's'} a scene"

@@ -131,12 +131,12 @@ def compute_rank_correlation(first: Sequence[float], second: Sequence[float]) ->
 
 def _compute_permutation_p(first: npt.NDArray[np.float64], second: npt.NDArray[np.float64]) -> float:
     """Compute the share of orders of the second ranking that agree with the first at least as well."""
-    centered = first - first.mean()
 
-    def covariance(permuted: npt.NDArray[np.float64], axis: int) -> Any:
-        return ((permuted - second.mean()) * centered).sum(axis=axis)
+    def sum_products(permuted: npt.NDArray[np.float64], axis: int) -> Any:
+        # Rho of ranks increases with this sum: their means and variances are those of every order.
+        return (permuted * first).sum(axis=axis)
 
     test = stats.permutation_test(
-        (second,), covariance, permutation_type="pairings", alternative="greater", n_resamples=np.inf, vectorized=True
+        (second,), sum_products, permutation_type="pairings", alternative="greater", n_resamples=np.inf, vectorized=True
     )
     return float(test.pvalue)

@@ -14,7 +14,7 @@ from handover_marl.errors import UnknownNameError
 from handover_marl.evaluation.agreement import Agreement
 from handover_marl.evaluation.comparison import Comparison
 from handover_marl.evaluation.crossplay import CrossPlay
-from handover_marl.evaluation.reports.columns import AVERAGE_SUCCESS, FLUENCY, RATES
+from handover_marl.evaluation.reports.columns import AVERAGE_SUCCESS, COUNTS, FLUENCY, N_EPISODES, RATES, TIMES, WAIT
 from handover_marl.evaluation.reports.fluency_tables import (
     build_fluency_table,
     format_fluency_header,
@@ -202,3 +202,31 @@ def test_wide_tables_keep_the_order_of_columns() -> None:
     assert [title for part in titles for title in part[1:]] == header[1:]
     assert {part[0] for part in titles} == {"key"}
     assert all(len(line) <= 40 for part in parts for line in part.splitlines())
+
+
+def test_titles_of_columns_are_their_keys_and_units() -> None:
+    titles = [column.title for column in (N_EPISODES, *RATES, *COUNTS, AVERAGE_SUCCESS, WAIT, *TIMES)]
+    assert titles == [
+        "n episodes",
+        *("success %", "contact %", "drop %", "timeout %"),
+        *("n success", "n contact", "n drop", "n timeout"),
+        "AS %",
+        *("wait s", "exec s", "plan s", "total s"),
+    ]
+    assert format_fluency_header()[:2] == ["handover time s", "human idle %"]
+    assert "min distance cm" in format_fluency_header()
+
+
+def test_numbers_of_the_fluency_table_have_three_digits() -> None:
+    metrics = {column.key: 0.0 for column in FLUENCY}
+    cells = {}
+    for value in (0.0, 0.123456, 12.3456, 999.4, 999.5, 1234.56, -1234.56):
+        one = [episode(0, 1, fluency=FluencyMetrics(**{**metrics, "gripper_jerk": value}))]
+        cells[value] = next(row for row in build_fluency_table(one).rows if row[0] == "gripper jerk m/s^3")[1:]
+    texts = ["0", "0.123", "12.3", "999", "1000", "1235", "-1235"]
+    assert list(cells.values()) == [[text, "-", 1] for text in texts]
+    both = [
+        episode(index, 1, fluency=FluencyMetrics(**{**metrics, "gripper_jerk": value}))
+        for index, value in enumerate((0.5, 1500.25))
+    ]
+    assert ["gripper jerk m/s^3", "750", "0 to 1500", 2] in build_fluency_table(both).rows

@@ -1,0 +1,190 @@
+"""Episode: rollouts and single steps agree, voluntary releases, observations and cameras on request."""
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from handover_marl import receivers
+from handover_marl.config import OFFICIAL_CONFIG
+from handover_marl.datasets.synthetic import SyntheticDataset
+from handover_marl.episode.camera_observations import WristCamera, WristCameraConfig
+from handover_marl.episode.episode import Episode
+from handover_marl.episode.giver_motion import NO_DEVIATION
+from handover_marl.episode.observations import PROPRIOCEPTION
+from handover_marl.episode.referee import EpisodeStatus, ReleaseReason
+from handover_marl.errors import OptionError, ResetNeededError
+from handover_marl.simulation.camera import renderers
+from handover_marl.simulation.camera.noise import CameraNoise
+from handover_marl.simulation.contacts import NO_POINTS
+from handover_marl.simulation.world import World
+
+DATASET = SyntheticDataset()
+SCENE = DATASET.load_scene(209)
+START = np.array(OFFICIAL_CONFIG.physics.panda.start_joints, dtype=np.float32)
+#: Step at which the person holds the object of this scene.
+HELD = 2800
+RELEASE = NO_DEVIATION.copy()
+RELEASE[-1] = 1.0
+
+
+@pytest.fixture
+def episode() -> Iterator[Episode]:
+    episode = Episode("fast")
+    episode.reset(SCENE)
+    yield episode
+    episode.close()
+
+
+@pytest.fixture
+def batch_episode() -> Iterator[Episode]:
+    """Return an episode whose steps can be simulated in rollouts."""
+    pytest.importorskip("mujoco")
+    episode = Episode("mujoco")
+    episode.reset(SCENE)
+    yield episode
+    episode.close()
+
+
+def test_steps_with_callbacks_equal_rollouts(batch_episode: Episode, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The object is released once, when the robot has grasped it."""
+    releases: list[int] = []
+    release_target = type(batch_episode.world).release_target
+
+    def record_release(world: World) -> None:
+        releases.append(len(outcomes))
+        release_target(world)
+
+    outcomes: list[tuple[object, ...]] = []
+    episode, steps = batch_episode, list[int]()
+    monkeypatch.setattr(type(episode.world), "release_target", record_release)
+    for hooks in ((), (lambda _: steps.append(episode.steps),)):
+        episode.reset(SCENE)
+        receiver = receivers.make("yang2021", DATASET)
+        receiver.prepare(SCENE.info.object_names)
+        receiver.reset(0)
+        while not episode.status:
+            action = receiver.act(episode.observe())
+            episode.advance(action, round(1000 * min(receiver.hold_time, 20.0)), on_step=hooks)
+        contacts = episode.contacts._replace(finger_points=(NO_POINTS, NO_POINTS))
+        outcomes.append((episode.status, episode.steps, episode.release, episode.release_step, contacts))
+        outcomes[-1] += (episode.world.read_object_joints().tolist(),)
+    first, second = outcomes
+    assert first == second
+    assert first[0] is EpisodeStatus.SUCCESS
+    assert first[2] is ReleaseReason.ACTIVE
+    assert releases == [0, 1]
+    assert steps == list(range(1, episode.steps + 1))
+
+
+def test_rollouts_need_no_single_steps(batch_episode: Episode, monkeypatch: pytest.MonkeyPatch) -> None:
+    episode, steps = batch_episode, list[int]()
+    monkeypatch.setattr(type(episode.world), "step", lambda world, target: pytest.fail("a single step was simulated"))
+    episode.advance(START, 450)
+    assert episode.steps == 450
+    monkeypatch.undo()
+    episode.advance(START, 250, on_step=[lambda _: steps.append(episode.steps)])
+    assert steps == list(range(451, 701))
+
+
+def test_voluntary_release(episode: Episode) -> None:
+    assert not episode.object_offered
+    episode.advance(START, 100, RELEASE)
+    assert (episode.release, episode.release_step) == (None, None), "the object is not held yet"
+    episode.advance(START, HELD - 100)
+    assert episode.object_offered is True
+    assert episode.grasped is False
+    height = episode.world.read_object_joints()[0, 2]
+    episode.advance(START, 1, RELEASE)
+    assert (episode.release, episode.release_step) == (ReleaseReason.VOLUNTARY, HELD)
+    assert episode.object_offered is False
+    episode.advance(START, 100, RELEASE)
+    assert episode.release_step == HELD
+    assert episode.world.read_object_joints()[0, 2] < height - 0.02, "the object falls"
+    assert not episode.deviation.any()
+    episode.advance(START, 2000)
+    assert episode.status == EpisodeStatus.OBJECT_DROP
+
+
+def test_the_hand_opens_after_a_voluntary_release_only(episode: Episode) -> None:
+    episode.advance(START, HELD)
+    before = episode.world.read_agent_joints().hand
+    episode.advance(START, 50)
+    still = episode.world.read_agent_joints().hand
+    episode.advance(START, 200, RELEASE)
+    opened = episode.world.read_agent_joints().hand
+    assert before is not None
+    assert still is not None
+    assert opened is not None
+    assert np.abs(opened[6:]).sum() < 0.7 * np.abs(before[6:]).sum()
+    np.testing.assert_allclose(still[6:], before[6:], atol=0.02)
+
+
+def test_observation_of_a_policy_has_its_mode(episode: Episode) -> None:
+    class Policy:
+        obs_mode = "pointcloud"
+
+    state = episode.observe()
+    assert episode.observe_for_policy(object(), state) is state
+    policy = Policy()
+    policy.obs_mode = "".join(["sta", "te"])
+    assert episode.observe_for_policy(policy, state) is state
+    clouds = {"wrist_object_points", "wrist_hand_points"}
+    for mode, keys in {
+        "pointcloud": {*PROPRIOCEPTION, *clouds, "wrist_point_counts"},
+        "state+pointcloud": {*state, *clouds, "wrist_point_counts"},
+    }.items():
+        policy.obs_mode = mode
+        assert episode.observe_for_policy(policy, state).keys() == keys
+    assert episode.observe_camera("state") == {}
+
+
+def test_the_rays_renderer_is_needed_only_for_images(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*args: object, **options: object) -> None:
+        raise OptionError("a package is missing")
+
+    monkeypatch.setattr(renderers, "require_modules", fail)
+    episode = Episode("fast")
+    episode.reset(SCENE)
+    episode.advance(START, 10)
+    with pytest.raises(OptionError, match="missing"):
+        episode.capture_wrist_camera()
+    episode.close()
+
+
+@pytest.mark.parametrize(("latency", "n_snapshots"), [(0.05, 1 + 120), (0.0, 0)])
+def test_cameras_with_latency_record_every_step(
+    latency: float, n_snapshots: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    snapshots = []
+    monkeypatch.setattr(WristCamera, "record_snapshot", lambda camera, world: snapshots.append(world))
+    episode = Episode("fast", wrist_camera=WristCameraConfig(camera_noise=CameraNoise(latency=latency)))
+    episode.reset(SCENE)
+    episode.advance(START, 120)
+    assert len(snapshots) == n_snapshots
+    episode.reset(SCENE)
+    assert len(snapshots) == n_snapshots + (latency > 0.0)
+    episode.close()
+
+
+def test_nothing_is_known_before_a_reset_and_after_closing(episode: Episode) -> None:
+    other = Episode("fast")
+    episode.close()
+    for one in (other, episode):
+        for read in (lambda e: e.world, lambda e: e.scene, lambda e: e.observe(), lambda e: e.object_offered):
+            with pytest.raises(ResetNeededError, match="no episode is running"):
+                read(one)
+    other.close()
+
+
+def test_a_reset_starts_anew(episode: Episode) -> None:
+    first = episode.observe()
+    episode.advance(START, HELD)
+    episode.advance(START, 100, RELEASE)
+    preview = episode.observe_giver(episode.observe())["replay_object_poses"]
+    episode.reset(DATASET.load_scene(214))
+    assert (episode.steps, episode.release, episode.status) == (0, None, EpisodeStatus.RUNNING)
+    assert (episode.observe_giver(episode.observe())["replay_object_poses"] != preview).any()
+    episode.reset(SCENE)
+    for key, value in episode.observe().items():
+        np.testing.assert_array_equal(value, first[key], err_msg=key)

@@ -1,0 +1,120 @@
+"""Shapes, bounds and values of observations."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from gymnasium import spaces
+
+from handover_marl.config import GiverConfig
+from handover_marl.datasets.synthetic import SyntheticDataset
+from handover_marl.episode.giver_motion import Playback
+from handover_marl.episode.observations import (
+    PROPRIOCEPTION,
+    MotionPreview,
+    giver_observation_space,
+    observation_space,
+    observe,
+    observe_giver,
+    receiver_observation_space,
+    select_receiver_observation,
+)
+from handover_marl.simulation.world import WorldState
+
+SHAPES = {
+    "robot_joint_position": (9,),
+    "robot_joint_velocity": (9,),
+    "gripper_pose": (7,),
+    "object_poses": (5, 7),
+    "object_mask": (5,),
+    "object_classes": (5,),
+    "hand_dof_position": (51,),
+    "hand_keypoints": (16, 3),
+    "hand_present": (1,),
+    "released": (1,),
+    "time": (1,),
+}
+GIVER_SHAPES = {"replay_wrist_poses": (5, 7), "replay_object_poses": (5, 7), "deviation": (7,), "holding": (1,)}
+BOUNDS = {
+    **dict.fromkeys(("object_mask", "hand_present", "released", "holding"), (0.0, 1.0)),
+    "object_classes": (0.0, 21.0),
+    "time": (0.0, np.inf),
+}
+
+
+def make_state(with_hand: bool) -> WorldState:
+    rng = np.random.default_rng(0)
+    arrays = {
+        "robot_joint_position": rng.normal(size=9),
+        "robot_joint_velocity": rng.normal(size=9),
+        "gripper_pose": rng.normal(size=7),
+        "object_poses": rng.normal(size=(2, 7)),
+        "hand_dof_position": rng.normal(size=51) if with_hand else None,
+        "hand_keypoints": rng.normal(size=(16, 3)) if with_hand else None,
+    }
+    cast = {key: None if value is None else value.astype(np.float32) for key, value in arrays.items()}
+    return WorldState(**cast)  # type: ignore[arg-type]
+
+
+def bounds(space: spaces.Dict) -> dict[str, tuple[float, float]]:
+    return {key: (float(box.low.min()), float(box.high.max())) for key, box in space.items()}  # type: ignore[attr-defined]
+
+
+def test_spaces_have_the_documented_shapes_and_bounds() -> None:
+    for space, shapes in ((observation_space(), SHAPES), (giver_observation_space(), SHAPES | GIVER_SHAPES)):
+        assert {key: box.shape for key, box in space.items()} == shapes
+        assert {box.dtype for box in space.values()} == {np.dtype(np.float32)}
+        assert bounds(space) == {key: BOUNDS.get(key, (-np.inf, np.inf)) for key in shapes}
+    assert bounds(observation_space(30))["object_classes"] == (0.0, 30.0)
+    assert bounds(giver_observation_space(largest_class=30))["object_classes"] == (0.0, 30.0)
+
+
+def test_receivers_observe_the_parts_of_their_mode() -> None:
+    assert receiver_observation_space().keys() == SHAPES.keys()
+    cloud = {"wrist_object_points", "wrist_hand_points", "wrist_point_counts"}
+    assert receiver_observation_space("pointcloud").keys() == {*PROPRIOCEPTION, *cloud}
+    assert receiver_observation_space("state+pointcloud").keys() == {*SHAPES, *cloud}
+    state = observe(make_state(True), (3, 11), False, 0.0)
+    camera = {"wrist_depth": np.zeros(1)}
+    assert select_receiver_observation(state, camera, "rgbd").keys() == {*PROPRIOCEPTION, "wrist_depth"}
+    assert select_receiver_observation(state, camera, "state+rgbd").keys() == {*SHAPES, "wrist_depth"}
+
+
+@pytest.mark.parametrize("with_hand", [True, False])
+def test_values_of_the_state(with_hand: bool) -> None:
+    state = make_state(with_hand)
+    found = observe(state, (3, 11), True, 1.5)
+    assert observation_space().contains(found)
+    for key in ("robot_joint_position", "robot_joint_velocity", "gripper_pose"):
+        np.testing.assert_array_equal(found[key], getattr(state, key))
+    np.testing.assert_array_equal(found["object_poses"], [*state.object_poses, *np.zeros((3, 7))])
+    assert found["object_mask"].tolist() == [1, 1, 0, 0, 0]
+    assert found["object_classes"].tolist() == [3, 11, 0, 0, 0]
+    for key in ("hand_dof_position", "hand_keypoints"):
+        expected = getattr(state, key) if with_hand else np.zeros(SHAPES[key])
+        np.testing.assert_array_equal(found[key], expected)
+    assert (found["hand_present"], found["released"], found["time"]) == ([with_hand], [1], [1.5])
+    assert observe(state, (3, 11), False, 0.0)["released"] == [0]
+
+
+def test_values_that_only_the_giver_observes() -> None:
+    scene = SyntheticDataset().load_scene(209)
+    playback, preview = Playback(scene, GiverConfig()), MotionPreview(scene, GiverConfig())
+    state = observe(make_state(True), (3, 11), False, 0.0)
+    action = np.array([-0.5, 0.1, 0.0, 0.0, 0.0, 0.2, 0.0, 0.0], dtype=np.float32)
+    holding: list[Any] = []
+    for steps in (100, 2000, 300):
+        playback.plan(steps, action if steps == 300 else np.zeros(8, dtype=np.float32))
+        playback.commit(steps)
+        found = observe_giver(state, playback, preview)
+        assert giver_observation_space().contains(found)
+        wrist_poses, object_poses = preview.read_poses(playback.frame)
+        np.testing.assert_array_equal(found["replay_wrist_poses"], wrist_poses)
+        np.testing.assert_array_equal(found["replay_object_poses"], object_poses)
+        np.testing.assert_array_equal(found["deviation"], playback.deviation)
+        assert all(found[key] is value for key, value in state.items())
+        holding += found["holding"].tolist()
+    assert holding == [0.0, 1.0, 1.0]
+    assert found["deviation"][0] == -0.5
+    assert found["deviation"][1] > 0.0
+    assert found["deviation"][5] > 0.0
