@@ -13,7 +13,7 @@ from handover_marl.episode.callbacks import EpisodeCallback, PolicyDecision
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.giver_motion import NO_DEVIATION
 from handover_marl.episode.observations import Observation
-from handover_marl.episode.spaces import check_giver_action, check_receiver_action, giver_action_space
+from handover_marl.episode.spaces import STATE, check_giver_action, check_receiver_action, giver_action_space
 from handover_marl.errors import HandoverError, OptionError, PolicyError
 
 Action = npt.NDArray[np.float32]
@@ -136,7 +136,7 @@ def play(
 
     Args:
         episode: Episode at the start of a scene, after `Episode.reset`.
-        receiver: Policy of the robot.
+        receiver: Policy of the robot; its observation is empty if its attribute `obs_mode` is None.
         giver: Policy of the person; None replays the recording.
         seed: Seed of the run, from which the seeds of policies and camera are derived.
         until: Largest number of physics steps, or a predicate that ends the loop; it is evaluated
@@ -152,6 +152,7 @@ def play(
     end = min(until, horizon) if isinstance(until, int) else horizon
     scene_id, objects = episode.scene.info.scene_id, episode.scene.info.object_names
     receiver_scheduler, receiver_has_started = PolicyScheduler(receiver), False
+    receiver_observes = getattr(receiver, "obs_mode", STATE) is not None
     giver_scheduler = None if giver is None else PolicyScheduler(giver)
     episode.seed_camera(derive_scene_seed(seed, scene_id, "camera"))
     if giver_scheduler is not None:
@@ -163,9 +164,9 @@ def play(
         callback.on_reset(episode)
     while not episode.status and episode.steps < end:
         now, planning_time, rendering_time = episode.steps, 0.0, 0.0
-        state = episode.observe()
         giver_decides = giver_scheduler is not None and now >= giver_scheduler.due
         receiver_decides = now >= receiver_scheduler.due
+        state = episode.observe() if receiver_observes or giver_decides else {}
         if giver_scheduler is not None and giver_decides:
             observation = episode.observe_giver(state)
             # Copies, so that a policy that writes into its arrays does not change the other's.
@@ -173,7 +174,7 @@ def play(
             giver_action = check_giver_action(giver_scheduler.decide(observation, now), giver_space)
         if receiver_decides:
             started = time.perf_counter()
-            observation = episode.observe_for_policy(receiver, state)
+            observation = episode.observe_for_policy(receiver, state) if receiver_observes else {}
             rendering_time = time.perf_counter() - started
             if not receiver_has_started:
                 receiver_scheduler.reset(derive_receiver_seed(seed, observation), objects)

@@ -297,3 +297,34 @@ def test_an_episode_ends_at_the_horizon_of_the_rules(pair: tuple[Counting, Count
         assert (episode.steps, episode.status.label) == (100, "timeout")
         assert receiver.times == [0, 70]
     episode.close()
+
+
+def test_policies_without_an_observation_mode_observe_nothing(
+    pair: tuple[Counting, Counting], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The state is read for the decisions of a giver only."""
+
+    class Unseeing(Counting):
+        """Receiver that observes nothing."""
+
+        obs_mode = None  # type: ignore[assignment]
+
+        def act(self, observation: SegmentationLabel) -> np.ndarray:
+            assert observation == {}
+            return self.action
+
+    receiver, giver = Unseeing(pair[0].action, 0.07), pair[1]
+    read, times = Episode.observe, list[int]()
+
+    def observe(episode: Episode) -> SegmentationLabel:
+        times.append(episode.steps)
+        return read(episode)
+
+    monkeypatch.setattr(Episode, "observe", observe)
+    episode = Episode("fast")
+    for policy, expected in ((giver, list(range(0, 200, 30))), (None, [])):
+        times.clear()
+        episode.reset(SyntheticDataset().load_scene(SCENE))
+        play(episode, receiver, policy, until=200)
+        assert (episode.steps, times) == (200, expected)
+    episode.close()

@@ -21,7 +21,7 @@ Rows = npt.NDArray[np.int_]
 Flags = npt.NDArray[np.bool_]
 
 # Pick-up frame of objects that are never picked up.
-_NEVER = 2**62
+_NEVER = np.iinfo(np.int_).max
 
 
 @dataclass(frozen=True, eq=False)

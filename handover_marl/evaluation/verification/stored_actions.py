@@ -24,6 +24,8 @@ class StoredActions:
     """
 
     name = "stored actions"
+    #: No observation is computed.
+    obs_mode = None
 
     def __init__(self, actions: Actions) -> None:
         changes = 1 + np.flatnonzero(np.any(actions[1:] != actions[:-1], axis=1))
