@@ -7,6 +7,9 @@ Every mutant is one change by Cosmic Ray, such as another operator, comparison o
 tested with the unit tests of its module in a copy of the last commit. A mutant survives if these
 tests pass. With --slow, survivors are also tested with the tests that `tests/slow.txt` lists. The
 output folder gets a table and the differences of the survivors.
+
+Survivors with the same behaviour as the original are listed with reasons in equivalent_mutants.txt. The
+table has the share of detected mutants with and without them.
 """
 
 import ast
@@ -29,6 +32,7 @@ from tqdm import tqdm
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 Position = tuple[int, int]
+EQUIVALENT_MUTANTS = Path(__file__).with_name("equivalent_mutants.txt")
 # Exit status of pytest without tests.
 NO_TESTS_COLLECTED = 5
 # Between the differences of two survivors.
@@ -106,6 +110,14 @@ class ModuleResult:
     module: str
     n_mutants: int
     survivors: list[str]
+
+    def count_equivalent(self, known: dict[str, set[str]]) -> int:
+        """Return the number of survivors that are known to be equivalent to the original.
+
+        Args:
+            known: Changed lines of equivalent mutants by module.
+        """
+        return sum(extract_change(survivor) in known.get(self.module, set()) for survivor in self.survivors)
 
 
 def find_annotations(source: str) -> list[tuple[Position, Position]]:
@@ -249,6 +261,38 @@ def extract_change(difference: str) -> str:
     return "\n".join(line for line in difference.splitlines()[2:] if line.startswith(("-", "+")))
 
 
+def read_equivalent_mutants(path: Path = EQUIVALENT_MUTANTS) -> dict[str, set[str]]:
+    """Read the changed lines of equivalent mutants by module.
+
+    Args:
+        path: File of paragraphs: the path of the module, the reason after `#`, and the changed lines.
+    """
+    known: dict[str, set[str]] = {}
+    for paragraph in path.read_text().split("\n\n"):
+        module, *lines = paragraph.strip().splitlines()
+        known.setdefault(module, set()).add("\n".join(line for line in lines if not line.startswith("#")))
+    return known
+
+
+def build_rows(results: Sequence[ModuleResult], known: dict[str, set[str]]) -> list[list[object]]:
+    """Build the rows of the table, of every module and of all.
+
+    Args:
+        results: Results of the modules.
+        known: Changed lines of equivalent mutants by module.
+    """
+    from handover_marl.evaluation.reports.tables import format_percent_rate
+
+    counts = [
+        (one.module, one.n_mutants, one.n_mutants - len(one.survivors), one.count_equivalent(known)) for one in results
+    ]
+    counts.append(("all", *(sum(column) for column in list(zip(*counts, strict=True))[1:])))
+    return [
+        [module, n, f"{100 * found / n:.1f}", n_equivalent, format_percent_rate(found, n - n_equivalent)]
+        for module, n, found, n_equivalent in counts
+    ]
+
+
 def name_survivors(out: Path, module: str) -> Path:
     """Return the file with the survivors of a module, e.g. `episode-loop.diff`."""
     path = Path(module)
@@ -282,7 +326,7 @@ def measure_modules(args: Args) -> Iterator[ModuleResult]:
 def main(args: Args) -> None:
     """Test the mutants and write the table and the survivors."""
     # Child processes import this file; they must not import modules before the tests do.
-    from handover_marl.evaluation.reports.tables import format_percent_rate, format_table
+    from handover_marl.evaluation.reports.tables import format_table
     from handover_marl.execution.files import write_atomically
 
     if importlib.util.find_spec("cosmic_ray") is None:
@@ -297,13 +341,8 @@ def main(args: Args) -> None:
     for result in measure_modules(args):
         results.append(result)
         write_atomically(name_survivors(out, result.module), SEPARATOR.join(result.survivors).encode())
-    rows = [
-        [one.module, one.n_mutants, format_percent_rate(one.n_mutants - len(one.survivors), one.n_mutants)]
-        for one in results
-    ]
-    n_mutants, n_survivors = sum(one.n_mutants for one in results), sum(len(one.survivors) for one in results)
-    rows.append(["all", n_mutants, format_percent_rate(n_mutants - n_survivors, n_mutants)])
-    table = format_table(["module", "mutants", "detected % (95 % interval)"], rows)
+    header = ["module", "mutants", "detected %", "equivalent", "detected % of the others (95 % interval)"]
+    table = format_table(header, build_rows(results, read_equivalent_mutants()))
     write_atomically(out / "mutants.md", f"{table}\n".encode())
     print(f"{table}\n\nSeed of the sample: {args.seed}. The survivors are in {out}")
 

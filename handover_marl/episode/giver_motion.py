@@ -19,7 +19,6 @@ _BASE_LINK, _WRIST_LINK, _BASE_DOF = 5, 6, 6
 #: Action of the giver that replays the recording.
 NO_DEVIATION = np.zeros(GIVER_ACTION_SIZE, dtype=np.float32)
 NO_DEVIATION.flags.writeable = False
-_ZERO = np.zeros(3)
 
 
 class _PlaybackState(NamedTuple):
@@ -131,8 +130,8 @@ class Playback:
         """
         wanted = GiverAction.from_array(action)
         # An object that is picked up during these steps must not move early.
-        displacement, rotation = (wanted.displacement, wanted.rotation) if self.holding else (_ZERO, _ZERO)
-        command = _Command(wanted.rate, displacement, rotation, released, opening)
+        holding = self.holding
+        command = _Command(wanted.rate, holding * wanted.displacement, holding * wanted.rotation, released, opening)
         motion, state = self._compute_motion(command, steps)
         self._planned = command, motion, state
         return motion

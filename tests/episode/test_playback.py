@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -60,6 +60,13 @@ def test_zero_is_the_recording_to_the_bit() -> None:
     rows = np.minimum(np.arange(1, 238 + SCENE.n_frames), SCENE.n_frames - 1)
     np.testing.assert_array_equal(np.concatenate([piece.objects for piece in pieces]), SCENE.object_dof[rows])
     np.testing.assert_array_equal(np.concatenate([piece.hand for piece in pieces]), SCENE.hand_dof[rows])
+
+
+def test_the_start_is_the_first_frame() -> None:
+    start = playback().start()
+    np.testing.assert_array_equal(start.objects, SCENE.object_dof[:1])
+    np.testing.assert_array_equal(start.hand, SCENE.hand_dof[:1])
+    assert start.hand_present.tolist() == [False]
 
 
 def test_pausing_stops_and_doubling_skips() -> None:
@@ -303,6 +310,8 @@ def test_the_object_is_picked_up_beyond_five_millimetres() -> None:
 
 
 @settings(max_examples=20)
+@example([(1.0, 300), (1.0, 100), (0.0, 300), (0.0, 10)])
+@example([(-1.0, 300), (-1.0, 10), (0.3, 100), (0.0, 100), (0.0, 300), (0.25, 300), (0.25, 7), (0.0, 60)])
 @given(st.lists(st.tuples(st.floats(-1.0, 1.0) | st.sampled_from([0.0, 0.5, -0.5, 1.0]), st.integers(1, 300))))
 def test_frames_follow_the_rates(parts: list[tuple[float, int]]) -> None:
     """Rates change by at most 5/s; a frame is the rounded sum of the speeds so far."""

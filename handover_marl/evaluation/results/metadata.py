@@ -257,6 +257,8 @@ def _read_yaml(config_path: Path, folder: Path) -> dict[str, Any]:
     try:
         content = read_yaml(config_path, _MAX_BYTES)
     except (FileNotFoundError, NotADirectoryError) as error:
+        if not folder.exists():
+            raise ResultsError(f"result folder {folder} does not exist") from error
         parts = sorted(path.parent.name for path in folder.glob(f"*/{CONFIG_FILE}"))
         advice = f"; pass one of its folders {shorten_text(', '.join(parts))}" if parts else ""
         raise ResultsError(f"{folder} is no result folder: it has no {CONFIG_FILE}{advice}") from error

@@ -99,3 +99,16 @@ def test_set_points_are_tracked_as_by_one_giver(distance: float) -> None:
         assert last.value == tuple(path[-1, 0, part])
     np.testing.assert_array_equal(path[-1], goal)
     assert not speeds[-1].any()
+
+
+def test_an_offset_that_passes_its_set_point_returns() -> None:
+    limits = np.array([[0.8, 2.5], [5.0, 15.0]])
+    value, velocity = np.array([[[0.1, 0.0, 0.0], [0.0, 0.2, 0.0]]]), np.array([[[0.5, 0.0, 0.0], [0.0, 0.0, -1.0]]])
+    path, speeds = track_set_points(value, velocity, value, 1000, limits)
+    for part in range(2):
+        start = TrackedVector(tuple(value[0, part]), tuple(velocity[0, part]))
+        values, _ = track_set_point(start, value[0, part], 1000, limits[0, part], limits[1, part])
+        np.testing.assert_allclose(path[:, 0, part], values, rtol=0, atol=1e-12)
+    assert np.abs(path - value).max() > 0.01
+    np.testing.assert_array_equal(path[-1], value)
+    assert not speeds[-1].any()

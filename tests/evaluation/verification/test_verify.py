@@ -302,6 +302,13 @@ def test_unknown_names_in_a_folder_are_errors(key: str, value: str, folder: Path
         verify(folder, workers=1, progress=False)
 
 
+def test_a_folder_that_does_not_exist_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ResultsError, match=r"result folder .*absent does not exist"):
+        verify(tmp_path / "absent", progress=False)
+    with pytest.raises(ResultsError, match=r"is no result folder: it has no config\.yaml"):
+        verify(tmp_path, progress=False)
+
+
 def test_a_folder_without_results_is_an_error(folder: Path) -> None:
     with pytest.raises(ResultsError, match="no results of these scenes"):
         verify(folder, scenes=[14], progress=False)
