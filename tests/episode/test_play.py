@@ -309,14 +309,14 @@ def test_policies_without_an_observation_mode_observe_nothing(
 
         obs_mode = None  # type: ignore[assignment]
 
-        def act(self, observation: SegmentationLabel) -> np.ndarray:
+        def act(self, observation: Observation) -> np.ndarray:
             assert observation == {}
             return self.action
 
     receiver, giver = Unseeing(pair[0].action, 0.07), pair[1]
     read, times = Episode.observe, list[int]()
 
-    def observe(episode: Episode) -> SegmentationLabel:
+    def observe(episode: Episode) -> Observation:
         times.append(episode.steps)
         return read(episode)
 
