@@ -86,6 +86,27 @@ def exclusive_lock(folder: Path) -> Iterator[None]:
         os.close(handle)
 
 
+@contextlib.contextmanager
+def wait_for_lock(path: Path, on_wait: Callable[[], object]) -> Iterator[None]:
+    """Hold a lock file during a `with` block; wait while another process or thread holds it.
+
+    The file is removed at the end; the lock of a process that is killed ends with the process. In a folder that
+    cannot be written and on a file system without locks this has no effect.
+
+    Args:
+        path: Lock file; its folder must exist.
+        on_wait: Function that is called once before a wait.
+    """
+    handle = _lock_file(path, on_wait)
+    try:
+        yield
+    finally:
+        if handle is not None:
+            with contextlib.suppress(OSError):
+                path.unlink()
+            os.close(handle)
+
+
 def has_content(path: Path, content: bytes) -> bool:
     """Check whether a path is a regular file with exactly this content.
 
@@ -168,6 +189,33 @@ def _create_locked_temporary(path: Path) -> tuple[int, Path]:
             fcntl.flock(handle, fcntl.LOCK_EX)
         if os.fstat(handle).st_nlink:
             return handle, Path(name)
+        os.close(handle)  # another process removed it before it was locked
+
+
+def _lock_file(path: Path, on_wait: Callable[[], object]) -> int | None:
+    """Create and lock a file, and return its handle; None if that is not possible."""
+    is_first = True
+    while True:
+        try:
+            handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)
+        except OSError:
+            return None
+        try:
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                if is_first:
+                    on_wait()
+                is_first = False
+                fcntl.flock(handle, fcntl.LOCK_EX)
+            if os.fstat(handle).st_nlink:
+                return handle
+        except OSError:  # a file system without locks
+            os.close(handle)
+            return None
+        except BaseException:  # Ctrl-C while waiting
+            os.close(handle)
+            raise
         os.close(handle)  # another process removed it before it was locked
 
 

@@ -9,9 +9,9 @@ the robot's model and the physics engine (if it is not PyBullet) identifies a re
 Poses are position (m) and quaternion xyzw.
 """
 
+import contextlib
 import logging
 import re
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +19,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from handover_marl.assets.shipped import ValidationRecord, load_validation_record
+from handover_marl.execution.files import wait_for_lock
 from handover_marl.execution.reading import read_plain_file
 from handover_marl.geometry.array_cache import get_cache_path, load_cached_arrays, save_cached_arrays
 from handover_marl.geometry.kinematic_tree import MAX_URDF_BYTES
@@ -77,11 +78,23 @@ def get_validation_record(
     shipped = load_validation_record(path.stem)
     if shipped is not None:
         return shipped
+    cached = _load_record(path, known, config)
+    if cached is not None:
+        return cached
     shaken_path = _record_path(object_urdf, _shaking_key(config), known)
-    if not path.exists():
+    # Workers that start at once need the same record: one makes it, and the others read its file.
+    with _lock_record(shaken_path, object_urdf):
+        cached = _load_record(path, known, config)
+        if cached is not None:
+            return cached
         _log.warning("validating the grasps of %s, once; this takes a minute or two", object_urdf.parent.name)
-    shaken = _load_or_make(shaken_path, known, config, lambda: _shake_grasps(object_urdf, known, config))
-    return _load_or_make(path, known, config, lambda: _release_grasps(object_urdf, panda_urdf, shaken, known, config))
+        shaken = _load_record(shaken_path, known, config)
+        if shaken is None:
+            shaken = _shake_grasps(object_urdf, known, config)
+            save_cached_arrays(shaken_path, {"record": shaken}, _DESCRIPTION)
+        record = _release_grasps(object_urdf, panda_urdf, shaken, known, config)
+        save_cached_arrays(path, {"record": record}, _DESCRIPTION)
+        return record
 
 
 def has_validation_record(object_urdf: Path, panda_urdf: Path, known: Array, config: GraspPreparationConfig) -> bool:
@@ -134,20 +147,27 @@ def _record_path(object_urdf: Path, key: str, known: Array, *more: bytes) -> Pat
     return get_cache_path(_KIND, object_urdf, f"{_VERSION}{engine} {key}".encode(), rounded, *more)
 
 
-def _load_or_make(
-    path: Path, known: Array, config: GraspPreparationConfig, make: Callable[[], ValidationRecord]
-) -> ValidationRecord:
-    """Return the record of a cache file, or make and keep it where the file has no valid one."""
+def _lock_record(path: Path, object_urdf: Path) -> contextlib.AbstractContextManager[None]:
+    """Return the lock of a cache file that is about to be made, for a `with` statement."""
+    with contextlib.suppress(OSError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    name = object_urdf.parent.name
+    return wait_for_lock(
+        path.with_suffix(".lock"), lambda: _log.warning("waiting for the process that validates the grasps of %s", name)
+    )
+
+
+def _load_record(path: Path, known: Array, config: GraspPreparationConfig) -> ValidationRecord | None:
+    """Return the record of a cache file; None if there is no valid one."""
     cached = load_cached_arrays(path, ("record",), _DESCRIPTION)
-    if cached is not None:
-        try:
-            grasps_from_record(cached["record"], known, config)
-            return cached["record"].astype(np.int16)
-        except (ValueError, TypeError):
-            _log.warning("%s: no valid %s; making it again", path, _DESCRIPTION)
-    record = make()
-    save_cached_arrays(path, {"record": record}, _DESCRIPTION)
-    return record
+    if cached is None:
+        return None
+    try:
+        grasps_from_record(cached["record"], known, config)
+        return cached["record"].astype(np.int16)
+    except (ValueError, TypeError):
+        _log.warning("%s: no valid %s; making it again", path, _DESCRIPTION)
+        return None
 
 
 def _shake_grasps(object_urdf: Path, known: Array, config: GraspPreparationConfig) -> ValidationRecord:

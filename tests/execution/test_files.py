@@ -1,7 +1,10 @@
+import fcntl
 import os
 import subprocess
 import sys
 import tempfile
+import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,6 +15,7 @@ from handover_marl.execution.files import (
     create_exclusively,
     remove_stale_temporaries,
     replace_atomically,
+    wait_for_lock,
     write_atomically,
 )
 from tests.evaluation.deadline import ends_within
@@ -202,4 +206,43 @@ def test_failed_creation_on_a_file_system_without_links(tmp_path: Path, monkeypa
     monkeypatch.setattr(Path, "replace", refuse)
     with pytest.raises(ResultsError):
         create_exclusively(tmp_path / "a.txt", "text")
+    assert not list(tmp_path.iterdir())
+
+
+def test_lock_is_held_by_one_thread(tmp_path: Path) -> None:
+    path, held, waits = tmp_path / "a.lock", [], []
+
+    def work(number: int) -> None:
+        with wait_for_lock(path, lambda: waits.append(number)):
+            held.append(("start", number))
+            time.sleep(0.05)
+            held.append(("end", number))
+
+    threads = [threading.Thread(target=work, args=(number,)) for number in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    numbers = [number for _, number in held]
+    assert numbers[::2] == numbers[1::2]
+    assert sorted(numbers[::2]) == [0, 1, 2, 3]
+    assert sorted(set(waits)) == sorted(waits), "called once a wait"
+    assert not list(tmp_path.iterdir())
+
+
+def test_lock_that_cannot_be_made_has_no_effect(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with wait_for_lock(tmp_path / "nowhere" / "a.lock", pytest.fail):
+        pass
+
+    def refuse(*_: object) -> None:
+        raise OSError(38, "Function not implemented")
+
+    monkeypatch.setattr(fcntl, "flock", refuse)
+    with wait_for_lock(tmp_path / "a.lock", pytest.fail), wait_for_lock(tmp_path / "a.lock", pytest.fail):
+        pass
+
+
+def test_lock_of_a_failed_block_is_released(tmp_path: Path) -> None:
+    with pytest.raises(KeyboardInterrupt), wait_for_lock(tmp_path / "a.lock", pytest.fail):
+        raise KeyboardInterrupt
     assert not list(tmp_path.iterdir())

@@ -1,8 +1,12 @@
 """Tests of grasp validation, its cache, and the shipped records."""
 
+import logging
 import shutil
+import time
 from dataclasses import replace
+from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -116,6 +120,44 @@ def test_records_of_different_robots(tmp_path: Path, monkeypatch: pytest.MonkeyP
         found = [validate_grasps(urdf, robot, known, GraspPreparationConfig()) for robot in robots]
         assert [float(grasps.success_rates[0]) for grasps in found] == [1.0, 0.5]
     assert done == ["shaken", "panda", "panda_camera"]
+
+
+def validate_slowly(log: Path, start: Any) -> None:
+    """Validate a grasp in a process of its own; simulations and messages are noted in a file."""
+    logging.getLogger(validation_module.__name__).addHandler(logging.FileHandler(log))
+
+    def shake(*arguments: object) -> ValidationRecord:
+        with log.open("a") as stream:
+            stream.write("shaken\n")
+        time.sleep(0.3)
+        return np.array([(-1, 3, 0, 0)], dtype=np.int16)
+
+    validation_module._shake_grasps = shake
+    validation_module._release_grasps = lambda urdf, panda, shaken, *_: shaken + np.array([0, 0, 0, 4], np.int16)
+    start.wait()
+    grasps = validate_grasps(
+        find_object_urdf("025_mug"), DATA.panda_urdf, np.array([IDENTITY]), GraspPreparationConfig()
+    )
+    with log.open("a") as stream:
+        stream.write(f"rate {grasps.success_rates[0]}\n")
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_processes_that_start_at_once_validate_once(tmp_path: Path) -> None:
+    processes, log = get_context("fork"), tmp_path / "log"
+    start = processes.Barrier(2)
+    workers = [processes.Process(target=validate_slowly, args=(log, start)) for _ in range(2)]
+    for worker in workers:
+        worker.start()
+    for worker in workers:
+        worker.join(60.0)
+    assert [worker.exitcode for worker in workers] == [0, 0]
+    assert sorted(log.read_text().splitlines()) == [
+        *("rate 1.0", "rate 1.0", "shaken"),
+        "validating the grasps of 025_mug, once; this takes a minute or two",
+        "waiting for the process that validates the grasps of 025_mug",
+    ]
+    assert not list(tmp_path.rglob("*.lock"))
 
 
 @pytest.mark.parametrize("damaged", [b"no archive", np.array([(-1, 9, 0, 0)], dtype=np.int16), np.zeros(3)])
