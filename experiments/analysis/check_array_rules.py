@@ -174,6 +174,7 @@ def _drop_idle_counters(state: RefereeState) -> RefereeState:
 
 
 def main(args: Args) -> None:
+    args = args.resolve_setup()
     data = args.open_dataset()
     scenes = data.list_scenes(args.setup, "train")
     tasks = [(giver, scene) for giver in args.givers for scene in scenes][: args.episodes]

@@ -224,6 +224,7 @@ class SceneRunner:
 
 
 def main(args: Args) -> None:
+    args = args.resolve_setup()
     data = args.open_dataset()
     scenes = args.scenes or data.list_scenes(args.setup, args.split)[args.offset :: args.stride]
     horizon = Episode(args.physics).config.protocol.horizon_steps

@@ -88,6 +88,7 @@ def format_gains(episodes_by_giver: dict[str, list[EpisodeResult]]) -> str:
 
 
 def main(args: Args) -> None:
+    args = args.resolve_setup()
     episodes_by_giver = {giver: evaluate_giver(giver, args) for giver in args.givers.split(",")}
     data = args.open_dataset().name
     heading = (

@@ -124,6 +124,7 @@ def fit_constants(observations: Observations) -> str:
 
 
 def main(args: Args) -> None:
+    args = args.resolve_setup()
     data = args.open_dataset()
     scenes = data.list_scenes(args.setup, args.split)[:: args.stride]
     found = [moment for scene in track(scenes, "following") for moment in predict_along_motion(data.load_scene(scene))]

@@ -92,6 +92,7 @@ def act_perturbed(act: Callable[[Observation], Action], offsets: np.ndarray, obs
 
 
 def main(args: Args) -> None:
+    args = args.resolve_setup()
     data = args.open_dataset()
     numbers = data.list_scenes(args.setup, args.split)[:: args.stride]
     pool = PoolConfig(args.workers)

@@ -59,6 +59,7 @@ class Args(SetupArgs):
 
 
 def main(args: Args) -> Path:
+    args = args.resolve_setup()
     rows = {}
     for receiver in args.receivers:
         rows[receiver] = {physics: evaluate_receiver(args, receiver, physics) for physics in args.physics}

@@ -99,6 +99,7 @@ def plot_rates(episodes_by_risk: dict[float, list[EpisodeResult]], path: Path, h
 
 
 def main(args: Args) -> None:
+    args = args.resolve_setup()
     episodes_by_risk = {risk: evaluate_risk(risk, args) for risk in map(float, args.risks.split(","))}
     data = args.open_dataset()
     count = len(next(iter(episodes_by_risk.values())))

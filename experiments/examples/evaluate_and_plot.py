@@ -26,9 +26,9 @@ class Args:
         receivers: Receivers: names with options, policy files (learned:FILE) or package:Class.
         giver: Name of the giver.
         out: Image file to write.
-        dataset: Dataset: dexycb, synthetic, or auto.
+        dataset: Dataset: dexycb, synthetic, generated:n=1000,seed=7, own:FOLDER, or auto.
         data_dir: Folder of DexYCB in HandoverSim's layout.
-        setup: Official setup, s0 to s3.
+        setup: Official setup, s0 to s3, or a setup of other data; default: the first of the dataset.
         split: Split of the setup: train, val or test.
         scenes: Scene numbers; default: all of the split.
         physics: Physics engine: exact, fast or mujoco.
@@ -40,7 +40,7 @@ class Args:
     out: Path = Path("runs/outcomes.png")
     dataset: str = "auto"
     data_dir: str | None = None
-    setup: str = "s0"
+    setup: str | None = None
     split: str = "val"
     scenes: SceneNumbers = None
     physics: str = "fast"
@@ -72,8 +72,9 @@ def main(args: Args) -> dict[str, handover_marl.Report]:
     reports = {name: handover_marl.evaluate_pair(receiver=name, **options) for name in args.receivers}
     for receiver, report in reports.items():
         print(f"{receiver}\n{report}\n")
-    n_scenes = len(next(iter(reports.values())).episodes)
-    title = f"{n_scenes} scenes of {args.setup} {args.split}, giver {args.giver}, {args.physics} physics"
+    first = next(iter(reports.values()))
+    scenes = f"{len(first.episodes)} scenes of {first.metadata.setup} {args.split}"
+    title = f"{scenes}, giver {args.giver}, {args.physics} physics"
     args.out.parent.mkdir(parents=True, exist_ok=True)
     plot(reports, title).savefig(args.out, dpi=120)
     print(args.out)

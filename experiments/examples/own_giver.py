@@ -25,9 +25,9 @@ class Args:
 
     Attributes:
         receiver: Name of the receiver, with options if there are any.
-        dataset: Dataset: dexycb, synthetic, or auto.
+        dataset: Dataset: dexycb, synthetic, generated:n=1000,seed=7, own:FOLDER, or auto.
         data_dir: Folder of DexYCB in HandoverSim's layout.
-        setup: Official setup, s0 to s3.
+        setup: Official setup, s0 to s3, or a setup of other data; default: the first of the dataset.
         split: Split of the setup: train, val or test.
         scenes: Scene numbers; default: all of the split.
         physics: Physics engine: exact, fast or mujoco.
@@ -37,7 +37,7 @@ class Args:
     receiver: str = "yang2021"
     dataset: str = "auto"
     data_dir: str | None = None
-    setup: str = "s0"
+    setup: str | None = None
     split: str = "val"
     scenes: SceneNumbers = None
     physics: str = "fast"

@@ -24,9 +24,9 @@ class Args:
     """Arguments of the evaluation of a new receiver.
 
     Attributes:
-        dataset: Dataset: dexycb, synthetic, or auto.
+        dataset: Dataset: dexycb, synthetic, generated:n=1000,seed=7, own:FOLDER, or auto.
         data_dir: Folder of DexYCB in HandoverSim's layout.
-        setup: Official setup, s0 to s3.
+        setup: Official setup, s0 to s3, or a setup of other data; default: the first of the dataset.
         split: Split of the setup: train, val or test.
         scenes: Scene numbers; default: all of the split.
         physics: Physics engine: exact (official results), fast or mujoco.
@@ -35,7 +35,7 @@ class Args:
 
     dataset: str = "auto"
     data_dir: str | None = None
-    setup: str = "s0"
+    setup: str | None = None
     split: str = "val"
     scenes: SceneNumbers = None
     physics: str = "fast"

@@ -46,6 +46,7 @@ class Args(EvaluationArgs, OutputArgs):
 
 
 def main(args: Args) -> None:
+    args = args.resolve_setup()
     workers = resolve_worker_count(args.workers)
     configs = {LOCAL: PoolConfig(workers), RAY: PoolConfig(workers, RAY, args.ray_address)}
     config = EvaluationConfig(

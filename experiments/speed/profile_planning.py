@@ -90,6 +90,7 @@ def format_quantiles(name: str, values: Sequence[float], digits: int) -> list[st
 
 
 def main(args: Args) -> None:
+    args = args.resolve_setup()
     data = args.open_dataset()
     ids = data.list_scenes(args.setup, args.split)
     chosen = ids if args.scenes is None else [ids[k] for k in np.linspace(0, len(ids) - 1, args.scenes).astype(int)]

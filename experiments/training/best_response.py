@@ -48,6 +48,7 @@ class Args(SetupArgs):
 
 
 def main(args: Args) -> None:
+    args = args.resolve_setup()
     out = Path(args.out)
     val = select_scenes_evenly(args.open_dataset().list_scenes(args.setup, "val"), args.val_scenes)
     givers, receivers = ["replay"], [args.first_receiver]

@@ -112,6 +112,7 @@ class Training:
     """
 
     def __init__(self, args: Args) -> None:
+        args = args.resolve_setup()
         self._args, self._workers = args, args.workers or os.cpu_count() or 1
         self._data = args.open_dataset(args.robot)
         scenes = self._data.list_scenes(args.setup, "train")[:: args.stride]

@@ -106,6 +106,7 @@ class VariantResult:
 
 
 def main(args: Args) -> Path:
+    args = args.resolve_setup()
     rows = {}
     for name, variant in VARIANTS.items():
         rows[name] = evaluate_variant(args, name, variant)

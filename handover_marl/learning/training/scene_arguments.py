@@ -1,7 +1,9 @@
 """Arguments that scripts of `experiments/` share, as dataclasses that become command-line options."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
+
+from typing_extensions import Self
 
 from handover_marl.datasets import Dataset, open_dataset
 from handover_marl.geometry.panda import PANDA
@@ -13,7 +15,7 @@ class DatasetArgs:
 
     Attributes:
         data_dir: Folder in HandoverSim's layout; default: environment variable HANDOVER_MARL_DATA.
-        dataset: Dataset: dexycb, synthetic, or auto.
+        dataset: Dataset: dexycb, synthetic, generated:n=1000,seed=7, own:FOLDER, or auto.
     """
 
     data_dir: str | None = None
@@ -26,13 +28,22 @@ class DatasetArgs:
 
 @dataclass(frozen=True)
 class SetupArgs(DatasetArgs):
-    """Arguments of scripts that read the scenes of an official setup.
+    """Arguments of scripts that read the scenes of a setup.
 
     Attributes:
-        setup: Official setup, s0 to s3.
+        setup: Official setup, s0 to s3, or a setup of other data; default: the first of the dataset.
     """
 
-    setup: str = "s0"
+    setup: str | None = None
+
+    def resolve_setup(self) -> Self:
+        """Return the arguments with the name of the setup, as `handover_marl.benchmark` chooses it.
+
+        Raises:
+            DataNotFoundError: The dataset's folder does not exist.
+            UnknownNameError: The dataset has no such setup.
+        """
+        return replace(self, setup=self.open_dataset().resolve_setup(self.setup))
 
 
 @dataclass(frozen=True)

@@ -40,6 +40,7 @@ class TrainingRun:
         encodings: Mapping[str, tuple[str, str]],
         partners: Mapping[str, str] | None = None,
     ) -> None:
+        args = args.resolve_setup()
         self._args, self._encodings, self._partners = args, encodings, dict(partners or {})
         data = open_dataset(args.dataset, args.data_dir)
         self.folder = RunFolder(Path(args.out), args, getattr(args, "resume", None), data.name)
