@@ -1,5 +1,6 @@
 """Batches of palm poses and finger postures of right hands."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Final
@@ -48,7 +49,8 @@ class Palms(ArrayBatch):
 
     def transform(self, points: FloatArray) -> FloatArray:
         """Transform points (n, ..., 3) from the palm's frame to the object's frame."""
-        flat = points.reshape(len(points), -1, 3) @ self.rotation.swapaxes(1, 2) + self.position[:, None]
+        count = math.prod(points.shape[1:-1])  # -1 is not allowed where there are no palms
+        flat = points.reshape(len(points), count, 3) @ self.rotation.swapaxes(1, 2) + self.position[:, None]
         return np.asarray(flat.reshape(points.shape))
 
 

@@ -22,16 +22,14 @@ def compute_lengths(vectors: npt.NDArray[np.floating]) -> npt.NDArray[np.floatin
 
 def multiply_quaternions(left: npt.ArrayLike, right: npt.ArrayLike) -> Array:
     """Compute the Hamilton product of quaternions (..., 4) xyzw: rotate by `right`, then `left`."""
-    ax, ay, az, aw = np.moveaxis(np.asarray(left), -1, 0)
-    bx, by, bz, bw = np.moveaxis(np.asarray(right), -1, 0)
-    return np.stack(
-        [
-            aw * bx + bw * ax + ay * bz - by * az,
-            aw * by + bw * ay + az * bx - bz * ax,
-            aw * bz + bw * az + ax * by - bx * ay,
-            aw * bw - ax * bx - ay * by - az * bz,
-        ],
-        axis=-1,
+    a, b = np.asarray(left), np.asarray(right)
+    ax, ay, az, aw = a[..., 0], a[..., 1], a[..., 2], a[..., 3]
+    bx, by, bz, bw = b[..., 0], b[..., 1], b[..., 2], b[..., 3]
+    return _join_columns(
+        aw * bx + bw * ax + ay * bz - by * az,
+        aw * by + bw * ay + az * bx - bz * ax,
+        aw * bz + bw * az + ax * by - bx * ay,
+        aw * bw - ax * bx - ay * by - az * bz,
     )
 
 
@@ -42,16 +40,31 @@ def rotate_points(quaternion: npt.ArrayLike, points: npt.ArrayLike) -> Array:
 
 def transform_points(a_from_b: npt.ArrayLike, points: npt.ArrayLike) -> Array:
     """Transform points (..., 3) from frame b to frame a by poses `a_from_b` (..., 7)."""
-    tx, ty, tz, x, y, z, w = np.moveaxis(np.asarray(a_from_b), -1, 0)
-    px, py, pz = np.moveaxis(np.asarray(points), -1, 0)
-    return np.stack(
-        [
-            tx + px + 2.0 * (-(y * y + z * z) * px + (x * y - w * z) * py + (w * y + x * z) * pz),
-            ty + py + 2.0 * ((w * z + x * y) * px - (x * x + z * z) * py + (y * z - w * x) * pz),
-            tz + pz + 2.0 * ((x * z - w * y) * px + (w * x + y * z) * py - (x * x + y * y) * pz),
-        ],
-        axis=-1,
+    pose, at = np.asarray(a_from_b), np.asarray(points)
+    tx, ty, tz = pose[..., 0], pose[..., 1], pose[..., 2]
+    x, y, z, w = pose[..., 3], pose[..., 4], pose[..., 5], pose[..., 6]
+    px, py, pz = at[..., 0], at[..., 1], at[..., 2]
+    return _join_columns(
+        tx + px + 2.0 * (-(y * y + z * z) * px + (x * y - w * z) * py + (w * y + x * z) * pz),
+        ty + py + 2.0 * ((w * z + x * y) * px - (x * x + z * z) * py + (y * z - w * x) * pz),
+        tz + pz + 2.0 * ((x * z - w * y) * px + (w * x + y * z) * py - (x * x + y * y) * pz),
     )
+
+
+def compute_cross_products(left: npt.ArrayLike, right: npt.ArrayLike) -> Array:
+    """Compute the cross products (..., 3) of vectors (..., 3), each equal to `np.cross` to the bit."""
+    a, b = np.asarray(left), np.asarray(right)
+    ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
+    bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
+    return _join_columns(ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx)
+
+
+def _join_columns(*columns: Array) -> Array:
+    """Return arrays (...) of equal shape and type as one array (..., k): `np.stack`, several times as fast."""
+    joined = np.empty((*columns[0].shape, len(columns)), columns[0].dtype)
+    for number, column in enumerate(columns):
+        joined[..., number] = column
+    return joined
 
 
 def quaternion_from_matrix(matrix: npt.ArrayLike) -> Array:

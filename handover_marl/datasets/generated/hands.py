@@ -92,6 +92,12 @@ class HandTemplates:
         """Return the spheres' centers (n, 5, 9, 3) of some open postures, in the palm's frame (m)."""
         return np.asarray(self.path[rows, 0], dtype=np.float64)
 
+    def get_open_spheres(
+        self, rows: npt.NDArray[np.int64], digits: npt.NDArray[np.int64], spheres: npt.NDArray[np.int64]
+    ) -> Array:
+        """Return the centers (n, k, 3) of k spheres, given by digit and number, of n open postures (m)."""
+        return np.asarray(self.path[rows[:, None], 0, digits, spheres], dtype=np.float64)
+
 
 @lru_cache(maxsize=1)
 def _sample_openings() -> Openings:

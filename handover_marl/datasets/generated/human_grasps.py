@@ -4,6 +4,7 @@ Grasps of a left hand are computed for a right hand and the mirrored object, and
 """
 
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -27,6 +28,9 @@ from handover_marl.datasets.synthetic.random_stream import RandomStream
 Array = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 Flags = npt.NDArray[np.bool_]
+
+# Digits and spheres that touch the object in most of the hands that are not free.
+_PROBED_SPHERES: Final = (np.array([4, 0, 0, 4, 4, 0]), np.array([4, 3, 7, 8, 1, 1]))
 
 
 @dataclass(frozen=True)
@@ -170,7 +174,11 @@ def _find_free_hands(
     solid: Solid, templates: HandTemplates, palms: Palms, rows: Ints, config: HumanGraspConfig
 ) -> Ints:
     """Return the indices of the open hands that are outside of the object."""
-    kept = np.arange(len(rows))
+    # A few spheres of thumb and index finger reject five of six hands.
+    digits, spheres = _PROBED_SPHERES
+    points = palms.transform(templates.get_open_spheres(rows, digits, spheres))
+    gaps = solid.compute_distances(points) - templates.radii[digits, spheres]
+    kept = np.flatnonzero(gaps.min(axis=1) > -0.5 * config.skin_yield)
     for (centers, radii), least in (
         (templates.spheres.palm, -config.skin_yield),
         (templates.spheres.forearm, config.forearm_clearance),

@@ -5,14 +5,17 @@ quadrilaterals between two rings are planar and the part is their convex hull.
 """
 
 from dataclasses import dataclass, replace
+from functools import cache, cached_property
 from typing import Final, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from handover_marl.datasets.synthetic.random_stream import RandomStream
+from handover_marl.geometry.poses import compute_cross_products
 
 Array = npt.NDArray[np.float64]
+Columns = tuple[Array, Array, Array]
 Faces = npt.NDArray[np.int64]
 PartKind = Literal["box", "cone", "superellipsoid"]
 
@@ -56,12 +59,22 @@ class Part:
         Distances to a superellipsoid are approximate: exact to first order near the surface, and too
         small farther outside. Deep inside only their sign is right.
         """
-        local = np.roll(points - np.array(self.position), 2 - self.axis, axis=-1)
+        return self.compute_column_distances((points[..., 0], points[..., 1], points[..., 2]))
+
+    def compute_column_distances(self, columns: Columns) -> Array:
+        """Return signed distances (...) of points, negative inside, as `compute_distances` (m).
+
+        Args:
+            columns: Coordinates x, y and z (...) of the points in the object's frame (m). Arrays of one coordinate
+                are several times as fast as one array of points, whose last dimension is short.
+        """
+        order = ((self.axis + 1) % 3, (self.axis + 2) % 3, self.axis)
+        x, y, z = (columns[axis] - self.position[axis] for axis in order)
         if self.kind == "box":
-            return _box_distances(local, np.array(self.size), self.rounding)
+            return _box_distances(x, y, z, self.size, self.rounding)
         if self.kind == "cone":
-            return _cone_distances(local, self.size, self.rounding)
-        return _superellipsoid_distances(local, np.array(self.size), self.exponents)
+            return _cone_distances(np.hypot(x, y), z, self.size, self.rounding)
+        return _superellipsoid_distances(x, y, z, self.size, self.exponents)
 
     def make_rings(self) -> Array:
         """Return the rings (m, n, 3) of the surface in the object's frame, from the lower to the upper end."""
@@ -71,7 +84,14 @@ class Part:
             rings = _cone_rings(self.size, self.rounding)
         else:
             rings = _superellipsoid_rings(self.size, self.exponents)
-        return np.asarray(np.roll(rings, self.axis - 2, axis=-1) + np.array(self.position))
+        # The rings are about z; z becomes `axis`.
+        order = ((2 - self.axis) % 3, (3 - self.axis) % 3, (4 - self.axis) % 3)
+        return np.asarray(np.take(rings, order, axis=-1) + np.array(self.position))
+
+    def compute_vertices(self) -> Array:
+        """Return the vertices (v, 3) of the surface in the object's frame (m): those of the rings, and both ends."""
+        rings = self.make_rings()
+        return np.concatenate([rings.reshape(-1, 3), rings[[0, -1]].mean(axis=1)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,21 +127,15 @@ class ConvexSurface:
 def make_surface(part: Part) -> ConvexSurface:
     """Return the surface of a part in the object's frame."""
     rings = part.make_rings()
-    m, n = rings.shape[:2]
     ends = rings[[0, -1]].mean(axis=1)
     vertices = np.concatenate([rings.reshape(-1, 3), ends])
-    around = np.arange(n)
-    ahead = np.roll(around, -1)
-    low = n * np.arange(m - 1)[:, None]
-    quads = np.stack([low + around, low + ahead, low + n + ahead, low + n + around], axis=-1).reshape(-1, 4)
-    bottom = np.stack([np.full(n, m * n), ahead, around], axis=-1)
-    top = np.stack([np.full(n, m * n + 1), (m - 1) * n + around, (m - 1) * n + ahead], axis=-1)
+    quads, bottom, top = _make_polygons(*rings.shape[:2])
     faces = np.concatenate([quads[:, :3], quads[:, [0, 2, 3]], bottom, top])
     corners = vertices[quads]
     # Diagonals and whole rings: stable where edges are short or have no length.
-    across = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
+    across = compute_cross_products(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
     around_ends = [vertices[cap[:, 1:]] - vertices[cap[:, :1]] for cap in (bottom, top)]
-    caps = [np.cross(edges[:, 0], edges[:, 1]).sum(axis=0) for edges in around_ends]
+    caps = [compute_cross_products(edges[:, 0], edges[:, 1]).sum(axis=0) for edges in around_ends]
     normals, points = np.concatenate([across, caps]), np.concatenate([corners.mean(axis=1), ends])
     lengths = np.linalg.norm(normals, axis=1)
     wide = lengths > 1e-12
@@ -129,38 +143,81 @@ def make_surface(part: Part) -> ConvexSurface:
     return ConvexSurface(vertices, faces, normals, np.einsum("pi,pi->p", normals, points[wide]))
 
 
+@cache
+def _make_polygons(m: int, n: int) -> tuple[Faces, Faces, Faces]:
+    """Return the vertex numbers of the polygons of m rings of n vertices: sides (k, 4), lower and upper end (n, 3)."""
+    around = np.arange(n)
+    ahead = np.roll(around, -1)
+    low = n * np.arange(m - 1)[:, None]
+    quads = np.stack([low + around, low + ahead, low + n + ahead, low + n + around], axis=-1).reshape(-1, 4)
+    bottom = np.stack([np.full(n, m * n), ahead, around], axis=-1)
+    top = np.stack([np.full(n, m * n + 1), (m - 1) * n + around, (m - 1) * n + ahead], axis=-1)
+    return quads, bottom, top
+
+
+@dataclass(frozen=True, eq=False)
+class _Triangles:
+    """Triangles of all parts of a solid.
+
+    Attributes:
+        corners: (k, 3, 3) corners (m).
+        normals: (k, 3) outward normals of length `areas`.
+        areas: (k,) areas times 2 (m^2).
+        owner: (k,) indices of their parts.
+    """
+
+    corners: Array
+    normals: Array
+    areas: Array
+    owner: Faces
+
+
 class Solid:
     """Union of convex parts.
 
     Args:
         parts: Parts in the object's frame.
-        mirrored: Whether the solid is mirrored in x, as it is for the grasps of left hands.
 
     Attributes:
         parts: Parts, not mirrored.
-        surfaces: Surfaces of the parts, not mirrored.
     """
 
-    def __init__(self, parts: tuple[Part, ...], mirrored: bool = False) -> None:
+    def __init__(self, parts: tuple[Part, ...]) -> None:
         self.parts = parts
-        self.surfaces = tuple(make_surface(part) for part in parts)
-        self._flip = np.array([-1.0 if mirrored else 1.0, 1.0, 1.0])
+        self._flip = np.ones(3)
 
     def mirror(self) -> "Solid":
-        """Return the solid mirrored in x."""
-        return Solid(self.parts, mirrored=bool(self._flip[0] > 0.0))
+        """Return the solid mirrored in x, as it is for the grasps of left hands."""
+        mirrored = Solid(self.parts)
+        # The surfaces do not depend on the side.
+        vars(mirrored).update(surfaces=self.surfaces, _triangles=self._triangles)
+        mirrored._flip = self._flip * [-1.0, 1.0, 1.0]
+        return mirrored
+
+    @cached_property
+    def surfaces(self) -> tuple[ConvexSurface, ...]:
+        """Surfaces of the parts, not mirrored."""
+        return tuple(make_surface(part) for part in self.parts)
+
+    @cached_property
+    def _triangles(self) -> _Triangles:
+        corners = [surface.vertices[surface.faces] for surface in self.surfaces]
+        owner = np.repeat(np.arange(len(corners)), [len(part) for part in corners])
+        joined = np.concatenate(corners)
+        normals = compute_cross_products(joined[:, 1] - joined[:, 0], joined[:, 2] - joined[:, 0])
+        return _Triangles(joined, normals, np.linalg.norm(normals, axis=1), owner)
 
     @property
     def corners(self) -> Array:
         """Vertices (n, 3) of all parts (m)."""
-        return np.asarray(np.concatenate([surface.vertices for surface in self.surfaces]) * self._flip)
+        return np.concatenate([part.compute_vertices() for part in self.parts]) * self._flip
 
     def compute_distances(self, points: Array) -> Array:
         """Return signed distances (...) of points (..., 3), negative inside (m)."""
-        flipped = points * self._flip
-        distances = self.parts[0].compute_distances(flipped)
+        columns = (self._flip[0] * points[..., 0], points[..., 1].copy(), points[..., 2].copy())
+        distances = self.parts[0].compute_column_distances(columns)
         for part in self.parts[1:]:
-            distances = np.minimum(distances, part.compute_distances(flipped))
+            distances = np.minimum(distances, part.compute_column_distances(columns))
         return distances
 
     def compute_normals(self, points: Array) -> Array:
@@ -186,13 +243,10 @@ class Solid:
             the normals at the opposite points.
         """
         draws, noise = random.uniforms(count, 3), random.normals(count, 3)
-        triangles = [surface.vertices[surface.faces] for surface in self.surfaces]
-        normals = [np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) for corners in triangles]
-        areas = np.concatenate([np.linalg.norm(part, axis=1) for part in normals])
-        owner = np.repeat(np.arange(len(triangles)), [len(part) for part in triangles])
+        areas = self._triangles.areas
         chosen = np.searchsorted(np.cumsum(areas), draws[:, 0] * areas.sum()).clip(max=len(areas) - 1)
-        corners = np.concatenate(triangles)[chosen]
-        outward = np.concatenate(normals)[chosen] / areas[chosen, None]
+        corners, owner = self._triangles.corners[chosen], self._triangles.owner[chosen]
+        outward = self._triangles.normals[chosen] / areas[chosen, None]
         root = np.sqrt(draws[:, 1:2])
         weights = np.concatenate([1.0 - root, root * (1.0 - draws[:, 2:]), root * draws[:, 2:]], axis=1)
         points = np.einsum("nk,nkc->nc", weights, corners)
@@ -200,52 +254,54 @@ class Solid:
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
         lengths, cosines = np.empty(count), np.empty(count)
         for number, surface in enumerate(self.surfaces):
-            rows = np.flatnonzero(owner[chosen] == number)
+            rows = np.flatnonzero(owner == number)
             lengths[rows], exit_normals = surface.find_exits(points[rows], directions[rows])
             cosines[rows] = np.einsum("ni,ni->n", exit_normals, directions[rows])
         opposite = points + lengths[:, None] * directions
         good = (lengths < max_width) & (lengths > 0.002)
-        for number, part in enumerate(self.parts):
-            others = owner[chosen] != number
-            hidden = (part.compute_distances(points) < 0.0) | (part.compute_distances(opposite) < 0.0)
-            good &= ~(others & hidden)
+        for number, part in enumerate(self.parts if len(self.parts) > 1 else ()):
+            others = np.flatnonzero(good & (owner != number))
+            ends = np.stack([points[others], opposite[others]])
+            good[others] = (part.compute_distances(ends) >= 0.0).all(axis=0)
         return points[good] * self._flip, opposite[good] * self._flip, cosines[good]
 
 
-def _box_distances(points: Array, half: Array, rounding: float) -> Array:
-    beyond = np.abs(points) - (half - rounding)
-    outside = np.sqrt((np.maximum(beyond, 0.0) ** 2).sum(axis=-1))
-    return np.asarray(outside + np.minimum(beyond.max(axis=-1), 0.0) - rounding)
+def _box_distances(x: Array, y: Array, z: Array, size: tuple[float, float, float], rounding: float) -> Array:
+    x, y, z = (np.abs(column) - (half - rounding) for column, half in zip((x, y, z), size, strict=True))
+    inside = np.minimum(np.maximum(np.maximum(x, y), z), 0.0)
+    x, y, z = (np.maximum(column, 0.0) for column in (x, y, z))
+    return np.asarray(np.sqrt(x * x + y * y + z * z) + inside - rounding)
 
 
-def _cone_distances(points: Array, size: tuple[float, float, float], rounding: float) -> Array:
+def _cone_distances(radius: Array, z: Array, size: tuple[float, float, float], rounding: float) -> Array:
     """Return distances to a truncated cone (after Quilez, "Distance functions": capped cone)."""
     low, high, half = (value - rounding for value in size)
-    radius, z = np.hypot(points[..., 0], points[..., 1]), points[..., 2]
     cap_r, cap_z = np.maximum(radius - np.where(z < 0.0, low, high), 0.0), np.abs(z) - half
     side = np.array([high - low, 2.0 * half])
-    share = np.clip(((high - radius) * side[0] + (half - z) * side[1]) / (side @ side), 0.0, 1.0)
+    share = np.maximum(((high - radius) * side[0] + (half - z) * side[1]) / (side @ side), 0.0)
+    share = np.minimum(share, 1.0)
     side_r, side_z = radius - high + side[0] * share, z - half + side[1] * share
     is_inside = (side_r < 0.0) & (cap_z < 0.0)
-    squared = np.minimum(cap_r**2 + cap_z**2, side_r**2 + side_z**2)
-    return np.asarray(np.where(is_inside, -1.0, 1.0) * np.sqrt(squared) - rounding)
+    distances = np.sqrt(np.minimum(cap_r * cap_r + cap_z * cap_z, side_r * side_r + side_z * side_z))
+    return np.asarray(np.where(is_inside, -distances, distances) - rounding)
 
 
-def _superellipsoid_distances(points: Array, half: Array, exponents: tuple[float, float]) -> Array:
+def _superellipsoid_distances(
+    x: Array, y: Array, z: Array, size: tuple[float, float, float], exponents: tuple[float, float]
+) -> Array:
     """Return (gauge - 1) / |gradient of the gauge|, a lower bound of the distance outside."""
     along, across = exponents
-    scaled = np.maximum(np.abs(points) / half, 1e-6)
-    power = scaled[..., :2] ** (2.0 / across)
-    flat = power.sum(axis=-1)
-    upright = scaled[..., 2] ** (2.0 / along)
+    x, y, z = (np.maximum(np.abs(column) / half, 1e-6) for column, half in zip((x, y, z), size, strict=True))
+    power_x, power_y, upright = x ** (2.0 / across), y ** (2.0 / across), z ** (2.0 / along)
+    flat = power_x + power_y
     inner = flat ** (across / along)
     total = inner + upright
     gauge = total ** (along / 2.0)
     # Derivatives of the gauge by the scaled coordinates; it is homogeneous of degree 1.
-    by_flat = (gauge / total * inner / flat)[..., None] * power / scaled[..., :2]
-    by_z = gauge / total * upright / scaled[..., 2]
-    slope = np.sqrt(((by_flat / half[:2]) ** 2).sum(axis=-1) + (by_z / half[2]) ** 2)
-    return np.asarray((gauge - 1.0) / slope)
+    ratio = gauge / total
+    by_flat, by_z = ratio * inner / flat, ratio * upright / z / size[2]
+    by_x, by_y = by_flat * power_x / x / size[0], by_flat * power_y / y / size[1]
+    return np.asarray((gauge - 1.0) / np.sqrt(by_x * by_x + by_y * by_y + by_z * by_z))
 
 
 def _box_rings(size: tuple[float, float, float], rounding: float) -> Array:

@@ -118,8 +118,9 @@ def _draw_object(random: RandomStream, item: ClutterItem) -> tuple[ClutterObject
 
 def _compute_swept_points(corners: Array, motion: KeyframeMotion, model: HandGeometry) -> Array:
     """Return the hand's joints and the handed-over object's corners (n, 3) of all keyframes."""
-    rotation = motion.object_rotation.as_matrix()
-    object_points = np.einsum("tij,pj->tpi", rotation, corners) + motion.object_position[:, None]
+    moves = np.concatenate([[True], (np.diff(motion.object_position, axis=0) != 0.0).any(axis=1)])
+    rotation = motion.object_rotation.as_matrix()[moves]
+    object_points = corners @ rotation.swapaxes(1, 2) + motion.object_position[moves, None]
     angles = motion.base_rotation.as_euler("XYZ")
     dof = np.concatenate([motion.base_position, angles, motion.fingers], axis=1)[motion.hand_first :]
     return np.concatenate([object_points.reshape(-1, 3), model.compute_keypoints(dof).reshape(-1, 3)])
