@@ -40,8 +40,8 @@ def read_obj(path: Path) -> ObjMesh:
     """Read vertices and triangles of an OBJ mesh file.
 
     Raises:
-        DataFormatError: The file cannot be read, has no triangle, a vertex that is not finite, or a face with a vertex
-            number out of range.
+        DataFormatError: The file cannot be read, has no triangle, a vertex that is not finite, a face with fewer than
+            three corners, or a face with a vertex number out of range.
     """
     vertices: list[list[float]] = []
     groups: list[list[tuple[int, int, int]]] = [[]]
@@ -56,6 +56,8 @@ def read_obj(path: Path) -> ObjMesh:
                 # Vertices count from 1, or backwards from -1, the last vertex before the face.
                 numbers = [int(word.partition("/")[0]) for word in rest.split()]
                 corners = [n - 1 if n > 0 else len(vertices) + n if n < 0 else -1 for n in numbers]
+                if len(corners) < 3:
+                    raise _make_face_error(path)
                 groups[-1] += [(corners[0], *pair) for pair in itertools.pairwise(corners[1:])]
         points = np.array(vertices, dtype=np.float64).reshape(-1, 3)
         found = tuple(np.array(group, dtype=np.int64).reshape(-1, 3) for group in groups if group)
@@ -96,7 +98,8 @@ def check_mesh(path: Path, solid: bool = False) -> None:
 
     Raises:
         DataFormatError: The file is not a plain file or is too large; or an OBJ file cannot be read, has no
-            faces, a vertex that is not finite, a vertex number out of range, or is flat.
+            faces, a face with fewer than three corners, a vertex that is not finite, a vertex number out of
+            range, or is flat.
     """
     if path.suffix.lower() != ".obj":
         _check_if_present(path)
@@ -106,20 +109,26 @@ def check_mesh(path: Path, solid: bool = False) -> None:
     except (OSError, ValueError) as error:
         raise DataFormatError(f"{path}: cannot read this mesh ({error}); check the model") from error
     _check_materials(path.parent, lines)
-    faces = " ".join(line[2:] for line in lines if line.startswith(("f ", "f\t")))
-    corners = np.array(_CORNERS.findall(faces), dtype=np.int64)
+    faces = [line[2:] for line in lines if line.startswith(("f ", "f\t"))]
+    corners = np.array(_CORNERS.findall(" ".join(faces)), dtype=np.int64)
     try:
         vertices = np.array([line.split()[1:4] for line in lines if line.startswith(("v ", "v\t"))], dtype=np.float64)
     except ValueError as error:
         raise DataFormatError(f"{path}: a vertex must be three numbers ({error}); check the file") from error
     if not len(corners) or not len(vertices):
         raise DataFormatError(f"{path}: the mesh is empty; check the file")
+    if any(len(face.split()) < 3 for face in faces):
+        raise _make_face_error(path)
     if not np.isfinite(vertices).all():
         raise DataFormatError(f"{path}: a vertex is not finite; check the file")
     if corners.max() > len(vertices) or corners.min() < -len(vertices) or not corners.all():
         raise DataFormatError(f"{path}: a face names a corner that is not there; check the file")
     if solid and np.linalg.matrix_rank(vertices - vertices[0], tol=_FLAT) < 3:
         raise DataFormatError(f"{path}: all vertices are in one plane; check the file")
+
+
+def _make_face_error(path: Path) -> DataFormatError:
+    return DataFormatError(f"{path}: a face must have at least three corners; the file may be incomplete")
 
 
 def _read_lines(path: Path) -> list[str]:

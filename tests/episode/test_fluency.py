@@ -537,3 +537,20 @@ def test_recorded_actions_are_those_of_every_step() -> None:
         assert recorder.actions.dtype == np.float32
         assert np.flatnonzero(recorder.times).tolist() == list(range(0, until, 70))
     episode.close()
+
+
+def test_closing_a_recorder_frees_its_simulation(monkeypatch: pytest.MonkeyPatch) -> None:
+    closed: list[DistanceQuery] = []
+    close = BulletDistanceQuery.close
+    monkeypatch.setattr(BulletDistanceQuery, "close", lambda query: (closed.append(query), close(query)))
+    recorder, episode = TraceRecorder(), Episode("fast")
+    episode.reset(SyntheticDataset().load_scene(209))
+    episode.advance(np.array(OFFICIAL_CONFIG.physics.panda.start_joints, dtype=np.float32), 2000)
+    for _ in range(2):
+        recorder.on_reset(episode)
+        recorder.on_end(episode)
+    assert closed == []
+    for _ in range(2):
+        recorder.close()
+        assert len(closed) == 1
+    episode.close()
