@@ -51,11 +51,7 @@ TESTS = {
     "handover_marl/episode/wrist_offset.py": ("tests/episode/test_playback.py", "tests/episode/test_set_points.py"),
     "handover_marl/episode/observations.py": ("tests/episode/test_observations.py", "tests/episode/test_playback.py"),
     "handover_marl/episode/camera_observations.py": ("tests/episode/test_camera_observations.py", DATACLASSES),
-    "handover_marl/episode/spaces.py": (
-        "tests/episode/test_spaces.py",
-        "tests/episode/test_camera_observations.py",
-        DATACLASSES,
-    ),
+    "handover_marl/episode/spaces.py": ("tests/episode/test_spaces.py", DATACLASSES),
     "handover_marl/episode/callbacks.py": ("tests/episode/test_fluency.py", "tests/episode/test_play.py", DATACLASSES),
     "handover_marl/episode/metrics.py": ("tests/episode/test_fluency.py", DATACLASSES),
     "handover_marl/evaluation/comparison.py": ("tests/evaluation/test_comparison.py", *REPORTS, DATACLASSES),

@@ -28,8 +28,6 @@ from handover_marl.episode.spaces import (
     SCENE_POINTCLOUD,
     STATE,
     check_obs_mode,
-    get_camera_data_kind,
-    has_state,
 )
 from handover_marl.errors import OptionError, ResetNeededError, UnknownNameError
 from handover_marl.geometry.poses import transform_points
@@ -105,20 +103,6 @@ def test_unknown_observation_modes_are_refused(wrong: str) -> None:
             UnknownNameError, match=f"unknown obs_mode '{re.escape(wrong)}'; valid: state, state\\+point"
         ):
             check(wrong)
-
-
-def test_parts_of_observation_modes() -> None:
-    assert [(has_state(mode), get_camera_data_kind(mode)) for mode in OBS_MODES] == [
-        (True, None),
-        (True, POINTCLOUD),
-        (False, POINTCLOUD),
-        (True, RGBD),
-        (False, RGBD),
-        (True, FULL_POINTCLOUD),
-        (False, FULL_POINTCLOUD),
-        (True, SCENE_POINTCLOUD),
-        (False, SCENE_POINTCLOUD),
-    ]
 
 
 def test_spaces_are_as_documented() -> None:

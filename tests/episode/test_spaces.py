@@ -7,14 +7,22 @@ import pytest
 from handover_marl.config import GiverConfig
 from handover_marl.episode.observations import observation_space
 from handover_marl.episode.spaces import (
+    FULL_POINTCLOUD,
+    OBS_MODES,
+    POINTCLOUD,
+    RGBD,
+    SCENE_POINTCLOUD,
     GiverAction,
     check_giver_action,
+    check_obs_mode,
     check_receiver_action,
     check_vector,
+    get_camera_data_kind,
     giver_action_space,
+    has_state,
     receiver_action_space,
 )
-from handover_marl.errors import ActionError
+from handover_marl.errors import ActionError, UnknownNameError
 
 
 class Tensor:
@@ -166,3 +174,26 @@ def test_checked_actions_are_copies() -> None:
     action = np.zeros(9, dtype=np.float32)
     check_receiver_action(action)[0] = 1.0
     assert action[0] == 0.0
+
+
+def test_parts_of_observation_modes() -> None:
+    assert [(has_state(mode), get_camera_data_kind(mode)) for mode in OBS_MODES] == [
+        (True, None),
+        (True, POINTCLOUD),
+        (False, POINTCLOUD),
+        (True, RGBD),
+        (False, RGBD),
+        (True, FULL_POINTCLOUD),
+        (False, FULL_POINTCLOUD),
+        (True, SCENE_POINTCLOUD),
+        (False, SCENE_POINTCLOUD),
+    ]
+    # Equal texts need not be one object.
+    assert has_state("".join(["sta", "te"]))
+    assert get_camera_data_kind("".join(["sta", "te"])) is None
+
+
+def test_unknown_modes_are_refused() -> None:
+    check_obs_mode("state+rgbd")
+    with pytest.raises(UnknownNameError, match="unknown obs_mode 'depth'; valid: state, state"):
+        check_obs_mode("depth")

@@ -71,6 +71,9 @@ def test_incomparable_folders_are_refused(tmp_path: Path) -> None:
     one = folder(tmp_path / "one", "mine", {0: 1})
     with pytest.raises(ResultsError, match="different data"):
         handover_marl.compare(one, folder(tmp_path / "two", "mine", {0: 1}, fingerprint="other"))
+    first, second = (folder(tmp_path / name, "mine", {0: 1}, fingerprint=name, version="1.2.3") for name in ("a", "b"))
+    with pytest.raises(ResultsError, match="different data"):
+        handover_marl.compare(first, second)
     # Other versions may compute other fingerprints of the same data.
     for version in ("0", "2"):
         newer = folder(tmp_path / version, "mine", {0: 1}, fingerprint="other", version=version)
