@@ -107,7 +107,7 @@ def draw_state(rng: np.random.Generator) -> RefereeState:
 def test_worlds_are_simulated_as_if_alone() -> None:
     rng = np.random.default_rng(0)
     ScriptedWorld.sizes, ScriptedWorld.lengths = [], []
-    keys = ["large"] * 40 + ["small"] * 5 + ["asleep"] * 3
+    keys = ["large"] * 40 + ["small"] * 5 + ["asleep"] * 35
     worlds = [
         ScriptedWorld(draw_steps(rng), number, key, 1000 if key == "large" else 37, key == "asleep")
         for number, key in enumerate(keys)

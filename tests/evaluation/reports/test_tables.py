@@ -58,6 +58,9 @@ def test_other_formats_are_not_split() -> None:
     assert r"column\_8 \%" in latex
     assert r" a\_b" in latex
     assert r"x \& y" in latex
+    for style in TABLE_FORMATS:
+        # Equal texts need not be one object.
+        assert WIDE.format("".join([style[:2], style[2:]])) == WIDE.format(style)  # type: ignore[arg-type]
     assert ReportTable(["a"], []).format("latex") == ReportTable(["a"], []).format("csv") == ""
 
 
