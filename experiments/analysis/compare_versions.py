@@ -46,6 +46,8 @@ OBS_MODES = {
 }
 #: Arrays of result files that differ between versions or runs: wall-clock times and what was run.
 IGNORED = ("elapsed_time", "fingerprint", "machine")
+#: New names of arrays that had other names in 0.7.0.
+RENAMED = {"fluency_peak_force": "fluency_max_robot_object_force"}
 
 
 @dataclass(frozen=True)
@@ -160,7 +162,7 @@ def _read_arrays(path: Path) -> dict[str, np.ndarray]:
     """Return the arrays of a result file or a demonstration file that are compared, by name."""
     if path.suffix == ".npz":
         with np.load(path, allow_pickle=False) as file:
-            return {key: file[key] for key in file.files if key not in IGNORED}
+            return {RENAMED.get(key, key): file[key] for key in file.files if key not in IGNORED}
     arrays = {}
     with h5py.File(path) as file:
         file.visititems(
