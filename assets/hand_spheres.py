@@ -65,6 +65,7 @@ class HandSpheres:
 
     Attributes:
         model: Geometry of the hand.
+        along: (15, 3, 3) centers (m) of the phalanges' spheres, in the frames of the phalanges.
         radii: (15, 3) radii (m) of the phalanges' spheres.
         palm: Centers (k, 3) and radii (k,) (m) of the palm's spheres, in the palm's frame.
         forearm: Centers and radii of the forearm's spheres, in the palm's frame (m).
@@ -73,7 +74,7 @@ class HandSpheres:
     def __init__(self, model: HandGeometry) -> None:
         self.model = model
         t = (np.arange(N_SPHERES) + 1.0) / N_SPHERES
-        self._along = model.tips[:, None, :] * t[:, None]
+        self.along = model.tips[:, None, :] * t[:, None]
         self.radii = model.radii[:, :1] + (model.radii[:, 1:] - model.radii[:, :1]) * t
         self.palm = spheres_from_capsules(make_palm_capsules(model), 6)
         self.forearm = spheres_from_capsules(make_forearm_capsules(model), 4)
@@ -91,5 +92,5 @@ class HandSpheres:
         dof = np.concatenate([np.zeros((len(angles), 6)), angles], axis=1)
         dof[:, :3] = -self.model.palm_offset
         positions, rotations = self.model.compute_link_poses(dof)
-        centers = positions[:, 1:, None, :] + np.einsum("nlij,lbj->nlbi", rotations[:, 1:], self._along)
+        centers = positions[:, 1:, None, :] + np.einsum("nlij,lbj->nlbi", rotations[:, 1:], self.along)
         return centers, rotations[:, 1:]

@@ -74,15 +74,18 @@ class HumanGrasps:
         along = [1.0 if self.side == "left" else -1.0, 0.0, 0.0]
         return rotate_points(self.object_from_base[:, 3:], np.tile(along, (len(self), 1)))
 
-    def compute_hand_dof(self, row: int) -> npt.NDArray[np.float64]:
-        """Return the hand's joint positions (51,) in grasp `row` of an object at the origin.
+    def compute_hand_dof(self, rows: int | slice = slice(None)) -> npt.NDArray[np.float64]:
+        """Return the hand's joint positions (51,) in a grasp, or (n, 51) in several, of an object at the origin.
 
         The joints are the base's position (m), its intrinsic XYZ Euler angles and the finger joint
         angles (rad).
+
+        Args:
+            rows: Index of the grasp, or a slice; default: all.
         """
-        pose = self.object_from_base[row]
-        matrix = rotate_points(np.tile(pose[3:], (3, 1)), np.eye(3)).T
-        return np.concatenate([pose[:3], euler_from_matrices(matrix), self.finger_angles[row]])
+        poses = self.object_from_base[rows]
+        matrices = rotate_points(poses[..., None, 3:], np.eye(3)).swapaxes(-1, -2)
+        return np.concatenate([poses[..., :3], euler_from_matrices(matrices), self.finger_angles[rows]], axis=-1)
 
 
 def load_human_grasps(object_name: str, subject: int, side: Side) -> HumanGrasps:

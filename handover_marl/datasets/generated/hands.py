@@ -4,7 +4,7 @@ The paths of the phalanges while the fingers close freely are computed once for 
 closing on an object needs few evaluations of the forward kinematics.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
 
@@ -14,10 +14,12 @@ import numpy.typing as npt
 from handover_marl.assets.anthropometry import MEN, SKIN_COLORS, WOMEN, HandSize
 from handover_marl.assets.hand_model import HandGeometry, scale_hand
 from handover_marl.assets.hand_openings import OpeningDraws, Openings, make_reference_openings, measure_openings
+from handover_marl.assets.hand_postures import THUMB, ArrayBatch, Posture
 from handover_marl.assets.hand_spheres import HandSpheres
 from handover_marl.datasets.generated.config import GeneratedConfig
 from handover_marl.datasets.generated.streams import open_streams
 from handover_marl.datasets.synthetic.random_stream import RandomStream
+from handover_marl.geometry.poses import compute_cross_products
 
 Array = npt.NDArray[np.float64]
 
@@ -65,6 +67,58 @@ def draw_person(config: GeneratedConfig, number: int) -> Person:
 
 
 @dataclass(frozen=True, eq=False)
+class DigitPaths(ArrayBatch):
+    """Paths of the digits' spheres under flexion, in the palm's frame, for n open postures.
+
+    All joints of a digit turn about one axis, so that a point is `fixed + cos(a) cosine + sin(a) sine` for the sum
+    a of the flexions up to its phalanx. The fourth point of a phalanx is the next joint.
+
+    Attributes:
+        root: (n, 5, 3) positions of the root joints (m).
+        fixed: (n, 5, 3, 4, 3) parts of the points along the axis (m), relative to the phalanx' joint.
+        cosine: (n, 5, 3, 4, 3) parts across the axis at angle zero (m).
+        sine: (n, 5, 3, 4, 3) parts across the axis at a right angle (m).
+    """
+
+    root: Array
+    fixed: Array
+    cosine: Array
+    sine: Array
+
+    def place(self, bends: Array) -> Array:
+        """Return the centers (n, s, 5, 9, 3) (m) of the spheres for s flexions (n, s, 5, 3) (rad) of each posture."""
+        angles = np.cumsum(bends, axis=-1)[..., None, None]
+        points = self.fixed[:, None] + np.cos(angles) * self.cosine[:, None] + np.sin(angles) * self.sine[:, None]
+        joints = np.cumsum(points[..., :2, 3, :], axis=-2)
+        points[..., 1:, :3, :] += joints[..., None, :]
+        centers = points[..., :3, :] + self.root[:, None, :, None, None]
+        return np.asarray(centers.reshape(*bends.shape[:2], 5, 9, 3))
+
+
+def make_digit_paths(spheres: HandSpheres, posture: Posture) -> DigitPaths:
+    """Return the paths of the spheres of a hand for n open postures."""
+    n, model = len(posture), spheres.model
+    axes, roots = np.zeros((n, 5, 3)), np.zeros((n, 5, 3, 3))
+    sin, cos = np.sin(posture.spread), np.cos(posture.spread)
+    axes[:, :THUMB, 0], axes[:, :THUMB, 2], axes[:, THUMB] = sin, cos, posture.thumb_axis
+    roots[:, :THUMB, 0, 0], roots[:, :THUMB, 0, 2] = cos, sin
+    roots[:, :THUMB, 2, 0], roots[:, :THUMB, 2, 2] = -sin, cos
+    roots[:, :THUMB, 1, 1], roots[:, THUMB] = 1.0, posture.thumb_root
+    origins = model.joint_origins.reshape(5, 3, 3)
+    points = np.zeros((5, 3, 4, 3))
+    points[:, :, :3], points[:, :2, 3] = spheres.along.reshape(5, 3, 3, 3), origins[:, 1:]
+    straight = np.einsum("ndij,dpvj->ndpvi", roots, points)
+    axes = axes[:, :, None, None]
+    fixed = (straight * axes).sum(axis=-1, keepdims=True) * axes
+    return DigitPaths(
+        root=np.broadcast_to(origins[:, 0], (n, 5, 3)),
+        fixed=fixed,
+        cosine=straight - fixed,
+        sine=compute_cross_products(np.broadcast_to(axes, straight.shape), straight),
+    )
+
+
+@dataclass(frozen=True, eq=False)
 class HandTemplates:
     """Open postures of a right hand, sorted by the width of their gap.
 
@@ -73,6 +127,7 @@ class HandTemplates:
         spheres: Spheres that approximate the hand.
         openings: K open postures with their gaps.
         bends: (K, S, 5, 3) flexion of the digits' joints in S steps of closing without an object (rad).
+        digits: Paths of the K postures' digits under flexion.
         path: (K, S, 5, 9, 3) centers of the phalanges' spheres in these steps, in the palm's frame (m).
         radii: (5, 9) radii of these spheres (m).
     """
@@ -81,6 +136,7 @@ class HandTemplates:
     spheres: HandSpheres
     openings: Openings
     bends: Array
+    digits: DigitPaths
     path: npt.NDArray[np.float32]
     radii: Array
 
@@ -130,8 +186,6 @@ def make_hand_templates(size: HandSize) -> HandTemplates:
     openings = openings[np.argsort(openings.width, kind="stable")]
     steps = np.arange(N_STEPS)[:, None, None] * STEP_ANGLES
     bends = np.maximum(np.minimum(openings.posture.bends[:, None] + steps, LIMITS), openings.posture.bends[:, None])
-    rows = np.repeat(np.arange(len(openings)), N_STEPS)
-    posture = replace(openings.posture[rows], bends=bends.reshape(-1, 5, 3))
-    centers, _ = spheres.place_phalanges(posture.compute_joint_angles())
-    path = centers.reshape(len(openings), N_STEPS, 5, 9, 3).astype(np.float32)
-    return HandTemplates(model, spheres, openings, bends, path, spheres.radii.reshape(5, 9))
+    digits = make_digit_paths(spheres, openings.posture)
+    path = digits.place(bends).astype(np.float32)
+    return HandTemplates(model, spheres, openings, bends, digits, path, spheres.radii.reshape(5, 9))

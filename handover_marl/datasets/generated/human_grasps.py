@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
+from scipy.special import ndtri
 
 from handover_marl.assets.anthropometry import HandSize
 from handover_marl.assets.hand_model import Side
@@ -140,14 +141,14 @@ def _sample_open_hands(
 ) -> tuple[Palms, Ints]:
     """Sample palm poses (m) of open hands around the object, free of contact, and their templates (m,)."""
     thumb_side, finger_side, cosines = solid.sample_opposite_points(random, config.n_pairs, config.max_width, 0.18)
-    noise, draws = random.normals(config.n_pairs, 6), random.uniforms(config.n_pairs, 4)
+    noise, draws = random.uniforms(config.n_pairs, 6), random.uniforms(config.n_pairs, 4)
     across = finger_side - thumb_side
     width = np.linalg.norm(across, axis=1)
     openings = templates.openings
     first = np.searchsorted(openings.width, width + config.spare_width[0])
     last = np.searchsorted(openings.width, width + config.spare_width[1])
     fits = np.flatnonzero((last > first) & (cosines > 0.6))
-    noise, draws = noise[fits], draws[fits]
+    noise, draws = ndtri(noise[fits]), draws[fits]
     rows = (first[fits] + draws[:, 0] * (last - first)[fits]).astype(np.int64)
     goal = normalize(across[fits] / width[fits, None] + 0.12 * noise[:, :3])
     turns = Rotation.from_rotvec(goal * (2.0 * np.pi * draws[:, 1:2] - np.pi)).as_matrix()
@@ -213,8 +214,7 @@ def _close_fingers(
     bends = _close_end_joints(solid, templates, palms, rows, bends, phalanx, config)
     relaxed = steps[:, config.relaxed_step]
     posture = replace(templates.openings.posture[rows], bends=np.where(touches[..., None], bends, relaxed))
-    centers = templates.spheres.place_phalanges(posture.compute_joint_angles())[0].reshape(n, 5, 9, 3)
-    centers = palms.transform(centers)
+    centers = palms.transform(templates.digits[rows].place(posture.bends[:, None])[:, 0])
     return _ClosedHands(posture, solid.compute_distances(centers) - templates.radii, centers)
 
 
@@ -234,8 +234,7 @@ def _close_end_joints(
         return bends
     steps = np.arange(count)[:, None, None] * 1.6 * STEP_ANGLES * beyond[:, None]
     trial = np.minimum(bends[:, None] + steps, np.maximum(LIMITS, bends[:, None]))
-    posture = replace(templates.openings.posture[np.repeat(rows, count)], bends=trial.reshape(-1, 5, 3))
-    centers = templates.spheres.place_phalanges(posture.compute_joint_angles())[0].reshape(n, count, 5, 9, 3)
+    centers = templates.digits[rows].place(trial)
     gaps = (solid.compute_distances(palms.transform(centers)) - templates.radii).reshape(n, count, 5, 3, 3).min(axis=4)
     shares, _ = _find_contacts(np.where(beyond[:, None], gaps, np.inf).min(axis=3), config.skin_yield)
     part = shares[..., None] * 1.6 * STEP_ANGLES * beyond

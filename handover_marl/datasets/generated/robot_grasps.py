@@ -16,8 +16,11 @@ from handover_marl.assets.grasp_order import compute_farthest_point_order
 from handover_marl.assets.hand_openings import normalize
 from handover_marl.datasets.generated.shapes import Solid
 from handover_marl.datasets.synthetic.random_stream import RandomStream
+from handover_marl.geometry.poses import compute_cross_products
 
 Array = npt.NDArray[np.float64]
+
+_PROBE_STRIDE = 7
 
 
 @dataclass(frozen=True)
@@ -85,14 +88,17 @@ def draw_robot_grasps(random: RandomStream, solid: Solid, config: RobotGraspConf
     # The gripper is symmetric: swap the fingers at random.
     signs = np.where(draws[good, :1] < 0.5, -1.0, 1.0)
     closing = signs * normalize(second[good] - first[good])
-    approach = normalize(np.cross(closing, noise[good]))
+    approach = normalize(compute_cross_products(closing, noise[good]))
     low, high = config.depth_range
     depth = low + (high - low) * draws[good, 1:]
     grasps = np.tile(np.eye(4), (len(good), 1, 1))
-    grasps[:, :3, 0], grasps[:, :3, 1], grasps[:, :3, 2] = closing, np.cross(approach, closing), approach
+    grasps[:, :3, 0], grasps[:, :3, 1], grasps[:, :3, 2] = closing, compute_cross_products(approach, closing), approach
     grasps[:, :3, 3] = 0.5 * (first + second)[good] - depth * approach
-    points = _make_gripper_points() @ grasps[:, :3, :3].swapaxes(1, 2) + grasps[:, None, :3, 3]
-    free = grasps[(solid.compute_distances(points) > config.clearance).all(axis=1)]
+    free = grasps
+    # A few points reject most grasps.
+    for points in (_make_gripper_points()[::_PROBE_STRIDE], _make_gripper_points()):
+        placed = points @ free[:, :3, :3].swapaxes(1, 2) + free[:, None, :3, 3]
+        free = free[(solid.compute_distances(placed) > config.clearance).all(axis=1)]
     if config.is_varied:
         free = free[compute_farthest_point_order(free)[: config.n_grasps]]
     return free[: config.n_grasps].astype(np.float32).astype(np.float64)

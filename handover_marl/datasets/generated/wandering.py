@@ -17,6 +17,7 @@ from handover_marl.config import TABLE_HEIGHT, PandaConfig
 from handover_marl.datasets.synthetic.handover_motion import KEYFRAME_PERIOD, KeyframeMotion, minimum_jerk
 from handover_marl.datasets.synthetic.object_placement import JOINT_CLEARANCE, HandoverPositions, HeldObject
 from handover_marl.datasets.synthetic.random_stream import RandomStream
+from handover_marl.geometry.poses import multiply_quaternions
 
 Array = npt.NDArray[np.float64]
 
@@ -86,7 +87,7 @@ def add_wandering(
     rotation = Rotation.from_rotvec(vectors) * start_rotation
     position = start + offsets
     points = np.concatenate([held.corners, held.keypoints[grasp]])
-    lowest = position[:, 2] + np.einsum("tj,pj->tp", rotation.as_matrix()[:, 2], points).min(axis=1)
+    lowest = position[:, 2] + (rotation.as_matrix()[:, 2] @ points.T).min(axis=1)
     # Lift the curve where it would touch the table; its beginning is where the motion ends.
     missing = float(np.maximum(0.0, JOINT_CLEARANCE - lowest).max())
     position[:, 2] += missing * minimum_jerk(np.arange(1, count + 1) * KEYFRAME_PERIOD / 0.6)
@@ -125,5 +126,6 @@ def _draw_curve(random: RandomStream, count: int, config: WanderingConfig) -> tu
 
 def _find_peak_turn_speed(vectors: Array) -> float:
     """Return the largest angular speed (rad/s) of consecutive rotation vectors (n, 3)."""
-    rotations = Rotation.from_rotvec(vectors)
-    return float((rotations[:-1].inv() * rotations[1:]).magnitude().max()) / KEYFRAME_PERIOD
+    quaternions = Rotation.from_rotvec(vectors).as_quat()
+    between = multiply_quaternions(quaternions[:-1] * [-1.0, -1.0, -1.0, 1.0], quaternions[1:])
+    return float(Rotation.from_quat(between).magnitude().max()) / KEYFRAME_PERIOD

@@ -1,5 +1,6 @@
 """Other objects on the table, clear of the hand and the handed-over object."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -96,7 +97,7 @@ def draw_clutter(
             break
         item = draw_item(random)
         candidate, cylinder = _draw_object(random, item)
-        is_repeated = item.class_id in {other.class_id for other in placed}
+        is_repeated = item.class_id in [other.class_id for other in placed]
         if is_repeated or not _is_free(cylinder, points, cylinders):
             continue
         placed.append(candidate)
@@ -111,25 +112,38 @@ def _draw_object(random: RandomStream, item: ClutterItem) -> tuple[ClutterObject
     low, high = corners.min(axis=0), corners.max(axis=0)
     middle = 0.5 * (low + high)
     x, y = random.uniform(*_X_RANGE), random.uniform(*_Y_RANGE)
-    radius = float(np.linalg.norm(corners[:, :2] - middle[:2], axis=1).max())
+    across = corners[:, :2] - middle[:2]
+    radius = float(np.sqrt((across * across).sum(axis=1).max()))
     position = np.array([x - middle[0], y - middle[1], OBJECT_CLEARANCE - low[2]])
     return ClutterObject(item.class_id, position, rotation), _Cylinder(x, y, radius, float(high[2] - low[2]))
 
 
 def _compute_swept_points(corners: Array, motion: KeyframeMotion, model: HandGeometry) -> Array:
-    """Return the hand's joints and the handed-over object's corners (n, 3) of all keyframes."""
-    moves = np.concatenate([[True], (np.diff(motion.object_position, axis=0) != 0.0).any(axis=1)])
-    rotation = motion.object_rotation.as_matrix()[moves]
-    object_points = corners @ rotation.swapaxes(1, 2) + motion.object_position[moves, None]
-    angles = motion.base_rotation.as_euler("XYZ")
-    dof = np.concatenate([motion.base_position, angles, motion.fingers], axis=1)[motion.hand_first :]
-    return np.concatenate([object_points.reshape(-1, 3), model.compute_keypoints(dof).reshape(-1, 3)])
+    """Return the coordinates (3, n) of the hand's joints and the handed-over object's corners in all keyframes."""
+    positions, rotations = motion.object_position, motion.object_rotation.as_matrix()
+    moves = np.concatenate([[True], (positions[1:] != positions[:-1]).any(axis=1)])
+    shown = slice(motion.hand_first, None)
+    # Keypoints of each finger posture with the base at the origin.
+    fingers = motion.fingers[shown]
+    changes = np.concatenate([[True], (fingers[1:] != fingers[:-1]).any(axis=1)])
+    dof = np.concatenate([np.zeros((np.count_nonzero(changes), 6)), fingers[changes]], axis=1)
+    keypoints = model.compute_keypoints(dof)[np.cumsum(changes) - 1]
+    hand = keypoints @ motion.base_rotation.as_matrix()[shown].swapaxes(1, 2) + motion.base_position[shown, None]
+    return np.stack(
+        [
+            np.concatenate(
+                [(corners @ rotations[moves, axis].T + positions[moves, axis]).ravel(), hand[..., axis].ravel()]
+            )
+            for axis in range(3)
+        ]
+    )
 
 
 def _is_free(cylinder: _Cylinder, points: Array, others: list[_Cylinder]) -> bool:
-    low = points[points[:, 2] < cylinder.height + CLUTTER_CLEARANCE]
-    clear = np.hypot(low[:, 0] - cylinder.x, low[:, 1] - cylinder.y) > cylinder.radius + CLUTTER_CLEARANCE
-    apart = all(
-        np.hypot(other.x - cylinder.x, other.y - cylinder.y) > other.radius + cylinder.radius for other in others
-    )
-    return bool(clear.all()) and apart
+    if any(
+        math.hypot(other.x - cylinder.x, other.y - cylinder.y) <= other.radius + cylinder.radius for other in others
+    ):
+        return False
+    x, y, z = points
+    near = (x - cylinder.x) ** 2 + (y - cylinder.y) ** 2 <= (cylinder.radius + CLUTTER_CLEARANCE) ** 2
+    return not (near & (z < cylinder.height + CLUTTER_CLEARANCE)).any()

@@ -8,6 +8,7 @@ from functools import cache
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial.distance import cdist
 
 from handover_marl.geometry.panda import (
     GRIPPER_FROM_HAND,
@@ -60,9 +61,7 @@ def find_clear_grasps(gripper_points: Array, hand_points: Array) -> npt.NDArray[
     palm = 0.5 * (digits[:, 0] + wrist)
     hand = np.concatenate([hand_points, palm])
     points = gripper_points.reshape(-1, 3)
-    # Coordinate by coordinate: a matrix product would start threads, which cost more than they save.
-    squared = sum((hand[:, None, axis] - points[:, axis]) ** 2 for axis in range(3))
-    nearest = np.asarray(squared).min(axis=0).reshape(len(gripper_points), -1).min(axis=1)
+    nearest = cdist(hand, points, "sqeuclidean").min(axis=0).reshape(len(gripper_points), -1).min(axis=1)
     return np.asarray(nearest > CLEARANCE**2)
 
 

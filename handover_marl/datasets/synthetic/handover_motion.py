@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation, Slerp
+from scipy.spatial.transform import Rotation
 
 from handover_marl.assets.hand_model import HandGeometry
 from handover_marl.datasets.synthetic import calibration
@@ -20,6 +20,7 @@ from handover_marl.datasets.synthetic.object_placement import (
     ObjectPlacement,
 )
 from handover_marl.datasets.synthetic.random_stream import RandomStream, RandomStreams
+from handover_marl.geometry.poses import multiply_quaternions
 
 Array = npt.NDArray[np.float64]
 
@@ -34,6 +35,7 @@ _MIN_REACH_LENGTH = 0.10  # m
 _MIN_LIFT_TIME = 0.4  # s
 _MAX_REACH_ROTATION = np.radians(60.0)
 _SAMPLES = np.linspace(0.0, 1.0, 101)
+_LENGTH_TOLERANCE = 1e-11  # m
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,7 +151,9 @@ class _HandoverPath:
     def __init__(self, placement: ObjectPlacement, held: HeldObject) -> None:
         (start, start_rotation), (end, end_rotation) = placement.start, placement.handover
         self._start, self._end = start, end
-        self._rotations = Slerp([0.0, 1.0], Rotation.from_matrix(np.stack([start_rotation, end_rotation])))
+        self._first, last = Rotation.from_matrix(np.stack([start_rotation, end_rotation])).as_quat()
+        between = multiply_quaternions(self._first * [-1.0, -1.0, -1.0, 1.0], last)
+        self._turn = Rotation.from_quat(between).as_rotvec()
         self._wrist = held.keypoints[placement.grasp, 0]
         self._points = np.concatenate([held.corners, held.keypoints[placement.grasp]])
         self._clearance = np.repeat(
@@ -163,7 +167,9 @@ class _HandoverPath:
         control = np.array([self._start[0], self._start[1], max(self._start[2], self._end[2])])
         positions = _bezier(progress, self._start, control, self._end)
         positions[:, 2] += self._rise * (4.0 * progress * (1.0 - progress)) ** 0.5
-        return positions, self._rotations(np.clip((progress - 0.05) / 0.95, 0.0, 1.0))
+        shares = np.clip((progress - 0.05) / 0.95, 0.0, 1.0)
+        turns = Rotation.from_rotvec(shares[:, None] * self._turn).as_quat()
+        return positions, Rotation.from_quat(multiply_quaternions(self._first, turns))
 
     def min_duration(self, speed: float) -> float:
         """Return the shortest duration (s) of the path for a peak speed (m/s) of the wrist."""
@@ -191,7 +197,7 @@ class _HandoverPath:
         """Return the height (m) to add in the middle of the path for clearance above the table."""
         progress = minimum_jerk(_SAMPLES)[1:-1]
         position, rotation = self.sample(progress)
-        heights = np.einsum("tj,pj->tp", rotation.as_matrix()[:, 2], self._points) - self._clearance
+        heights = rotation.as_matrix()[:, 2] @ self._points.T - self._clearance
         missing = -(position[:, 2] + heights.min(axis=1))
         return max(0.0, float((missing / (4.0 * progress * (1.0 - progress)) ** 0.5).max()))
 
@@ -208,7 +214,7 @@ def _add_hand_motion(
     """Add the hand's motion: the reach before the grasp, then rigidly attached to the object."""
     grasps, row = held.grasps, placement.grasp
     object_from_hand = Rotation.from_matrix(held.object_from_hand[row])
-    base_rotation = rotation * object_from_hand
+    base_rotation = Rotation.from_quat(multiply_quaternions(rotation.as_quat(), object_from_hand.as_quat()))
     wrist = position + rotation.apply(held.keypoints[row, 0])
     reaching = np.arange(timing.onset, timing.grasp)
     progress = _compute_reach_progress(timing, reaching)
@@ -217,7 +223,7 @@ def _add_hand_motion(
     wrist[reaching] = _compute_reach_path(entry, wrist[timing.grasp], finger_direction, timing.reach, progress)
     turns = _compute_reach_rotations(wrist[timing.onset], wrist[timing.grasp], finger_direction, progress)
     rotations = base_rotation.as_quat()
-    rotations[reaching] = (turns * base_rotation[timing.grasp]).as_quat()
+    rotations[reaching] = multiply_quaternions(turns.as_quat(), rotations[timing.grasp])
     closing = minimum_jerk((np.arange(timing.n_frames) - timing.grasp) / (timing.lift - timing.grasp))[:, None]
     fingers = (1.0 - closing) * grasps.open_angles[row] + closing * grasps.finger_angles[row]
     base_rotation = Rotation.from_quat(rotations)
@@ -251,10 +257,18 @@ def _compute_reach_path(entry: Array, end: Array, finger_direction: Array, lengt
         middle = end - finger_direction * bend + np.array([0.0, 0.0, 0.25 * bend])
         return _bezier(_SAMPLES, end + direction * distance, middle, end)
 
+    # Squared lengths of the pieces are polynomials of the distance, which is faster than sampling the curve.
+    fixed, moved = np.diff(curve(0.0), axis=0), np.diff((1.0 - _SAMPLES) ** 2)[:, None] * direction
+    constant, linear, square = (fixed * fixed).sum(axis=1), 2.0 * (fixed @ direction), (moved * moved).sum(axis=1)
+    linear *= np.diff((1.0 - _SAMPLES) ** 2)
     low, high = 0.0, 2.0 * length
     for _ in range(40):
         middle_distance = 0.5 * (low + high)
-        too_long = _cumulative_lengths(curve(middle_distance))[-1] > length
+        pieces = np.maximum(constant + middle_distance * (linear + middle_distance * square), 0.0)
+        excess = float(np.sqrt(pieces).sum()) - length
+        if abs(excess) < _LENGTH_TOLERANCE:
+            excess = float(_cumulative_lengths(curve(middle_distance))[-1]) - length
+        too_long = excess > 0.0
         low, high = (low, middle_distance) if too_long else (middle_distance, high)
     points = curve(low)
     lengths = _cumulative_lengths(points)

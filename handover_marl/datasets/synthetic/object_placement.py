@@ -24,7 +24,7 @@ from handover_marl.datasets.synthetic.grasp_clearance import (
 )
 from handover_marl.datasets.synthetic.random_stream import RandomStream
 from handover_marl.geometry.meshes import read_collision_mesh
-from handover_marl.geometry.poses import poses_from_rotations
+from handover_marl.geometry.poses import compute_cross_products, poses_from_rotations
 
 Array = npt.NDArray[np.float64]
 
@@ -135,7 +135,7 @@ def make_held_object(
         grasps: Grasps of the subject.
         robot_grasps: Poses of the gripper's hand link.
     """
-    dof = np.stack(list(map(grasps.compute_hand_dof, range(len(grasps)))))
+    dof = grasps.compute_hand_dof()
     return HeldObject(
         corners=corners,
         up_axes=up_axes,
@@ -224,14 +224,20 @@ def resting_rotation(axis: int, yaw: npt.ArrayLike) -> Array:
         axis: Index of the object's axis that points up, in the list +x, -x, +y, -y, +z, -z.
         yaw: (...) rotations about the vertical (rad).
     """
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    turns = np.zeros((*np.shape(cos), 3, 3))
+    turns[..., 0, 0], turns[..., 0, 1], turns[..., 1, 0], turns[..., 1, 1] = cos, -sin, sin, cos
+    turns[..., 2, 2] = 1.0
+    return np.asarray(turns @ _make_upright_rotation(axis))
+
+
+@cache
+def _make_upright_rotation(axis: int) -> Array:
+    """Return a rotation (3, 3) that turns an axis of the object up, see `resting_rotation`."""
     up = np.zeros(3)
     up[axis // 2] = 1.0 if axis % 2 == 0 else -1.0
     side = np.roll(np.abs(up), 1)
-    upright = np.stack([side, np.cross(up, side), up])
-    cos, sin = np.cos(yaw), np.sin(yaw)
-    zero, one = np.zeros_like(cos), np.ones_like(cos)
-    turns = np.stack([cos, -sin, zero, sin, cos, zero, zero, zero, one], axis=-1).reshape(*np.shape(cos), 3, 3)
-    return np.asarray(turns @ upright)
+    return np.stack([side, np.cross(up, side), up])
 
 
 def _find_reachable_grasps(held: HeldObject, rotations: Array, limit: float) -> npt.NDArray[np.bool_]:
@@ -252,10 +258,11 @@ def _sample_handover_poses(
     random: RandomStream, held: HeldObject, grasp: int, position: Array
 ) -> list[tuple[Array, Array]]:
     """Draw handover poses at a position with the hand rotations of DexYCB's givers."""
+    hand_from_object = held.object_from_hand[grasp].T
     fitting: list[tuple[Array, Array]] = []
     highest = (-np.inf, np.eye(3))
     for _ in range(_MAX_HANDOVER_SAMPLES):
-        rotation = _sample_hand_rotation(random, held.grasps.side) @ held.object_from_hand[grasp].T
+        rotation = _sample_hand_rotation(random, held.grasps.side) @ hand_from_object
         lowest = min(
             float((held.corners @ rotation[2]).min()) - OBJECT_CLEARANCE,
             float((held.keypoints[grasp] @ rotation[2]).min()) - JOINT_CLEARANCE,
@@ -286,15 +293,18 @@ def _compute_costs(
 
 def _sample_hand_rotation(random: RandomStream, side: str) -> Array:
     """Draw the rotation (3, 3) of the hand's base at the handover."""
-    azimuth = np.radians(random.draw_quantile("pointing_azimuth"))
+    azimuth = random.draw_quantile("pointing_azimuth")
     correlation = calibration.ELEVATION_ROLL
-    elevation, roll = np.radians(random.draw_correlated_quantiles("pointing_elevation", "roll", correlation))
-    fingers = np.array([np.sin(azimuth) * np.cos(elevation), -np.cos(azimuth) * np.cos(elevation), np.sin(elevation)])
-    up = np.array([0.0, 0.0, 1.0]) - fingers[2] * fingers
-    up /= np.linalg.norm(up)
-    back = np.cos(roll) * up + np.sin(roll) * np.cross(fingers, up)
+    elevation, roll = random.draw_correlated_quantiles("pointing_elevation", "roll", correlation)
+    angles = np.radians([azimuth, elevation, roll])
+    (sin, sin_elevation, sin_roll), (cos, cos_elevation, cos_roll) = np.sin(angles), np.cos(angles)
+    fingers = np.array([sin * cos_elevation, -cos * cos_elevation, sin_elevation])
+    up = -fingers[2] * fingers
+    up[2] += 1.0
+    up /= np.sqrt(up @ up)
+    back = cos_roll * up + sin_roll * compute_cross_products(fingers, up)
     along = -fingers
     if side == "left":
         mirror = np.array([-1.0, 1.0, 1.0])
         along, back = fingers * mirror, back * mirror
-    return np.stack([along, back, np.cross(along, back)], axis=1)
+    return np.array([along, back, compute_cross_products(along, back)]).T

@@ -108,5 +108,10 @@ class RandomStream:
         return [_interpolate_quantile(first, float(ndtr(one))), _interpolate_quantile(second, float(ndtr(correlated)))]
 
 
+# Arrays, since NumPy would convert tuples for every number.
+_LEVELS: Final = np.array(LEVELS)
+_QUANTILES: Final = {name: np.array(values) for name, values in QUANTILES.items()}
+
+
 def _interpolate_quantile(name: str, level: float) -> float:
-    return float(np.interp(level, LEVELS, QUANTILES[name]))
+    return float(np.interp(level, _LEVELS, _QUANTILES[name]))
