@@ -20,7 +20,8 @@ from handover_marl.geometry.poses import compute_cross_products
 
 Array = npt.NDArray[np.float64]
 
-_PROBE_STRIDE = 7
+# Rows of the points between the fingers at the palm.
+_PALM_MIDDLE = slice(60, 63)
 
 
 @dataclass(frozen=True)
@@ -94,11 +95,10 @@ def draw_robot_grasps(random: RandomStream, solid: Solid, config: RobotGraspConf
     grasps = np.tile(np.eye(4), (len(good), 1, 1))
     grasps[:, :3, 0], grasps[:, :3, 1], grasps[:, :3, 2] = closing, compute_cross_products(approach, closing), approach
     grasps[:, :3, 3] = 0.5 * (first + second)[good] - depth * approach
-    free = grasps
-    # A few points reject most grasps.
-    for points in (_make_gripper_points()[::_PROBE_STRIDE], _make_gripper_points()):
-        placed = points @ free[:, :3, :3].swapaxes(1, 2) + free[:, None, :3, 3]
-        free = free[(solid.compute_distances(placed) > config.clearance).all(axis=1)]
+    # The middle of the palm rejects most of the grasps that are not free.
+    for points in (_make_gripper_points()[_PALM_MIDDLE], _make_gripper_points()):
+        placed = points @ grasps[:, :3, :3].swapaxes(1, 2) + grasps[:, None, :3, 3]
+        grasps = grasps[(solid.compute_distances(placed) > config.clearance).all(axis=1)]
     if config.is_varied:
-        free = free[compute_farthest_point_order(free)[: config.n_grasps]]
-    return free[: config.n_grasps].astype(np.float32).astype(np.float64)
+        grasps = grasps[compute_farthest_point_order(grasps)]
+    return grasps[: config.n_grasps].astype(np.float32).astype(np.float64)

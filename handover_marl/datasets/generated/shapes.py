@@ -21,6 +21,9 @@ PartKind = Literal["box", "cone", "superellipsoid"]
 
 _N_CORNER, _N_CIRCLE, _N_ELLIPSE, _N_LATITUDES = 3, 24, 20, 9
 _SMALL = 1e-9
+# Numbers of rays and points that are computed together. Arrays of less than 128 KiB reuse memory; the C library
+# returns larger ones to the system, which takes longer than to compute with them.
+_N_RAYS, _N_POINTS = 64, 8192
 #: Distance (m) of the points between which normals are computed.
 _NORMAL_STEP: Final = 1e-4
 
@@ -117,11 +120,15 @@ class ConvexSurface:
             points: (k, 3) starts of the rays (m).
             directions: (k, 3) unit vectors.
         """
-        slopes = directions @ self.normals.T
-        gaps = self.offsets - points @ self.normals.T
-        lengths = np.where(slopes > _SMALL, gaps / np.maximum(slopes, _SMALL), np.inf)
-        planes = lengths.argmin(axis=1)
-        return lengths[np.arange(len(points)), planes], self.normals[planes]
+        lengths, planes = np.empty(len(points)), np.empty(len(points), dtype=np.int64)
+        for start in range(0, len(points), _N_RAYS):
+            rows = slice(start, start + _N_RAYS)
+            slopes = directions[rows] @ self.normals.T
+            gaps = self.offsets - points[rows] @ self.normals.T
+            exits = np.where(slopes > _SMALL, gaps / np.maximum(slopes, _SMALL), np.inf)
+            planes[rows] = exits.argmin(axis=1)
+            lengths[rows] = exits[np.arange(len(exits)), planes[rows]]
+        return lengths, self.normals[planes]
 
 
 def make_surface(part: Part) -> ConvexSurface:
@@ -214,11 +221,16 @@ class Solid:
 
     def compute_distances(self, points: Array) -> Array:
         """Return signed distances (...) of points (..., 3), negative inside (m)."""
-        columns = (self._flip[0] * points[..., 0], points[..., 1].copy(), points[..., 2].copy())
-        distances = self.parts[0].compute_column_distances(columns)
-        for part in self.parts[1:]:
-            distances = np.minimum(distances, part.compute_column_distances(columns))
-        return distances
+        flat = points.reshape(-1, 3)
+        distances = np.empty(len(flat))
+        for start in range(0, len(flat), _N_POINTS):
+            rows = slice(start, start + _N_POINTS)
+            x, y, z = self._flip[0] * flat[rows, 0], flat[rows, 1].copy(), flat[rows, 2].copy()
+            found = self.parts[0].compute_column_distances((x, y, z))
+            for part in self.parts[1:]:
+                found = np.minimum(found, part.compute_column_distances((x, y, z)))
+            distances[rows] = found
+        return distances.reshape(points.shape[:-1])
 
     def compute_normals(self, points: Array) -> Array:
         """Return outward unit normals (..., 3) at points (..., 3) near the surface."""
