@@ -180,14 +180,15 @@ def _find_free_hands(
     points = palms.transform(templates.get_open_spheres(rows, digits, spheres))
     gaps = solid.compute_distances(points) - templates.radii[digits, spheres]
     kept = np.flatnonzero(gaps.min(axis=1) > -0.5 * config.skin_yield)
-    for (centers, radii), least in (
-        (templates.spheres.palm, -config.skin_yield),
-        (templates.spheres.forearm, config.forearm_clearance),
-    ):
-        kept = kept[_measure_body(solid, palms[kept], centers, radii) > least]
-    points = palms[kept].transform(templates.get_open_hands(rows[kept]))
-    gaps = solid.compute_distances(points) - templates.radii
-    return np.asarray(kept[gaps.min(axis=(1, 2)) > -0.5 * config.skin_yield])
+    palms, rows = palms[kept], rows[kept]
+    bodies = [templates.spheres.palm, templates.spheres.forearm]
+    fixed = [np.broadcast_to(centers, (len(kept), *centers.shape)) for centers, _ in bodies]
+    open_digits = templates.get_open_hands(rows).reshape(len(kept), templates.radii.size, 3)
+    distances = solid.compute_distances(palms.transform(np.concatenate([*fixed, open_digits], axis=1)))
+    radii = [*(radii for _, radii in bodies), templates.radii.ravel()]
+    least = (-config.skin_yield, config.forearm_clearance, -0.5 * config.skin_yield)
+    limits = np.repeat(least, [len(part) for part in radii])
+    return kept[(distances - np.concatenate(radii) > limits).all(axis=1)]
 
 
 def _measure_body(solid: Solid, palms: Palms, centers: Array, radii: Array) -> Array:

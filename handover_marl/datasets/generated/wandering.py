@@ -84,7 +84,8 @@ def add_wandering(
     count = round(config.duration / KEYFRAME_PERIOD) + 1 - len(motion.fingers)
     offsets, vectors = _draw_curve(random, count, config)
     start, start_rotation = motion.object_position[-1], motion.object_rotation[-1]
-    rotation = Rotation.from_rotvec(vectors) * start_rotation
+    turns = Rotation.from_rotvec(vectors).as_quat()
+    rotation = Rotation.from_quat(multiply_quaternions(turns, start_rotation.as_quat()))
     position = start + offsets
     points = np.concatenate([held.corners, held.keypoints[grasp]])
     lowest = position[:, 2] + (rotation.as_matrix()[:, 2] @ points.T).min(axis=1)
@@ -92,12 +93,13 @@ def add_wandering(
     missing = float(np.maximum(0.0, JOINT_CLEARANCE - lowest).max())
     position[:, 2] += missing * minimum_jerk(np.arange(1, count + 1) * KEYFRAME_PERIOD / 0.6)
     object_from_base = start_rotation.inv() * motion.base_rotation[-1]
+    base_rotation = Rotation.from_quat(multiply_quaternions(rotation.as_quat(), object_from_base.as_quat()))
     base_offset = start_rotation.inv().apply(motion.base_position[-1] - start)
     return KeyframeMotion(
         object_position=np.concatenate([motion.object_position, position]),
         object_rotation=Rotation.concatenate([motion.object_rotation, rotation]),
         base_position=np.concatenate([motion.base_position, position + rotation.apply(base_offset)]),
-        base_rotation=Rotation.concatenate([motion.base_rotation, rotation * object_from_base]),
+        base_rotation=Rotation.concatenate([motion.base_rotation, base_rotation]),
         fingers=np.concatenate([motion.fingers, np.repeat(motion.fingers[-1:], count, axis=0)]),
         hand_first=motion.hand_first,
     )

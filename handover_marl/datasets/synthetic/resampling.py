@@ -26,6 +26,8 @@ STRIDE = 40
 # splines, which differ between machines and versions of NumPy. A power of two, since decimal
 # constants in the inputs would give ties.
 _GRID = 2.0**-23
+# Number of intervals that are computed together; larger arrays do not reuse memory.
+_N_INTERVALS = 80
 _UNSURE_STEP = 1e-5  # of the grid
 _SMALLEST_TURN = 1e-300  # rad; avoids a division by zero
 
@@ -124,8 +126,11 @@ def _interpolate_angles(keyframes: Rotation) -> Array:
     angles[-1] = still[-1]
     moving = np.flatnonzero((quaternions[1:] != quaternions[:-1]).any(axis=1))
     between[moving] = _interpolate_intervals(quaternions, moving, moving + 1, moving)
-    has_jumps = (np.abs(angles[1:] - angles[:-1]) >= np.pi).any()
-    return np.unwrap(angles, axis=0) if has_jumps else angles
+    # As `np.unwrap`, but jumps are few.
+    steps = angles[1:] - angles[:-1]
+    for row, column in np.argwhere(np.abs(steps) >= np.pi):
+        angles[row + 1 :, column] -= 2.0 * np.pi * np.rint(steps[row, column] / (2.0 * np.pi))
+    return angles
 
 
 def _interpolate_intervals(
@@ -141,6 +146,17 @@ def _interpolate_intervals(
         ends: (k,) indices of the second rotations.
         intervals: (k,) numbers of the keyframes at which the intervals begin.
     """
+    angles = np.empty((len(starts), STRIDE, 3))
+    for start in range(0, len(starts), _N_INTERVALS):
+        rows = slice(start, start + _N_INTERVALS)
+        angles[rows] = _interpolate_block(quaternions, starts[rows], ends[rows], intervals[rows])
+    return angles
+
+
+def _interpolate_block(
+    quaternions: Array, starts: npt.NDArray[np.int64], ends: npt.NDArray[np.int64], intervals: npt.NDArray[np.int64]
+) -> Array:
+    """Return the Euler angles of a few intervals, see `_interpolate_intervals`."""
     first = quaternions[starts]
     conjugates = first * [-1.0, -1.0, -1.0, 1.0]
     vectors = Rotation.from_quat(multiply_quaternions(conjugates, quaternions[ends])).as_rotvec()
@@ -170,9 +186,12 @@ def _euler_from_columns(x: Array, y: Array, z: Array, w: Array) -> Array:
     a, b, c, d = w - y, z - x, w + y, -x - z
     half_sum, half_difference = np.arctan2(b, a), np.arctan2(d, c)
     angles = np.empty((*x.shape, 3))
-    angles[..., 0] = -(half_sum + half_difference)
+    angles[..., 0] = -_wrap(half_sum + half_difference)
     angles[..., 1] = 2.0 * np.arctan2(np.sqrt(c * c + d * d), np.sqrt(a * a + b * b)) - 0.5 * np.pi
-    angles[..., 2] = half_sum - half_difference
-    angles[angles > np.pi] -= 2.0 * np.pi
-    angles[angles < -np.pi] += 2.0 * np.pi
+    angles[..., 2] = _wrap(half_sum - half_difference)
     return angles
+
+
+def _wrap(angles: Array) -> Array:
+    """Return angles (rad) in the range from -pi to pi."""
+    return np.asarray(angles - 2.0 * np.pi * np.rint(angles / (2.0 * np.pi)))
