@@ -6,6 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from handover_marl.geometry.poses import (
     compose,
+    compute_cross_products,
     compute_rotation_angle,
     inverse_transform_points,
     invert_pose,
@@ -76,3 +77,13 @@ def test_broadcasting_and_dtype() -> None:
     mixed = compose(poses[0], np.array([1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 1.0]))
     assert mixed.dtype == np.float64
     np.testing.assert_array_equal(mixed[:3], [1.0, 2.0, 3.0])
+
+
+@given(
+    arrays(np.float64, (4, 3), elements=st.floats(-1e3, 1e3)),
+    arrays(np.float32, (3,), elements=st.floats(-9, 9, width=32)),
+)
+def test_cross_products_equal_numpy(first: np.ndarray, second: np.ndarray) -> None:
+    for left, right in ((first, second), (second, second[::-1]), (first[0], first)):
+        found = compute_cross_products(left, right)
+        np.testing.assert_array_equal(found, np.cross(left, right), strict=True)

@@ -158,7 +158,7 @@ def _sample_open_hands(
     grip = openings.center[rows] + np.column_stack([depth, 0.35 * depth, np.zeros_like(depth)])
     middle = 0.5 * (thumb_side + finger_side)[fits] + 0.004 * noise[:, 3:]
     palms = Palms(middle - np.einsum("nij,nj->ni", rotation, grip), rotation)
-    free = _find_free_hands(solid, templates, palms, rows, config)
+    free = find_free_hands(solid, templates, palms, rows, config)
     return palms[free], rows[free]
 
 
@@ -171,9 +171,7 @@ def _find_lowest_points(templates: HandTemplates, palms: Palms, rows: Ints, dire
     return np.asarray((palms.transform(centers) @ directions.T).min(axis=1))
 
 
-def _find_free_hands(
-    solid: Solid, templates: HandTemplates, palms: Palms, rows: Ints, config: HumanGraspConfig
-) -> Ints:
+def find_free_hands(solid: Solid, templates: HandTemplates, palms: Palms, rows: Ints, config: HumanGraspConfig) -> Ints:
     """Return the indices of the open hands that are outside of the object."""
     # A few spheres of thumb and index finger reject five of six hands.
     digits, spheres = _PROBED_SPHERES

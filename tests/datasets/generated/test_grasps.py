@@ -1,13 +1,17 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from handover_marl.assets.anthropometry import SUBJECT_SIZES
 from handover_marl.assets.hand_model import Side, scale_hand
+from handover_marl.assets.hand_postures import Palms
 from handover_marl.datasets.generated.config import OBJECT_KINDS
-from handover_marl.datasets.generated.human_grasps import draw_human_grasps
+from handover_marl.datasets.generated.hands import make_hand_templates
+from handover_marl.datasets.generated.human_grasps import HumanGraspConfig, draw_human_grasps, find_free_hands
 from handover_marl.datasets.generated.objects import ProceduralObject, draw_object
 from handover_marl.datasets.generated.robot_grasps import SKETCH, draw_robot_grasps
-from handover_marl.datasets.generated.shapes import Solid
+from handover_marl.datasets.generated.shapes import Part, Solid
 from handover_marl.datasets.synthetic.random_stream import RandomStream
 
 
@@ -65,3 +69,26 @@ def test_robot_grasps_span_the_object(kind: str) -> None:
         pads = middle + sign * grasps[:, None, :3, 0]
         assert (solid.compute_distances(pads) > 0.0).all()
     assert len(draw_robot_grasps(RandomStream(5), solid, SKETCH)) <= SKETCH.n_grasps
+
+
+def test_digits_in_closed_form_equal_forward_kinematics() -> None:
+    size, rng = SUBJECT_SIZES[3], np.random.default_rng(0)
+    templates = make_hand_templates(size)
+    posture, rows = templates.openings.posture, np.arange(len(templates.openings))
+    bends = rng.uniform(0.0, 1.5, (len(rows), 2, 5, 3))
+    placed = templates.digits[rows].place(bends)
+    for step in range(2):
+        angles = replace(posture, bends=bends[:, step]).compute_joint_angles()
+        exact = templates.spheres.place_phalanges(angles)[0].reshape(len(rows), 5, 9, 3)
+        np.testing.assert_allclose(placed[:, step], exact, atol=1e-12)
+    np.testing.assert_allclose(templates.path, templates.digits.place(templates.bends), atol=1e-7)
+
+
+def test_hands_without_a_free_posture() -> None:
+    """A body around every hand: no posture is free, and none is an error."""
+    body = Solid((Part("box", (1.0, 1.0, 1.0), "red"),))
+    templates, rows = make_hand_templates(SUBJECT_SIZES[3]), np.arange(5)
+    palms = Palms(np.zeros((5, 3)), np.tile(np.eye(3), (5, 1, 1)))
+    assert len(find_free_hands(body, templates, palms, rows, HumanGraspConfig())) == 0
+    far = Palms(np.full((5, 3), 5.0), palms.rotation)
+    assert find_free_hands(body, templates, far, rows, HumanGraspConfig()).tolist() == [0, 1, 2, 3, 4]
