@@ -307,4 +307,4 @@ def _sample_hand_rotation(random: RandomStream, side: str) -> Array:
     if side == "left":
         mirror = np.array([-1.0, 1.0, 1.0])
         along, back = fingers * mirror, back * mirror
-    return np.array([along, back, compute_cross_products(along, back)]).T
+    return np.asarray(np.array([along, back, compute_cross_products(along, back)]).T)
