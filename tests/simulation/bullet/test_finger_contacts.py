@@ -24,7 +24,7 @@ class ContactComparison(EpisodeCallback):
             return
         touching = [point for point in client.getContactPoints(panda.id) if point[9] > 0.0]
         for points, link in zip(found, panda.finger_links, strict=True):
-            expected = [point[5] for point in client.getContactPoints(panda.id) if point[3] == link and point[9] > 0.0]
+            expected = [point[5] for point in touching if point[3] == link]
             assert points.dtype == np.float32
             assert points.shape == (len(expected), 3)
             if expected:
