@@ -45,10 +45,10 @@ def add_object(
         workers: Number of worker processes; default: one per core.
         progress: Show progress bars on stderr.
     """
-    from handover_marl.assets.building.own_scenes import MeshConfig, OwnScenes
+    from handover_marl.assets.building.custom_scenes import CustomSceneFolder, MeshConfig
 
     config = MeshConfig(unit, scale, mass, density, friction, color, concavity)
-    item = OwnScenes(folder).add_object(
+    item = CustomSceneFolder(folder).add_object(
         name, mesh, config, grasps=grasps, seed=seed, workers=workers, progress=progress
     )
     print_result(str(item))
@@ -89,11 +89,11 @@ def add_motion(
         fingers: Form of finger angles in the file: intrinsic XYZ Euler angles or rotation vectors.
         max_gap: Largest gap (s) that is filled by interpolation.
     """
-    from handover_marl.assets.building.own_scenes import MotionConfig, OwnScenes
+    from handover_marl.assets.building.custom_scenes import CustomSceneFolder, MotionConfig
 
     chosen = frame if frame in ("world", "table") else _parse_numbers("frame", frame)
     config = MotionConfig(chosen, length, time, quaternion, fingers, max_gap)
-    scene = OwnScenes(folder).add_motion(
+    scene = CustomSceneFolder(folder).add_motion(
         motion,
         object,
         subject,
@@ -125,9 +125,9 @@ def add_split(
         test: Share of the test split, or names.
         seed: Random seed.
     """
-    from handover_marl.assets.building.own_scenes import OwnScenes
+    from handover_marl.assets.building.custom_scenes import CustomSceneFolder
 
-    setup = OwnScenes(folder).add_split(name, by, val=_parse_share(val), test=_parse_share(test), seed=seed)
+    setup = CustomSceneFolder(folder).add_split(name, by, val=_parse_share(val), test=_parse_share(test), seed=seed)
     print_result(f"{name}: " + ", ".join(f"{split} {len(numbers)} scenes" for split, numbers in setup.items()))
 
 
@@ -137,9 +137,9 @@ def check(folder: _Folder, /) -> None:
     Args:
         folder: Folder of custom scenes.
     """
-    from handover_marl.assets.building.own_scenes import OwnScenes
+    from handover_marl.assets.building.custom_scenes import CustomSceneFolder
 
-    dataset = OwnScenes(folder).check()
+    dataset = CustomSceneFolder(folder).check()
     print_result(f"{dataset.content}\nNo faults. Use it: --dataset own:{dataset.folder}")
 
 

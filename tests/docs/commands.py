@@ -29,7 +29,7 @@ TARGETS = (
     "handover_marl.evaluation.reports.report_files.evaluate",
     "handover_marl.evaluation.benchmark.benchmark",
     "handover_marl.evaluation.benchmark.evaluate_pair",
-    "handover_marl.assets.building.own_scenes.OwnScenes",
+    "handover_marl.assets.building.custom_scenes.CustomSceneFolder",
     "handover_marl.datasets.dexycb.importer.import_dexycb",
     "handover_marl.evaluation.demonstrations.record.demonstrate",
     "handover_marl.datasets.folder_check.examine_data_folder",

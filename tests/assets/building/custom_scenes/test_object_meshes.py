@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from handover_marl.assets.building.own_scenes import MeshConfig, OwnScenes
-from handover_marl.assets.building.own_scenes.object_meshes import make_object_mesh
+from handover_marl.assets.building.custom_scenes import CustomSceneFolder, MeshConfig
+from handover_marl.assets.building.custom_scenes.object_meshes import make_object_mesh
 from handover_marl.errors import DataFormatError, DataNotFoundError, HandoverError
-from tests.own_scenes import make_box
+from tests.custom_scenes import make_box
 
 ROUGH = {"concavity": 1.0}
 
@@ -85,7 +85,7 @@ REPAIRED: dict[str, tuple[Callable[[], trimesh.Trimesh], str]] = {
 def test_damaged_meshes_are_refused(kind: str, tmp_path: Path) -> None:
     make, message = DAMAGED[kind]
     with pytest.raises(DataFormatError, match=message):
-        OwnScenes(tmp_path / "new").add_object("thing", make(), MeshConfig(**ROUGH), grasps=0, progress=False)
+        CustomSceneFolder(tmp_path / "new").add_object("thing", make(), MeshConfig(**ROUGH), grasps=0, progress=False)
     assert not list(tmp_path.iterdir())
 
 
@@ -184,12 +184,14 @@ def test_wrong_options(options: dict[str, Any]) -> None:
 @pytest.mark.parametrize("name", ["025_mug", "a/b", "", "../x", "x" * 65, ".x", "ä", 3, None])
 def test_wrong_names(name: Any, tmp_path: Path) -> None:
     with pytest.raises(HandoverError, match="name must"):
-        OwnScenes(tmp_path / "new").add_object(name, make_box(), grasps=0, progress=False)
+        CustomSceneFolder(tmp_path / "new").add_object(name, make_box(), grasps=0, progress=False)
     assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("grasps", [-1, 1.5, True, 10_000])
 def test_wrong_numbers_of_grasps_leave_nothing_behind(grasps: Any, tmp_path: Path) -> None:
     with pytest.raises(HandoverError, match="grasps must be an integer"):
-        OwnScenes(tmp_path / "new").add_object("box", make_box(), MeshConfig(**ROUGH), grasps=grasps, progress=False)
+        CustomSceneFolder(tmp_path / "new").add_object(
+            "box", make_box(), MeshConfig(**ROUGH), grasps=grasps, progress=False
+        )
     assert not list(tmp_path.iterdir())

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
-from handover_marl.assets.building.own_scenes.motion_tables import OBJECT, MotionTable, interpolate_rotations
+from handover_marl.assets.building.custom_scenes.motion_tables import OBJECT, MotionTable, interpolate_rotations
 from handover_marl.assets.hand_model import HandGeometry
 from handover_marl.config import HAND_DOF, TIME_STEP
 from handover_marl.datasets.synthetic.resampling import round_to_grid

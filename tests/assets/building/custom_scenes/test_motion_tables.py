@@ -9,13 +9,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from handover_marl.assets.building.own_scenes.motion_tables import MotionConfig, read_motion_table
-from handover_marl.assets.building.own_scenes.trajectories import make_trajectory
+from handover_marl.assets.building.custom_scenes.motion_tables import MotionConfig, read_motion_table
+from handover_marl.assets.building.custom_scenes.trajectories import make_trajectory
 from handover_marl.assets.hand_model import make_hand_geometry
 from handover_marl.config import TABLE_HEIGHT
 from handover_marl.errors import DataFormatError, DataNotFoundError, HandoverError
 from handover_marl.geometry.poses import compose, invert_pose
-from tests.own_scenes import make_recording, write_csv
+from tests.custom_scenes import make_recording, write_csv
 
 NO = slice(0, 0)
 

@@ -5,7 +5,7 @@ from collections.abc import Iterable
 import numpy as np
 import trimesh
 
-from handover_marl.assets.building.own_scenes.motion_tables import OBJECT, MotionTable
+from handover_marl.assets.building.custom_scenes.motion_tables import OBJECT, MotionTable
 from handover_marl.config import OFFICIAL_CONFIG, TABLE_HEIGHT
 from handover_marl.datasets.custom.scene_file import ALL_SCENES, SceneFile, check_file_name
 from handover_marl.datasets.splits import SETUPS, SPLITS
@@ -21,7 +21,7 @@ _MAX_SINK = 0.03  # m below the table's surface
 def split_scenes(
     content: SceneFile, name: str, by: str, val: Iterable[str] | float, test: Iterable[str] | float, seed: int
 ) -> dict[str, tuple[int, ...]]:
-    """Return the scene numbers of each split; see `OwnScenes.add_split` for arguments and errors."""
+    """Return the scene numbers of each split; see `CustomSceneFolder.add_split` for arguments and errors."""
     try:
         check_file_name(name)
     except ValueError as error:

@@ -9,6 +9,7 @@ import numpy.typing as npt
 import trimesh
 from scipy.spatial.transform import Rotation
 
+from handover_marl.assets.building.custom_scenes.motion_tables import OBJECT, MotionTable
 from handover_marl.assets.building.human_grasps_candidates import (
     GraspTarget,
     make_grasp_target,
@@ -20,7 +21,6 @@ from handover_marl.assets.building.human_grasps_closing import (
     compute_body_clearance,
     compute_clearances,
 )
-from handover_marl.assets.building.own_scenes.motion_tables import OBJECT, MotionTable
 from handover_marl.assets.hand_model import Side, make_hand_geometry
 from handover_marl.assets.hand_postures import Palms, Posture
 from handover_marl.assets.hand_spheres import HandSpheres

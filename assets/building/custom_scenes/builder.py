@@ -1,4 +1,4 @@
-"""Builder of a folder of custom scenes."""
+"""Folder of custom scenes to which objects, motions and splits can be added."""
 
 import contextlib
 import os
@@ -13,18 +13,18 @@ import numpy.typing as npt
 import trimesh
 from rich.console import Console
 
-from handover_marl.assets.building.object_files import merge_meshes, read_parts
-from handover_marl.assets.building.own_scenes.finger_closing import close_hand
-from handover_marl.assets.building.own_scenes.motion_tables import (
+from handover_marl.assets.building.custom_scenes.finger_closing import close_hand
+from handover_marl.assets.building.custom_scenes.motion_tables import (
     OBJECT,
     MotionConfig,
     MotionTable,
     read_motion_table,
 )
-from handover_marl.assets.building.own_scenes.object_meshes import MeshConfig, make_object_mesh, write_object
-from handover_marl.assets.building.own_scenes.robot_grasps import make_robot_grasps
-from handover_marl.assets.building.own_scenes.splits import check_placement, split_scenes
-from handover_marl.assets.building.own_scenes.trajectories import make_trajectory
+from handover_marl.assets.building.custom_scenes.object_meshes import MeshConfig, make_object_mesh, write_object
+from handover_marl.assets.building.custom_scenes.robot_grasps import make_robot_grasps
+from handover_marl.assets.building.custom_scenes.splits import check_placement, split_scenes
+from handover_marl.assets.building.custom_scenes.trajectories import make_trajectory
+from handover_marl.assets.building.object_files import merge_meshes, read_parts
 from handover_marl.assets.hand_model import SUBJECTS, Side, make_hand_geometry
 from handover_marl.assets.object_models import URDF_NAME, VISUAL_NAME
 from handover_marl.config import MAX_OBJECTS
@@ -53,8 +53,8 @@ from handover_marl.geometry.ycb import CLASS_NAMES, LARGEST_YCB_CLASS
 DEFAULT_HAND = 6
 
 
-class OwnScenes:
-    """Builder of a folder of custom scenes, created if it does not exist.
+class CustomSceneFolder:
+    """Folder of custom scenes, created if it does not exist; its methods add objects, motions and splits.
 
     Every method checks its arguments first and writes the folder last, so that an error leaves it unchanged.
 
@@ -174,7 +174,7 @@ class OwnScenes:
 
         Args:
             motion: CSV or NPZ file of poses, or arrays with the names of an NPZ file; see
-                `handover_marl.assets.building.own_scenes.motion_tables`.
+                `handover_marl.assets.building.custom_scenes.motion_tables`.
             object_name: Class of the object that is handed over: a class of the folder or a YCB class.
             subject: Name of the person, for splits.
             config: Frames and units.

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import handover_marl
-from handover_marl.assets.building.own_scenes import MeshConfig, MotionConfig, OwnScenes
-from handover_marl.assets.building.own_scenes.finger_closing import find_hand_grasp
+from handover_marl.assets.building.custom_scenes import CustomSceneFolder, MeshConfig, MotionConfig
+from handover_marl.assets.building.custom_scenes.finger_closing import find_hand_grasp
 from handover_marl.assets.hand_model import make_hand_geometry
 from handover_marl.config import TABLE_HEIGHT
 from handover_marl.datasets import open_dataset
@@ -17,7 +17,7 @@ from handover_marl.datasets.custom import CustomDataset
 from handover_marl.errors import DataFormatError, HandoverError, OptionError, ResultsError, SceneError, UnknownNameError
 from handover_marl.evaluation.verification.verify import verify
 from handover_marl.simulation.engines import PHYSICS
-from tests.own_scenes import WRIST_IN_OBJECT, WRIST_ROTATION, make_box, make_recording, write_csv
+from tests.custom_scenes import WRIST_IN_OBJECT, WRIST_ROTATION, make_box, make_recording, write_csv
 
 MUG = (0.3, 0.3, TABLE_HEIGHT + 0.05, 0.0, 0.0, 0.0, 1.0)
 
@@ -39,9 +39,9 @@ def mirror(recording: dict[str, Any]) -> dict[str, Any]:
 
 
 @pytest.fixture(scope="module")
-def scenes(tmp_path_factory: pytest.TempPathFactory) -> OwnScenes:
+def scenes(tmp_path_factory: pytest.TempPathFactory) -> CustomSceneFolder:
     """A box that is handed over with the right hand beside a mug, with the left hand, and without a hand."""
-    builder = OwnScenes(tmp_path_factory.mktemp("own") / "boxes")
+    builder = CustomSceneFolder(tmp_path_factory.mktemp("own") / "boxes")
     builder.add_object("box", make_box(), MeshConfig(mass=0.2, concavity=1.0), grasps=8, workers=1, progress=False)
     recording = make_recording()
     mug = np.tile(MUG, (len(recording["time"]), 1))
@@ -56,7 +56,7 @@ def list_files(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
 
 
-def test_content_of_the_folder(scenes: OwnScenes) -> None:
+def test_content_of_the_folder(scenes: CustomSceneFolder) -> None:
     dataset = scenes.check()
     assert (dataset.name, dataset.n_scenes, dataset.setups) == ("own:boxes", 3, ("all",))
     assert dataset.object_names[22] == "box"
@@ -76,7 +76,7 @@ def test_content_of_the_folder(scenes: OwnScenes) -> None:
         dataset.load_info(3)
 
 
-def test_motion_of_the_scenes(scenes: OwnScenes) -> None:
+def test_motion_of_the_scenes(scenes: CustomSceneFolder) -> None:
     recording = make_recording()
     scene = scenes.check().load_scene(0)
     assert scene.n_frames == 3001
@@ -88,7 +88,7 @@ def test_motion_of_the_scenes(scenes: OwnScenes) -> None:
     np.testing.assert_allclose(wrists, recording["wrist"][::60, :3], atol=0.025)
 
 
-def test_a_hand_closes_on_the_object(scenes: OwnScenes) -> None:
+def test_a_hand_closes_on_the_object(scenes: CustomSceneFolder) -> None:
     scene = scenes.check().load_scene(0)
     start, end = scene.hand_dof[0, 6:], scene.hand_dof[-1, 6:]
     assert np.abs(end - start).max() > 0.1
@@ -110,7 +110,7 @@ def test_left_hands_are_mirrored_right_hands() -> None:
     np.testing.assert_allclose(left.shift, right.shift * [-1.0, 1.0, 1.0], atol=1e-9)
 
 
-def test_scenes_without_a_hand(scenes: OwnScenes) -> None:
+def test_scenes_without_a_hand(scenes: CustomSceneFolder) -> None:
     scene = scenes.check().load_scene(2)
     assert scene.hand_first is scene.hand_last is None
     assert not scene.hand_dof.any()
@@ -118,7 +118,7 @@ def test_scenes_without_a_hand(scenes: OwnScenes) -> None:
 
 @pytest.mark.parametrize("physics", PHYSICS)
 @pytest.mark.parametrize("scene_id", range(3))
-def test_every_kind_of_physics(scenes: OwnScenes, physics: str, scene_id: int) -> None:
+def test_every_kind_of_physics(scenes: CustomSceneFolder, physics: str, scene_id: int) -> None:
     env = handover_marl.parallel_env(dataset=scenes.dataset, physics=physics, control_period=0.05)
     observations, _ = env.reset(options={"scene_id": scene_id})
     assert observations["receiver"]["hand_present"][0] == (scene_id < 2)
@@ -131,7 +131,7 @@ def test_every_kind_of_physics(scenes: OwnScenes, physics: str, scene_id: int) -
     env.close()
 
 
-def test_results_of_own_scenes(scenes: OwnScenes, tmp_path: Path) -> None:
+def test_results_of_custom_scenes(scenes: CustomSceneFolder, tmp_path: Path) -> None:
     report = handover_marl.evaluate_pair(
         receiver="yang2021", dataset=scenes.dataset, physics="fast", workers=1, out=tmp_path / "out", progress=False
     )
@@ -145,7 +145,7 @@ def test_results_of_own_scenes(scenes: OwnScenes, tmp_path: Path) -> None:
         verify(tmp_path / "out", workers=1, progress=False)
 
 
-def test_demonstrations_of_own_scenes(scenes: OwnScenes, tmp_path: Path) -> None:
+def test_demonstrations_of_custom_scenes(scenes: CustomSceneFolder, tmp_path: Path) -> None:
     data = handover_marl.demonstrate(
         receiver="hold", dataset=scenes.dataset, scenes=[2], physics="fast", workers=1, out=tmp_path, progress=False
     )
@@ -155,7 +155,7 @@ def test_demonstrations_of_own_scenes(scenes: OwnScenes, tmp_path: Path) -> None
     assert "own:boxes all train" in card
 
 
-def test_names_of_own_data_sets(scenes: OwnScenes, tmp_path: Path) -> None:
+def test_names_of_own_data_sets(scenes: CustomSceneFolder, tmp_path: Path) -> None:
     assert isinstance(open_dataset(scenes.dataset), CustomDataset)
     assert open_dataset("own:boxes", scenes.folder).name == "own:boxes"
     with pytest.raises(OptionError, match=r"data_dir must hold the scenes 'cups', got .* with 'boxes'"):
@@ -217,7 +217,7 @@ FAULTS: dict[str, tuple[Any, dict[str, Any], str]] = {
 
 
 @pytest.mark.parametrize("kind", FAULTS)
-def test_wrong_motions_change_nothing(kind: str, scenes: OwnScenes) -> None:
+def test_wrong_motions_change_nothing(kind: str, scenes: CustomSceneFolder) -> None:
     make, options, message = FAULTS[kind]
     before = list_files(scenes.folder)
     arguments = {"object_name": "box", "subject": "anna", **options}
@@ -227,7 +227,7 @@ def test_wrong_motions_change_nothing(kind: str, scenes: OwnScenes) -> None:
     assert not [path for path in scenes.folder.iterdir() if path.name.startswith(".new")]
 
 
-def test_splits(scenes: OwnScenes) -> None:
+def test_splits(scenes: CustomSceneFolder) -> None:
     setup = scenes.add_split("people", "person", val=["ben"], test=0.0)
     assert setup == {"train": (0, 2), "val": (1,), "test": ()}
     assert scenes.check().setups == ("all", "people")
@@ -255,12 +255,12 @@ def test_splits(scenes: OwnScenes) -> None:
         ("a", {"by": "random", "val": -0.1}, "share from 0 to 1"),
     ],
 )
-def test_wrong_splits(scenes: OwnScenes, name: str, options: dict[str, Any], message: str) -> None:
+def test_wrong_splits(scenes: CustomSceneFolder, name: str, options: dict[str, Any], message: str) -> None:
     with pytest.raises(HandoverError, match=message):
         scenes.add_split(name, **options)
 
 
-def test_objects_are_added_once(scenes: OwnScenes) -> None:
+def test_objects_are_added_once(scenes: CustomSceneFolder) -> None:
     with pytest.raises(OptionError, match="name must be new, got 'box'"):
         scenes.add_object("box", make_box(), grasps=0)
 
@@ -269,32 +269,32 @@ def test_grasps_do_not_depend_on_the_number_of_workers(tmp_path: Path) -> None:
     folders = [tmp_path / str(workers) / "boxes" for workers in (1, 2)]
     for workers, folder in enumerate(folders, start=1):
         config = MeshConfig(concavity=1.0)
-        OwnScenes(folder).add_object("box", make_box(), config, grasps=3, workers=workers, progress=False)
+        CustomSceneFolder(folder).add_object("box", make_box(), config, grasps=3, workers=workers, progress=False)
     assert list_files(folders[0]) == list_files(folders[1])
 
 
 def test_folders_with_other_files(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").touch()
     with pytest.raises(ResultsError, match="is not empty"):
-        OwnScenes(tmp_path)
+        CustomSceneFolder(tmp_path)
     with pytest.raises(OptionError, match="name must be"):
-        OwnScenes(tmp_path / "a b")
+        CustomSceneFolder(tmp_path / "a b")
 
 
-def test_damaged_files_are_named(scenes: OwnScenes, tmp_path: Path) -> None:
+def test_damaged_files_are_named(scenes: CustomSceneFolder, tmp_path: Path) -> None:
     import shutil
 
     folder = tmp_path / "copy"
     shutil.copytree(scenes.folder, folder)
     (folder / "motion" / "000001.npz").write_bytes(b"PK")
     with pytest.raises(DataFormatError, match=r"000001\.npz: not a readable motion"):
-        OwnScenes(folder).check()
+        CustomSceneFolder(folder).check()
     (folder / "motion" / "000001.npz").unlink()
     with pytest.raises(HandoverError, match=r"000001\.npz is missing"):
-        OwnScenes(folder).check()
+        CustomSceneFolder(folder).check()
 
 
-def test_fingerprints_change_with_the_files(scenes: OwnScenes, tmp_path: Path) -> None:
+def test_fingerprints_change_with_the_files(scenes: CustomSceneFolder, tmp_path: Path) -> None:
     import shutil
 
     folder = tmp_path / "copy"
@@ -306,9 +306,9 @@ def test_fingerprints_change_with_the_files(scenes: OwnScenes, tmp_path: Path) -
     assert CustomDataset(folder).compute_fingerprint(0) != before
 
 
-def test_configuration_of_the_frame(scenes: OwnScenes) -> None:
+def test_configuration_of_the_frame(scenes: CustomSceneFolder) -> None:
     """A pose of the recording's frame is applied to all bodies."""
-    builder = OwnScenes(scenes.folder)
+    builder = CustomSceneFolder(scenes.folder)
     builder.add_motion(table_frame(), "box", "carl", MotionConfig(frame="table"), recording="table")
     dataset = CustomDataset(scenes.folder)
     first, last = dataset.load_scene(0), dataset.load_scene(dataset.n_scenes - 1)
