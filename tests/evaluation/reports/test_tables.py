@@ -233,3 +233,13 @@ def test_numbers_of_the_fluency_table_have_three_digits() -> None:
         for index, value in enumerate((0.5, 1500.25))
     ]
     assert ["gripper jerk m/s^3", "750", "0 to 1500", 2] in build_fluency_table(both).rows
+
+
+@pytest.mark.parametrize("n_keys", [1, 2])
+def test_tables_are_split_only_if_they_do_not_fit(n_keys: int) -> None:
+    header, rows = ["first key", "second", "value", "other"], [["a", "bbbbbbbbbb", "1", "22222222"]]
+    width = len(format_table(header, rows, n_keys).splitlines()[0])
+    assert "\n\n" not in format_table(header, rows, n_keys, max_width=width)
+    parts = format_table(header, rows, n_keys, max_width=width - 1).split("\n\n")
+    assert len(parts) == 2
+    assert max(len(line) for part in parts for line in part.splitlines()) < width
