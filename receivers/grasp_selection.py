@@ -43,7 +43,7 @@ class GraspSelectionBatch:
         """Select a grasp of the object to hand over in episodes.
 
         Args:
-            rows: Numbers (r,) of the episodes.
+            rows: Indices (r,) of the episodes.
             observation: Arrays (r, ...) of their observations.
 
         Returns:

@@ -26,8 +26,9 @@ _GIVER_KEYS = ("replay_wrist_poses", "replay_object_poses", "deviation", "holdin
 class EpisodeBatch:
     """Simulator of n handover episodes, which are advanced together.
 
-    An episode equals that of `handover_marl.episode.episode.Episode` and does not depend on the
-    other episodes. Methods take the numbers `rows` (r,) of the episodes that they concern.
+    An episode equals an episode of `handover_marl.episode.episode.Episode` and does not depend on the
+    other episodes. The argument `rows` (r,) of methods has the indices of the episodes to which a method
+    applies.
 
     Args:
         config: Simulated world, protocol and limits of the givers.
@@ -63,7 +64,7 @@ class EpisodeBatch:
         """Start an episode of a scene.
 
         Args:
-            row: Number of the episode.
+            row: Index of the episode.
             scene: Scene of the episode.
 
         Raises:
@@ -86,7 +87,7 @@ class EpisodeBatch:
         """Simulate up to `steps` physics steps with constant actions, or to each episode's end.
 
         Args:
-            rows: Numbers (r,) of running episodes.
+            rows: Indices (r,) of running episodes.
             robot_targets: (r, 9) target joint positions, 7 arm (rad) and 2 fingers (m).
             steps: Number of physics steps (1 ms).
             giver_actions: (r, 8) deviations from the recordings.

@@ -29,7 +29,7 @@ class PlannedMotion:
     """Planned motion of r givers in k physics steps.
 
     Attributes:
-        rows: Numbers (r,) of the givers.
+        rows: Indices (r,) of the givers.
         references: Reference motion of each giver.
         clocks: Playback times (r, k) after each step (frames).
         frames: Frames (r, k) of the recordings.
@@ -84,7 +84,7 @@ class GiverMotionBatch:
         """Start to play a scene, and return its first frame as a reference motion of one row.
 
         Args:
-            row: Number of the giver.
+            row: Index of the giver.
             scene: Scene to play.
         """
         self._scenes[row] = scene
@@ -111,7 +111,7 @@ class GiverMotionBatch:
         """Return the motion of r givers in the next physics steps, without advancing the playback.
 
         Args:
-            rows: Numbers (r,) of the givers.
+            rows: Indices (r,) of the givers.
             steps: Number of physics steps k.
             actions: (r, 8) actions.
             released: Whether each object has been released, so that it does not follow the hand, (r,).

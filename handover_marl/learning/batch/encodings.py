@@ -1,10 +1,10 @@
-"""Batches of features and action schemes by name; own ones are called episode by episode."""
+"""Creation of batches of features and action schemes; user-defined ones are called episode by episode."""
 
 from collections.abc import Callable
 from typing import Any
 
 from handover_marl.learning.action_scheme import ActionScheme
-from handover_marl.learning.batch.features import FEATURE_BATCHES, FeatureBatch, FeatureRows
+from handover_marl.learning.batch.features import FEATURE_BATCHES, FeatureBatch, SequentialFeatureBatch
 from handover_marl.learning.batch.giver_schemes import DeviationBatch, HandoverPoseBatch
 from handover_marl.learning.batch.receiver_schemes import (
     CartesianDeltaBatch,
@@ -12,7 +12,7 @@ from handover_marl.learning.batch.receiver_schemes import (
     JointDeltaBatch,
     JointPositionBatch,
 )
-from handover_marl.learning.batch.schemes import RawSchemeBatch, SchemeBatch, SchemeRows
+from handover_marl.learning.batch.schemes import RawSchemeBatch, SchemeBatch, SequentialSchemeBatch
 from handover_marl.learning.encodings.custom_features import FeaturesLike
 from handover_marl.learning.encodings.custom_schemes import SchemeLike
 from handover_marl.learning.features import make_features
@@ -43,7 +43,7 @@ _SCHEME_BATCHES: dict[type[ActionScheme], Callable[[Any, GraspSelectionBatch, in
 def make_feature_batch(
     agent: str, choice: FeaturesLike, context: PolicyContext, selection: GraspSelectionBatch, count: int
 ) -> FeatureBatch:
-    """Make an agent's features in n episodes: on arrays for built-in features, else one for each episode.
+    """Make an agent's features for n episodes: built-in features work on arrays, others episode by episode.
 
     Args:
         agent: "giver" or "receiver".
@@ -55,13 +55,13 @@ def make_feature_batch(
     known = FEATURE_BATCHES[agent].get(choice) if isinstance(choice, str) else None
     if known is not None:
         return known(context, selection)
-    return FeatureRows([make_features(agent, choice, context, trust=True) for _ in range(count)])
+    return SequentialFeatureBatch([make_features(agent, choice, context, trust=True) for _ in range(count)])
 
 
 def make_scheme_batch(
     agent: str, choice: SchemeLike, context: PolicyContext, selection: GraspSelectionBatch, count: int
 ) -> SchemeBatch:
-    """Make an agent's action scheme in n episodes: on arrays for a built-in one, else one for each episode.
+    """Make an agent's action scheme for n episodes: built-in schemes work on arrays, others episode by episode.
 
     Args:
         agent: "giver" or "receiver".
@@ -74,4 +74,4 @@ def make_scheme_batch(
     batch = _SCHEME_BATCHES.get(type(first))
     if batch is not None:
         return batch(first, selection, count)
-    return SchemeRows([first, *(make_scheme(agent, choice, context, trust=True) for _ in range(count - 1))])
+    return SequentialSchemeBatch([first, *(make_scheme(agent, choice, context, trust=True) for _ in range(count - 1))])

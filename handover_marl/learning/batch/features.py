@@ -32,10 +32,10 @@ class FeatureBatch(ABC):
     """Function from observations of r episodes to feature vectors."""
 
     def reset(self, row: int) -> None:  # noqa: B027
-        """Clear what is stored of the previous episode.
+        """Clear the values that are stored from the previous episode.
 
         Args:
-            row: Number of the episode.
+            row: Index of the episode.
         """
 
     @abstractmethod
@@ -43,7 +43,7 @@ class FeatureBatch(ABC):
         """Return the feature vectors (r, m).
 
         Args:
-            rows: Numbers (r,) of the episodes.
+            rows: Indices (r,) of the episodes.
             observation: Arrays (r, ...) of their observations.
         """
 
@@ -64,17 +64,17 @@ def compute_handover_frames(observation: Observation) -> tuple[Array, Array]:
     return origins, axes
 
 
-def rotate_into(axes: Array, vectors: Array) -> Array:
-    """Return vectors (r, ..., 3) in frames whose axes are the columns of matrices (r, 3, 3)."""
+def rotate_to_frame(axes: Array, vectors: Array) -> Array:
+    """Transform vectors (r, ..., 3) from the world to frames whose axes are the columns of (r, 3, 3)."""
     matrix = axes.reshape(len(axes), *[1] * (vectors.ndim - 2), 3, 3)
     parts = [vectors[..., axis, None] * matrix[..., axis, :] for axis in range(3)]
     rotated: Array = parts[0] + parts[1] + parts[2]
     return rotated
 
 
-def rotate_out_of(axes: Array, vectors: Array) -> Array:
-    """Return vectors (r, 3), given in frames whose axes are the columns of (r, 3, 3), in the world."""
-    return rotate_into(axes.swapaxes(1, 2), vectors)
+def rotate_to_world(axes: Array, vectors: Array) -> Array:
+    """Transform vectors (r, 3) to the world from frames whose axes are the columns of (r, 3, 3)."""
+    return rotate_to_frame(axes.swapaxes(1, 2), vectors)
 
 
 class GiverFeatureBatch(FeatureBatch):
@@ -101,8 +101,8 @@ class GiverFeatureBatch(FeatureBatch):
         parts = [
             SCALE * np.stack([compute_lengths(gripper[:, :2]), gripper[:, 2]], axis=1) - 5.0,
             SCALE * (origins - self._goal),
-            SCALE * rotate_into(axes, wrists - origins),
-            SCALE * rotate_into(axes, rotate_points(later, fingers)),
+            SCALE * rotate_to_frame(axes, wrists - origins),
+            SCALE * rotate_to_frame(axes, rotate_points(later, fingers)),
             _relative_columns(axes, orientation),
             observation["released"],
             _one_hot_classes(observation),
@@ -132,7 +132,7 @@ class ReceiverFeatureBatch(FeatureBatch):
         positions = np.concatenate([items[:, :1, :3], hand, goal], axis=1) - gripper[:, None, :3]
         joints, velocities = observation["robot_joint_position"], observation["robot_joint_velocity"]
         parts = [
-            rotate_into(axes, 0.5 * SCALE * positions).reshape(len(rows), -1),
+            rotate_to_frame(axes, 0.5 * SCALE * positions).reshape(len(rows), -1),
             _relative_columns(axes, Rotation.from_quat(items[:, 0, 3:]).as_matrix()),
             axes[:, 2],
             50.0 * joints[:, 7:] - 1.0,
@@ -214,8 +214,8 @@ class FlatFeatureBatch(FeatureBatch):
         return np.concatenate([observation[key].reshape(len(rows), -1) for key in self._keys], axis=1)
 
 
-class FeatureRows(FeatureBatch):
-    """Features of each episode by a function of its own, for own features.
+class SequentialFeatureBatch(FeatureBatch):
+    """Batch of n user-defined features, one for each episode, that are called one after another.
 
     Args:
         features: Features of each episode.
@@ -225,7 +225,7 @@ class FeatureRows(FeatureBatch):
         self._features = features
 
     def reset(self, row: int) -> None:
-        """Clear what the features of an episode store of the previous one."""
+        """Clear the values that the features store from the previous episode."""
         self._features[row].reset()
 
     def __call__(self, rows: Rows, observation: Observation) -> Vectors:
@@ -262,7 +262,7 @@ def _normalize(quaternions: npt.NDArray[np.floating]) -> Array:
 
 def _relative_columns(axes: Array, rotations: Array) -> Array:
     """Return the first two columns of rotations (r, 3, 3) in frames (r, 3, 3), row by row, (r, 6)."""
-    columns: Array = rotate_into(axes, rotations.swapaxes(1, 2))[:, :2].swapaxes(1, 2).reshape(len(axes), 6)
+    columns: Array = rotate_to_frame(axes, rotations.swapaxes(1, 2))[:, :2].swapaxes(1, 2).reshape(len(axes), 6)
     return columns
 
 

@@ -8,7 +8,7 @@ from handover_marl.episode.observations import Observation
 from handover_marl.episode.spaces import giver_action_space
 from handover_marl.geometry.poses import compute_lengths, rotate_points
 from handover_marl.givers.cooperative_batch import PoseTimerBatch, make_giver_actions
-from handover_marl.learning.batch.features import compute_handover_frames, rotate_out_of
+from handover_marl.learning.batch.features import compute_handover_frames, rotate_to_world
 from handover_marl.learning.batch.schemes import SchemeBatch
 from handover_marl.learning.giver_schemes import DeviationScheme, HandoverPoseScheme
 from handover_marl.receivers.grasp_selection import GraspSelectionBatch
@@ -94,11 +94,11 @@ class HandoverPoseBatch(SchemeBatch):
     def _choose_poses(self, rows: Rows, observation: Observation) -> None:
         scheme, outputs = self._scheme, self._outputs[rows]
         center, axes = compute_handover_frames(observation)
-        turn = rotate_out_of(axes, outputs[:, 3:6]) * scheme.turn
+        turn = rotate_to_world(axes, outputs[:, 3:6]) * scheme.turn
         wrist = observation["replay_wrist_poses"][:, -1, :3].astype(np.float64)
         rotated = wrist + rotate_points(Rotation.from_rotvec(turn).as_quat(), center - wrist)
         # Actions rotate about the wrist, so the translation compensates the object's motion.
-        self._shift[rows] = center + rotate_out_of(axes, outputs[:, :3]) * scheme.max_shift - rotated
+        self._shift[rows] = center + rotate_to_world(axes, outputs[:, :3]) * scheme.max_shift - rotated
         self._turn[rows], self._chosen[rows] = turn, True
 
     def _withdraw(self, rows: Rows, observation: Observation, begins: Flags, shift: Array) -> None:

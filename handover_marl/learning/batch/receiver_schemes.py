@@ -10,7 +10,7 @@ from handover_marl.geometry.arm import ArmKinematics
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.panda import CLOSED, LOWER_LIMITS, OPEN, UPPER_LIMITS, WAITING_JOINTS
 from handover_marl.geometry.poses import compute_lengths, multiply_quaternions, rotate_points
-from handover_marl.learning.batch.features import rotate_out_of
+from handover_marl.learning.batch.features import rotate_to_world
 from handover_marl.learning.batch.schemes import SchemeBatch
 from handover_marl.learning.receiver_schemes import CartesianDeltaScheme, GraspServoScheme, JointDeltaScheme
 from handover_marl.receivers.grasp_selection import GraspSelectionBatch
@@ -66,7 +66,7 @@ class CartesianDeltaBatch(SchemeBatch):
         """Return joint targets that move hand links by (r, 3) m and (r, 3) rotation vectors in their frames."""
         arm = observation["robot_joint_position"][:, :ARM_DOF].astype(np.float64)
         jacobian, axes = self._robot.compute_hand_jacobians(arm)
-        twist = np.concatenate([rotate_out_of(axes, translations), rotate_out_of(axes, rotations)], axis=1)
+        twist = np.concatenate([rotate_to_world(axes, translations), rotate_to_world(axes, rotations)], axis=1)
         gram = np.stack([(jacobian * jacobian[:, row, None]).sum(axis=2) for row in range(6)], axis=1)
         weights = np.linalg.solve(gram + self._scheme.damping**2 * np.eye(6), twist[..., None])
         return _joint_targets(arm + (jacobian * weights).sum(axis=1), closed)

@@ -23,7 +23,7 @@ class SchemeBatch(ABC):
     """Decoder of network outputs into one agent's actions, in each of n episodes.
 
     Args:
-        scheme: Scheme of a single episode, with the constants.
+        scheme: Scheme of a single episode; its parameters apply to all episodes.
         selection: Selector of grasps.
         count: Number n of episodes.
 
@@ -40,7 +40,7 @@ class SchemeBatch(ABC):
         """Clear the state of the previous episode.
 
         Args:
-            row: Number of the episode.
+            row: Index of the episode.
         """
         self._outputs[row] = 0.0
 
@@ -57,7 +57,7 @@ class SchemeBatch(ABC):
         """Return the agent's actions (r, ...) for the current outputs.
 
         Args:
-            rows: Numbers (r,) of the episodes.
+            rows: Indices (r,) of the episodes.
             observation: Arrays (r, ...) of the agent's observations.
         """
 
@@ -74,8 +74,8 @@ class RawSchemeBatch(SchemeBatch):
         return self._outputs[rows].astype(np.float32)
 
 
-class SchemeRows(SchemeBatch):
-    """Schemes of each episode by an object of its own, for own action schemes.
+class SequentialSchemeBatch(SchemeBatch):
+    """Batch of n user-defined action schemes, one for each episode, that are called one after another.
 
     Args:
         schemes: Scheme of each episode.

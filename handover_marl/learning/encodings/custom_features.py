@@ -45,7 +45,7 @@ class FeatureExtractor(ABC):
         self.context = context
 
     def reset(self) -> None:  # noqa: B027
-        """Clear what is stored of the previous episode; features without memory need not override it."""
+        """Clear values that are stored from the previous episode; features without memory need not override it."""
 
     @abstractmethod
     def __call__(self, observation: Observation) -> Vector:
@@ -87,7 +87,7 @@ class AgentFeatures:
         return int(self.space.shape[0])
 
     def reset(self) -> None:
-        """Clear what the features store of the previous episode, if they do."""
+        """Clear the values that the features store from the previous episode, if there are any."""
         reset = getattr(self.function, "reset", None)
         if callable(reset):
             reset()
