@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 import trimesh
 from rich.console import Console
+from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from handover_marl.assets.building.custom_scenes.finger_closing import close_hand
 from handover_marl.assets.building.custom_scenes.motion_tables import (
@@ -129,9 +130,8 @@ class CustomSceneFolder:
             raise OptionError(f"name must be new, got {text!r}, which {self.folder} has already; choose another one")
         config = config or MeshConfig()
         source = mesh if isinstance(mesh, trimesh.Trimesh) else check_path("mesh", mesh)
-        # CoACD gives no account of its progress.
-        with Console(stderr=True).status("convex parts") if progress else contextlib.nullcontext():
-            item = make_object_mesh(source, config)
+        with _show_stage("convex parts", progress) as show:
+            item = make_object_mesh(source, config, show)
         with self._prepare(OBJECT_FOLDER) as scratch:
             new = scratch / text
             new.mkdir()
@@ -319,3 +319,12 @@ def _check(argument: str, check: Callable[[object], str], value: object) -> str:
         return check(value)
     except ValueError as error:
         raise OptionError(f"{argument} {error}") from None
+
+
+@contextlib.contextmanager
+def _show_stage(what: str, progress: bool) -> Iterator[Callable[[str], None]]:
+    """Show on stderr what is being made, its stage and the elapsed time; the number of stages is unknown."""
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True), disable=not progress, transient=True) as bar:
+        task = bar.add_task(what)
+        yield lambda stage: bar.update(task, description=f"{what}: {stage}")

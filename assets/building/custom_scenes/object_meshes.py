@@ -1,7 +1,6 @@
 """Objects from triangle meshes: checks, repairs, convex parts and mass."""
 
-import hashlib
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -12,13 +11,12 @@ import trimesh
 from scipy.spatial import QhullError
 
 from handover_marl.assets.building.object_files import PALETTE, write_convex_parts, write_palette, write_visual
+from handover_marl.assets.building.custom_scenes.convex_parts import decompose_mesh
 from handover_marl.assets.object_models import COLLISION_NAME, FRICTION, URDF_NAME, VISUAL_NAME, format_object_urdf
 from handover_marl.errors import DataFormatError, DataNotFoundError, OptionError, check_name
 from handover_marl.execution.files import shorten_text
 from handover_marl.execution.options import require_modules
 from handover_marl.execution.reading import check_plain_file
-from handover_marl.geometry.array_cache import get_cache_folder, load_cached_arrays, save_cached_arrays
-from handover_marl.geometry.meshes import compute_convex_hull, select_extreme_points
 
 Array = npt.NDArray[np.float64]
 
@@ -29,9 +27,6 @@ MIN_EXTENT, MAX_EXTENT = 0.005, 0.7
 _MIN_MASS, _MAX_MASS = 0.001, 20.0
 _MAX_BYTES = 1_000_000_000
 _MIN_VOLUME_SHARE = 1e-4  # of the box around the mesh
-_MAX_CORNERS = 64  # of a convex part, as in HandoverSim's files
-_SEARCH_OPTIONS = {"mcts_iterations": 60, "mcts_max_depth": 2, "mcts_nodes": 15}
-_CACHE_KIND, _DESCRIPTION = "convex-parts", "convex parts"
 
 
 @dataclass(frozen=True)
@@ -99,12 +94,15 @@ class ObjectMesh:
     repairs: tuple[str, ...]
 
 
-def make_object_mesh(source: "str | Path | trimesh.Trimesh", config: MeshConfig) -> ObjectMesh:
+def make_object_mesh(
+    source: "str | Path | trimesh.Trimesh", config: MeshConfig, show: Callable[[str], object] | None = None
+) -> ObjectMesh:
     """Read a mesh, repair it, and divide it into convex parts.
 
     Args:
         source: Mesh file of any format that trimesh reads, or a mesh.
         config: Units, mass and limits.
+        show: Function that is called with the stage of the search for convex parts.
 
     Raises:
         DataFormatError: The mesh has no solid body, or not the size of an object.
@@ -114,7 +112,7 @@ def make_object_mesh(source: "str | Path | trimesh.Trimesh", config: MeshConfig)
     require_modules("own objects", "assets,import", "coacd", "trimesh")
     name = str(source) if isinstance(source, (str, Path)) else "the mesh"
     mesh, repairs = _repair_mesh(_read_mesh(source), config, name)
-    parts = decompose_mesh(mesh, config.concavity, name)
+    parts = decompose_mesh(mesh, config.concavity, name, show)
     volume = sum(float(part.volume) for part in parts)
     mass = config.mass if config.mass is not None else (config.density or 300.0) * volume
     if not _MIN_MASS <= mass <= _MAX_MASS:
@@ -241,46 +239,3 @@ def _simplify(mesh: trimesh.Trimesh, max_faces: int) -> trimesh.Trimesh:
         target_reduction=1.0 - max_faces / len(mesh.faces),
     )
     return trimesh.Trimesh(vertices.astype(np.float64), faces, process=True)
-
-
-def decompose_mesh(mesh: trimesh.Trimesh, concavity: float, name: str) -> tuple[trimesh.Trimesh, ...]:
-    """Return the convex parts (m) of a mesh by CoACD (Wei et al., SIGGRAPH 2022), kept in the user's cache.
-
-    Args:
-        mesh: Surface (m).
-        concavity: Largest concavity of a part.
-        name: Name of the mesh, for errors.
-
-    Raises:
-        DataFormatError: CoACD finds no body.
-    """
-    key = hashlib.sha256(repr((concavity, sorted(_SEARCH_OPTIONS.items()))).encode())
-    for array in (np.round(mesh.vertices, 7), np.asarray(mesh.faces, dtype=np.int64)):
-        key.update(np.ascontiguousarray(array).tobytes())
-    path = get_cache_folder(_CACHE_KIND) / f"{key.hexdigest()[:24]}.npz"
-    cached = load_cached_arrays(path, ("corners", "sizes"), _DESCRIPTION)
-    if cached is None:
-        corners = _run_coacd(mesh, concavity)
-        if not corners:
-            raise DataFormatError(f"{name}: CoACD finds no body in it; export a closed surface")
-        cached = {"corners": np.concatenate(corners), "sizes": np.array([len(part) for part in corners])}
-        save_cached_arrays(path, cached, _DESCRIPTION)
-    hulls = (compute_convex_hull(part) for part in np.split(cached["corners"], np.cumsum(cached["sizes"])[:-1]))
-    return tuple(trimesh.Trimesh(vertices, faces, process=False) for vertices, faces in hulls)
-
-
-def _run_coacd(mesh: trimesh.Trimesh, concavity: float) -> list[Array]:
-    import coacd  # type: ignore[import-untyped]
-
-    coacd.set_log_level("error")
-    body = coacd.Mesh(np.asarray(mesh.vertices), np.asarray(mesh.faces))
-    parts: Sequence[Any] = coacd.run_coacd(body, threshold=concavity, seed=0, **_SEARCH_OPTIONS)
-    corners = []
-    for points, _ in parts:
-        try:
-            hull = compute_convex_hull(np.asarray(points, dtype=np.float64))[0]
-            part = np.round(select_extreme_points(hull, _MAX_CORNERS), 6) + 0.0
-            corners.append(compute_convex_hull(part)[0])
-        except QhullError:  # a part without volume
-            continue
-    return corners
