@@ -10,8 +10,8 @@ import numpy.typing as npt
 import trimesh
 from scipy.spatial import QhullError
 
-from handover_marl.assets.building.object_files import PALETTE, write_convex_parts, write_palette, write_visual
 from handover_marl.assets.building.custom_scenes.convex_parts import decompose_mesh
+from handover_marl.assets.building.object_files import PALETTE, write_convex_parts, write_palette, write_visual
 from handover_marl.assets.object_models import COLLISION_NAME, FRICTION, URDF_NAME, VISUAL_NAME, format_object_urdf
 from handover_marl.errors import DataFormatError, DataNotFoundError, OptionError, check_name
 from handover_marl.execution.files import shorten_text
