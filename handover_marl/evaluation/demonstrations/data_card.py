@@ -173,6 +173,15 @@ def _format_rows(details: Mapping[str, str]) -> str:
     return "\n".join(f"| {name} | {_escape(value)} |" for name, value in details.items())
 
 
+def describe_recording(evaluation: ResultMetadata, simulated: Mapping[str, int]) -> str:
+    """Describe what was evaluated for a data set and the outcomes of all simulated episodes, in two lines."""
+    source, outcomes = evaluation, ", ".join(f"{name} {number}" for name, number in simulated.items())
+    return (
+        f"{source.receiver}, giver {source.giver}, {source.dataset}, {source.setup} {source.split}, {source.physics} "
+        f"physics; {source.recorded}.\nSimulated: {sum(simulated.values())} ({outcomes})."
+    )
+
+
 def _format_outcomes(simulated: Mapping[str, int], recorded: Mapping[str, int]) -> str:
     rows = [(name, number, recorded.get(name, 0)) for name, number in simulated.items()]
     rows.append(("all", sum(simulated.values()), sum(recorded.values())))

@@ -11,6 +11,7 @@ from gymnasium import spaces
 
 from handover_marl.episode.observations import Observation
 from handover_marl.errors import DataFormatError, check_name
+from handover_marl.evaluation.demonstrations.data_card import describe_recording
 from handover_marl.evaluation.demonstrations.demonstration import Demonstration, EpisodeMetadata
 from handover_marl.evaluation.demonstrations.episode_groups import (
     read_actions,
@@ -134,13 +135,11 @@ class Demonstrations:
         return observations, np.concatenate([_create_empty_rows(self.action_space), *(actions for _, actions in parts)])
 
     def __str__(self) -> str:
-        metadata, evaluation = self._metadata, self._metadata.evaluation
-        simulated = ", ".join(f"{name} {number}" for name, number in metadata.simulated.items())
+        metadata = self._metadata
+        recording = describe_recording(metadata.evaluation, metadata.simulated)
         return (
-            f"{len(self)} episodes with {metadata.decisions} decisions of {evaluation.receiver}, giver "
-            f"{evaluation.giver}, {evaluation.dataset}, {evaluation.setup} {evaluation.split}, {evaluation.physics} "
-            f"physics; {evaluation.recorded}.\n"
-            f"Simulated: {sum(metadata.simulated.values())} ({simulated}). {metadata.megabytes} MB in {self._file}"
+            f"{len(self)} episodes with {metadata.decisions} decisions of {recording} {metadata.megabytes} MB in "
+            f"{self._file}"
         )
 
     def _read_arrays(self, group: Any, names: list[str]) -> tuple[Observation, npt.NDArray[np.float32]]:

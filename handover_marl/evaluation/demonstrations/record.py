@@ -13,10 +13,10 @@ from handover_marl.evaluation.demonstrations.files import require_h5py
 from handover_marl.evaluation.demonstrations.lerobot.arrow_files import require_lerobot_packages
 from handover_marl.evaluation.demonstrations.lerobot.recorder import MAX_FPS
 from handover_marl.evaluation.demonstrations.lerobot.summary import LeRobotSummary
-from handover_marl.evaluation.demonstrations.lerobot.writer import open_lerobot_writer
+from handover_marl.evaluation.demonstrations.lerobot.writer import LeRobotWriter
 from handover_marl.evaluation.demonstrations.reader import Demonstrations
 from handover_marl.evaluation.demonstrations.recorder import RecordingConfig
-from handover_marl.evaluation.demonstrations.writer import open_demonstration_writer
+from handover_marl.evaluation.demonstrations.writer import DemonstrationWriter
 from handover_marl.execution.options import forward_signature
 from handover_marl.policies.reference import PolicyLike
 from handover_marl.simulation.camera.renderers import resolve_renderer
@@ -116,10 +116,10 @@ def demonstrate(
     resolve_renderer(config.camera.renderer, config.physics, installed=get_camera_data_kind(obs_mode) is not None)
     evaluation = Evaluation(config, execution, recording.describe(config))
     if recording.fps:
-        with open_lerobot_writer(execution.folder, evaluation.config, recording, execution.fresh) as lerobot_writer:
+        with LeRobotWriter.open(execution.folder, evaluation.config, recording, execution.fresh) as lerobot_writer:
             evaluation.run([lerobot_writer])
             return lerobot_writer.assemble()
-    with open_demonstration_writer(execution.folder, evaluation.config, recording, execution.fresh) as writer:
+    with DemonstrationWriter.open(execution.folder, evaluation.config, recording, execution.fresh) as writer:
         evaluation.run([writer])
         writer.assemble()
     return Demonstrations(execution.folder)

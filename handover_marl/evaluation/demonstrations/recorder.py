@@ -3,25 +3,27 @@
 import contextlib
 import re
 from abc import abstractmethod
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar, Generic, TypeVar
 
 import numpy as np
 import numpy.typing as npt
+from typing_extensions import Self
 
 from handover_marl.episode.callbacks import PolicyDecision
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.observations import Observation, select_receiver_observation
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.episode.spaces import GIVER_ACTION_SIZE, STATE
+from handover_marl.errors import ResultsError
 from handover_marl.evaluation.config import EvaluationConfig
 from handover_marl.evaluation.demonstrations.demonstration import Demonstration, EpisodeMetadata
 from handover_marl.evaluation.demonstrations.episode_groups import encode_episode
 from handover_marl.evaluation.results.episode_result import EpisodeResult
 from handover_marl.evaluation.writers import EpisodeRecorder, EpisodeWriter
-from handover_marl.execution.files import write_atomically
+from handover_marl.execution.files import remove_stale_temporaries, shorten_text, write_atomically
 
 EPISODES_FOLDER = "episodes"
 
@@ -123,17 +125,20 @@ class DemonstrationRecorder(EpisodeRecorder):
 
 
 class EpisodeFilesWriter(EpisodeWriter, Generic[_Location]):
-    """Writer of one file per recorded episode in the folder `episodes` of a result folder.
+    """Writer of one file per recorded episode in the folder `episodes` of a result folder, and of a data set of them.
 
     Args:
-        folder: Result folder of the evaluation, with its subfolder for episodes.
+        folder: Result folder of the evaluation, as `open` prepares it.
         config: Resolved configuration of the evaluation.
-        recording: Observation mode, and choice of the episodes to record.
+        recording: Observation mode, frame rate, and choice of the episodes to record.
 
     Attributes:
         folder: Result folder of the evaluation.
         config: Resolved configuration of the evaluation.
-        recording: Observation mode, and choice of the episodes to record.
+        recording: Observation mode, frame rate, and choice of the episodes to record.
+
+    Raises:
+        ResultsError: The data set in the folder is damaged.
     """
 
     #: Suffix of the files of single episodes, e.g. ".zip".
@@ -141,6 +146,48 @@ class EpisodeFilesWriter(EpisodeWriter, Generic[_Location]):
 
     def __init__(self, folder: Path, config: EvaluationConfig, recording: RecordingConfig) -> None:
         self.folder, self.config, self.recording = folder, config, recording
+
+    @classmethod
+    @contextlib.contextmanager
+    def open(cls, folder: Path, config: EvaluationConfig, recording: RecordingConfig, fresh: bool) -> Iterator[Self]:
+        """Open the writer of a data set in a result folder, locked against other processes.
+
+        Args:
+            folder: Result folder of the evaluation.
+            config: Resolved configuration of the evaluation.
+            recording: Observation mode, frame rate, and choice of the episodes to record.
+            fresh: Whether to delete the recordings of an earlier run first.
+
+        Raises:
+            ResultsError: The data set in the folder is damaged or has other files, another process records
+                in this folder, or it cannot be written.
+        """
+        episodes = folder / EPISODES_FOLDER
+        with contextlib.ExitStack() as stack:
+            try:
+                cls.prepare_data_set(folder, fresh, stack)
+                episodes.mkdir(exist_ok=True)
+                remove_stale_temporaries(episodes)
+                if fresh:
+                    delete_episode_files(episodes, cls.suffix)
+            except OSError as error:
+                raise ResultsError(f"cannot use {folder} for demonstrations: {error.strerror or error}") from error
+            yield cls(folder, config, recording)
+
+    @classmethod
+    @abstractmethod
+    def prepare_data_set(cls, folder: Path, fresh: bool, stack: contextlib.ExitStack) -> None:
+        """Lock the data set in a result folder, and delete what interrupted runs left.
+
+        Args:
+            folder: Result folder of the evaluation.
+            fresh: Whether to delete the data set of an earlier run.
+            stack: Context that holds the lock.
+
+        Raises:
+            ResultsError: The data set has other files, or another process records in this folder.
+            OSError: The folder cannot be used.
+        """
 
     @abstractmethod
     def find_episode(self, metadata: EpisodeMetadata, path: Path) -> _Location | None:
@@ -198,3 +245,22 @@ def delete_episode_files(folder: Path, suffix: str) -> None:
     for path in folder.iterdir():
         if name.fullmatch(path.name):
             path.unlink()
+
+
+@contextlib.contextmanager
+def report_damage(path: Path) -> Iterator[None]:
+    """Report every exception of reading a data set as damage.
+
+    Args:
+        path: File or folder of the data set.
+
+    Raises:
+        ResultsError: The data set is damaged.
+    """
+    try:
+        yield
+    except Exception as error:  # h5py and pyarrow raise exceptions of many types on damaged files
+        raise ResultsError(
+            f"{path} is damaged or no data set of this library ({shorten_text(error)}); remove it and run again to "
+            "record its episodes again, or choose another folder"
+        ) from error

@@ -10,12 +10,10 @@ data/main_data.hdf5, metadata.json, README.md       data set in Minari's layout,
 """
 
 import contextlib
-from collections.abc import Iterator
 from pathlib import Path
 
 from handover_marl.episode.observations import receiver_observation_space
 from handover_marl.episode.spaces import receiver_action_space
-from handover_marl.errors import ResultsError
 from handover_marl.evaluation.config import EvaluationConfig
 from handover_marl.evaluation.demonstrations.data_card import CARD_FILE
 from handover_marl.evaluation.demonstrations.demonstration import EpisodeMetadata
@@ -29,78 +27,38 @@ from handover_marl.evaluation.demonstrations.minari_layout import (
     format_group_name,
 )
 from handover_marl.evaluation.demonstrations.recorder import (
-    EPISODES_FOLDER,
     DemonstrationRecorder,
     EpisodeFilesWriter,
     RecordingConfig,
-    delete_episode_files,
+    report_damage,
 )
 from handover_marl.evaluation.results.result_folder import read_results
 from handover_marl.evaluation.writers import EpisodeRecorder
-from handover_marl.execution.files import (
-    exclusive_lock,
-    remove_stale_temporaries,
-    shorten_text,
-)
+from handover_marl.execution.files import exclusive_lock, remove_stale_temporaries
 from handover_marl.policies.policy import Policy
-
-_SUFFIX = ".hdf5"
-
-
-@contextlib.contextmanager
-def open_demonstration_writer(
-    folder: Path, config: EvaluationConfig, recording: RecordingConfig, fresh: bool
-) -> Iterator["DemonstrationWriter"]:
-    """Open the writer of a data set in a result folder, locked against other processes.
-
-    Args:
-        folder: Result folder of the evaluation.
-        config: Resolved configuration of the evaluation.
-        recording: Observation mode, and choice of the episodes to record.
-        fresh: Whether to delete the recordings of an earlier run first.
-
-    Raises:
-        ResultsError: The data set in the folder is damaged, another process records in this folder, or
-            it cannot be written.
-    """
-    data, episodes = folder / DATA_FOLDER, folder / EPISODES_FOLDER
-    with contextlib.ExitStack() as stack:
-        try:
-            for subfolder in (data, episodes):
-                subfolder.mkdir(exist_ok=True)
-            # The process that assembles a data set deletes single episodes; no other may write them meanwhile.
-            stack.enter_context(exclusive_lock(data))
-            for subfolder in (data, episodes):
-                remove_stale_temporaries(subfolder)
-            if fresh:
-                for name in (METADATA_FILE, MAIN_FILE, CARD_FILE):
-                    (data / name).unlink(missing_ok=True)
-                delete_episode_files(episodes, _SUFFIX)
-        except OSError as error:
-            raise ResultsError(f"cannot use {folder} for demonstrations: {error.strerror or error}") from error
-        yield DemonstrationWriter(folder, config, recording)
 
 
 class DemonstrationWriter(EpisodeFilesWriter[EpisodeLocation]):
-    """Writer of one HDF5 file per recorded episode, and of the data set made of these files.
+    """Writer of one HDF5 file per recorded episode, and of the data set made of these files."""
 
-    Opened by `open_demonstration_writer`.
-
-    Args:
-        folder: Result folder of the evaluation, with its subfolders for data.
-        config: Resolved configuration of the evaluation.
-        recording: Observation mode, and choice of the episodes to record.
-
-    Raises:
-        ResultsError: The data set in the folder is damaged.
-    """
-
-    suffix = _SUFFIX
+    suffix = ".hdf5"
 
     def __init__(self, folder: Path, config: EvaluationConfig, recording: RecordingConfig) -> None:
         super().__init__(folder, config, recording)
         self._data_set = folder / DATA_FOLDER / MAIN_FILE
         self._assembled_groups = _read_groups(self._data_set)
+
+    @classmethod
+    def prepare_data_set(cls, folder: Path, fresh: bool, stack: contextlib.ExitStack) -> None:
+        """Lock the folder of the data set, and delete what interrupted runs left; see `EpisodeFilesWriter`."""
+        data = folder / DATA_FOLDER
+        data.mkdir(exist_ok=True)
+        # The process that assembles a data set deletes single episodes; no other may write them meanwhile.
+        stack.enter_context(exclusive_lock(data))
+        remove_stale_temporaries(data)
+        if fresh:
+            for name in (METADATA_FILE, MAIN_FILE, CARD_FILE):
+                (data / name).unlink(missing_ok=True)
 
     def create_recorder(self, config: EvaluationConfig, receiver: Policy) -> EpisodeRecorder:
         """Create the recorder of demonstrations in one worker process."""
@@ -138,12 +96,6 @@ def _read_groups(path: Path) -> dict[EpisodeMetadata, str]:
     """Read the group names of an existing data set, by metadata of the episode."""
     if not path.exists():
         return {}
-    try:
-        with open_hdf5(path, "r") as file:
-            names = list(map(format_group_name, range(len(file))))
-            return {read_episode_metadata(get_episode_group(file, name)): name for name in names}
-    except Exception as error:  # h5py raises exceptions of many types on damaged files
-        raise ResultsError(
-            f"{path} is damaged or no data set of this library ({shorten_text(error)}); remove it and run again to "
-            "record its episodes again, or choose another folder"
-        ) from error
+    with report_damage(path), open_hdf5(path, "r") as file:
+        names = list(map(format_group_name, range(len(file))))
+        return {read_episode_metadata(get_episode_group(file, name)): name for name in names}

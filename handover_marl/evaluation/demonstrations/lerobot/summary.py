@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+from handover_marl.evaluation.demonstrations.data_card import describe_recording
 from handover_marl.evaluation.results.metadata import ResultMetadata
 
 
@@ -34,11 +35,7 @@ class LeRobotSummary:
         return sum(self.recorded.values())
 
     def __str__(self) -> str:
-        source = self.evaluation
-        outcomes = ", ".join(f"{name} {number}" for name, number in self.simulated.items())
         return (
-            f"{self.n_episodes} episodes with {self.total_frames} frames at {self.fps} fps of {source.receiver}, "
-            f"giver {source.giver}, {source.dataset}, {source.setup} {source.split}, {source.physics} physics; "
-            f"{source.recorded}.\nSimulated: {sum(self.simulated.values())} ({outcomes}). LeRobot's format in "
-            f"{self.folder}"
+            f"{self.n_episodes} episodes with {self.total_frames} frames at {self.fps} fps of "
+            f"{describe_recording(self.evaluation, self.simulated)} LeRobot's format in {self.folder}"
         )

@@ -12,7 +12,6 @@ lerobot/meta, lerobot/data, lerobot/videos          data set, replaced as a whol
 import contextlib
 import shutil
 import tempfile
-from collections.abc import Iterator
 from pathlib import Path
 
 from handover_marl.errors import ResultsError
@@ -30,76 +29,37 @@ from handover_marl.evaluation.demonstrations.lerobot.data_set import (
 from handover_marl.evaluation.demonstrations.lerobot.encoded_episode import read_metadata
 from handover_marl.evaluation.demonstrations.lerobot.recorder import LeRobotRecorder
 from handover_marl.evaluation.demonstrations.lerobot.summary import LeRobotSummary
-from handover_marl.evaluation.demonstrations.recorder import (
-    EPISODES_FOLDER,
-    EpisodeFilesWriter,
-    RecordingConfig,
-    delete_episode_files,
-)
+from handover_marl.evaluation.demonstrations.recorder import EpisodeFilesWriter, RecordingConfig, report_damage
 from handover_marl.evaluation.results.metadata import read_result_metadata
 from handover_marl.evaluation.results.result_folder import read_results
 from handover_marl.evaluation.writers import EpisodeRecorder
-from handover_marl.execution.files import exclusive_lock, remove_stale_temporaries, shorten_text
+from handover_marl.execution.files import exclusive_lock
 from handover_marl.policies.policy import Policy
 
 LEROBOT_FOLDER = "lerobot"
-_SUFFIX = ".zip"
 _PREVIOUS, _TEMPORARY_PREFIX = ".lerobot.previous", ".lerobot.part."
 
 
-@contextlib.contextmanager
-def open_lerobot_writer(
-    folder: Path, config: EvaluationConfig, recording: RecordingConfig, fresh: bool
-) -> Iterator["LeRobotWriter"]:
-    """Open the writer of a data set in a result folder, locked against other processes.
-
-    Args:
-        folder: Result folder of the evaluation.
-        config: Resolved configuration of the evaluation.
-        recording: Observation mode, frame rate, and choice of the episodes to record.
-        fresh: Whether to delete the recordings of an earlier run first.
-
-    Raises:
-        ResultsError: The data set in the folder is damaged or has other files, another process records
-            in this folder, or it cannot be written.
-    """
-    data, episodes = folder / LEROBOT_FOLDER, folder / EPISODES_FOLDER
-    with contextlib.ExitStack() as stack:
-        try:
-            stack.enter_context(exclusive_lock(folder))
-            _restore_interrupted(folder)
-            foreign = sorted(path.name for path in data.iterdir() if path.name not in ENTRIES) if data.exists() else []
-            if foreign:
-                raise ResultsError(f"{data} is replaced as a whole, but it has other files: {foreign[0]}; move them")
-            episodes.mkdir(exist_ok=True)
-            remove_stale_temporaries(episodes)
-            if fresh:
-                delete_episode_files(episodes, _SUFFIX)
-                shutil.rmtree(data, ignore_errors=True)
-        except OSError as error:
-            raise ResultsError(f"cannot use {folder} for demonstrations: {error.strerror or error}") from error
-        yield LeRobotWriter(folder, config, recording)
-
-
 class LeRobotWriter(EpisodeFilesWriter[EpisodeFiles]):
-    """Writer of one archive per recorded episode, and of the data set made of these archives.
+    """Writer of one archive per recorded episode, and of the data set made of these archives."""
 
-    Opened by `open_lerobot_writer`.
-
-    Args:
-        folder: Result folder of the evaluation, with its subfolder for episodes.
-        config: Resolved configuration of the evaluation.
-        recording: Observation mode, frame rate, and choice of the episodes to record.
-
-    Raises:
-        ResultsError: The data set in the folder is damaged.
-    """
-
-    suffix = _SUFFIX
+    suffix = ".zip"
 
     def __init__(self, folder: Path, config: EvaluationConfig, recording: RecordingConfig) -> None:
         super().__init__(folder, config, recording)
         self._assembled = _read_assembled(folder / LEROBOT_FOLDER)
+
+    @classmethod
+    def prepare_data_set(cls, folder: Path, fresh: bool, stack: contextlib.ExitStack) -> None:
+        """Lock the result folder, and delete what interrupted runs left; see `EpisodeFilesWriter`."""
+        data = folder / LEROBOT_FOLDER
+        stack.enter_context(exclusive_lock(folder))
+        _restore_interrupted(folder)
+        foreign = sorted(path.name for path in data.iterdir() if path.name not in ENTRIES) if data.exists() else []
+        if foreign:
+            raise ResultsError(f"{data} is replaced as a whole, but it has other files: {foreign[0]}; move them")
+        if fresh:
+            shutil.rmtree(data, ignore_errors=True)
 
     def create_recorder(self, config: EvaluationConfig, receiver: Policy) -> EpisodeRecorder:
         """Create the recorder of demonstrations in one worker process."""
@@ -155,13 +115,8 @@ class LeRobotWriter(EpisodeFilesWriter[EpisodeFiles]):
 
 def _read_assembled(folder: Path) -> dict[EpisodeMetadata, EpisodeFiles]:
     """Read the locations of a data set's episodes, by their metadata."""
-    try:
+    with report_damage(folder):
         return {read_metadata(episode.row): episode for episode in read_episodes(folder)}
-    except Exception as error:  # pyarrow raises exceptions of many types on damaged files
-        raise ResultsError(
-            f"{folder} is damaged or no data set of this library ({shorten_text(error)}); remove it and run again to "
-            "record its episodes again, or choose another folder"
-        ) from error
 
 
 def _restore_interrupted(folder: Path) -> None:
