@@ -9,6 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl import config
+from handover_marl.assets.object_models import TABLE_URDF
+from handover_marl.assets.robot_model import PANDA_URDF, write_camera_panda_urdf
 from handover_marl.datasets.splits import N_SCENES, SETUPS, SPLITS, list_split_scenes
 from handover_marl.errors import SceneError, check_name
 from handover_marl.geometry.panda import PANDA, ROBOTS
@@ -60,6 +62,11 @@ class SceneAssets:
     panda: Path
     objects: tuple[Path, ...]
     hand: Path
+
+    @property
+    def urdfs(self) -> tuple[Path, ...]:
+        """URDFs of all bodies: table, robot, objects, hand."""
+        return (self.table, self.panda, *self.objects, self.hand)
 
 
 @dataclass(frozen=True, eq=False)
@@ -238,3 +245,44 @@ class Dataset(ABC):
         """Raise `SceneError` unless the scene exists."""
         if not 0 <= scene_id < self.n_scenes:
             raise SceneError(f"scene {scene_id} does not exist; scenes are numbered 0 to {self.n_scenes - 1}")
+
+    def make_scene(
+        self,
+        info: SceneInfo,
+        assets: SceneAssets,
+        object_dof: npt.NDArray[np.float32],
+        hand_dof: npt.NDArray[np.float32],
+        hand_span: tuple[int, int] | None,
+    ) -> Scene:
+        """Make a scene of this data set; see `Scene`.
+
+        Args:
+            info: Description of the scene.
+            assets: URDF files of the bodies.
+            object_dof: (T, n, 6) motion of the objects.
+            hand_dof: (T, 51) motion of the hand.
+            hand_span: First and last frame in which the hand is visible, or None if it never is.
+        """
+        return Scene(info, self.name, assets, object_dof, hand_dof, *(hand_span or (None, None)))
+
+
+class LibraryDataset(Dataset):
+    """Base class of data sets with the library's models of robot, table and hands."""
+
+    @property
+    def panda_urdf(self) -> Path:
+        """Path of the URDF of PyBullet's Panda, with or without a camera on its hand."""
+        return PANDA_URDF if self.robot == PANDA else write_camera_panda_urdf()
+
+    def find_assets(self, info: SceneInfo, hand: Path) -> SceneAssets:
+        """Find the URDF files of a scene's bodies.
+
+        Args:
+            info: Description of the scene.
+            hand: URDF of the human hand.
+
+        Raises:
+            DataNotFoundError: A file is missing.
+        """
+        objects = tuple(self.find_object_urdf(name) for name in info.object_names)
+        return SceneAssets(table=TABLE_URDF, panda=self.panda_urdf, objects=objects, hand=hand)

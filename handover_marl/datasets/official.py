@@ -91,15 +91,8 @@ class OfficialDataset(Dataset):
         present = np.flatnonzero(hand_dof.any(axis=1))
         object_dof[:, :, 2] += TABLE_HEIGHT
         hand_dof[present, 2] += TABLE_HEIGHT
-        return Scene(
-            info=info,
-            dataset=self.name,
-            assets=self._find_scene_assets(info),
-            object_dof=object_dof,
-            hand_dof=hand_dof,
-            hand_first=int(present[0]) if len(present) else None,
-            hand_last=int(present[-1]) if len(present) else None,
-        )
+        span = (int(present[0]), int(present[-1])) if len(present) else None
+        return self.make_scene(info, self._find_scene_assets(info), object_dof, hand_dof, span)
 
     def load_motion(self, scene_id: int) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
         """Load the motion of a scene in the table's frame (m, rad).

@@ -29,15 +29,18 @@ class DatasetKind:
         usage: Form of the name, for help and errors.
         open_dataset: Function from argument ("" without one), data folder (None without one) and robot to
             the data set.
-        takes_argument: Whether the name has an argument.
         note: Sentence below the tables of reports; "" for none.
     """
 
     title: str
     usage: str
     open_dataset: Callable[[str, str | None, str], Dataset]
-    takes_argument: bool = False
     note: str = ""
+
+    @property
+    def takes_argument(self) -> bool:
+        """Whether the name has an argument."""
+        return SEPARATOR in self.usage
 
 
 def _open_synthetic(argument: str, data_dir: str | None, robot: str) -> Dataset:
@@ -90,7 +93,6 @@ KINDS: Mapping[str, DatasetKind] = MappingProxyType(
             title="generated scenes",
             usage="generated:n=1000,seed=0",
             open_dataset=_open_generated,
-            takes_argument=True,
             note="Generated scenes are not comparable with published results, which are on DexYCB.",
         ),
         "dexycb": DatasetKind(title="DexYCB", usage="dexycb", open_dataset=_open_dexycb),
@@ -98,7 +100,6 @@ KINDS: Mapping[str, DatasetKind] = MappingProxyType(
             title="own data",
             usage="own:FOLDER",
             open_dataset=_open_custom,
-            takes_argument=True,
             note="Own data: not comparable with published results, which are on DexYCB.",
         ),
     }

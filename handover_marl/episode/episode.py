@@ -71,8 +71,7 @@ class Episode:
             DataNotFoundError, DataFormatError: Files of the scene are missing or damaged.
             SimulationError: The engine cannot load a model.
         """
-        assets = scene.assets
-        for urdf in (assets.table, assets.panda, *assets.objects, assets.hand):
+        for urdf in scene.assets.urdfs:
             check_collision_meshes(urdf)
         if self._world is None:
             self._world = make_world(self._physics, self.config.physics, self._window)

@@ -81,7 +81,7 @@ def rename(info: SceneInfo, scene_id: int) -> SceneInfo:
 
 @pytest.fixture
 def many(monkeypatch: pytest.MonkeyPatch) -> Dataset:
-    kind = DatasetKind("many scenes", "many:NAME", lambda argument, data_dir, robot: ManyScenes(robot), True)
+    kind = DatasetKind("many scenes", "many:NAME", lambda argument, data_dir, robot: ManyScenes(robot))
     monkeypatch.setattr(registry, "KINDS", {**registry.KINDS, "many": kind})
     return open_dataset("many:cups")
 

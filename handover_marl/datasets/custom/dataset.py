@@ -18,13 +18,12 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.assets.hand_model import find_hand_urdf
-from handover_marl.assets.object_models import TABLE_URDF, URDF_NAME
+from handover_marl.assets.object_models import URDF_NAME
 from handover_marl.assets.object_models import find_object_urdf as find_ycb_urdf
-from handover_marl.assets.robot_model import PANDA_URDF, write_camera_panda_urdf
 from handover_marl.assets.shipped import load_object_grasps
 from handover_marl.config import HAND_DOF, OBJECT_DOF
 from handover_marl.datasets.custom.scene_file import ALL_SCENES, CustomScene, SceneFile, read_scene_file
-from handover_marl.datasets.dataset import Dataset, Scene, SceneAssets, SceneInfo
+from handover_marl.datasets.dataset import LibraryDataset, Scene, SceneAssets, SceneInfo
 from handover_marl.datasets.splits import SPLITS
 from handover_marl.errors import DataFormatError, DataNotFoundError, OptionError, UnknownNameError, check_name
 from handover_marl.execution.options import check_path
@@ -71,7 +70,7 @@ def get_motion_path(folder: Path, scene_id: int) -> Path:
     return folder / MOTION_FOLDER / f"{scene_id:06d}.npz"
 
 
-class CustomDataset(Dataset):
+class CustomDataset(LibraryDataset):
     """Data set of the custom scenes in a folder, see `handover_marl.datasets.custom.scene_file`.
 
     Args:
@@ -117,11 +116,6 @@ class CustomDataset(Dataset):
         """Class names by class number: the YCB classes and the user's classes."""
         return self.content.object_names
 
-    @property
-    def panda_urdf(self) -> Path:
-        """Path of the URDF of PyBullet's Panda, with or without a camera on its hand."""
-        return PANDA_URDF if self.robot == PANDA else write_camera_panda_urdf()
-
     def list_scenes(self, setup: str | None, split: str) -> tuple[int, ...]:
         """Return the scene numbers of a split in ascending order; raises `UnknownNameError`."""
         check_name("split", split, SPLITS)
@@ -159,14 +153,8 @@ class CustomDataset(Dataset):
         info = self.load_info(scene_id)
         object_dof, hand_dof, span = _read_motion(get_motion_path(self.folder, scene_id), len(info.object_ids))
         has_hand = self._get_scene(scene_id).hand is not None and span[0] >= 0
-        return Scene(
-            info=info,
-            dataset=self.name,
-            assets=self._find_scene_assets(scene_id),
-            object_dof=object_dof,
-            hand_dof=hand_dof,
-            hand_first=span[0] if has_hand else None,
-            hand_last=span[1] if has_hand else None,
+        return self.make_scene(
+            info, self._find_scene_assets(scene_id), object_dof, hand_dof, span if has_hand else None
         )
 
     def find_object_urdf(self, object_name: str) -> Path:
@@ -219,13 +207,9 @@ class CustomDataset(Dataset):
 
     def _find_scene_assets(self, scene_id: int) -> SceneAssets:
         scene = self._get_scene(scene_id)
-        return SceneAssets(
-            table=TABLE_URDF,
-            panda=self.panda_urdf,
-            objects=tuple(self.find_object_urdf(name) for name in scene.objects),
-            # A scene without a hand never shows it.
-            hand=find_hand_urdf(scene.hand or 1, "left" if scene.side == "left" else "right"),
-        )
+        # A scene without a hand never shows it.
+        hand = find_hand_urdf(scene.hand or 1, "left" if scene.side == "left" else "right")
+        return self.find_assets(self.load_info(scene_id), hand)
 
     def _load_grasps(self, object_name: str) -> npt.NDArray[np.float64] | None:
         path = _require_file(self.folder / OBJECT_FOLDER / object_name / GRASP_FILE)

@@ -8,10 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.assets.hand_model import find_hand_urdf
-from handover_marl.assets.object_models import TABLE_URDF, find_object_urdf
-from handover_marl.assets.robot_model import PANDA_URDF, write_camera_panda_urdf
+from handover_marl.assets.object_models import find_object_urdf
 from handover_marl.assets.shipped import load_object_grasps
-from handover_marl.datasets.dataset import Dataset, Scene, SceneAssets, SceneInfo
+from handover_marl.datasets.dataset import LibraryDataset, Scene, SceneInfo
 from handover_marl.datasets.generated.config import GENERATED, GeneratedConfig, parse_generated_config
 from handover_marl.datasets.generated.model_files import write_hand_model, write_object_model
 from handover_marl.datasets.generated.robot_grasps import RobotGraspConfig
@@ -76,7 +75,7 @@ class ObjectNames(Mapping[int, str]):
         raise UnknownNameError("object", name, (*CLASS_NAMES.values(), f"{_PREFIX}00000"))
 
 
-class GeneratedDataset(Dataset):
+class GeneratedDataset(LibraryDataset):
     """Scenes that are generated from a configuration; needs no data folder.
 
     Args:
@@ -117,11 +116,6 @@ class GeneratedDataset(Dataset):
         """Whether grasps are validated with few simulations, because there are very many object classes."""
         return True
 
-    @property
-    def panda_urdf(self) -> Path:
-        """Path of the URDF of PyBullet's Panda, with or without a camera on its hand."""
-        return PANDA_URDF if self.robot == PANDA else write_camera_panda_urdf()
-
     def list_scenes(self, setup: str | None, split: str) -> tuple[int, ...]:
         """Return the scene numbers of a split in ascending order."""
         self.resolve_setup(setup)
@@ -152,21 +146,10 @@ class GeneratedDataset(Dataset):
         """Generate a scene with its motion in the world frame; raises `SceneError`."""
         info = self.load_info(scene_id)
         handover, (object_dof, hand_dof, hand_first) = _generate_scene(self.config, scene_id)
-        person = handover.giver.person
-        side = handover.giver.side
-        return Scene(
-            info=info,
-            dataset=self.name,
-            assets=SceneAssets(
-                table=TABLE_URDF,
-                panda=self.panda_urdf,
-                objects=tuple(self.find_object_urdf(name) for name in info.object_names),
-                hand=find_hand_urdf(person, side) if isinstance(person, int) else write_hand_model(person, side),
-            ),
-            object_dof=object_dof,
-            hand_dof=hand_dof,
-            hand_first=hand_first,
-            hand_last=len(hand_dof) - 1,
+        person, side = handover.giver.person, handover.giver.side
+        hand = find_hand_urdf(person, side) if isinstance(person, int) else write_hand_model(person, side)
+        return self.make_scene(
+            info, self.find_assets(info, hand), object_dof, hand_dof, (hand_first, len(hand_dof) - 1)
         )
 
     def find_object_urdf(self, object_name: str) -> Path:

@@ -8,10 +8,9 @@ import numpy.typing as npt
 
 from handover_marl.assets.hand_model import Side, find_hand_urdf, make_hand_geometry
 from handover_marl.assets.human_grasps import load_human_grasps
-from handover_marl.assets.object_models import TABLE_URDF, find_object_urdf
-from handover_marl.assets.robot_model import PANDA_URDF, write_camera_panda_urdf
+from handover_marl.assets.object_models import find_object_urdf
 from handover_marl.assets.shipped import load_object_grasps
-from handover_marl.datasets.dataset import Dataset, Scene, SceneAssets, SceneInfo
+from handover_marl.datasets.dataset import LibraryDataset, Scene, SceneInfo
 from handover_marl.datasets.synthetic.assign_subjects import class_id_from_scene, side_from_scene, subject_from_scene
 from handover_marl.datasets.synthetic.clutter import ClutterItem, draw_clutter, make_ycb_clutter_item
 from handover_marl.datasets.synthetic.grasp_clearance import hand_poses_from_grasps
@@ -24,11 +23,10 @@ from handover_marl.datasets.synthetic.object_placement import (
 )
 from handover_marl.datasets.synthetic.random_stream import VERSION, RandomStream, open_scene_streams
 from handover_marl.datasets.synthetic.resampling import compute_trajectories
-from handover_marl.geometry.panda import PANDA
 from handover_marl.geometry.ycb import CLASS_NAMES, SCENE_CLASSES
 
 
-class SyntheticDataset(Dataset):
+class SyntheticDataset(LibraryDataset):
     """1000 generated handovers with the library's own models; needs no data folder.
 
     Args:
@@ -39,11 +37,6 @@ class SyntheticDataset(Dataset):
     """
 
     name = "synthetic"
-
-    @property
-    def panda_urdf(self) -> Path:
-        """Path of the URDF of PyBullet's Panda, with or without a camera on its hand."""
-        return PANDA_URDF if self.robot == PANDA else write_camera_panda_urdf()
 
     def load_info(self, scene_id: int) -> SceneInfo:
         """Generate a scene and return its description; raises `SceneError`."""
@@ -59,19 +52,9 @@ class SyntheticDataset(Dataset):
         """Generate a scene with its motion in the world frame; raises `SceneError`."""
         self.check_scene_id(scene_id)
         info, object_dof, hand_dof, hand_first = _generate_scene(scene_id)
-        return Scene(
-            info=info,
-            dataset=self.name,
-            assets=SceneAssets(
-                table=TABLE_URDF,
-                panda=self.panda_urdf,
-                objects=tuple(find_object_urdf(name) for name in info.object_names),
-                hand=find_hand_urdf(subject_from_scene(scene_id), side_from_scene(scene_id)),
-            ),
-            object_dof=object_dof,
-            hand_dof=hand_dof,
-            hand_first=hand_first,
-            hand_last=len(hand_dof) - 1,
+        hand = find_hand_urdf(subject_from_scene(scene_id), side_from_scene(scene_id))
+        return self.make_scene(
+            info, self.find_assets(info, hand), object_dof, hand_dof, (hand_first, len(hand_dof) - 1)
         )
 
     def find_object_urdf(self, object_name: str) -> Path:
