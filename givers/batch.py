@@ -11,7 +11,6 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.episode.observations import Observation
-from handover_marl.episode.spaces import GIVER_ACTION_SIZE
 from handover_marl.geometry.poses import compute_lengths
 from handover_marl.givers.cooperative import CooperativeGiver
 from handover_marl.givers.cooperative_batch import CooperativeBatch, compute_grip_distances, make_giver_actions
@@ -28,73 +27,45 @@ Rows = npt.NDArray[np.int_]
 _PAUSE = -1.0  # playback rate minus 1
 
 
-class ReplayBatch(ArrayPolicy):
-    """Batch of `ReplayGiver`.
-
-    Args:
-        policy: Giver of a single episode.
-        count: Number of episodes.
-    """
-
-    def __init__(self, policy: ReplayGiver, count: int) -> None:
-        super().__init__(policy, count, GIVER_ACTION_SIZE)
+class ReplayBatch(ArrayPolicy[ReplayGiver]):
+    """Batch of `ReplayGiver`."""
 
     def decide(self, rows: Rows, observation: Observation) -> Actions:
         """Return the actions (r, 8) that follow the recordings."""
         return make_giver_actions(len(rows))
 
 
-class HurriedBatch(ArrayPolicy):
-    """Batch of `HurriedGiver`.
-
-    Args:
-        policy: Giver of a single episode, with the constants.
-        count: Number of episodes.
-    """
+class HurriedBatch(ArrayPolicy[HurriedGiver]):
+    """Batch of `HurriedGiver`."""
 
     def __init__(self, policy: HurriedGiver, count: int) -> None:
-        super().__init__(policy, count, GIVER_ACTION_SIZE)
-        self._giver, self._rate = policy, np.zeros(count)
+        super().__init__(policy, count)
+        self._rate = np.zeros(count)
 
     def start(self, row: int, seed: int | None) -> None:
         """Draw the playback speed of an episode."""
-        self._rate[row] = np.random.default_rng(seed).uniform(self._giver.min_rate, self._giver.max_rate)
+        self._rate[row] = np.random.default_rng(seed).uniform(self._policy.min_rate, self._policy.max_rate)
 
     def decide(self, rows: Rows, observation: Observation) -> Actions:
         """Return the actions (r, 8) that replay at the speeds drawn for these episodes."""
         return make_giver_actions(len(rows), rate=self._rate[rows])
 
 
-class StopWhenNearBatch(ArrayPolicy):
-    """Batch of `StopWhenNearGiver`.
-
-    Args:
-        policy: Giver of a single episode, with the constants.
-        count: Number of episodes.
-    """
-
-    def __init__(self, policy: StopWhenNearGiver, count: int) -> None:
-        super().__init__(policy, count, GIVER_ACTION_SIZE)
-        self._distance = policy.distance
+class StopWhenNearBatch(ArrayPolicy[StopWhenNearGiver]):
+    """Batch of `StopWhenNearGiver`."""
 
     def decide(self, rows: Rows, observation: Observation) -> Actions:
         """Return the actions (r, 8) that pause near the gripper."""
-        return make_giver_actions(
-            len(rows), rate=np.where(compute_grip_distances(observation) < self._distance, _PAUSE, 0.0)
-        )
+        is_near = compute_grip_distances(observation) < self._policy.distance
+        return make_giver_actions(len(rows), rate=np.where(is_near, _PAUSE, 0.0))
 
 
-class HesitantBatch(ArrayPolicy):
-    """Batch of `HesitantGiver`, whose random numbers are drawn episode by episode.
-
-    Args:
-        policy: Giver of a single episode, with the constants.
-        count: Number of episodes.
-    """
+class HesitantBatch(ArrayPolicy[HesitantGiver]):
+    """Batch of `HesitantGiver`, whose random numbers are drawn episode by episode."""
 
     def __init__(self, policy: HesitantGiver, count: int) -> None:
-        super().__init__(policy, count, GIVER_ACTION_SIZE)
-        self._giver, self._until = policy, np.zeros(count)
+        super().__init__(policy, count)
+        self._until = np.zeros(count)
         self._rngs = [np.random.default_rng(0)] * count
 
     def start(self, row: int, seed: int | None) -> None:
@@ -103,7 +74,7 @@ class HesitantBatch(ArrayPolicy):
 
     def decide(self, rows: Rows, observation: Observation) -> Actions:
         """Return the actions (r, 8) that pause, or replay at the recorded speed."""
-        giver, now = self._giver, observation["time"][:, 0].astype(np.float64)
+        giver, now = self._policy, observation["time"][:, 0].astype(np.float64)
         for row, time in zip(rows.tolist(), now.tolist(), strict=True):
             rng = self._rngs[row]
             if time >= self._until[row] and rng.random() < giver.pauses_per_second * giver.control_period:
@@ -111,16 +82,11 @@ class HesitantBatch(ArrayPolicy):
         return make_giver_actions(len(rows), rate=np.where(now < self._until[rows], _PAUSE, 0.0))
 
 
-class NoisyBatch(ArrayPolicy):
-    """Batch of `NoisyGiver`, whose random numbers are drawn episode by episode.
-
-    Args:
-        policy: Giver of a single episode, with the constants.
-        count: Number of episodes.
-    """
+class NoisyBatch(ArrayPolicy[NoisyGiver]):
+    """Batch of `NoisyGiver`, whose random numbers are drawn episode by episode."""
 
     def __init__(self, policy: NoisyGiver, count: int) -> None:
-        super().__init__(policy, count, GIVER_ACTION_SIZE)
+        super().__init__(policy, count)
         self._rngs, self._deviation = [np.random.default_rng(0)] * count, np.zeros((count, 7))
         self._scale = np.array([policy.rate, *[policy.displacement] * 3, *[policy.rotation] * 3])
         self._decay = np.exp(-policy.control_period / policy.time_constant)
@@ -139,17 +105,11 @@ class NoisyBatch(ArrayPolicy):
         return make_giver_actions(len(rows), deviation[:, 0], deviation[:, 1:4], deviation[:, 4:])
 
 
-class WithdrawingBatch(ArrayPolicy):
-    """Batch of `WithdrawingGiver`.
-
-    Args:
-        policy: Giver of a single episode, with the constants.
-        count: Number of episodes.
-    """
+class WithdrawingBatch(ArrayPolicy[WithdrawingGiver]):
+    """Batch of `WithdrawingGiver`."""
 
     def __init__(self, policy: WithdrawingGiver, count: int) -> None:
-        super().__init__(policy, count, GIVER_ACTION_SIZE)
-        self._giver = policy
+        super().__init__(policy, count)
         self._last_distance, self._until = np.full(count, np.nan), np.full(count, -1.0)
         self._displacement = np.zeros((count, 3))
 
@@ -159,7 +119,7 @@ class WithdrawingBatch(ArrayPolicy):
 
     def decide(self, rows: Rows, observation: Observation) -> Actions:
         """Return the actions (r, 8) that withdraw the hands, or follow the recordings."""
-        giver, now = self._giver, observation["time"][:, 0].astype(np.float64)
+        giver, now = self._policy, observation["time"][:, 0].astype(np.float64)
         away = observation["hand_keypoints"][:, 0] - observation["gripper_pose"][:, :3]
         distance = compute_lengths(away).astype(np.float64)
         speed = (self._last_distance[rows] - distance) / giver.control_period

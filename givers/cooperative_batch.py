@@ -76,17 +76,11 @@ class PoseTimerBatch:
         self._min_distance[rows] = np.where(nearer, distance, np.where(late, np.inf, closest))
 
 
-class CooperativeBatch(ArrayPolicy):
-    """Batch of `CooperativeGiver`.
-
-    Args:
-        policy: Giver of a single episode, with the constants.
-        count: Number of episodes.
-    """
+class CooperativeBatch(ArrayPolicy[CooperativeGiver]):
+    """Batch of `CooperativeGiver`."""
 
     def __init__(self, policy: CooperativeGiver, count: int) -> None:
-        super().__init__(policy, count, GIVER_ACTION_SIZE)
-        self._giver = policy
+        super().__init__(policy, count)
         self._displacement, self._rotation, self._withdrawn = (np.zeros((count, 3)) for _ in range(3))
         self._is_fixed, self._is_withdrawn = np.zeros(count, dtype=bool), np.zeros(count, dtype=bool)
         self._grasped_since, self._timer = np.full(count, np.nan), PoseTimerBatch(count)
@@ -102,7 +96,7 @@ class CooperativeBatch(ArrayPolicy):
         """Return the actions (r, 8): deviations towards the grippers, or withdrawals after a release."""
         released = observation["released"][:, 0] != 0.0
         present = observation["hand_present"][:, 0] != 0.0
-        near = compute_grip_distances(observation) < self._giver.near_distance
+        near = compute_grip_distances(observation) < self._policy.near_distance
         chooses = ~released & present & ~self._is_fixed[rows]
         if chooses.any():
             self._choose_poses(rows[chooses], {key: value[chooses] for key, value in observation.items()})
@@ -124,11 +118,11 @@ class CooperativeBatch(ArrayPolicy):
         """Return whether each recorded hand has stopped at its handover pose."""
         wrist = observation["replay_wrist_poses"][..., :3]
         moves = np.abs(wrist - wrist[:, :1]).max(axis=(1, 2)).astype(np.float64)
-        return np.asarray((observation["holding"][:, 0] != 0.0) & (moves < self._giver.arrival_tolerance))
+        return np.asarray((observation["holding"][:, 0] != 0.0) & (moves < self._policy.arrival_tolerance))
 
     def _choose_poses(self, rows: Rows, observation: Observation) -> None:
         """Choose the deviations from the recorded poses half a second ahead."""
-        giver = self._giver
+        giver = self._policy
         gripper = observation["gripper_pose"][:, :3].astype(np.float64)
         wrist = observation["replay_wrist_poses"][:, -1, :3].astype(np.float64)
         item = observation["replay_object_poses"][:, -1, :3].astype(np.float64)
@@ -146,7 +140,7 @@ class CooperativeBatch(ArrayPolicy):
         """Return the limited rotation vectors (r, 3) that turn directions `arms` towards others."""
         axes = np.cross(arms, directions)
         size = compute_lengths(axes)
-        angle = np.minimum(np.arctan2(size, np.vecdot(arms, directions)), self._giver.max_rotation)
+        angle = np.minimum(np.arctan2(size, np.vecdot(arms, directions)), self._policy.max_rotation)
         is_turned = size >= 1e-9
         return np.where(is_turned[:, None], axes / np.where(is_turned, size, 1.0)[:, None] * angle[:, None], 0.0)
 
@@ -160,10 +154,10 @@ class CooperativeBatch(ArrayPolicy):
         since = self._grasped_since[rows]
         since = np.where(held, np.where(resting, np.where(np.isnan(since), now, since), np.nan), since)
         self._grasped_since[rows] = since
-        return np.asarray(resting & (now - since >= self._giver.grasp_time))
+        return np.asarray(resting & (now - since >= self._policy.grasp_time))
 
     def _withdraw(self, rows: Rows, begins: Flags, shift: Array, observation: Observation) -> None:
         """Set the displacement of the hands that begin to withdraw."""
         away = observation["hand_keypoints"][:, 0] - observation["gripper_pose"][:, :3]
-        withdrawal = shift + self._giver.withdrawal * away / np.maximum(compute_lengths(away), 1e-6)[:, None]
+        withdrawal = shift + self._policy.withdrawal * away / np.maximum(compute_lengths(away), 1e-6)[:, None]
         self._withdrawn[rows[begins]], self._is_withdrawn[rows[begins]] = withdrawal[begins], True

@@ -2,14 +2,18 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
+from typing import Generic, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
+from handover_marl.config import PANDA_DOF
 from handover_marl.episode.loop import PolicyScheduler, steps_from_hold_time
 from handover_marl.episode.observations import Observation
-from handover_marl.policies.policy import Policy
+from handover_marl.episode.spaces import GIVER_ACTION_SIZE
+from handover_marl.policies.policy import Giver, Policy
 
+PolicyType = TypeVar("PolicyType", bound=Policy)
 Actions = npt.NDArray[np.float32]
 Rows = npt.NDArray[np.int_]
 #: Function that returns the observations (r, ...) of the episodes with given numbers (r,).
@@ -81,7 +85,7 @@ class SequentialPolicyBatch(PolicyBatch):
         )
 
 
-class ArrayPolicy(PolicyBatch):
+class ArrayPolicy(PolicyBatch, Generic[PolicyType]):
     """Base class of policies that compute the actions of all episodes as arrays.
 
     Subclasses define `decide`, and `start` if they store anything between decisions.
@@ -89,11 +93,11 @@ class ArrayPolicy(PolicyBatch):
     Args:
         policy: Policy of a single episode; its parameters apply to all episodes.
         count: Number of episodes.
-        size: Number of components of an action.
     """
 
-    def __init__(self, policy: Policy, count: int, size: int) -> None:
-        self._hold_steps = steps_from_hold_time(policy.hold_time)
+    def __init__(self, policy: PolicyType, count: int) -> None:
+        self._policy, self._hold_steps = policy, steps_from_hold_time(policy.hold_time)
+        size = GIVER_ACTION_SIZE if isinstance(policy, Giver) else PANDA_DOF
         self._actions = np.zeros((count, size), dtype=np.float32)
         self._due = np.zeros(count, dtype=np.int64)
 

@@ -20,13 +20,7 @@ Flags = npt.NDArray[np.bool_]
 
 
 class DeviationBatch(SchemeBatch):
-    """Batch of `DeviationScheme`.
-
-    Args:
-        scheme: Scheme of a single episode, with the constants.
-        selection: Selector of grasps.
-        count: Number n of episodes.
-    """
+    """Batch of `DeviationScheme`."""
 
     def __init__(self, scheme: DeviationScheme, selection: GraspSelectionBatch, count: int) -> None:
         super().__init__(scheme, selection, count)
@@ -39,13 +33,7 @@ class DeviationBatch(SchemeBatch):
 
 
 class HandoverPoseBatch(SchemeBatch):
-    """Batch of `HandoverPoseScheme`.
-
-    Args:
-        scheme: Scheme of a single episode, with the constants.
-        selection: Selector of grasps.
-        count: Number n of episodes.
-    """
+    """Batch of `HandoverPoseScheme`."""
 
     def __init__(self, scheme: HandoverPoseScheme, selection: GraspSelectionBatch, count: int) -> None:
         super().__init__(scheme, selection, count)

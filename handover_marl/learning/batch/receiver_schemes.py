@@ -43,13 +43,7 @@ class JointDeltaBatch(SchemeBatch):
 
 
 class CartesianDeltaBatch(SchemeBatch):
-    """Batch of `CartesianDeltaScheme`.
-
-    Args:
-        scheme: Scheme of a single episode, with the constants.
-        selection: Selector of grasps.
-        count: Number n of episodes.
-    """
+    """Batch of `CartesianDeltaScheme`."""
 
     def __init__(self, scheme: CartesianDeltaScheme, selection: GraspSelectionBatch, count: int) -> None:
         super().__init__(scheme, selection, count)
@@ -73,13 +67,7 @@ class CartesianDeltaBatch(SchemeBatch):
 
 
 class GraspServoBatch(CartesianDeltaBatch):
-    """Batch of `GraspServoScheme`.
-
-    Args:
-        scheme: Scheme of a single episode, with the constants.
-        selection: Selector of grasps.
-        count: Number n of episodes.
-    """
+    """Batch of `GraspServoScheme`."""
 
     def __init__(self, scheme: GraspServoScheme, selection: GraspSelectionBatch, count: int) -> None:
         super().__init__(scheme, selection, count)
