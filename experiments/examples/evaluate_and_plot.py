@@ -14,37 +14,28 @@ from matplotlib.figure import Figure
 
 import handover_marl
 from handover_marl.cli.options import SceneNumbers
+from handover_marl.learning.training.scene_arguments import EvaluationArgs
 
 OUTCOMES = ("success", "contact", "drop", "timeout")
 
 
 @dataclass(frozen=True)
-class Args:
+class Args(EvaluationArgs):
     """Arguments of the comparison of receivers.
 
     Attributes:
         receivers: Receivers: names with options, policy files (learned:FILE) or package:Class.
         giver: Name of the giver.
         out: Image file to write.
-        dataset: Dataset: dexycb, synthetic, generated:n=1000,seed=7, own:FOLDER, or auto.
-        data_dir: Folder of DexYCB in HandoverSim's layout.
-        setup: Official setup, s0 to s3, or a setup of other data; default: the first of the dataset.
         split: Split of the setup: train, val or test.
         scenes: Scene numbers; default: all of the split.
-        physics: Physics engine: exact, fast or mujoco.
-        workers: Number of worker processes; default: one per core.
     """
 
     receivers: tuple[str, ...] = ("hold", "yang2021", "yang2021:wait=3")
     giver: str = "replay"
     out: Path = Path("runs/outcomes.png")
-    dataset: str = "auto"
-    data_dir: str | None = None
-    setup: str | None = None
     split: str = "val"
     scenes: SceneNumbers = None
-    physics: str = "fast"
-    workers: int | None = None
 
 
 def plot(reports: dict[str, handover_marl.Report], title: str) -> Figure:

@@ -16,32 +16,23 @@ import tyro
 import handover_marl
 from handover_marl.cli.options import SceneNumbers
 from handover_marl.givers import Giver, PolicyContext, make_giver_action
+from handover_marl.learning.training.scene_arguments import EvaluationArgs
 from handover_marl.testing import check_giver
 
 
 @dataclass(frozen=True)
-class Args:
+class Args(EvaluationArgs):
     """Arguments of the comparison of a giver with the recorded person.
 
     Attributes:
         receiver: Name of the receiver, with options if there are any.
-        dataset: Dataset: dexycb, synthetic, generated:n=1000,seed=7, own:FOLDER, or auto.
-        data_dir: Folder of DexYCB in HandoverSim's layout.
-        setup: Official setup, s0 to s3, or a setup of other data; default: the first of the dataset.
         split: Split of the setup: train, val or test.
         scenes: Scene numbers; default: all of the split.
-        physics: Physics engine: exact, fast or mujoco.
-        workers: Number of worker processes; default: one per core.
     """
 
     receiver: str = "yang2021"
-    dataset: str = "auto"
-    data_dir: str | None = None
-    setup: str | None = None
     split: str = "val"
     scenes: SceneNumbers = None
-    physics: str = "fast"
-    workers: int | None = None
 
 
 class MeetingGiver(Giver):

@@ -15,31 +15,22 @@ import tyro
 import handover_marl
 from handover_marl.cli.options import SceneNumbers
 from handover_marl.learning.schemes import make_scheme
+from handover_marl.learning.training.scene_arguments import EvaluationArgs
 from handover_marl.receivers import PolicyContext, Receiver
 from handover_marl.testing import check_receiver
 
 
 @dataclass(frozen=True)
-class Args:
+class Args(EvaluationArgs):
     """Arguments of the evaluation of a new receiver.
 
     Attributes:
-        dataset: Dataset: dexycb, synthetic, generated:n=1000,seed=7, own:FOLDER, or auto.
-        data_dir: Folder of DexYCB in HandoverSim's layout.
-        setup: Official setup, s0 to s3, or a setup of other data; default: the first of the dataset.
         split: Split of the setup: train, val or test.
         scenes: Scene numbers; default: all of the split.
-        physics: Physics engine: exact (official results), fast or mujoco.
-        workers: Number of worker processes; default: one per core.
     """
 
-    dataset: str = "auto"
-    data_dir: str | None = None
-    setup: str | None = None
     split: str = "val"
     scenes: SceneNumbers = None
-    physics: str = "fast"
-    workers: int | None = None
 
 
 class ServoReceiver(Receiver):

@@ -12,6 +12,7 @@ split. The folder gets `policy.npz` (`--givers learned:runs/giver/policy.npz`), 
 and `.png`, TensorBoard logs, and a checkpoint, from which `--resume` continues.
 """
 
+import functools
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,13 +26,7 @@ from stable_baselines3 import PPO
 from handover_marl import givers
 from handover_marl.learning.training.arguments import PpoArgs
 from handover_marl.learning.training.environments import make_frozen_env_factory
-from handover_marl.learning.training.stable_baselines import (
-    EvaluationCallback,
-    load_checkpoint,
-    make_ppo,
-    make_vec_env,
-)
-from handover_marl.learning.training.training_run import TrainingRun
+from handover_marl.learning.training.stable_baselines import train_agent
 
 
 @dataclass(frozen=True)
@@ -68,30 +63,13 @@ class Args(PpoArgs):
 
 
 def main(args: Args) -> Path:
-    torch.set_num_threads(1)
-    run = TrainingRun(args, "train_giver_sb3", {"giver": (args.features, args.actions)}, {"receiver": args.receiver})
-    envs = make_vec_env(args, "giver", args.receiver)
-    model = make_ppo(args, envs)
-    if args.resume and run.folder.checkpoint.exists():
-        load_checkpoint(model, run.folder.checkpoint)
-        run.discard_points_after(model.num_timesteps)
-    elif args.teacher:
-        error = imitate(model, args)
-        print(f"outputs differ from those of {args.teacher} by {error:.3f} (root mean square)")
-    callback = EvaluationCallback(run, "giver", args.eval_interval)
-    remaining = max(0, args.steps - model.num_timesteps)
-    model.learn(remaining, callback, reset_num_timesteps=False, progress_bar=True, log_interval=1)
-    callback.evaluate()
-    envs.close()
-    return run.folder.policy
+    return train_agent(args, "train_giver_sb3", "giver", args.receiver, functools.partial(imitate, args))
 
 
-def imitate(model: PPO, args: Args) -> float:
-    """Train the policy to imitate the teacher's first decision in each of many episodes.
-
-    Returns:
-        Root mean square of the difference between the policy's mean outputs and the teacher's.
-    """
+def imitate(args: Args, model: PPO) -> None:
+    """Train the policy to imitate the teacher's first decision in each of many episodes, if there is a teacher."""
+    if not args.teacher:
+        return
     env = make_frozen_env_factory(args, "giver", args.receiver)()
     teacher = givers.make(args.teacher, env.unwrapped.dataset)
     observations, outputs = [], []
@@ -111,7 +89,8 @@ def imitate(model: PPO, args: Args) -> float:
             loss.backward()
             optimizer.step()
     with torch.no_grad():
-        return float((means(model, inputs) - targets).square().mean().sqrt())
+        error = float((means(model, inputs) - targets).square().mean().sqrt())
+    print(f"outputs differ from those of {args.teacher} by {error:.3f} (root mean square)")
 
 
 def means(model: PPO, inputs: torch.Tensor) -> torch.Tensor:

@@ -12,21 +12,17 @@ gets `policy.npz` (`--receivers learned:runs/receiver/policy.npz`), `learning_cu
 TensorBoard logs, and a checkpoint, from which `--resume` continues.
 """
 
+import functools
 import math
 from dataclasses import dataclass
 from pathlib import Path
 
 import torch
 import tyro
+from stable_baselines3 import PPO
 
 from handover_marl.learning.training.arguments import PpoArgs
-from handover_marl.learning.training.stable_baselines import (
-    EvaluationCallback,
-    load_checkpoint,
-    make_ppo,
-    make_vec_env,
-)
-from handover_marl.learning.training.training_run import TrainingRun
+from handover_marl.learning.training.stable_baselines import train_agent
 
 
 @dataclass(frozen=True)
@@ -50,23 +46,15 @@ class Args(PpoArgs):
 
 
 def main(args: Args) -> Path:
-    torch.set_num_threads(1)
-    run = TrainingRun(args, "train_receiver_sb3", {"receiver": (args.features, args.actions)}, {"giver": args.giver})
-    envs = make_vec_env(args, "receiver", args.giver)
-    model = make_ppo(args, envs)
-    if args.resume and run.folder.checkpoint.exists():
-        load_checkpoint(model, run.folder.checkpoint)
-        run.discard_points_after(model.num_timesteps)
-    else:
-        with torch.no_grad():
-            # More exploration than in the motion: random closing succeeds now and then.
-            model.policy.log_std[-1] = math.log(args.gripper_initial_std)
-    callback = EvaluationCallback(run, "receiver", args.eval_interval)
-    remaining = max(0, args.steps - model.num_timesteps)
-    model.learn(remaining, callback, reset_num_timesteps=False, progress_bar=True, log_interval=1)
-    callback.evaluate()
-    envs.close()
-    return run.folder.policy
+    return train_agent(
+        args, "train_receiver_sb3", "receiver", args.giver, functools.partial(explore_gripper, args.gripper_initial_std)
+    )
+
+
+def explore_gripper(initial_std: float, model: PPO) -> None:
+    """Explore more than in the motion when the gripper closes: random closing succeeds now and then."""
+    with torch.no_grad():
+        model.policy.log_std[-1] = math.log(initial_std)
 
 
 if __name__ == "__main__":

@@ -52,6 +52,8 @@ def test_evaluate_and_plot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     pytest.importorskip("matplotlib", reason="needs the extra `plot`")
     example = script("evaluate_and_plot", monkeypatch)
     out = tmp_path / "outcomes.png"
-    reports = example.main(example.Args(("hold", "yang2021"), out=out, dataset="synthetic", scenes=SCENES, workers=1))
+    reports = example.main(
+        example.Args(receivers=("hold", "yang2021"), out=out, dataset="synthetic", scenes=SCENES, workers=1)
+    )
     assert [len(report.episodes) for report in reports.values()] == [1, 1]
     assert out.read_bytes().startswith(b"\x89PNG")

@@ -1,10 +1,11 @@
 """Training of one agent with Stable-Baselines3's PPO. The module needs the extra `train`.
 
-The module has functions for environments, policy files and checkpoints, and a callback that
-evaluates the policy.
+The module has functions for the training, its environments, policy files and checkpoints, and a
+callback that evaluates the policy.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.vec_env import SubprocVecEnv, VecEnv, VecMonitor
 
+from handover_marl.envs.arguments import AGENTS
 from handover_marl.envs.wrappers.wrapper import SingleAgentEnv
 from handover_marl.execution.options import count_available_cores
 from handover_marl.learning.foreign_policies import dense_network_from_state
@@ -26,6 +28,37 @@ from handover_marl.learning.training.environments import make_frozen_env_factory
 from handover_marl.learning.training.run_folder import read_checkpoint, write_checkpoint
 from handover_marl.learning.training.training_run import TrainingRun
 from handover_marl.simulation.engines import MUJOCO
+
+
+def train_agent(args: PpoArgs, script: str, agent: str, partner: str, prepare: Callable[[PPO], None]) -> Path:
+    """Train one agent for a frozen partner, from a checkpoint if `args.resume` is set and there is one.
+
+    Args:
+        args: Arguments of the training.
+        script: Name of the training script, which the policy files record.
+        agent: Agent that learns, "giver" or "receiver".
+        partner: Name of the other agent's policy.
+        prepare: Function that initializes the model of a new run, before the first evaluation.
+
+    Returns:
+        Path of the policy file.
+    """
+    torch.set_num_threads(1)
+    (frozen_agent,) = set(AGENTS) - {agent}
+    run = TrainingRun(args, script, {agent: (args.features, args.actions)}, {frozen_agent: partner})
+    envs = make_vec_env(args, agent, partner)
+    model = make_ppo(args, envs)
+    if args.resume and run.folder.checkpoint.exists():
+        load_checkpoint(model, run.folder.checkpoint)
+        run.discard_points_after(model.num_timesteps)
+    else:
+        prepare(model)
+    callback = EvaluationCallback(run, agent, args.eval_interval)
+    remaining = max(0, args.steps - model.num_timesteps)
+    model.learn(remaining, callback, reset_num_timesteps=False, progress_bar=True, log_interval=1)
+    callback.evaluate()
+    envs.close()
+    return run.folder.policy
 
 
 def make_vec_env(args: PpoArgs, agent: str, partner: str) -> VecEnv:
