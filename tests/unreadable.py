@@ -46,6 +46,13 @@ def replace_by(kind: str, path: Path) -> None:
     UNREADABLE[kind](path)
 
 
+def check_refusal(read: Callable[[Path], object], path: Path, kind: str, error: type[Exception]) -> None:
+    """Check that a reader soon refuses something unreadable, which is made at a path, with an error that names it."""
+    UNREADABLE[kind](path)
+    with refuses_within(5.0, error, kind):
+        read(path)
+
+
 @contextlib.contextmanager
 def refuses_within(seconds: float, error: type[Exception], kind: str) -> Iterator[None]:
     """Check that a block ends soon, with an error that names what is wrong."""

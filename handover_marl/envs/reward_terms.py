@@ -70,17 +70,21 @@ class SuccessTerm(RewardTerm):
         return float(transition.is_success)
 
 
-class PathTerm(RewardTerm):
-    """Length of the way in a step (m), of the Panda's hand link or of the person's wrist.
+class BodyTerm(RewardTerm):
+    """Base class of the terms of one body.
 
     Args:
-        body: "gripper" or "hand".
+        body: "gripper", "hand" or "object", one that the term is defined for.
     """
-
-    unit = "m"
 
     def __init__(self, body: str) -> None:
         self._body = body
+
+
+class PathTerm(BodyTerm):
+    """Length of the way in a step (m), of the Panda's hand link or of the person's wrist."""
+
+    unit = "m"
 
     def compute(self, transition: Transition) -> float:
         """Return the distance (m) of the positions before and after the step; 0 without a hand."""
@@ -88,17 +92,13 @@ class PathTerm(RewardTerm):
         return 0.0 if before is None or after is None else math.dist(before, after)
 
 
-class JerkTerm(RewardTerm):
-    """Jerk of the Panda's hand link or of the person's wrist, integrated over the step (m/s^2).
-
-    Args:
-        body: "gripper" or "hand".
-    """
+class JerkTerm(BodyTerm):
+    """Jerk of the Panda's hand link or of the person's wrist, integrated over the step (m/s^2)."""
 
     unit = "m/s^2"
 
     def __init__(self, body: str) -> None:
-        self._body = body
+        super().__init__(body)
         self._positions: list[list[float]] = []
         self._period = 0.0
 
@@ -120,17 +120,10 @@ class JerkTerm(RewardTerm):
         return math.hypot(*jerk) / transition.duration**2
 
 
-class ForceTerm(RewardTerm):
-    """Normal force between robot and object or hand at the end of the step, times its duration (N s).
-
-    Args:
-        body: "object" or "hand".
-    """
+class ForceTerm(BodyTerm):
+    """Normal force between robot and object or hand at the end of the step, times its duration (N s)."""
 
     unit = "N s"
-
-    def __init__(self, body: str) -> None:
-        self._body = body
 
     def compute(self, transition: Transition) -> float:
         """Return the sum of the normal forces (N) in the last physics step, times the duration (s)."""

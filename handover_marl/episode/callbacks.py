@@ -12,6 +12,7 @@ from handover_marl.geometry.link_trajectory import compute_link_trajectory
 from handover_marl.geometry.panda import HAND_LINK
 from handover_marl.simulation.clearance import ClearanceMonitor
 from handover_marl.simulation.engines import make_distance_query
+from handover_marl.simulation.kinematic_paths import WRIST_LINK
 
 if TYPE_CHECKING:
     from handover_marl.episode.episode import Episode
@@ -20,8 +21,6 @@ Array = npt.NDArray[np.float64]
 
 #: Physics steps between two samples of an episode's trace (20 ms); the first sample is the start.
 SAMPLE_STEPS = 20
-
-_WRIST_LINK = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,7 +194,7 @@ class TraceRecorder(EpisodeCallback):
         min_distance: float | None = None
         if has_hand.any():
             hand_frames = compute_link_trajectory(assets.hand, hand)
-            wrist[has_hand] = hand_frames.get_positions(_WRIST_LINK)
+            wrist[has_hand] = hand_frames.get_positions(WRIST_LINK)
             if assets.panda not in self._monitors:
                 query = make_distance_query(assets.panda, panda)
                 self._monitors[assets.panda] = ClearanceMonitor(assets.panda, panda, query)

@@ -11,11 +11,11 @@ from handover_marl.datasets.dataset import Scene
 from handover_marl.episode.spaces import GIVER_ACTION_SIZE, GiverAction
 from handover_marl.episode.wrist_offset import TrackedVector, apply_wrist_offset, track_set_point
 from handover_marl.geometry.kinematic_tree import KinematicTree, read_tree
-from handover_marl.simulation.kinematic_paths import ReferenceMotion
+from handover_marl.simulation.kinematic_paths import BASE_JOINTS, WRIST_LINK, ReferenceMotion
 
 Frames = npt.NDArray[np.int_]
 
-_BASE_LINK, _WRIST_LINK, _BASE_DOF = 5, 6, 6
+_BASE_LINK = 5
 #: Action of the giver that replays the recording.
 NO_DEVIATION = np.zeros(GIVER_ACTION_SIZE, dtype=np.float32)
 NO_DEVIATION.flags.writeable = False
@@ -196,15 +196,15 @@ class Playback:
         rotations, rotation = track_set_point(
             now.rotation, command.rotation, steps, config.turn_speed, config.turn_acceleration
         )
-        bases, objects = motion.hand[:, :_BASE_DOF], motion.objects[:, 0]
+        bases, objects = motion.hand[:, :BASE_JOINTS], motion.objects[:, 0]
         # Rows are equal at rest, for example after the recording's end: compute one of them.
         if all((rows == rows[0]).all() for rows in (displacements, rotations, bases, objects)):
             displacements, rotations, bases, objects = displacements[:1], rotations[:1], bases[:1], objects[:1]
         bodies = [bases] if command.is_released else [bases, objects]
-        previous = [now.motion.hand[-1, :_BASE_DOF], now.motion.objects[-1, 0]][: len(bodies)]
+        previous = [now.motion.hand[-1, :BASE_JOINTS], now.motion.objects[-1, 0]][: len(bodies)]
         moved = apply_wrist_offset(bodies, self._base_from_wrist, displacements, rotations, previous)
         moved_hand, moved_objects = motion.hand.copy(), motion.objects.copy()
-        moved_hand[:, :_BASE_DOF] = moved[0]
+        moved_hand[:, :BASE_JOINTS] = moved[0]
         if not command.is_released:
             moved_objects[:, 0] = moved[1]
         return ReferenceMotion(moved_objects, moved_hand, motion.hand_present), displacement, rotation
@@ -214,7 +214,7 @@ class Playback:
         pace = TIME_STEP / self._config.opening_time
         progress = np.minimum(self._now.opened + pace * np.arange(1, len(motion) + 1), 1.0)
         hand = motion.hand.copy()
-        hand[:, _BASE_DOF:] *= (1.0 - self._config.opening * progress[:, None]).astype(np.float32)
+        hand[:, BASE_JOINTS:] *= (1.0 - self._config.opening * progress[:, None]).astype(np.float32)
         return ReferenceMotion(motion.objects, hand, motion.hand_present), float(progress[-1])
 
     def _read_frames(self, frames: Frames, consecutive: bool = False) -> ReferenceMotion:
@@ -238,7 +238,7 @@ def find_wrist_offset(scene: Scene) -> npt.NDArray[np.float64]:
 @functools.lru_cache(maxsize=64)
 def _compute_wrist_offset(tree: KinematicTree) -> npt.NDArray[np.float64]:
     origins, _ = tree.compute_link_frames(np.zeros((1, tree.n_dof)))
-    base_from_wrist: npt.NDArray[np.float64] = origins[0, _WRIST_LINK] - origins[0, _BASE_LINK]
+    base_from_wrist: npt.NDArray[np.float64] = origins[0, WRIST_LINK] - origins[0, _BASE_LINK]
     return base_from_wrist
 
 

@@ -177,11 +177,8 @@ def _describe_task(task: SceneTask) -> str:
 def _open_runner(
     config: EvaluationConfig, parallelism: str, writers: tuple[EpisodeWriter, ...]
 ) -> Iterator[Callable[[SceneTask], FinishedEpisode]]:
-    runner = EpisodeRunner(config, parallelism, writers)
-    try:
+    with contextlib.closing(EpisodeRunner(config, parallelism, writers)) as runner:
         yield runner.run
-    finally:
-        runner.close()
 
 
 @contextlib.contextmanager

@@ -16,7 +16,8 @@ Array = npt.NDArray[np.float64]
 
 #: Number of joints that carry the whole hand: three prismatic, three revolute.
 BASE_JOINTS = 6
-_WRIST_LINK = 6
+#: Number of the hand's link at the wrist.
+WRIST_LINK = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +116,7 @@ def select_keypoint_links(joints: Sequence[int]) -> list[int]:
         joints: Numbers of the child links of the 51 moving joints. Every third finger joint is the
             first of three axes, and the origin of its link frame is that of the joint.
     """
-    return [_WRIST_LINK, *joints[BASE_JOINTS::3]]
+    return [WRIST_LINK, *joints[BASE_JOINTS::3]]
 
 
 class HandTrajectory:

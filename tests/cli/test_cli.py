@@ -116,19 +116,9 @@ def test_commands_are_imported_after_the_handler_of_ctrl_c() -> None:
 @pytest.mark.slow
 def test_closed_output(fake_data: Path) -> None:
     code = "import sys; from handover_marl.cli import main; sys.exit(main())"
-    arguments = [
-        "benchmark",
-        "--split",
-        "val",
-        "--receiver",
-        "hold",
-        "--scenes",
-        "9",
-        "--data-dir",
-        str(fake_data),
-    ]
+    arguments = ["benchmark", "--split", "val", "--receiver", "hold", "--scenes", "9", "--data-dir"]
     process = subprocess.Popen(
-        [sys.executable, "-c", code, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        [sys.executable, "-c", code, *arguments, fake_data], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
     assert process.stdout is not None
     process.stdout.close()

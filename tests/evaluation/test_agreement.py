@@ -53,18 +53,8 @@ def test_text_of_an_agreement(example: Agreement) -> None:
 
 def test_command(fake_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
-    command = [
-        "agreement",
-        "--receiver",
-        "hold",
-        "--scenes",
-        "9",
-        "--data-dir",
-        str(fake_data),
-        "--out",
-        str(out),
-    ]
-    assert main([*command, "--workers", "1"]) == 0
+    command = ["agreement", "--receiver", "hold", "--scenes", "9", "--workers", "1"]
+    assert main([*command, "--data-dir", str(fake_data), "--out", str(out)]) == 0
     assert "1 of 1 scenes: 100.00 %" in capsys.readouterr().out
     assert (out / "agreement.md").read_text().startswith("# Exact and fast physics")
     assert {path.name for path in (out / "fast").glob("*.npz")} == {path.name for path in (out / "exact").glob("*.npz")}

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from handover_marl.execution.reading import check_archive, check_plain_file, read_arrays, read_plain_file, read_yaml
-from tests.unreadable import UNREADABLE, refuses_within
+from tests.unreadable import UNREADABLE, check_refusal
 
 READERS: dict[str, Callable[[Path], object]] = {
     "check": check_plain_file,
@@ -21,9 +21,7 @@ READERS: dict[str, Callable[[Path], object]] = {
 @pytest.mark.parametrize("kind", UNREADABLE)
 @pytest.mark.parametrize("reader", READERS)
 def test_what_is_no_plain_file_is_not_opened(reader: str, kind: str, tmp_path: Path) -> None:
-    UNREADABLE[kind](tmp_path / "file")
-    with refuses_within(5.0, ValueError, kind):
-        READERS[reader](tmp_path / "file")
+    check_refusal(READERS[reader], tmp_path / "file", kind, ValueError)
 
 
 def test_content_of_a_plain_file(tmp_path: Path) -> None:

@@ -1,3 +1,4 @@
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -27,41 +28,37 @@ def test_groups_polygons_and_counting_back(tmp_path: Path) -> None:
     assert len(found.faces) == 3
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        (TRIANGLE, "empty"),
-        (f"{TRIANGLE}f 1 2 4\n", "not there"),
-        (f"{TRIANGLE}f 0 1 2\n", "not there"),
-        (f"{TRIANGLE}f 1 2 -4\n", "not there"),
-        (f"{TRIANGLE}v nan 0 0\nf 1 2 3\n", "not finite"),
-        (f"{TRIANGLE}f one two three\n", "not an OBJ file"),
-        (f"{TRIANGLE}f 1 2 3\nf 2 3", "at least three corners"),
-    ],
-)
-def test_damaged_files(tmp_path: Path, text: str, message: str) -> None:
-    with pytest.raises(DataFormatError, match=message):
-        read_obj(write(tmp_path, text))
+READERS: dict[str, Callable[[Path], object]] = {
+    "read": read_obj,
+    "check": lambda path: check_mesh(path, solid=True),
+}
 
 
 @pytest.mark.parametrize(
-    ("text", "message"),
+    ("reader", "text", "message"),
     [
-        ("", "empty"),
-        (TRIANGLE, "empty"),
-        ("f 1 2 3\n", "empty"),
-        (f"{TRIANGLE}f 1 2 3\n", "one plane"),
-        (f"{TRIANGLE}v nan 0 0\nf 1 2 3\n", "not finite"),
-        (f"{TRIANGLE}v 0 0 inf\nf 1 2 3\n", "not finite"),
-        (f"{TRIANGLE}v 0 0\nf 1 2 3\n", "three numbers"),
-        (f"{TRIANGLE}v 0 0 a\nf 1 2 3\n", "three numbers"),
-        (f"{TRIANGLE}v 0 0 1\nf 1 2 3\nf 2 3", "at least three corners"),
-        (f"{TRIANGLE}v 0 0 1\nf 1/1 2/2 3/3\nf 2/2", "at least three corners"),
+        ("read", TRIANGLE, "empty"),
+        ("read", f"{TRIANGLE}f 1 2 4\n", "not there"),
+        ("read", f"{TRIANGLE}f 0 1 2\n", "not there"),
+        ("read", f"{TRIANGLE}f 1 2 -4\n", "not there"),
+        ("read", f"{TRIANGLE}v nan 0 0\nf 1 2 3\n", "not finite"),
+        ("read", f"{TRIANGLE}f one two three\n", "not an OBJ file"),
+        ("read", f"{TRIANGLE}f 1 2 3\nf 2 3", "at least three corners"),
+        ("check", "", "empty"),
+        ("check", TRIANGLE, "empty"),
+        ("check", "f 1 2 3\n", "empty"),
+        ("check", f"{TRIANGLE}f 1 2 3\n", "one plane"),
+        ("check", f"{TRIANGLE}v nan 0 0\nf 1 2 3\n", "not finite"),
+        ("check", f"{TRIANGLE}v 0 0 inf\nf 1 2 3\n", "not finite"),
+        ("check", f"{TRIANGLE}v 0 0\nf 1 2 3\n", "three numbers"),
+        ("check", f"{TRIANGLE}v 0 0 a\nf 1 2 3\n", "three numbers"),
+        ("check", f"{TRIANGLE}v 0 0 1\nf 1 2 3\nf 2 3", "at least three corners"),
+        ("check", f"{TRIANGLE}v 0 0 1\nf 1/1 2/2 3/3\nf 2/2", "at least three corners"),
     ],
 )
-def test_unusable_meshes_are_refused_quickly(tmp_path: Path, text: str, message: str) -> None:
+def test_damaged_files(tmp_path: Path, reader: str, text: str, message: str) -> None:
     with pytest.raises(DataFormatError, match=message):
-        check_mesh(write(tmp_path, text), solid=True)
+        READERS[reader](write(tmp_path, text))
 
 
 @pytest.mark.parametrize("corner", ["4", "0", "-4", "999999999"])

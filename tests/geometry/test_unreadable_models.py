@@ -11,7 +11,7 @@ from handover_marl.geometry.kinematic_tree import KinematicTree, read_tree
 from handover_marl.geometry.meshes import check_collision_meshes, check_model, read_collision_mesh, read_visual_meshes
 from handover_marl.geometry.obj_files import check_mesh, read_obj
 from handover_marl.geometry.urdf import list_mesh_references, read_urdf_links, read_urdf_shapes
-from tests.unreadable import UNREADABLE, refuses_within, replace_by
+from tests.unreadable import UNREADABLE, check_refusal, refuses_within, replace_by
 
 TREE = KinematicTree([])
 URDF_READERS: dict[str, Callable[[Path], object]] = {
@@ -43,9 +43,7 @@ def write_model(folder: Path, mesh: str) -> Path:
 @pytest.mark.parametrize("kind", UNREADABLE)
 @pytest.mark.parametrize("reader", URDF_READERS)
 def test_unreadable_urdf(reader: str, kind: str, tmp_path: Path) -> None:
-    UNREADABLE[kind](tmp_path / "body.urdf")
-    with refuses_within(5.0, HandoverError, kind):
-        URDF_READERS[reader](tmp_path / "body.urdf")
+    check_refusal(URDF_READERS[reader], tmp_path / "body.urdf", kind, HandoverError)
     with refuses_within(5.0, ValueError, kind):
         list_mesh_references(tmp_path / "body.urdf")
 

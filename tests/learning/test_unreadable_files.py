@@ -22,7 +22,7 @@ from handover_marl.learning.networks.weights import read_network_weights
 from handover_marl.learning.policy_files import read_policy
 from handover_marl.learning.training.run_folder import read_checkpoint
 from handover_marl.policies.reference import read_policy_file
-from tests.unreadable import UNREADABLE, refuses_within
+from tests.unreadable import UNREADABLE, check_refusal
 
 READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
     "policy": ("policy.npz", lambda path: read_policy(path, "giver")),
@@ -41,9 +41,7 @@ READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
 @pytest.mark.parametrize("reader", READERS)
 def test_unreadable_file(reader: str, kind: str, tmp_path: Path) -> None:
     name, read = READERS[reader]
-    UNREADABLE[kind](tmp_path / name)
-    with refuses_within(5.0, HandoverError, kind):
-        read(tmp_path / name)
+    check_refusal(read, tmp_path / name, kind, HandoverError)
 
 
 def pack(members: dict[str, bytes], claims: str = "") -> bytes:

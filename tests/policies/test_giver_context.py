@@ -5,23 +5,17 @@ import pytest
 from handover_marl import givers
 from handover_marl.config import WorldConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.episode.observations import Observation
 from handover_marl.errors import OptionError
-from handover_marl.givers import Action, Giver, PolicyContext, make_giver_action, make_policy_context
+from handover_marl.givers import Giver, PolicyContext, make_policy_context
+from handover_marl.givers.replay import ReplayGiver
 from handover_marl.policies.policy import Policy
 from handover_marl.policies.reference import PolicyLike, parse_policy
 
 DATA = SyntheticDataset()
 
 
-class Plain(Giver):
+class Plain(ReplayGiver):
     name = "plain"
-
-    def reset(self, seed: int | None = None) -> None:
-        pass
-
-    def act(self, observation: Observation) -> Action:
-        return make_giver_action()
 
 
 class Lifting(Plain):

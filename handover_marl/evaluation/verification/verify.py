@@ -140,11 +140,8 @@ class EpisodeChecker:
 def _open_checker(
     config: EvaluationConfig, folder: Path, same_version: bool
 ) -> Iterator[Callable[[SceneTask], EpisodeCheck]]:
-    checker = EpisodeChecker(config, folder, same_version)
-    try:
+    with contextlib.closing(EpisodeChecker(config, folder, same_version)) as checker:
         yield checker.check
-    finally:
-        checker.close()
 
 
 def _parse_seed(path: Path, metadata: ResultMetadata) -> int:

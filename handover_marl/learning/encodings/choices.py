@@ -5,6 +5,8 @@ import inspect
 from collections.abc import Callable
 from typing import Any, TypeVar
 
+import numpy as np
+
 from handover_marl.errors import EncodingError, OptionError, UnknownNameError, UnsafeFileError
 from handover_marl.policies.policy import PolicyContext
 
@@ -43,6 +45,26 @@ def check_size(name: str, size: object) -> int:
     if isinstance(size, bool) or not isinstance(size, int) or not 1 <= size <= MAX_SIZE:
         raise OptionError(f"{name} must be an integer from 1 to {MAX_SIZE}, got {size!r}")
     return size
+
+
+def check_vector(what: str, values: object, shape: tuple[int, ...], advice: str) -> None:
+    """Check the type of what user-defined code returned: a finite float32 array.
+
+    Args:
+        what: Name of the values, for errors.
+        values: Values to check.
+        shape: Shape that they must have.
+        advice: What to do if they have another type, e.g. "convert with ...".
+
+    Raises:
+        EncodingError: The values are no such array.
+    """
+    if type(values) is not np.ndarray or values.shape != shape or values.dtype != np.float32:
+        got = f"{values.dtype} {values.shape}" if isinstance(values, np.ndarray) else type(values).__name__
+        raise EncodingError(f"{what} must be a float32 array of shape {shape}, got {got}; {advice}")
+    if not np.isfinite(values).all():
+        bad = int(np.flatnonzero(~np.isfinite(values))[0])
+        raise EncodingError(f"{what} must be finite, got {values[bad]} in component {bad}")
 
 
 def is_reference(choice: object) -> bool:

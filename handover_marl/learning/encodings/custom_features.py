@@ -15,6 +15,7 @@ from handover_marl.learning.encodings.choices import (
     MAX_SIZE,
     check_agent,
     check_size,
+    check_vector,
     construct_encoding,
     get_choice_name,
 )
@@ -109,17 +110,9 @@ class AgentFeatures:
         self._check(values)
         return values
 
-    def _check(self, values: object) -> None:
-        shape = self.space.shape
-        if type(values) is not np.ndarray or values.shape != shape or values.dtype != np.float32:
-            got = f"{values.dtype} {values.shape}" if isinstance(values, np.ndarray) else type(values).__name__
-            raise EncodingError(
-                f"{KIND} {self.name!r} must be a float32 array of shape {shape}, got {got}; convert with "
-                "numpy.asarray(values, dtype=numpy.float32), or declare another size"
-            )
-        if not np.isfinite(values).all():
-            bad = int(np.flatnonzero(~np.isfinite(values))[0])
-            raise EncodingError(f"{KIND} {self.name!r} must be finite, got {values[bad]} in component {bad}")
+    def _check(self, values: Any) -> None:
+        advice = "convert with numpy.asarray(values, dtype=numpy.float32), or declare another size"
+        check_vector(f"{KIND} {self.name!r}", values, self.space.shape, advice)
         if self._is_bounded and ((values < self.space.low) | (values > self.space.high)).any():
             bad = int(np.flatnonzero((values < self.space.low) | (values > self.space.high))[0])
             raise EncodingError(

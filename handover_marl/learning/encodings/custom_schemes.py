@@ -3,14 +3,18 @@
 from collections.abc import Callable
 from typing import Any, TypeAlias
 
-import numpy as np
-
 from handover_marl.config import PANDA_DOF
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.spaces import GIVER_ACTION_SIZE
 from handover_marl.errors import EncodingError, HandoverError, OptionError
 from handover_marl.learning.action_scheme import Action, ActionScheme, Outputs
-from handover_marl.learning.encodings.choices import check_agent, check_size, construct_encoding, get_choice_name
+from handover_marl.learning.encodings.choices import (
+    check_agent,
+    check_size,
+    check_vector,
+    construct_encoding,
+    get_choice_name,
+)
 from handover_marl.policies.policy import PolicyContext
 
 KIND = "action scheme"
@@ -69,16 +73,8 @@ class CheckedScheme(ActionScheme):
             action = self._run(self.scheme.compute_action, observation)
         else:
             action = self._run(self.scheme, self._outputs, observation)
-        shape = (_ACTION_SIZES[self.agent],)
-        if type(action) is not np.ndarray or action.shape != shape or action.dtype != np.float32:
-            got = f"{action.dtype} {action.shape}" if isinstance(action, np.ndarray) else type(action).__name__
-            raise EncodingError(
-                f"action of {KIND} {self.name!r} must be a float32 array of shape {shape}, got {got}; convert with "
-                "numpy.asarray(action, dtype=numpy.float32)"
-            )
-        if not np.isfinite(action).all():
-            bad = int(np.flatnonzero(~np.isfinite(action))[0])
-            raise EncodingError(f"action of {KIND} {self.name!r} must be finite, got {action[bad]} in component {bad}")
+        advice = "convert with numpy.asarray(action, dtype=numpy.float32)"
+        check_vector(f"action of {KIND} {self.name!r}", action, (_ACTION_SIZES[self.agent],), advice)
         return action
 
     def _run(self, method: Callable[..., Any], *arguments: Any) -> Any:
