@@ -33,13 +33,13 @@ import numpy.typing as npt
 from handover_marl.assets.shipped import GADDPG_WEIGHTS
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.spaces import FULL_POINTCLOUD
-from handover_marl.errors import OptionError, PolicyError
+from handover_marl.errors import OptionError, PolicyError, require_reset
 from handover_marl.execution.options import require_modules
 from handover_marl.geometry.panda import CLOSED, OPEN
 from handover_marl.geometry.poses import quaternion_from_matrix
 from handover_marl.planning.inverse_kinematics import IkStepper, make_ik_stepper
 from handover_marl.policies.policy import Action, PolicyContext
-from handover_marl.receivers.phases import PhasedReceiver, PhaseTiming, require_reset
+from handover_marl.receivers.phases import PhasedReceiver, PhaseTiming
 from handover_marl.receivers.point_cloud_memory import PointCloudMemory, PointCloudMemoryConfig
 
 Array = npt.NDArray[np.float64]
@@ -183,13 +183,13 @@ class GaddpgReceiver(PhasedReceiver):
             raise PolicyError(f"the network of {self.name!r} must return six numbers, got an array of {step.shape}")
         goal = pose @ _matrix_from_step(step)
         self.memory.remaining -= 1
-        solver = require_reset(self._ik_stepper, self)
+        solver = require_reset(self._ik_stepper, self.name)
         target = solver.to_world_frame(np.concatenate([goal[:3, 3], quaternion_from_matrix(goal[:3, :3])]))
         return solver.solve_step(observation["robot_joint_position_exact"], target[:3], target[3:])
 
     def _plan_retreat(self, observation: Observation) -> list[Array]:
         """Return joints on the straight path to the goal, computed in float32."""
-        solver, position = require_reset(self._ik_stepper, self), observation["gripper_pose"][:3].copy()
+        solver, position = require_reset(self._ik_stepper, self.name), observation["gripper_pose"][:3].copy()
         offset = np.array(self.context.protocol.goal_center) - position
         length = np.linalg.norm(offset)
         step = offset / length * self.timing.retreat_step
@@ -201,7 +201,7 @@ class GaddpgReceiver(PhasedReceiver):
 
     def _base_from_hand(self, observation: Observation) -> Array:
         """Return the pose (4, 4) of the hand link in the base frame."""
-        pose = require_reset(self._ik_stepper, self).to_base_frame(observation["gripper_pose"])
+        pose = require_reset(self._ik_stepper, self.name).to_base_frame(observation["gripper_pose"])
         matrix = np.eye(4)
         matrix[:3, :3], matrix[:3, 3] = _rotation_matrix(pose[3:]), pose[:3]
         return matrix

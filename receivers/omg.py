@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from handover_marl.config import ARM_DOF
 from handover_marl.episode.observations import Observation
+from handover_marl.errors import require_reset
 from handover_marl.execution.options import require_modules
 from handover_marl.geometry.arm import ArmKinematics
 from handover_marl.geometry.distance_field import load_object_sdf
@@ -29,7 +30,7 @@ from handover_marl.planning.planner_config import HandAvoidanceConfig, PlannerCo
 from handover_marl.planning.trajectory_cost import Obstacle
 from handover_marl.policies.policy import Action, PolicyContext
 from handover_marl.receivers.grasp_library import GraspLibrary
-from handover_marl.receivers.phases import PhasedReceiver, PhaseTiming, require_reset
+from handover_marl.receivers.phases import PhasedReceiver, PhaseTiming
 
 Array = npt.NDArray[np.float64]
 
@@ -109,7 +110,7 @@ class OmgReceiver(PhasedReceiver):
     @property
     def arm(self) -> ArmKinematics:
         """Kinematics of the arm in the frame of the robot's base."""
-        return require_reset(self._planner, self).arm
+        return require_reset(self._planner, self.name).arm
 
     @property
     def planned_goal(self) -> Array | None:
@@ -169,7 +170,7 @@ class OmgReceiver(PhasedReceiver):
         base_from_world = invert_pose(self.world_from_base)
         object_poses = round_poses(observation["object_poses"].astype(np.float64))
         base_from_objects = compose(base_from_world, object_poses)
-        plan = require_reset(self._planner, self).plan(
+        plan = require_reset(self._planner, self.name).plan(
             compose(base_from_objects[0], grasps),
             self._obstacles(observation, base_from_objects),
             self._hand(observation, base_from_world),
@@ -202,9 +203,9 @@ class OmgReceiver(PhasedReceiver):
         goal = np.array(self.context.protocol.goal_center)
         count = max(1, math.ceil(float(np.linalg.norm(goal - hand)) / self.timing.retreat_step))
         arm = observation["robot_joint_position"][:ARM_DOF].astype(np.float64)
-        path = []
+        solver, path = require_reset(self._ik_solver, self.name), []
         for share in np.arange(1, count + 1) / count:
-            joints = require_reset(self._ik_solver, self).solve([*arm, CLOSED, CLOSED], hand + share * (goal - hand))
+            joints = solver.solve([*arm, CLOSED, CLOSED], hand + share * (goal - hand))
             arm = arm if joints is None else joints
             path.append(arm)
         return path

@@ -3,18 +3,15 @@
 import math
 from abc import abstractmethod
 from dataclasses import dataclass, replace
-from typing import ClassVar, TypeVar
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
 from handover_marl.config import ARM_DOF
 from handover_marl.episode.observations import Observation
-from handover_marl.errors import ResetNeededError
 from handover_marl.geometry.panda import CLOSED
 from handover_marl.policies.policy import Action, PolicyContext, Receiver, milliseconds_from_wait
-
-_Part = TypeVar("_Part")
 
 
 @dataclass(frozen=True)
@@ -86,14 +83,3 @@ class PhasedReceiver(Receiver):
     @abstractmethod
     def _plan_retreat(self, observation: Observation) -> list[npt.NDArray[np.float64]]:
         """Return the configurations of the arm along the straight line to the goal."""
-
-
-def require_reset(part: _Part | None, receiver: Receiver) -> _Part:
-    """Return a part of a receiver that `reset` creates.
-
-    Raises:
-        ResetNeededError: There is no part yet, since `reset` was not called.
-    """
-    if part is None:
-        raise ResetNeededError(f"receiver {receiver.name!r} cannot act before reset(); call reset() first")
-    return part

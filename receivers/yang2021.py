@@ -15,12 +15,12 @@ import numpy.typing as npt
 
 from handover_marl.config import ARM_DOF
 from handover_marl.episode.observations import Observation
+from handover_marl.errors import require_reset
 from handover_marl.geometry import panda
-from handover_marl.geometry.poses import compose, compute_rotation_angle
+from handover_marl.geometry.poses import compose, compute_pose_distances, compute_rotation_angle
 from handover_marl.planning.inverse_kinematics import IkSolver, make_ik_solver
 from handover_marl.policies.policy import Action, PolicyContext, Receiver, milliseconds_from_wait
 from handover_marl.receivers.grasp_library import GraspLibrary
-from handover_marl.receivers.phases import require_reset
 
 Array = npt.NDArray[np.float64]
 
@@ -168,7 +168,7 @@ class Yang2021Receiver(Receiver):
         if grasps is None:
             return _arm_joints(observation)
         standoffs = compose(grasps, np.array(self.config.standoff))
-        solver, joints = require_reset(self._ik_solver, self), observation["robot_joint_position"]
+        solver, joints = require_reset(self._ik_solver, self.name), observation["robot_joint_position"]
         cheapest = np.argsort(self._costs(standoffs, observation["gripper_pose"]), kind="stable")
         for index in cheapest[: self.config.max_candidates]:
             arm = solver.solve(joints, standoffs[index, :3], standoffs[index, 3:])
@@ -188,13 +188,13 @@ class Yang2021Receiver(Receiver):
         if distance >= self.config.step_length:
             # The reference rounds this set-point to float32, like the observed position.
             target[:3] = (hand + offset / distance * self.config.step_length).astype(np.float32)
-        solver = require_reset(self._ik_solver, self)
+        solver = require_reset(self._ik_solver, self.name)
         arm = solver.solve(observation["robot_joint_position"], target[:3], target[3:])
         return _arm_joints(observation) if arm is None else arm
 
     def _goal_joints(self, observation: Observation) -> npt.NDArray[np.floating]:
         """Return the arm joints at the goal."""
-        solver = require_reset(self._ik_solver, self)
+        solver = require_reset(self._ik_solver, self.name)
         arm = solver.solve(observation["robot_joint_position"], self.context.protocol.goal_center)
         return _arm_joints(observation) if arm is None else arm
 
@@ -202,8 +202,8 @@ class Yang2021Receiver(Receiver):
         """Return the costs (n,) of standoffs (n, 7)."""
         reference = hand if self._reference is None else self._reference
         weight = self.config.rotation_weight
-        to_preferred = panda.compute_pose_distances(self.config.preferred_pose, standoffs, weight)
-        return panda.compute_pose_distances(reference, standoffs, weight) + to_preferred
+        to_preferred = compute_pose_distances(self.config.preferred_pose, standoffs, weight)
+        return compute_pose_distances(reference, standoffs, weight) + to_preferred
 
     def _is_in_region(self, hand: npt.NDArray[np.float32], standoff: Array, grasp: Array) -> bool:
         """Return whether the hand is in the region between standoff and grasp."""

@@ -63,11 +63,6 @@ class SceneAssets:
     objects: tuple[Path, ...]
     hand: Path
 
-    @property
-    def urdfs(self) -> tuple[Path, ...]:
-        """URDFs of all bodies: table, robot, objects, hand."""
-        return (self.table, self.panda, *self.objects, self.hand)
-
 
 @dataclass(frozen=True, eq=False)
 class Scene:
@@ -102,6 +97,11 @@ class Scene:
         """Number of frames T of 1 ms; after the last frame the bodies keep their poses."""
         return len(self.object_dof)
 
+    @property
+    def urdfs(self) -> tuple[Path, ...]:
+        """URDFs of all bodies: table, robot, objects, hand."""
+        return (self.assets.table, self.assets.panda, *self.assets.objects, self.assets.hand)
+
     def is_hand_present(self, frames: npt.NDArray[np.int_]) -> npt.NDArray[np.bool_]:
         """Return for each of the given frames whether the human hand is visible."""
         if self.hand_first is None or self.hand_last is None:
@@ -113,7 +113,8 @@ class Dataset(ABC):
     """Numbered handover scenes with their URDF models, robot grasps, setups and splits.
 
     By default, scene numbers, setups, splits and object classes are HandoverSim's; a data set with others
-    overrides `n_scenes`, `setups`, `object_names` and `list_scenes`.
+    overrides `n_scenes`, `setups`, `object_names` and `list_scenes`. By default, the robot is the library's model;
+    a data set with another one overrides `panda_urdf`.
 
     Args:
         robot: Variant of the Panda, one of `handover_marl.geometry.panda.ROBOTS`.
@@ -164,9 +165,9 @@ class Dataset(ABC):
         return False
 
     @property
-    @abstractmethod
     def panda_urdf(self) -> Path:
-        """Path of the robot's URDF; raises `DataNotFoundError` if the file is missing."""
+        """Path of the robot's URDF, by default the library's; raises `DataNotFoundError` if it is missing."""
+        return PANDA_URDF if self.robot == PANDA else write_camera_panda_urdf()
 
     @abstractmethod
     def load_info(self, scene_id: int) -> SceneInfo:
@@ -246,6 +247,19 @@ class Dataset(ABC):
         if not 0 <= scene_id < self.n_scenes:
             raise SceneError(f"scene {scene_id} does not exist; scenes are numbered 0 to {self.n_scenes - 1}")
 
+    def find_assets(self, info: SceneInfo, hand: Path) -> SceneAssets:
+        """Find the URDF files of a scene's bodies, with the library's table.
+
+        Args:
+            info: Description of the scene.
+            hand: URDF of the human hand.
+
+        Raises:
+            DataNotFoundError: A file is missing.
+        """
+        objects = tuple(self.find_object_urdf(name) for name in info.object_names)
+        return SceneAssets(table=TABLE_URDF, panda=self.panda_urdf, objects=objects, hand=hand)
+
     def make_scene(
         self,
         info: SceneInfo,
@@ -264,25 +278,3 @@ class Dataset(ABC):
             hand_span: First and last frame in which the hand is visible, or None if it never is.
         """
         return Scene(info, self.name, assets, object_dof, hand_dof, *(hand_span or (None, None)))
-
-
-class LibraryDataset(Dataset):
-    """Base class of data sets with the library's models of robot, table and hands."""
-
-    @property
-    def panda_urdf(self) -> Path:
-        """Path of the URDF of PyBullet's Panda, with or without a camera on its hand."""
-        return PANDA_URDF if self.robot == PANDA else write_camera_panda_urdf()
-
-    def find_assets(self, info: SceneInfo, hand: Path) -> SceneAssets:
-        """Find the URDF files of a scene's bodies.
-
-        Args:
-            info: Description of the scene.
-            hand: URDF of the human hand.
-
-        Raises:
-            DataNotFoundError: A file is missing.
-        """
-        objects = tuple(self.find_object_urdf(name) for name in info.object_names)
-        return SceneAssets(table=TABLE_URDF, panda=self.panda_urdf, objects=objects, hand=hand)

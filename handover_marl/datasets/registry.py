@@ -1,4 +1,4 @@
-"""Kinds of data sets, by the first word of their name: `KIND` or `KIND:ARGUMENT`.
+"""Opening of data sets by name, `KIND` or `KIND:ARGUMENT`, on this machine and on worker machines.
 
 To add a kind, add an entry to `KINDS`.
 """
@@ -6,18 +6,28 @@ To add a kind, add an entry to `KINDS`.
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
+from platform import node
 from types import MappingProxyType
 from typing import Final
 
 from handover_marl.datasets.dataset import Dataset
 from handover_marl.datasets.official import OfficialDataset
-from handover_marl.errors import DataNotFoundError, OptionError, UnknownNameError
+from handover_marl.errors import DataFormatError, DataNotFoundError, OptionError, UnknownNameError
 from handover_marl.execution.options import check_path
+from handover_marl.geometry.panda import PANDA
 
 #: Environment variable with the data folder, for calls without the argument `data_dir`.
 DATA_DIR_VARIABLE: Final = "HANDOVER_MARL_DATA"
+#: Name of DexYCB if a data folder is given or set, else of the synthetic scenes.
+AUTO: Final = "auto"
 #: Separates the kind of a data set from the argument.
 SEPARATOR: Final = ":"
+#: Advice for a machine whose data folder is missing or differs.
+DATA_FOLDER_ADVICE = (
+    f"Machines share no files: every node needs the same data folder, at the same path or named by {DATA_DIR_VARIABLE} "
+    "in the environment that Ray was started in there."
+)
 
 
 @dataclass(frozen=True)
@@ -26,7 +36,7 @@ class DatasetKind:
 
     Attributes:
         title: Name in reports; reports show `TITLE: ARGUMENT` if the data set's name has an argument.
-        usage: Form of the name, for help and errors.
+        usage: Form of the name, for help and errors; "KIND:..." if the name has an argument.
         open_dataset: Function from argument ("" without one), data folder (None without one) and robot to
             the data set.
         note: Sentence below the tables of reports; "" for none.
@@ -36,11 +46,6 @@ class DatasetKind:
     usage: str
     open_dataset: Callable[[str, str | None, str], Dataset]
     note: str = ""
-
-    @property
-    def takes_argument(self) -> bool:
-        """Whether the name has an argument."""
-        return SEPARATOR in self.usage
 
 
 def _open_synthetic(argument: str, data_dir: str | None, robot: str) -> Dataset:
@@ -106,6 +111,27 @@ KINDS: Mapping[str, DatasetKind] = MappingProxyType(
 )
 
 
+def open_dataset(dataset: str = AUTO, data_dir: str | os.PathLike[str] | None = None, robot: str = PANDA) -> Dataset:
+    """Return a data set by name.
+
+    Args:
+        dataset: "synthetic", "dexycb", another kind of `handover_marl.datasets.registry.KINDS`, or "auto":
+            DexYCB if a data folder is given or set, else the synthetic scenes.
+        data_dir: Folder of the data; default for DexYCB: the one in `HANDOVER_MARL_DATA`.
+        robot: Variant of the Panda, "panda" or "panda_camera".
+
+    Raises:
+        UnknownNameError: The data set or the robot does not exist.
+        OptionError: A data folder is given for the synthetic scenes, or is not a path.
+        DataNotFoundError: DexYCB is requested without a data folder, or the folder is missing.
+    """
+    given = None if data_dir is None else str(check_path("data_dir", data_dir))
+    if dataset == AUTO:
+        dataset = "dexycb" if given or os.environ.get(DATA_DIR_VARIABLE) else "synthetic"
+    kind, argument = split_dataset_name(dataset)
+    return kind.open_dataset(argument, given, robot)
+
+
 def split_dataset_name(name: str) -> tuple[DatasetKind, str]:
     """Return the kind and the argument of a data set's name.
 
@@ -114,7 +140,7 @@ def split_dataset_name(name: str) -> tuple[DatasetKind, str]:
     """
     text = name if isinstance(name, str) else ""
     kind, separator, argument = text.partition(SEPARATOR)
-    if kind not in KINDS or bool(separator) != KINDS[kind].takes_argument or (separator and not argument):
+    if kind not in KINDS or bool(separator) != (SEPARATOR in KINDS[kind].usage) or (separator and not argument):
         raise UnknownNameError("dataset", name, ("auto", *(each.usage for each in KINDS.values())))
     return KINDS[kind], argument
 
@@ -134,3 +160,61 @@ def find_dataset_note(name: str) -> str:
         return split_dataset_name(name)[0].note
     except UnknownNameError:
         return ""
+
+
+@dataclass(frozen=True)
+class DataLocation:
+    """Data folder as known to the machine that starts an evaluation.
+
+    Attributes:
+        argument: Absolute path of the folder passed as an argument, or "" if none was.
+        environment: Absolute path in the environment variable `HANDOVER_MARL_DATA` of that machine,
+            or "" if it is not set or does not apply.
+    """
+
+    argument: str = ""
+    environment: str = ""
+
+    @classmethod
+    def from_data_dir(cls, data_dir: str | None, dataset: str = "dexycb") -> "DataLocation":
+        """Return the location for the arguments `data_dir` and `dataset` on this machine."""
+        # The variable names the folder of DexYCB only.
+        environment = os.environ.get(DATA_DIR_VARIABLE) if dataset == "dexycb" else None
+        return cls(_resolve_path(data_dir), _resolve_path(environment))
+
+    def resolve(self) -> str | None:
+        """Return the folder to use on this machine.
+
+        The order of preference is: `argument` if it exists on this machine, `HANDOVER_MARL_DATA` of
+        this machine, `environment`.
+
+        Returns:
+            Path of the folder, or None to use this machine's `HANDOVER_MARL_DATA`.
+        """
+        if self.argument and Path(self.argument).is_dir():
+            return self.argument
+        if not os.environ.get(DATA_DIR_VARIABLE) and self.environment and Path(self.environment).is_dir():
+            return self.environment
+        return None
+
+
+def check_scene_fingerprint(scene_id: int, found: str, expected: str) -> None:
+    """Check that a scene on this machine equals the scene on the main machine, which starts the evaluation.
+
+    Args:
+        scene_id: Number of the scene.
+        found: Fingerprint on this machine.
+        expected: Fingerprint on the main machine; "" accepts any.
+
+    Raises:
+        DataFormatError: The fingerprints differ.
+    """
+    if expected not in ("", found):
+        raise DataFormatError(
+            f"scene {scene_id} on {node()} differs from the requested one (fingerprint {found} there, {expected} "
+            f"here). {DATA_FOLDER_ADVICE}"
+        )
+
+
+def _resolve_path(folder: str | None) -> str:
+    return str(Path(folder).expanduser().resolve()) if folder else ""

@@ -90,9 +90,9 @@ class EnvConfig:
         if self.render_mode is not None:
             check_rendering(f"render_mode={self.render_mode!r}")
         check_obs_mode(self.obs_mode)
-        resolve_renderer(
-            self.wrist_camera.renderer, self.physics, installed=get_camera_data_kind(self.obs_mode) is not None
-        )
+        camera = self.wrist_camera
+        if get_camera_data_kind(self.obs_mode) is not None:
+            resolve_renderer(camera.renderer, self.physics)
         resolve_rewards(self.rewards)
         _count_physics_steps(self.control_period)
         if self.max_cycles is not None:

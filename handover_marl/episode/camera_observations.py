@@ -30,7 +30,7 @@ from handover_marl.simulation.camera.frames import (
     deproject,
 )
 from handover_marl.simulation.camera.noise import CameraNoise, apply_camera_noise, resolve_camera_noise
-from handover_marl.simulation.camera.renderers import BULLET, resolve_renderer
+from handover_marl.simulation.camera.renderers import BULLET, RENDERERS, resolve_renderer
 from handover_marl.simulation.world import JointSnapshot, World
 
 if TYPE_CHECKING:
@@ -116,7 +116,7 @@ class WristCameraConfig:
         camera_noise: Noise of the images: None (no noise), "realsense" or a `CameraNoise`.
 
     Raises:
-        UnknownNameError: There is no such camera model or camera noise.
+        UnknownNameError: There is no such renderer, camera model or camera noise.
         OptionError: The camera noise has a wrong type.
     """
 
@@ -125,8 +125,10 @@ class WristCameraConfig:
     camera_noise: str | CameraNoise | None = None
 
     def __post_init__(self) -> None:
+        check_name("renderer", self.renderer, RENDERERS)
         check_name("camera_model", self.camera_model, CAMERA_MODELS)
-        resolve_camera_noise(self.camera_noise)
+        if self.camera_noise is not None:
+            resolve_camera_noise(self.camera_noise)
 
     @property
     def noise(self) -> CameraNoise | None:
@@ -178,13 +180,9 @@ class WristCamera:
 
     Attributes:
         has_latency: Whether `record_snapshot` must be called every step, because images arrive late.
-
-    Raises:
-        UnknownNameError: There is no such renderer. A missing package is reported at the first image.
     """
 
     def __init__(self, config: WristCameraConfig, physics: str, world_config: PhysicsConfig) -> None:
-        resolve_renderer(config.renderer, physics, installed=False)
         self._config, self._physics, self._world_config = config, physics, world_config
         self._noise = config.noise
         self._delay = 0 if self._noise is None else round(self._noise.latency / TIME_STEP)

@@ -21,7 +21,6 @@ from handover_marl.episode.referee import EpisodeStatus, Referee, ReleaseReason
 from handover_marl.episode.spaces import STATE, GiverAction, check_obs_mode, get_camera_data_kind
 from handover_marl.errors import ResetNeededError
 from handover_marl.geometry.meshes import check_collision_meshes
-from handover_marl.simulation.camera.renderers import resolve_renderer
 from handover_marl.simulation.contacts import Contacts
 from handover_marl.simulation.engines import check_physics, make_world
 from handover_marl.simulation.world import BatchWorld, World
@@ -54,7 +53,6 @@ class Episode:
         check_physics(physics)
         self.config = config
         self._physics, self._window = physics, window
-        resolve_renderer(wrist_camera.renderer, physics, installed=False)
         self._camera_config, self._camera_seed = wrist_camera, 0
         self._wrist_camera: WristCamera | None = None
         self._world: World | None = None
@@ -71,7 +69,7 @@ class Episode:
             DataNotFoundError, DataFormatError: Files of the scene are missing or damaged.
             SimulationError: The engine cannot load a model.
         """
-        for urdf in scene.assets.urdfs:
+        for urdf in scene.urdfs:
             check_collision_meshes(urdf)
         if self._world is None:
             self._world = make_world(self._physics, self.config.physics, self._window)
@@ -83,7 +81,7 @@ class Episode:
         self._playback = playback
         if self._wrist_camera is not None:
             self._wrist_camera.reset(scene, self._world)
-        elif self._camera_config.noise is not None:
+        elif self._camera_config.camera_noise is not None:
             # A camera with latency records every step.
             self._get_wrist_camera()
 

@@ -148,7 +148,7 @@ class Playback:
         self._planned = None
         if steps:
             # An episode may end before all planned steps are simulated.
-            self._now = state if steps == len(motion) else self._compute_motion(command, steps)[1]
+            self._now = state if steps == len(motion.hand) else self._compute_motion(command, steps)[1]
 
     def _compute_motion(self, command: _Command, steps: int) -> tuple[ReferenceMotion, _PlaybackState]:
         now = self._now
@@ -189,7 +189,7 @@ class Playback:
     def _offset_motion(
         self, motion: ReferenceMotion, command: _Command
     ) -> tuple[ReferenceMotion, TrackedVector, TrackedVector]:
-        steps, now, config = len(motion), self._now, self._config
+        steps, now, config = len(motion.hand), self._now, self._config
         displacements, displacement = track_set_point(
             now.displacement, command.displacement, steps, config.speed, config.acceleration
         )
@@ -212,7 +212,7 @@ class Playback:
     def _open_hand(self, motion: ReferenceMotion) -> tuple[ReferenceMotion, float]:
         """Move the finger angles towards zero, which is a flat hand in MANO."""
         pace = TIME_STEP / self._config.opening_time
-        progress = np.minimum(self._now.opened + pace * np.arange(1, len(motion) + 1), 1.0)
+        progress = np.minimum(self._now.opened + pace * np.arange(1, len(motion.hand) + 1), 1.0)
         hand = motion.hand.copy()
         hand[:, BASE_JOINTS:] *= (1.0 - self._config.opening * progress[:, None]).astype(np.float32)
         return ReferenceMotion(motion.objects, hand, motion.hand_present), float(progress[-1])

@@ -250,9 +250,9 @@ def resolve_config(config: EvaluationConfig, trust: bool = False) -> tuple[Evalu
     scenes = choose_scenes(dataset.list_scenes(setup, config.split), config.scenes, f"{setup} {config.split}")
     giver = giver.resolve(dataset, config.world_config, setup)
     receiver = receiver.resolve(dataset, config.world_config, setup)
-    resolve_renderer(
-        config.camera.renderer, config.physics, installed=get_camera_data_kind(receiver.obs_mode) is not None
-    )
+    camera = config.camera
+    if get_camera_data_kind(receiver.obs_mode) is not None:
+        resolve_renderer(camera.renderer, config.physics)
     dataset.check_scenes(scenes)
     config = replace(config, setup=setup, scenes=scenes, giver=giver, receiver=receiver)
     return set_dataset(config, dataset), dataset

@@ -13,7 +13,7 @@ from pathlib import Path
 from platform import node
 from tempfile import TemporaryDirectory
 
-from handover_marl.datasets.location import DATA_FOLDER_ADVICE, DataLocation, check_scene_fingerprint
+from handover_marl.datasets.registry import DATA_FOLDER_ADVICE, DataLocation, check_scene_fingerprint
 from handover_marl.episode.callbacks import ActionRecorder, EpisodeCallback, TraceRecorder
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import EpisodePolicy, play

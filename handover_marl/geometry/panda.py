@@ -3,11 +3,6 @@
 Lengths are in m, angles in rad, quaternions xyzw.
 """
 
-import numpy as np
-import numpy.typing as npt
-
-Poses = npt.NDArray[np.float64]
-
 #: Robots: HandoverSim's Panda without and with a wrist camera. The camera's housing collides and the finger friction
 #: differs, so results of the two are not comparable.
 PANDA, PANDA_CAMERA = "panda", "panda_camera"
@@ -62,15 +57,3 @@ RANKING_ROTATION_WEIGHT = 0.5
 
 #: Number of grasps that are planned for, in the order of their rank.
 MAX_RANKED_GRASPS = 25
-
-
-def compute_pose_distances(
-    pose: npt.ArrayLike, poses: Poses, rotation_weight: float = RANKING_ROTATION_WEIGHT
-) -> Poses:
-    """Compute distances (n,) in m^2 from poses (n, 7) to one pose (7,), for the ranking of grasps.
-
-    A distance is the squared distance of the positions plus a weighted rotation term.
-    """
-    one = np.asarray(pose, dtype=np.float64)
-    translation: Poses = ((poses[:, :3] - one[:3]) ** 2).sum(axis=1)
-    return translation + rotation_weight * (1.0 - (poses[:, 3:] @ one[3:]) ** 2)

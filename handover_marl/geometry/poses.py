@@ -192,3 +192,13 @@ def select_nearest_euler(angles: Array, previous: Array) -> tuple[npt.NDArray[np
     distances = np.abs(solutions + 2.0 * np.pi * turns - previous[:, None]).sum(axis=2)
     nearest = distances.argmin(axis=1)
     return nearest, turns[np.arange(len(angles)), nearest]
+
+
+def compute_pose_distances(pose: npt.ArrayLike, poses: Array, rotation_weight: float) -> Array:
+    """Compute distances (n,) in m^2 from poses (n, 7) to one pose (7,), for the ranking of grasps.
+
+    A distance is the squared distance of the positions plus a rotation term with a weight in m^2.
+    """
+    one = np.asarray(pose, dtype=np.float64)
+    translation: Array = ((poses[:, :3] - one[:3]) ** 2).sum(axis=1)
+    return translation + rotation_weight * (1.0 - (poses[:, 3:] @ one[3:]) ** 2)

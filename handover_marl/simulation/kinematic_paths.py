@@ -34,9 +34,6 @@ class ReferenceMotion:
     hand: npt.NDArray[np.float32]
     hand_present: npt.NDArray[np.bool_]
 
-    def __len__(self) -> int:
-        return len(self.objects)
-
     def list_hand_targets(self) -> list[list[float] | None]:
         """Return the hand's 51 joint targets in each step; None in steps without a hand."""
         return [

@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 
 from handover_marl.episode.observations import Observation
+from handover_marl.errors import require_reset
 from handover_marl.policies.policy import Action, PolicyContext
-from handover_marl.receivers.phases import require_reset
 from handover_marl.receivers.reactive.config import ReactiveConfig, apply_risk
 from handover_marl.receivers.reactive.controller import ControllerReceiver
 from handover_marl.receivers.reactive.grasp_contact import load_graspable_object, load_obstacle
@@ -63,7 +63,7 @@ class ReactiveReceiver(ControllerReceiver):
         Raises:
             ResetNeededError: `reset` was not called.
         """
-        scene, controller = require_reset(self._scene, self), require_reset(self.controller, self)
+        scene, controller = require_reset(self._scene, self.name), require_reset(self.controller, self.name)
         scene.update(observation)
         if scene.object_name != self._object_name:
             self._object_name = scene.object_name

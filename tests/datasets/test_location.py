@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 
 from handover_marl.datasets import DATA_DIR_VARIABLE
-from handover_marl.datasets.location import DataLocation, check_scene_fingerprint
+from handover_marl.datasets.registry import DataLocation, check_scene_fingerprint
 from handover_marl.errors import DataFormatError
 
 

@@ -23,7 +23,7 @@ from handover_marl.assets.object_models import find_object_urdf as find_ycb_urdf
 from handover_marl.assets.shipped import load_object_grasps
 from handover_marl.config import HAND_DOF, OBJECT_DOF
 from handover_marl.datasets.custom.scene_file import ALL_SCENES, CustomScene, SceneFile, read_scene_file
-from handover_marl.datasets.dataset import LibraryDataset, Scene, SceneAssets, SceneInfo
+from handover_marl.datasets.dataset import Dataset, Scene, SceneAssets, SceneInfo
 from handover_marl.datasets.splits import SPLITS
 from handover_marl.errors import DataFormatError, DataNotFoundError, OptionError, UnknownNameError, check_name
 from handover_marl.execution.options import check_path
@@ -70,7 +70,7 @@ def get_motion_path(folder: Path, scene_id: int) -> Path:
     return folder / MOTION_FOLDER / f"{scene_id:06d}.npz"
 
 
-class CustomDataset(LibraryDataset):
+class CustomDataset(Dataset):
     """Data set of the custom scenes in a folder, see `handover_marl.datasets.custom.scene_file`.
 
     Args:

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from handover_marl.assets.hand_model import find_hand_urdf
 from handover_marl.assets.object_models import find_object_urdf
 from handover_marl.assets.shipped import load_object_grasps
-from handover_marl.datasets.dataset import LibraryDataset, Scene, SceneInfo
+from handover_marl.datasets.dataset import Dataset, Scene, SceneInfo
 from handover_marl.datasets.generated.config import GENERATED, GeneratedConfig, parse_generated_config
 from handover_marl.datasets.generated.model_files import write_hand_model, write_object_model
 from handover_marl.datasets.generated.robot_grasps import RobotGraspConfig
@@ -75,7 +75,7 @@ class ObjectNames(Mapping[int, str]):
         raise UnknownNameError("object", name, (*CLASS_NAMES.values(), f"{_PREFIX}00000"))
 
 
-class GeneratedDataset(LibraryDataset):
+class GeneratedDataset(Dataset):
     """Scenes that are generated from a configuration; needs no data folder.
 
     Args:

@@ -17,8 +17,8 @@ from handover_marl.assets.hand_openings import OpeningDraws, Openings, make_refe
 from handover_marl.assets.hand_postures import THUMB, ArrayBatch, Posture
 from handover_marl.assets.hand_spheres import HandSpheres
 from handover_marl.datasets.generated.config import GeneratedConfig
-from handover_marl.datasets.generated.streams import open_streams
-from handover_marl.datasets.synthetic.random_stream import RandomStream
+from handover_marl.datasets.generated.streams import make_seed
+from handover_marl.datasets.synthetic.random_stream import RandomStream, open_stream
 from handover_marl.geometry.poses import compute_cross_products
 
 Array = npt.NDArray[np.float64]
@@ -57,7 +57,7 @@ def draw_person(config: GeneratedConfig, number: int) -> Person:
         config: Configuration of the scenes.
         number: Number of the person, from 0.
     """
-    random = open_streams(config, "person", number).open("person")
+    random = open_stream(make_seed(config, "person", number), "person")
     lengths, breadths = WOMEN if random.uniform() < 0.5 else MEN
     first, other = random.normal(), random.normal()
     second = _CORRELATION * first + np.sqrt(1.0 - _CORRELATION**2) * other

@@ -16,7 +16,7 @@ from handover_marl.datasets.generated.human_grasps import draw_human_grasps
 from handover_marl.datasets.generated.objects import ProceduralObject, draw_object
 from handover_marl.datasets.generated.robot_grasps import SKETCH, RobotGraspConfig, draw_robot_grasps
 from handover_marl.datasets.generated.shapes import Solid
-from handover_marl.datasets.generated.streams import find_splits, list_split, open_streams
+from handover_marl.datasets.generated.streams import find_splits, list_split, make_seed
 from handover_marl.datasets.generated.wandering import add_wandering, draw_far_positions
 from handover_marl.datasets.splits import SPLITS
 from handover_marl.datasets.synthetic.clutter import ClutterItem, ClutterObject, draw_clutter, make_ycb_clutter_item
@@ -29,7 +29,7 @@ from handover_marl.datasets.synthetic.object_placement import (
     draw_placement,
     make_held_object,
 )
-from handover_marl.datasets.synthetic.random_stream import RandomStream, RandomStreams
+from handover_marl.datasets.synthetic.random_stream import RandomStream, Seed, open_stream
 from handover_marl.errors import HandoverError
 from handover_marl.geometry.ycb import CLASS_NAMES, SCENE_CLASSES
 
@@ -101,7 +101,7 @@ class GeneratedHandover:
 
 def draw_side(config: GeneratedConfig, scene_id: int) -> Side:
     """Return the side of the giver's hand in a scene."""
-    return "left" if open_streams(config, "scene", scene_id).open("side").uniform() < config.left else "right"
+    return "left" if open_stream(make_seed(config, "scene", scene_id), "side").uniform() < config.left else "right"
 
 
 def generate_handover(config: GeneratedConfig, scene_id: int) -> GeneratedHandover:
@@ -111,13 +111,13 @@ def generate_handover(config: GeneratedConfig, scene_id: int) -> GeneratedHandov
         HandoverError: No grasp was found for many objects in a row.
     """
     split = int(find_splits([scene_id])[0])
-    giver, streams = _draw_giver(config, scene_id, split)
+    giver, seed = _draw_giver(config, scene_id, split)
     is_hard = config.family == HARD
     draw_positions = draw_far_positions if is_hard else draw_calibrated_positions
-    placement = draw_placement(streams.open("placement"), giver.held, draw_positions)
-    motion = draw_motion(streams, placement, giver.held, giver.hand)
+    placement = draw_placement(open_stream(seed, "placement"), giver.held, draw_positions)
+    motion = draw_motion(seed, placement, giver.held, giver.hand)
     if is_hard:
-        motion = add_wandering(streams.open("wandering"), motion, giver.held, placement.grasp)
+        motion = add_wandering(open_stream(seed, "wandering"), motion, giver.held, placement.grasp)
 
     def draw_item(random: RandomStream) -> ClutterItem:
         while True:
@@ -126,30 +126,32 @@ def generate_handover(config: GeneratedConfig, scene_id: int) -> GeneratedHandov
                 return item
 
     counts = range(config.clutter_min, config.clutter_max + 1)
-    clutter = draw_clutter(streams.open("clutter"), counts, draw_item, giver.held.corners, motion, giver.hand)
+    clutter = draw_clutter(open_stream(seed, "clutter"), counts, draw_item, giver.held.corners, motion, giver.hand)
     return GeneratedHandover(giver, motion, clutter)
 
 
-def _draw_giver(config: GeneratedConfig, scene_id: int, split: int) -> tuple[PersonWithObject, RandomStreams]:
-    """Draw object and person until the hand can grasp the object; return also the streams to go on with."""
+def _draw_giver(config: GeneratedConfig, scene_id: int, split: int) -> tuple[PersonWithObject, Seed]:
+    """Draw object and person until the hand can grasp the object; return also the seed to go on with."""
     side = draw_side(config, scene_id)
     for attempt in range(_MAX_ATTEMPTS):
-        streams = open_streams(config, "scene", scene_id, attempt)
-        random = streams.open("object")
+        seed = make_seed(config, "scene", scene_id, attempt)
+        random = open_stream(seed, "object")
         if random.uniform() >= config.procedural:
-            return _make_shipped_giver(random, streams.open("person"), side), streams
+            return _make_shipped_giver(random, open_stream(seed, "person"), side), seed
         numbers = list_object_numbers(config, split)
         number = int(numbers[random.integer(len(numbers))])
         model = load_object_model(config, number)
-        person = draw_person(config, streams.open("person").integer(config.people))
-        grasps = draw_human_grasps(streams.open("human grasps"), model.solid, model.item.up_axes, person.size, side)
+        person = draw_person(config, open_stream(seed, "person").integer(config.people))
+        grasps = draw_human_grasps(
+            open_stream(seed, "human grasps"), model.solid, model.item.up_axes, person.size, side
+        )
         if grasps is not None:
             distances = np.quantile(grasps.wrist_distance, LEVELS)
             hand = scale_hand(person.size, side)
             held = make_held_object(
                 model.corners, model.item.up_axes, tuple(distances.tolist()), hand, grasps, model.robot_grasps
             )
-            return PersonWithObject(FIRST_CLASS + number, person.name, side, hand, held, person), streams
+            return PersonWithObject(FIRST_CLASS + number, person.name, side, hand, held, person), seed
     raise HandoverError(
         f"scene {scene_id}: no object can be grasped by its person after {_MAX_ATTEMPTS} attempts; "
         "use another seed or other shares of object kinds"
@@ -182,12 +184,12 @@ def list_object_numbers(config: GeneratedConfig, split: int) -> npt.NDArray[np.i
 
 def draw_procedural_object(config: GeneratedConfig, number: int) -> ProceduralObject:
     """Draw a procedural object by its number, from 0."""
-    return draw_object(open_streams(config, "object", number).open("object"), config.kind_weights)
+    return draw_object(open_stream(make_seed(config, "object", number), "object"), config.kind_weights)
 
 
 def draw_object_grasps(config: GeneratedConfig, number: int, solid: Solid, grasps: RobotGraspConfig) -> Array:
     """Draw robot grasps (n, 4, 4) of a procedural object, see `draw_robot_grasps`."""
-    return draw_robot_grasps(open_streams(config, "object", number).open("robot grasps"), solid, grasps)
+    return draw_robot_grasps(open_stream(make_seed(config, "object", number), "robot grasps"), solid, grasps)
 
 
 @lru_cache(maxsize=1024)

@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from handover_marl.datasets.generated.config import FAMILIES, GeneratedConfig
 from handover_marl.datasets.splits import SPLITS
-from handover_marl.datasets.synthetic.random_stream import RandomStreams
+from handover_marl.datasets.synthetic.random_stream import Seed
 
 #: Version of the generator, part of every seed. It changes whenever the scenes do.
 VERSION: Final = 1
@@ -21,8 +21,8 @@ _OBJECT_OFFSET: Final = 1 << 40
 ItemKind = Literal["scene", "object", "person"]
 
 
-def open_streams(config: GeneratedConfig, kind: ItemKind, number: int, attempt: int = 0) -> RandomStreams:
-    """Return the random streams of a scene, an object or a person by its number.
+def make_seed(config: GeneratedConfig, kind: ItemKind, number: int, attempt: int = 0) -> Seed:
+    """Return the seed of the random streams of a scene, an object or a person by its number.
 
     Args:
         config: Configuration; only its family and seed are used.
@@ -30,9 +30,7 @@ def open_streams(config: GeneratedConfig, kind: ItemKind, number: int, attempt: 
         number: Number of the item, from 0.
         attempt: Number of earlier attempts to generate the item that failed.
     """
-    return RandomStreams(
-        _SALTS[kind], VERSION, FAMILIES.index(config.family), config.seed, number & 0xFFFFFFFF, attempt
-    )
+    return (_SALTS[kind], VERSION, FAMILIES.index(config.family), config.seed, number & 0xFFFFFFFF, attempt)
 
 
 def find_splits(numbers: npt.ArrayLike, of_objects: bool = False) -> npt.NDArray[np.int64]:

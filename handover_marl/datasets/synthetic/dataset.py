@@ -10,8 +10,8 @@ from handover_marl.assets.hand_model import Side, find_hand_urdf, make_hand_geom
 from handover_marl.assets.human_grasps import load_human_grasps
 from handover_marl.assets.object_models import find_object_urdf
 from handover_marl.assets.shipped import load_object_grasps
-from handover_marl.datasets.dataset import LibraryDataset, Scene, SceneInfo
-from handover_marl.datasets.synthetic.assign_subjects import class_id_from_scene, side_from_scene, subject_from_scene
+from handover_marl.datasets.dataset import Dataset, Scene, SceneInfo
+from handover_marl.datasets.splits import PRESCRIBED_SIDE_TRIALS, SKIPPED_OBJECTS, get_prescribed_side
 from handover_marl.datasets.synthetic.clutter import ClutterItem, draw_clutter, make_ycb_clutter_item
 from handover_marl.datasets.synthetic.grasp_clearance import hand_poses_from_grasps
 from handover_marl.datasets.synthetic.handover_motion import draw_motion
@@ -21,12 +21,19 @@ from handover_marl.datasets.synthetic.object_placement import (
     draw_placement,
     make_ycb_held_object,
 )
-from handover_marl.datasets.synthetic.random_stream import VERSION, RandomStream, open_scene_streams
+from handover_marl.datasets.synthetic.random_stream import VERSION, RandomStream, open_stream
 from handover_marl.datasets.synthetic.resampling import compute_trajectories
 from handover_marl.geometry.ycb import CLASS_NAMES, SCENE_CLASSES
 
+# Numbers of other objects on the table.
+_CLUTTER_COUNTS = range(2, 5)
+# Number of left-handed last trials of subjects 0-1 and 2-9, in scenes of objects that are in
+# splits. With the prescribed trials they give the 449 / 91 / 360 scenes of setup S2 (HandoverSim,
+# Table I).
+_N_LEFT_LAST_TRIALS = ((range(2), 19), (range(2, 10), 72))
 
-class SyntheticDataset(LibraryDataset):
+
+class SyntheticDataset(Dataset):
     """1000 generated handovers with the library's own models; needs no data folder.
 
     Args:
@@ -83,8 +90,33 @@ class SyntheticDataset(LibraryDataset):
         return ""
 
 
-# Numbers of other objects on the table.
-_CLUTTER_COUNTS = range(2, 5)
+def subject_from_scene(scene_id: int) -> int:
+    """Return the number, 1 to 10, of the subject in a synthetic scene."""
+    return scene_id // 100 + 1
+
+
+def class_id_from_scene(scene_id: int) -> int:
+    """Return the YCB class number of the object that is handed over in a synthetic scene."""
+    return SCENE_CLASSES[scene_id // 5 % 20]
+
+
+def side_from_scene(scene_id: int) -> Side:
+    """Return the giver's hand in a scene: prescribed in trials 0 to 3, drawn in trial 4."""
+    if scene_id % 5 in PRESCRIBED_SIDE_TRIALS:
+        return get_prescribed_side(scene_id)
+    return "left" if scene_id in _draw_left_handed_trials() else "right"
+
+
+@cache
+def _draw_left_handed_trials() -> frozenset[int]:
+    chosen: set[int] = set()
+    for subjects, count in _N_LEFT_LAST_TRIALS:
+        scenes = [scene for scene in range(4, 1000, 5) if scene // 100 in subjects]
+        shuffled = sorted(scenes, key=lambda scene: open_stream((VERSION, scene), "side").uniform())
+        in_splits = [scene for scene in shuffled if scene // 5 % 20 not in SKIPPED_OBJECTS]
+        chosen.update(in_splits[:count])
+        chosen.update(scene for scene in shuffled[::2] if scene // 5 % 20 in SKIPPED_OBJECTS)
+    return frozenset(chosen)
 
 
 @lru_cache(maxsize=64)
@@ -108,14 +140,14 @@ def _generate_scene(scene_id: int) -> tuple[SceneInfo, npt.NDArray[np.float32], 
     model = make_hand_geometry(subject_id, side)
     held = load_held_object(class_id, subject_id, side)
     # Keyframes at 25 Hz and other objects, in the table's frame.
-    streams = open_scene_streams(scene_id)
-    motion = draw_motion(streams, draw_placement(streams.open("placement"), held), held, model)
+    seed = (VERSION, scene_id)
+    motion = draw_motion(seed, draw_placement(open_stream(seed, "placement"), held), held, model)
     others = [number for number in SCENE_CLASSES if number != class_id]
 
     def draw_item(random: RandomStream) -> ClutterItem:
         return make_ycb_clutter_item(others[random.integer(len(others))])
 
-    clutter = draw_clutter(streams.open("clutter"), _CLUTTER_COUNTS, draw_item, held.corners, motion, model)
+    clutter = draw_clutter(open_stream(seed, "clutter"), _CLUTTER_COUNTS, draw_item, held.corners, motion, model)
     object_dof, hand_dof, hand_first = compute_trajectories(motion, clutter)
     ids = (class_id, *(clutter_object.class_id for clutter_object in clutter))
     subject = f"synthetic-subject-{subject_id:02d}"

@@ -14,10 +14,10 @@ from handover_marl.geometry.panda import (
     GRIPPER_FROM_HAND,
     MAX_RANKED_GRASPS,
     PREFERRED_HAND_POSE,
+    RANKING_ROTATION_WEIGHT,
     RANKING_STANDOFF,
-    compute_pose_distances,
 )
-from handover_marl.geometry.poses import compose, poses_from_matrices, transform_points
+from handover_marl.geometry.poses import compose, compute_pose_distances, poses_from_matrices, transform_points
 
 Array = npt.NDArray[np.float64]
 
@@ -76,6 +76,6 @@ def compute_free_grasp_shares(world_from_object: Array, clear: npt.NDArray[np.bo
         grasps: (n, 7) poses of the gripper's hand link in the object's frame.
     """
     standoffs = compose(compose(world_from_object[:, None], grasps), np.array(RANKING_STANDOFF))
-    costs = compute_pose_distances(PREFERRED_HAND_POSE, standoffs.reshape(-1, 7)).reshape(len(standoffs), -1)
-    order = np.argsort(costs, axis=1, kind="stable")
+    costs = compute_pose_distances(PREFERRED_HAND_POSE, standoffs.reshape(-1, 7), RANKING_ROTATION_WEIGHT)
+    order = np.argsort(costs.reshape(len(standoffs), -1), axis=1, kind="stable")
     return np.asarray(clear[order[:, :MAX_RANKED_GRASPS]].mean(axis=1))

@@ -19,7 +19,7 @@ from handover_marl.datasets.synthetic.object_placement import (
     HeldObject,
     ObjectPlacement,
 )
-from handover_marl.datasets.synthetic.random_stream import RandomStream, RandomStreams
+from handover_marl.datasets.synthetic.random_stream import RandomStream, Seed, open_stream
 from handover_marl.geometry.poses import multiply_quaternions
 
 Array = npt.NDArray[np.float64]
@@ -82,18 +82,16 @@ class HandoverTiming:
     reach: float
 
 
-def draw_motion(
-    streams: RandomStreams, placement: ObjectPlacement, held: HeldObject, model: HandGeometry
-) -> KeyframeMotion:
+def draw_motion(seed: Seed, placement: ObjectPlacement, held: HeldObject, model: HandGeometry) -> KeyframeMotion:
     """Draw the keyframes of the object and the hand in a synthetic scene.
 
     Args:
-        streams: Random streams of the scene.
+        seed: Seed of the scene.
         placement: Poses of the object on the table and at the handover, and the grasp.
         held: Object with the subject's grasps.
         model: Geometry of the subject's hand.
     """
-    random = streams.open("motion")
+    random = open_stream(seed, "motion")
     side_sign = 1.0 if held.grasps.side == "right" else -1.0
     speed = random.draw_quantile("peak_speed")
     handover_path = _HandoverPath(placement, held)
@@ -101,7 +99,7 @@ def draw_motion(
     entry[0] = calibration.MIRROR_X + side_sign * (entry[0] - calibration.MIRROR_X)
     wrist = placement.start[0] + placement.start[1] @ held.keypoints[placement.grasp, 0]
     timing = _draw_timing(
-        streams.open("timing"), speed, float(np.linalg.norm(entry - wrist)), handover_path.min_duration(speed)
+        open_stream(seed, "timing"), speed, float(np.linalg.norm(entry - wrist)), handover_path.min_duration(speed)
     )
     sway = np.array([random.uniform(-0.004, 0.004) for _ in range(3)])
     position, rotation = handover_path.sample_keyframes(timing, sway)

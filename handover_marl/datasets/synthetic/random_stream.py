@@ -14,6 +14,8 @@ from scipy.special import ndtr, ndtri
 
 from handover_marl.datasets.synthetic.calibration import LEVELS, QUANTILES
 
+#: Numbers of at least 0 that identify a scene.
+Seed = tuple[int, ...]
 #: Version of the scene generator, part of every seed. It changes whenever the scenes do.
 VERSION = 1
 
@@ -22,26 +24,6 @@ PURPOSES: Final = (
     *("side", "placement", "timing", "motion", "clutter"),
     *("person", "object", "human grasps", "robot grasps", "wandering"),
 )
-
-
-class RandomStreams:
-    """Independent streams of random numbers for the purposes of one scene.
-
-    Args:
-        seed: Numbers of at least 0 that identify the scene.
-    """
-
-    def __init__(self, *seed: int) -> None:
-        self._seed = seed
-
-    def open(self, purpose: str) -> "RandomStream":
-        """Return the stream of a purpose, one of `PURPOSES`, from its start."""
-        return RandomStream(*self._seed, PURPOSES.index(purpose))
-
-
-def open_scene_streams(scene_id: int) -> RandomStreams:
-    """Return the random streams of a synthetic scene."""
-    return RandomStreams(VERSION, scene_id)
 
 
 class RandomStream:
@@ -106,6 +88,16 @@ class RandomStream:
         one, other = self.normal(), self.normal()
         correlated = correlation * one + np.sqrt(1.0 - correlation**2) * other
         return [_interpolate_quantile(first, float(ndtr(one))), _interpolate_quantile(second, float(ndtr(correlated)))]
+
+
+def open_stream(seed: Seed, purpose: str) -> RandomStream:
+    """Return one of the independent streams of a scene, from its start.
+
+    Args:
+        seed: Numbers of at least 0 that identify the scene.
+        purpose: Purpose of the random numbers, one of `PURPOSES`.
+    """
+    return RandomStream(*seed, PURPOSES.index(purpose))
 
 
 # Arrays, since NumPy would convert tuples for every number.

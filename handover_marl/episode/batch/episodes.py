@@ -71,7 +71,7 @@ class EpisodeBatch:
             DataNotFoundError, DataFormatError: Files of the scene are missing or damaged.
             SimulationError: The engine cannot load a model.
         """
-        for urdf in scene.assets.urdfs:
+        for urdf in scene.urdfs:
             check_collision_meshes(urdf)
         self._worlds[row].reset(scene, self.motion.reset(row, scene))
         self._scenes[row], self._previews[row] = scene, None

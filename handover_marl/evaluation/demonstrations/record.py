@@ -113,7 +113,9 @@ def demonstrate(
     if execution.folder is None:
         raise OptionError("demonstrations need an output folder; pass out= (--out DIR)")
     recording = RecordingConfig(obs_mode, keep == SUCCESS, _check_format(format, fps, execution))
-    resolve_renderer(config.camera.renderer, config.physics, installed=get_camera_data_kind(obs_mode) is not None)
+    camera = config.camera
+    if get_camera_data_kind(obs_mode) is not None:
+        resolve_renderer(camera.renderer, config.physics)
     evaluation = Evaluation(config, execution, recording.describe(config))
     if recording.fps:
         with LeRobotWriter.open(execution.folder, evaluation.config, recording, execution.fresh) as lerobot_writer:

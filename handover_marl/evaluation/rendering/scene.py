@@ -97,7 +97,9 @@ def render_scene(
     if isinstance(key_frames, bool) or not isinstance(key_frames, int) or key_frames < 1:
         raise OptionError(f"key_frames must be an integer of at least 1, got {key_frames!r}")
     player = ScenePlayer(scene_id, "hold" if receiver is None else receiver, giver, options)
-    resolve_renderer(player.config.renderer, player.config.physics, installed=view == "wrist")
+    wrist_camera = player.config.camera
+    if view == "wrist":
+        resolve_renderer(wrist_camera.renderer, player.config.physics)
     until = player.scene.n_frames + _STILL_SCENE_DURATION_MS if receiver is None else None
 
     def record_frames(steps: Sequence[int], with_end: bool) -> list[Picture]:

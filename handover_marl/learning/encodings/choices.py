@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any, TypeVar
 
 import numpy as np
+import numpy.typing as npt
 
 from handover_marl.errors import EncodingError, OptionError, UnknownNameError, UnsafeFileError
 from handover_marl.policies.policy import PolicyContext
@@ -47,8 +48,8 @@ def check_size(name: str, size: object) -> int:
     return size
 
 
-def check_vector(what: str, values: object, shape: tuple[int, ...], advice: str) -> None:
-    """Check the type of what user-defined code returned: a finite float32 array.
+def check_vector(what: str, values: object, shape: tuple[int, ...], advice: str) -> npt.NDArray[np.float32]:
+    """Check that user-defined code returned a finite float32 array, and return it.
 
     Args:
         what: Name of the values, for errors.
@@ -65,6 +66,7 @@ def check_vector(what: str, values: object, shape: tuple[int, ...], advice: str)
     if not np.isfinite(values).all():
         bad = int(np.flatnonzero(~np.isfinite(values))[0])
         raise EncodingError(f"{what} must be finite, got {values[bad]} in component {bad}")
+    return values
 
 
 def is_reference(choice: object) -> bool:

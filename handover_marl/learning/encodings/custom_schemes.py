@@ -74,8 +74,7 @@ class CheckedScheme(ActionScheme):
         else:
             action = self._run(self.scheme, self._outputs, observation)
         advice = "convert with numpy.asarray(action, dtype=numpy.float32)"
-        check_vector(f"action of {KIND} {self.name!r}", action, (_ACTION_SIZES[self.agent],), advice)
-        return action
+        return check_vector(f"action of {KIND} {self.name!r}", action, (_ACTION_SIZES[self.agent],), advice)
 
     def _run(self, method: Callable[..., Any], *arguments: Any) -> Any:
         try:

@@ -61,7 +61,7 @@ class BulletWorld(World):
             OSError: The URDF file of a model cannot be read.
             SimulationError: A file is damaged, a model cannot be loaded, or PyBullet's window was closed.
         """
-        for urdf in scene.assets.urdfs:
+        for urdf in scene.urdfs:
             check_model_files(urdf, urdf.stat().st_mtime_ns)
         self._scene, self._release_pending = scene, False
         try:

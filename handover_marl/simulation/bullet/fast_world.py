@@ -89,7 +89,7 @@ class FastWorld(BulletWorld):
 
     def set_reference(self, motion: ReferenceMotion) -> None:
         """Set the joint targets of hand and objects for the coming steps, one row per step."""
-        self._row, self._n_rows, self._free_until = -1, len(motion), 0
+        self._row, self._n_rows, self._free_until = -1, len(motion.hand), 0
         self._loaded_hand.set_reference(motion)
         for number, item in enumerate(self._objects):
             item.set_reference(motion.objects[:, number])

@@ -26,6 +26,7 @@ Array = npt.NDArray[np.float64]
 _POSITION_TOLERANCE = 1e-3
 _ANGLE_TOLERANCE = 0.1
 _MAX_ROUNDS = 1000
+_HAND_CONFIG = HandConfig()
 # Field of a PyBullet closest point.
 _DISTANCE = 8
 
@@ -173,7 +174,7 @@ class BulletDistanceQuery(DistanceQuery):
         """Measure the smallest distance between robot and human hand (m); see `DistanceQuery`."""
         self._panda.reset_joints_at_rest(robot)
         if hand_urdf not in self._hands:
-            self._hands[hand_urdf] = HandBody(self._client, hand_urdf, hand, HandConfig())
+            self._hands[hand_urdf] = HandBody(self._client, hand_urdf, hand, _HAND_CONFIG)
         body = self._hands[hand_urdf]
         body.reset_joints_at_rest(hand)
         points = self._client.getClosestPoints(self._panda.id, body.id, max_distance)

@@ -17,13 +17,12 @@ RENDERERS = ("auto", BULLET, RAYS)
 _RAY_MODULES = ("embreex", "trimesh")
 
 
-def resolve_renderer(name: str, physics: str, installed: bool = True) -> str:
-    """Return the renderer of the wrist camera for an option: "bullet" or "rays".
+def resolve_renderer(name: str, physics: str) -> str:
+    """Return the renderer of the wrist camera for an option, "bullet" or "rays", whose packages are installed.
 
     Args:
         name: Name of the renderer or "auto", one of `RENDERERS`.
         physics: Kind of physics, one of `PHYSICS`.
-        installed: Whether to check that the renderer's packages are installed.
 
     Raises:
         UnknownNameError: There is no such renderer.
@@ -31,8 +30,6 @@ def resolve_renderer(name: str, physics: str, installed: bool = True) -> str:
     """
     check_name("renderer", name, RENDERERS)
     renderer = (BULLET if physics == "exact" else RAYS) if name == "auto" else name
-    if not installed:
-        return renderer
     if renderer == BULLET:
         require_pybullet("renderer 'bullet'", "take renderer='rays', for which there is the extra vision")
     else:

@@ -110,8 +110,9 @@ def load_scene_model(assets: SceneAssets, config: PhysicsConfig, tuning: MujocoT
     Raises:
         SimulationError, DataFormatError: A model or a mesh cannot be read, or MuJoCo rejects it.
     """
+    files = (assets.table, assets.panda, *assets.objects, assets.hand)
     try:
-        mtimes = tuple(read_model_mtimes(urdf) for urdf in assets.urdfs)
+        mtimes = tuple(read_model_mtimes(urdf) for urdf in files)
     except OSError as error:
         raise SimulationError(f"{error.filename}: cannot read this model ({error.strerror or error})") from error
     return _load(assets, mtimes, config, tuning)

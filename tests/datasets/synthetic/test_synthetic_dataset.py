@@ -7,7 +7,7 @@ from handover_marl.assets.hand_model import SUBJECTS
 from handover_marl.datasets.dataset import Scene
 from handover_marl.datasets.splits import SETUPS, SKIPPED_OBJECTS, SPLIT_SIZES, SPLITS
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.datasets.synthetic.assign_subjects import side_from_scene
+from handover_marl.datasets.synthetic.dataset import side_from_scene
 from handover_marl.errors import SceneError
 
 DATASET = SyntheticDataset()

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from handover_marl.config import OFFICIAL_CONFIG
 from handover_marl.datasets import Dataset, open_dataset
 from handover_marl.datasets.dataset import SceneAssets
-from handover_marl.datasets.location import DataLocation, check_scene_fingerprint
+from handover_marl.datasets.registry import DataLocation, check_scene_fingerprint
 from handover_marl.errors import OptionError, ResultsError
 from handover_marl.execution.files import shorten_text, write_arrays
 from handover_marl.execution.options import PoolConfig
