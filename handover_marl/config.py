@@ -29,7 +29,6 @@ HAND_DOF = 51
 OBJECT_DOF = 6
 MAX_OBJECTS = 5
 N_KEYPOINTS = 16
-N_PREVIEW_POSES = 5
 
 
 Limits = Mapping[str, tuple[float, float]]

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from handover_marl.errors import DataFormatError
 from tests.evaluation.deadline import ends_within
 
 
@@ -50,6 +51,13 @@ def check_refusal(read: Callable[[Path], object], path: Path, kind: str, error: 
     """Check that a reader soon refuses something unreadable, which is made at a path, with an error that names it."""
     UNREADABLE[kind](path)
     with refuses_within(5.0, error, kind):
+        read(path)
+
+
+def check_content_refusal(read: Callable[[Path], object], path: Path, content: bytes) -> None:
+    """Check that a reader refuses a file with some content, with an error that names the file."""
+    path.write_bytes(content)
+    with pytest.raises(DataFormatError, match=path.stem):
         read(path)
 
 

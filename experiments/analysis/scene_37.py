@@ -50,8 +50,6 @@ class RuleLog(EpisodeCallback):
         arrived: First physics step after the release with the gripper in the goal region; None
             before that step.
         gripped: Number of steps since the release with both fingers in contact with the object.
-        supported: Number of steps since the release in which the object is supported by the table
-            or by another object.
         grips: Pose (7,) of the object in the frame of the Panda's hand link, in every step since the
             release.
         forces: Sum of the normal forces between Panda and object (N), in every step since the
@@ -62,7 +60,7 @@ class RuleLog(EpisodeCallback):
         """Clear the measurements of the previous episode."""
         self.touched: int | None = None
         self.arrived: int | None = None
-        self.gripped = self.supported = 0
+        self.gripped = 0
         self.grips: list[npt.NDArray[np.float64]] = []
         self.forces: list[float] = []
 
@@ -77,7 +75,6 @@ class RuleLog(EpisodeCallback):
         self.grips.append(compose(invert_pose(state.gripper_pose), state.object_poses[0]))
         self.forces.append(contacts.robot_object_force)
         self.gripped += contacts.both_fingers_touch
-        self.supported += contacts.object_supported
         away = np.linalg.norm(np.subtract(contacts.gripper_position, rules.goal_center))
         if self.arrived is None and away < rules.goal_radius:
             self.arrived = episode.steps

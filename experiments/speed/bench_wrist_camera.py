@@ -30,7 +30,6 @@ from handover_marl.simulation.camera.frames import CameraImage, SegmentationLabe
 from handover_marl.simulation.camera.ray_camera import RayCamera
 
 SETUPS = ("s0", "s1", "s2", "s3")
-SOUGHT = (SegmentationLabel.TARGET, SegmentationLabel.HAND)
 
 
 @dataclass(frozen=True)

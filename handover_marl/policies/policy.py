@@ -90,6 +90,10 @@ class Policy(ABC):
     A policy holds no environment. Its constructor may take `context`, a `PolicyContext`, and options with
     defaults, which can be given with its name (`omg:wait=1.5`).
 
+    Args:
+        context: Robot, protocol, objects and known grasps; default: none, for policies that are
+            constructed by hand and do not use it.
+
     Attributes:
         agent: Agent that the policy acts for, "giver" or "receiver"; None for either.
         name: Name of the policy in tables and files.
@@ -105,6 +109,22 @@ class Policy(ABC):
     control_period: ClassVar[float] = 0.1
     file_options: ClassVar[tuple[str, ...]] = ()
     obs_mode: str = STATE
+
+    def __init__(self, context: PolicyContext | None = None) -> None:
+        if context is not None:
+            self.context = context
+
+    @functools.cached_property
+    def context(self) -> PolicyContext:
+        """Robot, protocol, objects and known grasps.
+
+        Raises:
+            OptionError: The policy was constructed without a context.
+        """
+        raise OptionError(
+            f"context must be given to the constructor of {type(self).__name__}, got none; pass the class instead of "
+            "an instance, or call super().__init__(context)"
+        )
 
     def prepare(self, object_names: Sequence[str]) -> None:  # noqa: B027
         """Prepare for episodes with these objects; may be called several times before `reset`.
@@ -171,29 +191,9 @@ class Giver(Policy):
 
     User-defined givers can be passed as a class or an instance, or registered in the entry-point group
     `handover_marl.givers`. A giver that is passed as a class or a name gets a context.
-
-    Args:
-        context: Robot, protocol, objects and known grasps; default: none, for givers that are
-            constructed by hand and do not use it.
     """
 
     agent: ClassVar[str | None] = "giver"
-
-    def __init__(self, context: PolicyContext | None = None) -> None:
-        if context is not None:
-            self.context = context
-
-    @functools.cached_property
-    def context(self) -> PolicyContext:
-        """Robot, protocol, objects and known grasps.
-
-        Raises:
-            OptionError: The giver was constructed without a context.
-        """
-        raise OptionError(
-            f"context must be given to the constructor of {type(self).__name__}, got none; pass the class instead of "
-            "an instance, or call super().__init__(context)"
-        )
 
     @abstractmethod
     def act(self, observation: Observation) -> Action:
@@ -211,15 +211,9 @@ class Receiver(Policy):
 
     User-defined receivers can be passed as a class, or registered in the entry-point group
     `handover_marl.receivers`.
-
-    Args:
-        context: Robot, protocol, objects and known grasps.
     """
 
     agent: ClassVar[str | None] = "receiver"
-
-    def __init__(self, context: PolicyContext) -> None:
-        self.context = context
 
     @abstractmethod
     def act(self, observation: Observation) -> Action:

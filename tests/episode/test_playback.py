@@ -109,7 +109,7 @@ def test_deviations_come_at_a_human_pace_and_without_jumps() -> None:
     moved = np.concatenate([wrist(motion) for motion in rows])
     assert np.linalg.norm(np.diff(moved, axis=0), axis=1).max() <= CONFIG.speed * 0.001 + 1e-6
     for part in ("hand", "objects"):
-        dof = np.concatenate([getattr(motion, part).reshape(len(motion), -1)[:, :6] for motion in rows])
+        dof = np.concatenate([getattr(motion, part).reshape(len(motion.hand), -1)[:, :6] for motion in rows])
         _, turns = pose(dof)
         steps = (turns[1:] * turns[:-1].inv()).magnitude()
         assert steps.max() < 0.01

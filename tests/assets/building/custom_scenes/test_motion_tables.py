@@ -16,6 +16,7 @@ from handover_marl.config import TABLE_HEIGHT
 from handover_marl.errors import DataFormatError, DataNotFoundError, HandoverError
 from handover_marl.geometry.poses import compose, invert_pose
 from tests.custom_scenes import make_recording, write_csv
+from tests.unreadable import check_content_refusal
 
 NO = slice(0, 0)
 
@@ -136,10 +137,7 @@ def test_damaged_csv_files(kind: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize("content", [b"", b"time", b"\xff\xfe\x00", b'time,"object\n1', b"\x00\n\x00"])
 @pytest.mark.parametrize("suffix", [".csv", ".npz", ".txt"])
 def test_files_that_are_no_recordings(content: bytes, suffix: str, tmp_path: Path) -> None:
-    path = tmp_path / f"motion{suffix}"
-    path.write_bytes(content)
-    with pytest.raises(DataFormatError, match="motion"):
-        read_motion_table(path, MotionConfig())
+    check_content_refusal(lambda path: read_motion_table(path, MotionConfig()), tmp_path / f"motion{suffix}", content)
 
 
 def test_objects_are_not_unpickled(tmp_path: Path) -> None:

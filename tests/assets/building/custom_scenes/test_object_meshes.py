@@ -14,6 +14,7 @@ from handover_marl.assets.building.custom_scenes.object_meshes import make_objec
 from handover_marl.errors import DataFormatError, DataNotFoundError, HandoverError
 from tests.custom_scenes import make_box
 from tests.evaluation.deadline import ends_within
+from tests.unreadable import check_content_refusal
 
 ROUGH = {"concavity": 1.0}
 
@@ -172,10 +173,7 @@ def test_failures_of_coacd_are_reported(monkeypatch: pytest.MonkeyPatch, tmp_pat
 @pytest.mark.parametrize("content", [b"", b"no mesh", b"\x89PNG\r\n", b"solid box\nfacet", b"\x00" * 84])
 @pytest.mark.parametrize("suffix", [".stl", ".obj", ".ply", ".xyzw"])
 def test_damaged_files(content: bytes, suffix: str, tmp_path: Path) -> None:
-    path = tmp_path / f"mesh{suffix}"
-    path.write_bytes(content)
-    with pytest.raises(DataFormatError, match="mesh"):
-        make_object_mesh(path, MeshConfig())
+    check_content_refusal(lambda path: make_object_mesh(path, MeshConfig()), tmp_path / f"mesh{suffix}", content)
 
 
 def test_missing_files(tmp_path: Path) -> None:
