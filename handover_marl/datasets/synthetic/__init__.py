@@ -1,6 +1,6 @@
 """1000 generated handovers whose statistics follow DexYCB; no license restricts their use.
 
-A scene is a pure function of its number and of `VERSION`. `assign_subjects` chooses subject, object
+A scene is a pure function of its number and of `VERSION`. `dataset` chooses subject, object
 and hand; `object_placement` the poses on the table and at the handover, and the grasp;
 `handover_motion` the timing and the paths; `clutter` the other objects on the table.
 """
