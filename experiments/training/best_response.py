@@ -67,7 +67,7 @@ def main(args: Args) -> None:
 
 
 def train_response(script: ModuleType, args: Any, folder: Path, changes: dict[str, Any]) -> str:
-    """Train one agent for the other agent's latest policy, unless that is done.
+    """Train one agent for the other agent's latest policy, unless this training run is finished already.
 
     Args:
         script: Training script of the agent, as a module.

@@ -116,12 +116,12 @@ class BatchSlot:
 
     Args:
         world_batch: Batch of the row.
-        row: Number of the row in its batch.
+        row: Index of the row in the batch.
         scene: Model of the scene.
 
     Attributes:
         world_batch: Batch of the row.
-        row: Number of the row in its batch.
+        row: Index of the row in the batch.
         scene: Model of the scene.
         released: Whether the human has released the target object.
     """
