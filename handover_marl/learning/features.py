@@ -216,7 +216,7 @@ def available_features(agent: str) -> tuple[str, ...]:
     return tuple(_FEATURES[agent])
 
 
-def n_features(agent: str, name: str) -> int:
+def count_features(agent: str, name: str) -> int:
     """Return the length of an agent's feature vector; user-defined features have `make_features(...).size`.
 
     Raises:
@@ -248,5 +248,5 @@ def make_features(agent: str, choice: FeaturesLike, context: PolicyContext, trus
         own = import_reference(KIND, str(choice), trust)
     if not isinstance(own, str):
         return make_custom_features(agent, own, context, str(choice) if is_reference(choice) else "")
-    space = spaces.Box(-np.inf, np.inf, (n_features(agent, own),), np.float32)
+    space = spaces.Box(-np.inf, np.inf, (count_features(agent, own),), np.float32)
     return AgentFeatures(own, space, _FEATURES[agent][own][0](context))

@@ -21,7 +21,7 @@ import numpy.typing as npt
 from handover_marl.errors import DataFormatError, DataNotFoundError, HandoverError, OptionError
 from handover_marl.execution.files import shorten_text, write_arrays
 from handover_marl.execution.reading import read_arrays, read_plain_file
-from handover_marl.learning.features import n_features
+from handover_marl.learning.features import count_features
 from handover_marl.learning.policy_spec import (
     DenseNetwork,
     InputNormalization,
@@ -105,7 +105,7 @@ def read_policy(
     if path.suffix == ".npz":
         spec, function = _read_npz(path, content)
     elif path.suffix in (".zip", ".pt", ".onnx"):
-        function, recorded, encoding = _read_foreign(path, content, agent, trust)
+        function, recorded, encoding = _read_other_format(path, content, agent, trust)
         period = _resolve_control_period(path, recorded, control_period)
         spec = PolicySpec(agent, *encoding, period, origin=path.name)
     else:
@@ -117,18 +117,18 @@ def read_policy(
     return PolicyFile(spec, function, label)
 
 
-def _read_foreign(
+def _read_other_format(
     path: Path, content: bytes, agent: str, trust: bool
 ) -> tuple[PolicyFunction, float | None, tuple[str, str]]:
     """Return the function of another library's file, its control period if recorded, and its encoding."""
     # Readers are imported here, because .npz files need neither PyTorch nor ONNX Runtime.
     features, actions = RAW_ENCODINGS[agent]
     if path.suffix == ".zip":
-        from handover_marl.learning.foreign_policies import read_stable_baselines
+        from handover_marl.learning.stable_baselines_files import read_stable_baselines
 
         found = read_stable_baselines(path, content, agent)
         return found.function, found.control_period, found.encoding or (features, actions)
-    sizes = n_features(agent, features), scheme_size(agent, actions)
+    sizes = count_features(agent, features), scheme_size(agent, actions)
     if path.suffix == ".onnx":
         from handover_marl.learning.adapters.onnx_files import read_onnx
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.learning.features import GraspFeatures, GraspProximityFeatures, make_features, n_features
+from handover_marl.learning.features import GraspFeatures, GraspProximityFeatures, count_features, make_features
 from handover_marl.receivers import make_policy_context
 from handover_marl.receivers.grasp_library import NearestGraspSelector
 from tests.givers.test_givers import seen
@@ -29,7 +29,7 @@ def at_the_grasp(way: float = 0.0, turn: float = 0.0) -> np.ndarray:
 @pytest.mark.parametrize("name", ["grasp", "close"])
 def test_number_of_features(name: str) -> None:
     made = make_features("receiver", name, CONTEXT)(seen())
-    assert (made.shape, made.dtype) == ((n_features("receiver", name),), np.float32)
+    assert (made.shape, made.dtype) == ((count_features("receiver", name),), np.float32)
 
 
 def test_proximity_is_one_at_the_grasp_and_decays() -> None:

@@ -24,7 +24,7 @@ from handover_marl.episode.observations import Observation
 from handover_marl.episode.spaces import receiver_action_space
 from handover_marl.errors import DataFormatError, DataNotFoundError, HandoverError, OptionError, UnsafeFileError
 from handover_marl.geometry import panda
-from handover_marl.learning.features import n_features
+from handover_marl.learning.features import count_features
 from handover_marl.learning.learned_policy import LearnedPolicy
 from handover_marl.learning.policy_files import read_policy, write_policy
 from handover_marl.learning.policy_spec import DenseNetwork, PolicySpec
@@ -57,13 +57,15 @@ def network(n_inputs: int, n_outputs: int, **options: str) -> DenseNetwork:
 
 
 def offer_file(path: Path) -> Path:
-    write_policy(path, PolicySpec("giver", "giver", "offer", origin="a test"), network(n_features("giver", "giver"), 7))
+    write_policy(
+        path, PolicySpec("giver", "giver", "offer", origin="a test"), network(count_features("giver", "giver"), 7)
+    )
     return path
 
 
 def test_written_policy_is_read_back(tmp_path: Path) -> None:
     spec = PolicySpec("receiver", "grasp", "cartesian_delta", 0.2, "a test")
-    wanted = network(n_features("receiver", "grasp"), 7, activation="relu", output="tanh")
+    wanted = network(count_features("receiver", "grasp"), 7, activation="relu", output="tanh")
     write_policy(tmp_path / "policy.npz", spec, wanted)
     found = read_policy(tmp_path / "policy.npz", "receiver")
     assert found.spec == spec
@@ -76,7 +78,7 @@ def test_label_depends_on_the_content_of_the_file(tmp_path: Path) -> None:
     first, second = offer_file(tmp_path / "policy.npz"), tmp_path / "other" / "policy.npz"
     second.parent.mkdir()
     write_policy(
-        second, PolicySpec("giver", "giver", "offer", origin="another"), network(n_features("giver", "giver"), 7)
+        second, PolicySpec("giver", "giver", "offer", origin="another"), network(count_features("giver", "giver"), 7)
     )
     labels = [givers.make(f"learned:{path}").label for path in (first, second)]
     assert labels[0] != labels[1]
@@ -137,7 +139,7 @@ def test_empty_file_name_is_refused(agent: str, name: str) -> None:
 
 def test_control_period_is_the_one_of_training(tmp_path: Path) -> None:
     path = tmp_path / "policy.npz"
-    write_policy(path, PolicySpec("giver", "giver", "offer", 0.2), network(n_features("giver", "giver"), 7))
+    write_policy(path, PolicySpec("giver", "giver", "offer", 0.2), network(count_features("giver", "giver"), 7))
     for name in (f"learned:{path}", f"learned:{path}:control_period=0.2"):
         assert givers.make(name).hold_time == 0.2
     with pytest.raises(OptionError, match=r"must be 0\.2 as in training, got 0\.1"):
@@ -384,7 +386,7 @@ def test_errors_of_stable_baselines_files_name_the_file(
     about: dict[str, Any], weight: float, fault: str, tmp_path: Path
 ) -> None:
     torch = pytest.importorskip("torch", reason="needs the extra `train`")
-    shape, space = (9, n_features("receiver", "flat_receiver")), receiver_action_space()
+    shape, space = (9, count_features("receiver", "flat_receiver")), receiver_action_space()
     weights = io.BytesIO()
     torch.save({"action_net.weight": torch.full(shape, weight), "action_net.bias": torch.zeros(9)}, weights)
     if "_last_obs" in about:
@@ -411,7 +413,7 @@ def scripted(path: Path, n_inputs: int, n_outputs: int) -> Path:
 
 
 def test_torch_script_needs_trust(tmp_path: Path) -> None:
-    path = scripted(tmp_path / "policy.pt", n_features("giver", "flat_giver"), 8)
+    path = scripted(tmp_path / "policy.pt", count_features("giver", "flat_giver"), 8)
     with pytest.raises(UnsafeFileError, match="is code; pass trust=True"):
         givers.make(f"learned:{path}")
     env = handover_marl.parallel_env(dataset="synthetic", physics="fast")
@@ -426,7 +428,7 @@ def test_torch_script_needs_trust(tmp_path: Path) -> None:
 
 
 def test_torch_script_of_other_spaces_is_refused(tmp_path: Path) -> None:
-    n_inputs = n_features("giver", "flat_giver")
+    n_inputs = count_features("giver", "flat_giver")
     with pytest.raises(DataFormatError, match=f"giver's {n_inputs} inputs"):
         givers.make(f"learned:{scripted(tmp_path / 'a.pt', 5, 8)}", trust=True)
     with pytest.raises(DataFormatError, match=r"got \(1, 9\)"):

@@ -14,10 +14,10 @@ from handover_marl.datasets.generated.config import HARD, GeneratedConfig
 from handover_marl.datasets.generated.hands import Person, draw_person
 from handover_marl.datasets.generated.human_grasps import draw_human_grasps
 from handover_marl.datasets.generated.objects import ProceduralObject, draw_object
+from handover_marl.datasets.generated.post_arrival_motion import add_post_arrival_motion, draw_far_positions
 from handover_marl.datasets.generated.robot_grasps import SKETCH, RobotGraspConfig, draw_robot_grasps
 from handover_marl.datasets.generated.shapes import Solid
 from handover_marl.datasets.generated.streams import find_splits, list_split, make_seed
-from handover_marl.datasets.generated.wandering import add_wandering, draw_far_positions
 from handover_marl.datasets.splits import SPLITS
 from handover_marl.datasets.synthetic.clutter import ClutterItem, ClutterObject, draw_clutter, make_ycb_clutter_item
 from handover_marl.datasets.synthetic.dataset import load_held_object
@@ -117,7 +117,7 @@ def generate_handover(config: GeneratedConfig, scene_id: int) -> GeneratedHandov
     placement = draw_placement(open_stream(seed, "placement"), giver.held, draw_positions)
     motion = draw_motion(seed, placement, giver.held, giver.hand)
     if is_hard:
-        motion = add_wandering(open_stream(seed, "wandering"), motion, giver.held, placement.grasp)
+        motion = add_post_arrival_motion(open_stream(seed, "post-arrival motion"), motion, giver.held, placement.grasp)
 
     def draw_item(random: RandomStream) -> ClutterItem:
         while True:

@@ -22,7 +22,7 @@ VERSION = 1
 #: Purposes of the random numbers of a scene. The index is part of the seed, so new ones are added at the end.
 PURPOSES: Final = (
     *("side", "placement", "timing", "motion", "clutter"),
-    *("person", "object", "human grasps", "robot grasps", "wandering"),
+    *("person", "object", "human grasps", "robot grasps", "post-arrival motion"),
 )
 
 

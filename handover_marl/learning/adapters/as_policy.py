@@ -225,7 +225,7 @@ def _read_model(
             )
         return GraphModel(path, content), path.stem, digest, None
     if path.suffix == ".zip":
-        from handover_marl.learning.foreign_policies import read_stable_baselines
+        from handover_marl.learning.stable_baselines_files import read_stable_baselines
 
         pair = None if chosen is None else _complete_pair(agent, chosen)
         found = read_stable_baselines(path, content, agent, pair)

@@ -10,7 +10,7 @@ import numpy as np
 
 from handover_marl.errors import DataFormatError, OptionError, check_name
 from handover_marl.learning.encodings.choices import is_reference
-from handover_marl.learning.features import available_features, n_features
+from handover_marl.learning.features import available_features, count_features
 from handover_marl.learning.policy_files import check_control_period, write_policy
 from handover_marl.learning.policy_spec import ACTIVATIONS, DenseNetwork, InputNormalization, PolicySpec
 from handover_marl.learning.schemes import available_schemes, scheme_size
@@ -177,7 +177,7 @@ def _make_spec(
 
 def _check_sizes(network: DenseNetwork, spec: PolicySpec) -> None:
     wanted = (
-        network.n_inputs if is_reference(spec.features) else n_features(spec.agent, spec.features),
+        network.n_inputs if is_reference(spec.features) else count_features(spec.agent, spec.features),
         network.n_outputs if is_reference(spec.actions) else scheme_size(spec.agent, spec.actions),
     )
     if (network.n_inputs, network.n_outputs) != wanted:

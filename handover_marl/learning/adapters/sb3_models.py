@@ -11,9 +11,9 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 from handover_marl.episode.spaces import giver_action_space, receiver_action_space
 from handover_marl.errors import DataFormatError, OptionError
-from handover_marl.learning.foreign_policies import dense_network_from_state
 from handover_marl.learning.policy_files import RAW_ENCODINGS
 from handover_marl.learning.policy_spec import DenseNetwork, InputNormalization, OutputBounds
+from handover_marl.learning.stable_baselines_files import dense_network_from_state
 
 Array = npt.NDArray[np.float64]
 

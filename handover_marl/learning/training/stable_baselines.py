@@ -20,8 +20,8 @@ from stable_baselines3.common.vec_env import SubprocVecEnv, VecEnv, VecMonitor
 from handover_marl.envs.arguments import AGENTS
 from handover_marl.envs.wrappers.wrapper import SingleAgentEnv
 from handover_marl.execution.options import count_available_cores
-from handover_marl.learning.foreign_policies import dense_network_from_state
 from handover_marl.learning.policy_spec import DenseNetwork
+from handover_marl.learning.stable_baselines_files import dense_network_from_state
 from handover_marl.learning.training.arguments import PpoArgs
 from handover_marl.learning.training.batch_vec_env import BatchVecEnv
 from handover_marl.learning.training.environments import make_frozen_env_factory, make_frozen_vector_env_factory

@@ -12,7 +12,7 @@ from handover_marl.errors import EncodingError, OptionError, UnknownNameError, U
 from handover_marl.learning.action_scheme import ActionScheme
 from handover_marl.learning.encodings.choices import declare_size
 from handover_marl.learning.encodings.custom_features import FeatureExtractor
-from handover_marl.learning.features import available_features, make_features, n_features
+from handover_marl.learning.features import available_features, count_features, make_features
 from handover_marl.learning.learned_policy import LearnedPolicy
 from handover_marl.learning.policy_files import write_policy
 from handover_marl.learning.policy_spec import DenseNetwork, PolicySpec
@@ -61,7 +61,7 @@ def test_forms_of_own_features(choice: Any, name: str, size: int) -> None:
 def test_built_in_features_have_spaces(agent: str) -> None:
     for name in available_features(agent):
         made = make_features(agent, name, CONTEXT)
-        assert (made.name, made.size) == (name, n_features(agent, name))
+        assert (made.name, made.size) == (name, count_features(agent, name))
     for name in available_schemes(agent):
         assert make_scheme(agent, name, CONTEXT).name == name
 

@@ -24,7 +24,7 @@ from handover_marl.execution.files import shorten_text
 from handover_marl.execution.reading import MAX_FILE_BYTES, check_archive
 from handover_marl.learning.adapters.torch_script import import_torch
 from handover_marl.learning.encodings.choices import is_reference
-from handover_marl.learning.features import available_features, n_features
+from handover_marl.learning.features import available_features, count_features
 from handover_marl.learning.policy_spec import DenseNetwork, OutputBounds, PolicyFunction
 from handover_marl.learning.schemes import available_schemes
 from handover_marl.learning.training_record import Sb3TrainingRecord, read_training_record
@@ -104,7 +104,7 @@ def read_stable_baselines(
 
 
 def _check_raw_sizes(path: Path, agent: str, network: DenseNetwork) -> None:
-    sizes = n_features(agent, f"flat_{agent}"), _SPACES[agent]().shape[0]
+    sizes = count_features(agent, f"flat_{agent}"), _SPACES[agent]().shape[0]
     if (network.n_inputs, network.n_outputs) != sizes:
         raise DataFormatError(
             f"{path}: a {agent}'s policy must have {sizes[0]} inputs and {sizes[1]} outputs, got {network.n_inputs} "

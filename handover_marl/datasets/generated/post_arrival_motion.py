@@ -26,7 +26,7 @@ SHOULDER_HEIGHT: Final = 0.333
 
 
 @dataclass(frozen=True)
-class WanderingConfig:
+class PostArrivalMotionConfig:
     """Parameters of motions of the hard family.
 
     Attributes:
@@ -54,10 +54,12 @@ class WanderingConfig:
     max_turn: float = 0.9
 
 
-WANDERING: Final = WanderingConfig()
+POST_ARRIVAL_MOTION: Final = PostArrivalMotionConfig()
 
 
-def draw_far_positions(random: RandomStream, config: WanderingConfig = WANDERING) -> HandoverPositions:
+def draw_far_positions(
+    random: RandomStream, config: PostArrivalMotionConfig = POST_ARRIVAL_MOTION
+) -> HandoverPositions:
     """Draw positions of an object that is offered at the edge of the robot's reach."""
     start = np.array([random.draw_quantile("start_x"), random.draw_quantile("start_y")])
     distance, azimuth = random.uniform(*config.reach), random.uniform(-config.max_azimuth, config.max_azimuth)
@@ -69,8 +71,12 @@ def draw_far_positions(random: RandomStream, config: WanderingConfig = WANDERING
     return HandoverPositions(start, handover)
 
 
-def add_wandering(
-    random: RandomStream, motion: KeyframeMotion, held: HeldObject, grasp: int, config: WanderingConfig = WANDERING
+def add_post_arrival_motion(
+    random: RandomStream,
+    motion: KeyframeMotion,
+    held: HeldObject,
+    grasp: int,
+    config: PostArrivalMotionConfig = POST_ARRIVAL_MOTION,
 ) -> KeyframeMotion:
     """Return a motion continued by a smooth curve of the held object until a fixed duration.
 
@@ -105,7 +111,7 @@ def add_wandering(
     )
 
 
-def _draw_curve(random: RandomStream, count: int, config: WanderingConfig) -> tuple[Array, Array]:
+def _draw_curve(random: RandomStream, count: int, config: PostArrivalMotionConfig) -> tuple[Array, Array]:
     """Draw displacements (n, 3) (m) and rotation vectors (n, 3) (rad) of a curve that starts and ends at rest."""
     low, high = config.n_waypoints
     n = low + random.integer(high - low + 1)
