@@ -210,3 +210,13 @@ def test_table_by_scene_shows_the_step_of_the_release() -> None:
     table = build_scene_table(episodes)
     column = list(table.header).index("release step")
     assert [row[column] for row in table.rows] == ["3210", "-"]
+
+
+def test_intervals_of_times_are_in_seconds() -> None:
+    """With two values, the interval of a mean is their range; the table has no interval of the total."""
+    found = Report(SETTINGS, (episode(0, 1, 4000, 0.25), episode(1, 1, 6000, 0.5)), 144)
+    titles = ("AS %", "exec s", "plan s", "total s")
+    assert cells(str(found), "mine", *titles) == ["61.54", "5.000", "0.375", "5.375"]
+    expected = ["53.8 to 69.2", "4.000 to 6.000", "0.250 to 0.500", "-"]
+    assert cells(str(found), "95 % interval", *titles) == expected
+    assert cells(str(found), "n", *titles) == ["2", "2", "2", "2"]
