@@ -34,7 +34,7 @@ torch = pytest.importorskip("torch", reason="needs the extra `train`")
 
 from tests.evaluation.quick import SHORT  # noqa: E402
 from tests.learning.adapters import networks  # noqa: E402
-from tests.learning.adapters.networks import CHOICES, Counting, DictModule, NoisyModule, make_net, stay  # noqa: E402
+from tests.learning.adapters.networks import CHOICES, Counting, DictModule, NoisyModule, make_net, stay, write_onnx  # noqa: E402
 
 DATA = SyntheticDataset()
 SCENES = (5, 6)
@@ -166,14 +166,6 @@ def test_torch_script_and_onnx_files_act_as_their_module(tmp_path: Path, observa
             make("receiver", save_small(tmp_path, suffix), **CHOICES["receiver"], trust=True)
     with pytest.raises(OptionError, match="takes vectors, not observations"):
         handover_marl.as_receiver(tmp_path / "net.onnx", obs_mode="pointcloud")
-
-
-def write_onnx(net: Any, path: Path) -> None:
-    import warnings
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        torch.onnx.export(net, (torch.zeros(1, net[0].in_features),), path, dynamo=False)
 
 
 def save_small(folder: Path, suffix: str) -> Path:
