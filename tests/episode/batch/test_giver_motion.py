@@ -112,3 +112,23 @@ def test_an_offset_that_passes_its_set_point_returns() -> None:
     assert np.abs(path - value).max() > 0.01
     np.testing.assert_array_equal(path[-1], value)
     assert not speeds[-1].any()
+
+
+def test_givers_at_rest_and_single_steps_equal_those_of_one_giver() -> None:
+    batch, singles = start()
+    rng = np.random.default_rng(3)
+    actions = (rng.uniform(0.3, 1.0, (COUNT, 8)) * rng.choice([-1.0, 1.0], (COUNT, 8))).astype(np.float32) * HIGH
+    actions[:, 0] = 0.0
+    held = np.zeros(COUNT, dtype=bool)
+    for steps in (*[200] * 45, 1, 1, 2, 100):
+        motion = batch.plan(ROWS, steps, actions, held, held)
+        for row, single in enumerate(singles):
+            expected = single.plan(steps, actions[row])
+            np.testing.assert_array_equal(motion.references[row].hand, expected.hand)
+            np.testing.assert_array_equal(motion.references[row].objects, expected.objects)
+            single.commit(steps)
+        batch.commit(motion, np.full(COUNT, steps))
+        np.testing.assert_array_equal(batch.deviation, [single.deviation for single in singles])
+    assert batch.holding.all()
+    # Bodies move with several of the solutions and full turns of Euler angles.
+    np.testing.assert_array_equal(batch.deviation[:, 1:], actions[:, 1:7])
