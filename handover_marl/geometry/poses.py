@@ -25,12 +25,14 @@ def multiply_quaternions(left: npt.ArrayLike, right: npt.ArrayLike) -> Array:
     a, b = np.asarray(left), np.asarray(right)
     ax, ay, az, aw = a[..., 0], a[..., 1], a[..., 2], a[..., 3]
     bx, by, bz, bw = b[..., 0], b[..., 1], b[..., 2], b[..., 3]
-    return _join_columns(
-        aw * bx + bw * ax + ay * bz - by * az,
-        aw * by + bw * ay + az * bx - bz * ax,
-        aw * bz + bw * az + ax * by - bx * ay,
-        aw * bw - ax * bx - ay * by - az * bz,
-    )
+    first = aw * bx + bw * ax + ay * bz - by * az
+    # Here and below: several times as fast as `np.stack`.
+    product: Array = np.empty((*first.shape, 4), first.dtype)
+    product[..., 0] = first
+    product[..., 1] = aw * by + bw * ay + az * bx - bz * ax
+    product[..., 2] = aw * bz + bw * az + ax * by - bx * ay
+    product[..., 3] = aw * bw - ax * bx - ay * by - az * bz
+    return product
 
 
 def rotate_points(quaternion: npt.ArrayLike, points: npt.ArrayLike) -> Array:
@@ -44,11 +46,12 @@ def transform_points(a_from_b: npt.ArrayLike, points: npt.ArrayLike) -> Array:
     tx, ty, tz = pose[..., 0], pose[..., 1], pose[..., 2]
     x, y, z, w = pose[..., 3], pose[..., 4], pose[..., 5], pose[..., 6]
     px, py, pz = at[..., 0], at[..., 1], at[..., 2]
-    return _join_columns(
-        tx + px + 2.0 * (-(y * y + z * z) * px + (x * y - w * z) * py + (w * y + x * z) * pz),
-        ty + py + 2.0 * ((w * z + x * y) * px - (x * x + z * z) * py + (y * z - w * x) * pz),
-        tz + pz + 2.0 * ((x * z - w * y) * px + (w * x + y * z) * py - (x * x + y * y) * pz),
-    )
+    first = tx + px + 2.0 * (-(y * y + z * z) * px + (x * y - w * z) * py + (w * y + x * z) * pz)
+    moved: Array = np.empty((*first.shape, 3), first.dtype)
+    moved[..., 0] = first
+    moved[..., 1] = ty + py + 2.0 * ((w * z + x * y) * px - (x * x + z * z) * py + (y * z - w * x) * pz)
+    moved[..., 2] = tz + pz + 2.0 * ((x * z - w * y) * px + (w * x + y * z) * py - (x * x + y * y) * pz)
+    return moved
 
 
 def compute_cross_products(left: npt.ArrayLike, right: npt.ArrayLike) -> Array:
@@ -56,15 +59,10 @@ def compute_cross_products(left: npt.ArrayLike, right: npt.ArrayLike) -> Array:
     a, b = np.asarray(left), np.asarray(right)
     ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
     bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
-    return _join_columns(ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx)
-
-
-def _join_columns(*columns: Array) -> Array:
-    """Return arrays (...) of equal shape and type as one array (..., k): `np.stack`, several times as fast."""
-    joined = np.empty((*columns[0].shape, len(columns)), columns[0].dtype)
-    for number, column in enumerate(columns):
-        joined[..., number] = column
-    return joined
+    first = ay * bz - az * by
+    product: Array = np.empty((*first.shape, 3), first.dtype)
+    product[..., 0], product[..., 1], product[..., 2] = first, az * bx - ax * bz, ax * by - ay * bx
+    return product
 
 
 def quaternion_from_matrix(matrix: npt.ArrayLike) -> Array:

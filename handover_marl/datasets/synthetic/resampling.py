@@ -186,12 +186,10 @@ def _euler_from_columns(x: Array, y: Array, z: Array, w: Array) -> Array:
     a, b, c, d = w - y, z - x, w + y, -x - z
     half_sum, half_difference = np.arctan2(b, a), np.arctan2(d, c)
     angles = np.empty((*x.shape, 3))
-    angles[..., 0] = -_wrap(half_sum + half_difference)
+    angles[..., 0], angles[..., 2] = half_sum + half_difference, half_sum - half_difference
+    # To the range from -pi to pi.
+    outer = angles[..., ::2]
+    outer -= 2.0 * np.pi * np.rint(outer / (2.0 * np.pi))
+    angles[..., 0] *= -1.0
     angles[..., 1] = 2.0 * np.arctan2(np.sqrt(c * c + d * d), np.sqrt(a * a + b * b)) - 0.5 * np.pi
-    angles[..., 2] = _wrap(half_sum - half_difference)
     return angles
-
-
-def _wrap(angles: Array) -> Array:
-    """Return angles (rad) in the range from -pi to pi."""
-    return np.asarray(angles - 2.0 * np.pi * np.rint(angles / (2.0 * np.pi)))
