@@ -120,7 +120,7 @@ def test_givers_at_rest_and_single_steps_equal_those_of_one_giver() -> None:
     actions = (rng.uniform(0.3, 1.0, (COUNT, 8)) * rng.choice([-1.0, 1.0], (COUNT, 8))).astype(np.float32) * HIGH
     actions[:, 0] = 0.0
     held = np.zeros(COUNT, dtype=bool)
-    for steps in (*[200] * 45, 1, 1, 2, 100):
+    for steps in [200, 1, 1] * 45:
         motion = batch.plan(ROWS, steps, actions, held, held)
         for row, single in enumerate(singles):
             expected = single.plan(steps, actions[row])
