@@ -163,7 +163,7 @@ def test_runs_are_not_resumed_on_another_dataset(
 ) -> None:
     """The dataset "auto" depends on an environment variable."""
     train = script(name, monkeypatch)
-    args = train.Args(out=str(tmp_path / "run"), resume=True)
+    args = train.Args(setup="s0", out=str(tmp_path / "run"), resume=True)
     RunFolder(tmp_path / "run", args, False, "synthetic")
     monkeypatch.setenv(DATA_DIR_VARIABLE, str(fake_data))
     with pytest.raises(ResultsError, match=r"other arguments \(dataset\)"):
@@ -173,7 +173,8 @@ def test_runs_are_not_resumed_on_another_dataset(
 def test_checkpoints_do_not_run_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("mujoco", reason="needs the extra `mujoco`")
     train = script("train_both_ippo", monkeypatch)
-    args = train.Args(out=str(tmp_path / "run"), dataset="synthetic", envs=1, batch_size=4, val_scenes=1, resume=True)
+    options = {"dataset": "synthetic", "setup": "s0", "envs": 1, "batch_size": 4, "val_scenes": 1, "resume": True}
+    args = train.Args(out=str(tmp_path / "run"), **options)
     folder = RunFolder(tmp_path / "run", args, False, "synthetic")
     folder.checkpoint.write_bytes(pickle.dumps(Evil(tmp_path / "ran")))
     with pytest.raises(ResultsError, match="not a checkpoint of this run"):
