@@ -2,9 +2,6 @@
 
 from collections.abc import Iterable
 from numbers import Integral
-from typing import TypeVar
-
-_Part = TypeVar("_Part")
 
 
 class HandoverError(Exception):
@@ -80,21 +77,6 @@ class EncodingError(HandoverError, ValueError):
 
 class ResetNeededError(HandoverError, RuntimeError):
     """Error for `step`, `render` or `state` of an environment that needs `reset` first."""
-
-
-def require_reset(part: _Part | None, receiver: str) -> _Part:
-    """Return a part of a receiver that `reset` creates.
-
-    Args:
-        part: The part, None before the first reset.
-        receiver: Name of the receiver, for the error.
-
-    Raises:
-        ResetNeededError: There is no part yet, since `reset` was not called.
-    """
-    if part is None:
-        raise ResetNeededError(f"receiver {receiver!r} cannot act before reset(); call reset() first")
-    return part
 
 
 class SimulationError(HandoverError, RuntimeError):

@@ -33,12 +33,12 @@ import numpy.typing as npt
 from handover_marl.assets.shipped import GADDPG_WEIGHTS
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.spaces import FULL_POINTCLOUD
-from handover_marl.errors import OptionError, PolicyError, require_reset
+from handover_marl.errors import OptionError, PolicyError
 from handover_marl.execution.options import require_modules
 from handover_marl.geometry.panda import CLOSED, OPEN
 from handover_marl.geometry.poses import quaternion_from_matrix
 from handover_marl.planning.inverse_kinematics import IkStepper, make_ik_stepper
-from handover_marl.policies.policy import Action, PolicyContext
+from handover_marl.policies.policy import Action, PolicyContext, require_reset
 from handover_marl.receivers.phases import PhasedReceiver, PhaseTiming
 from handover_marl.receivers.point_cloud_memory import PointCloudMemory, PointCloudMemoryConfig
 

@@ -16,7 +16,6 @@ import numpy.typing as npt
 
 from handover_marl.config import ARM_DOF
 from handover_marl.episode.observations import Observation
-from handover_marl.errors import require_reset
 from handover_marl.execution.options import require_modules
 from handover_marl.geometry.arm import ArmKinematics
 from handover_marl.geometry.distance_field import load_object_sdf
@@ -28,7 +27,7 @@ from handover_marl.planning.inverse_kinematics import IkSolver, make_ik_solver
 from handover_marl.planning.planner import Plan, Planner
 from handover_marl.planning.planner_config import HandAvoidanceConfig, PlannerConfig
 from handover_marl.planning.trajectory_cost import Obstacle
-from handover_marl.policies.policy import Action, PolicyContext
+from handover_marl.policies.policy import Action, PolicyContext, require_reset
 from handover_marl.receivers.grasp_library import GraspLibrary
 from handover_marl.receivers.phases import PhasedReceiver, PhaseTiming
 

@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -15,11 +15,12 @@ from handover_marl.config import OFFICIAL_CONFIG, PandaConfig, ProtocolConfig, W
 from handover_marl.datasets.dataset import Dataset
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.spaces import STATE
-from handover_marl.errors import OptionError
+from handover_marl.errors import OptionError, ResetNeededError
 from handover_marl.execution.files import shorten_text
 from handover_marl.geometry.ycb import CLASS_NAMES
 
 Action = npt.NDArray[np.float32]
+_Part = TypeVar("_Part")
 
 _MAX_WAIT = 60.0  # s
 # Constructor parameters that the library fills in; not available as options.
@@ -300,3 +301,18 @@ def check_policy_options(agent: str, policy_class: type, name: str, options: Ite
 def get_parameters(policy_class: type) -> dict[str, inspect.Parameter]:
     """Return the parameters of a class's constructor by name."""
     return dict(inspect.signature(policy_class).parameters)
+
+
+def require_reset(part: _Part | None, receiver: str) -> _Part:
+    """Return a part of a receiver that `reset` creates.
+
+    Args:
+        part: The part, None before the first reset.
+        receiver: Name of the receiver, for the error.
+
+    Raises:
+        ResetNeededError: There is no part yet, since `reset` was not called.
+    """
+    if part is None:
+        raise ResetNeededError(f"receiver {receiver!r} cannot act before reset(); call reset() first")
+    return part

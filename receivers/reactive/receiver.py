@@ -3,8 +3,7 @@
 from collections.abc import Sequence
 
 from handover_marl.episode.observations import Observation
-from handover_marl.errors import require_reset
-from handover_marl.policies.policy import Action, PolicyContext
+from handover_marl.policies.policy import Action, PolicyContext, require_reset
 from handover_marl.receivers.reactive.config import ReactiveConfig, apply_risk
 from handover_marl.receivers.reactive.controller import ControllerReceiver
 from handover_marl.receivers.reactive.grasp_contact import load_graspable_object, load_obstacle

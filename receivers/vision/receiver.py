@@ -15,9 +15,9 @@ from handover_marl.assets.shipped import find_vision_weights
 from handover_marl.datasets.splits import SETUPS
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.spaces import SCENE_POINTCLOUD
-from handover_marl.errors import OptionError, require_reset
+from handover_marl.errors import OptionError
 from handover_marl.execution.options import require_modules
-from handover_marl.policies.policy import Action, PolicyContext
+from handover_marl.policies.policy import Action, PolicyContext, require_reset
 from handover_marl.receivers.reactive.config import apply_risk
 from handover_marl.receivers.reactive.controller import ControllerReceiver
 from handover_marl.receivers.vision.config import VisionConfig, make_vision_reactive_config
