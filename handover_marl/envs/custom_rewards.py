@@ -13,7 +13,7 @@ from handover_marl.envs.arguments import AGENTS
 from handover_marl.envs.reward_terms import TermRewardSource, TermWeights
 from handover_marl.envs.rewards import REWARDS, RewardConfig, RewardFunction, RewardState, Terms, make_reward_config
 from handover_marl.envs.transition import Transition
-from handover_marl.errors import HandoverError, OptionError, RewardError, UnknownNameError
+from handover_marl.errors import HandoverError, OptionError, ResetNeededError, RewardError, UnknownNameError
 from handover_marl.geometry.panda import FINGERTIPS
 from handover_marl.geometry.poses import transform_points
 
@@ -228,13 +228,15 @@ class CustomRewardSource:
         """Return the checked terms of a control step by agent; terms that are not returned are 0.
 
         Raises:
+            ResetNeededError: No episode is running.
             RewardError: The function fails, or a term is of an unknown agent, has an unknown name, or is
                 no finite number.
         """
+        if self._names is None:
+            raise ResetNeededError("no episode is running; call start() before compute()")
         found = self._run(self.function, transition)
         if type(found) is not dict:
             self._check_mapping("terms", found)
-        assert self._names is not None
         terms = {agent: dict.fromkeys(names, 0.0) for agent, names in self._names.items()}
         for agent, own in found.items():
             checked = terms.get(agent)

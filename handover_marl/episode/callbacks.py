@@ -158,13 +158,13 @@ class TraceRecorder(EpisodeCallback):
     """
 
     trace: EpisodeTrace
-    _robot: list[npt.NDArray[np.float32]]
-    _hand: list[npt.NDArray[np.float32] | None]
-    _max_object_force: float
-    _hand_forces: list[float]
 
     def __init__(self) -> None:
         self._monitors: dict[Path, ClearanceMonitor] = {}
+        self._robot: list[npt.NDArray[np.float32]] = []
+        self._hand: list[npt.NDArray[np.float32] | None] = []
+        self._max_object_force = 0.0
+        self._hand_forces: list[float] = []
 
     def on_reset(self, episode: "Episode") -> None:
         """Discard the records of the last episode."""

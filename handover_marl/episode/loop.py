@@ -159,7 +159,7 @@ def play(
         giver_scheduler.reset(derive_scene_seed(seed, scene_id, "giver"), objects)
     giver_space = giver_action_space(episode.config.giver)
     giver_action = NO_DEVIATION
-    step_hooks, decision_hooks = _list_hooks(callbacks, "on_step"), _list_hooks(callbacks, "on_decision")
+    step_hooks = [callback.on_step for callback in callbacks]
     for callback in callbacks:
         callback.on_reset(episode)
     while not episode.status and episode.steps < end:
@@ -188,18 +188,12 @@ def play(
         decision = PolicyDecision(
             receiver_action, giver_action, planning_time, receiver_decides, giver_decides, rendering_time
         )
-        for on_decision in decision_hooks:
-            on_decision(episode, decision)
+        for callback in callbacks:
+            callback.on_decision(episode, decision)
         due = min(scheduler.due for scheduler in (receiver_scheduler, giver_scheduler) if scheduler is not None)
         episode.advance(receiver_action, min(end, due) - now, giver_action, step_hooks)
     for callback in callbacks:
         callback.on_end(episode)
-
-
-def _list_hooks(callbacks: Sequence[EpisodeCallback], name: str) -> list[Callable[..., None]]:
-    """Return the hooks of a name of those callbacks that define it; empty ones would cost time in every step."""
-    hooks = [getattr(callback, name) for callback in callbacks]
-    return [hook for hook in hooks if getattr(hook, "__func__", hook) is not getattr(EpisodeCallback, name)]
 
 
 def derive_scene_seed(seed: int | None, scene_id: int, user: str) -> int:

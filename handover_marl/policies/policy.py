@@ -303,16 +303,16 @@ def get_parameters(policy_class: type) -> dict[str, inspect.Parameter]:
     return dict(inspect.signature(policy_class).parameters)
 
 
-def require_reset(part: _Part | None, receiver: str) -> _Part:
+def require_reset(part: _Part | None, receiver_name: str) -> _Part:
     """Return a part of a receiver that `reset` creates.
 
     Args:
         part: The part, None before the first reset.
-        receiver: Name of the receiver, for the error.
+        receiver_name: Name of the receiver, for the error.
 
     Raises:
         ResetNeededError: There is no part yet, since `reset` was not called.
     """
     if part is None:
-        raise ResetNeededError(f"receiver {receiver!r} cannot act before reset(); call reset() first")
+        raise ResetNeededError(f"receiver {receiver_name!r} cannot act before reset(); call reset() first")
     return part

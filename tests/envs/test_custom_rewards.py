@@ -10,7 +10,13 @@ import pytest
 
 import handover_marl
 from handover_marl.config import PandaConfig
-from handover_marl.envs.custom_rewards import combine_rewards, declare_terms, resolve_rewards, set_discount
+from handover_marl.envs.custom_rewards import (
+    combine_rewards,
+    declare_terms,
+    make_reward_source,
+    resolve_rewards,
+    set_discount,
+)
 from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.envs.reward_terms import TermWeights
 from handover_marl.envs.rewards import SHAPED, SPARSE
@@ -233,6 +239,11 @@ def test_wrong_names_are_reported_in_the_first_reset(make: Make, first: Any, mes
 def test_failures_are_named(make: Make) -> None:
     with pytest.raises(RewardError, match=r"reward '.*<lambda>' failed \(KeyError: 'nothing'\)"):
         make(lambda transition: transition.state["nothing"]).reset(seed=0)
+
+
+def test_rewards_need_a_start() -> None:
+    with pytest.raises(ResetNeededError, match=r"call start\(\)"):
+        make_reward_source(Counter(), (0.0, 0.0, 0.0)).compute(None)  # type: ignore[arg-type]
 
 
 def test_values_of_rewards() -> None:

@@ -1,4 +1,4 @@
-"""Episode: rollouts and single steps agree, voluntary releases, observations and cameras on request."""
+"""Tests of `Episode`: rollouts against single steps, releases by the giver, observations and camera images."""
 
 from collections.abc import Iterator
 

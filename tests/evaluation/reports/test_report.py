@@ -213,7 +213,7 @@ def test_table_by_scene_shows_the_step_of_the_release() -> None:
 
 
 def test_intervals_of_times_are_in_seconds() -> None:
-    """With two values, the interval of a mean is their range; the table has no interval of the total."""
+    """The interval of the mean of two values is their range; the table has no interval of the total."""
     found = Report(SETTINGS, (episode(0, 1, 4000, 0.25), episode(1, 1, 6000, 0.5)), 144)
     titles = ("AS %", "exec s", "plan s", "total s")
     assert cells(str(found), "mine", *titles) == ["61.54", "5.000", "0.375", "5.375"]
