@@ -10,6 +10,7 @@ from handover_marl.learning.adapters.network_policy import NetworkPolicy
 from handover_marl.learning.encodings.custom_features import Vector
 from handover_marl.learning.features import make_features
 from handover_marl.learning.policy_files import read_policy
+from handover_marl.learning.policy_spec import PolicyFunction
 from handover_marl.learning.schemes import make_scheme
 from handover_marl.policies.policy import PolicyContext
 
@@ -64,6 +65,16 @@ class LearnedPolicy(NetworkPolicy):
                 f"{self._function.n_outputs}"
             )
         super().__init__(features, scheme, self.spec.control_period, wait, found.label)
+
+    @property
+    def features(self) -> str:
+        """Name of the features that are the inputs."""
+        return self.spec.features
+
+    @property
+    def function(self) -> PolicyFunction:
+        """Function from features to outputs."""
+        return self._function
 
     @property
     def label(self) -> str:

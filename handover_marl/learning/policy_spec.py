@@ -66,7 +66,7 @@ class InputNormalization:
             raise DataFormatError("scale and clip of the inputs must be greater than 0")
 
     def __call__(self, inputs: Array) -> Array:
-        """Return the normalized inputs (n_inputs,)."""
+        """Return the normalized inputs (n_inputs,) or (r, n_inputs)."""
         return np.clip((inputs - self.mean) / self.scale, -self.clip, self.clip).astype(np.float32)
 
 
@@ -97,7 +97,7 @@ class OutputBounds:
             raise DataFormatError("bounds of the outputs must be finite, the lower ones not above the upper ones")
 
     def __call__(self, outputs: Array) -> Array:
-        """Return the action (n_outputs,) within the bounds."""
+        """Return the action (n_outputs,) or (r, n_outputs) within the bounds."""
         if not self.is_scaled:
             return np.clip(outputs, self.low, self.high)
         shares = (outputs + np.float32(1.0)) / np.float32(2.0)
@@ -162,13 +162,25 @@ class DenseNetwork:
         return int(self.weights[-1].shape[0])
 
     def __call__(self, inputs: Array) -> Array:
-        """Return the outputs (n_outputs,) for inputs (n_inputs,)."""
+        """Return the outputs (n_outputs,) for inputs (n_inputs,), or (r, n_outputs) for r inputs (r, n_inputs).
+
+        The outputs for r inputs equal those for each of them to the bit.
+        """
         values = inputs.astype(np.float32) if self.normalization is None else self.normalization(inputs)
         activate = ACTIVATIONS[self.activation]
         for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
-            values = activate(weight @ values + bias)
-        outputs = ACTIVATIONS[self.output](self.weights[-1] @ values + self.biases[-1])
+            values = activate(_multiply(weight, values) + bias)
+        outputs = ACTIVATIONS[self.output](_multiply(self.weights[-1], values) + self.biases[-1])
         return outputs if self.bounds is None else self.bounds(outputs)
+
+
+def _multiply(weight: Array, values: Array) -> Array:
+    """Return the products (..., n_outputs) of a matrix (n_outputs, n_inputs) and vectors (..., n_inputs)."""
+    if values.ndim == 1:
+        return weight @ values
+    # One product of matrix and vector per row: the rounding of a product of matrices depends on the number of rows.
+    product: Array = np.matmul(weight, values[..., None])[..., 0]
+    return product
 
 
 @dataclass(frozen=True)

@@ -93,12 +93,13 @@ class ArrayPolicy(PolicyBatch, Generic[PolicyType]):
     Args:
         policy: Policy of a single episode; its parameters apply to all episodes.
         count: Number of episodes.
+        agent: Agent that acts, "giver" or "receiver"; default: that of the policy's class.
     """
 
-    def __init__(self, policy: PolicyType, count: int) -> None:
+    def __init__(self, policy: PolicyType, count: int, agent: str | None = None) -> None:
         self._policy, self._hold_steps = policy, steps_from_hold_time(policy.hold_time)
-        size = GIVER_ACTION_SIZE if isinstance(policy, Giver) else PANDA_DOF
-        self._actions = np.zeros((count, size), dtype=np.float32)
+        is_giver = isinstance(policy, Giver) if agent is None else agent == "giver"
+        self._actions = np.zeros((count, GIVER_ACTION_SIZE if is_giver else PANDA_DOF), dtype=np.float32)
         self._due = np.zeros(count, dtype=np.int64)
 
     def reset(self, row: int, seed: int | None, object_names: Sequence[str]) -> None:

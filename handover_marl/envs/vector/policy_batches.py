@@ -7,6 +7,7 @@ from handover_marl.config import WorldConfig
 from handover_marl.datasets.dataset import Dataset
 from handover_marl.episode.spaces import check_giver_action, check_receiver_action, giver_action_space
 from handover_marl.givers.batch import make_giver_batch
+from handover_marl.learning.batch.network_policies import make_network_policy_batch
 from handover_marl.policies.batch import PolicyBatch, SequentialPolicyBatch
 from handover_marl.policies.reference import PolicyReference
 
@@ -27,12 +28,12 @@ def make_policy_batch(
         PolicyError: The constructor of the policy fails.
     """
     first = reference.make(dataset, config, setup)
-    batch = make_giver_batch(first, count)
-    if batch is not None:
-        return batch
     space = giver_action_space(config.giver)
 
     def check(action: object) -> npt.NDArray[np.float32]:
         return check_giver_action(action, space) if reference.agent == "giver" else check_receiver_action(action)
 
+    batch = make_giver_batch(first, count) or make_network_policy_batch(first, count, check)
+    if batch is not None:
+        return batch
     return SequentialPolicyBatch([first, *(reference.make(dataset, config, setup) for _ in range(count - 1))], check)

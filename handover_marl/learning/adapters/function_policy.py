@@ -11,7 +11,7 @@ from handover_marl.episode.observations import Observation, giver_observation_sp
 from handover_marl.episode.spaces import STATE, check_vector
 from handover_marl.errors import ActionError, HandoverError, OptionError
 from handover_marl.execution.files import shorten_text
-from handover_marl.learning.adapters.models import Model, reset_function
+from handover_marl.learning.adapters.models import Model, ModelFunction, reset_function
 from handover_marl.learning.adapters.network_policy import NetworkPolicy
 from handover_marl.learning.encodings.custom_features import AgentFeatures, FeaturesLike
 from handover_marl.learning.encodings.custom_schemes import SchemeLike
@@ -72,7 +72,7 @@ class FunctionPolicy(NetworkPolicy):
     ) -> None:
         self.name = name  # type: ignore[misc]
         self.obs_mode = encoding.obs_mode
-        self._agent, self._label, self._digest = agent, label, digest
+        self._agent, self._label, self._digest, self._features = agent, label, digest, encoding.features
         scheme = make_scheme(agent, encoding.action_scheme, context, trust=True)
         features = None
         if not _is_observation(encoding.features):
@@ -86,6 +86,16 @@ class FunctionPolicy(NetworkPolicy):
         self._function = model.load(agent, sizes)
         if model.is_network:
             self._try_zeros(features, context)
+
+    @property
+    def features(self) -> FeaturesLike:
+        """Choice of the features that are the inputs, or `OBSERVATION`."""
+        return self._features
+
+    @property
+    def function(self) -> ModelFunction:
+        """Function from inputs to outputs."""
+        return self._function
 
     @property
     def label(self) -> str:

@@ -7,6 +7,7 @@ from typing import Any
 from handover_marl.episode.observations import Observation
 from handover_marl.errors import OptionError
 from handover_marl.learning.action_scheme import ActionScheme, Outputs
+from handover_marl.learning.encodings.custom_features import FeaturesLike
 from handover_marl.policies.policy import Action, Policy, milliseconds_from_wait
 
 
@@ -38,6 +39,21 @@ class NetworkPolicy(Policy):
             if not scheme.wait:
                 raise OptionError(f"{where}: action scheme {scheme.name!r} has no wait; remove wait={wait}")
             scheme.wait = milliseconds_from_wait(wait) / 1000.0
+
+    @property
+    def scheme(self) -> ActionScheme:
+        """Action scheme that decodes the outputs."""
+        return self._scheme
+
+    @property
+    @abstractmethod
+    def features(self) -> FeaturesLike:
+        """Choice of the features that are the inputs."""
+
+    @property
+    @abstractmethod
+    def function(self) -> Callable[[Any], Any]:
+        """Function from inputs to outputs."""
 
     @property
     def wait(self) -> float:

@@ -58,6 +58,18 @@ def make_feature_batch(
     return SequentialFeatureBatch([make_features(agent, choice, context, trust=True) for _ in range(count)])
 
 
+def find_scheme_batch(scheme: ActionScheme, selection: GraspSelectionBatch, count: int) -> SchemeBatch | None:
+    """Return the batch of a built-in action scheme for n episodes; None for a user-defined one.
+
+    Args:
+        scheme: Scheme of a single episode; its parameters apply to all episodes.
+        selection: Selector of grasps.
+        count: Number n of episodes.
+    """
+    batch = _SCHEME_BATCHES.get(type(scheme))
+    return None if batch is None else batch(scheme, selection, count)
+
+
 def make_scheme_batch(
     agent: str, choice: SchemeLike, context: PolicyContext, selection: GraspSelectionBatch, count: int
 ) -> SchemeBatch:
@@ -71,7 +83,7 @@ def make_scheme_batch(
         count: Number n of episodes.
     """
     first = make_scheme(agent, choice, context, trust=True)
-    batch = _SCHEME_BATCHES.get(type(first))
+    batch = find_scheme_batch(first, selection, count)
     if batch is not None:
-        return batch(first, selection, count)
+        return batch
     return SequentialSchemeBatch([first, *(make_scheme(agent, choice, context, trust=True) for _ in range(count - 1))])
