@@ -4,7 +4,9 @@ Receivers use PyBullet's solver where it is installed, since only its solutions 
 results of HandoverSim's baselines bit for bit, and the library's own solver otherwise.
 """
 
+import atexit
 import importlib
+import threading
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -38,6 +40,8 @@ _MAX_ITERATIONS, _MIN_STEP = 500, 3e-4
 _STEP_ITERATIONS, _STEP_TOLERANCE = 20, (1e-4, 1e-3)
 # Bounds (m, rad) within which a search may still end at the tolerance.
 _REACH_DISTANCE, _REACH_ANGLE = 2e-3, 0.11
+# Solvers of each thread, and the largest number of robots whose solvers are kept.
+_THREAD_SOLVERS, _MAX_SOLVERS = threading.local(), 4
 
 
 def solve_ik(
@@ -191,8 +195,7 @@ def make_ik_solver(urdf: Path, config: PandaConfig) -> IkSolver:
     Raises:
         SimulationError: The model cannot be read.
     """
-    solver: IkSolver = _find_solver("BulletIKSolver")(urdf, config)
-    return solver
+    return ThreadIkSolver(urdf, config)
 
 
 def make_ik_stepper(urdf: Path, config: PandaConfig) -> IkStepper:
@@ -202,6 +205,44 @@ def make_ik_stepper(urdf: Path, config: PandaConfig) -> IkStepper:
     """
     stepper: IkStepper = _find_solver("BulletIKStep")(urdf, config)
     return stepper
+
+
+class ThreadIkSolver:
+    """Inverse kinematics by a solver that all policies of a thread share.
+
+    A solver of PyBullet takes 44 MB, and a process can have 1,024 of them at most. Solutions do not depend on
+    earlier queries, so policies that share a solver get the same solutions as with one each.
+
+    Args:
+        urdf: Model of the Panda.
+        config: Configuration with the world pose of the robot's base.
+
+    Raises:
+        SimulationError: The model cannot be read.
+    """
+
+    def __init__(self, urdf: Path, config: PandaConfig) -> None:
+        self._key = urdf, config
+        # Loaded here so that it does not count as planning time.
+        self._find()
+
+    def solve(
+        self, start: npt.ArrayLike, position: npt.ArrayLike, orientation: npt.ArrayLike | None = None
+    ) -> Array | None:
+        """Return arm joints (7,) in rad, or None; see `IkSolver.solve`."""
+        return self._find().solve(start, position, orientation)
+
+    def _find(self) -> IkSolver:
+        """Return the solver of this thread; several threads must not use the same one."""
+        solvers: dict[tuple[Path, PandaConfig], IkSolver] = _THREAD_SOLVERS.__dict__.setdefault("solvers", {})
+        if self._key not in solvers:
+            if not solvers and threading.current_thread() is threading.main_thread():
+                # While Python exits, a client of PyBullet cannot disconnect any more.
+                atexit.register(solvers.clear)
+            if len(solvers) >= _MAX_SOLVERS:
+                solvers.pop(next(iter(solvers)))
+            solvers[self._key] = _find_solver("BulletIKSolver")(*self._key)
+        return solvers[self._key]
 
 
 def _find_solver(bullet_class: str) -> Any:

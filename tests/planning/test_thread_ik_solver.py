@@ -1,0 +1,81 @@
+"""Policies of a thread share one solver, and get the solutions of one each."""
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from handover_marl.config import PandaConfig
+from handover_marl.datasets.synthetic import SyntheticDataset
+from handover_marl.geometry.panda import WAITING_JOINTS
+from handover_marl.planning import inverse_kinematics
+from handover_marl.planning.inverse_kinematics import make_ik_solver
+from handover_marl.simulation.bullet.kinematics import BulletIKSolver
+
+URDF = SyntheticDataset().panda_urdf
+PANDA = PandaConfig()
+MOVED = replace(PANDA, base_position=tuple(np.add(PANDA.base_position, (0.1, 0.0, 0.0)).tolist()))
+
+
+def draw_queries(seed: int, count: int = 12) -> list[tuple[Any, ...]]:
+    """Draw starts and poses, some of them out of reach."""
+    rng = np.random.default_rng(seed)
+    queries = []
+    for _ in range(count):
+        start = np.array(WAITING_JOINTS) + rng.normal(0.0, 0.1, 9)
+        orientation = rng.normal(size=4)
+        position = np.array([0.61, 0.1, 1.25]) + rng.normal(0.0, 0.25, 3)
+        queries.append((start, position, orientation / np.linalg.norm(orientation)))
+    return queries
+
+
+@pytest.fixture
+def made(monkeypatch: pytest.MonkeyPatch) -> list[PandaConfig]:
+    """Bases of the solvers that are made in this test."""
+    bases: list[PandaConfig] = []
+
+    def make(urdf: Path, config: PandaConfig) -> BulletIKSolver:
+        bases.append(config)
+        return BulletIKSolver(urdf, config)
+
+    monkeypatch.setattr(inverse_kinematics, "_find_solver", lambda _: make)
+    monkeypatch.setattr(inverse_kinematics, "_THREAD_SOLVERS", type(inverse_kinematics._THREAD_SOLVERS)())
+    return bases
+
+
+def test_solutions_are_those_of_a_solver_of_its_own(made: list[PandaConfig]) -> None:
+    first, second, moved = (make_ik_solver(URDF, config) for config in (PANDA, PANDA, MOVED))
+    assert made == [PANDA, MOVED]
+    solved = 0
+    for number, query in enumerate(draw_queries(0)):
+        for config, solver in ((PANDA, (first, second)[number % 2]), (MOVED, moved)):
+            found, expected = solver.solve(*query), BulletIKSolver(URDF, config).solve(*query)
+            np.testing.assert_array_equal(found, expected)
+            solved += expected is not None
+    assert 4 < solved < 24
+    assert made == [PANDA, MOVED]
+
+
+def test_threads_do_not_share_a_solver(made: list[PandaConfig]) -> None:
+    solver, queries = make_ik_solver(URDF, PANDA), draw_queries(1, 6)
+    expected = [solver.solve(*query) for query in queries]
+
+    def solve_all(_: int) -> list[Any]:
+        return [solver.solve(*query) for query in queries]
+
+    with ThreadPoolExecutor(3) as pool:
+        for found in pool.map(solve_all, range(6)):
+            for one, other in zip(found, expected, strict=True):
+                np.testing.assert_array_equal(one, other)
+    assert 2 <= len(made) <= 4
+
+
+def test_few_robots_are_kept(made: list[PandaConfig]) -> None:
+    configs = [replace(PANDA, base_position=(0.1 * number, 0.0, 0.0)) for number in range(6)]
+    for config in (*configs, configs[-1], configs[0]):
+        make_ik_solver(URDF, config)
+    assert made == [*configs, configs[0]]
+    assert len(inverse_kinematics._THREAD_SOLVERS.solvers) == 4
