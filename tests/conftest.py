@@ -1,4 +1,11 @@
 import os
+
+# Tests run side by side, one per core; those of several worker processes name a number of workers. NumPy and
+# PyTorch read their number of threads when they are imported.
+for variable in ("LOKY_MAX_CPU_COUNT", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+    os.environ.setdefault(variable, "1")
+
+# ruff: noqa: E402
 from collections import Counter
 from pathlib import Path
 
@@ -8,9 +15,6 @@ from hypothesis import settings
 from handover_marl.datasets import DATA_DIR_VARIABLE, OfficialDataset
 from tests.fake_layout import write_layout
 from tests.slow import read_slow_tests, test_name
-
-# Tests run side by side, one per core; those of several worker processes name a number of workers.
-os.environ.setdefault("LOKY_MAX_CPU_COUNT", "1")
 
 # The time of an example depends on what else the machine does.
 settings.register_profile("tests", deadline=None)

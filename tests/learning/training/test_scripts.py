@@ -188,11 +188,20 @@ def test_train_vision(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     trials = GraspPreparationConfig(tilts=(), lateral_offsets=(), release_offsets=(), advances=())
     labels = GraspLabelConfig(receiver=ReactiveConfig(preparation=trials))
     monkeypatch.setattr(train, "ViewDatasetConfig", functools.partial(ViewDatasetConfig, labels=labels))
+    evaluated = []
+
+    def hold(setup: str, split: str, receiver: str, **how: Any) -> Any:
+        """Evaluate a receiver that ends sooner; the network itself acts in the rollouts of round 1."""
+        evaluated.append(receiver.rpartition("/")[2])
+        return benchmark(setup, split, "hold", **how)
+
+    monkeypatch.setattr(train, "benchmark", hold)
     few = {"dataset": "synthetic", "steps": 4, "rounds": 1, "views": 4, "round_views": 2, "stride": 400, "workers": 1}
     out = tmp_path / "run"
     weights = train.main(train.Args(out=str(out), val_scenes=1, **few))
     assert files(out) >= {"vision.npz", "checkpoint.pt", "learning_curve.csv", "learning_curve.png", "round_1.npz"}
     assert weights == out / "vision.npz"
+    assert evaluated == ["latest.npz"] * 2
     assert steps_of(out) == ["steps", "2", "4"]
     assert receivers.make(f"vision:weights={weights}", SyntheticDataset()).label.startswith("vision@")
     with pytest.raises(ResultsError, match="--resume"):
