@@ -68,7 +68,7 @@ class LearnedPolicy(NetworkPolicy):
 
     @property
     def features(self) -> str:
-        """Name of the features that are the inputs."""
+        """Name of the features that the network receives."""
         return self.spec.features
 
     @property

@@ -40,8 +40,8 @@ _MAX_ITERATIONS, _MIN_STEP = 500, 3e-4
 _STEP_ITERATIONS, _STEP_TOLERANCE = 20, (1e-4, 1e-3)
 # Bounds (m, rad) within which a search may still end at the tolerance.
 _REACH_DISTANCE, _REACH_ANGLE = 2e-3, 0.11
-# Solvers of each thread, and the largest number of robots whose solvers are kept.
-_THREAD_SOLVERS, _MAX_SOLVERS = threading.local(), 4
+# Largest number of robots whose solvers a thread keeps.
+_MAX_SOLVERS = 4
 
 
 def solve_ik(
@@ -207,11 +207,25 @@ def make_ik_stepper(urdf: Path, config: PandaConfig) -> IkStepper:
     return stepper
 
 
+class _ThreadSolvers(threading.local):
+    """Solvers of the current thread by model file, its time of change, and robot configuration."""
+
+    def __init__(self) -> None:
+        self.solvers: dict[tuple[Path, int | None, PandaConfig], IkSolver] = {}
+        if threading.current_thread() is threading.main_thread():
+            # While Python exits, a client of PyBullet cannot disconnect any more.
+            atexit.register(self.solvers.clear)
+
+
+_thread_solvers = _ThreadSolvers()
+
+
 class ThreadIkSolver:
     """Inverse kinematics by a solver that all policies of a thread share.
 
-    A solver of PyBullet takes 44 MB, and a process can have 1,024 of them at most. Solutions do not depend on
-    earlier queries, so policies that share a solver get the same solutions as with one each.
+    A solver of PyBullet takes 44 to 90 MB, depending on the model, and a process can have 1,024 of them at most.
+    Solutions do not depend on earlier queries, so policies that share a solver get the same solutions as with one
+    each.
 
     Args:
         urdf: Model of the Panda.
@@ -222,7 +236,8 @@ class ThreadIkSolver:
     """
 
     def __init__(self, urdf: Path, config: PandaConfig) -> None:
-        self._key = urdf, config
+        # A model that has changed is loaded again.
+        self._key = urdf, urdf.stat().st_mtime_ns if urdf.is_file() else None, config
         # Loaded here so that it does not count as planning time.
         self._find()
 
@@ -233,15 +248,13 @@ class ThreadIkSolver:
         return self._find().solve(start, position, orientation)
 
     def _find(self) -> IkSolver:
-        """Return the solver of this thread; several threads must not use the same one."""
-        solvers: dict[tuple[Path, PandaConfig], IkSolver] = _THREAD_SOLVERS.__dict__.setdefault("solvers", {})
+        """Return the solver of the current thread, and make it if there is none; threads must not share one."""
+        solvers = _thread_solvers.solvers
         if self._key not in solvers:
-            if not solvers and threading.current_thread() is threading.main_thread():
-                # While Python exits, a client of PyBullet cannot disconnect any more.
-                atexit.register(solvers.clear)
             if len(solvers) >= _MAX_SOLVERS:
                 solvers.pop(next(iter(solvers)))
-            solvers[self._key] = _find_solver("BulletIKSolver")(*self._key)
+            urdf, _, config = self._key
+            solvers[self._key] = _find_solver("BulletIKSolver")(urdf, config)
         return solvers[self._key]
 
 

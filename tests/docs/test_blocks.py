@@ -23,7 +23,7 @@ SHELL = [
     for page in PAGES
     for block in (*blocks(page, "bash"), *inline_commands(page))
 ]
-#: Pages with programs; test_own_object runs those of one page, which take long, and checks their results.
+#: Pages with programs. The programs of own_object.md take long; test_own_object runs them and checks their results.
 PROGRAMS = [page for page in PAGES if blocks(page, "python") and page.stem != "own_object"]
 #: Which pages need more than the library itself.
 NEEDS = {"docs/reference/environment.md": ("stable_baselines3",), "docs/how_to/wrist_camera.md": ("embreex",)} | {

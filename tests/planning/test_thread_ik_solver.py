@@ -1,5 +1,7 @@
-"""Policies of a thread share one solver, and get the solutions of one each."""
+"""Tests of the inverse kinematics solver that the policies of a thread share."""
 
+import os
+import shutil
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -34,16 +36,16 @@ def draw_queries(seed: int, count: int = 12) -> list[tuple[Any, ...]]:
 
 @pytest.fixture
 def made(monkeypatch: pytest.MonkeyPatch) -> list[PandaConfig]:
-    """Bases of the solvers that are made in this test."""
-    bases: list[PandaConfig] = []
+    """Record the robot configuration of each solver that is made in a test."""
+    configs: list[PandaConfig] = []
 
     def make(urdf: Path, config: PandaConfig) -> BulletIKSolver:
-        bases.append(config)
+        configs.append(config)
         return BulletIKSolver(urdf, config)
 
     monkeypatch.setattr(inverse_kinematics, "_find_solver", lambda _: make)
-    monkeypatch.setattr(inverse_kinematics, "_THREAD_SOLVERS", type(inverse_kinematics._THREAD_SOLVERS)())
-    return bases
+    monkeypatch.setattr(inverse_kinematics, "_thread_solvers", inverse_kinematics._ThreadSolvers())
+    return configs
 
 
 def test_solutions_are_those_of_a_solver_of_its_own(made: list[PandaConfig]) -> None:
@@ -78,4 +80,13 @@ def test_few_robots_are_kept(made: list[PandaConfig]) -> None:
     for config in (*configs, configs[-1], configs[0]):
         make_ik_solver(URDF, config)
     assert made == [*configs, configs[0]]
-    assert len(inverse_kinematics._THREAD_SOLVERS.solvers) == 4
+    assert len(inverse_kinematics._thread_solvers.solvers) == 4
+
+
+def test_a_changed_model_is_loaded_again(made: list[PandaConfig], tmp_path: Path) -> None:
+    folder = shutil.copytree(URDF.parent, tmp_path / "panda")
+    urdf = folder / URDF.name
+    for time in (1_000_000_000, 1_000_000_000, 2_000_000_000):
+        os.utime(urdf, ns=(time, time))
+        make_ik_solver(urdf, PANDA)
+    assert made == [PANDA, PANDA]

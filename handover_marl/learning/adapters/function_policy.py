@@ -89,7 +89,7 @@ class FunctionPolicy(NetworkPolicy):
 
     @property
     def features(self) -> FeaturesLike:
-        """Choice of the features that are the inputs, or `OBSERVATION`."""
+        """Features that the function receives, or `OBSERVATION` if it receives whole observations."""
         return self._features
 
     @property

@@ -48,7 +48,7 @@ class NetworkPolicy(Policy):
     @property
     @abstractmethod
     def features(self) -> FeaturesLike:
-        """Choice of the features that are the inputs."""
+        """Features that the function receives: a name, a class or a function."""
 
     @property
     @abstractmethod

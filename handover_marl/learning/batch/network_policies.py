@@ -1,7 +1,8 @@
 """Policies that run one dense network in many episodes at once.
 
-Actions equal those of single policies to 1e-6 after the rounding to float32, as features and action schemes do,
-and do not depend on the batch.
+For equal features, the outputs of the network equal those of a single policy to the bit. Features and action schemes
+of a batch differ from single ones by up to 1e-6, so that actions equal those of single policies to 1e-5. Actions do
+not depend on the other episodes of the batch.
 """
 
 from collections.abc import Callable
@@ -54,7 +55,7 @@ class NetworkPolicyBatch(ArrayPolicy[NetworkPolicy]):
         self._scheme.reset(row)
 
     def decide(self, rows: Rows, observation: Observation) -> Actions:
-        """Return the actions (r, ...); evaluate the network where the action scheme requires it.
+        """Return the actions (r, ...); evaluate the network for episodes whose action scheme needs outputs.
 
         Raises:
             ActionError: An action, or an output of an adapted policy, is not finite.

@@ -1,4 +1,4 @@
-"""Networks that act in many episodes at once act as in each episode."""
+"""Tests of policies that evaluate one network for all episodes of a batch."""
 
 import functools
 import itertools

@@ -191,7 +191,7 @@ def test_train_vision(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     evaluated = []
 
     def hold(setup: str, split: str, receiver: str, **how: Any) -> Any:
-        """Evaluate a receiver that ends sooner; the network itself acts in the rollouts of round 1."""
+        """Evaluate `hold`, whose episodes take less time; the trained network acts in the rollouts of round 1."""
         evaluated.append(receiver.rpartition("/")[2])
         return benchmark(setup, split, "hold", **how)
 
