@@ -90,7 +90,8 @@ def _run_coacd(mesh: trimesh.Trimesh, concavity: float, name: str, show: Callabl
 def _run_program(folder: str, arguments: list[str], name: str, show: Callable[[str], object] | None) -> None:
     """Run CoACD in a folder, and show the rounds of its search; raises `DataFormatError`."""
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
-    command, line = [sys.executable, "-c", _PROGRAM, *arguments], ""
+    # Unbuffered (-u), so that the last line is the error if there is one.
+    command, line = [sys.executable, "-u", "-c", _PROGRAM, *arguments], ""
     with subprocess.Popen(
         command, cwd=folder, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
     ) as process:
