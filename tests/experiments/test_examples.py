@@ -4,7 +4,6 @@ from pathlib import Path
 
 import pytest
 
-from handover_marl import receivers
 from handover_marl.datasets.synthetic import SyntheticDataset
 from tests.learning.training.scripts import EXPERIMENTS, script
 
@@ -14,7 +13,7 @@ MAX_LINES = 120
 
 def test_examples_are_short() -> None:
     examples = sorted((EXPERIMENTS / "examples").glob("*.py"))
-    assert len(examples) == 5
+    assert len(examples) == 4
     for path in examples:
         assert len(path.read_text().splitlines()) <= MAX_LINES, path.name
 
@@ -30,15 +29,6 @@ def test_own_giver(monkeypatch: pytest.MonkeyPatch) -> None:
     example = script("own_giver", monkeypatch)
     args = example.Args(receiver="hold", dataset="synthetic", scenes=SCENES, workers=1)
     assert set(example.main(args)) == {"replay", "meeting"}
-
-
-def test_ppo_vector_env(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("torch", reason="needs the extra `train`")
-    pytest.importorskip("mujoco", reason="needs the extra `mujoco`")
-    example = script("ppo_vector_env", monkeypatch)
-    path = tmp_path / "ppo.npz"
-    assert len(example.main(example.Args(path, dataset="synthetic", num_envs=2, rollout=4, updates=2))) == 2
-    assert receivers.make(f"learned:{path}", SyntheticDataset()).hold_time == 0.2
 
 
 def test_pettingzoo_two_learners(monkeypatch: pytest.MonkeyPatch) -> None:

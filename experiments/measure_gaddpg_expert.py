@@ -1,6 +1,6 @@
 """Evaluate the expert that `train_gaddpg.py` imitates, in the protocol of the receiver `gaddpg`.
 
-    python experiments/training/gaddpg_expert.py --data-dir DIR --split val --wait 3
+    python experiments/measure_gaddpg_expert.py --data-dir DIR --split val --wait 3
 
 The result is an upper bound for imitation. The expert knows the true pose of the object, but not
 the person's hand. The script needs the extras `planning` and `vision`.

@@ -1,0 +1,242 @@
+"""Train a receiver for a frozen giver by PPO in plain PyTorch, in one file.
+
+    python experiments/training/train_receiver_ppo.py --data-dir DIR --out runs/ppo.npz
+
+The policy learns from the sparse reward when to close the gripper and how to correct the approach to a grasp. The
+script needs the extras `train` and `mujoco`. The policy file runs without PyTorch:
+`handover-marl benchmark --setup s0 --receiver learned:runs/ppo.npz`.
+"""
+
+import time
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import torch
+import tyro
+from torch import nn
+from torch.distributions import Normal
+
+import handover_marl
+from handover_marl.evaluation.reports.statistics import compute_wilson_interval
+from handover_marl.learning.policy_files import write_policy
+from handover_marl.learning.policy_spec import PolicySpec
+from handover_marl.learning.training.dense_networks import dense_network_from_module, make_mlp
+from handover_marl.learning.training.scene_arguments import SetupArgs
+
+FEATURES, ACTIONS, CONTROL_PERIOD, MAX_CYCLES = "close", "grasp_servo", 0.2, 40
+
+
+@dataclass(frozen=True)
+class Args(SetupArgs):
+    """Arguments of the training of a receiver by PPO.
+
+    Attributes:
+        out: Policy file to write.
+        seed: Seed of all random numbers.
+        giver: Name of the frozen giver.
+        decisions: Largest number of decisions of the receiver in all environments together.
+        minutes: Largest wall-clock time of the training (min), without the evaluation.
+        num_envs: Number of environments.
+        workers: Number of batches of environments, which are simulated at the same time.
+        rollout: Number of decisions in each environment between updates.
+        epochs: Number of passes over the collected decisions in each update.
+        minibatch_size: Number of decisions per gradient step.
+        learning_rate: Learning rate of Adam.
+        discount: Discount factor.
+        gae_lambda: Lambda of generalized advantage estimation.
+        clip_range: Largest deviation from 1 of the probability ratio in PPO's objective.
+        width: Width of the two hidden layers of each network.
+        initial_std: Initial standard deviation of the outputs that correct the approach.
+        gripper_initial_std: Initial standard deviation of the output that closes the gripper.
+        val_scenes: Largest number of scenes of the validation split in the final evaluation; 0 skips it.
+        val_physics: Physics of the final evaluation: fast, exact or mujoco.
+    """
+
+    out: Path = Path("runs/ppo.npz")
+    seed: int = 0
+    giver: str = "cooperative"
+    decisions: int = 24_576
+    minutes: float = 30.0
+    num_envs: int = 64
+    workers: int = 2
+    rollout: int = 32
+    epochs: int = 8
+    minibatch_size: int = 128
+    learning_rate: float = 7e-4
+    discount: float = 0.97
+    gae_lambda: float = 0.95
+    clip_range: float = 0.2
+    width: int = 64
+    initial_std: float = 0.15
+    gripper_initial_std: float = 0.45
+    val_scenes: int = 36
+    val_physics: str = "fast"
+
+
+class ActorCritic(nn.Module):
+    """Gaussian policy whose standard deviation does not depend on the features, and a value function."""
+
+    def __init__(self, n_inputs: int, n_outputs: int, args: Args) -> None:
+        super().__init__()
+        self.actor, self.critic = make_mlp(n_inputs, n_outputs, args.width, 0.01), make_mlp(n_inputs, 1, args.width)
+        # Random closing succeeds now and then, so the gripper's output is explored more than the motion.
+        stds = [args.initial_std] * (n_outputs - 1) + [args.gripper_initial_std]
+        self.log_std = nn.Parameter(torch.tensor(stds).log())
+
+    def compute_distribution(self, features: torch.Tensor) -> Normal:
+        return Normal(self.actor(features), self.log_std.exp())
+
+    def compute_value(self, features: torch.Tensor) -> torch.Tensor:
+        return self.critic(features)[..., 0]
+
+
+class Batch(NamedTuple):
+    """Decisions of k steps of n environments: tensors (k, n, ...)."""
+
+    features: torch.Tensor
+    actions: torch.Tensor
+    log_probs: torch.Tensor
+    advantages: torch.Tensor
+    targets: torch.Tensor
+
+
+class Collector:
+    """Collector of decisions from a batch of environments, whose episodes continue in the next rollout."""
+
+    def __init__(self, number: int, args: Args) -> None:
+        self.args, self.outcomes = args, list[bool]()
+        count = args.num_envs // args.workers
+        self.envs = handover_marl.vector_env(
+            count,
+            "receiver",
+            args.giver,
+            features=FEATURES,
+            schemes=ACTIONS,
+            autoreset="same_step",
+            threads=1,
+            setup=args.setup,
+            split="train",
+            dataset=args.dataset,
+            data_dir=args.data_dir,
+            control_period=CONTROL_PERIOD,
+            max_cycles=MAX_CYCLES,
+        )
+        self.generator = torch.Generator().manual_seed(args.seed * args.workers + number)
+        first_seed = args.seed * args.num_envs + number * count
+        self.features = torch.as_tensor(self.envs.reset(seed=first_seed)[0])
+
+    @torch.no_grad()
+    def collect(self, model: ActorCritic) -> Batch:
+        """Return the decisions of one rollout."""
+        self.outcomes.clear()
+        steps = [self._step(model) for _ in range(self.args.rollout)]
+        features, actions, log_probs, values, rewards, continues = map(torch.stack, zip(*steps, strict=True))
+        advantages = compute_advantages(rewards, values, continues, model.compute_value(self.features), self.args)
+        return Batch(features, actions, log_probs, advantages, advantages + values)
+
+    def _step(self, model: ActorCritic) -> tuple[torch.Tensor, ...]:
+        features, policy = self.features, model.compute_distribution(self.features)
+        actions = policy.mean + policy.stddev * torch.randn(policy.mean.shape, generator=self.generator)
+        found, rewards, terminated, truncated, infos = self.envs.step(actions.numpy())
+        for number in np.flatnonzero(terminated | truncated).tolist():
+            status = int(infos["final_info"]["status"][number])
+            self.outcomes.append(status == handover_marl.EpisodeStatus.SUCCESS)
+            if not terminated[number]:
+                # The value of the last state stands for the rewards after the truncation.
+                last = torch.as_tensor(infos["final_obs"][number])
+                rewards[number] += self.args.discount * model.compute_value(last).item()
+        self.features = torch.as_tensor(found)
+        log_probs, values = policy.log_prob(actions).sum(-1), model.compute_value(features)
+        continues = torch.as_tensor(~(terminated | truncated)).float()
+        return features, actions, log_probs, values, torch.as_tensor(rewards).float(), continues
+
+
+def compute_advantages(
+    rewards: torch.Tensor, values: torch.Tensor, continues: torch.Tensor, last_values: torch.Tensor, args: Args
+) -> torch.Tensor:
+    """Return generalized advantage estimates (k, n) of k steps (Schulman et al., ICLR 2016)."""
+    advantages, advantage, next_values = torch.zeros_like(rewards), torch.zeros_like(last_values), last_values
+    for step in reversed(range(len(rewards))):
+        error = rewards[step] + args.discount * next_values * continues[step] - values[step]
+        advantage = error + args.discount * args.gae_lambda * continues[step] * advantage
+        advantages[step], next_values = advantage, values[step]
+    return advantages
+
+
+def update(model: ActorCritic, optimizer: torch.optim.Optimizer, batch: Batch, args: Args) -> None:
+    """Update the networks by PPO (Schulman et al., 2017)."""
+    count = batch.advantages.numel()
+    rows = Batch(*(part.reshape(count, *part.shape[2:]) for part in batch))
+    for _ in range(args.epochs):
+        for numbers in torch.randperm(count).split(args.minibatch_size):
+            part = Batch(*(values[numbers] for values in rows))
+            policy = model.compute_distribution(part.features)
+            ratio = (policy.log_prob(part.actions).sum(-1) - part.log_probs).exp()
+            clipped = ratio.clamp(1.0 - args.clip_range, 1.0 + args.clip_range)
+            gain = (part.advantages - part.advantages.mean()) / (part.advantages.std() + 1e-8)
+            value_loss = (model.compute_value(part.features) - part.targets).square().mean()
+            optimizer.zero_grad()
+            (0.5 * value_loss - torch.min(ratio * gain, clipped * gain).mean()).backward()
+            nn.utils.clip_grad_norm_(model.parameters(), 0.5)
+            optimizer.step()
+
+
+def train(args: Args) -> ActorCritic:
+    """Train a receiver until the limit of decisions or of time is reached."""
+    started, learning_s = time.monotonic(), 0.0
+    torch.manual_seed(args.seed)
+    torch.set_num_threads(1)  # The networks are small, and the other cores simulate.
+    with ThreadPoolExecutor(args.workers) as pool:
+        collectors = list(pool.map(lambda number: Collector(number, args), range(args.workers)))
+        envs = collectors[0].envs
+        model = ActorCritic(envs.single_observation_space.shape[0], envs.single_action_space.shape[0], args)
+        optimizer = torch.optim.Adam(model.parameters(), args.learning_rate)
+        decisions, first_step = 0, time.monotonic()
+        while decisions < args.decisions and time.monotonic() - started < 60.0 * args.minutes:
+            batches = list(pool.map(lambda collector: collector.collect(model), collectors))
+            collected = time.monotonic()
+            batch = Batch(*(torch.cat(parts, dim=1) for parts in zip(*batches, strict=True)))
+            update(model, optimizer, batch, args)
+            now, decisions = time.monotonic(), decisions + batch.advantages.numel()
+            learning_s += now - collected
+            outcomes = [outcome for collector in collectors for outcome in collector.outcomes]
+            print(
+                f"{decisions} decisions, {now - started:.1f} s, {decisions / (now - first_step):.0f} decisions/s "
+                f"(learning {learning_s:.1f} s): success of {len(outcomes)} training episodes "
+                f"{sum(outcomes) / max(1, len(outcomes)):.1%}",
+                flush=True,
+            )
+    for collector in collectors:
+        collector.envs.close()
+    return model
+
+
+def evaluate(args: Args) -> None:
+    """Evaluate the policy file on the validation split, and print the success rate with its interval."""
+    scenes = args.open_dataset().list_scenes(args.setup, "val")[: args.val_scenes]
+    options = {"scenes": scenes, "dataset": args.dataset, "data_dir": args.data_dir, "physics": args.val_physics}
+    report = handover_marl.evaluate_pair(args.giver, f"learned:{args.out}", args.setup, "val", **options)
+    low, high = compute_wilson_interval(report.count(handover_marl.EpisodeStatus.SUCCESS), len(scenes))
+    print(
+        f"success on {len(scenes)} scenes of {args.setup} val, {args.val_physics} physics, giver {args.giver}: "
+        f"{report.success_rate:.1%} (95 % interval {low:.1%} to {high:.1%})"
+    )
+
+
+def main(args: Args) -> Path:
+    args = args.resolve_setup()
+    model = train(args)
+    args.out.parent.mkdir(parents=True, exist_ok=True)
+    spec = PolicySpec("receiver", FEATURES, ACTIONS, CONTROL_PERIOD, "experiments/training/train_receiver_ppo.py")
+    write_policy(args.out, spec, dense_network_from_module(model.actor))
+    print(args.out)
+    if args.val_scenes:
+        evaluate(args)
+    return args.out
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Args))

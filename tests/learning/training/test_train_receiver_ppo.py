@@ -1,0 +1,79 @@
+"""PPO in plain PyTorch: advantages, updates, and a short training whose policy runs without PyTorch."""
+
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from handover_marl import evaluate_pair
+from handover_marl.datasets.synthetic import SyntheticDataset
+from tests.learning.training.scripts import script
+
+torch = pytest.importorskip("torch", reason="needs the extra `train`")
+pytest.importorskip("mujoco", reason="needs the extra `mujoco`")
+SCENES = SyntheticDataset().list_scenes("s0", "val")[:1]
+
+
+@pytest.fixture
+def train(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    return script("train_receiver_ppo", monkeypatch)
+
+
+def test_training_and_evaluation(
+    train: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "new" / "ppo.npz"
+    small = {"num_envs": 4, "rollout": 4, "epochs": 2, "minibatch_size": 8, "val_physics": "mujoco"}
+    assert train.main(train.Args(dataset="synthetic", out=out, decisions=20, val_scenes=1, **small)) == out
+    printed = capsys.readouterr().out
+    assert "16 decisions" in printed
+    assert "32 decisions" in printed
+    assert "48 decisions" not in printed
+    assert "on 1 scenes of s0 val, mujoco physics, giver cooperative: 0.0% (95 % interval 0.0% to 79.3%)" in printed
+    monkeypatch.setitem(sys.modules, "torch", None)
+    report = evaluate_pair("replay", f"learned:{out}", scenes=SCENES, split="val", dataset="synthetic", workers=1)
+    assert len(report.episodes) == 1
+
+
+def test_a_training_repeats_from_its_seed(train: ModuleType, tmp_path: Path) -> None:
+    small = {"dataset": "synthetic", "num_envs": 2, "rollout": 4, "epochs": 1, "decisions": 16, "val_scenes": 0}
+    files = [tmp_path / f"{name}.npz" for name in ("first", "again", "other")]
+    for out, seed in zip(files, (1, 1, 2), strict=True):
+        train.main(train.Args(out=out, seed=seed, **small))
+    first, again, other = (read_numbers(file) for file in files)
+    np.testing.assert_array_equal(first, again)
+    assert (first != other).any()
+
+
+def read_numbers(file: Path) -> np.ndarray:
+    with np.load(file) as arrays:
+        return np.concatenate([arrays[name].ravel() for name in arrays.files if arrays[name].dtype.kind == "f"])
+
+
+def test_advantages_are_discounted_sums_of_errors(train: ModuleType) -> None:
+    args = train.Args(discount=0.5, gae_lambda=0.8)
+    rewards, values = torch.tensor([[1.0], [2.0], [4.0]]), torch.tensor([[0.5], [1.0], [2.0]])
+    found = train.compute_advantages(rewards, values, torch.tensor([[1.0], [0.0], [1.0]]), torch.tensor([8.0]), args)
+    # The episode ends in the second step.
+    np.testing.assert_allclose(found[:, 0], [1.0 + 0.5 * 1.0 - 0.5 + 0.4 * 1.0, 2.0 - 1.0, 4.0 + 0.5 * 8.0 - 2.0])
+
+
+def test_updates_favor_actions_with_larger_advantages(train: ModuleType) -> None:
+    torch.manual_seed(0)
+    args = train.Args(epochs=20, minibatch_size=64, learning_rate=3e-3)
+    model = train.ActorCritic(3, 2, args)
+    features = torch.randn(8, 32, 3)
+    with torch.no_grad():
+        policy = model.compute_distribution(features)
+        actions = policy.sample()
+        log_probs = policy.log_prob(actions).sum(-1)
+    advantages = actions[..., 1]
+    batch = train.Batch(features, actions, log_probs, advantages, torch.ones_like(advantages))
+    train.update(model, torch.optim.Adam(model.parameters(), args.learning_rate), batch, args)
+    with torch.no_grad():
+        mean, value = model.compute_distribution(features).mean, model.compute_value(features)
+    assert mean[..., 1].mean() > policy.mean[..., 1].mean() + 0.1
+    assert abs(mean[..., 0] - policy.mean[..., 0]).mean() < 0.1
+    assert abs(value - 1.0).mean() < 0.3
