@@ -37,7 +37,7 @@ from handover_marl.errors import OptionError, PolicyError
 from handover_marl.execution.options import require_modules
 from handover_marl.geometry.panda import CLOSED, OPEN
 from handover_marl.geometry.poses import quaternion_from_matrix
-from handover_marl.planning.inverse_kinematics import IkStepper, make_ik_stepper
+from handover_marl.planning.ik_solvers import IkStepper, make_ik_stepper
 from handover_marl.policies.policy import Action, PolicyContext, require_reset
 from handover_marl.receivers.phases import PhasedReceiver, PhaseTiming
 from handover_marl.receivers.point_cloud_memory import PointCloudMemory, PointCloudMemoryConfig

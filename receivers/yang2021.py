@@ -17,7 +17,7 @@ from handover_marl.config import ARM_DOF
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry import panda
 from handover_marl.geometry.poses import compose, compute_pose_distances, compute_rotation_angle
-from handover_marl.planning.inverse_kinematics import IkSolver, make_ik_solver
+from handover_marl.planning.ik_solvers import IkSolver, make_ik_solver
 from handover_marl.policies.policy import Action, PolicyContext, Receiver, milliseconds_from_wait, require_reset
 from handover_marl.receivers.grasp_library import GraspLibrary
 

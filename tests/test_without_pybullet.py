@@ -17,7 +17,7 @@ from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import play
 from handover_marl.execution.options import is_pybullet_installed
 from handover_marl.givers import list_available
-from handover_marl.planning.inverse_kinematics import PandaIkSolver
+from handover_marl.planning.ik_solvers import PandaIkSolver
 from handover_marl.receivers import make
 
 pytest.importorskip("mujoco", reason="without PyBullet, MuJoCo is what plays")

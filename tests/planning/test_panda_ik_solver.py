@@ -8,7 +8,7 @@ from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.geometry.panda import WAITING_JOINTS
 from handover_marl.geometry.poses import IDENTITY, compose, compute_rotation_angle
 from handover_marl.planning.arm_control import ArmInWorld
-from handover_marl.planning.inverse_kinematics import PandaIkSolver
+from handover_marl.planning.ik_solvers import PandaIkSolver
 from handover_marl.simulation.bullet.kinematics import BulletIKSolver, BulletIKStep
 
 URDF, PANDA = SyntheticDataset().panda_urdf, OFFICIAL_CONFIG.physics.panda

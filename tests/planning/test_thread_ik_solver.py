@@ -13,8 +13,8 @@ import pytest
 from handover_marl.config import PandaConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.geometry.panda import WAITING_JOINTS
-from handover_marl.planning import inverse_kinematics
-from handover_marl.planning.inverse_kinematics import make_ik_solver
+from handover_marl.planning import ik_solvers
+from handover_marl.planning.ik_solvers import make_ik_solver
 from handover_marl.simulation.bullet.kinematics import BulletIKSolver
 
 URDF = SyntheticDataset().panda_urdf
@@ -43,8 +43,8 @@ def made(monkeypatch: pytest.MonkeyPatch) -> list[PandaConfig]:
         configs.append(config)
         return BulletIKSolver(urdf, config)
 
-    monkeypatch.setattr(inverse_kinematics, "_find_solver", lambda _: make)
-    monkeypatch.setattr(inverse_kinematics, "_thread_solvers", inverse_kinematics._ThreadSolvers())
+    monkeypatch.setattr(ik_solvers, "_find_solver", lambda _: make)
+    monkeypatch.setattr(ik_solvers, "_thread_solvers", ik_solvers._ThreadSolvers())
     return configs
 
 
@@ -80,7 +80,7 @@ def test_few_robots_are_kept(made: list[PandaConfig]) -> None:
     for config in (*configs, configs[-1], configs[0]):
         make_ik_solver(URDF, config)
     assert made == [*configs, configs[0]]
-    assert len(inverse_kinematics._thread_solvers.solvers) == 4
+    assert len(ik_solvers._thread_solvers.solvers) == 4
 
 
 def test_a_changed_model_is_loaded_again(made: list[PandaConfig], tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ from handover_marl.learning.imitation.gaddpg.grasp_costs import PAD_OFFSET, Gras
 from handover_marl.learning.imitation.gaddpg.scenarios import ImitationScenario
 from handover_marl.learning.networks.approach_field import ApproachFieldConfig, compute_approach_steps
 from handover_marl.planning.arm_control import ArmInWorld
-from handover_marl.planning.inverse_kinematics import make_ik_stepper
+from handover_marl.planning.ik_solvers import make_ik_stepper
 from handover_marl.planning.planner import Planner
 from handover_marl.planning.planner_config import ChompConfig, PlannerConfig
 from handover_marl.planning.trajectory_cost import Obstacle

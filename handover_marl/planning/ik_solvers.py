@@ -1,0 +1,237 @@
+"""Inverse kinematics solvers that receivers use.
+
+Receivers use PyBullet's solver where it is installed, since only its solutions reproduce the
+results of HandoverSim's baselines bit for bit, and the library's own solver otherwise.
+"""
+
+import atexit
+import importlib
+import threading
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from handover_marl.config import ARM_DOF, PANDA_DOF, PandaConfig
+from handover_marl.execution.options import is_pybullet_installed
+from handover_marl.geometry.arm import ArmKinematics, ReachabilityBound
+from handover_marl.geometry.kinematic_tree import read_tree
+from handover_marl.geometry.panda import HAND_LINK
+from handover_marl.geometry.poses import IDENTITY, compose, invert_pose
+from handover_marl.planning.inverse_kinematics import solve_ik
+
+Array = npt.NDArray[np.float64]
+
+_UNLIMITED = np.full(ARM_DOF, -np.inf), np.full(ARM_DOF, np.inf)
+# Maximum final error of position (m) and rotation (rad), as in PyBullet.
+_TOLERANCE = (1e-3, 0.1)
+# From far away, PyBullet's damped steps end in other configurations than Newton's own. With this
+# damping all but one of 640 queries of `yang2021` (40 scenes of s0 train) are solved where PyBullet
+# solves them, 95 % within 0.03 rad of its solution.
+_PANDA_DAMPING = 0.1
+# Largest joint rotation in one step (rad), as in PyBullet.
+_MAX_STEP = np.pi / 4.0
+_MAX_ITERATIONS, _MIN_STEP = 500, 3e-4
+# Iterations and tolerance of a single query.
+_STEP_ITERATIONS, _STEP_TOLERANCE = 20, (1e-4, 1e-3)
+# Bounds (m, rad) within which a search may still end at the tolerance.
+_REACH_DISTANCE, _REACH_ANGLE = 2e-3, 0.11
+# Largest number of robots whose solvers a thread keeps.
+_MAX_SOLVERS = 4
+
+
+class IkSolver(Protocol):
+    """Interface of inverse kinematics solvers that iterate until the hand link reaches a pose."""
+
+    def solve(
+        self, start: npt.ArrayLike, position: npt.ArrayLike, orientation: npt.ArrayLike | None = None
+    ) -> Array | None:
+        """Return arm joints (7,) in rad that bring the hand link to a world pose, or None.
+
+        None is returned if the search does not converge.
+
+        Args:
+            start: (9,) joints at which the search starts (rad, m); the fingers are ignored.
+            position: (3,) world position of the hand link (m).
+            orientation: World quaternion xyzw of the hand link; None leaves the rotation free.
+        """
+
+
+class IkStepper(Protocol):
+    """Interface of inverse kinematics solvers that make one query, which may not converge."""
+
+    def solve_step(self, joints: npt.ArrayLike, position: npt.ArrayLike, orientation: Array | None = None) -> Array:
+        """Return joints (9,) that bring the hand link to a world pose or closer to that pose.
+
+        Args:
+            joints: (9,) joints at which the search starts (rad, m).
+            position: (3,) world position of the hand link (m).
+            orientation: World quaternion xyzw of the hand link; None leaves the rotation free.
+
+        Returns:
+            Seven arm joints (rad) and two finger positions without meaning.
+        """
+
+    def to_base_frame(self, world_from_hand: npt.NDArray[np.floating]) -> Array:
+        """Transform a pose (7,) of the hand link from the world to the robot's base frame."""
+
+    def to_world_frame(self, base_from_hand: Array) -> Array:
+        """Transform a pose (7,) of the hand link from the robot's base frame to the world."""
+
+
+def make_ik_solver(urdf: Path, config: PandaConfig) -> IkSolver:
+    """Create an inverse kinematics solver, PyBullet's where PyBullet is installed.
+
+    Args:
+        urdf: Model of the Panda.
+        config: Configuration with the world pose of the robot's base.
+
+    Raises:
+        SimulationError: The model cannot be read.
+    """
+    return ThreadIkSolver(urdf, config)
+
+
+def make_ik_stepper(urdf: Path, config: PandaConfig) -> IkStepper:
+    """Create a solver of single queries, PyBullet's where PyBullet is installed.
+
+    Arguments and errors are the same as for `make_ik_solver`.
+    """
+    stepper: IkStepper = _find_solver("BulletIKStep")(urdf, config)
+    return stepper
+
+
+class _ThreadSolvers(threading.local):
+    """Solvers of the current thread by model file, its time of change, and robot configuration."""
+
+    def __init__(self) -> None:
+        self.solvers: dict[tuple[Path, int | None, PandaConfig], IkSolver] = {}
+        if threading.current_thread() is threading.main_thread():
+            # While Python exits, a client of PyBullet cannot disconnect any more.
+            atexit.register(self.solvers.clear)
+
+
+_thread_solvers = _ThreadSolvers()
+
+
+class ThreadIkSolver:
+    """Inverse kinematics by a solver that all policies of a thread share.
+
+    A solver of PyBullet takes 44 to 90 MB, depending on the model, and a process can have 1,024 of them at most.
+    Solutions do not depend on earlier queries, so policies that share a solver get the same solutions as with one
+    each.
+
+    Args:
+        urdf: Model of the Panda.
+        config: Configuration with the world pose of the robot's base.
+
+    Raises:
+        SimulationError: The model cannot be read.
+    """
+
+    def __init__(self, urdf: Path, config: PandaConfig) -> None:
+        # A model that has changed is loaded again.
+        self._key = urdf, urdf.stat().st_mtime_ns if urdf.is_file() else None, config
+        # Loaded here so that it does not count as planning time.
+        self._find()
+
+    def solve(
+        self, start: npt.ArrayLike, position: npt.ArrayLike, orientation: npt.ArrayLike | None = None
+    ) -> Array | None:
+        """Return arm joints (7,) in rad, or None; see `IkSolver.solve`."""
+        return self._find().solve(start, position, orientation)
+
+    def _find(self) -> IkSolver:
+        """Return the solver of the current thread, and make it if there is none; threads must not share one."""
+        solvers = _thread_solvers.solvers
+        if self._key not in solvers:
+            if len(solvers) >= _MAX_SOLVERS:
+                solvers.pop(next(iter(solvers)))
+            urdf, _, config = self._key
+            solvers[self._key] = _find_solver("BulletIKSolver")(urdf, config)
+        return solvers[self._key]
+
+
+def _find_solver(bullet_class: str) -> Any:
+    if not is_pybullet_installed():
+        return PandaIkSolver
+    return getattr(importlib.import_module("handover_marl.simulation.bullet.kinematics"), bullet_class)
+
+
+class PandaIkSolver:
+    """Inverse kinematics of a Panda without PyBullet, whose solutions differ slightly.
+
+    Joint limits are ignored, as by `BulletIKSolver` and `BulletIKStep`. Solutions do not depend on
+    earlier queries.
+
+    Args:
+        urdf: Model of the Panda.
+        config: Configuration with the world pose of the robot's base.
+
+    Raises:
+        SimulationError: The model cannot be read, or is not a Panda.
+    """
+
+    def __init__(self, urdf: Path, config: PandaConfig) -> None:
+        tree = read_tree(urdf)
+        self._arm = ArmKinematics(tree)
+        self._base = np.array([*config.base_position, *config.base_orientation])
+        self._base_from_world = invert_pose(self._base)
+        hand = [joint.link for joint in tree.joints].index(HAND_LINK)
+        self._reach = ReachabilityBound(tree, hand, self._base)
+
+    def solve(
+        self, start: npt.ArrayLike, position: npt.ArrayLike, orientation: npt.ArrayLike | None = None
+    ) -> Array | None:
+        """Return arm joints (7,) in rad that bring the hand link to a world pose, see `IkSolver.solve`."""
+        if self._reach.is_unreachable(position, orientation, _REACH_DISTANCE, _REACH_ANGLE):
+            return None
+        joints, solved = self._search(start, position, orientation, _TOLERANCE, _MAX_ITERATIONS, _MIN_STEP)
+        return joints if solved else None
+
+    def solve_step(
+        self, joints: npt.ArrayLike, position: npt.ArrayLike, orientation: npt.ArrayLike | None = None
+    ) -> Array:
+        """Return joints (9,) that bring the hand link to a world pose or closer to that pose.
+
+        Seven arm joints (rad) are followed by two finger positions, which are zero.
+
+        Args:
+            joints: (9,) joints at which the search starts (rad, m).
+            position: (3,) world position of the hand link (m).
+            orientation: World quaternion xyzw of the hand link; None leaves the rotation free.
+        """
+        closest, _ = self._search(joints, position, orientation, _STEP_TOLERANCE, _STEP_ITERATIONS, 0.0)
+        return np.concatenate([closest, np.zeros(PANDA_DOF - ARM_DOF)])
+
+    def to_base_frame(self, world_from_hand: npt.NDArray[np.floating]) -> Array:
+        """Transform a pose (7,) from the world to the robot's base frame, rounded to float32."""
+        return compose(self._base_from_world, world_from_hand).astype(np.float32).astype(np.float64)
+
+    def to_world_frame(self, base_from_hand: Array) -> Array:
+        """Transform a pose (7,) from the robot's base frame to the world, rounded to float32."""
+        return compose(self._base, base_from_hand).astype(np.float32).astype(np.float64)
+
+    def _search(
+        self,
+        start: npt.ArrayLike,
+        position: npt.ArrayLike,
+        orientation: npt.ArrayLike | None,
+        tolerance: tuple[float, float],
+        iterations: int,
+        min_step: float,
+    ) -> tuple[Array, bool]:
+        """Return the joints (7,) at which a search ends, and whether it reached the pose."""
+        pose = np.concatenate([np.asarray(position, np.float64), IDENTITY[3:] if orientation is None else orientation])
+        local = compose(self._base_from_world, pose)
+        rotation = None if orientation is None else Rotation.from_quat(local[3:]).as_matrix()[None]
+        seed = np.asarray(start, dtype=np.float64)[None, :ARM_DOF]
+        joints, solved = solve_ik(
+            *(self._arm, local[None, :3], rotation, seed, _UNLIMITED, tolerance, iterations),
+            damping=_PANDA_DAMPING,
+            min_step=min_step,
+            max_step=_MAX_STEP,
+        )
+        return joints[0], bool(solved[0])
