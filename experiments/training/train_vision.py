@@ -5,7 +5,8 @@ The script needs the extras `train`, `plot`, `planning` and `vision`.
     python experiments/training/train_vision.py --data-dir DIR --out runs/vision
 
 The script renders views of a training split from random poses of the wrist camera, validates the objects'
-grasps in simulation if that was not done yet, and trains the network to predict good grasps. In
+grasps in simulation if that was not done yet, and trains the network to predict good grasps. With
+`--extra-datasets generated:n=1000,seed=7`, the training scenes of other data sets are used too. In
 later rounds, views recorded while the receiver uses the trained network are added (DAgger). After
 every round the receiver is evaluated on the validation split in fast physics. The folder gets
 `vision.npz`, the best network (`--receiver vision:weights=runs/vision/vision.npz`),
@@ -14,6 +15,7 @@ every round the receiver is evaluated on the validation split in fast physics. T
 """
 
 import os
+import re
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -27,6 +29,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from torch.utils.tensorboard import SummaryWriter
 
 from handover_marl import benchmark
+from handover_marl.datasets import open_dataset
 from handover_marl.learning.imitation.vision.training import (
     GraspTrainer,
     GraspTrainingConfig,
@@ -90,7 +93,9 @@ class Args(VisionArgs):
         hand: Whether points of the person's hand are an input.
         groups: Whether predictions use groups of neighboring points, as in PointNet++.
         auxiliary: Weight of the auxiliary losses of the object's center and displacement.
+        extra_datasets: Other data sets, whose training scenes (of their first setup) are used too.
         shared_views: Folder of the first round's views, shared by several runs; default: in `out`.
+        views_seed: Seed of the first round's views; default: `seed`. Runs that share views need the same one.
         resume: Whether to continue the run in the folder `out`.
     """
 
@@ -100,7 +105,9 @@ class Args(VisionArgs):
     hand: bool = True
     groups: bool = True
     auxiliary: float = 1.0
+    extra_datasets: tuple[str, ...] = ()
     shared_views: str | None = None
+    views_seed: int | None = None
     resume: bool = False
 
 
@@ -116,7 +123,10 @@ class Training:
         self._args, self._workers = args, args.workers or os.cpu_count() or 1
         self._data = args.open_dataset(args.robot)
         scenes = self._data.list_scenes(args.setup, "train")[:: args.stride]
-        self._scenes, self._held_out = select_training_scenes(scenes), select_held_out_scenes(scenes)
+        self._scenes, self._held_out = {args.dataset: select_training_scenes(scenes)}, select_held_out_scenes(scenes)
+        for name in args.extra_datasets:
+            extra = open_dataset(name, args.data_dir, args.robot)
+            self._scenes[name] = extra.list_scenes(extra.resolve_setup(None), "train")[:: args.stride]
         self._val_scenes = select_scenes_evenly(self._data.list_scenes(args.setup, "val"), args.val_scenes)
         self._folder = RunFolder(Path(args.out), args, args.resume, self._data.name)
         self._device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
@@ -135,11 +145,11 @@ class Training:
         """Run all rounds of training; return the path of the best network's weights."""
         count = self._args.rounds + 1
         ends = np.linspace(0, self._args.steps, count + 1).round().astype(int)[1:].tolist()
-        others = self._load_views(self._held_out, 0)
+        others = self._load_views(self._args.dataset, self._held_out, 0)
         held_out = ViewBatches(GraspViews(*(a[:: -(-len(a) // N_HELD_OUT)] for a in others)), self._device)
         views: list[GraspViews] = []
         for number, end in enumerate(ends):
-            views.append(self._load_views(self._select_scenes(number), number))
+            views += [self._load_views(*chosen, number) for chosen in self._select_scenes(number)]
             if self._trainer.done >= end:
                 continue
             joined = GraspViews(*(np.concatenate(arrays) for arrays in zip(*views, strict=True)))
@@ -148,17 +158,23 @@ class Training:
             self._save()
         return self._folder.path / WEIGHTS
 
-    def _select_scenes(self, number: int) -> Sequence[int]:
-        """Return the training scenes of a round."""
+    def _select_scenes(self, number: int) -> list[tuple[str, Sequence[int]]]:
+        """Return the training scenes of a round by the names of the data sets."""
         stride = self._args.round_stride
-        return self._scenes if number == 0 else self._scenes[number % stride :: stride] or self._scenes
+        return [
+            (dataset, scenes if number == 0 else scenes[number % stride :: stride] or scenes)
+            for dataset, scenes in self._scenes.items()
+        ]
 
-    def _load_views(self, scenes: Sequence[int], number: int) -> GraspViews:
-        """Return the views of a round; generate missing ones."""
+    def _load_views(self, dataset: str, scenes: Sequence[int], number: int) -> GraspViews:
+        """Return the views of scenes of a data set in a round; generate missing ones."""
         args, name = self._args, f"round_{number}"
         shared = args.shared_views if number == 0 else None
         folder = self._folder.path / "views" / name if shared is None else Path(shared)
-        config = ViewDatasetConfig(args.dataset, args.data_dir, args.robot, args.views, args.seed)
+        if dataset != args.dataset:
+            folder /= re.sub(r"\W+", "-", dataset)
+        seed = args.seed if args.views_seed is None or number else args.views_seed
+        config = ViewDatasetConfig(dataset, args.data_dir, args.robot, args.views, seed)
         if number:
             weights = self._folder.path / f"{name}.npz"
             config = replace(config, count=args.round_views, weights=str(weights))
@@ -196,7 +212,7 @@ class Training:
         card = {
             "made by": describe_origin("train_vision", args),
             "steps": self._trainer.done,
-            "dataset": self._data.name,
+            "dataset": ", ".join([self._data.name, *args.extra_datasets]),
         }
         write_network_weights(latest, self._trainer.network, card)
         report = benchmark(

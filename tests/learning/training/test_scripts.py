@@ -197,10 +197,14 @@ def test_train_vision(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(train, "benchmark", hold)
     few = {"dataset": "synthetic", "steps": 4, "rounds": 1, "views": 4, "round_views": 2, "stride": 400, "workers": 1}
+    few["extra_datasets"] = ("generated:n=30,seed=7,procedural=0",)
     out = tmp_path / "run"
     weights = train.main(train.Args(out=str(out), val_scenes=1, **few))
     assert files(out) >= {"vision.npz", "checkpoint.pt", "learning_curve.csv", "learning_curve.png", "round_1.npz"}
     assert weights == out / "vision.npz"
+    rounds = [out / "views" / name for name in ("round_0", "round_1")]
+    assert [len(list(folder.glob("*.npz"))) for folder in rounds] == [2, 1], "of synthetic scenes"
+    assert [len(list(folder.glob("generated-*/*.npz"))) for folder in rounds] == [1, 1]
     assert evaluated == ["latest.npz"] * 2
     assert steps_of(out) == ["steps", "2", "4"]
     assert receivers.make(f"vision:weights={weights}", SyntheticDataset()).label.startswith("vision@")
