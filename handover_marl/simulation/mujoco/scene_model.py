@@ -120,12 +120,11 @@ def load_scene_model(assets: SceneAssets, config: PhysicsConfig, tuning: MujocoT
 
 @functools.lru_cache(maxsize=_CACHE_SIZE)
 def _load(assets: SceneAssets, mtimes: tuple[_Mtimes, ...], config: PhysicsConfig, tuning: MujocoTuning) -> SceneModel:
-    excluded = _find_never_colliding_links(assets.panda, mtimes[1], config, tuning)
     friction = read_object_friction(assets.objects[0])
-    built = SceneModelBuilder(config, tuning, friction)
-    built.add_workcell(assets.table, assets.panda, excluded)
+    workcell = assets.table, assets.panda, mtimes[:2], friction, config, tuning
+    built = SceneModelBuilder(config, tuning, friction, _build_workcell(*workcell).copy())
     built.add_objects_and_hand(assets.objects, assets.hand)
-    model = _compile(built, assets.objects[0].parent.name)
+    model = _compile(built.spec, assets.objects[0].parent.name)
     joints = [joint.link for joint in read_tree(assets.panda).joints if joint.kind != "fixed"]
     if len(joints) != PANDA_DOF:
         raise SimulationError(f"{assets.panda} has {len(joints)} moving joints, expected {PANDA_DOF}; check its URDF")
@@ -150,7 +149,7 @@ def _load(assets: SceneAssets, mtimes: tuple[_Mtimes, ...], config: PhysicsConfi
         rotation_references=_as_slice(model.body(name).mocapid[0] for name in references),
         hand=_as_slice(model.body(number).mocapid[0] for number in hands),
         hand_links=np.array(built.hand_links, dtype=np.int32),
-        robot_only=_load_robot_only(assets.table, assets.panda, mtimes[:2], friction, config, tuning),
+        robot_only=_load_robot_only(*workcell),
         hand_reach=_compute_reach(assets.hand, mtimes[-1], BASE_JOINTS - 1),
         object_reaches=np.array(
             [_compute_reach(*item, _OBJECT_LINK) for item in zip(assets.objects, mtimes[2:-1], strict=True)]
@@ -165,15 +164,30 @@ def _find_never_colliding_links(
     """Return the names of the pairs of robot links that never collide; takes 0.1 s."""
     built = SceneModelBuilder(config, tuning)
     built.add_robot(panda)
-    model = _compile(built, panda.stem)
+    model = _compile(built.spec, panda.stem)
     return tuple((model.body(one).name, model.body(other).name) for one, other in find_never_colliding_pairs(model))
 
 
-def _compile(built: SceneModelBuilder, name: str) -> "mujoco.MjModel":
+def _compile(spec: "mujoco.MjSpec", name: str) -> "mujoco.MjModel":
     try:
-        return built.spec.compile()
+        return spec.compile()
     except (ValueError, RuntimeError) as error:
         raise SimulationError(f"MuJoCo refuses the model of {name} ({error})") from error
+
+
+@functools.lru_cache(maxsize=32)
+def _build_workcell(
+    table: Path,
+    panda: Path,
+    mtimes: tuple[_Mtimes, ...],
+    friction: float,
+    config: PhysicsConfig,
+    tuning: MujocoTuning,
+) -> "mujoco.MjSpec":
+    """Build the specification of ground, table and robot, which must not be changed."""
+    built = SceneModelBuilder(config, tuning, friction)
+    built.add_workcell(table, panda, _find_never_colliding_links(panda, mtimes[1], config, tuning))
+    return built.spec
 
 
 @functools.lru_cache(maxsize=32)
@@ -186,9 +200,7 @@ def _load_robot_only(
     tuning: MujocoTuning,
 ) -> RobotOnlyModel:
     tree = read_tree(panda)
-    built = SceneModelBuilder(config, tuning, friction)
-    built.add_workcell(table, panda, _find_never_colliding_links(panda, mtimes[1], config, tuning))
-    model = _compile(built, panda.stem)
+    model = _compile(_build_workcell(table, panda, mtimes, friction, config, tuning).copy(), panda.stem)
     bounds = RobotMotionBounds(tree, compute_bounding_spheres(panda, tree), config.panda)
     links = np.array([model.body(tree.joints[link].link).id for link in bounds.links], dtype=np.int32)
     return RobotOnlyModel(model, bounds, links)

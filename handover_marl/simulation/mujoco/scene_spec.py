@@ -77,30 +77,26 @@ class SceneModelBuilder:
         config: Poses and motors of robot, table, objects and hand.
         tuning: Engine parameters.
         object_friction: Friction coefficient of the target object.
+        spec: Specification to extend, for example with a workcell; None for an empty one.
 
     Attributes:
         spec: MuJoCo specification of the model under construction.
         hand_links: Link number of each of the human hand's bodies.
     """
 
-    def __init__(self, config: PhysicsConfig, tuning: MujocoTuning, object_friction: float = 1.0) -> None:
-        self.spec = mujoco.MjSpec()
-        self.spec.compiler.degree = False
+    def __init__(
+        self,
+        config: PhysicsConfig,
+        tuning: MujocoTuning,
+        object_friction: float = 1.0,
+        spec: "mujoco.MjSpec | None" = None,
+    ) -> None:
+        self.spec = _make_empty_spec(tuning) if spec is None else spec
         self.hand_links: list[int] = []
         self._config, self._tuning = config, tuning
         # Bullet multiplies both frictions of a contact, MuJoCo takes one: the object's is
         # multiplied in beforehand.
         self._object_friction = object_friction
-        option = self.spec.option
-        option.timestep = TIME_STEP
-        option.gravity = np.zeros(3)
-        option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-        option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-        option.impratio = self._tuning.impratio
-        # A state that is not finite must raise an error instead of a silent reset.
-        option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
-        # The robot connects all moving bodies, so that there is only one constraint island to find.
-        option.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
 
     def add_workcell(self, table: Path, panda: Path, excluded: Iterable[tuple[str, str]]) -> None:
         """Add ground, table and robot to the model.
@@ -253,6 +249,23 @@ class SceneModelBuilder:
         geom.priority = contact.priority
         geom.solref = [self._tuning.contact_time, 1.0]
         geom.solimp[:3] = self._tuning.contact_impedance
+
+
+def _make_empty_spec(tuning: MujocoTuning) -> "mujoco.MjSpec":
+    """Return a specification without bodies, with the options of the simulation."""
+    spec = mujoco.MjSpec()
+    spec.compiler.degree = False
+    option = spec.option
+    option.timestep = TIME_STEP
+    option.gravity = np.zeros(3)
+    option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    option.impratio = tuning.impratio
+    # A state that is not finite must raise an error instead of a silent reset.
+    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    # The robot connects all moving bodies, so that there is only one constraint island to find.
+    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
+    return spec
 
 
 def read_object_friction(urdf: Path) -> float:

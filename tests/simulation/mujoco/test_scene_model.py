@@ -138,6 +138,20 @@ def test_models_are_cached_by_their_files(scene: SceneModel) -> None:
     assert load_scene_model(SyntheticDataset().load_scene(209).assets, CONFIG) is scene
 
 
+def test_hulls_equal_those_of_their_vertices(scene: SceneModel) -> None:
+    parts = load_link_parts(ASSETS.panda, read_tree(ASSETS.panda))
+    hulls = [part for own in parts.values() for part in own if part.kind == "hull"]
+    spec = mujoco.MjSpec()
+    for number, part in enumerate(hulls):
+        mesh = spec.add_mesh(name=str(number), uservert=part.vertices.ravel())
+        mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+        spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=str(number))
+    expected, found = spec.compile(), scene.robot_only.model
+    assert found.nmesh == expected.nmesh == len(hulls)
+    for name in ("vert", "graph", "pos", "quat", "polynormal", "polyvert", "face", "vertadr"):
+        np.testing.assert_array_equal(getattr(found, f"mesh_{name}"), getattr(expected, f"mesh_{name}"), err_msg=name)
+
+
 def test_models_that_cannot_be_read(tmp_path: Path) -> None:
     broken = tmp_path / "object.urdf"
     assets = SceneAssets(ASSETS.table, ASSETS.panda, (broken,), ASSETS.hand)
