@@ -28,10 +28,10 @@ from handover_marl import receivers
 from handover_marl.config import ARM_DOF, PandaConfig
 from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.envs.vector.parallel_vector_env import ParallelVectorEnv
-from handover_marl.episode.callbacks import TraceRecorder
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.giver_motion import NO_DEVIATION
 from handover_marl.episode.loop import play
+from handover_marl.episode.metrics.motion_trace import TraceRecorder
 from handover_marl.evaluation.config import EvaluationConfig, resolve_config
 from handover_marl.evaluation.episode_runner import SceneTask, run_episodes
 from handover_marl.evaluation.reports.tables import format_table

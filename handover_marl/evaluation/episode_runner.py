@@ -14,10 +14,11 @@ from platform import node
 from tempfile import TemporaryDirectory
 
 from handover_marl.datasets.registry import DATA_FOLDER_ADVICE, DataLocation, check_scene_fingerprint
-from handover_marl.episode.callbacks import ActionRecorder, EpisodeCallback, TraceRecorder
+from handover_marl.episode.callbacks import ActionRecorder, EpisodeCallback
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import EpisodePolicy, play
-from handover_marl.episode.metrics import compute_fluency
+from handover_marl.episode.metrics.fluency import compute_fluency
+from handover_marl.episode.metrics.motion_trace import TraceRecorder
 from handover_marl.errors import ActionError, DataNotFoundError, HandoverError, OptionError, PolicyError
 from handover_marl.evaluation.config import REPLAY, EvaluationConfig, require_policy_reference
 from handover_marl.evaluation.results.episode_result import EpisodeResult

@@ -1,4 +1,4 @@
-"""Clearance of robot and human hand: the smallest distance of their surfaces."""
+"""Clearance of robot and human hand: the smallest distance of their surfaces, and margins to required distances."""
 
 from abc import ABC, abstractmethod
 from pathlib import Path
@@ -78,23 +78,47 @@ class ClearanceMonitor:
             robot_frames: Link frames of the Panda at these joint positions.
             hand_frames: Link frames of the hand at these joint positions.
         """
+        no_margin = np.zeros(len(robot))
+        return self.compute_min_margin(hand_urdf, robot, hand, robot_frames, hand_frames, no_margin)
+
+    def compute_min_margin(
+        self,
+        hand_urdf: Path,
+        robot: Array,
+        hand: Array,
+        robot_frames: LinkFrameTrajectory,
+        hand_frames: LinkFrameTrajectory,
+        required: Array,
+    ) -> float:
+        """Compute the smallest difference of the distance of robot and hand and a required distance (m) over n times.
+
+        The distance is 0 if robot and hand overlap; the result is at most 3 m.
+
+        Args:
+            hand_urdf: Model of the human hand.
+            robot: Joint positions (n, 9) of the Panda (rad, m).
+            hand: Joint positions (n, 51) of the hand (m, rad).
+            robot_frames: Link frames of the Panda at these joint positions.
+            hand_frames: Link frames of the hand at these joint positions.
+            required: Required distances (n,) in m, at least 0.
+        """
         spheres = [
             _MovingSpheres(self._query.read_bounding_spheres(self._panda_urdf), robot_frames, self._world_from_panda),
             _MovingSpheres(self._query.read_bounding_spheres(hand_urdf), hand_frames, IDENTITY),
         ]
-        bounds = _bound_distances(*spheres)
-        nearest, left = _MAX_DISTANCE, np.arange(len(bounds))
+        bounds = _bound_distances(*spheres) - required
+        smallest, left = _MAX_DISTANCE, np.arange(len(bounds))
         while len(left):
             time = int(left[bounds[left].argmin()])
-            # A lower bound of the distance at that time, if nothing nearer than `nearest` was
-            # found.
-            found = max(0.0, self._query.measure(hand_urdf, robot[time].tolist(), hand[time].tolist(), nearest))
-            nearest = min(nearest, found)
-            left = left[(bounds[left] < nearest) & (left != time)]
+            # A lower bound of the distance at that time, if its margin is not below `smallest`.
+            limit = smallest + float(required[time])
+            found = max(0.0, self._query.measure(hand_urdf, robot[time].tolist(), hand[time].tolist(), limit))
+            smallest = min(smallest, found - float(required[time]))
+            left = left[(bounds[left] < smallest) & (left != time)]
             moved = [own.bound_motion(time, left) for own in spheres]
-            bounds[left] = np.maximum(bounds[left], found - moved[0] - moved[1])
-            left = left[bounds[left] < nearest]
-        return nearest
+            bounds[left] = np.maximum(bounds[left], found - moved[0] - moved[1] - required[left])
+            left = left[bounds[left] < smallest]
+        return smallest
 
     def close(self) -> None:
         """Free the memory of the simulation."""

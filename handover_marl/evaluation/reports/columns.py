@@ -59,4 +59,9 @@ FLUENCY = (
     Column("gripper_path", "m"),
     Column("gripper_max_speed", "m/s"),
     Column("gripper_mean_speed", "m/s"),
+    Column("exchange_time", "s"),
+    Column("gripper_contact_speed", "m/s"),
+    Column("robot_object_impulse", "N s"),
+    Column("min_separation_margin", "cm", 100.0),
+    Column("giver_rula"),
 )

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from handover_marl.config import OFFICIAL_CONFIG
-from handover_marl.episode.metrics import FluencyMetrics
+from handover_marl.episode.metrics.fluency import FluencyMetrics
 from handover_marl.episode.referee import EpisodeStatus
 
 

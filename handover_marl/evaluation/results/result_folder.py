@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from handover_marl.config import OFFICIAL_CONFIG, WorldConfig
 from handover_marl.episode.callbacks import ActionRecorder
-from handover_marl.episode.metrics import FluencyMetrics
+from handover_marl.episode.metrics.fluency import FluencyMetrics
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import ResultsError
 from handover_marl.evaluation.config import EvaluationConfig

@@ -9,7 +9,7 @@ import pytest
 
 import handover_marl
 from handover_marl.cli import main
-from handover_marl.episode.metrics import FluencyMetrics
+from handover_marl.episode.metrics.fluency import FluencyMetrics
 from handover_marl.errors import UnknownNameError
 from handover_marl.evaluation.agreement import Agreement
 from handover_marl.evaluation.comparison import Comparison
@@ -174,7 +174,7 @@ def test_tables_print_shares_in_percent_and_distances_in_centimetres() -> None:
         "concurrent",
         "functional_delay",
     }
-    assert {key for key, (unit, _) in units.items() if unit == "cm"} == {"min_distance"}
+    assert {key for key, (unit, _) in units.items() if unit == "cm"} == {"min_distance", "min_separation_margin"}
     assert [column.unit for column in (*RATES, AVERAGE_SUCCESS)] == ["%"] * 5
     for unit, scale in (*units.values(), *((column.unit, column.scale) for column in (*RATES, AVERAGE_SUCCESS))):
         assert scale == (100.0 if unit in ("%", "cm") else 1.0)

@@ -10,7 +10,7 @@ import yaml
 
 from handover_marl.cli import main
 from handover_marl.config import PhysicsConfig, WorldConfig
-from handover_marl.episode.metrics import FluencyMetrics
+from handover_marl.episode.metrics.fluency import FluencyMetrics
 from handover_marl.errors import HandoverError, ResultsError
 from handover_marl.evaluation.benchmark import benchmark, evaluate_pair
 from handover_marl.evaluation.config import EvaluationConfig, resolve_config

@@ -8,26 +8,29 @@ Smoothness is the spectral arc length of Balasubramanian et al., "On the analysi
 smoothness", Journal of NeuroEngineering and Rehabilitation 12:112, 2015. It does not depend on speed
 and duration. The root mean square of the jerk depends on both; it is minimal in the minimum-jerk model
 of human reaching (Flash and Hogan, Journal of Neuroscience 5(7), 1985). Positions are differentiated by
-the filter of Savitzky and Golay, Analytical Chemistry 36(8), 1964.
+the filter of Savitzky and Golay, Analytical Chemistry 36(8), 1964. The exchange begins with the receiver's
+first contact and ends with the release, as the physical handover phase of Ortenzi et al., "Object Handovers:
+A Review for Robotics", IEEE Transactions on Robotics 37(6), 2021.
 """
 
-import functools
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.episode.callbacks import EpisodeTrace
+from handover_marl.config import TIME_STEP
+from handover_marl.episode.metrics.arm_posture import compute_rula_arm_scores
+from handover_marl.episode.metrics.motion_analysis import (
+    compute_rms_jerk,
+    compute_spectral_arc_length,
+    compute_speeds,
+    find_activities,
+)
+from handover_marl.episode.metrics.motion_trace import EpisodeTrace
 
-Array = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 
 ACTIVE_SPEED, ACTIVE_FINGER_SPEED = 0.05, 0.005  # m/s
-_SMOOTHING_SAMPLES = 3  # speeds are averaged over 60 ms
-_SHORTEST_PAUSE = 0.25  # s, shorter pauses do not divide an activity
-# The third derivative of polynomials of this degree, fitted to this many samples (260 ms), has half power at 6.3 Hz:
-# it keeps reaching movements and suppresses noise.
-_JERK_DEGREE, _JERK_SAMPLES = 5, 13
 
 
 @dataclass(frozen=True)
@@ -66,8 +69,19 @@ class FluencyMetrics:
         gripper_max_speed: Largest speed of the robot's hand link (m/s), averaged over 60 ms.
         gripper_mean_speed: Mean speed of the robot's hand link in the whole episode (m/s): path length
             by time.
+        exchange_time: Time from the robot's first contact with the object to the release (s); None
+            without a release after such a contact.
+        gripper_contact_speed: Speed of the robot's hand link at the first contact with the object (m/s),
+            averaged over 60 ms; None without contact.
+        robot_object_impulse: Sum over all physics steps until the release of the normal forces between
+            robot and object, times 1 ms (N s); None without contact until the release.
+        min_separation_margin: Smallest distance between robot and hand surfaces minus the protective
+            separation distance of ISO/TS 15066 (m), sampled every 20 ms; negative if the robot could touch
+            the hand before it stops; None without a hand.
+        giver_rula: Mean of RULA's scores of the giver's upper arm and forearm, 2 (best) to 8, until
+            the release or the end, for an assumed shoulder; None without a hand.
 
-    The last seven metrics are None for results of version 0.7 and of HandoverSim.
+    The metrics after `reach` are None for results of version 0.7 and of HandoverSim.
     """
 
     handover_time: float | None
@@ -87,6 +101,11 @@ class FluencyMetrics:
     gripper_path: float | None = None
     gripper_max_speed: float | None = None
     gripper_mean_speed: float | None = None
+    exchange_time: float | None = None
+    gripper_contact_speed: float | None = None
+    robot_object_impulse: float | None = None
+    min_separation_margin: float | None = None
+    giver_rula: float | None = None
 
 
 def compute_fluency(trace: EpisodeTrace) -> FluencyMetrics:
@@ -119,94 +138,30 @@ def compute_fluency(trace: EpisodeTrace) -> FluencyMetrics:
         gripper_path=gripper_path,
         gripper_max_speed=float(gripper_speeds.max()),
         gripper_mean_speed=gripper_path / max((len(trace.gripper) - 1) * trace.period, trace.period),
+        exchange_time=_compute_exchange_time(trace),
+        gripper_contact_speed=_find_contact_speed(trace, gripper_speeds),
+        robot_object_impulse=trace.object_impulse if _is_touched_until(trace, end) else None,
+        min_separation_margin=trace.min_separation_margin,
+        giver_rula=float(compute_rula_arm_scores(path, trace.side).mean()) if len(path) else None,
     )
 
 
-def compute_speeds(positions: Array, period: float) -> Array:
-    """Compute (n,) speeds of (n, k) positions, averaged over 60 ms; 0 if a position is NaN.
-
-    Args:
-        positions: (n, k) positions (m).
-        period: Time between two positions (s).
-    """
-    if len(positions) < 2:
-        return np.zeros(len(positions))
-    speed = np.linalg.norm(np.gradient(positions, period, axis=0), axis=1)
-    speed = np.nan_to_num(speed, nan=0.0)
-    padded = np.pad(speed, _SMOOTHING_SAMPLES // 2, mode="edge")
-    return np.convolve(padded, np.full(_SMOOTHING_SAMPLES, 1.0 / _SMOOTHING_SAMPLES), mode="valid")
+def _is_touched_until(trace: EpisodeTrace, step: int) -> bool:
+    return trace.contact_step is not None and trace.contact_step <= step
 
 
-def compute_rms_jerk(positions: Array, period: float) -> float | None:
-    """Compute the root mean square of the jerk of a motion; None for fewer than 13 positions.
-
-    The jerk is the third derivative of a polynomial of fifth degree, such as a minimum-jerk motion,
-    fitted to 13 positions. The first and the last six positions have no such fit.
-
-    Args:
-        positions: (n, k) positions (m).
-        period: Time between two positions (s).
-    """
-    if len(positions) < _JERK_SAMPLES:
+def _compute_exchange_time(trace: EpisodeTrace) -> float | None:
+    """Return the time from the robot's first contact with the object to the release (s), if both happened so."""
+    if trace.release_step is None or trace.contact_step is None or trace.contact_step > trace.release_step:
         return None
-    windows = np.lib.stride_tricks.sliding_window_view(positions, _JERK_SAMPLES, axis=0)
-    jerk = windows @ _compute_jerk_weights() / period**3
-    return float(np.sqrt(np.mean(np.sum(jerk**2, axis=1))))
+    return (trace.release_step - trace.contact_step) * TIME_STEP
 
 
-@functools.cache
-def _compute_jerk_weights() -> Array:
-    """Compute the weights (13,) of equally spaced samples in the third derivative at the middle one."""
-    offsets = np.arange(_JERK_SAMPLES) - _JERK_SAMPLES // 2
-    weights: Array = 6.0 * np.linalg.pinv(np.vander(offsets, _JERK_DEGREE + 1, increasing=True))[3]
-    return weights
-
-
-def compute_spectral_arc_length(
-    speed: Array, rate: float, cutoff: float = 10.0, threshold: float = 0.05, padding: int = 4
-) -> float | None:
-    """Compute the spectral arc length of a speed profile: at most 0, closer to 0 if smoother.
-
-    It is minus the length of the normalised amplitude spectrum; None if all speeds are zero.
-
-    Args:
-        speed: (n,) speeds at equal intervals.
-        rate: Sampling rate (Hz).
-        cutoff: Highest frequency of the spectrum (Hz).
-        threshold: Share of the largest amplitude below which both ends of the spectrum are cut off.
-        padding: The profile is padded with zeros to 2^padding times the next power of two.
-    """
-    if len(speed) == 0 or not np.any(speed):
+def _find_contact_speed(trace: EpisodeTrace, speeds: npt.NDArray[np.float64]) -> float | None:
+    """Return the gripper's speed at the last sample up to the first contact with the object (m/s)."""
+    if trace.contact_step is None:
         return None
-    length = 2 ** (int(np.ceil(np.log2(len(speed)))) + padding)
-    amplitude = np.abs(np.fft.rfft(speed, length))
-    frequency = np.fft.rfftfreq(length, 1.0 / rate)
-    amplitude = amplitude / amplitude.max()
-    is_low = frequency <= cutoff
-    amplitude, frequency = amplitude[is_low], frequency[is_low]
-    large = np.flatnonzero(amplitude >= threshold)
-    part = slice(large[0], large[-1] + 1)
-    amplitude, frequency = amplitude[part], frequency[part]
-    if len(frequency) < 2:
-        return 0.0
-    across = np.diff(frequency) / (frequency[-1] - frequency[0])
-    return float(-np.sum(np.hypot(across, np.diff(amplitude))))
-
-
-def find_activities(active: Flags, period: float) -> list[tuple[int, int]]:
-    """Return first and last sample of each period of activity; pauses below 0.25 s do not split it.
-
-    Args:
-        active: (n,) whether the agent is active at each sample.
-        period: Time between two samples (s).
-    """
-    runs: list[tuple[int, int]] = []
-    for sample in np.flatnonzero(active).tolist():
-        if runs and (sample - runs[-1][1]) * period <= _SHORTEST_PAUSE:
-            runs[-1] = (runs[-1][0], sample)
-        else:
-            runs.append((sample, sample))
-    return runs
+    return float(speeds[trace.count_samples_until(trace.contact_step) - 1])
 
 
 def _compute_delay(person: Flags, robot: Flags, trace: EpisodeTrace, release_step: int) -> float | None:

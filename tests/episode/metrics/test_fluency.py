@@ -11,15 +11,16 @@ from hypothesis import strategies as st
 from handover_marl.config import OFFICIAL_CONFIG, TIME_STEP
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode import loop
-from handover_marl.episode.callbacks import SAMPLE_STEPS, ActionRecorder, EpisodeCallback, EpisodeTrace, TraceRecorder
+from handover_marl.episode.callbacks import ActionRecorder, EpisodeCallback
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.metrics import (
-    FluencyMetrics,
-    compute_fluency,
+from handover_marl.episode.metrics.fluency import FluencyMetrics, compute_fluency
+from handover_marl.episode.metrics.motion_analysis import (
+    compute_protective_distances,
     compute_rms_jerk,
     compute_spectral_arc_length,
     find_activities,
 )
+from handover_marl.episode.metrics.motion_trace import SAMPLE_STEPS, EpisodeTrace, TraceRecorder
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.evaluation.config import EvaluationConfig, resolve_config
 from handover_marl.evaluation.episode_runner import EpisodeRunner, SceneTask
@@ -86,6 +87,23 @@ def test_closing_fingers_are_activity() -> None:
     assert compute_fluency(made_up(gripper=still, fingers=fingers)).robot_idle == exactly(1.0 - 28 / N)
 
 
+def test_the_exchange_begins_with_the_first_contact() -> None:
+    found = compute_fluency(made_up(contact_step=3750, object_impulse=0.4))
+    assert (found.exchange_time, found.robot_object_impulse) == (exactly(0.25), 0.4)
+    assert found.gripper_contact_speed == exactly(0.4), "the speed of the ramp"
+    late = compute_fluency(made_up(contact_step=4750))
+    assert late.exchange_time is late.robot_object_impulse is None
+    assert late.gripper_contact_speed == exactly(0.0)
+    never = compute_fluency(made_up())
+    assert never.exchange_time is never.robot_object_impulse is never.gripper_contact_speed is None
+
+
+def test_protective_distance_of_a_moving_person_and_of_a_moving_robot() -> None:
+    """The person moves for 0.1 s and while the robot brakes, the robot moves for 0.1 s and brakes with 13 m/s^2."""
+    found = compute_protective_distances(np.array([0.0, 1.6, 0.0, 1.6]), np.array([0.0, 0.0, 1.3, 1.3]))
+    assert found == pytest.approx([0.0, 0.16, 0.13 + 0.065, 0.16 + 0.16 + 0.13 + 0.065])
+
+
 def test_nothing_to_tell() -> None:
     """No release and no hand: nothing is made up."""
     trace = made_up()
@@ -93,6 +111,7 @@ def test_nothing_to_tell() -> None:
         dataclasses.replace(trace, wrist=np.full_like(trace.wrist, np.nan), release_step=None, min_distance=None)
     )
     assert found.handover_time is found.functional_delay is found.giver_smoothness is found.min_distance is None
+    assert found.min_separation_margin is found.giver_rula is None
     assert (found.human_idle, found.giver_path, found.reach) == (1.0, 0.0, 0.0)
 
 
@@ -323,7 +342,11 @@ def test_no_time_is_missed_by_the_bounds(engine: str) -> None:
         for chosen in (slice(None), slice(0, 5), slice(5, 20), np.argsort(measured)[3:]):
             frames = robot_frames(robot[chosen]), compute_link_trajectory(scene.assets.hand, hand[chosen])
             found = meter.compute_min_distance(scene.assets.hand, robot[chosen], hand[chosen], *frames)
-            assert found == pytest.approx(np.min(np.array(measured)[chosen]), abs=1e-4)
+            distances = np.array(measured)[chosen]
+            assert found == pytest.approx(np.min(distances), abs=1e-4)
+            required = rng.uniform(0.0, 0.3, len(distances))
+            margin = meter.compute_min_margin(scene.assets.hand, robot[chosen], hand[chosen], *frames, required)
+            assert margin == pytest.approx(np.min(distances - required), abs=1e-4)
     meter.close()
 
 
@@ -378,6 +401,11 @@ def test_a_played_scene_has_all_metrics(played: FluencyMetrics) -> None:
     others = dataclasses.asdict(played) | {"max_robot_hand_force": 1.0, "robot_hand_impulse": 1.0}
     assert None not in others.values()
     assert played.gripper_max_speed > played.gripper_mean_speed > 0.0
+    assert played.exchange_time >= 0.099, "the rules ask for contacts in 100 steps"
+    assert played.robot_object_impulse > 0.0
+    assert played.gripper_contact_speed < played.gripper_max_speed
+    assert played.min_separation_margin <= played.min_distance
+    assert 2.0 <= played.giver_rula <= 8.0
 
 
 @pytest.mark.parametrize("physics", ["fast", "mujoco", pytest.param("exact", marks=pytest.mark.slow)])
@@ -407,6 +435,7 @@ class PushedEpisode:
     """Stand-in for an episode, whose contacts a test sets."""
 
     contacts, steps = Contacts(), 1
+    release_step: int | None = None
 
     @property
     def world(self) -> "PushedEpisode":
@@ -426,8 +455,20 @@ def test_forces_of_several_steps_are_collected() -> None:
         recorder.on_step(episode)  # type: ignore[arg-type]
     assert recorder._max_object_force == 40.0
     assert recorder._hand_forces == [20.0, 10.0]
+    assert recorder._contact_step is None, "the forces belong to no contact with the object"
     recorder.on_reset(episode)  # type: ignore[arg-type]
     assert (recorder._max_object_force, recorder._hand_forces) == (0.0, [])
+
+
+def test_the_impulse_on_the_object_ends_with_the_release() -> None:
+    recorder, episode = TraceRecorder(), PushedEpisode()
+    recorder.on_reset(episode)  # type: ignore[arg-type]
+    for episode.steps, force in enumerate([0.0, 5.0, 0.0, 40.0, 7.0], start=1):
+        episode.release_step = 4 if episode.steps >= 4 else None
+        episode.contacts = Contacts(robot_touches_object=force > 0.0, robot_object_force=force)
+        recorder.on_step(episode)  # type: ignore[arg-type]
+    assert recorder._contact_step == 2
+    assert recorder._object_impulse == pytest.approx(0.045)
 
 
 class Sketch(EpisodeCallback):

@@ -1,0 +1,1 @@
+"""Metrics of fluency, safety and effort of an episode, computed from its motion trace."""
