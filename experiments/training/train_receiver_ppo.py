@@ -40,7 +40,7 @@ class Args(SetupArgs):
         decisions: Largest number of decisions of the receiver in all environments together.
         minutes: Largest wall-clock time of the training (min), without the evaluation.
         num_envs: Number of environments.
-        workers: Number of batches of environments, which are simulated at the same time.
+        workers: Number of processes that simulate the environments.
         rollout: Number of decisions in each environment between updates.
         epochs: Number of passes over the collected decisions in each update.
         minibatch_size: Number of decisions per gradient step.
@@ -58,15 +58,15 @@ class Args(SetupArgs):
     out: Path = Path("runs/ppo.npz")
     seed: int = 0
     giver: str = "cooperative"
-    decisions: int = 24_576
+    decisions: int = 12_288
     minutes: float = 30.0
     num_envs: int = 64
     workers: int = 2
-    rollout: int = 32
+    rollout: int = 16
     epochs: int = 8
-    minibatch_size: int = 128
-    learning_rate: float = 7e-4
-    discount: float = 0.97
+    minibatch_size: int = 256
+    learning_rate: float = 1e-3
+    discount: float = 0.9
     gae_lambda: float = 0.95
     clip_range: float = 0.2
     width: int = 64
@@ -104,7 +104,7 @@ class Batch(NamedTuple):
 
 
 class Collector:
-    """Collector of decisions from a batch of environments, whose episodes continue in the next rollout."""
+    """Collector of decisions from environments in a process, whose episodes continue in the next rollout."""
 
     def __init__(self, number: int, args: Args) -> None:
         self.args, self.outcomes = args, list[bool]()
@@ -116,7 +116,7 @@ class Collector:
             features=FEATURES,
             schemes=ACTIONS,
             autoreset="same_step",
-            threads=1,
+            processes=1,
             setup=args.setup,
             split="train",
             dataset=args.dataset,
@@ -217,8 +217,8 @@ def train(args: Args) -> ActorCritic:
 def evaluate(args: Args) -> None:
     """Evaluate the policy file on the validation split, and print the success rate with its interval."""
     scenes = args.open_dataset().list_scenes(args.setup, "val")[: args.val_scenes]
-    options = {"scenes": scenes, "dataset": args.dataset, "data_dir": args.data_dir, "physics": args.val_physics}
-    report = handover_marl.evaluate_pair(args.giver, f"learned:{args.out}", args.setup, "val", **options)
+    where = {"dataset": args.dataset, "data_dir": args.data_dir, "scenes": scenes, "physics": args.val_physics}
+    report = handover_marl.evaluate_pair(args.giver, f"learned:{args.out}", args.setup, "val", **where)
     low, high = compute_wilson_interval(report.count(handover_marl.EpisodeStatus.SUCCESS), len(scenes))
     print(
         f"success on {len(scenes)} scenes of {args.setup} val, {args.val_physics} physics, giver {args.giver}: "

@@ -77,6 +77,7 @@ def single_agent_vector_env(
     schemes: SchemeLike | None = None,
     autoreset: str = "next_step",
     threads: int | None = None,
+    processes: int | None = None,
     trust: bool = False,
     config: EnvConfig | None = None,
     **fields: Any,
@@ -84,7 +85,7 @@ def single_agent_vector_env(
     """Make a Gymnasium vector environment of one agent; `gymnasium.make_vec` calls this function.
 
     It is `handover_marl.vector_env` with the defaults of `gymnasium.make`, so that physics is "exact"
-    unless another is chosen. "mujoco" is simulated in lockstep on several threads.
+    unless another is chosen. "mujoco" is simulated in lockstep on several threads or in several processes.
 
     Args:
         num_envs: Number of environments.
@@ -94,7 +95,8 @@ def single_agent_vector_env(
         schemes: Action scheme whose outputs replace actions, as in `encode`.
         autoreset: Gymnasium's mode of the reset after an episode's end: "next_step", "same_step" or
             "disabled".
-        threads: Number of simulation threads; default: one per core.
+        threads: Number of simulation threads; default: one per core, without processes.
+        processes: Number of processes that simulate the environments; default: this process simulates.
         trust: Whether a policy file may run code.
         config: Configuration of each environment; default: one made of `fields`.
         fields: Fields of `handover_marl.envs.config.EnvConfig`, in place of `config`.
@@ -107,6 +109,7 @@ def single_agent_vector_env(
         schemes=schemes,
         autoreset=autoreset,
         threads=threads,
+        processes=processes,
         trust=trust,
         config=make_env_config(config, fields),
     )

@@ -2,6 +2,7 @@
 
 import copy
 import inspect
+import multiprocessing
 import os
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -16,7 +17,15 @@ import handover_marl
 from handover_marl.envs.custom_rewards import combine_rewards
 from handover_marl.envs.transition import Transition
 from handover_marl.envs.vector.vector_env import HandoverVectorEnv
-from handover_marl.errors import ActionError, OptionError, ResetNeededError, SimulationError, UnknownNameError
+from handover_marl.errors import (
+    ActionError,
+    OptionError,
+    PolicyError,
+    ResetNeededError,
+    SimulationError,
+    UnknownNameError,
+    WorkerError,
+)
 from handover_marl.learning.encodings.choices import declare_size
 from tests.failing import Failing
 
@@ -234,6 +243,52 @@ def test_both_agents_in_a_batch(both: Callable[..., Any], autoreset: str) -> Non
     assert ends == COUNT
 
 
+def test_processes_give_the_results_of_threads() -> None:
+    options = {**OPTIONS, "max_cycles": 18, "control_period": 0.13, "features": "close", "schemes": "grasp_servo"}
+    options |= {"autoreset": "same_step"}
+    expected = rollout(handover_marl.vector_env(3, "receiver", "noisy", threads=1, **options), 6)
+    assert_equal(rollout(handover_marl.vector_env(3, "receiver", "noisy", processes=2, **options), 6), expected)
+    assert any("final_obs" in infos for infos in expected[6::5])
+
+
+def test_both_agents_in_processes() -> None:
+    envs = handover_marl.vector_env(3, None, processes=2, **SHORT)
+    envs.reset(seed=3, options={"scene_id": envs.scene_ids[7]})
+    actions = {agent: np.zeros(envs.action_space(agent).shape, np.float32) for agent in envs.agents}
+    _, _, _, _, infos = envs.step(actions)
+    assert infos["giver"]["scene_id"].tolist() == [envs.scene_ids[7]] * 3
+    envs.close()
+
+
+def test_processes_may_simulate_other_physics() -> None:
+    options = {**SHORT, "physics": "fast", "agent": "giver", "partner": "hold"}
+    expected = rollout(handover_marl.vector_env(2, **options), 2)
+    assert_equal(rollout(handover_marl.vector_env(2, processes=2, **options), 2), expected)
+
+
+def test_errors_of_processes_are_raised_and_resets_work() -> None:
+    envs = handover_marl.vector_env(3, "giver", Failing, processes=2, **SHORT)
+    envs.reset(seed=0)
+    still = np.zeros((3, 8), np.float32)
+    with pytest.raises(ActionError, match="not finite"):
+        envs.step(np.full((3, 8), np.nan, np.float32))
+    envs.step(still)
+    envs.step(still)
+    with pytest.raises(PolicyError, match="nonsense"):
+        envs.step(still)
+    with pytest.raises(ResetNeededError):
+        envs.step(still)
+    envs.reset(seed=0)
+    (first, _) = multiprocessing.active_children()
+    first.terminate()
+    first.join()
+    with pytest.raises(WorkerError, match=r"process \d+ of the environments died"):
+        envs.step(still)
+    envs.close()
+    envs.close()
+    assert not multiprocessing.active_children()
+
+
 def test_some_may_be_reset_alone() -> None:
     envs = handover_marl.vector_env(3, "receiver", "replay", autoreset="disabled", threads=1, **OPTIONS)
     envs.reset(seed=1)
@@ -278,6 +333,8 @@ def test_what_cannot_be_is_refused(both: Callable[..., Any]) -> None:
     for options, error, message in (
         ({"num_envs": 0}, OptionError, "num_envs"),
         ({"num_envs": 2, "threads": True}, OptionError, "threads"),
+        ({"num_envs": 2, "processes": 0}, OptionError, "processes"),
+        ({"num_envs": 2, "threads": 2, "processes": 2}, OptionError, "pass either threads or processes"),
         ({"num_envs": 2, "agent": None, "partner": "replay"}, OptionError, "partner"),
         ({"num_envs": 2, "agent": "robot"}, UnknownNameError, "agent"),
         ({"num_envs": 2, "autoreset": "always"}, UnknownNameError, "autoreset"),

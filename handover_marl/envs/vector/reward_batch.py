@@ -65,7 +65,7 @@ class RewardBatch:
             (observations,) = self._observe(np.array([row]))
             terms = self._sources[row].start(self._recorders[row].start(observations, self._make_infos(row)))
         for agent, own in terms.items():
-            for name in own.keys() - self.terms[agent].keys():
+            for name in [name for name in own if name not in self.terms[agent]]:
                 self.terms[agent][name] = np.zeros(self._count)
                 self._returns[agent][f"{RETURN}/{name}"] = np.zeros(self._count)
             for sums in self._returns[agent].values():

@@ -2,6 +2,7 @@
 
 import functools
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Literal, overload
 
 import numpy as np
@@ -12,13 +13,12 @@ from gymnasium.vector.utils import batch_space
 from handover_marl.envs.arguments import check_positive_integer
 from handover_marl.envs.config import EnvConfig, make_env_config
 from handover_marl.envs.handover_env import HandoverEnv
-from handover_marl.envs.vector.array_envs import ArrayEnvs, can_use_arrays
-from handover_marl.envs.vector.batch import EnvBatch, Envs, check_action_array
+from handover_marl.envs.vector.batch import EnvBatch, check_action_array
+from handover_marl.envs.vector.env_factory import EnvFactory
 from handover_marl.envs.vector.parallel_vector_env import ParallelVectorEnv
+from handover_marl.envs.vector.process_envs import ProcessEnvs
 from handover_marl.envs.vector.results import EnvResult, select_rows
-from handover_marl.envs.vector.single_envs import SingleEnvs, WrapperFunction, apply_wrapper
-from handover_marl.envs.wrappers.encode import encode
-from handover_marl.envs.wrappers.freeze import freeze
+from handover_marl.envs.vector.single_envs import WrapperFunction
 from handover_marl.envs.wrappers.wrapper import WrappableEnv
 from handover_marl.errors import OptionError, check_name
 from handover_marl.execution.options import count_available_cores, forward_signature
@@ -32,8 +32,6 @@ AUTORESETS = tuple(mode.name.lower() for mode in AutoresetMode)
 
 #: Largest number of environments in a batch; each takes megabytes of memory.
 MAX_ENVS = 65_536
-# A scene takes 0.7 MB, and 5 ms to read.
-_CACHED_SCENES = 512
 
 
 class HandoverVectorEnv(VectorEnv[Any, Any, Any]):
@@ -148,6 +146,7 @@ def vector_env(
     wrappers: Sequence[WrapperFunction] = ...,
     autoreset: str = ...,
     threads: int | None = ...,
+    processes: int | None = ...,
     trust: bool = ...,
     config: EnvConfig | None = ...,
     **fields: Any,
@@ -165,6 +164,7 @@ def vector_env(
     wrappers: Sequence[WrapperFunction] = ...,
     autoreset: str = ...,
     threads: int | None = ...,
+    processes: int | None = ...,
     trust: bool = ...,
     config: EnvConfig | None = ...,
     **fields: Any,
@@ -182,14 +182,15 @@ def vector_env(
     wrappers: Sequence[WrapperFunction] = (),
     autoreset: str = "next_step",
     threads: int | None = None,
+    processes: int | None = None,
     trust: bool = False,
     config: EnvConfig | None = None,
     **fields: Any,
 ) -> HandoverVectorEnv | ParallelVectorEnv:
-    """Make many environments in one process, which MuJoCo simulates together on several threads.
+    """Make many environments, which MuJoCo simulates together on several threads or in several processes.
 
-    Each environment behaves as a single one with its seed, whatever the number of environments and threads.
-    In other physics, with a camera or with wrappers, environments are stepped one after another.
+    Each environment behaves as a single one with its seed, whatever the number of environments, threads and
+    processes. In other physics, with a camera or with wrappers, environments are stepped one after another.
 
     Args:
         num_envs: Number of environments.
@@ -206,7 +207,10 @@ def vector_env(
             than `EpisodeReturns`, environments are stepped one after another.
         autoreset: Gymnasium's mode of the reset after an episode's end: "next_step", "same_step" or
             "disabled".
-        threads: Number of simulation threads; default: one per core.
+        threads: Number of simulation threads; default: one per core, without processes.
+        processes: Number of processes that simulate the environments, each with one thread; default: this
+            process simulates. On several cores, processes are faster than threads, but each needs memory for
+            its own models.
         trust: Whether a policy file may run code.
         config: Configuration of each environment; default: one made of `fields`.
         fields: Fields of `handover_marl.envs.config.EnvConfig`, in place of `config`; `physics`
@@ -220,7 +224,12 @@ def vector_env(
     count = check_positive_integer("num_envs", num_envs)
     if count > MAX_ENVS:
         raise OptionError(f"num_envs must be at most {MAX_ENVS}, got {num_envs}; run several processes")
-    threads = check_positive_integer("threads", count_available_cores() if threads is None else threads)
+    threads, processes = (
+        None if number is None else check_positive_integer(name, number)
+        for name, number in (("threads", threads), ("processes", processes))
+    )
+    if threads is not None and processes is not None:
+        raise OptionError(f"pass either threads or processes, not both, got {threads} and {processes}")
     if agent is None and partner is not None:
         raise OptionError(
             f"partner must be None if both agents are controlled, got {partner!r}; leave it out, or name one agent"
@@ -235,26 +244,17 @@ def vector_env(
         raise OptionError('render_mode must be None or "rgb_array" for several environments, got "human"')
     check_physics(chosen.physics)
 
-    def make_single() -> WrappableEnv:
-        env: WrappableEnv = HandoverEnv(chosen)
-        for wrapper in wrappers:
-            env = apply_wrapper(wrapper, env)
-        if agent is not None:
-            env = freeze(env, agent, partner, trust=trust)
-        return env if features is None and schemes is None else encode(env, features, schemes)
-
-    template = make_single()
-    has_arrays = can_use_arrays(template)
-    load_scene = functools.lru_cache(maxsize=_CACHED_SCENES)(template.unwrapped.dataset.load_scene)
-
-    def make(size: int) -> Envs:
-        return (
-            ArrayEnvs(template, size, partner, trust, autoreset != "disabled", load_scene)
-            if has_arrays
-            else SingleEnvs(make_single, size)
-        )
-
-    batch = EnvBatch(make, count, AutoresetMode[autoreset.upper()], threads if has_arrays else 1)
+    factory = EnvFactory(
+        chosen, agent, partner, features, schemes, tuple(wrappers), trust, prepares_episodes=autoreset != "disabled"
+    )
+    template, make = factory.template, factory.make
+    if processes is not None:
+        parts = processes
+        # The copy has no environment, which would be pickled with it.
+        make = functools.partial(ProcessEnvs, replace(factory).make)
+    else:
+        parts = (threads or count_available_cores()) if factory.has_arrays else 1
+    batch = EnvBatch(make, count, AutoresetMode[autoreset.upper()], parts)
     return ParallelVectorEnv(batch, template) if agent is None else HandoverVectorEnv(batch, template)
 
 

@@ -1,0 +1,128 @@
+"""Environments that another process simulates."""
+
+import pickle
+from collections.abc import Callable, Mapping, Sequence
+from multiprocessing.connection import Connection
+from typing import Any
+
+import cloudpickle
+import numpy as np
+import numpy.typing as npt
+from loky.backend import get_context
+
+from handover_marl.envs.vector.batch import Envs
+from handover_marl.envs.vector.results import EnvResult
+from handover_marl.envs.wrappers.wrapper import ByAgent
+from handover_marl.errors import WorkerError
+from handover_marl.execution.options import open_missing_descriptors
+
+Rows = npt.NDArray[np.int_]
+
+
+class ProcessEnvs:
+    """Environments of one configuration in a process of their own; see `batch.Envs`.
+
+    Threads of one process run at the same time only while MuJoCo simulates; processes always do. The process
+    starts at once. The first call waits for it, and raises the errors of `make`.
+
+    Args:
+        make: Function that makes a number of environments; must be picklable by cloudpickle.
+        count: Number of environments.
+    """
+
+    def __init__(self, make: Callable[[int], Envs], count: int) -> None:
+        open_missing_descriptors()
+        # Loky's processes do not import the main module of the program.
+        context = get_context("loky")
+        self._pipe, child = context.Pipe()
+        self._process = context.Process(target=_run_worker, args=(child, cloudpickle.dumps((make, count))), daemon=True)
+        self._process.start()
+        child.close()
+        self._is_ready = self._is_closed = False
+
+    def reset(self, rows: Rows, seeds: Sequence[int | None], options: Mapping[str, Any] | None) -> EnvResult:
+        """Start episodes in the environments `rows` (r,), with a seed for each."""
+        result: EnvResult = self._call("reset", rows, seeds, options)
+        return result
+
+    def check_actions(self, actions: ByAgent) -> ByAgent:
+        """Check the actions (n, ...) of all environments, and return them as `step` takes them."""
+        checked: ByAgent = self._call("check_actions", actions)
+        return checked
+
+    def step(self, rows: Rows, actions: ByAgent) -> EnvResult:
+        """Step the environments `rows` (r,) with checked actions (r, ...) by agent."""
+        result: EnvResult = self._call("step", rows, actions)
+        return result
+
+    def render(self) -> list[Any] | None:
+        """Return the image of each environment; None without camera."""
+        images: list[Any] | None = self._call("render")
+        return images
+
+    def close(self) -> None:
+        """End the process."""
+        if self._is_closed:
+            return
+        self._is_closed = True
+        try:
+            self._pipe.send(None)
+        except OSError:
+            self._process.terminate()
+        self._process.join()
+        self._pipe.close()
+
+    def _call(self, name: str, *arguments: Any) -> Any:
+        """Call a method of the environments in the process.
+
+        Raises:
+            WorkerError: The process has died.
+            HandoverError: The errors of the method.
+        """
+        try:
+            if not self._is_ready:
+                self._receive()
+                self._is_ready = True
+            self._pipe.send(cloudpickle.dumps((name, arguments)))
+            return self._receive()
+        except (EOFError, OSError) as error:
+            raise WorkerError(
+                f"process {self._process.pid} of the environments died; look for its message above"
+            ) from error
+
+    def _receive(self) -> Any:
+        result = self._pipe.recv()
+        if isinstance(result, Exception):
+            raise result
+        return result
+
+
+def _run_worker(pipe: Connection, pickled: bytes) -> None:
+    """Simulate environments at the calls of the main process, until it closes the pipe or sends None."""
+    try:
+        make, count = cloudpickle.loads(pickled)
+        envs: Envs = make(count)
+    except Exception as error:
+        pipe.send(_make_picklable(error))
+        return
+    pipe.send(None)
+    try:
+        while (call := pipe.recv()) is not None:
+            name, arguments = cloudpickle.loads(call)
+            try:
+                result = getattr(envs, name)(*arguments)
+            except Exception as error:
+                result = _make_picklable(error)
+            pipe.send(result)
+        envs.close()
+    except (KeyboardInterrupt, EOFError, OSError):
+        return
+
+
+def _make_picklable(error: Exception) -> Exception:
+    """Return an error, or a `WorkerError` with its message if the error cannot be pickled."""
+    try:
+        pickle.loads(pickle.dumps(error))
+    except Exception:
+        return WorkerError(f"{type(error).__name__}: {error}")
+    return error
