@@ -16,7 +16,7 @@ from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import PolicyScheduler
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.spaces import check_giver_action, giver_action_space
-from handover_marl.errors import UnknownNameError
+from handover_marl.errors import OptionError, UnknownNameError
 from handover_marl.givers import Giver
 
 START = np.array(PandaConfig().start_joints, dtype=np.float32)
@@ -69,7 +69,7 @@ def rollout(name: str, seed: int, steps: int = 40) -> list[np.ndarray]:
 @pytest.mark.parametrize("name", NAMES)
 def test_rollouts_repeat_from_their_seed(name: str) -> None:
     np.testing.assert_array_equal(rollout(name, 1), rollout(name, 1))
-    if name in ("hesitant", "hurried", "noisy"):
+    if name in ("hesitant", "hurried", "noisy", "displaced", "tired"):
         assert not np.array_equal(rollout(name, 1), rollout(name, 2))
 
 
@@ -81,7 +81,7 @@ def test_the_environment_takes_every_giver(name: str) -> None:
 
 
 def test_unknown_names() -> None:
-    with pytest.raises(UnknownNameError, match="giver 'polite'; valid: cooperative, hesitant"):
+    with pytest.raises(UnknownNameError, match="giver 'polite'; valid: cooperative, displaced"):
         handover_marl.evaluate_pair("polite", dataset="synthetic")
 
 
@@ -101,6 +101,63 @@ def test_noise_has_the_size_it_says() -> None:
     actions = np.array([giver.act(seen()) for _ in range(4000)])
     np.testing.assert_allclose(actions[:, 1:4].std(axis=0), 0.02, rtol=0.2)
     np.testing.assert_allclose(actions[:, 4:7].std(axis=0), 0.1, rtol=0.2)
+
+
+def test_displacements_are_as_large_as_said_and_constant_in_an_episode() -> None:
+    giver = givers.make("displaced:distance=0.1,angle=0.3")
+    deviations = []
+    for seed in range(400):
+        giver.reset(seed)
+        action = giver.act(seen())
+        np.testing.assert_array_equal(giver.act(seen(time=np.float32([3.0]))), action)
+        deviations.append(action)
+    distances = np.linalg.norm(np.array(deviations)[:, 1:4], axis=1)
+    angles = np.linalg.norm(np.array(deviations)[:, 4:7], axis=1)
+    assert 0.099 < distances.max() <= 0.1 + 1e-7
+    assert 0.29 < angles.max() <= 0.3 + 1e-7
+    # Half of the volume of a ball is within 0.79 of its radius.
+    assert np.median(distances) == pytest.approx(0.1 * 0.5 ** (1 / 3), rel=0.05)
+    assert np.median(angles) == pytest.approx(0.15, rel=0.15)
+
+
+def test_a_tired_hand_trembles_and_sinks_while_it_holds_the_object() -> None:
+    giver = givers.make("tired:amplitude=0.002,frequency=4,sinking=0.05,max_sinking=0.02")
+    giver.reset(0)
+    times = np.arange(1.0, 3.0, giver.control_period)
+    before = np.array([giver.act(seen(time=np.float32([t]), holding=np.float32([0])))[1:4] for t in times])
+    after = np.array([giver.act(seen(time=np.float32([t + 2.0])))[1:4] for t in times])
+    for sway in (before, after - before):
+        assert np.abs(sway[:, :2]).max() <= 0.002 + 1e-6
+    np.testing.assert_allclose(np.abs(before).max(axis=0), 0.002, rtol=0.05)
+    # The tremor of 4 Hz repeats every 0.25 s, so the differences are the sinking of the hand.
+    np.testing.assert_allclose((after - before)[:, 2], -np.minimum(0.05 * (times - 1.0), 0.02), atol=1e-5)
+    crossings = np.count_nonzero(np.diff(np.sign(before[:, 0])))
+    assert crossings == pytest.approx(2 * 4 * 2.0, abs=1)
+
+
+def test_an_early_release_follows_the_gripper_after_a_delay() -> None:
+    delays = []
+    for seed in range(60):
+        giver = givers.make("early_release:max_delay=0.4")
+        giver.reset(seed)
+        assert not any(giver.act(seen(time=np.float32([t])))[7] for t in np.arange(0.0, 5.0, 0.5)), "the gripper is far"
+        # The gripper points along z of its frame, so that its fingertips are above it.
+        near = np.float32([0.6, 0.3, 1.05, 0, 0, 0, 1])
+        times = 5.0 + 0.02 * np.arange(30)
+        releases = [giver.act(seen(time=np.float32([t]), gripper_pose=near))[7] for t in times]
+        assert releases == sorted(releases)
+        delays.append(times[releases.index(1.0)] - 5.0)
+    assert 0.0 <= min(delays) < 0.05
+    assert 0.35 < max(delays) <= 0.42
+    giver.reset(0)
+    unheld = seen(gripper_pose=near, holding=np.float32([0]))
+    assert giver.act(unheld)[7] == giver.act(unheld | {"time": np.float32([9.0])})[7] == 0.0
+
+
+@pytest.mark.parametrize("text", ["displaced:distance=0.4", "tired:frequency=20", "early_release:max_delay=-1"])
+def test_options_out_of_range(text: str) -> None:
+    with pytest.raises(OptionError, match="must be a finite number from"):
+        givers.make(text)
 
 
 def test_stopping_when_near() -> None:

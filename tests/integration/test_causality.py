@@ -82,11 +82,14 @@ GIVERS: dict[str | type[Giver], float] = {
     UndeviatingGiver: 1.0,
     "replay": 1.0,
     "cooperative": 2.0,
+    "displaced": 1.0,
+    "early_release": 1.0,
     "hesitant": 2.0,
     "hurried": 2.0,
     "learned": 2.0,
     "noisy": 2.0,
     "stop_when_near": 2.0,
+    "tired": 1.0,
     "withdrawing": 2.0,
 }
 CHANGES: tuple[Callable[[Motion, int], Motion], ...] = (freeze, move, cut, lengthen)
