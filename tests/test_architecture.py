@@ -76,9 +76,17 @@ def users_of(package: str) -> set[str]:
     return {name.rpartition(".")[0] for name, path in find_modules().items() if pattern.search(path.read_text())}
 
 
-@pytest.mark.parametrize(("engine", "package"), [("pybullet", "bullet"), ("mujoco", "mujoco")])
-def test_only_one_package_imports_an_engine(engine: str, package: str) -> None:
-    assert users_of(engine) == {f"handover_marl.simulation.{package}"}
+@pytest.mark.parametrize(
+    ("engine", "packages"),
+    [
+        ("pybullet", {"bullet"}),
+        ("mujoco", {"mujoco", "mujoco.batches"}),
+        ("mujoco_warp", {"mujoco.batches"}),
+        ("warp", {"mujoco.batches"}),
+    ],
+)
+def test_only_one_package_imports_an_engine(engine: str, packages: set[str]) -> None:
+    assert users_of(engine) == {f"handover_marl.simulation.{package}" for package in packages}
 
 
 def test_setup_cfg_lists_all_packages() -> None:

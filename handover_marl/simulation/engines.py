@@ -1,11 +1,12 @@
 """Physics engines by name: creation of worlds, distance queries and grasp validators."""
 
 import importlib.util
+from dataclasses import dataclass
 from pathlib import Path
 
 from handover_marl.assets.robot_model import PANDA_URDF
 from handover_marl.config import PandaConfig, PhysicsConfig
-from handover_marl.errors import check_name
+from handover_marl.errors import OptionError, check_name
 from handover_marl.execution.options import is_pybullet_installed, require_modules, require_pybullet
 from handover_marl.simulation.clearance import DistanceQuery
 from handover_marl.simulation.grasp_validation import GraspValidationConfig, GraspValidator
@@ -15,6 +16,13 @@ EXACT, FAST, MUJOCO = "exact", "fast", "mujoco"
 #: "exact" equals HandoverSim's PyBullet simulation bit for bit; "fast" is PyBullet without the
 #: bodies that cannot touch anything; "mujoco" is MuJoCo.
 PHYSICS = (EXACT, FAST, MUJOCO)
+
+THREADS, WARP = "threads", "warp"
+#: Backends of batches in MuJoCo's physics.
+BACKENDS = (THREADS, WARP)
+CPU, CUDA = "cpu", "cuda"
+#: Devices of the backends.
+DEVICES = (CPU, CUDA)
 
 
 def check_physics(physics: str) -> None:
@@ -67,21 +75,66 @@ def make_world(physics: str, config: PhysicsConfig, window: bool = False) -> Wor
     return FastWorld(config, window)
 
 
-def make_batch_worlds(config: PhysicsConfig, count: int) -> list[BatchWorld]:
-    """Create simulated worlds of MuJoCo without scenes, which are simulated in batches by one thread.
+@dataclass(frozen=True)
+class BatchBackend:
+    """Engine and device that simulate the worlds of a batch.
+
+    Attributes:
+        name: "threads" for MuJoCo on the processor, or "warp" for MuJoCo Warp.
+        device: "cpu", or "cuda" for a GPU, which needs "warp". MuJoCo Warp on "cpu" is for tests.
+    """
+
+    name: str = THREADS
+    device: str = CPU
+
+
+def check_backend(backend: BatchBackend) -> None:
+    """Check that a backend exists, and that its packages and its device are available.
+
+    Raises:
+        UnknownNameError: There is no backend or device of that name.
+        OptionError: A package or the device is missing, or the backend cannot use the device.
+    """
+    check_name("backend", backend.name, BACKENDS)
+    check_name("device", backend.device, DEVICES)
+    if backend.name == THREADS:
+        if backend.device != CPU:
+            raise OptionError(
+                f"device must be 'cpu' with backend='threads', got {backend.device!r}; pass backend='warp'"
+            )
+        return
+    require_modules("backend='warp' (Python 3.11 or later)", "warp", "mujoco_warp", "warp")
+    from handover_marl.simulation.mujoco.batches.warp_model import is_device_available
+
+    if not is_device_available(backend.device):
+        raise OptionError(
+            f"device={backend.device!r} needs an NVIDIA GPU and its driver, and Warp finds none; use device='cpu' with "
+            "backend='threads'"
+        )
+
+
+def make_batch_worlds(config: PhysicsConfig, count: int, backend: BatchBackend) -> list[BatchWorld]:
+    """Create simulated worlds of MuJoCo without scenes, which are simulated in batches.
 
     Args:
         config: Constants of the worlds.
         count: Number of worlds.
+        backend: Engine and device of the simulation.
 
     Raises:
-        OptionError: MuJoCo is not installed.
+        OptionError: A package or the device is missing.
     """
     check_physics(MUJOCO)
-    from handover_marl.simulation.mujoco.batch import BatchSimulation
+    check_backend(backend)
+    from handover_marl.simulation.mujoco.batches.simulation import BatchSimulation
     from handover_marl.simulation.mujoco.world import MujocoWorld
 
-    simulation = BatchSimulation(count)
+    if backend.name == WARP:
+        from handover_marl.simulation.mujoco.batches.warp_batch import WarpSimulation
+
+        simulation: BatchSimulation = WarpSimulation(count, backend.device)
+    else:
+        simulation = BatchSimulation(count)
     return [MujocoWorld(config, simulation=simulation) for _ in range(count)]
 
 

@@ -37,6 +37,7 @@ N_STEPS = 300
 class ScriptedWorld:
     """World with given contacts, which checks how it is called."""
 
+    max_rollout_worlds = 32
     sizes: list[int]
     lengths: list[int]
 

@@ -19,7 +19,7 @@ from handover_marl.envs.wrappers.wrapper import ByAgent, WrappableEnv
 from handover_marl.episode.spaces import STATE
 from handover_marl.errors import OptionError
 from handover_marl.policies.reference import PolicyLike
-from handover_marl.simulation.engines import MUJOCO
+from handover_marl.simulation.engines import MUJOCO, BatchBackend
 
 Rows = npt.NDArray[np.int_]
 
@@ -65,6 +65,7 @@ class ArrayEnvs:
         resets: Whether `reset` gets no seed and no options after the end of an episode, so that the
             next episode can be simulated in advance.
         load_scene: Function that loads a scene by its number.
+        backend: Engine and device of the simulation.
     """
 
     def __init__(
@@ -75,11 +76,12 @@ class ArrayEnvs:
         trust: bool,
         resets: bool,
         load_scene: Callable[[int], Scene],
+        backend: BatchBackend,
     ) -> None:
         self._load_scene = load_scene
         self._base, self._agents = template.unwrapped, list(template.possible_agents)
         self._prepares = resets and isinstance(template, EncodedEnv) and len(self._agents) == 1
-        self._episodes = ArrayEpisodes(template, count * (1 + self._prepares), partner, trust)
+        self._episodes = ArrayEpisodes(template, count * (1 + self._prepares), partner, trust, backend)
         self._rngs, self._partner_rngs = ([seeding.np_random(None)[0] for _ in range(count)] for _ in range(2))
         # Number of the present episode of each environment, and of its next one, which has started.
         self._present, self._next = np.arange(count), np.full(count, _NONE)

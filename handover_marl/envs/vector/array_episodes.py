@@ -26,6 +26,7 @@ from handover_marl.policies.batch import PolicyBatch
 from handover_marl.policies.reference import PolicyLike, parse_policy
 from handover_marl.receivers.grasp_library import get_nearest_grasp_selector
 from handover_marl.receivers.grasp_selection import GraspSelectionBatch
+from handover_marl.simulation.engines import BatchBackend
 
 Rows = npt.NDArray[np.int_]
 Flags = npt.NDArray[np.bool_]
@@ -50,14 +51,17 @@ class ArrayEpisodes:
         count: Number of episodes.
         partner: Policy of the agent that is not controlled from outside.
         trust: Whether a policy file may run code.
+        backend: Engine and device of the simulation.
     """
 
-    def __init__(self, template: WrappableEnv, count: int, partner: PolicyLike | None, trust: bool) -> None:
+    def __init__(
+        self, template: WrappableEnv, count: int, partner: PolicyLike | None, trust: bool, backend: BatchBackend
+    ) -> None:
         base: HandoverEnv = template.unwrapped
         self._base = base
         config = base.config
         self._agents = list(template.possible_agents)
-        self._episodes = EpisodeBatch(config.world_config, count)
+        self._episodes = EpisodeBatch(config.world_config, count, backend)
         self._rewards = RewardBatch(config, self._episodes, count)
         self._has_returns = has_episode_returns(template)
         self._cycles = np.zeros(count, dtype=np.int_)

@@ -16,6 +16,7 @@ from handover_marl.envs.wrappers.wrapper import WrappableEnv
 from handover_marl.learning.encodings.custom_features import FeaturesLike
 from handover_marl.learning.encodings.custom_schemes import SchemeLike
 from handover_marl.policies.reference import PolicyLike
+from handover_marl.simulation.engines import BatchBackend
 
 # A scene takes 0.7 MB, and 5 ms to read.
 _CACHED_SCENES = 512
@@ -35,6 +36,7 @@ class EnvFactory:
         trust: Whether a policy file may run code.
         prepares_episodes: Whether the next episodes may be simulated in advance, because `reset` gets no
             options after the end of an episode.
+        backend: Engine and device of environments that are simulated together.
     """
 
     config: EnvConfig
@@ -45,6 +47,7 @@ class EnvFactory:
     wrappers: Sequence[WrapperFunction]
     trust: bool
     prepares_episodes: bool
+    backend: BatchBackend
 
     @functools.cached_property
     def template(self) -> WrappableEnv:
@@ -60,7 +63,9 @@ class EnvFactory:
         """Make a number of environments, which are simulated by one thread."""
         if not self.has_arrays:
             return SingleEnvs(self._make_single, count)
-        return ArrayEnvs(self.template, count, self.partner, self.trust, self.prepares_episodes, self._load_scene)
+        return ArrayEnvs(
+            self.template, count, self.partner, self.trust, self.prepares_episodes, self._load_scene, self.backend
+        )
 
     @functools.cached_property
     def _load_scene(self) -> Callable[[int], Scene]:

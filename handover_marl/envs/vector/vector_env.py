@@ -25,7 +25,7 @@ from handover_marl.execution.options import count_available_cores, forward_signa
 from handover_marl.learning.encodings.custom_features import FeaturesLike
 from handover_marl.learning.encodings.custom_schemes import SchemeLike
 from handover_marl.policies.reference import PolicyLike
-from handover_marl.simulation.engines import MUJOCO, check_physics
+from handover_marl.simulation.engines import CPU, MUJOCO, THREADS, WARP, BatchBackend, check_backend, check_physics
 
 AUTORESETS = tuple(mode.name.lower() for mode in AutoresetMode)
 
@@ -147,6 +147,8 @@ def vector_env(
     autoreset: str = ...,
     threads: int | None = ...,
     processes: int | None = ...,
+    backend: str = ...,
+    device: str = ...,
     trust: bool = ...,
     config: EnvConfig | None = ...,
     **fields: Any,
@@ -165,6 +167,8 @@ def vector_env(
     autoreset: str = ...,
     threads: int | None = ...,
     processes: int | None = ...,
+    backend: str = ...,
+    device: str = ...,
     trust: bool = ...,
     config: EnvConfig | None = ...,
     **fields: Any,
@@ -183,6 +187,8 @@ def vector_env(
     autoreset: str = "next_step",
     threads: int | None = None,
     processes: int | None = None,
+    backend: str = THREADS,
+    device: str = CPU,
     trust: bool = False,
     config: EnvConfig | None = None,
     **fields: Any,
@@ -211,14 +217,18 @@ def vector_env(
         processes: Number of processes that simulate the environments, each with one thread; default: this
             process simulates. On several cores, processes are faster than threads, but each needs memory for
             its own models.
+        backend: Backend of the simulation: "threads" for MuJoCo on the processor, or "warp" for MuJoCo Warp,
+            which steps all environments together. Its results are not those of "threads" to the bit.
+        device: Device of the simulation: "cpu", or "cuda" for a GPU with "warp". MuJoCo Warp on "cpu" is for tests.
         trust: Whether a policy file may run code.
         config: Configuration of each environment; default: one made of `fields`.
         fields: Fields of `handover_marl.envs.config.EnvConfig`, in place of `config`; `physics`
             defaults to "mujoco".
 
     Raises:
-        UnknownNameError: There is no such agent, policy, features, scheme or autoreset mode.
-        OptionError: A number is out of range, or MuJoCo is not installed.
+        UnknownNameError: There is no such agent, policy, features, scheme, autoreset mode, backend or device.
+        OptionError: A number is out of range, MuJoCo or MuJoCo Warp is not installed, there is no GPU, or "warp"
+            cannot simulate these environments.
     """
     check_name("autoreset", autoreset, AUTORESETS)
     count = check_positive_integer("num_envs", num_envs)
@@ -230,6 +240,13 @@ def vector_env(
     )
     if threads is not None and processes is not None:
         raise OptionError(f"pass either threads or processes, not both, got {threads} and {processes}")
+    chosen_backend = BatchBackend(backend, device)
+    check_backend(chosen_backend)
+    if backend == WARP and (threads is not None or processes is not None):
+        raise OptionError(
+            f"threads and processes must be left out with backend='warp', got {threads} and {processes}; the device "
+            "simulates all environments together"
+        )
     if agent is None and partner is not None:
         raise OptionError(
             f"partner must be None if both agents are controlled, got {partner!r}; leave it out, or name one agent"
@@ -245,15 +262,20 @@ def vector_env(
     check_physics(chosen.physics)
 
     factory = EnvFactory(
-        chosen, agent, partner, features, schemes, tuple(wrappers), trust, prepares_episodes=autoreset != "disabled"
+        chosen, agent, partner, features, schemes, tuple(wrappers), trust, autoreset != "disabled", chosen_backend
     )
+    if backend == WARP and not factory.has_arrays:
+        raise OptionError(
+            "with backend='warp', environments must have physics='mujoco', no camera and no wrappers but "
+            "EpisodeReturns; use backend='threads'"
+        )
     template, make = factory.template, factory.make
     if processes is not None:
         parts = processes
         # The copy has no environment, which would be pickled with it.
         make = functools.partial(ProcessEnvs, replace(factory).make)
     else:
-        parts = (threads or count_available_cores()) if factory.has_arrays else 1
+        parts = (threads or count_available_cores()) if factory.has_arrays and backend == THREADS else 1
     batch = EnvBatch(make, count, AutoresetMode[autoreset.upper()], parts)
     return ParallelVectorEnv(batch, template) if agent is None else HandoverVectorEnv(batch, template)
 

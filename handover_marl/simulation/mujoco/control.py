@@ -18,7 +18,8 @@ from handover_marl.simulation.kinematic_paths import (
     set_hand_references,
     set_object_references,
 )
-from handover_marl.simulation.mujoco.batch import BatchSimulation, BatchSlot
+from handover_marl.simulation.mujoco.batches.simulation import BatchSimulation
+from handover_marl.simulation.mujoco.batches.slots import BatchSlot
 from handover_marl.simulation.mujoco.engine import XYZW, wxyz_from_euler
 from handover_marl.simulation.mujoco.sleep import SleepState
 
@@ -154,7 +155,7 @@ class WorldController:
 
     def apply_coming_controls(self) -> None:
         """Set the model and the controls of the world for the next physics step."""
-        select_model_variants([self.slot], [self.can_touch_hand(1)])
+        self.slot.world_batch.select_models([self.slot], [self.can_touch_hand(1)])
         parts = _split_controls(self.slot, self.coming_controls[0])
         for array, part in zip(self.slot.get_controls(), parts, strict=True):
             array[:] = part
@@ -205,22 +206,6 @@ def track_references(controllers: Sequence[WorldController]) -> None:
         controller.is_tracked = True
 
 
-def select_model_variants(slots: Sequence[BatchSlot], hands: Sequence[bool]) -> None:
-    """Set the model variants of slots of one world batch for the coming steps.
-
-    Args:
-        slots: Batch slots of one world batch.
-        hands: Whether the hand can collide in these steps, for each slot.
-    """
-    world_batch, changed = slots[0].world_batch, False
-    for slot, hand in zip(slots, hands, strict=True):
-        model = slot.select_model(hand)
-        if world_batch.models[slot.row] is not model:
-            world_batch.models[slot.row], changed = model, True
-    if changed:
-        world_batch.batch.set_models(world_batch.models)
-
-
 def prepare_controls(controllers: Sequence[WorldController], robot_targets: Sequence[list[float]]) -> None:
     """Compute the controls of each world's remaining steps after a change of targets or reference.
 
@@ -237,8 +222,9 @@ def prepare_controls(controllers: Sequence[WorldController], robot_targets: Sequ
         if controller.sleep is None and controller.robot_target != target:
             controller.robot_target, controller.controls_row = target, controller.row + 1
             model = controller.slot.scene.model
-            # Models with equally many actuators and mocap bodies have them in the same places.
-            key = (len(controller.reference.objects) - controller.controls_row, model.nu, model.nmocap)
+            # Models with equally many objects, actuators and mocap bodies have them in the same places.
+            steps, objects = controller.reference.objects.shape[:2]
+            key = (steps - controller.controls_row, objects, model.nu, model.nmocap)
             groups.setdefault(key, []).append((controller, target))
     for group in groups.values():
         _compute_controls([controller for controller, _ in group], np.array([target for _, target in group]))

@@ -22,6 +22,7 @@ from handover_marl.simulation.mujoco.contacts import ContactSensors
 from handover_marl.simulation.mujoco.distances import find_never_colliding_pairs
 from handover_marl.simulation.mujoco.engine import TUNING, ModelVariants, MujocoTuning
 from handover_marl.simulation.mujoco.scene_spec import (
+    ModelPadding,
     SceneModelBuilder,
     format_hand_name,
     format_object_name,
@@ -104,8 +105,16 @@ class SceneModel:
     object_reaches: npt.NDArray[np.float64]
 
 
-def load_scene_model(assets: SceneAssets, config: PhysicsConfig, tuning: MujocoTuning = TUNING) -> SceneModel:
+def load_scene_model(
+    assets: SceneAssets, config: PhysicsConfig, tuning: MujocoTuning = TUNING, padding: ModelPadding | None = None
+) -> SceneModel:
     """Compile the MuJoCo model of a scene, or return it from the cache if no file has changed.
+
+    Args:
+        assets: Model files of the scene.
+        config: Constants of the world.
+        tuning: Engine parameters.
+        padding: Sizes to fill the model up to; the indices are those of the scene's own objects.
 
     Raises:
         SimulationError, DataFormatError: A model or a mesh cannot be read, or MuJoCo rejects it.
@@ -115,14 +124,20 @@ def load_scene_model(assets: SceneAssets, config: PhysicsConfig, tuning: MujocoT
         mtimes = tuple(read_model_mtimes(urdf) for urdf in files)
     except OSError as error:
         raise SimulationError(f"{error.filename}: cannot read this model ({error.strerror or error})") from error
-    return _load(assets, mtimes, config, tuning)
+    return _load(assets, mtimes, config, tuning, padding)
 
 
 @functools.lru_cache(maxsize=_CACHE_SIZE)
-def _load(assets: SceneAssets, mtimes: tuple[_Mtimes, ...], config: PhysicsConfig, tuning: MujocoTuning) -> SceneModel:
+def _load(
+    assets: SceneAssets,
+    mtimes: tuple[_Mtimes, ...],
+    config: PhysicsConfig,
+    tuning: MujocoTuning,
+    padding: ModelPadding | None,
+) -> SceneModel:
     friction = read_object_friction(assets.objects[0])
     workcell = assets.table, assets.panda, mtimes[:2], friction, config, tuning
-    built = SceneModelBuilder(config, tuning, friction, _build_workcell(*workcell).copy())
+    built = SceneModelBuilder(config, tuning, friction, _build_workcell(*workcell).copy(), padding)
     built.add_objects_and_hand(assets.objects, assets.hand)
     model = _compile(built.spec, assets.objects[0].parent.name)
     joints = [joint.link for joint in read_tree(assets.panda).joints if joint.kind != "fixed"]

@@ -1,7 +1,7 @@
 """Construction of MuJoCo models: bodies, geoms, actuators and contact sensors."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import mujoco
@@ -10,7 +10,7 @@ import numpy as np
 from handover_marl.config import OBJECT_DOF, TIME_STEP, MotorConfig, PhysicsConfig
 from handover_marl.geometry.kinematic_tree import KinematicTree, read_tree
 from handover_marl.geometry.panda import FINGER_LINKS, HAND_LINK
-from handover_marl.geometry.poses import quaternion_from_matrix
+from handover_marl.geometry.poses import IDENTITY, quaternion_from_matrix
 from handover_marl.geometry.urdf import UrdfLink, read_urdf_links, read_urdf_shapes
 from handover_marl.simulation.kinematic_paths import list_object_motors
 from handover_marl.simulation.mujoco.collision_shapes import (
@@ -22,7 +22,12 @@ from handover_marl.simulation.mujoco.collision_shapes import (
     set_inertia,
 )
 from handover_marl.simulation.mujoco.contacts import add_contact_sensors
-from handover_marl.simulation.mujoco.engine import CollisionGroup, MujocoTuning, wxyz_from_xyzw
+from handover_marl.simulation.mujoco.engine import (
+    RELEASED_COLLISIONS,
+    CollisionGroup,
+    MujocoTuning,
+    wxyz_from_xyzw,
+)
 
 ROBOT_BASE, TABLE = "robot", "table"
 _ALL_GROUPS, _NO_GROUP = CollisionGroup(sum(CollisionGroup)), CollisionGroup(0)
@@ -48,6 +53,29 @@ class _ContactParameters:
     friction: float
     torsion: float = 0.0
     priority: int = 0
+
+
+@dataclass(frozen=True)
+class ModelPadding:
+    """Sizes to which the model of a scene is filled up, so that models of many scenes have one layout.
+
+    Absent objects and hulls are in the model as small bodies and tetrahedra. The target object has each hull twice:
+    one collides with the robot, the other, once the object is released, with everything else.
+
+    Attributes:
+        objects: Number of objects in the model.
+        hulls: Number of convex hulls of each object.
+    """
+
+    objects: int
+    hulls: int
+
+
+#: Prefix of the names of geoms that stand for absent hulls.
+ABSENT_PREFIX = "absent"
+# Link and hull that stand for absent ones.
+_ABSENT_LINK = UrdfLink(mass=1.0)
+_ABSENT_HULL = ConvexPart("hull", 0.001 * np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]), (), IDENTITY)
 
 
 def format_object_name(number: int) -> str:
@@ -78,6 +106,7 @@ class SceneModelBuilder:
         tuning: Engine parameters.
         object_friction: Friction coefficient of the target object.
         spec: Specification to extend, for example with a workcell; None for an empty one.
+        padding: Sizes to fill the model up to; None leaves the model as it is.
 
     Attributes:
         spec: MuJoCo specification of the model under construction.
@@ -90,10 +119,11 @@ class SceneModelBuilder:
         tuning: MujocoTuning,
         object_friction: float = 1.0,
         spec: "mujoco.MjSpec | None" = None,
+        padding: ModelPadding | None = None,
     ) -> None:
         self.spec = _make_empty_spec(tuning) if spec is None else spec
         self.hand_links: list[int] = []
-        self._config, self._tuning = config, tuning
+        self._config, self._tuning, self._padding = config, tuning, padding
         # Bullet multiplies both frictions of a contact, MuJoCo takes one: the object's is
         # multiplied in beforehand.
         self._object_friction = object_friction
@@ -127,9 +157,12 @@ class SceneModelBuilder:
         """
         for number, urdf in enumerate(objects):
             self._add_object(number, urdf)
+        count = len(objects) if self._padding is None else self._padding.objects
+        for number in range(len(objects), count):
+            self._add_object_body(number, _ABSENT_LINK, [_ABSENT_HULL])
         self.hand_links = self._add_hand(hand)
         hands = [format_hand_name(number) for number in range(len(self.hand_links))]
-        target, *others = (format_object_name(number) for number in range(len(objects)))
+        target, *others = (format_object_name(number) for number in range(count))
         add_contact_sensors(self.spec, ROBOT_BASE, HAND_LINK, FINGER_LINKS, target, hands, others, [TABLE])
 
     def _add_ground(self) -> None:
@@ -197,14 +230,22 @@ class SceneModelBuilder:
             actuator.ctrllimited, actuator.ctrlrange = True, link.limits
 
     def _add_object(self, number: int, urdf: Path) -> None:
-        tree, name, reference = read_tree(urdf), format_object_name(number), format_rotation_reference_name(number)
+        tree = read_tree(urdf)
         # The last link but the base carries the mass and all shapes.
-        link = read_urdf_links(urdf, tree)[-2]
-        parts = load_convex_parts(read_urdf_shapes(urdf, tree, "collision"))
+        self._add_object_body(number, read_urdf_links(urdf, tree)[-2], load_object_parts(urdf))
+
+    def _add_object_body(self, number: int, link: UrdfLink, parts: list[ConvexPart]) -> None:
+        name, reference = format_object_name(number), format_rotation_reference_name(number)
         body = self.spec.worldbody.add_body(name=name)
         body.add_freejoint(name=name)
         friction = link.friction * self._object_friction
-        self._add_parts(body, parts, _ContactParameters(CollisionGroup.OBJECT, _NO_GROUP, friction))
+        contact = _ContactParameters(CollisionGroup.OBJECT, _NO_GROUP, friction)
+        filled = parts
+        if self._padding is not None:
+            filled = parts + [_ABSENT_HULL] * (self._padding.hulls - len(parts))
+        self._add_parts(body, filled, contact)
+        if self._padding is not None and number == 0:
+            self._add_parts(body, filled, replace(contact, group=_NO_GROUP, collides_with=RELEASED_COLLISIONS))
         set_inertia(body, link, parts)
         body.add_site(name=name)
         # Positions are driven relative to the world's axes, rotations relative to a mocap body.
@@ -239,6 +280,8 @@ class SceneModelBuilder:
     def _add_parts(self, body: "mujoco.MjsBody", parts: list[ConvexPart], contact: _ContactParameters) -> None:
         for part in parts:
             geom = add_collision_geom(self.spec, body, part)
+            if part is _ABSENT_HULL:
+                geom.name = f"{ABSENT_PREFIX}{len(self.spec.geoms)}"
             self._set_contact_parameters(geom, contact)
             # In Bullet, boxes and spheres include their margin.
             geom.margin = self._tuning.margin if part.kind == "hull" else 0.0
@@ -266,6 +309,15 @@ def _make_empty_spec(tuning: MujocoTuning) -> "mujoco.MjSpec":
     # The robot connects all moving bodies, so that there is only one constraint island to find.
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
     return spec
+
+
+def load_object_parts(urdf: Path) -> list[ConvexPart]:
+    """Load the convex parts of an object's collision shape.
+
+    Raises:
+        SimulationError, DataFormatError: The model or a mesh cannot be read.
+    """
+    return load_convex_parts(read_urdf_shapes(urdf, read_tree(urdf), "collision"))
 
 
 def read_object_friction(urdf: Path) -> float:

@@ -12,13 +12,9 @@ from handover_marl.simulation.camera.frames import CameraImage
 from handover_marl.simulation.camera.renderers import SceneRendererCache
 from handover_marl.simulation.contacts import ContactBatch, Contacts
 from handover_marl.simulation.kinematic_paths import ReferenceMotion
-from handover_marl.simulation.mujoco.batch import (
-    BatchSimulation,
-    simulate_slots,
-)
-from handover_marl.simulation.mujoco.control import WorldController, prepare_controls, select_model_variants
+from handover_marl.simulation.mujoco.batches.simulation import BatchSimulation
+from handover_marl.simulation.mujoco.control import WorldController, prepare_controls
 from handover_marl.simulation.mujoco.engine import bullet_xyzw_from_wxyz, chain_joints_from_poses
-from handover_marl.simulation.mujoco.scene_model import load_scene_model
 from handover_marl.simulation.mujoco.sleep import SleepState
 from handover_marl.simulation.world import (
     AgentJoints,
@@ -76,13 +72,15 @@ class MujocoWorld(BatchWorld):
             scene: Scene to load.
             start: Reference motion of one row: joint positions of hand and objects at the start.
         """
-        model = load_scene_model(scene.assets, self._config)
+        model = self._simulation.load_model(scene.assets, self._config)
         # A slot is invalid as soon as the next scene is loaded.
         previous, self._controller = self._controller, None
         slot = self._simulation.load_scene(model, None if previous is None else previous.slot)
         self._controller = WorldController(slot, self._simulation, scene.assets.hand, self._config, start)
         self._scene = scene
         self._object_joints = start.objects[0].astype(np.float64)
+        if not self._simulation.can_sleep:
+            self._controller.wake()
 
     def set_reference(self, motion: ReferenceMotion) -> None:
         """Set the joint targets of hand and objects for the coming steps, one row per step."""
@@ -112,8 +110,9 @@ class MujocoWorld(BatchWorld):
         if controllers[0].sleep is not None:
             return _skip_sleeping_steps(controllers, steps)
         slots = [controller.slot for controller in controllers]
-        select_model_variants(slots, [controller.can_touch_hand(steps) for controller in controllers])
-        rollout = simulate_slots(slots, [controller.coming_controls[:steps] for controller in controllers])
+        world_batch = slots[0].world_batch
+        world_batch.select_models(slots, [controller.can_touch_hand(steps) for controller in controllers])
+        rollout = world_batch.simulate(slots, [controller.coming_controls[:steps] for controller in controllers])
         for controller in controllers:
             controller.row += steps
 
@@ -141,6 +140,11 @@ class MujocoWorld(BatchWorld):
     def max_rollout_steps(self) -> int:
         """Largest number of steps of the next rollout, valid after `prepare_rollout`."""
         return self.controller.remaining_steps
+
+    @property
+    def max_rollout_worlds(self) -> int:
+        """Largest number of worlds in one rollout with this world."""
+        return self._simulation.max_rollout_worlds
 
     def release_target(self) -> None:
         """Release the target object from the human hand, from the next step on."""

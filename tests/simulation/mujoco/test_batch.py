@@ -10,9 +10,8 @@ pytest.importorskip("mujoco")
 from handover_marl.config import PhysicsConfig
 from handover_marl.datasets.dataset import SceneAssets
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.simulation.mujoco import batch
-from handover_marl.simulation.mujoco.batch import BatchSimulation
-from handover_marl.simulation.mujoco.control import select_model_variants
+from handover_marl.simulation.mujoco.batches import simulation as batch_simulation
+from handover_marl.simulation.mujoco.batches.simulation import BatchSimulation
 from handover_marl.simulation.mujoco.scene_model import SceneModel, load_scene_model
 
 CONFIG = PhysicsConfig()
@@ -34,7 +33,7 @@ def models(count: int) -> list[SceneModel]:
 @pytest.fixture
 def max_empty_batches(monkeypatch: pytest.MonkeyPatch) -> int:
     """Keep at most two batches without worlds."""
-    monkeypatch.setattr(batch, "_MAX_EMPTY_BATCHES", 2)
+    monkeypatch.setattr(batch_simulation, "_MAX_EMPTY_BATCHES", 2)
     return 2
 
 
@@ -84,11 +83,11 @@ def test_model_variants_are_shared_while_worlds_hold_them() -> None:
     assert slots[0].select_model(hand=True) is model.model
     held = weakref.ref(shared)
     del shared
-    select_model_variants(slots, [False, False])
+    slots[0].world_batch.select_models(slots, [False, False])
     for number, slot in enumerate(slots):
         assert held() is not None
         slots[number] = simulation.load_scene(model, slot)
     del slot
-    select_model_variants(slots, [True, True])
+    slots[0].world_batch.select_models(slots, [True, True])
     gc.collect()
     assert held() is None

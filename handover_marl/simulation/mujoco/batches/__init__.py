@@ -1,0 +1,1 @@
+"""Batches of MuJoCo worlds: on processor threads with MuJoCo, or on a GPU with MuJoCo Warp."""

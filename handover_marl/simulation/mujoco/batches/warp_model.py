@@ -1,0 +1,176 @@
+"""MuJoCo Warp models whose worlds have different objects and hands.
+
+All worlds of a model have one layout. A world's own hulls, masses and motors are in a row of the model's arrays.
+"""
+
+import copy
+import dataclasses
+import functools
+from collections.abc import Sequence
+
+import mujoco
+import mujoco_warp
+import numpy as np
+import numpy.typing as npt
+import warp
+
+from handover_marl.config import OBJECT_DOF, PhysicsConfig
+from handover_marl.datasets.dataset import SceneAssets
+from handover_marl.errors import OptionError
+from handover_marl.simulation.mujoco.batches.mesh_pool import MeshPool
+from handover_marl.simulation.mujoco.scene_model import SceneModel, load_scene_model
+from handover_marl.simulation.mujoco.scene_spec import ABSENT_PREFIX, ModelPadding, load_object_parts
+
+# Hulls of an object and objects besides the target are filled up to a multiple of these numbers. All scenes of DexYCB
+# with the grasped object only have one layout, and so have those with all objects.
+_HULLS, _OTHER_OBJECTS = 80, 4
+# Arrays of a model in which the worlds differ.
+_ROW_FIELDS = (
+    "body_ipos",
+    "body_iquat",
+    "body_mass",
+    "body_subtreemass",
+    "body_inertia",
+    "body_invweight0",
+    "dof_invweight0",
+    "geom_dataid",
+    "geom_size",
+    "geom_aabb",
+    "geom_rbound",
+    "geom_pos",
+    "geom_quat",
+    "geom_friction",
+    "actuator_gainprm",
+    "actuator_biasprm",
+    "actuator_forcerange",
+    "actuator_acc0",
+)
+# Arrays that may differ, and do not influence the simulation.
+_UNUSED_FIELDS = ("dof_length",)
+
+
+def is_device_available(device: str) -> bool:
+    """Return whether Warp finds a device, "cpu" or "cuda"."""
+    # Otherwise Warp prints the name of every kernel that it loads.
+    warp.config.log_level = max(warp.config.log_level, warp.LOG_WARNING)
+    warp.init()
+    return device == "cpu" or bool(warp.is_cuda_available())
+
+
+def load_padded_model(assets: SceneAssets, config: PhysicsConfig) -> SceneModel:
+    """Compile the model of a scene, filled up to a layout that it shares with other scenes.
+
+    Raises:
+        OptionError: An object has collision shapes besides convex hulls.
+        SimulationError, DataFormatError: A model or a mesh cannot be read, or MuJoCo rejects it.
+    """
+    parts = [load_object_parts(urdf) for urdf in assets.objects]
+    for urdf, own in zip(assets.objects, parts, strict=True):
+        if any(part.kind != "hull" for part in own):
+            raise OptionError(f"{urdf}: collision shapes must be meshes with backend='warp'; use backend='threads'")
+    padding = ModelPadding(
+        objects=1 + _round_up(len(parts) - 1, _OTHER_OBJECTS), hulls=_round_up(max(map(len, parts)), _HULLS)
+    )
+    return load_scene_model(assets, config, padding=padding)
+
+
+def _round_up(number: int, step: int) -> int:
+    return -(-number // step) * step
+
+
+@functools.lru_cache(maxsize=512)
+def compute_layout(scene: SceneModel) -> tuple[object, ...]:
+    """Return the layout of a scene's model: all arrays that must be equal in the worlds of one MuJoCo Warp model."""
+    names = (field.name for field in dataclasses.fields(mujoco_warp.Model))
+    arrays = {
+        name: getattr(scene.model, name)
+        for name in names
+        if not name.startswith("mesh_") and name not in (*_ROW_FIELDS, *_UNUSED_FIELDS)
+        if isinstance(getattr(scene.model, name, None), np.ndarray)
+    }
+    # The poses of geoms that never move are those of the first scene.
+    fixed = (scene.model.body_weldid == 0)[scene.model.geom_bodyid]
+    arrays |= {f"fixed {name}": getattr(scene.model, name)[fixed] for name in ("geom_pos", "geom_quat")}
+    return tuple((name, array.shape, array.tobytes()) for name, array in arrays.items())
+
+
+class WarpModel:
+    """MuJoCo Warp model of a number of worlds.
+
+    Args:
+        scene: Padded scene model with the layout of all worlds.
+        worlds: Number of worlds.
+
+    Attributes:
+        model: Model on Warp's current device.
+    """
+
+    def __init__(self, scene: SceneModel, worlds: int) -> None:
+        own = copy.copy(scene.model)
+        # MuJoCo Warp refuses this flag; it never resets a world.
+        own.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+        # Absent hulls are left out of arrays of at least two rows only.
+        rows = max(worlds, 2)
+        self.model = mujoco_warp.put_model(own, dict.fromkeys(_ROW_FIELDS, rows))
+        # Version 4.0 leaves the velocity derivative of actuators out of the implicit integration of single free
+        # bodies; without this list the objects are integrated like all other bodies.
+        self.model.body_freeadr = warp.empty(0, dtype=int)
+        self.model.opt.deterministic = int(mujoco_warp.DeterminismType.ALL)
+        # Overflows raise an error instead.
+        self.model.opt.warn_overflow = 0
+        self._meshes, self._mesh_numbers = MeshPool(), dict[SceneModel, npt.NDArray[np.int_]]()
+        self._values: dict[str, npt.NDArray[np.generic]] = {
+            name: getattr(self.model, name).numpy().copy() for name in _ROW_FIELDS
+        }
+        self._scenes: list[tuple[SceneModel, bool] | None] = [None] * rows
+        self.set_rows([(scene, False)] * rows)
+
+    def set_rows(self, scenes: Sequence[tuple[SceneModel, bool]]) -> bool:
+        """Set the scenes of the worlds in the first rows.
+
+        Args:
+            scenes: Scene model of each world, and whether its target object is released.
+
+        Returns:
+            Whether arrays of the model were replaced, so that a captured graph is invalid.
+        """
+        changed = {row: own for row, own in enumerate(scenes) if self._scenes[row] != own}
+        n_meshes = len(self._meshes.arrays.get("mesh_vertadr", ()))
+        for row, (scene, released) in changed.items():
+            for name, values in self._compute_row(scene, released).items():
+                self._values[name][row] = values
+            self._scenes[row] = scene, released
+        if changed:
+            for name, rows in self._values.items():
+                getattr(self.model, name).assign(rows)
+        if len(self._meshes.arrays["mesh_vertadr"]) == n_meshes:
+            return False
+        for name, array in self._meshes.arrays.items():
+            setattr(self.model, name, warp.array(array, dtype=getattr(self.model, name).dtype))
+        self.model.npolygonmax = self._meshes.max_polygon_vertices
+        self.model.nmeshdegmax = self._meshes.max_vertex_polygons
+        return True
+
+    def _compute_row(self, scene: SceneModel, released: bool) -> dict[str, npt.NDArray[np.generic]]:
+        """Return the values of a world by field."""
+        model, target = scene.model, scene.objects[0]
+        row = {name: getattr(model, name) for name in _ROW_FIELDS}
+        meshes = row["geom_dataid"] = self._number_meshes(scene)
+        first, count = model.body_geomadr[target], model.body_geomnum[target]
+        if released:
+            start = scene.object_ctrl.start
+            row["actuator_forcerange"] = model.actuator_forcerange.copy()
+            row["actuator_forcerange"][start : start + OBJECT_DOF] = 0.0
+        else:
+            meshes[first + count // 2 : first + count] = -1
+        return {name: np.reshape(values, self._values[name].shape[1:]) for name, values in row.items()}
+
+    def _number_meshes(self, scene: SceneModel) -> npt.NDArray[np.int_]:
+        """Return the number of each geom's mesh in the pool; -1 for absent hulls and other geoms."""
+        if scene not in self._mesh_numbers:
+            model = scene.model
+            numbers = self._meshes.add(model)[model.geom_dataid]
+            absent = [model.geom(number).name.startswith(ABSENT_PREFIX) for number in range(model.ngeom)]
+            self._mesh_numbers[scene] = np.where((model.geom_dataid < 0) | absent, -1, numbers)
+        found: npt.NDArray[np.int_] = self._mesh_numbers[scene].copy()
+        return found
