@@ -140,6 +140,8 @@ def judge_steps(
         states after that step.
     """
     n_steps, n_episodes = contacts.robot_touches_hand.shape
+    if _nothing_happens(before, contacts, config):
+        return _judge_time_limit(before, n_steps, config)
     number = np.arange(n_steps)[:, None]
     left, right = contacts.in_grasp_region[..., 0], contacts.in_grasp_region[..., 1]
     active = _count_consecutive(contacts.robot_touches_object & left & right, before.active_steps)
@@ -173,6 +175,31 @@ def judge_steps(
         active_steps=np.where(held, active[now], before.active_steps),
         passive_steps=np.where(held, passive[now], before.passive_steps),
         goal_steps=goal[now],
+    )
+
+
+def _nothing_happens(before: RefereeStateBatch, contacts: ContactBatch, config: ProtocolConfig) -> bool:
+    """Return whether only the time limit can end episodes: nothing is released, and the robot touches nothing."""
+    return not (
+        (before.release >= 0).any()
+        or contacts.robot_touches_object.any()
+        or contacts.robot_touches_hand.any()
+        or min(config.release_steps, config.success_steps) < 1
+    )
+
+
+def _judge_time_limit(
+    before: RefereeStateBatch, n_steps: int, config: ProtocolConfig
+) -> tuple[Counts, RefereeStateBatch]:
+    """Apply the time limit alone to k steps; see `judge_steps`."""
+    last = np.clip(config.horizon_steps - before.steps - 1, 0, n_steps - 1)
+    steps, none = before.steps + last + 1, np.zeros_like(last)
+    return last, before._replace(
+        status=int(EpisodeStatus.TIMEOUT) * (steps >= config.horizon_steps),
+        steps=steps,
+        active_steps=none,
+        passive_steps=none,
+        goal_steps=none,
     )
 
 

@@ -1,7 +1,9 @@
 """Reader of URDF models: shapes, masses, friction and joint limits of links; writer from Jinja templates."""
 
+import errno
 import functools
 import math
+import os
 import re
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass
@@ -28,6 +30,8 @@ Color = tuple[float, ...]
 _FRICTION, _SPINNING_FRICTION = "0.5", "0"
 _WHITE = (1.0, 1.0, 1.0, 1.0)
 _PACKAGE = "package://"
+# Errors of paths at which there is no file.
+_MISSING = (errno.ENOENT, errno.ENOTDIR, errno.EBADF, errno.ELOOP)
 _MESH_NAME = re.compile(rb"""filename\s*=\s*["']([^"']+)["']""")
 
 
@@ -137,12 +141,24 @@ def read_model_mtimes(urdf: Path) -> tuple[int, ...]:
         OSError, ValueError: The URDF file cannot be read, is not a plain file, or is too large.
     """
     own = urdf.stat().st_mtime_ns
-    return (own, *(mesh.stat().st_mtime_ns if mesh.exists() else 0 for mesh in _list_meshes(urdf, own)))
+    return (own, *map(_read_mtime, _list_meshes(urdf, own)))
 
 
 @functools.lru_cache(maxsize=256)
-def _list_meshes(urdf: Path, mtime: int) -> tuple[Path, ...]:
-    return tuple(mesh for _, mesh in list_mesh_references(urdf))
+def _list_meshes(urdf: Path, mtime: int) -> tuple[str, ...]:
+    """Return the different paths of mesh files; as text, since they are looked up at every start of an episode."""
+    return tuple(dict.fromkeys(str(mesh) for _, mesh in list_mesh_references(urdf)))
+
+
+def _read_mtime(path: str) -> int:
+    try:
+        return os.stat(path).st_mtime_ns  # noqa: PTH116
+    except ValueError:  # The path contains a null character.
+        return 0
+    except OSError as error:
+        if error.errno in _MISSING:
+            return 0
+        raise
 
 
 def read_urdf_shapes(urdf: Path, tree: KinematicTree, purpose: str) -> list[UrdfShape]:

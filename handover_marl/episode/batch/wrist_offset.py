@@ -4,6 +4,7 @@ See `handover_marl.episode.wrist_offset` for one hand; Euler angles are intrinsi
 """
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +25,26 @@ Float32 = npt.NDArray[np.float32]
 Flags = npt.NDArray[np.bool_]
 
 _TOLERANCE = 1e-6  # m, rad
+# Smallest divisor of vectors that may have no length.
+_TINY = 1e-300
+
+
+class _MotionLimits(NamedTuple):
+    """Limits of the motion of m vectors: largest speed (m,), and terms of the largest acceleration (m,) a.
+
+    Attributes:
+        speed: Largest speed.
+        change: Largest change of the velocity in a step: a dt.
+        double: 2 a.
+        quarter: (a dt)^2 / 4.
+        half: a dt / 2.
+    """
+
+    speed: Array
+    change: Array
+    double: Array
+    quarter: Array
+    half: Array
 
 
 def track_set_points(
@@ -44,39 +65,47 @@ def track_set_points(
     shape = (steps, *values.shape)
     path, speeds = np.empty((steps, values.size // 3, 3)), np.empty((steps, values.size // 3, 3))
     goal, now, velocity = (array.reshape(-1, 3) for array in (set_points, values, velocities))
-    max_speed, max_acceleration = (np.tile(limit, len(values)) for limit in limits)
     path[:], speeds[:] = goal, 0.0
     active = np.flatnonzero((now != goal).any(axis=1) | velocity.any(axis=1))
     now, velocity, goal = now[active].T.copy(), velocity[active].T.copy(), goal[active].T.copy()
-    max_speed, max_acceleration = max_speed[active], max_acceleration[active]
-    for step in range(steps):
-        if not len(active):
-            break
-        now, velocity, is_reached = _track_step(now, velocity, goal, max_speed, max_acceleration)
-        path[step, active], speeds[step, active] = now.T, velocity.T
-        if is_reached.any():
-            left = ~is_reached
-            active, now, velocity, goal = active[left], now[:, left], velocity[:, left], goal[:, left]
-            max_speed, max_acceleration = max_speed[left], max_acceleration[left]
+    max_speed, acceleration = (np.tile(limit, len(values))[active] for limit in limits)
+    change = acceleration * TIME_STEP
+    bounds = _MotionLimits(max_speed, change, 2.0 * acceleration, change**2 / 4.0, change / 2.0)
+    first = 0
+    while len(active) and first < steps:
+        # The same vectors move until one of them reaches its goal.
+        found: list[tuple[Array, Array]] = []
+        is_reached = np.zeros(len(active), dtype=bool)
+        while first + len(found) < steps and not np.count_nonzero(is_reached):
+            now, velocity, is_reached = _track_step(now, velocity, goal, bounds)
+            found.append((now, velocity))
+        rows = slice(first, first + len(found))
+        moved, moved_velocity = (np.stack(part).swapaxes(1, 2) for part in zip(*found, strict=True))
+        path[rows, active], speeds[rows, active] = moved, moved_velocity
+        first, left = rows.stop, ~is_reached
+        active, now, velocity, goal = active[left], now[:, left], velocity[:, left], goal[:, left]
+        bounds = _MotionLimits(*(bound[left] for bound in bounds))
     return path.reshape(shape), speeds.reshape(shape)
 
 
-def _track_step(
-    now: Array, velocity: Array, goal: Array, max_speed: Array, max_acceleration: Array
-) -> tuple[Array, Array, Flags]:
+def _track_step(now: Array, velocity: Array, goal: Array, limits: _MotionLimits) -> tuple[Array, Array, Flags]:
     """Advance vectors (3, m) by one step; return values, velocities, and which reached the goal."""
     left = goal - now
-    distance, max_change = _compute_column_lengths(left), max_acceleration * TIME_STEP
+    distance = _compute_column_lengths(left)
     is_reached = distance < _TOLERANCE
-    is_reached &= _compute_column_lengths(velocity) <= max_change
+    is_reached &= _compute_column_lengths(velocity) <= limits.change
     # Highest speed that still allows to stop at the goal, in steps of finite length.
-    braking = np.sqrt(2.0 * max_acceleration * distance + max_change**2 / 4.0) - max_change / 2.0
-    speed = np.minimum(np.minimum(max_speed, braking), distance / TIME_STEP)
-    change = speed * left / np.where(distance > 0.0, distance, 1.0) - velocity
-    size = _compute_column_lengths(change)
-    velocity = velocity + np.minimum(1.0, max_change / np.maximum(size, 1e-300)) * change
+    speed = np.sqrt(limits.double * distance + limits.quarter)
+    speed -= limits.half
+    np.minimum(limits.speed, speed, out=speed)
+    np.minimum(speed, distance / TIME_STEP, out=speed)
+    left *= speed
+    left /= np.maximum(distance, _TINY)
+    change = np.subtract(left, velocity, out=left)
+    change *= np.minimum(1.0, limits.change / np.maximum(_compute_column_lengths(change), _TINY))
+    velocity = velocity + change
     now = now + velocity * TIME_STEP
-    if is_reached.any():
+    if np.count_nonzero(is_reached):
         now[:, is_reached], velocity[:, is_reached] = goal[:, is_reached], 0.0
     return now, velocity, is_reached
 
@@ -144,6 +173,6 @@ def _continue_euler(quaternions: Array, counts: list[int], previous: Array) -> A
 
 def _compute_column_lengths(vectors: Array) -> Array:
     """Return the lengths (m,) of vectors (3, m)."""
-    x, y, z = vectors
-    lengths: Array = np.sqrt(x * x + y * y + z * z)
+    x, y, z = vectors * vectors
+    lengths: Array = np.sqrt(x + y + z)
     return lengths

@@ -138,9 +138,10 @@ class ContactSensors:
     def read_contacts(self, data: Array) -> ContactReadings:
         """Return the contacts of robot, hand and object from sensor data (..., n)."""
         force = np.zeros(data.shape[:-1])
-        for slot in self._robot:
-            # Summed one by one, so that rounding does not depend on the number of worlds.
-            force = force + data[..., slot]
+        if data[..., self._robot].any():
+            for slot in self._robot:
+                # Summed one by one, so that rounding does not depend on the number of worlds.
+                force = force + data[..., slot]
         return ContactReadings(
             robot_touches_hand=data[..., self._hand].max(axis=-1) > 0.0,
             robot_object_force=force,

@@ -194,6 +194,8 @@ class WorldController:
 def track_references(controllers: Sequence[WorldController]) -> None:
     """Compute the trajectories of hands and sleeping objects under new reference motions."""
     behind = [controller for controller in controllers if not controller.is_tracked]
+    if not behind:
+        return
     set_hand_references([one.hand for one in behind], [one.reference for one in behind])
     items = [
         (item, one.reference.objects[:, number])
