@@ -48,8 +48,8 @@ class EvaluationConfig:
             setup of other data. Default: the first of the dataset, s0 of the official ones.
         split: Split of the setup: train, val or test.
         scenes: Scene numbers of the split to evaluate, e.g. 209,214; default: all. Reports say if they are partial.
-        dataset: Dataset: dexycb, synthetic, own:FOLDER (custom scenes), or auto (dexycb if a data folder is found, else
-            synthetic).
+        dataset: Dataset: dexycb, synthetic, generated:n=1000,seed=7 (any number of scenes), own:FOLDER (custom scenes),
+            or auto (dexycb if a data folder is found, else synthetic).
         data_dir: Data folder in HandoverSim's layout; default: the environment variable HANDOVER_MARL_DATA.
         physics: Physics: exact (official results), fast, or mujoco (another engine).
         giver: The person's policy, e.g. replay, cooperative, learned:FILE or my_package:MyGiver.
