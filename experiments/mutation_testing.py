@@ -39,6 +39,7 @@ NO_TESTS_COLLECTED = 5
 SEPARATOR = "\n\n"
 REPORTS = ("tests/evaluation/reports",)
 DATACLASSES = "tests/test_dataclasses.py"
+FLUENCY = "tests/episode/metrics/test_fluency.py"
 #: Unit tests of each module.
 TESTS = {
     "handover_marl/episode/referee.py": ("tests/episode/test_protocol.py", "tests/episode/test_lockstep.py"),
@@ -52,8 +53,11 @@ TESTS = {
     "handover_marl/episode/observations.py": ("tests/episode/test_observations.py", "tests/episode/test_playback.py"),
     "handover_marl/episode/camera_observations.py": ("tests/episode/test_camera_observations.py", DATACLASSES),
     "handover_marl/episode/spaces.py": ("tests/episode/test_spaces.py", DATACLASSES),
-    "handover_marl/episode/callbacks.py": ("tests/episode/test_fluency.py", "tests/episode/test_play.py", DATACLASSES),
-    "handover_marl/episode/metrics.py": ("tests/episode/test_fluency.py", DATACLASSES),
+    "handover_marl/episode/callbacks.py": (FLUENCY, "tests/episode/test_play.py", DATACLASSES),
+    "handover_marl/episode/metrics/fluency.py": (FLUENCY, DATACLASSES),
+    "handover_marl/episode/metrics/motion_trace.py": (FLUENCY, DATACLASSES),
+    "handover_marl/episode/metrics/motion_analysis.py": (FLUENCY,),
+    "handover_marl/episode/metrics/arm_posture.py": ("tests/episode/metrics/test_arm_posture.py", DATACLASSES),
     "handover_marl/evaluation/comparison.py": ("tests/evaluation/test_comparison.py", *REPORTS, DATACLASSES),
     "handover_marl/evaluation/reports/statistics.py": (
         "tests/evaluation/reports/test_statistics.py",

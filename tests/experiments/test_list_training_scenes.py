@@ -73,7 +73,7 @@ def test_vision_is_trained_on_them(setup: str, tmp_path: Path, monkeypatch: pyte
     train = script("train_vision", monkeypatch)
     run: Any = train.Training(train.Args(dataset="synthetic", setup=setup, out=str(tmp_path / "run")))
     scenes = scenes_of(DATA_ROOT / f"vision_{setup}.npz")
-    assert (list(run._scenes), list(run._held_out)) == (scenes.training, scenes.held_out)
+    assert (list(run._scenes["synthetic"]), list(run._held_out)) == (scenes.training, scenes.held_out)
 
 
 def test_gaddpg_is_trained_on_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
