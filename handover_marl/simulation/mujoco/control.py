@@ -242,7 +242,8 @@ def _compute_controls(controllers: Sequence[WorldController], targets: Array) ->
     scene = controllers[0].slot.scene
     objects = np.stack([one.reference.objects[one.controls_row :] for one in controllers])
     current = [np.stack(part) for part in zip(*(one.slot.get_controls() for one in controllers), strict=True)]
-    controls = np.empty((*objects.shape[:2], sum(part[0].size for part in current)))
+    # Zeros remain for the absent objects of a padded model.
+    controls = np.zeros((*objects.shape[:2], sum(part[0].size for part in current)))
     actuators, positions, quaternions = _split_controls(controllers[0].slot, controls)
     # The hand's bodies follow for each world.
     references = scene.rotation_references

@@ -66,7 +66,7 @@ class WarpBatch(WorldBatch):
         self._assigned = np.full(capacity, -1)
         with warp.ScopedDevice(device):
             self._model = WarpModel(scene, capacity)
-            self._data = mujoco_warp.make_data(model, capacity, _MAX_CONTACTS, njmax=_MAX_CONSTRAINTS)
+            self._data = mujoco_warp.make_data(self._model.source, capacity, _MAX_CONTACTS, njmax=_MAX_CONSTRAINTS)
         self._graphs: dict[int, warp.Graph] = {}
 
     def try_scene(self, scene: SceneModel, row: int) -> bool:

@@ -45,6 +45,8 @@ _ROW_FIELDS = (
     "actuator_forcerange",
     "actuator_acc0",
 )
+# Largest number of degrees of freedom with dense matrices: MuJoCo Warp's limit.
+_MAX_DENSE = 60
 # Arrays that may differ, and do not influence the simulation.
 _UNUSED_FIELDS = ("dof_length",)
 
@@ -102,6 +104,7 @@ class WarpModel:
         worlds: Number of worlds.
 
     Attributes:
+        source: MuJoCo model with the options of MuJoCo Warp.
         model: Model on Warp's current device.
     """
 
@@ -109,6 +112,9 @@ class WarpModel:
         own = copy.copy(scene.model)
         # MuJoCo Warp refuses this flag; it never resets a world.
         own.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+        # With sparse matrices, rounding in a world depends on the other worlds.
+        own.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE if own.nv <= _MAX_DENSE else mujoco.mjtJacobian.mjJAC_AUTO
+        self.source = own
         # Absent hulls are left out of arrays of at least two rows only.
         rows = max(worlds, 2)
         self.model = mujoco_warp.put_model(own, dict.fromkeys(_ROW_FIELDS, rows))

@@ -40,7 +40,7 @@ NAMES = ("011_banana", "052_extra_large_clamp", "040_large_marker")
 
 @functools.cache
 def load_small_objects() -> list[Scene]:
-    """Scenes with different objects and hands; each object fits between the fingers, and there are no others."""
+    """Scenes with different objects and hands; each target object fits between the fingers."""
     found: dict[str, Scene] = {}
     for scene_id in DATA.list_scenes("s0", "train"):
         if len(found) == len(NAMES):
@@ -49,15 +49,16 @@ def load_small_objects() -> list[Scene]:
         name = scene.info.object_names[0]
         hands = [one.assets.hand for one in found.values()]
         if name in NAMES and name not in found and scene.assets.hand not in hands:
-            assets = replace(scene.assets, objects=scene.assets.objects[:1])
-            found[name] = replace(scene, assets=assets, object_dof=scene.object_dof[:, :1])
+            found[name] = scene
     return [found[name] for name in NAMES]
 
 
-def place_object(xyz: npt.ArrayLike, steps: int) -> ReferenceMotion:
-    """Return the motion of an object that stays at a position (m), without a hand."""
-    dof = np.zeros((steps, 1, 6), dtype=np.float32)
-    dof[..., :3] = xyz
+def place_object(scene: Scene, xyz: npt.ArrayLike, steps: int) -> ReferenceMotion:
+    """Return the motion of a target that stays at a position (m), without a hand; other objects are far away."""
+    count = scene.object_dof.shape[1]
+    dof = np.zeros((steps, count, 6), dtype=np.float32)
+    dof[..., 0], dof[..., 2] = 5.0 + np.arange(count), 2.0
+    dof[:, 0, :3] = xyz
     return ReferenceMotion(dof, np.zeros((steps, 51), np.float32), np.zeros(steps, dtype=bool))
 
 
@@ -65,7 +66,7 @@ def place_object(xyz: npt.ArrayLike, steps: int) -> ReferenceMotion:
 def find_grasp_center() -> npt.NDArray[np.float32]:
     """Return the position between the fingers of the robot at its start (m)."""
     world = MujocoWorld(CONFIG)
-    world.reset(load_small_objects()[0], place_object((0.0, 0.0, 2.0), 1))
+    world.reset(load_small_objects()[0], place_object(load_small_objects()[0], (0.0, 0.0, 2.0), 1))
     x, y, z, w = (pose := world.read_state().gripper_pose)[3:]
     axis = np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
     return np.asarray(pose[:3] + 0.1 * axis, dtype=np.float32)
@@ -76,8 +77,8 @@ def start_worlds(backend: BatchBackend, scenes: list[Scene], xyz: npt.ArrayLike 
     xyz = find_grasp_center() if xyz is None else xyz
     worlds = make_batch_worlds(CONFIG, CAPACITY, backend)[: len(scenes)]
     for world, scene in zip(worlds, scenes, strict=True):
-        world.reset(scene, place_object(xyz, 1))
-        world.set_reference(place_object(xyz, STEPS))
+        world.reset(scene, place_object(scene, xyz, 1))
+        world.set_reference(place_object(scene, xyz, STEPS))
     if backend == WARP:
         assert len({world.batch_key[0] for world in worlds}) == 1, "one batch has different objects and hands"
     return worlds
@@ -96,6 +97,17 @@ def grasps() -> npt.NDArray[np.float64]:
     contacts = worlds[0].simulate_rollout(worlds, [CLOSED] * 3, STEPS, RULES).contacts
     assert contacts.fingers_touch[-1].all(axis=-1).tolist() == [True, True, False]
     return read_poses(worlds)
+
+
+def test_absent_objects_have_no_motion() -> None:
+    scene = next(one for one in load_small_objects() if len(one.assets.objects) < 5)
+    (world,) = start_worlds(WARP, [scene])
+    assert isinstance(world, MujocoWorld)
+    world.prepare_rollout([world], [CLOSED])
+    slot, controls = world.controller.slot, world.controller.coming_controls
+    assert not controls[:, slot.scene.object_ctrl.stop : slot.scene.model.nu].any()
+    assert len(controls) == STEPS
+    assert np.isfinite(controls).all()
 
 
 def test_grasps_agree_with_the_c_engine(grasps: npt.NDArray[np.float64]) -> None:

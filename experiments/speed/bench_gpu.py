@@ -1,0 +1,91 @@
+"""Measure the speed of vector environments with MuJoCo Warp against the number of environments.
+
+    python experiments/speed/bench_gpu.py --sizes 256 1024 4096
+
+Random outputs of the receiver are repeated until every environment has made some decisions. The first step of each
+number of environments, which compiles kernels, is not measured.
+"""
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+import tyro
+from measuring import OutputArgs, describe_conditions
+
+import handover_marl
+from handover_marl.evaluation.reports.tables import format_table
+from handover_marl.learning.training.scene_arguments import SetupArgs
+from handover_marl.simulation.engines import CPU, CUDA, WARP
+
+
+@dataclass(frozen=True)
+class Args(SetupArgs, OutputArgs):
+    """Options of the measurement.
+
+    Attributes:
+        sizes: Numbers of environments.
+        decisions: Number of measured steps of each vector environment.
+        device: Device of MuJoCo Warp: cuda, or cpu.
+        control_period: Time for which an action holds (s).
+    """
+
+    sizes: tuple[int, ...] = (64, 256, 1024, 4096)
+    decisions: int = 20
+    device: str = CUDA
+    control_period: float = 0.2
+
+
+def measure(args: Args, count: int) -> tuple[float, float]:
+    """Return the physics steps and the decisions per second of a number of environments."""
+    envs = handover_marl.vector_env(
+        count,
+        "receiver",
+        "cooperative",
+        features="close",
+        schemes="grasp_servo",
+        autoreset="same_step",
+        backend=WARP,
+        device=args.device,
+        setup=args.setup,
+        dataset=args.dataset,
+        data_dir=args.data_dir,
+        control_period=args.control_period,
+    )
+    envs.reset(seed=0)
+    rng = np.random.default_rng(0)
+    outputs = rng.uniform(-1.0, 1.0, (1 + args.decisions, *envs.action_space.shape)).astype(np.float32)
+    _, _, _, _, infos = envs.step(outputs[0])
+    simulated, started = 0, time.perf_counter()
+    for output in outputs[1:]:
+        before = infos["steps"]
+        _, _, _, _, infos = envs.step(output)
+        # Steps of an episode that starts again are not counted.
+        simulated += int(np.maximum(infos["steps"] - before, 0).sum())
+    seconds = time.perf_counter() - started
+    envs.close()
+    return simulated / seconds, args.decisions * count / seconds
+
+
+def main(args: Args) -> None:
+    """Measure all numbers of environments, and print a table."""
+    rows = []
+    for count in args.sizes:
+        steps, decisions = measure(args, count)
+        rows.append((count, f"{steps:,.0f}", f"{decisions:,.1f}"))
+    device = f"Device: {describe_device(args.device)}. {describe_conditions()}."
+    table = format_table(("environments", "physics steps/s", "decisions/s"), rows)
+    args.publish("Speed of MuJoCo Warp", device, table)
+
+
+def describe_device(device: str) -> str:
+    """Return the name of a device, and state for the processor that the figures are not those of a GPU."""
+    if device == CPU:
+        return "Warp's CPU device, which is for tests; these are no figures of a GPU"
+    import warp
+
+    return str(warp.get_device(device).name)
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Args))
