@@ -1,6 +1,7 @@
 """Worker processes of a pool: run tasks, and return results or errors as bytes."""
 
 import os
+import pickle
 import signal
 import threading
 import time
@@ -126,3 +127,12 @@ def _exit_with_parent(parent: int) -> None:
     while os.getppid() == parent:
         time.sleep(_PARENT_CHECK_S)
     os._exit(1)
+
+
+def make_picklable(error: Exception) -> Exception:
+    """Return an error, or a `WorkerError` with its message if the error cannot be pickled."""
+    try:
+        pickle.loads(pickle.dumps(error))
+    except Exception:
+        return WorkerError(f"{type(error).__name__}: {error}")
+    return error

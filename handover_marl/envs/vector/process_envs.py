@@ -1,7 +1,6 @@
 """Environments that another process simulates."""
 
 import gc
-import pickle
 from collections.abc import Callable, Mapping, Sequence
 from multiprocessing.connection import Connection
 from typing import Any
@@ -16,6 +15,7 @@ from handover_marl.envs.vector.results import EnvResult
 from handover_marl.envs.wrappers.wrapper import ByAgent
 from handover_marl.errors import WorkerError
 from handover_marl.execution.options import open_missing_descriptors
+from handover_marl.execution.worker import make_picklable
 
 Rows = npt.NDArray[np.int_]
 
@@ -104,7 +104,7 @@ def _run_worker(pipe: Connection, pickled: bytes) -> None:
         make, count = cloudpickle.loads(pickled)
         envs: Envs = make(count)
     except Exception as error:
-        pipe.send(_make_picklable(error))
+        pipe.send(make_picklable(error))
         return
     pipe.send(None)
     # The modules and models of the process stay: searching them for garbage again and again takes 2 % of the time.
@@ -115,17 +115,8 @@ def _run_worker(pipe: Connection, pickled: bytes) -> None:
             try:
                 result = getattr(envs, name)(*arguments)
             except Exception as error:
-                result = _make_picklable(error)
+                result = make_picklable(error)
             pipe.send(result)
         envs.close()
     except (KeyboardInterrupt, EOFError, OSError):
         return
-
-
-def _make_picklable(error: Exception) -> Exception:
-    """Return an error, or a `WorkerError` with its message if the error cannot be pickled."""
-    try:
-        pickle.loads(pickle.dumps(error))
-    except Exception:
-        return WorkerError(f"{type(error).__name__}: {error}")
-    return error

@@ -1,7 +1,6 @@
 """Stable-Baselines3 VecEnv over batches of environments, one batch per process."""
 
 import multiprocessing
-import pickle
 from collections.abc import Callable, Iterable, Sequence
 from multiprocessing.connection import Connection
 from typing import Any
@@ -13,6 +12,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from handover_marl.envs.vector.vector_env import HandoverVectorEnv
 from handover_marl.errors import WorkerError
+from handover_marl.execution.worker import make_picklable
 
 #: Function that makes a given number of environments, which reset in the step that ends an episode.
 BatchFactory = Callable[[int], HandoverVectorEnv]
@@ -148,7 +148,7 @@ def _run_worker(pipe: Connection, pickled: bytes) -> None:
                 return
             pipe.send(envs.reset(seed=argument)[0] if command == "reset" else _step(envs, argument))
     except Exception as error:
-        pipe.send(_make_picklable(error))
+        pipe.send(make_picklable(error))
     except (KeyboardInterrupt, EOFError):
         return
 
@@ -167,11 +167,3 @@ def _step(envs: HandoverVectorEnv, actions: npt.NDArray[np.floating]) -> tuple[A
             "TimeLimit.truncated": truncated,
         }
     return observations, rewards.astype(np.float32), ended, step_infos
-
-
-def _make_picklable(error: Exception) -> Exception:
-    try:
-        pickle.loads(pickle.dumps(error))
-    except Exception:
-        return WorkerError(f"{type(error).__name__}: {error}")
-    return error
