@@ -116,10 +116,10 @@ assert "handover_marl.simulation.bullet.client" not in sys.modules
 
 def test_yang_plays_with_every_giver(elsewhere: dict[str, str]) -> None:
     names = [name for name in list_available() if name != "learned"]
-    assert len(names) == 7
     reported = python(elsewhere, PLAYING.format(receivers=["yang2021"], givers=["replay", *names])).splitlines()
     assert reported[0] == "yang2021 success"
-    assert len(reported) == 8
+    assert len(names) > 0
+    assert len(reported) == len(names) + 1
 
 
 def test_policies_can_be_checked(elsewhere: dict[str, str]) -> None:
