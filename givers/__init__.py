@@ -1,8 +1,8 @@
 """Policies of the giver, the human side.
 
-`replay` replays the recorded human; `hesitant`, `hurried`, `noisy`, `displaced` and `tired` vary the recording.
-`stop_when_near`, `cooperative`, `withdrawing` and `early_release` react to the robot. `learned` is a trained policy,
-`learned:FILE` loads another policy.
+`replay` replays the recorded human; `hesitant`, `hurried`, `noisy`, `displaced`, `clone`, `tired` and `interrupting`
+vary the recording. `stop_when_near`, `cooperative`, `withdrawing` and `early_release` react to the robot. `learned` is
+a trained policy, `learned:FILE` loads another policy.
 User-defined givers are subclasses of `Giver`; packages register them by name in the entry-point group
 `handover_marl.givers`.
 """

@@ -44,7 +44,8 @@ class HurriedBatch(ArrayPolicy[HurriedGiver]):
 
     def start(self, row: int, seed: int | None) -> None:
         """Draw the playback speed of an episode."""
-        self._rate[row] = np.random.default_rng(seed).uniform(self._policy.min_rate, self._policy.max_rate)
+        config = self._policy.config
+        self._rate[row] = np.random.default_rng(seed).uniform(config.min_rate, config.max_rate)
 
     def decide(self, rows: Rows, observation: Observation) -> Actions:
         """Return the actions (r, 8) that replay at the speeds drawn for these episodes."""
@@ -56,7 +57,7 @@ class StopWhenNearBatch(ArrayPolicy[StopWhenNearGiver]):
 
     def decide(self, rows: Rows, observation: Observation) -> Actions:
         """Return the actions (r, 8) that pause near the gripper."""
-        is_near = compute_grip_distances(observation) < self._policy.distance
+        is_near = compute_grip_distances(observation) < self._policy.config.distance
         return make_giver_actions(len(rows), rate=np.where(is_near, _PAUSE, 0.0))
 
 
@@ -74,11 +75,12 @@ class HesitantBatch(ArrayPolicy[HesitantGiver]):
 
     def decide(self, rows: Rows, observation: Observation) -> Actions:
         """Return the actions (r, 8) that pause, or replay at the recorded speed."""
-        giver, now = self._policy, observation["time"][:, 0].astype(np.float64)
+        giver, config = self._policy, self._policy.config
+        now = observation["time"][:, 0].astype(np.float64)
         for row, time in zip(rows.tolist(), now.tolist(), strict=True):
             rng = self._rngs[row]
-            if time >= self._until[row] and rng.random() < giver.pauses_per_second * giver.control_period:
-                self._until[row] = time + rng.uniform(giver.shortest_pause, giver.longest_pause)
+            if time >= self._until[row] and rng.random() < config.pauses_per_second * giver.control_period:
+                self._until[row] = time + rng.uniform(config.shortest_pause, config.longest_pause)
         return make_giver_actions(len(rows), rate=np.where(now < self._until[rows], _PAUSE, 0.0))
 
 
@@ -88,8 +90,9 @@ class NoisyBatch(ArrayPolicy[NoisyGiver]):
     def __init__(self, policy: NoisyGiver, count: int) -> None:
         super().__init__(policy, count)
         self._rngs, self._deviation = [np.random.default_rng(0)] * count, np.zeros((count, 7))
-        self._scale = np.array([policy.rate, *[policy.displacement] * 3, *[policy.rotation] * 3])
-        self._decay = np.exp(-policy.control_period / policy.time_constant)
+        config = policy.config
+        self._scale = np.array([config.rate, *[config.displacement] * 3, *[config.rotation] * 3])
+        self._decay = np.exp(-policy.control_period / config.time_constant)
 
     def start(self, row: int, seed: int | None) -> None:
         """Start an episode without deviation."""
@@ -119,15 +122,17 @@ class WithdrawingBatch(ArrayPolicy[WithdrawingGiver]):
 
     def decide(self, rows: Rows, observation: Observation) -> Actions:
         """Return the actions (r, 8) that withdraw the hands, or follow the recordings."""
-        giver, now = self._policy, observation["time"][:, 0].astype(np.float64)
+        giver, config = self._policy, self._policy.config
+        now = observation["time"][:, 0].astype(np.float64)
         away = observation["hand_keypoints"][:, 0] - observation["gripper_pose"][:, :3]
         distance = compute_lengths(away).astype(np.float64)
         speed = (self._last_distance[rows] - distance) / giver.control_period
         self._last_distance[rows] = distance
         # Before the second decision the speed is nan, which is not above the limit.
-        flees = (observation["hand_present"][:, 0] != 0.0) & (distance < giver.max_distance) & (speed > giver.max_speed)
-        self._until[rows[flees]] = now[flees] + giver.return_after
-        withdrawal = giver.withdrawal * away / np.maximum(compute_lengths(away), 1e-6)[:, None]
+        is_present = observation["hand_present"][:, 0] != 0.0
+        flees = is_present & (distance < config.max_distance) & (speed > config.max_speed)
+        self._until[rows[flees]] = now[flees] + config.return_after
+        withdrawal = config.withdrawal * away / np.maximum(compute_lengths(away), 1e-6)[:, None]
         self._displacement[rows[flees]] = withdrawal[flees]
         is_away = now < self._until[rows]
         return make_giver_actions(len(rows), displacement=np.where(is_away[:, None], self._displacement[rows], 0.0))

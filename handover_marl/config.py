@@ -78,6 +78,22 @@ def check_config(name: str, value: object, config_class: type) -> None:
         raise OptionError(f"{name} must be a {config_class.__name__}, got {value!r}")
 
 
+def check_order(owner: CheckedConfig, low: str, high: str) -> None:
+    """Check that one field of a configuration is not larger than another one.
+
+    Args:
+        owner: Configuration.
+        low: Name of the smaller field.
+        high: Name of the larger field.
+
+    Raises:
+        OptionError: The order is reversed.
+    """
+    first, second = getattr(owner, low), getattr(owner, high)
+    if first > second:
+        raise OptionError(f"{low} of {type(owner).__name__} must be at most {high}, got {first} and {second}")
+
+
 def _check_tuple(name: str, value: Any, size: int, limits: tuple[float, float]) -> tuple[float, ...]:
     try:
         numbers = tuple(value)

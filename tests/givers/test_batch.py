@@ -14,7 +14,20 @@ from handover_marl.policies.policy import make_giver_action
 from tests.givers.test_givers import seen
 
 COUNT = 6
-NAMES = ("replay", "hesitant", "hurried", "stop_when_near", "noisy", "withdrawing", "cooperative")
+NAMES = (
+    "replay",
+    "hesitant",
+    "hesitant:pauses_per_second=1.5,longest_pause=0.5",
+    "hurried",
+    "hurried:min_rate=-0.4,max_rate=0.2",
+    "stop_when_near",
+    "stop_when_near:distance=0.5",
+    "noisy",
+    "noisy:displacement=0.05,rotation=0,rate=0,time_constant=1",
+    "withdrawing",
+    "withdrawing:max_speed=0.1,max_distance=0.6,withdrawal=0.3,return_after=0.2",
+    "cooperative",
+)
 
 
 def stack(observations: list[Observation]) -> Observation:

@@ -1,5 +1,7 @@
 """What every giver must do, and what each is for."""
 
+import json
+from importlib.resources import files
 from typing import Any
 
 import numpy as np
@@ -69,7 +71,7 @@ def rollout(name: str, seed: int, steps: int = 40) -> list[np.ndarray]:
 @pytest.mark.parametrize("name", NAMES)
 def test_rollouts_repeat_from_their_seed(name: str) -> None:
     np.testing.assert_array_equal(rollout(name, 1), rollout(name, 1))
-    if name in ("hesitant", "hurried", "noisy", "displaced", "tired"):
+    if name in ("hesitant", "hurried", "noisy", "displaced", "tired", "clone"):
         assert not np.array_equal(rollout(name, 1), rollout(name, 2))
 
 
@@ -81,7 +83,7 @@ def test_the_environment_takes_every_giver(name: str) -> None:
 
 
 def test_unknown_names() -> None:
-    with pytest.raises(UnknownNameError, match="giver 'polite'; valid: cooperative, displaced"):
+    with pytest.raises(UnknownNameError, match="giver 'polite'; valid: clone, cooperative, displaced"):
         handover_marl.evaluate_pair("polite", dataset="synthetic")
 
 
@@ -154,10 +156,78 @@ def test_an_early_release_follows_the_gripper_after_a_delay() -> None:
     assert giver.act(unheld)[7] == giver.act(unheld | {"time": np.float32([9.0])})[7] == 0.0
 
 
-@pytest.mark.parametrize("text", ["displaced:distance=0.4", "tired:frequency=20", "early_release:max_delay=-1"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "displaced:distance=0.4",
+        "tired:frequency=20",
+        "early_release:max_delay=-1",
+        "hesitant:pauses_per_second=-1",
+        "hurried:max_rate=2",
+        "stop_when_near:distance=-0.1",
+        "noisy:displacement=0.5",
+        "withdrawing:withdrawal=0.4",
+        "interrupting:longest=20",
+        "clone:rotation=4",
+    ],
+)
 def test_options_out_of_range(text: str) -> None:
     with pytest.raises(OptionError, match="must be a finite number from"):
         givers.make(text)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["hurried:min_rate=0.9,max_rate=0.5", "hesitant:shortest_pause=2", "interrupting:shortest=3,longest=2"],
+)
+def test_reversed_ranges(text: str) -> None:
+    with pytest.raises(OptionError, match=r"of \w+Config must be at most"):
+        givers.make(text)
+
+
+def test_options_of_speed() -> None:
+    slow = [make("hurried:min_rate=-0.5,max_rate=-0.3", seed).act(seen())[0] for seed in range(20)]
+    assert all(-0.5 <= rate <= -0.3 for rate in slow)
+    assert make("stop_when_near:distance=0.7").act(seen())[0] == -1.0
+
+
+def test_interruptions_withdraw_the_hand_for_a_while() -> None:
+    giver = make("interrupting:interruptions_per_second=0.5,withdrawal=0.1,shortest=0.4,longest=0.8")
+    away = []
+    for n in range(1300):
+        action = giver.act(seen(time=np.float32([0.1 * n])))
+        away.append(bool(action[1:4].any()))
+        if away[-1]:
+            # The object is away from the gripper along y.
+            np.testing.assert_allclose(action[1:4], [0.0, 0.1, 0.0], atol=1e-6)
+    assert 0.1 < np.mean(away) < 0.4
+    lengths = [len(part) for part in "".join("1" if each else "0" for each in away).split("0") if part]
+    assert min(lengths) >= 4
+    giver.reset(0)
+    for state in ({"holding": np.float32([0])}, {"released": np.float32([1])}):
+        assert not any(giver.act(seen(time=np.float32([0.1 * n]), **state))[1:4].any() for n in range(300))
+
+
+def test_clones_deviate_as_recordings_of_the_object_do() -> None:
+    giver = givers.make("clone")
+    actions = []
+    for seed in range(1500):
+        giver.reset(seed)
+        actions.append(giver.act(seen()))
+        np.testing.assert_array_equal(giver.act(seen(time=np.float32([3.0]))), actions[-1])
+    spread = json.loads((files(givers) / "recording_spread.json").read_text())["objects"]["003_cracker_box"]
+    deviations = np.std(actions, axis=0)
+    np.testing.assert_allclose(deviations[1:4], spread["displacement"], rtol=0.08)
+    np.testing.assert_allclose(deviations[4:7], spread["rotation"], rtol=0.08)
+    assert np.std(np.log1p(np.array(actions)[:, 0])) == pytest.approx(spread["log_pace"], rel=0.08)
+
+
+def test_clones_of_unknown_objects_and_factors() -> None:
+    giver = givers.make("clone:displacement=0,pace=0")
+    giver.reset(3)
+    action = giver.act(seen(object_classes=np.float32([99, 0, 0, 0, 0])))
+    assert not action[:4].any()
+    assert action[4:7].any()
 
 
 def test_stopping_when_near() -> None:
