@@ -21,7 +21,7 @@ from torch.distributions import Normal
 
 import handover_marl
 from handover_marl.evaluation.reports.statistics import compute_wilson_interval
-from handover_marl.learning.policy_files import write_policy
+from handover_marl.learning.policy_files import check_policy_path, write_policy
 from handover_marl.learning.policy_spec import PolicySpec
 from handover_marl.learning.training.dense_networks import dense_network_from_module, make_mlp
 from handover_marl.learning.training.scene_arguments import SetupArgs
@@ -228,6 +228,7 @@ def evaluate(args: Args) -> None:
 
 def main(args: Args) -> Path:
     args = args.resolve_setup()
+    check_policy_path(args.out)
     model = train(args)
     args.out.parent.mkdir(parents=True, exist_ok=True)
     spec = PolicySpec("receiver", FEATURES, ACTIONS, CONTROL_PERIOD, "experiments/training/train_receiver_ppo.py")

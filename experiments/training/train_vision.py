@@ -93,7 +93,8 @@ class Args(VisionArgs):
         hand: Whether points of the person's hand are an input.
         groups: Whether predictions use groups of neighboring points, as in PointNet++.
         auxiliary: Weight of the auxiliary losses of the object's center and displacement.
-        extra_datasets: Other data sets, whose training scenes (of their first setup) are used too.
+        extra_datasets: Other data sets, whose training scenes (of their first setup) are used too; `data_dir` is not
+            theirs.
         shared_views: Folder of the first round's views, shared by several runs; default: in `out`.
         views_seed: Seed of the first round's views; default: `seed`. Runs that share views need the same one.
         resume: Whether to continue the run in the folder `out`.
@@ -125,7 +126,7 @@ class Training:
         scenes = self._data.list_scenes(args.setup, "train")[:: args.stride]
         self._scenes, self._held_out = {args.dataset: select_training_scenes(scenes)}, select_held_out_scenes(scenes)
         for name in args.extra_datasets:
-            extra = open_dataset(name, args.data_dir, args.robot)
+            extra = open_dataset(name, robot=args.robot)
             self._scenes[name] = extra.list_scenes(extra.resolve_setup(None), "train")[:: args.stride]
         self._val_scenes = select_scenes_evenly(self._data.list_scenes(args.setup, "val"), args.val_scenes)
         self._folder = RunFolder(Path(args.out), args, args.resume, self._data.name)
@@ -171,10 +172,11 @@ class Training:
         args, name = self._args, f"round_{number}"
         shared = args.shared_views if number == 0 else None
         folder = self._folder.path / "views" / name if shared is None else Path(shared)
+        data_dir = args.data_dir
         if dataset != args.dataset:
-            folder /= re.sub(r"\W+", "-", dataset)
+            folder, data_dir = folder / re.sub(r"\W+", "-", dataset), None
         seed = args.seed if args.views_seed is None or number else args.views_seed
-        config = ViewDatasetConfig(dataset, args.data_dir, args.robot, args.views, seed)
+        config = ViewDatasetConfig(dataset, data_dir, args.robot, args.views, seed)
         if number:
             weights = self._folder.path / f"{name}.npz"
             config = replace(config, count=args.round_views, weights=str(weights))

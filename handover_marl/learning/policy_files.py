@@ -52,12 +52,24 @@ class PolicyFile:
     label: str
 
 
+def check_policy_path(path: Path) -> None:
+    """Check the path of a policy file to write, before a training.
+
+    Raises:
+        OptionError: The path does not end in .npz.
+    """
+    if path.suffix != ".npz":
+        raise OptionError(f"a policy file to write must end in .npz, got {path}; choose another name")
+
+
 def write_policy(path: Path, spec: PolicySpec, network: DenseNetwork) -> None:
     """Write a policy file (.npz).
 
     Raises:
+        OptionError: The path does not end in .npz.
         ResultsError: The file cannot be written.
     """
+    check_policy_path(path)
     arrays: dict[str, npt.NDArray[Any]] = {f"weight_{number}": weight for number, weight in enumerate(network.weights)}
     arrays |= {f"bias_{number}": bias for number, bias in enumerate(network.biases)}
     about: dict[str, Any] = {

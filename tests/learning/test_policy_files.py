@@ -74,6 +74,13 @@ def test_written_policy_is_read_back(tmp_path: Path) -> None:
     np.testing.assert_array_equal(found.function(seen), wanted(seen))
 
 
+def test_other_file_names_are_refused_before_anything_is_written(tmp_path: Path) -> None:
+    spec = PolicySpec("receiver", "grasp", "cartesian_delta", 0.2, "a test")
+    with pytest.raises(OptionError, match="a policy file to write must end in .npz"):
+        write_policy(tmp_path / "policy", spec, network(count_features("receiver", "grasp"), 7))
+    assert not list(tmp_path.iterdir())
+
+
 def test_label_depends_on_the_content_of_the_file(tmp_path: Path) -> None:
     first, second = offer_file(tmp_path / "policy.npz"), tmp_path / "other" / "policy.npz"
     second.parent.mkdir()
