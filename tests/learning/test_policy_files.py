@@ -76,7 +76,7 @@ def test_written_policy_is_read_back(tmp_path: Path) -> None:
 
 def test_other_file_names_are_refused_before_anything_is_written(tmp_path: Path) -> None:
     spec = PolicySpec("receiver", "grasp", "cartesian_delta", 0.2, "a test")
-    with pytest.raises(OptionError, match="a policy file to write must end in .npz"):
+    with pytest.raises(OptionError, match="a policy file to write must end in"):
         write_policy(tmp_path / "policy", spec, network(count_features("receiver", "grasp"), 7))
     assert not list(tmp_path.iterdir())
 
