@@ -26,7 +26,7 @@ from handover_marl.learning.policy_spec import PolicySpec
 from handover_marl.learning.training.dense_networks import dense_network_from_module, make_mlp
 from handover_marl.learning.training.scene_arguments import SetupArgs
 
-FEATURES, ACTIONS, CONTROL_PERIOD, MAX_CYCLES = "close", "grasp_servo", 0.2, 40
+ACTIONS, CONTROL_PERIOD, MAX_CYCLES = "grasp_servo", 0.2, 40
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,8 @@ class Args(SetupArgs):
     Attributes:
         out: Policy file to write.
         seed: Seed of all random numbers.
-        giver: Name of the frozen giver.
+        giver: Frozen giver, with options.
+        features: Features of the receiver: close, or close_stack for those of the last four decisions.
         decisions: Largest number of decisions of the receiver in all environments together.
         minutes: Largest wall-clock time of the training (min), without the evaluation.
         num_envs: Number of environments.
@@ -58,6 +59,7 @@ class Args(SetupArgs):
     out: Path = Path("runs/ppo.npz")
     seed: int = 0
     giver: str = "cooperative"
+    features: str = "close"
     decisions: int = 12_288
     minutes: float = 30.0
     num_envs: int = 64
@@ -113,7 +115,7 @@ class Collector:
             count,
             "receiver",
             args.giver,
-            features=FEATURES,
+            features=args.features,
             schemes=ACTIONS,
             autoreset="same_step",
             processes=1,
@@ -231,7 +233,7 @@ def main(args: Args) -> Path:
     check_policy_path(args.out)
     model = train(args)
     args.out.parent.mkdir(parents=True, exist_ok=True)
-    spec = PolicySpec("receiver", FEATURES, ACTIONS, CONTROL_PERIOD, "experiments/training/train_receiver_ppo.py")
+    spec = PolicySpec("receiver", args.features, ACTIONS, CONTROL_PERIOD, "experiments/training/train_receiver_ppo.py")
     write_policy(args.out, spec, dense_network_from_module(model.actor))
     print(args.out)
     if args.val_scenes:

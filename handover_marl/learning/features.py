@@ -34,6 +34,8 @@ Array = npt.NDArray[np.float64]
 #: Scale of positions, and of the translation to a grasp (1/m).
 SCALE, GRASP_SCALE = 10.0, 5.0
 _N_RECEIVER, _N_GRASP, _N_PROXIMITY = 35 + LARGEST_YCB_CLASS, 8, 12
+#: Number of decisions in stacked features.
+N_STACKED = 4
 _GIVER_SPACE, _RECEIVER_SPACE = giver_observation_space(), observation_space()
 
 
@@ -174,6 +176,35 @@ class GraspProximityFeatures:
         return np.concatenate(parts).astype(np.float32)
 
 
+class StackedFeatures:
+    """Function from an observation to the features of the last decisions of the episode.
+
+    The features of the present decision come first; zeros stand for decisions before the first. From a
+    stack, a policy without memory can estimate velocities and how its partner reacts.
+
+    Args:
+        features: Features of one observation.
+        size: Number of these features.
+    """
+
+    def __init__(self, features: FeatureFunction, size: int) -> None:
+        self._features = features
+        self._stack = np.zeros((N_STACKED, size), dtype=np.float32)
+        self._time = -1.0
+
+    def reset(self) -> None:
+        """Forget the decisions of the previous episode."""
+        self._stack[:], self._time = 0.0, -1.0
+
+    def __call__(self, observation: Observation) -> Vector:
+        """Return the stacked features (N_STACKED * size,); a second call at the same time changes nothing."""
+        time = float(observation["time"][0])
+        if time != self._time:
+            self._stack[1:], self._time = self._stack[:-1].copy(), time
+        self._stack[0] = self._features(observation)
+        return self._stack.ravel().copy()
+
+
 def _one_hot_class(observation: Observation) -> Vector:
     """Return the YCB class of the handed-over object as one of 21 numbers; zeros for another class."""
     one_hot = np.zeros(LARGEST_YCB_CLASS, dtype=np.float32)
@@ -202,6 +233,10 @@ _FEATURES: dict[str, dict[str, tuple[Callable[[PolicyContext], FeatureFunction],
         ),
         "grasp": (GraspFeatures, _N_RECEIVER + _N_GRASP),
         "close": (GraspProximityFeatures, _N_PROXIMITY),
+        "close_stack": (
+            lambda context: StackedFeatures(GraspProximityFeatures(context), _N_PROXIMITY),
+            N_STACKED * _N_PROXIMITY,
+        ),
     },
 }
 

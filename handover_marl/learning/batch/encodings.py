@@ -54,7 +54,7 @@ def make_feature_batch(
     """
     known = FEATURE_BATCHES[agent].get(choice) if isinstance(choice, str) else None
     if known is not None:
-        return known(context, selection)
+        return known(context, selection, count)
     return SequentialFeatureBatch([make_features(agent, choice, context, trust=True) for _ in range(count)])
 
 

@@ -17,7 +17,7 @@ from handover_marl.episode.observations import Observation, giver_observation_sp
 from handover_marl.geometry.poses import compute_lengths, multiply_quaternions, rotate_points
 from handover_marl.geometry.ycb import LARGEST_YCB_CLASS
 from handover_marl.learning.encodings.custom_features import AgentFeatures
-from handover_marl.learning.features import GRASP_SCALE, SCALE, GraspProximityFeatures
+from handover_marl.learning.features import GRASP_SCALE, N_STACKED, SCALE, GraspProximityFeatures, count_features
 from handover_marl.policies.policy import PolicyContext
 from handover_marl.receivers.grasp_selection import GraspSelectionBatch
 
@@ -199,6 +199,35 @@ class GraspProximityFeatureBatch(FeatureBatch):
         return np.concatenate(parts, axis=1).astype(np.float32)
 
 
+class StackedFeatureBatch(FeatureBatch):
+    """Batch of `features.StackedFeatures`.
+
+    Args:
+        features: Batch of the features of one observation.
+        size: Number of these features.
+        count: Number of episodes.
+    """
+
+    def __init__(self, features: FeatureBatch, size: int, count: int) -> None:
+        self._features = features
+        self._stacks = np.zeros((count, N_STACKED, size), dtype=np.float32)
+        self._times = np.full(count, -1.0)
+
+    def reset(self, row: int) -> None:
+        """Forget the decisions of the previous episode."""
+        self._features.reset(row)
+        self._stacks[row], self._times[row] = 0.0, -1.0
+
+    def __call__(self, rows: Rows, observation: Observation) -> Vectors:
+        """Return the stacked features (r, N_STACKED * size), those of the present decision first."""
+        times = observation["time"][:, 0].astype(np.float64)
+        later = rows[times != self._times[rows]]
+        self._stacks[later, 1:] = self._stacks[later, :-1]
+        self._times[rows] = times
+        self._stacks[rows, 0] = self._features(rows, observation)
+        return self._stacks[rows].reshape(len(rows), -1)
+
+
 class FlatFeatureBatch(FeatureBatch):
     """Batch of complete observations as vectors, in the order in which Gymnasium flattens them.
 
@@ -238,17 +267,20 @@ class SequentialFeatureBatch(FeatureBatch):
         )
 
 
-#: Batches of features by agent and name.
-FEATURE_BATCHES: dict[str, dict[str, Callable[[PolicyContext, GraspSelectionBatch], FeatureBatch]]] = {
+#: Batches of features by agent and name: functions of context, selector of grasps and number of episodes.
+FEATURE_BATCHES: dict[str, dict[str, Callable[[PolicyContext, GraspSelectionBatch, int], FeatureBatch]]] = {
     "giver": {
-        "giver": lambda context, _: GiverFeatureBatch(context),
-        "flat_giver": lambda context, _: FlatFeatureBatch(giver_observation_space()),
+        "giver": lambda context, *_: GiverFeatureBatch(context),
+        "flat_giver": lambda *_: FlatFeatureBatch(giver_observation_space()),
     },
     "receiver": {
-        "receiver": lambda context, _: ReceiverFeatureBatch(context),
-        "flat_receiver": lambda context, _: FlatFeatureBatch(observation_space()),
-        "grasp": GraspFeatureBatch,
-        "close": GraspProximityFeatureBatch,
+        "receiver": lambda context, *_: ReceiverFeatureBatch(context),
+        "flat_receiver": lambda *_: FlatFeatureBatch(observation_space()),
+        "grasp": lambda context, selection, _: GraspFeatureBatch(context, selection),
+        "close": lambda context, selection, _: GraspProximityFeatureBatch(context, selection),
+        "close_stack": lambda context, selection, count: StackedFeatureBatch(
+            GraspProximityFeatureBatch(context, selection), count_features("receiver", "close"), count
+        ),
     },
 }
 

@@ -99,4 +99,4 @@ def make_network_policy_batch(policy: Policy, count: int, check: Callable[[objec
     known = FEATURE_BATCHES[policy.scheme.agent].get(policy.features) if isinstance(policy.features, str) else None
     if known is None or scheme is None:
         return None
-    return NetworkPolicyBatch(policy, known(context, selection), scheme, count, check)
+    return NetworkPolicyBatch(policy, known(context, selection, count), scheme, count, check)

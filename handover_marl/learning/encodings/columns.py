@@ -89,6 +89,18 @@ def _flat(space: spaces.Dict) -> tuple[EncodingColumn, ...]:
     )
 
 
+_PROXIMITY = (
+    *_GRASP,
+    EncodingColumn("distance to the grasp", 1, "exp(-q / 0.03); 0 without a grasp", "m", "-"),
+    EncodingColumn("angle to the grasp", 1, "exp(-q / 0.2); 0 without a grasp", "rad", "-"),
+    _FINGERS,
+    _RELEASED,
+    EncodingColumn("grasp exists", 1, "1 with a reachable grasp, else 0", "1", "-"),
+)
+# Decisions of stacked features, and the other cells of their rows.
+_DECISIONS = ("present decision", "decision before it", "second decision before it", "third decision before it")
+_AS_THERE = ("as there; zeros before the first decision", "-", "-")
+
 #: Columns of the built-in features by agent and name.
 FEATURE_COLUMNS: dict[str, dict[str, tuple[EncodingColumn, ...]]] = {
     "giver": {"giver": _GIVER, "flat_giver": _flat(giver_observation_space())},
@@ -101,13 +113,10 @@ FEATURE_COLUMNS: dict[str, dict[str, tuple[EncodingColumn, ...]]] = {
             EncodingColumn("distance of the person's hand from the gripper at the grasp", 1, "10 q", "m", "-"),
             EncodingColumn("grasp exists", 1, "1 with a reachable grasp, else 0", "1", "-"),
         ),
-        "close": (
-            *_GRASP,
-            EncodingColumn("distance to the grasp", 1, "exp(-q / 0.03); 0 without a grasp", "m", "-"),
-            EncodingColumn("angle to the grasp", 1, "exp(-q / 0.2); 0 without a grasp", "rad", "-"),
-            _FINGERS,
-            _RELEASED,
-            EncodingColumn("grasp exists", 1, "1 with a reachable grasp, else 0", "1", "-"),
+        "close": _PROXIMITY,
+        "close_stack": tuple(
+            EncodingColumn(f"features `close` at the {decision}", sum(column.size for column in _PROXIMITY), *_AS_THERE)
+            for decision in _DECISIONS
         ),
     },
 }

@@ -58,12 +58,12 @@ SCHEMES = list(choices({agent: available_schemes(agent) for agent in AGENTS}))
 
 @pytest.mark.parametrize(("agent", "name"), FEATURES)
 def test_features_equal_those_of_single_observations(agent: str, name: str) -> None:
-    single = make_features(agent, name, CONTEXT)
+    singles = [make_features(agent, name, CONTEXT) for _ in ROWS]
     batch = make_feature_batch(agent, name, CONTEXT, GraspSelectionBatch(SELECTOR, COUNT), COUNT)
     for seed in range(5):
         observation = draw_observation(seed)
         found = batch(ROWS, observation)
-        expected = np.stack([single(select(observation, row)) for row in ROWS])
+        expected = np.stack([single(select(observation, row)) for row, single in enumerate(singles)])
         assert found.dtype == expected.dtype
         np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-6)
         some = np.array([7, 2])

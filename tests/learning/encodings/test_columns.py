@@ -152,6 +152,22 @@ def test_features_have_the_described_values(agent: str, name: str) -> None:
         np.testing.assert_allclose(features[place], expected, atol=1e-4, err_msg=column.name)
 
 
+def test_stacked_features_begin_with_those_of_the_present_decision() -> None:
+    single, stacked = make_features("receiver", "close", CONTEXT), make_features("receiver", "close_stack", CONTEXT)
+    times = [0.0, 0.2, 0.2, 0.4, 0.6, 0.8]
+    observations = [{**sample(), "time": np.float32([time])} for time in times]
+    expected = [single(observation) for observation in observations]
+    for episode in range(2):
+        stacked.reset()
+        for number, observation in enumerate(observations):
+            found = stacked(observation).reshape(4, -1)
+            # The later one of two observations at the same time replaces the earlier one.
+            decisions = [own for own in range(number + 1) if times[own] not in times[own + 1 : number + 1]]
+            for place, own in enumerate(reversed(decisions[-4:])):
+                np.testing.assert_array_equal(found[place], expected[own], err_msg=f"{episode}, {number}")
+            assert not found[len(decisions) :].any()
+
+
 @pytest.mark.parametrize("agent", AGENTS)
 def test_flat_features_are_the_named_entries(agent: str) -> None:
     features = make_features(agent, f"flat_{agent}", CONTEXT)(OBSERVATION if agent == "giver" else _state())
