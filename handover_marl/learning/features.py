@@ -202,7 +202,8 @@ class StackedFeatures:
         if time != self._time:
             self._stack[1:], self._time = self._stack[:-1].copy(), time
         self._stack[0] = self._features(observation)
-        return self._stack.ravel().copy()
+        stacked: Vector = self._stack.flatten()
+        return stacked
 
 
 def _one_hot_class(observation: Observation) -> Vector:

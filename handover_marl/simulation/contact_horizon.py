@@ -31,15 +31,17 @@ class RobotMotionBounds:
 
     Attributes:
         links: Numbers of the L links that have collision shapes, without the base.
+        link_centers: Centers (L, 3) of these links' spheres in the frames of the links (m).
+        base_centers: Center (1, 3) of the sphere of the base in the world (m); (0, 3) without such shapes.
     """
 
     def __init__(self, tree: KinematicTree, spheres: Mapping[int, BoundingSphere], config: PandaConfig) -> None:
         self._gain = config.motor.position_gain
         base = [spheres[-1]] if -1 in spheres else []
         self.links = [link for link in spheres if link >= 0]
-        self._centers = np.stack([spheres[link].center for link in self.links])
+        self.link_centers = np.stack([spheres[link].center for link in self.links])
         self._radii = np.array([spheres[link].radius for link in self.links] + [sphere.radius for sphere in base])
-        self._base_centers = transform_points(
+        self.base_centers = transform_points(
             np.array([*config.base_position, *config.base_orientation]),
             np.array([sphere.center for sphere in base]).reshape(-1, 3),
         )
@@ -97,8 +99,8 @@ class RobotMotionBounds:
         Args:
             link_poses: World poses (..., L, 7) of `links`.
         """
-        links = transform_points(link_poses, self._centers)
-        base = np.broadcast_to(self._base_centers, (*links.shape[:-2], *self._base_centers.shape))
+        links = transform_points(link_poses, self.link_centers)
+        base = np.broadcast_to(self.base_centers, (*links.shape[:-2], *self.base_centers.shape))
         return np.concatenate([links, base], axis=-2)
 
     def is_near(self, robot_centers: Array, centers: Array, radii: Array) -> npt.NDArray[np.bool_]:

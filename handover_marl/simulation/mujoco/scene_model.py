@@ -48,11 +48,13 @@ class RobotOnlyModel:
         model: Compiled model; only the robot's nine joints move.
         motion_bounds: Bounds on the motion of the robot.
         links: Body numbers (L,) of the links in `motion_bounds.links`.
+        spheres: Site numbers (b,) of the centers of the bounding spheres: those of the links, then the base's.
     """
 
     model: "mujoco.MjModel"
     motion_bounds: RobotMotionBounds
     links: Index
+    spheres: Index
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,10 +217,18 @@ def _load_robot_only(
     tuning: MujocoTuning,
 ) -> RobotOnlyModel:
     tree = read_tree(panda)
-    model = _compile(_build_workcell(table, panda, mtimes, friction, config, tuning).copy(), panda.stem)
     bounds = RobotMotionBounds(tree, compute_bounding_spheres(panda, tree), config.panda)
-    links = np.array([model.body(tree.joints[link].link).id for link in bounds.links], dtype=np.int32)
-    return RobotOnlyModel(model, bounds, links)
+    names = [tree.joints[link].link for link in bounds.links]
+    spec = _build_workcell(table, panda, mtimes, friction, config, tuning).copy()
+    centers = [(spec.body(name), center) for name, center in zip(names, bounds.link_centers, strict=True)]
+    centers += [(spec.worldbody, center) for center in bounds.base_centers]
+    # MuJoCo moves the sites in every step, which is faster than array operations.
+    for number, (body, center) in enumerate(centers):
+        body.add_site(name=f"sphere{number}", pos=center)
+    model = _compile(spec, panda.stem)
+    links = np.array([model.body(name).id for name in names], dtype=np.int32)
+    spheres = np.array([model.site(f"sphere{number}").id for number in range(len(centers))], dtype=np.int32)
+    return RobotOnlyModel(model, bounds, links, spheres)
 
 
 @functools.lru_cache(maxsize=512)

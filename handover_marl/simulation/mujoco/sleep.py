@@ -99,14 +99,12 @@ class RobotOnlyRollouts:
             array[0] = part
         batch.bind("time")[0], batch.warning[0] = TIME_STEP * elapsed, 0
         controls = np.repeat(state[None, -1:], steps, axis=1)
-        found = batch.rollout(steps, controls, int(mujoco.mjtState.mjSTATE_CTRL), (*_STATE, "xpos", "xquat"))
+        found = batch.rollout(steps, controls, int(mujoco.mjtState.mjSTATE_CTRL), (*_STATE, "site_xpos"))
         check_warnings(batch, np.zeros(1, dtype=np.int32))
         joints, velocities, warm_start = (
             np.concatenate([first[None], found[name][0]]) for first, name in zip(state[:-1], _STATE, strict=True)
         )
-        poses = np.concatenate([found["xpos"][0], found["xquat"][0][..., XYZW]], axis=-1)[:, self._model.links]
-        centers = self._model.motion_bounds.compute_sphere_centers(poses)
-        return RobotTrajectory(joints, velocities, warm_start, centers)
+        return RobotTrajectory(joints, velocities, warm_start, found["site_xpos"][0][:, self._model.spheres])
 
 
 class SleepState:

@@ -162,11 +162,18 @@ def test_models_that_cannot_be_read(tmp_path: Path) -> None:
         load_scene_model(assets, CONFIG)
 
 
-def test_robot_only_models_have_the_same_body_numbers() -> None:
+def test_robot_only_models_have_the_same_body_numbers_and_bounding_spheres() -> None:
     scene = load_scene_model(SyntheticDataset().load_scene(209).assets, PhysicsConfig())
     links = scene.robot_only.links.tolist()
     assert [scene.model.body(link).name for link in links] == [scene.robot_only.model.body(link).name for link in links]
     assert len(links) >= 9
+    model = scene.robot_only.model
+    data = mujoco.MjData(model)
+    data.qpos[:] += 0.1
+    mujoco.mj_kinematics(model, data)
+    poses = np.concatenate([data.xpos, data.xquat[:, [1, 2, 3, 0]]], axis=1)[links]
+    centers = scene.robot_only.motion_bounds.compute_sphere_centers(poses)
+    np.testing.assert_allclose(data.site_xpos[scene.robot_only.spheres], centers, atol=1e-12)
 
 
 @pytest.mark.parametrize("kind", UNREADABLE)
