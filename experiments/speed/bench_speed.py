@@ -16,7 +16,6 @@ from dataclasses import dataclass, field
 from typing import Any
 from unittest import mock
 
-import gymnasium
 import numpy as np
 import tyro
 from measuring import OutputArgs, describe_conditions, measure_peak_memory
@@ -58,7 +57,6 @@ class Args(DatasetArgs, OutputArgs):
         episodes: Number of scenes of s0 val for whole episodes of `yang2021`; 0 skips them.
         workers: Numbers of worker processes to compare; empty skips this comparison.
         vector_envs: Number of environments in a MuJoCo batch; 0 skips this measurement.
-        processes: Number of fast environments in Gymnasium's AsyncVectorEnv; 0 skips them.
     """
 
     scene: int = 105
@@ -69,7 +67,6 @@ class Args(DatasetArgs, OutputArgs):
     episodes: int = 36
     workers: tuple[int, ...] = (1, 2)
     vector_envs: int = 256
-    processes: int = 16
 
 
 @dataclass
@@ -95,12 +92,12 @@ class MeasuredEnv:
 
 def main(args: Args) -> None:
     sections = [f"{describe_conditions()}.", make_step_table(args), make_reset_table(args)]
+    if args.vector_envs and MUJOCO in PHYSICS:
+        sections.append(make_batch_table(args))
     if args.episodes:
         sections.append(make_episode_table(args))
     if args.workers:
         sections.append(make_worker_table(args))
-    if args.processes:
-        sections.append(describe_vector_speed(args))
     args.publish("Speed", *sections)
 
 
@@ -149,6 +146,37 @@ def make_step_table(args: Args) -> str:
     )
 
 
+def make_batch_table(args: Args) -> str:
+    """Return a table of the wall-clock speed of a batch of mixed scenes by its threads or processes."""
+    parts: list[dict[str, int]] = [{"threads": 1}, {"threads": 2}, {"processes": 2}]
+    fast = make_env(args, "fast")
+    batches = [make_batch(args, args.vector_envs, **part) for part in parts]
+    envs = [fast, *batches]
+    counts = np.array([1, *(batch.num_envs for batch in batches)])
+    control_steps = args.steps // round(args.control_period * REAL_TIME)
+    rates = []
+    for run in progress(range(args.repeats), "batches"):
+        seconds, generators = np.zeros(len(envs)), [np.random.default_rng(run) for _ in envs]
+        for first in range(0, control_steps, args.turn):
+            for number, env in enumerate(envs):
+                started = time.perf_counter()
+                step_randomly(env, min(args.turn, control_steps - first), generators[number])
+                seconds[number] += time.perf_counter() - started
+            fast.reset(options={"scene_id": args.scene})
+            for batch in batches:
+                batch.reset()
+        rates.append(args.steps * counts / seconds)
+    for env in envs:
+        env.close()
+    medians, ratios = np.median(rates, axis=0), np.median(np.array(rates) / np.array(rates)[:, :1], axis=0)
+    labels = ["fast, one environment", *(f"mujoco, {n} {name}" for part in parts for name, n in part.items())]
+    rows = [[label, f"{rate:.0f}", f"{ratio:.2f}"] for label, rate, ratio in zip(labels, medians, ratios, strict=True)]
+    return (
+        f"Batches of {args.vector_envs} environments with scenes of s0 train, in wall-clock time, {args.repeats} runs "
+        "in turns:\n\n" + format_table(["", "steps/s", "ratio to fast"], rows)
+    )
+
+
 def measure_run(args: Args, variants: list[MeasuredEnv]) -> None:
     """Measure one run of every variant and append the CPU times; variants alternate every few steps."""
     envs, clocks = [], []
@@ -175,16 +203,23 @@ def make_measured_env(args: Args, variant: MeasuredEnv) -> HandoverEnv | Paralle
     """Create and reset the environment, or batch of environments, of a variant."""
     if variant.envs == 1:
         return make_env(args, variant.physics)
+    envs = make_batch(args, variant.envs, threads=1)
+    envs.reset(seed=0, options=None if variant.mixed else {"scene_id": args.scene})
+    return envs
+
+
+def make_batch(args: Args, count: int, **parts: int) -> ParallelVectorEnv:
+    """Create and reset a batch of environments in MuJoCo's physics, on threads or processes."""
     envs = handover_marl.vector_env(
-        variant.envs,
+        count,
         None,
-        threads=1,
         data_dir=args.data_dir,
         dataset=args.dataset,
         control_period=args.control_period,
-        physics=variant.physics,
+        physics=MUJOCO,
+        **parts,
     )
-    envs.reset(seed=0, options=None if variant.mixed else {"scene_id": args.scene})
+    envs.reset(seed=0)
     return envs
 
 
@@ -287,31 +322,6 @@ def make_worker_table(args: Args) -> str:
         ]
     head = ["", "workers", "seconds", f"ratio to {args.workers[0]} worker(s)"]
     return f"The benchmark of yang2021 on s0 val, {len(tasks)} scenes, start-up included:\n\n{format_table(head, rows)}"
-
-
-def describe_vector_speed(args: Args) -> str:
-    """Return a sentence on the speed of fast environments in Gymnasium's AsyncVectorEnv."""
-    envs = gymnasium.make_vec(
-        "handover_marl:HandoverMARL/Receiver-v0",
-        num_envs=args.processes,
-        vectorization_mode="async",
-        physics="fast",
-        dataset=args.dataset,
-        data_dir=args.data_dir,
-    )
-    envs.reset(seed=0)
-    actions = np.tile(np.array(PandaConfig().start_joints, dtype=np.float32), (args.processes, 1))
-    control_steps = 40
-    started = time.perf_counter()
-    for _ in range(control_steps):
-        envs.step(actions)
-    seconds = time.perf_counter() - started
-    envs.close()
-    rate = args.processes * control_steps / seconds
-    return (
-        f"{args.processes} fast environments in gymnasium's AsyncVectorEnv, 0.1 s control period, constant "
-        f"action: {rate:.0f} control steps/s, {rate * 0.1 * REAL_TIME:.0f} physics steps/s, all together."
-    )
 
 
 def make_env(args: Args, physics: str) -> HandoverEnv:
