@@ -7,6 +7,7 @@ results of HandoverSim's baselines bit for bit, and the library's own solver oth
 import atexit
 import importlib
 import threading
+from collections import OrderedDict
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -16,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from handover_marl.config import ARM_DOF, PANDA_DOF, PandaConfig
 from handover_marl.execution.options import is_pybullet_installed
-from handover_marl.geometry.arm import ArmKinematics, ReachabilityBound
+from handover_marl.geometry.arm import IndependentArmKinematics, ReachabilityBound
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.panda import HAND_LINK
 from handover_marl.geometry.poses import IDENTITY, compose, invert_pose
@@ -40,6 +41,13 @@ _STEP_ITERATIONS, _STEP_TOLERANCE = 20, (1e-4, 1e-3)
 _REACH_DISTANCE, _REACH_ANGLE = 2e-3, 0.11
 # Largest number of robots whose solvers a thread keeps.
 _MAX_SOLVERS = 4
+# Largest number of queries without solution that are remembered.
+_MAX_UNSOLVED = 1024
+
+
+def _as_row(values: npt.ArrayLike) -> Array:
+    """Return an array (1, k) of one row."""
+    return np.asarray(values, dtype=np.float64)[None]
 
 
 class IkSolver(Protocol):
@@ -56,6 +64,19 @@ class IkSolver(Protocol):
             start: (9,) joints at which the search starts (rad, m); the fingers are ignored.
             position: (3,) world position of the hand link (m).
             orientation: World quaternion xyzw of the hand link; None leaves the rotation free.
+        """
+        found: Array = self.solve_many(
+            _as_row(start), _as_row(position), None if orientation is None else _as_row(orientation)
+        )[0]
+        return None if np.isnan(found[0]) else found
+
+    def solve_many(self, starts: Array, positions: Array, orientations: Array | None = None) -> Array:
+        """Return the arm joints (n, 7) of n queries in rad, nan where `solve` returns None.
+
+        Args:
+            starts: (n, 9) joints at which the searches start (rad, m); the fingers are ignored.
+            positions: (n, 3) world positions of the hand link (m).
+            orientations: World quaternions (n, 4) xyzw of the hand link; None leaves the rotations free.
         """
 
 
@@ -116,12 +137,13 @@ class _ThreadSolvers(threading.local):
 _thread_solvers = _ThreadSolvers()
 
 
-class ThreadIkSolver:
+class ThreadIkSolver(IkSolver):
     """Inverse kinematics by a solver that all policies of a thread share.
 
     A solver of PyBullet takes 44 to 90 MB, depending on the model, and a process can have 1,024 of them at most.
     Solutions do not depend on earlier queries, so policies that share a solver get the same solutions as with one
-    each.
+    each. Queries without solution are remembered: a search that does not converge takes a hundred times as long as
+    others, and a receiver whose arm does not move repeats it.
 
     Args:
         urdf: Model of the Panda.
@@ -134,14 +156,23 @@ class ThreadIkSolver:
     def __init__(self, urdf: Path, config: PandaConfig) -> None:
         # A model that has changed is loaded again.
         self._key = urdf, urdf.stat().st_mtime_ns if urdf.is_file() else None, config
+        self._unsolved: OrderedDict[bytes, None] = OrderedDict()
         # Loaded here so that it does not count as planning time.
         self._find()
 
-    def solve(
-        self, start: npt.ArrayLike, position: npt.ArrayLike, orientation: npt.ArrayLike | None = None
-    ) -> Array | None:
-        """Return arm joints (7,) in rad, or None; see `IkSolver.solve`."""
-        return self._find().solve(start, position, orientation)
+    def solve_many(self, starts: Array, positions: Array, orientations: Array | None = None) -> Array:
+        """Return arm joints (n, 7) in rad, nan where a search does not converge; see `IkSolver.solve_many`."""
+        parts = [part for part in (starts[:, :ARM_DOF], positions, orientations) if part is not None]
+        keys = [row.tobytes() for row in np.concatenate(parts, axis=1, dtype=np.float64)]
+        rows = np.flatnonzero([key not in self._unsolved for key in keys])
+        found = np.full((len(keys), ARM_DOF), np.nan)
+        if len(rows):
+            found[rows] = self._find().solve_many(*(part[rows] for part in (starts, *parts[1:])))
+        for row in rows[np.isnan(found[rows, 0])].tolist():
+            self._unsolved[keys[row]] = None
+            if len(self._unsolved) > _MAX_UNSOLVED:
+                self._unsolved.popitem(last=False)
+        return found
 
     def _find(self) -> IkSolver:
         """Return the solver of the current thread, and make it if there is none; threads must not share one."""
@@ -160,11 +191,11 @@ def _find_solver(bullet_class: str) -> Any:
     return getattr(importlib.import_module("handover_marl.simulation.bullet.kinematics"), bullet_class)
 
 
-class PandaIkSolver:
+class PandaIkSolver(IkSolver):
     """Inverse kinematics of a Panda without PyBullet, whose solutions differ slightly.
 
     Joint limits are ignored, as by `BulletIKSolver` and `BulletIKStep`. Solutions do not depend on
-    earlier queries.
+    earlier queries, nor on the others of a batch, to the last bit.
 
     Args:
         urdf: Model of the Panda.
@@ -176,20 +207,22 @@ class PandaIkSolver:
 
     def __init__(self, urdf: Path, config: PandaConfig) -> None:
         tree = read_tree(urdf)
-        self._arm = ArmKinematics(tree)
+        self._arm = IndependentArmKinematics(tree)
         self._base = np.array([*config.base_position, *config.base_orientation])
         self._base_from_world = invert_pose(self._base)
         hand = [joint.link for joint in tree.joints].index(HAND_LINK)
         self._reach = ReachabilityBound(tree, hand, self._base)
 
-    def solve(
-        self, start: npt.ArrayLike, position: npt.ArrayLike, orientation: npt.ArrayLike | None = None
-    ) -> Array | None:
-        """Return arm joints (7,) in rad that bring the hand link to a world pose, see `IkSolver.solve`."""
-        if self._reach.is_unreachable(position, orientation, _REACH_DISTANCE, _REACH_ANGLE):
-            return None
-        joints, solved = self._search(start, position, orientation, _TOLERANCE, _MAX_ITERATIONS, _MIN_STEP)
-        return joints if solved else None
+    def solve_many(self, starts: Array, positions: Array, orientations: Array | None = None) -> Array:
+        """Return arm joints (n, 7) in rad, nan where a search does not converge; see `IkSolver.solve_many`."""
+        found = np.full((len(starts), ARM_DOF), np.nan)
+        rows = np.flatnonzero(~self._reach.is_unreachable(positions, orientations, _REACH_DISTANCE, _REACH_ANGLE))
+        if len(rows):
+            turns = None if orientations is None else orientations[rows]
+            queries = starts[rows], positions[rows], turns
+            joints, solved = self._search(*queries, _TOLERANCE, _MAX_ITERATIONS, _MIN_STEP)
+            found[rows[solved]] = joints[solved]
+        return found
 
     def solve_step(
         self, joints: npt.ArrayLike, position: npt.ArrayLike, orientation: npt.ArrayLike | None = None
@@ -203,8 +236,9 @@ class PandaIkSolver:
             position: (3,) world position of the hand link (m).
             orientation: World quaternion xyzw of the hand link; None leaves the rotation free.
         """
-        closest, _ = self._search(joints, position, orientation, _STEP_TOLERANCE, _STEP_ITERATIONS, 0.0)
-        return np.concatenate([closest, np.zeros(PANDA_DOF - ARM_DOF)])
+        query = _as_row(joints), _as_row(position), None if orientation is None else _as_row(orientation)
+        closest, _ = self._search(*query, _STEP_TOLERANCE, _STEP_ITERATIONS, 0.0)
+        return np.concatenate([closest[0], np.zeros(PANDA_DOF - ARM_DOF)])
 
     def to_base_frame(self, world_from_hand: npt.NDArray[np.floating]) -> Array:
         """Transform a pose (7,) from the world to the robot's base frame, rounded to float32."""
@@ -216,22 +250,21 @@ class PandaIkSolver:
 
     def _search(
         self,
-        start: npt.ArrayLike,
-        position: npt.ArrayLike,
-        orientation: npt.ArrayLike | None,
+        starts: Array,
+        positions: Array,
+        orientations: Array | None,
         tolerance: tuple[float, float],
         iterations: int,
         min_step: float,
-    ) -> tuple[Array, bool]:
-        """Return the joints (7,) at which a search ends, and whether it reached the pose."""
-        pose = np.concatenate([np.asarray(position, np.float64), IDENTITY[3:] if orientation is None else orientation])
-        local = compose(self._base_from_world, pose)
-        rotation = None if orientation is None else Rotation.from_quat(local[3:]).as_matrix()[None]
-        seed = np.asarray(start, dtype=np.float64)[None, :ARM_DOF]
-        joints, solved = solve_ik(
-            *(self._arm, local[None, :3], rotation, seed, _UNLIMITED, tolerance, iterations),
+    ) -> tuple[Array, npt.NDArray[np.bool_]]:
+        """Return the joints (n, 7) at which searches end, and whether each one reached its pose (n,)."""
+        turns = np.broadcast_to(IDENTITY[3:], (len(positions), 4)) if orientations is None else orientations
+        local = compose(self._base_from_world, np.concatenate([positions, turns], axis=1))
+        rotations = None if orientations is None else Rotation.from_quat(local[:, 3:]).as_matrix()
+        seeds = starts[:, :ARM_DOF].astype(np.float64)
+        return solve_ik(
+            *(self._arm, local[:, :3], rotations, seeds, _UNLIMITED, tolerance, iterations),
             damping=_PANDA_DAMPING,
             min_step=min_step,
             max_step=_MAX_STEP,
         )
-        return joints[0], bool(solved[0])

@@ -14,9 +14,9 @@ from handover_marl.learning.features import handover_frame, make_features
 from handover_marl.learning.giver_schemes import DeviationScheme, HandoverPoseScheme
 from handover_marl.learning.receiver_schemes import GraspServoScheme
 from handover_marl.learning.schemes import available_schemes, make_scheme, scheme_size
+from handover_marl.planning.arm_control import ArmInWorld
 from handover_marl.receivers import WAITING_JOINTS, grasp_library, make_policy_context
 from handover_marl.receivers.grasp_library import MAX_CLEARANCE, NearestGraspSelector, get_nearest_grasp_selector
-from handover_marl.simulation.bullet.kinematics import BulletIKSolver
 from tests.givers.test_givers import START, seen
 
 CONTEXT = make_policy_context(SyntheticDataset())
@@ -96,12 +96,11 @@ def test_hand_withdraws_after_the_release() -> None:
 
 
 def test_cartesian_delta_moves_the_gripper_in_its_own_frame() -> None:
-    kinematics = BulletIKSolver(CONTEXT.panda_urdf, PandaConfig())
+    robot = ArmInWorld.for_panda(CONTEXT.panda_urdf, PandaConfig())
     scheme = make_scheme("receiver", "cartesian_delta", CONTEXT)
 
     def gripper(joints: np.ndarray) -> tuple[np.ndarray, Rotation]:
-        kinematics._reset_arm(joints.tolist())
-        pose = kinematics._read_hand_pose()
+        pose = robot.compute_hand_pose(joints[:7])
         return pose[:3], Rotation.from_quat(pose[3:])
 
     place, turn = gripper(START.astype(np.float64))

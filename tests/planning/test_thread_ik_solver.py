@@ -14,7 +14,7 @@ from handover_marl.config import PandaConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.geometry.panda import WAITING_JOINTS
 from handover_marl.planning import ik_solvers
-from handover_marl.planning.ik_solvers import make_ik_solver
+from handover_marl.planning.ik_solvers import PandaIkSolver, make_ik_solver
 from handover_marl.simulation.bullet.kinematics import BulletIKSolver
 
 URDF = SyntheticDataset().panda_urdf
@@ -90,3 +90,48 @@ def test_a_changed_model_is_loaded_again(made: list[PandaConfig], tmp_path: Path
         os.utime(urdf, ns=(time, time))
         make_ik_solver(urdf, PANDA)
     assert made == [PANDA, PANDA]
+
+
+@pytest.mark.parametrize("solver_class", [PandaIkSolver, BulletIKSolver])
+@pytest.mark.parametrize("is_turned", [True, False])
+def test_many_queries_have_the_solutions_of_single_ones(solver_class: Any, is_turned: bool) -> None:
+    solver, queries = solver_class(URDF, PANDA), draw_queries(2, 14)
+    starts, positions, turns = (np.array(part) for part in zip(*queries, strict=True))
+    found = solver.solve_many(starts, positions, turns if is_turned else None)
+    for row, (start, position, turn) in enumerate(queries):
+        one = solver.solve(start, position, turn if is_turned else None)
+        np.testing.assert_array_equal(found[row], np.full(7, np.nan) if one is None else one)
+    assert 4 < np.isfinite(found[:, 0]).sum() < 14 + (not is_turned)
+    # In parts, because a solution must not depend on the other queries.
+    for rows in ([3], [5, 2], range(4, 14)):
+        part = solver.solve_many(starts[rows], positions[rows], turns[rows] if is_turned else None)
+        np.testing.assert_array_equal(part, found[rows])
+
+
+def test_queries_without_solution_are_searched_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    searched = []
+
+    class Failing:
+        def __init__(self, *_: object) -> None:
+            pass
+
+        def solve_many(self, starts: np.ndarray, *_: object) -> np.ndarray:
+            searched.append(starts[:, 0].tolist())
+            return np.where(starts[:, :1] < 1.0, np.nan, starts[:, :7])
+
+    monkeypatch.setattr(ik_solvers, "_find_solver", lambda _: Failing)
+    monkeypatch.setattr(ik_solvers, "_thread_solvers", ik_solvers._ThreadSolvers())
+    solver, starts, positions = make_ik_solver(URDF, PANDA), np.zeros((3, 9)), np.zeros((3, 3))
+    starts[:, 0] = 0.1, 1.0, 0.2
+    for _ in range(2):
+        np.testing.assert_array_equal(np.isnan(solver.solve_many(starts, positions)[:, 0]), [True, False, True])
+    assert solver.solve(starts[0], positions[0]) is None
+    assert solver.solve(starts[1], positions[1]) is not None
+    assert solver.solve(starts[0], positions[0], (0.0, 0.0, 0.0, 1.0)) is None
+    assert searched == [[0.1, 1.0, 0.2], [1.0], [1.0], [0.1]]
+    # The oldest ones are searched again.
+    for number in range(ik_solvers._MAX_UNSOLVED):
+        solver.solve(np.full(9, -number - 1.0), positions[0])
+    searched.clear()
+    solver.solve(starts[0], positions[0])
+    assert searched == [[0.1]]

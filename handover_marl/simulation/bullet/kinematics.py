@@ -4,6 +4,7 @@ Each solver or query has its own physics client.
 Quaternions are xyzw.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from handover_marl.config import ARM_DOF, HandConfig, PandaConfig
 from handover_marl.geometry.arm import ReachabilityBound
 from handover_marl.geometry.kinematic_tree import BoundingSphere, read_tree
 from handover_marl.geometry.panda import HAND_LINK
-from handover_marl.geometry.poses import IDENTITY, compose, compute_rotation_angle, invert_pose
+from handover_marl.geometry.poses import compute_rotation_angle, invert_pose, multiply_quaternions, transform_points
 from handover_marl.simulation.bullet.bodies import HandBody, PandaBody
 from handover_marl.simulation.bullet.body import INERTIAL_POSE, reset_base
 from handover_marl.simulation.bullet.client import connect, load_urdf
@@ -26,6 +27,7 @@ Array = npt.NDArray[np.float64]
 _POSITION_TOLERANCE = 1e-3
 _ANGLE_TOLERANCE = 0.1
 _MAX_ROUNDS = 1000
+_ARM_JOINTS = tuple(range(ARM_DOF))
 _HAND_CONFIG = HandConfig()
 # Field of a PyBullet closest point.
 _DISTANCE = 8
@@ -99,7 +101,7 @@ class BulletIKSolver:
         self._hand_link = [joint.link for joint in tree.joints].index(HAND_LINK)
         # Bullet reports link states at the centre of mass.
         hand_from_mass = np.concatenate(self._client.getDynamicsInfo(self._body, self._hand_link)[INERTIAL_POSE])
-        self._mass_from_hand = None if np.array_equal(hand_from_mass, IDENTITY) else invert_pose(hand_from_mass)
+        self._mass_from_hand = invert_pose(hand_from_mass)
         self._reachability = ReachabilityBound(tree, self._hand_link, world_from_base)
 
     def solve(
@@ -122,30 +124,42 @@ class BulletIKSolver:
         # The iteration would not converge either, but take minutes for an object that stays out of reach.
         if self._reachability.is_unreachable(target, orientation, 2.0 * _POSITION_TOLERANCE, 1.1 * _ANGLE_TOLERANCE):
             return None
-        joints = [float(value) for value in np.asarray(start)]
-        options = {} if orientation is None else {"targetOrientation": np.asarray(orientation, np.float64).tolist()}
-        self._reset_arm(joints)
+        goal = [np.asarray(part, np.float64).tolist() for part in (target, orientation) if part is not None]
+        self._reset_arm(np.asarray(start, np.float64).tolist())
         for _ in range(_MAX_ROUNDS):
-            joints = self._client.calculateInverseKinematics(
-                self._body, self._hand_link, target.tolist(), restPoses=joints, **options
-            )
+            joints = self._client.calculateInverseKinematics(self._body, self._hand_link, *goal)
             self._reset_arm(joints)
-            hand = self._read_hand_pose()
-            if np.linalg.norm(hand[:3] - target) < _POSITION_TOLERANCE and (
-                orientation is None or compute_rotation_angle(hand[3:], orientation) < _ANGLE_TOLERANCE
-            ):
+            if self._is_hand_at(target, orientation):
                 return np.array(joints[:ARM_DOF])
         return None
 
-    def _reset_arm(self, joints: list[float]) -> None:
-        for joint in range(ARM_DOF):
-            self._client.resetJointState(self._body, joint, joints[joint])
+    def solve_many(self, starts: Array, positions: Array, orientations: Array | None = None) -> Array:
+        """Return the arm joints (n, 7) of n queries in rad, solved one after another; nan where `solve` returns None.
 
-    def _read_hand_pose(self) -> Array:
+        Args:
+            starts: (n, 9) joint positions to start from (rad, m).
+            positions: (n, 3) world positions of the hand link (m).
+            orientations: (n, 4) world orientations; None leaves them free.
+        """
+        found = np.full((len(starts), ARM_DOF), np.nan)
+        for row, start in enumerate(starts):
+            arm = self.solve(start, positions[row], None if orientations is None else orientations[row])
+            if arm is not None:
+                found[row] = arm
+        return found
+
+    def _reset_arm(self, joints: Sequence[float]) -> None:
+        # One call for all joints: after each call Bullet updates all links.
+        self._client.resetJointStatesMultiDof(self._body, _ARM_JOINTS, [[joint] for joint in joints[:ARM_DOF]])
+
+    def _is_hand_at(self, target: Array, orientation: npt.ArrayLike | None) -> bool:
         # Items 0 and 1 are the centre of mass in double precision; Bullet rounds link frames to float32.
-        position, orientation = self._client.getLinkState(self._body, self._hand_link)[:2]
-        world_from_mass = np.array([*position, *orientation])
-        return world_from_mass if self._mass_from_hand is None else compose(world_from_mass, self._mass_from_hand)
+        position, rotation = self._client.getLinkState(self._body, self._hand_link)[:2]
+        hand = transform_points([*position, *rotation], self._mass_from_hand[:3])
+        if np.linalg.norm(hand - target) >= _POSITION_TOLERANCE:
+            return False
+        turned = multiply_quaternions(rotation, self._mass_from_hand[3:])
+        return orientation is None or compute_rotation_angle(turned, orientation) < _ANGLE_TOLERANCE
 
 
 class BulletDistanceQuery(DistanceQuery):
