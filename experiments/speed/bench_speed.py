@@ -148,11 +148,14 @@ def make_step_table(args: Args) -> str:
 
 def make_batch_table(args: Args) -> str:
     """Return a table of the wall-clock speed of a batch of mixed scenes by its threads or processes."""
-    parts: list[dict[str, int]] = [{"threads": 1}, {"threads": 2}, {"processes": 2}]
     fast = make_env(args, "fast")
-    batches = [make_batch(args, args.vector_envs, **part) for part in parts]
-    envs = [fast, *batches]
-    counts = np.array([1, *(batch.num_envs for batch in batches)])
+    batches = {
+        "mujoco, 1 thread": make_batch(args, args.vector_envs, threads=1),
+        "mujoco, 2 threads": make_batch(args, args.vector_envs, threads=2),
+        "mujoco, 2 processes": make_batch(args, args.vector_envs, processes=2),
+    }
+    envs: list[HandoverEnv | ParallelVectorEnv] = [fast, *batches.values()]
+    counts = np.array([1, *(batch.num_envs for batch in batches.values())])
     control_steps = args.steps // round(args.control_period * REAL_TIME)
     rates = []
     for run in progress(range(args.repeats), "batches"):
@@ -163,13 +166,13 @@ def make_batch_table(args: Args) -> str:
                 step_randomly(env, min(args.turn, control_steps - first), generators[number])
                 seconds[number] += time.perf_counter() - started
             fast.reset(options={"scene_id": args.scene})
-            for batch in batches:
+            for batch in batches.values():
                 batch.reset()
         rates.append(args.steps * counts / seconds)
     for env in envs:
         env.close()
     medians, ratios = np.median(rates, axis=0), np.median(np.array(rates) / np.array(rates)[:, :1], axis=0)
-    labels = ["fast, one environment", *(f"mujoco, {n} {name}" for part in parts for name, n in part.items())]
+    labels = ["fast, one environment", *batches]
     rows = [[label, f"{rate:.0f}", f"{ratio:.2f}"] for label, rate, ratio in zip(labels, medians, ratios, strict=True)]
     return (
         f"Batches of {args.vector_envs} environments with scenes of s0 train, in wall-clock time, {args.repeats} runs "
@@ -208,16 +211,17 @@ def make_measured_env(args: Args, variant: MeasuredEnv) -> HandoverEnv | Paralle
     return envs
 
 
-def make_batch(args: Args, count: int, **parts: int) -> ParallelVectorEnv:
+def make_batch(args: Args, count: int, threads: int | None = None, processes: int | None = None) -> ParallelVectorEnv:
     """Create and reset a batch of environments in MuJoCo's physics, on threads or processes."""
     envs = handover_marl.vector_env(
         count,
         None,
+        threads=threads,
+        processes=processes,
         data_dir=args.data_dir,
         dataset=args.dataset,
         control_period=args.control_period,
         physics=MUJOCO,
-        **parts,
     )
     envs.reset(seed=0)
     return envs
