@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 import tyro
 
+from handover_marl.datasets.splits import select_scenes_evenly
 from handover_marl.envs.config import EnvConfig
 from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.envs.vector.array_episodes import ArrayEpisodes
@@ -24,7 +25,6 @@ from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.evaluation.reports.tables import format_percent_rate, format_table
 from handover_marl.execution.files import write_atomically
 from handover_marl.execution.options import describe_machine
-from handover_marl.learning.training.run_folder import select_scenes_evenly
 from handover_marl.learning.training.scene_arguments import SetupArgs
 from handover_marl.policies.policy import make_giver_action
 from handover_marl.simulation.engines import CPU, THREADS, WARP, BatchBackend

@@ -10,6 +10,7 @@ env = handover_marl.vector_env(64, "receiver", "replay")         many environmen
 env = gymnasium.make("HandoverMARL/Receiver-v0", setup="s0")     Gymnasium environment of the robot
 robot = handover_marl.as_receiver(network)                       function, network or file as a receiver
 report = handover_marl.benchmark(setup="s3")                     official protocol of HandoverSim
+table = handover_marl.strangers("yang2021", setup="s0")          partners that it has not met
 data = handover_marl.demonstrate(setup="s0", out="data/s0")      data set of recorded episodes
 
 Public names are the names in `__all__`, here and in `handover_marl.givers`, `handover_marl.receivers`
@@ -59,6 +60,7 @@ if TYPE_CHECKING:
     from handover_marl.evaluation.rendering.scene import render_scene as render_scene
     from handover_marl.evaluation.reports.report import Report as Report
     from handover_marl.evaluation.reports.report_files import evaluate as evaluate
+    from handover_marl.evaluation.strangers.protocol import strangers as strangers
     from handover_marl.evaluation.verification.verify import verify as verify
     from handover_marl.learning.action_scheme import ActionScheme as ActionScheme
     from handover_marl.learning.adapters.as_policy import as_giver as as_giver
@@ -109,6 +111,7 @@ _MODULES = {
     "parallel_env": "envs.constructors",
     "render_plan": "evaluation.rendering.plan",
     "render_scene": "evaluation.rendering.scene",
+    "strangers": "evaluation.strangers.protocol",
     "vector_env": "envs.vector.vector_env",
     "verify": "evaluation.verification.verify",
 }

@@ -19,12 +19,12 @@ import tyro
 import yaml
 
 from handover_marl.datasets import Dataset
+from handover_marl.datasets.splits import select_scenes_evenly
 from handover_marl.execution.files import write_atomically
 from handover_marl.execution.reading import read_arrays
 from handover_marl.learning.imitation.gaddpg.data_generation import list_shared_scenes
 from handover_marl.learning.training.run_folder import (
     select_held_out_scenes,
-    select_scenes_evenly,
     select_training_scenes,
 )
 from handover_marl.learning.training.scene_arguments import DatasetArgs

@@ -16,12 +16,12 @@ from measuring import OutputArgs, describe_conditions
 from rich.console import Console
 from rich.progress import track
 
+from handover_marl.datasets.splits import select_scenes_evenly
 from handover_marl.evaluation.config import EvaluationConfig, resolve_config
 from handover_marl.evaluation.episode_runner import SceneTask, run_episodes
 from handover_marl.evaluation.reports.tables import format_table
 from handover_marl.execution.options import LOCAL, RAY, PoolConfig, resolve_worker_count
 from handover_marl.execution.tasks import open_pool
-from handover_marl.learning.training.run_folder import select_scenes_evenly
 from handover_marl.learning.training.scene_arguments import EvaluationArgs
 
 

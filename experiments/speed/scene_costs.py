@@ -13,11 +13,10 @@ import numpy as np
 import tyro
 from measuring import OutputArgs, describe_conditions
 
-from handover_marl.datasets.splits import SETUPS, SPLIT_SIZES
+from handover_marl.datasets.splits import SETUPS, SPLIT_SIZES, select_scenes_evenly
 from handover_marl.evaluation.config import EvaluationConfig, resolve_config
 from handover_marl.evaluation.episode_runner import EpisodeRunner, SceneTask
 from handover_marl.evaluation.reports.tables import format_table
-from handover_marl.learning.training.run_folder import select_scenes_evenly
 from handover_marl.learning.training.scene_arguments import DatasetArgs
 
 

@@ -17,8 +17,8 @@ import train_giver_sb3
 import train_receiver_sb3
 import tyro
 
+from handover_marl.datasets.splits import select_scenes_evenly
 from handover_marl.evaluation.crossplay import crossplay
-from handover_marl.learning.training.run_folder import select_scenes_evenly
 from handover_marl.learning.training.scene_arguments import SetupArgs
 
 

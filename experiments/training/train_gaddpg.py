@@ -24,6 +24,7 @@ from rich.progress import Progress
 from torch.utils.tensorboard import SummaryWriter
 
 from handover_marl.datasets import open_dataset
+from handover_marl.datasets.splits import select_scenes_evenly
 from handover_marl.errors import OptionError
 from handover_marl.evaluation.benchmark import evaluate_pair
 from handover_marl.evaluation.config import EvaluationConfig, ExecutionConfig
@@ -57,7 +58,6 @@ from handover_marl.learning.training.run_folder import (
     RunFolder,
     describe_origin,
     read_checkpoint,
-    select_scenes_evenly,
     write_checkpoint,
 )
 from handover_marl.learning.training.scene_arguments import DatasetArgs

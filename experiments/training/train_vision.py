@@ -30,6 +30,7 @@ from torch.utils.tensorboard import SummaryWriter
 
 from handover_marl import benchmark
 from handover_marl.datasets import open_dataset
+from handover_marl.datasets.splits import select_scenes_evenly
 from handover_marl.learning.imitation.vision.training import (
     GraspTrainer,
     GraspTrainingConfig,
@@ -46,7 +47,6 @@ from handover_marl.learning.training.run_folder import (
     describe_origin,
     read_checkpoint,
     select_held_out_scenes,
-    select_scenes_evenly,
     select_training_scenes,
     write_checkpoint,
 )

@@ -19,6 +19,7 @@ import train_vision
 import tyro
 
 from handover_marl import CameraNoise, benchmark
+from handover_marl.datasets.splits import select_scenes_evenly
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.evaluation.reports.report import Report
 from handover_marl.evaluation.reports.statistics import compute_paired_difference
@@ -40,7 +41,6 @@ from handover_marl.learning.networks.grasp_network import GraspNetwork
 from handover_marl.learning.networks.weights import read_network_weights
 from handover_marl.learning.training.run_folder import (
     select_held_out_scenes,
-    select_scenes_evenly,
     select_training_scenes,
 )
 

@@ -5,11 +5,12 @@ from typing import Annotated
 
 import tyro
 
-from handover_marl.cli.options import SceneNumbers
+from handover_marl.cli.options import PopulationName, SceneNumbers
 from handover_marl.cli.printing import TableFormat, print_tables
 from handover_marl.cli.streams import print_result
 from handover_marl.execution.files import write_atomically
 
+_Folders = Annotated[tuple[str, ...], tyro.conf.arg(metavar="DIR"), tyro.conf.Positional]
 _PagePath = Annotated[str | None, tyro.conf.arg(metavar="FILE.html")]
 
 
@@ -114,7 +115,7 @@ def run_compare(
 
 
 def run_merge(
-    folders: Annotated[tuple[str, ...], tyro.conf.arg(metavar="DIR"), tyro.conf.Positional],
+    folders: _Folders,
     out: Annotated[str, tyro.conf.arg(metavar="DIR")],
     table_format: TableFormat = "markdown",
 ) -> None:
@@ -133,6 +134,43 @@ def run_merge(
         print_tables(result, table_format, note)
     else:
         print_result(f"{result}\n\n{note}")
+
+
+def run_strangers_table(
+    folders: _Folders, population: PopulationName = "strangers-v1", table_format: TableFormat = "markdown"
+) -> None:
+    """Print the leaderboard of folders that `strangers` wrote, one for each method.
+
+    Args:
+        folders: Output folders of `strangers` with the same partners and scenes.
+        population: Population of the evaluations.
+        table_format: Format of the printed tables.
+    """
+    from handover_marl.evaluation.strangers.leaderboard import make_leaderboard
+
+    print_tables(make_leaderboard(folders, population), table_format, f"Folders: {', '.join(folders)}")
+
+
+def run_strangers_references(
+    folders: _Folders,
+    population: PopulationName = "strangers-v1",
+    out: Annotated[str | None, tyro.conf.arg(metavar="FILE.json")] = None,
+    table_format: TableFormat = "markdown",
+) -> None:
+    """Update the best policies known for the partners of a population from result folders.
+
+    Args:
+        folders: Result folders, or folders that contain some.
+        population: Population of the partners.
+        out: File of references to update; default: that of the population.
+        table_format: Format of the printed table.
+    """
+    from handover_marl.evaluation.strangers.population import load_population
+    from handover_marl.evaluation.strangers.reference_update import update_references
+
+    summary = update_references(folders, population, out)
+    path = load_population(population).references_path if out is None else Path(out).expanduser()
+    print_tables(summary, table_format, f"References: {path}")
 
 
 def _describe_page(path: Path | None) -> str:

@@ -30,6 +30,10 @@ class CrossPlayArguments(EvaluationConfig):
     """Options of `crossplay`, which takes lists of policies."""
 
 
+class StrangersArguments(EvaluationConfig):
+    """Options of `strangers`, which takes its policies as options of its own."""
+
+
 class RenderArguments(EvaluationConfig):
     """Options of `render` that configure the scene."""
 
@@ -43,6 +47,7 @@ _HIDDEN_FIELDS: dict[type, tuple[str, ...]] = {
     EvaluationConfig: ("world_config",),
     BenchmarkArguments: ("world_config", "giver"),
     CrossPlayArguments: ("world_config", "giver", "receiver"),
+    StrangersArguments: ("world_config", "giver", "receiver"),
     RenderArguments: ("world_config", "setup", "split", "scenes", "receiver"),
     ExecutionConfig: (),
     RenderExecutionArguments: MULTI_SCENE_FIELDS,
@@ -73,6 +78,8 @@ SceneNumbers = Annotated[
         str_from_instance=lambda value: ["None"] if value is None else list(map(str, value)),
     ),
 ]
+#: Type of the option --population.
+PopulationName = Annotated[str, tyro.conf.arg(metavar="NAME|FILE.json")]
 _OPTION_TYPES: dict[str, Any] = {
     "setup": Annotated[str | None, tyro.conf.arg(metavar="SETUP")],
     "giver": Annotated[str, tyro.conf.arg(metavar="POLICY")],

@@ -6,10 +6,17 @@ import tyro
 
 from handover_marl.cli import scenes
 from handover_marl.cli.data_folders import run_doctor, run_import
-from handover_marl.cli.folders import run_compare, run_evaluate, run_merge, run_verify
+from handover_marl.cli.folders import (
+    run_compare,
+    run_evaluate,
+    run_merge,
+    run_strangers_references,
+    run_strangers_table,
+    run_verify,
+)
 from handover_marl.cli.options import registry
 from handover_marl.cli.render import run_render
-from handover_marl.cli.runs import run_agreement, run_benchmark, run_crossplay, run_demonstrate, run_pair
+from handover_marl.cli.runs import run_agreement, run_benchmark, run_crossplay, run_demonstrate, run_pair, run_strangers
 from handover_marl.policies.registry import list_available
 
 _DESCRIPTION = """Simulate and evaluate human-to-robot handovers.
@@ -24,6 +31,9 @@ _COMMANDS: dict[str, Callable[..., int | None]] = {
     "pair": run_pair,
     "agreement": run_agreement,
     "crossplay": run_crossplay,
+    "strangers": run_strangers,
+    "strangers-table": run_strangers_table,
+    "strangers-references": run_strangers_references,
     "demonstrate": run_demonstrate,
     "render": run_render,
     "evaluate": run_evaluate,

@@ -4,13 +4,15 @@ from typing import Annotated, Literal
 
 import tyro
 
-from handover_marl.cli.options import BenchmarkArguments, CrossPlayArguments
+from handover_marl.cli.options import BenchmarkArguments, CrossPlayArguments, PopulationName, StrangersArguments
 from handover_marl.cli.printing import TableFormat, print_tables
 from handover_marl.cli.streams import print_result
 from handover_marl.evaluation.config import EvaluationConfig, ExecutionConfig
 
 _OFFICIAL, _CROSSPLAY = BenchmarkArguments(), CrossPlayArguments(split="val")
+_STRANGERS = StrangersArguments(physics="fast")
 _Names = Annotated[str, tyro.conf.arg(metavar="POLICY,...")]
+_OptionalNames = Annotated[str | None, tyro.conf.arg(metavar="POLICY,...")]
 
 
 def run_benchmark(
@@ -89,6 +91,43 @@ def run_crossplay(
     rows, columns = split_policy_list("giver", givers), split_policy_list("receiver", receivers)
     result = crossplay(rows, columns, evaluation, execution=execution)
     print_tables(result, table_format, _describe_path(execution, "crossplay.md"))
+
+
+def run_strangers(
+    receiver: _OptionalNames = None,
+    giver: _OptionalNames = None,
+    population: PopulationName = "strangers-v1",
+    partners: Literal["train", "test", "all"] = "test",
+    n_scenes: int = 36,
+    evaluation: StrangersArguments = _STRANGERS,
+    execution: ExecutionConfig = ExecutionConfig(),
+    table_format: TableFormat = "markdown",
+) -> None:
+    """Evaluate a receiver, or a giver, with partners of a population that it has not met.
+
+    Args:
+        receiver: Receiver to evaluate, or comma-separated trainings of one method.
+        giver: Giver to evaluate with receivers, in place of a receiver.
+        population: Name of a shipped population, or a file.
+        partners: Families of the population.
+        n_scenes: Number of scenes, evenly spaced over the split; a large number takes all.
+        evaluation: Scenes and simulation.
+        execution: Workers and output; outcomes do not depend on them.
+        table_format: Format of the printed tables.
+    """
+    from handover_marl.evaluation.strangers.protocol import strangers
+    from handover_marl.policies.reference import split_policy_list
+
+    report = strangers(
+        None if receiver is None else split_policy_list("receiver", receiver),
+        None if giver is None else split_policy_list("giver", giver),
+        population,
+        partners,
+        n_scenes,
+        evaluation,
+        execution=execution,
+    )
+    print_tables(report, table_format, _describe_path(execution, "strangers.md"))
 
 
 def run_demonstrate(

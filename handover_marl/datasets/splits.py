@@ -5,11 +5,13 @@ trials. Source: Chao et al., HandoverSim, ICRA 2022, Table I.
 """
 
 import operator
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from handover_marl.errors import SceneError, check_name
+import numpy as np
+
+from handover_marl.errors import OptionError, SceneError, check_name
 
 N_SCENES = 1000
 SETUPS = ("s0", "s1", "s2", "s3")
@@ -130,3 +132,15 @@ def choose_scenes(split_ids: tuple[int, ...], scenes: Iterable[int] | None, wher
     if not wanted:
         raise SceneError(f"scenes must not be empty; leave it out to run all {len(split_ids)} of {where}")
     return tuple(wanted)
+
+
+def select_scenes_evenly(scene_ids: Sequence[int], n: int) -> tuple[int, ...]:
+    """Return at most n scenes, evenly spaced over a split.
+
+    Raises:
+        OptionError: n is less than one.
+    """
+    if n < 1:
+        raise OptionError(f"number of scenes must be at least 1, got {n}")
+    chosen = np.unique(np.linspace(0, len(scene_ids) - 1, min(n, len(scene_ids))).round().astype(int))
+    return tuple(scene_ids[number] for number in chosen.tolist())

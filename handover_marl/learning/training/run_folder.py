@@ -12,10 +12,9 @@ from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 
-from handover_marl.errors import OptionError, ResultsError
+from handover_marl.errors import ResultsError
 from handover_marl.execution.files import shorten_text, write_atomically
 from handover_marl.execution.reading import check_archive, read_plain_file
 from handover_marl.learning.training.learning_curve import CurvePoint, draw_curve
@@ -60,18 +59,6 @@ def select_training_scenes(scene_ids: Sequence[int]) -> tuple[int, ...]:
 def select_held_out_scenes(scene_ids: Sequence[int]) -> tuple[int, ...]:
     """Return the held-out scenes of a training split: every tenth."""
     return tuple(scene_ids[::_HELD_OUT])
-
-
-def select_scenes_evenly(scene_ids: Sequence[int], n: int) -> tuple[int, ...]:
-    """Return at most n scenes, evenly spaced over a split.
-
-    Raises:
-        OptionError: n is less than one.
-    """
-    if n < 1:
-        raise OptionError(f"val_scenes must be at least 1, got {n}")
-    chosen = np.unique(np.linspace(0, len(scene_ids) - 1, min(n, len(scene_ids))).round().astype(int))
-    return tuple(scene_ids[number] for number in chosen.tolist())
 
 
 def describe_origin(script: str, arguments: object) -> str:

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from handover_marl.datasets import open_dataset
+from handover_marl.datasets.splits import select_scenes_evenly
 from handover_marl.evaluation.benchmark import evaluate_pair
 from handover_marl.evaluation.config import EvaluationConfig, ExecutionConfig
 from handover_marl.learning.encodings.choices import is_reference
@@ -14,7 +15,7 @@ from handover_marl.learning.policy_spec import DenseNetwork, PolicySpec
 from handover_marl.learning.training.arguments import PairArgs, PpoArgs
 from handover_marl.learning.training.learning_curve import CurvePoint
 from handover_marl.learning.training.reward_curve import RewardCurve
-from handover_marl.learning.training.run_folder import POLICY, RunFolder, describe_origin, select_scenes_evenly
+from handover_marl.learning.training.run_folder import POLICY, RunFolder, describe_origin
 
 
 class TrainingRun:

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 
+from handover_marl.datasets.splits import select_scenes_evenly
 from handover_marl.errors import OptionError, ResultsError
 from handover_marl.learning.training.learning_curve import CurvePoint
 from handover_marl.learning.training.run_folder import (
     RunFolder,
     describe_origin,
     select_held_out_scenes,
-    select_scenes_evenly,
     select_training_scenes,
 )
 

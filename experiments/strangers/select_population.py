@@ -1,0 +1,121 @@
+"""Select the givers of a population from candidates by the diversity of what happens with a receiver.
+
+    handover-marl crossplay --givers GIVERS --receivers reactive --split train --physics fast --out results/candidates
+    python experiments/strangers/select_population.py --results results/candidates --out strangers-v1.json
+
+Features of a candidate are the mean events of its episodes with the receiver
+(`handover_marl.evaluation.strangers.selection.count_events`). In every family, the candidates with the largest
+determinant are selected. The script prints the table of features and writes the population; the receivers of the
+candidates' file are taken over.
+"""
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import tyro
+
+from handover_marl.datasets import open_dataset
+from handover_marl.evaluation.reports.report import Report
+from handover_marl.evaluation.reports.report_files import evaluate
+from handover_marl.evaluation.reports.tables import format_table
+from handover_marl.evaluation.results.metadata import CONFIG_FILE
+from handover_marl.evaluation.strangers.population import Partner, Population, load_population
+from handover_marl.evaluation.strangers.selection import EVENTS, count_events, normalize_features, select_diverse
+from handover_marl.execution.files import write_atomically
+from handover_marl.policies.reference import parse_policy
+
+CANDIDATES = Path(__file__).with_name("candidates.json")
+
+
+@dataclass(frozen=True)
+class Args:
+    """Options of the command line.
+
+    Attributes:
+        results: Folder with a result folder for each candidate, evaluated with the same receiver and scenes.
+        out: Population file to write.
+        candidates: File of the candidates, in the format of a population.
+        per_family: Number of candidates to select in each family.
+        name: Name of the population.
+        version: Version of the population.
+        description: Description of the population.
+    """
+
+    results: Path
+    out: Path
+    candidates: Path = CANDIDATES
+    per_family: int = 3
+    name: str = "strangers-v1"
+    version: str = "1.0"
+    description: str = "Givers whose behaviour differs from the recordings in ten families, and receivers."
+
+
+def read_reports(population: Population, folder: Path) -> list[Report]:
+    """Read the report of every giver of a population; the last scenes that all have in common are kept."""
+    dataset = open_dataset("synthetic")
+    reports = {report.metadata.giver: report for report in map(evaluate, find_folders(folder))}
+    labels = [parse_policy("giver", population.get_policy(each)).resolve(dataset).label for each in population.givers]
+    chosen = [reports[label] for label in labels]
+    common = set.intersection(*({episode.index for episode in report.episodes} for report in chosen))
+    return [
+        replace(report, episodes=tuple(episode for episode in report.episodes if episode.index in common))
+        for report in chosen
+    ]
+
+
+def find_folders(folder: Path) -> list[Path]:
+    """Return the result folders below a folder."""
+    return sorted(path.parent for path in folder.rglob(CONFIG_FILE))
+
+
+def select_by_family(
+    givers: Sequence[Partner], features: npt.NDArray[np.float64], per_family: int
+) -> tuple[Partner, ...]:
+    """Select the most diverse givers of every family, given normalized features (n, e)."""
+    chosen: list[Partner] = []
+    for family in dict.fromkeys(giver.family for giver in givers):
+        numbers = [number for number, giver in enumerate(givers) if giver.family == family]
+        selected = select_diverse(features[numbers], min(per_family, len(numbers)))
+        chosen += [givers[numbers[number]] for number in selected]
+    return tuple(chosen)
+
+
+def format_features(givers: Sequence[Partner], counts: npt.NDArray[np.float64], chosen: Sequence[Partner]) -> str:
+    """Return the table of events (n, e) of all candidates."""
+    rows = [
+        [giver.name, giver.family, "yes" if giver in chosen else "", *(f"{value:.2f}" for value in row)]
+        for giver, row in zip(givers, counts, strict=True)
+    ]
+    return format_table(["giver", "family", "selected", *EVENTS], rows, n_keys=3, max_width=1000)
+
+
+def format_population(args: Args, givers: Sequence[Partner], receivers: Sequence[Partner]) -> str:
+    """Return the content of the population's file."""
+    content = {
+        "name": args.name,
+        "version": args.version,
+        "description": args.description,
+        "givers": [asdict(giver) for giver in givers],
+        "receivers": [asdict(receiver) for receiver in receivers],
+    }
+    return json.dumps(content, indent=1) + "\n"
+
+
+def main(args: Args) -> None:
+    """Select givers, write the population and print the features."""
+    candidates = load_population(args.candidates)
+    reports = read_reports(candidates, args.results)
+    counts = np.array([count_events(report.episodes) for report in reports])
+    chosen = select_by_family(candidates.givers, normalize_features(counts), args.per_family)
+    write_atomically(args.out, format_population(args, chosen, candidates.receivers))
+    first = reports[0]
+    print(format_features(candidates.givers, counts, chosen))
+    print(f"\nReceiver {first.metadata.receiver}, {first.heading}")
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Args, description=__doc__))

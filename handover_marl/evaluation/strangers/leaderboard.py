@@ -1,0 +1,159 @@
+"""Leaderboard: table of several evaluations with the same partners and scenes, made from their folders."""
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.errors import OptionError, ResultsError
+from handover_marl.evaluation.reports.columns import AVERAGE_SUCCESS, N_EPISODES
+from handover_marl.evaluation.reports.tables import NO_VALUE, ReportTable, TabularResult
+from handover_marl.evaluation.strangers.entry import read_report
+from handover_marl.evaluation.strangers.population import DEFAULT_POPULATION, load_population
+from handover_marl.evaluation.strangers.references import load_references
+from handover_marl.evaluation.strangers.report import NOTE, StrangersReport, format_estimate
+from handover_marl.evaluation.strangers.scores import (
+    Statistic,
+    compute_mean,
+    compute_unclipped_proximity,
+    estimate_difference,
+)
+from handover_marl.execution.options import check_path
+
+_COLUMNS = {
+    "success": "success %",
+    "contact": "contact %",
+    AVERAGE_SUCCESS.key: AVERAGE_SUCCESS.title,
+    "br_prox_clipped": "BR-Prox %, clipped",
+    "br_prox": "BR-Prox %",
+    "worst_partner_success": "worst success %",
+    "largest_partner_contact": "largest contact %",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Leaderboard(TabularResult):
+    """Evaluations of several methods with the same partners and scenes. `str` returns Markdown tables.
+
+    Attributes:
+        reports: Reports with the same references, the best BR-Prox or success first.
+        has_stored_references: Whether every partner has a stored reference for these scenes; otherwise the best of
+            the evaluations is the reference.
+    """
+
+    reports: tuple[StrangersReport, ...]
+    has_stored_references: bool
+
+    def build_tables(self) -> list[ReportTable]:
+        """Build the tables of scores, of differences to the first method, and of success by family."""
+        return [self._build_scores(), self._build_differences(), self._build_families()]
+
+    def build_sections(self) -> list[str | ReportTable]:
+        """Build heading, tables and notes."""
+        first = self.reports[0]
+        condition = first.condition
+        heading = (
+            f"{len(first.partners)} partners of {first.population}, families of {first.partner_split}; "
+            f"{condition.dataset} {condition.setup} {condition.split}, {len(condition.scenes)} scenes each, "
+            f"{condition.physics} physics."
+        )
+        source = "stored with the population" if self.has_stored_references else "the best of these methods"
+        return [heading, *self.build_tables(), f"{NOTE} References: {source}. Differences are paired by scene."]
+
+    def _build_scores(self) -> ReportTable:
+        rows = []
+        for report in self.reports:
+            found = report.estimate_all()
+            cells = [format_estimate(found[key]) if key in found else NO_VALUE for key in _COLUMNS]
+            rows.append([_get_title(report), len(report.policies), *cells, report.scores.size])
+        return ReportTable(["method", "policies", *_COLUMNS.values(), N_EPISODES.title], rows)
+
+    def _build_differences(self) -> ReportTable:
+        best, rows = self.reports[0], []
+        for report in self.reports[1:]:
+            cells = [
+                _format_difference(compute_mean, best.successes, report.successes),
+                _format_difference(compute_mean, best.contacts, report.contacts),
+                _format_difference(compute_mean, best.scores, report.scores),
+                _format_difference(compute_unclipped_proximity, best.scores, report.scores, best.references),
+            ]
+            rows.append([_get_title(best), _get_title(report), *cells])
+        titles = ["success, points", "contact, points", "AS, points", "BR-Prox, points"]
+        return ReportTable(["method", "minus", *titles], rows, n_keys=2)
+
+    def _build_families(self) -> ReportTable:
+        first = self.reports[0]
+        rows = []
+        for family in first.families:
+            chosen = [number for number, partner in enumerate(first.partners) if partner.family == family]
+            rows.append([family, *(f"{100 * each.successes[:, chosen].mean():.1f}" for each in self.reports)])
+        return ReportTable(["family", *(f"{_get_title(each)}: success %" for each in self.reports)], rows)
+
+
+def make_leaderboard(
+    folders: Sequence[str | os.PathLike[str]], population: str | os.PathLike[str] = DEFAULT_POPULATION
+) -> Leaderboard:
+    """Make the leaderboard of folders that `strangers` wrote, one for each method.
+
+    Every value is computed from the result folders of the pairs.
+
+    Args:
+        folders: Output folders of `strangers` with the same partners, scenes and simulation.
+        population: Population of the evaluations, whose references are used.
+
+    Raises:
+        OptionError: There is no folder, or the evaluations differ in population, partners or scenes.
+        ResultsError: A folder is not a finished evaluation.
+    """
+    if not folders:
+        raise OptionError("folders must name at least one folder of handover-marl strangers, got none")
+    paths = [check_path("folder", folder) for folder in folders]
+    reports = [read_report(path) for path in paths]
+    found = load_population(population)
+    for path, report in zip(paths, reports, strict=True):
+        _check_comparable(path, report, paths[0], reports[0], found.label)
+    names = [partner.name for partner in reports[0].partners]
+    stored = load_references(found.references_path, found.content_hash).collect_scores(reports[0].condition, names)
+    references = _find_best(reports) if stored is None else stored
+    with_references = [replace(report, references=references) for report in reports]
+    with_references.sort(key=lambda report: report.estimate_all()["br_prox"].value, reverse=True)
+    return Leaderboard(tuple(with_references), stored is not None)
+
+
+def _find_best(reports: Sequence[StrangersReport]) -> npt.NDArray[np.float64]:
+    """Return the scores (partners, scenes) of the policy with the largest return with each partner."""
+    scores = np.concatenate([report.scores for report in reports])
+    best = scores.mean(axis=-1).argmax(axis=0)
+    chosen: npt.NDArray[np.float64] = scores[best, np.arange(scores.shape[1])]
+    return chosen
+
+
+def _check_comparable(
+    path: Path, report: StrangersReport, first_path: Path, first: StrangersReport, population: str
+) -> None:
+    if report.population != population:
+        raise OptionError(
+            f"{path} must be of population {population}, got {report.population}; pass the population's file"
+        )
+    for name in ("partners", "condition"):
+        if getattr(report, name) != getattr(first, name):
+            raise ResultsError(
+                f"{path} and {first_path} must have the same {name}; evaluate with the same families, scenes, data "
+                "and physics"
+            )
+
+
+def _get_title(report: StrangersReport) -> str:
+    return ", ".join(report.policies)
+
+
+def _format_difference(
+    statistic: Statistic,
+    first: npt.NDArray[np.float64],
+    second: npt.NDArray[np.float64],
+    references: npt.NDArray[np.float64] | None = None,
+) -> str:
+    return format_estimate(estimate_difference(statistic, first, second, references), spec="+.1f")

@@ -1,0 +1,208 @@
+"""Populations of partners: named givers and receivers in families, read from a JSON file.
+
+A population's file has the keys `name`, `version`, `description`, `givers` and `receivers`. A giver or receiver has
+the keys of `Partner`. `{folder}` in a policy stands for the folder of the file, for policy files beside it.
+"""
+
+import hashlib
+import json
+import os
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import handover_marl.assets
+from handover_marl.errors import DataFormatError, DataNotFoundError, OptionError, UnknownNameError, check_name
+from handover_marl.execution.files import shorten_text
+from handover_marl.execution.options import check_path
+from handover_marl.execution.reading import read_plain_file
+
+#: Folder of the shipped populations.
+POPULATION_FOLDER = Path(handover_marl.assets.__file__).parent / "populations"
+#: Shipped population of givers and receivers.
+DEFAULT_POPULATION = "strangers-v1"
+TRAIN, TEST, ALL = "train", "test", "all"
+#: Splits of a population by family.
+PARTNER_SPLITS = (TRAIN, TEST, ALL)
+
+_SUFFIX, _REFERENCES_SUFFIX = ".json", ".references.json"
+_FOLDER = "{folder}"
+_KEYS = ("name", "version", "description", "givers", "receivers")
+_MAX_BYTES, _MAX_TEXT = 1_000_000, 1000
+
+
+@dataclass(frozen=True)
+class Partner:
+    """Partner in a population.
+
+    Attributes:
+        name: Unique name in the population.
+        family: Behaviour that the partner shares with others; a family is in one split only.
+        split: "train" or "test".
+        policy: Policy with its options, as for `handover_marl.evaluate_pair`; may contain `{folder}`.
+        description: One sentence on the behaviour.
+    """
+
+    name: str
+    family: str
+    split: str
+    policy: str
+    description: str
+
+
+@dataclass(frozen=True)
+class Population:
+    """Population of partners.
+
+    Attributes:
+        name: Name of the population.
+        version: Version of its content.
+        description: Sentence on its purpose.
+        givers: Givers, partners of receivers.
+        receivers: Receivers, partners of givers.
+        content_hash: Hash (12 hex digits) of the file's content and of the policy files in its folder that it names.
+        path: Path of the file.
+    """
+
+    name: str
+    version: str
+    description: str
+    givers: tuple[Partner, ...]
+    receivers: tuple[Partner, ...]
+    content_hash: str
+    path: Path
+
+    @property
+    def label(self) -> str:
+        """Name, version and hash, for reports."""
+        return f"{self.name} {self.version} ({self.content_hash})"
+
+    @property
+    def references_path(self) -> Path:
+        """Path of the file with the reference scores of this population."""
+        return self.path.with_name(self.path.name.removesuffix(_SUFFIX) + _REFERENCES_SUFFIX)
+
+    def get_policy(self, partner: Partner) -> str:
+        """Return the policy of a partner, with the folder of this population in place of `{folder}`."""
+        return partner.policy.replace(_FOLDER, str(self.path.parent))
+
+    def select(self, agent: str, split: str) -> tuple[Partner, ...]:
+        """Return the partners of one agent in a split.
+
+        Args:
+            agent: Agent of the partners, "giver" or "receiver".
+            split: "train", "test" or "all".
+
+        Raises:
+            UnknownNameError: There is no such split.
+            OptionError: The population has no such partners.
+        """
+        check_name("partners", split, PARTNER_SPLITS)
+        candidates = self.givers if agent == "giver" else self.receivers
+        chosen = tuple(partner for partner in candidates if split in (ALL, partner.split))
+        if not chosen:
+            raise OptionError(
+                f"population must have {agent}s in {split!r}, got none in {self.path}; choose another one"
+            )
+        return chosen
+
+
+def load_population(population: str | os.PathLike[str] = DEFAULT_POPULATION) -> Population:
+    """Load a population.
+
+    Args:
+        population: Name of a shipped population, or path of a JSON file.
+
+    Raises:
+        UnknownNameError: There is no shipped population of this name.
+        DataNotFoundError: The file, or a policy file that it names, cannot be read.
+        DataFormatError: The file is malformed.
+    """
+    path = _find_path(population)
+    content = _read_json(path)
+    if not isinstance(content, dict) or set(content) != set(_KEYS):
+        found = sorted(content) if isinstance(content, dict) else content
+        raise DataFormatError(f"{path}: keys must be {', '.join(_KEYS)}, got {shorten_text(found)}")
+    name, version, description = (_check_text(path, key, content[key]) for key in _KEYS[:3])
+    givers, receivers = (_parse_partners(path, key, content[key]) for key in _KEYS[3:])
+    content_hash = _compute_hash(path, content, (*givers, *receivers))
+    return Population(name, version, description, givers, receivers, content_hash, path)
+
+
+def list_populations() -> tuple[str, ...]:
+    """List the names of the shipped populations."""
+    files = POPULATION_FOLDER.glob(f"*{_SUFFIX}")
+    return tuple(sorted(file.stem for file in files if not file.name.endswith(_REFERENCES_SUFFIX)))
+
+
+def _find_path(population: str | os.PathLike[str]) -> Path:
+    path = check_path("population", population)
+    if path.suffix == _SUFFIX:
+        return path
+    if str(population) not in list_populations():
+        raise UnknownNameError("population", str(population), list_populations(), "or the path of a .json file")
+    return POPULATION_FOLDER / f"{population}{_SUFFIX}"
+
+
+def _read_json(path: Path) -> Any:
+    try:
+        return json.loads(read_plain_file(path, _MAX_BYTES))
+    except OSError as error:
+        raise DataNotFoundError(f"population {path} cannot be read ({error.strerror or error})") from error
+    except (ValueError, RecursionError) as error:
+        raise DataFormatError(f"{path}: not a readable population ({shorten_text(error)})") from error
+
+
+def _parse_partners(path: Path, key: str, entries: object) -> tuple[Partner, ...]:
+    if not isinstance(entries, list):
+        raise DataFormatError(f"{path}: {key} must be a list, got {shorten_text(entries)}")
+    partners = tuple(_parse_partner(path, key, entry) for entry in entries)
+    splits = defaultdict(set)
+    for partner in partners:
+        splits[partner.family].add(partner.split)
+    mixed = [family for family, found in splits.items() if len(found) > 1]
+    if mixed:
+        raise DataFormatError(f"{path}: every family of {key} must be in one split, got {mixed[0]!r} in two")
+    for what in ("name", "policy"):
+        values = [getattr(partner, what) for partner in partners]
+        repeated = [value for value in values if values.count(value) > 1]
+        if repeated:
+            raise DataFormatError(f"{path}: every {what} of {key} must be unique, got {repeated[0]!r} twice")
+    return partners
+
+
+def _parse_partner(path: Path, key: str, entry: object) -> Partner:
+    names = [field.name for field in fields(Partner)]
+    if not isinstance(entry, dict) or set(entry) != set(names):
+        raise DataFormatError(f"{path}: each of {key} must have the keys {', '.join(names)}, got {shorten_text(entry)}")
+    values = {name: _check_text(path, f"{name} of {key}", entry[name]) for name in names}
+    if values["split"] not in (TRAIN, TEST):
+        raise DataFormatError(f"{path}: split of {key} must be {TRAIN} or {TEST}, got {values['split']!r}")
+    return Partner(**values)
+
+
+def _check_text(path: Path, name: str, value: object) -> str:
+    if not isinstance(value, str) or not value.strip() or not value.isprintable() or len(value) > _MAX_TEXT:
+        raise DataFormatError(
+            f"{path}: {name} must be text without control characters, at most {_MAX_TEXT} characters, got "
+            f"{shorten_text(ascii(value))}"
+        )
+    return value
+
+
+def _compute_hash(path: Path, content: Any, partners: Sequence[Partner]) -> str:
+    digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode())
+    for partner in partners:
+        _, marker, name = partner.policy.partition(f":{_FOLDER}/")
+        if marker:
+            digest.update(_read_policy_file(path, path.parent / name))
+    return digest.hexdigest()[:12]
+
+
+def _read_policy_file(path: Path, file: Path) -> bytes:
+    try:
+        return read_plain_file(file)
+    except (OSError, ValueError) as error:
+        raise DataNotFoundError(f"{path} names {file}, which cannot be read ({shorten_text(error)})") from error

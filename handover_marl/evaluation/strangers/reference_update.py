@@ -1,0 +1,133 @@
+"""Update of reference scores from result folders."""
+
+import os
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+from handover_marl.datasets import Dataset, open_dataset
+from handover_marl.errors import ResultsError
+from handover_marl.evaluation.reports.report import Report
+from handover_marl.evaluation.reports.report_files import evaluate
+from handover_marl.evaluation.reports.tables import ReportTable, TabularResult
+from handover_marl.evaluation.results.metadata import CONFIG_FILE, OFFICIAL_WORLD, ResultMetadata
+from handover_marl.evaluation.strangers.population import DEFAULT_POPULATION, Partner, Population, load_population
+from handover_marl.evaluation.strangers.references import (
+    Condition,
+    Reference,
+    ReferenceTable,
+    load_references,
+    make_condition,
+    write_references,
+)
+from handover_marl.execution.options import check_path
+from handover_marl.policies.reference import parse_policy
+
+# Agents of evaluated policies and of their partners.
+_SIDES = (("receiver", "giver"), ("giver", "receiver"))
+
+
+@dataclass(frozen=True, eq=False)
+class ReferenceSummary(TabularResult):
+    """References of a population after an update. `str` returns a Markdown table.
+
+    Attributes:
+        population: Population of the partners.
+        table: References.
+    """
+
+    population: Population
+    table: ReferenceTable
+
+    def build_tables(self) -> list[ReportTable]:
+        """Build a table with one row for each partner and condition."""
+        rows = [
+            [
+                partner,
+                f"{condition.dataset} {condition.setup} {condition.split}",
+                condition.physics,
+                reference.policy,
+                f"{100 * reference.mean:.1f}",
+                len(condition.scenes),
+            ]
+            for condition, section in self.table.sections.items()
+            for partner, reference in section.items()
+        ]
+        return [ReportTable(["partner", "scenes", "physics", "best policy", "AS %", "n"], rows)]
+
+    def build_sections(self) -> list[str | ReportTable]:
+        """Build heading and table."""
+        return [f"Best policies known for the partners of {self.population.label}.", *self.build_tables()]
+
+
+def update_references(
+    folders: Iterable[str | os.PathLike[str]],
+    population: str | os.PathLike[str] = DEFAULT_POPULATION,
+    out: str | os.PathLike[str] | None = None,
+) -> ReferenceSummary:
+    """Update the references of a population from result folders and write them.
+
+    Args:
+        folders: Result folders, or folders that contain some, such as those of `strangers` and `crossplay`. Pairs
+            without a partner of the population are ignored.
+        population: Name of a shipped population, or path of a file.
+        out: File of references to update; default: that of the population.
+
+    Raises:
+        ResultsError: A folder has no result, or the file cannot be written.
+        HandoverError: The population or its references cannot be read.
+    """
+    found = load_population(population)
+    path = found.references_path if out is None else check_path("out", out)
+    table = load_references(path, found.content_hash)
+    labels: dict[tuple[str, str], dict[str, Partner]] = {}
+    for report in _read_reports(folders):
+        for agent, other in _SIDES:
+            key = other, report.metadata.dataset
+            if key not in labels:
+                labels[key] = _list_labels(found, other, report.metadata.dataset)
+            partner = labels[key].get(getattr(report.metadata, other))
+            if partner is not None and report.metadata.world == OFFICIAL_WORLD:
+                condition, reference = _make_reference(agent, report)
+                table = table.update(condition, partner.name, reference)
+    write_references(path, table)
+    return ReferenceSummary(found, table)
+
+
+def _read_reports(folders: Iterable[str | os.PathLike[str]]) -> Iterator[Report]:
+    for folder in folders:
+        path = check_path("folder", folder)
+        results = sorted(file.parent for file in path.rglob(CONFIG_FILE))
+        if not results:
+            raise ResultsError(f"{path} must contain result folders, got none with {CONFIG_FILE}")
+        yield from map(evaluate, results)
+
+
+def _list_labels(population: Population, agent: str, dataset_name: str) -> dict[str, Partner]:
+    """Return the partners of one agent by the label that they have in results."""
+    partners = population.givers if agent == "giver" else population.receivers
+    dataset = _open_any(dataset_name)
+    return {parse_policy(agent, population.get_policy(partner)).resolve(dataset).label: partner for partner in partners}
+
+
+def _open_any(name: str) -> Dataset:
+    """Open the data set of the results if it is here, else the synthetic one: labels do not depend on it."""
+    try:
+        return open_dataset(name)
+    except FileNotFoundError:
+        return open_dataset("synthetic")
+
+
+def _make_reference(agent: str, report: Report) -> tuple[Condition, Reference]:
+    metadata = report.metadata
+    policy = getattr(metadata, agent)
+    version = f"{metadata.version} {getattr(metadata, f'{agent}_hash')}".strip()
+    scores = tuple(episode.speed_score for episode in report.episodes)
+    return make_condition(agent, report), Reference(policy, version, _format_command(metadata, report), scores)
+
+
+def _format_command(metadata: ResultMetadata, report: Report) -> str:
+    scenes = ",".join(str(episode.scene_id) for episode in report.episodes)
+    return (
+        f"handover-marl pair --giver {metadata.giver} --receiver {metadata.receiver} --dataset {metadata.dataset} "
+        f"--setup {metadata.setup} --split {metadata.split} --physics {metadata.physics} --scenes {scenes}"
+    )

@@ -1,0 +1,192 @@
+"""Reference scores: for every partner the best policy that has been evaluated with it, on the same scenes.
+
+A file of references has one section for each condition (`Condition`), and for each partner the label, version and
+command of the best policy, and its scores by scene.
+"""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.errors import DataFormatError, DataNotFoundError, ResultsError
+from handover_marl.evaluation.reports.report import Report
+from handover_marl.execution.files import shorten_text, write_atomically
+from handover_marl.execution.reading import read_plain_file
+
+Array = npt.NDArray[np.float64]
+_MAX_BYTES = 20_000_000
+_DIGITS = 6
+
+
+@dataclass(frozen=True)
+class Condition:
+    """Condition of an evaluation; scores are comparable only under the same one.
+
+    Attributes:
+        agent: Agent of the evaluated policies, "receiver" or "giver".
+        dataset: Name of the data set.
+        setup: Setup of the scenes.
+        split: Split of the scenes.
+        physics: Physics of the simulation.
+        scenes: Scene numbers in ascending order.
+    """
+
+    agent: str
+    dataset: str
+    setup: str
+    split: str
+    physics: str
+    scenes: tuple[int, ...]
+
+    def contains(self, other: "Condition") -> bool:
+        """Return whether another condition is the same on a part of these scenes."""
+        names = ("agent", "dataset", "setup", "split", "physics")
+        same = all(getattr(self, name) == getattr(other, name) for name in names)
+        return same and set(other.scenes) <= set(self.scenes)
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Best policy that has been evaluated with a partner.
+
+    Attributes:
+        policy: Label of the policy.
+        version: Version of the library and hash of the policy.
+        command: Command of the evaluation.
+        scores: Average-success score of every scene of the condition.
+    """
+
+    policy: str
+    version: str
+    command: str
+    scores: tuple[float, ...]
+
+    @property
+    def mean(self) -> float:
+        """Return J of the policy with the partner: mean of the scores over scenes."""
+        return float(np.mean(self.scores))
+
+
+@dataclass(frozen=True)
+class ReferenceTable:
+    """References of a population.
+
+    Attributes:
+        population_hash: Hash of the population.
+        sections: Best policies by partner, for every condition.
+    """
+
+    population_hash: str
+    sections: Mapping[Condition, Mapping[str, Reference]]
+
+    def find(self, condition: Condition, partner: str) -> tuple[Reference, Array] | None:
+        """Return the best reference for a partner, and its scores in the scenes of a condition; None without one."""
+        found = [
+            (section[partner], _select_scores(known, section[partner], condition))
+            for known, section in self.sections.items()
+            if partner in section and known.contains(condition)
+        ]
+        return max(found, key=lambda pair: pair[1].mean(), default=None)
+
+    def collect_scores(self, condition: Condition, partners: Sequence[str]) -> Array | None:
+        """Return the scores (partners, scenes) of the best policies; None if a partner has no reference."""
+        found = [self.find(condition, partner) for partner in partners]
+        return None if None in found else np.array([scores for _, scores in filter(None, found)])
+
+    def update(self, condition: Condition, partner: str, reference: Reference) -> "ReferenceTable":
+        """Return a table in which a reference replaces the stored one if its mean is larger."""
+        section = dict(self.sections.get(condition, {}))
+        known = section.get(partner)
+        if known is None or reference.mean > known.mean:
+            section[partner] = reference
+        return ReferenceTable(self.population_hash, {**self.sections, condition: dict(sorted(section.items()))})
+
+    def format(self) -> str:
+        """Return the table as JSON."""
+        sections = [
+            {**asdict(condition), "partners": {name: _format_reference(each) for name, each in section.items()}}
+            for condition, section in self.sections.items()
+        ]
+        return json.dumps({"population_hash": self.population_hash, "sections": sections}, indent=1) + "\n"
+
+
+def make_condition(agent: str, report: Report) -> Condition:
+    """Return the condition of a report in which policies of one agent are evaluated."""
+    metadata = report.metadata
+    scenes = tuple(episode.scene_id if episode.scene_id is not None else -1 for episode in report.episodes)
+    return Condition(agent, metadata.dataset, metadata.setup, metadata.split, metadata.physics, scenes)
+
+
+def load_references(path: Path, population_hash: str) -> ReferenceTable:
+    """Load the references of a population; return an empty table if there is no file.
+
+    Args:
+        path: File of references.
+        population_hash: Hash of the population.
+
+    Raises:
+        DataNotFoundError: The file cannot be read.
+        DataFormatError: The file is malformed, or belongs to another population.
+    """
+    if not path.exists():
+        return ReferenceTable(population_hash, {})
+    try:
+        content = json.loads(read_plain_file(path, _MAX_BYTES))
+        sections = dict(_parse_section(section) for section in content["sections"])
+        stored = content["population_hash"]
+    except OSError as error:
+        raise DataNotFoundError(f"references {path} cannot be read ({error.strerror or error})") from error
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        raise DataFormatError(f"{path}: not a readable file of references ({shorten_text(error)})") from error
+    if stored != population_hash:
+        raise DataFormatError(
+            f"{path}: references must be of population {population_hash}, got {shorten_text(stored)}; make them again "
+            "with handover-marl strangers-references"
+        )
+    return ReferenceTable(population_hash, sections)
+
+
+def write_references(path: Path, table: ReferenceTable) -> None:
+    """Write a file of references.
+
+    Raises:
+        ResultsError: The file cannot be written.
+    """
+    try:
+        write_atomically(path, table.format())
+    except OSError as error:
+        raise ResultsError(f"{path} cannot be written ({error})") from error
+
+
+def _parse_section(section: Mapping[str, Any]) -> tuple[Condition, dict[str, Reference]]:
+    texts = {name: _parse_text(section[name]) for name in ("agent", "dataset", "setup", "split", "physics")}
+    condition = Condition(**texts, scenes=tuple(int(scene) for scene in section["scenes"]))
+    partners = {}
+    for name, entry in section["partners"].items():
+        scores = tuple(float(score) for score in entry["scores"])
+        if len(scores) != len(condition.scenes) or not all(0.0 <= score <= 1.0 for score in scores):
+            raise ValueError(f"scores of {name!r} must be numbers from 0 to 1, one for each scene")
+        texts = {key: _parse_text(entry[key]) for key in ("policy", "version", "command")}
+        partners[_parse_text(name)] = Reference(**texts, scores=scores)
+    return condition, partners
+
+
+def _parse_text(value: object) -> str:
+    if not isinstance(value, str) or not value.isprintable():
+        raise ValueError(f"expected text without control characters, got {shorten_text(ascii(value))}")
+    return value
+
+
+def _format_reference(reference: Reference) -> dict[str, object]:
+    scores = [round(score, _DIGITS) for score in reference.scores]
+    return {**asdict(reference), "mean": round(reference.mean, _DIGITS), "scores": scores}
+
+
+def _select_scores(known: Condition, reference: Reference, condition: Condition) -> Array:
+    by_scene = dict(zip(known.scenes, reference.scores, strict=True))
+    return np.array([by_scene[scene] for scene in condition.scenes])

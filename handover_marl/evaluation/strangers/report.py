@@ -1,0 +1,244 @@
+"""Report of an evaluation with partners that the evaluated policies have not met."""
+
+import functools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.episode.referee import EpisodeStatus
+from handover_marl.evaluation.reports.columns import AVERAGE_SUCCESS, FLUENCY, N_EPISODES
+from handover_marl.evaluation.reports.fluency_tables import estimate_fluency
+from handover_marl.evaluation.reports.report import Report
+from handover_marl.evaluation.reports.statistics import compute_wilson_interval
+from handover_marl.evaluation.reports.tables import (
+    NO_VALUE,
+    ReportTable,
+    TabularResult,
+    append_interval,
+    format_percent_mean,
+    format_percent_rate,
+)
+from handover_marl.evaluation.results.episode_result import EpisodeResult
+from handover_marl.evaluation.strangers.population import Partner
+from handover_marl.evaluation.strangers.references import Condition, make_condition
+from handover_marl.evaluation.strangers.scores import (
+    Estimate,
+    Statistic,
+    compute_clipped_proximity,
+    compute_interquartile_mean,
+    compute_largest,
+    compute_mean,
+    compute_unclipped_proximity,
+    compute_worst,
+    compute_worst_proximity,
+    estimate,
+)
+
+Array = npt.NDArray[np.float64]
+_PARTNER_METRICS = ("max_robot_hand_force", "max_robot_object_force", "human_idle")
+_METRIC_COLUMNS = tuple(column for column in FLUENCY if column.key in _PARTNER_METRICS)
+
+NOTE = (
+    "Success, contact and AS: means over partners, scenes and policies. BR-Prox: AS divided by the AS of the best "
+    "policy known for the partner on these scenes, interquartile mean over partners and policies; clipped values count "
+    "as at most 1. 95 % intervals: bootstrap over policies, partners and scenes; for the worst and the largest value "
+    "over policies and scenes; those of rates are at least as wide as Wilson's. By partner: Wilson and bootstrap."
+)
+
+
+@dataclass(frozen=True, eq=False)
+class StrangersReport(TabularResult):
+    """Results of the policies of one method with a population of partners. `str` returns Markdown tables.
+
+    Attributes:
+        population: Name, version and hash of the population.
+        partner_split: Split of the population, "train", "test" or "all".
+        agent: Agent of the evaluated policies, "receiver" or "giver".
+        policies: Labels of the evaluated policies, several trainings of one method.
+        partners: Partners.
+        reports: Report of every (label of the policy, name of the partner).
+        references: Scores (partners, scenes) of the best policy known for each partner, or None if a partner has none.
+    """
+
+    population: str
+    partner_split: str
+    agent: str
+    policies: tuple[str, ...]
+    partners: tuple[Partner, ...]
+    reports: dict[tuple[str, str], Report]
+    references: Array | None = None
+
+    @property
+    def families(self) -> tuple[str, ...]:
+        """Families of the partners, in their order."""
+        return tuple(dict.fromkeys(partner.family for partner in self.partners))
+
+    @property
+    def condition(self) -> Condition:
+        """Scenes and simulation."""
+        return make_condition(self.agent, next(iter(self.reports.values())))
+
+    @functools.cached_property
+    def scores(self) -> Array:
+        """Scores of average success (policies, partners, scenes)."""
+        return self._collect(lambda episode: episode.speed_score)
+
+    @functools.cached_property
+    def successes(self) -> Array:
+        """Successes (policies, partners, scenes), 0 or 1."""
+        return self._collect(lambda episode: float(episode.success))
+
+    @functools.cached_property
+    def contacts(self) -> Array:
+        """Contacts between robot and person (policies, partners, scenes), 0 or 1."""
+        return self._collect(lambda episode: float(bool(episode.status & EpisodeStatus.HUMAN_CONTACT)))
+
+    def estimate_all(self) -> dict[str, Estimate]:
+        """Estimate the metrics of the summary, by key; rates and shares 0..1, BR-Prox without references left out."""
+        found = {
+            "success": _estimate_rate(compute_mean, self.successes),
+            "contact": _estimate_rate(compute_mean, self.contacts),
+            AVERAGE_SUCCESS.key: estimate(compute_mean, self.scores),
+            "worst_partner_success": _estimate_rate(compute_worst, self.successes, resample_partners=False),
+            "largest_partner_contact": _estimate_rate(compute_largest, self.contacts, resample_partners=False),
+            "AS_iqm": estimate(lambda returns, _: compute_interquartile_mean(returns, n_axes=2), self.scores),
+        }
+        if self.references is not None:
+            found["br_prox_clipped"] = estimate(compute_clipped_proximity, self.scores, self.references)
+            found["br_prox"] = estimate(compute_unclipped_proximity, self.scores, self.references)
+            found["worst_br_prox"] = estimate(compute_worst_proximity, self.scores, self.references, False)
+        return found
+
+    def find_worst_partner(self) -> Partner:
+        """Return the partner with the smallest success rate; of several the one with the smallest AS."""
+        rates = zip(self.successes.mean(axis=(0, 2)), self.scores.mean(axis=(0, 2)), strict=True)
+        return self.partners[min(enumerate(rates), key=lambda pair: pair[1])[0]]
+
+    def build_tables(self) -> list[ReportTable]:
+        """Build the tables of the summary, of families and of partners."""
+        return [self._build_summary(), self._build_family_table(), self._build_partner_table()]
+
+    def build_sections(self) -> list[str | ReportTable]:
+        """Build heading, tables and notes."""
+        summary, families, partners = self.build_tables()
+        notes = NOTE if self.references is not None else f"{NOTE} No references for these scenes: no BR-Prox."
+        return [self._format_heading(), summary, families, partners, notes]
+
+    def to_json(self) -> dict[str, object]:
+        """Return the summary and the results by partner as JSON types; rates 0..1."""
+        return {
+            "summary": {
+                key: {"value": each.value, "interval_95": [each.low, each.high]}
+                for key, each in self.estimate_all().items()
+            },
+            "worst_partner": self.find_worst_partner().name,
+            "n_policies": len(self.policies),
+            "n_partners": len(self.partners),
+            "n_scenes": self.scores.shape[2],
+            "results": {
+                partner.name: {
+                    "family": partner.family,
+                    "success": float(self.successes[:, number].mean()),
+                    "contact": float(self.contacts[:, number].mean()),
+                    AVERAGE_SUCCESS.key: float(self.scores[:, number].mean()),
+                    "reference_AS": None if self.references is None else float(self.references[number].mean()),
+                }
+                for number, partner in enumerate(self.partners)
+            },
+        }
+
+    def collect_episodes(self, partner: Partner) -> list[EpisodeResult]:
+        """Return the episodes of all policies with a partner."""
+        return [episode for policy in self.policies for episode in self.reports[policy, partner.name].episodes]
+
+    def _collect(self, measure: Callable[[EpisodeResult], float]) -> Array:
+        return np.array(
+            [[[measure(each) for each in self.reports[policy, partner.name].episodes] for partner in self.partners]
+             for policy in self.policies]
+        )  # fmt: skip
+
+    def _format_heading(self) -> str:
+        report = next(iter(self.reports.values()))
+        metadata = report.metadata
+        kind = "givers" if self.agent == "receiver" else "receivers"
+        return (
+            f"{self.agent.capitalize()} {', '.join(self.policies)} with {len(self.partners)} {kind} of "
+            f"{self.population}, families of {self.partner_split}.\n{metadata.setup} {metadata.split}, {report.extent} "
+            f"for each, {metadata.physics} physics, data: {report.data_label}. handover_marl {metadata.version}."
+        )
+
+    def _build_summary(self) -> ReportTable:
+        titles = {
+            "success": "success %",
+            "contact": "contact %",
+            AVERAGE_SUCCESS.key: AVERAGE_SUCCESS.title,
+            "AS_iqm": "AS %, interquartile mean",
+            "br_prox_clipped": "BR-Prox %, clipped",
+            "br_prox": "BR-Prox %",
+            "worst_partner_success": f"success % with the worst partner ({self.find_worst_partner().name})",
+            "worst_br_prox": "BR-Prox % with the worst partner",
+            "largest_partner_contact": "contact % with the partner with most contacts",
+        }
+        found = self.estimate_all()
+        rows = [[title, format_estimate(found[key])] for key, title in titles.items() if key in found]
+        return ReportTable(["metric", "value (95 % interval)"], rows)
+
+    def _build_family_table(self) -> ReportTable:
+        rows = []
+        for family in self.families:
+            chosen = [number for number, partner in enumerate(self.partners) if partner.family == family]
+            cells = [
+                format_estimate(_estimate_rate(compute_mean, self.successes[:, chosen])),
+                format_estimate(_estimate_rate(compute_mean, self.contacts[:, chosen])),
+                format_estimate(estimate(compute_mean, self.scores[:, chosen])),
+            ]
+            if self.references is not None:
+                best = self.references[chosen]
+                cells.append(format_estimate(estimate(compute_unclipped_proximity, self.scores[:, chosen], best)))
+            rows.append([family, *cells, self.scores[:, chosen].size])
+        return ReportTable(["family", "success %", "contact %", "AS %", *self._proximity_title, N_EPISODES.title], rows)
+
+    def _build_partner_table(self) -> ReportTable:
+        rows = []
+        for number, partner in enumerate(self.partners):
+            episodes, means = self.collect_episodes(partner), estimate_fluency(self.collect_episodes(partner))
+            n = len(episodes)
+            counts = [int(flags[:, number].sum()) for flags in (self.successes, self.contacts)]
+            cells = [
+                *(format_percent_rate(count, n) for count in counts),
+                format_percent_mean([each.speed_score for each in episodes]),
+            ]
+            if self.references is not None:
+                cells.append(self._format_proximity(number, self.references))
+            forces = [
+                NO_VALUE if column.key not in means or (mean := means[column.key].mean) is None
+                else f"{column.scale * mean:.3g}"
+                for column in _METRIC_COLUMNS
+            ]  # fmt: skip
+            rows.append([partner.name, partner.family, *cells, *forces, n])
+        titles = [column.title for column in _METRIC_COLUMNS]
+        header = ["partner", "family", "success %", "contact %", "AS %", *self._proximity_title]
+        return ReportTable([*header, *titles, N_EPISODES.title], rows, n_keys=2)
+
+    @property
+    def _proximity_title(self) -> Sequence[str]:
+        return () if self.references is None else ("BR-Prox %",)
+
+    def _format_proximity(self, number: int, references: Array) -> str:
+        returns = self.scores[:, [number]].mean(axis=-1)
+        return f"{100 * float(compute_unclipped_proximity(returns, references[[number]].mean(axis=-1))):.0f}"
+
+
+def format_estimate(found: Estimate, scale: float = 100.0, spec: str = ".1f") -> str:
+    """Format an estimate with its interval, by default in percent."""
+    return append_interval(f"{scale * found.value:{spec}}", (found.low, found.high), spec, scale)
+
+
+def _estimate_rate(statistic: Statistic, flags: Array, resample_partners: bool = True) -> Estimate:
+    """Estimate a rate; its interval is at least as wide as Wilson's for as many episodes as it is computed from."""
+    found = estimate(statistic, flags, resample_partners=resample_partners)
+    n = flags.size if resample_partners else flags.size // flags.shape[1]
+    low, high = compute_wilson_interval(round(found.value * n), n)
+    return Estimate(found.value, min(low, found.low), max(high, found.high))

@@ -1,0 +1,93 @@
+"""Population files."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from handover_marl.datasets.synthetic import SyntheticDataset
+from handover_marl.errors import DataFormatError, DataNotFoundError, OptionError, UnknownNameError
+from handover_marl.evaluation.strangers.population import DEFAULT_POPULATION, list_populations, load_population
+from handover_marl.policies.reference import parse_policy
+from tests.evaluation.strangers.populations import GIVERS, make_content, write_population
+
+
+def test_own_file(tmp_path: Path) -> None:
+    found = load_population(write_population(tmp_path))
+    assert found.label == f"small 1.0 ({found.content_hash})"
+    assert [partner.name for partner in found.select("giver", "test")] == ["fast", "slow"]
+    assert [partner.name for partner in found.select("giver", "all")] == ["recorded", "fast", "slow"]
+    assert [partner.policy for partner in found.select("receiver", "test")] == ["hold"]
+    assert found.references_path == tmp_path / "small.references.json"
+
+
+def test_the_hash_covers_the_content_and_policy_files(tmp_path: Path) -> None:
+    first = load_population(write_population(tmp_path)).content_hash
+    assert load_population(write_population(tmp_path, version="1.1")).content_hash != first
+    learned = GIVERS[0] | {"policy": "learned:{folder}/giver.npz"}
+    path = write_population(tmp_path, givers=[learned])
+    with pytest.raises(DataNotFoundError, match=r"giver\.npz, which cannot be read"):
+        load_population(path)
+    hashes = set()
+    for content in (b"1", b"2"):
+        (tmp_path / "giver.npz").write_bytes(content)
+        found = load_population(path)
+        assert found.get_policy(found.givers[0]) == f"learned:{tmp_path}/giver.npz"
+        hashes.add(found.content_hash)
+    assert len(hashes) == 2
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"givers": {}}, "givers must be a list"),
+        ({"givers": [GIVERS[0], GIVERS[0]]}, "every name of givers must be unique, got 'recorded' twice"),
+        ({"givers": [GIVERS[0], GIVERS[0] | {"name": "other"}]}, "every policy of givers must be unique"),
+        ({"givers": [GIVERS[1], GIVERS[2] | {"split": "train"}]}, "must be in one split, got 'timing' in two"),
+        ({"givers": [GIVERS[0] | {"split": "val"}]}, "split of givers must be train or test, got 'val'"),
+        ({"givers": [{"name": "a"}]}, "must have the keys name, family, split, policy, description"),
+        ({"name": "a\nb"}, "name must be text without control characters"),
+        ({"version": 1}, "version must be text"),
+    ],
+)
+def test_malformed_files(tmp_path: Path, changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(DataFormatError, match=message):
+        load_population(write_population(tmp_path, **changes))
+
+
+def test_files_that_are_no_populations(tmp_path: Path) -> None:
+    path = tmp_path / "x.json"
+    with pytest.raises(DataNotFoundError, match="cannot be read"):
+        load_population(path)
+    for text in ("{", "[]", json.dumps(make_content() | {"more": 1})):
+        path.write_text(text)
+        with pytest.raises(DataFormatError, match=r"not a readable population|keys must be"):
+            load_population(path)
+    with pytest.raises(UnknownNameError, match="unknown population 'nobody'; valid: "):
+        load_population("nobody")
+
+
+def test_splits_without_partners(tmp_path: Path) -> None:
+    found = load_population(write_population(tmp_path))
+    with pytest.raises(OptionError, match="must have receivers in 'train'"):
+        found.select("receiver", "train")
+    with pytest.raises(UnknownNameError, match="unknown partners 'val'; valid: train, test, all"):
+        found.select("giver", "val")
+
+
+def test_shipped_populations() -> None:
+    """Every partner of a shipped population can be made; train and test have different families."""
+    assert DEFAULT_POPULATION in list_populations()
+    dataset = SyntheticDataset()
+    found = load_population(DEFAULT_POPULATION)
+    assert found.name == DEFAULT_POPULATION
+    assert len(found.givers) >= 24
+    assert len({giver.family for giver in found.givers}) >= 6
+    for agent in ("giver", "receiver"):
+        families = [{partner.family for partner in found.select(agent, split)} for split in ("train", "test")]
+        assert not families[0] & families[1]
+        references = [parse_policy(agent, found.get_policy(partner)) for partner in found.select(agent, "all")]
+        if agent == "giver":
+            labels = [reference.resolve(dataset).label for reference in references]
+            assert len(set(labels)) == len(labels)
