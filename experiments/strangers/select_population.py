@@ -23,9 +23,9 @@ from handover_marl.evaluation.reports.report import Report
 from handover_marl.evaluation.reports.report_files import evaluate
 from handover_marl.evaluation.reports.tables import format_table
 from handover_marl.evaluation.results.metadata import CONFIG_FILE
-from handover_marl.evaluation.strangers.population import Partner, Population, load_population
 from handover_marl.evaluation.strangers.selection import EVENTS, count_events, normalize_features, select_diverse
 from handover_marl.execution.files import write_atomically
+from handover_marl.policies.populations import Partner, Population, load_population
 from handover_marl.policies.reference import parse_policy
 
 CANDIDATES = Path(__file__).with_name("candidates.json")

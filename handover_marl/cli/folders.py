@@ -165,8 +165,8 @@ def run_strangers_references(
         out: File of references to update; default: that of the population.
         table_format: Format of the printed table.
     """
-    from handover_marl.evaluation.strangers.population import load_population
     from handover_marl.evaluation.strangers.reference_update import update_references
+    from handover_marl.policies.populations import load_population
 
     summary = update_references(folders, population, out)
     path = load_population(population).references_path if out is None else Path(out).expanduser()

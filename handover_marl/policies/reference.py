@@ -15,7 +15,7 @@ import functools
 import json
 import pickle
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -37,6 +37,7 @@ from handover_marl.execution.options import check_boolean
 from handover_marl.execution.reading import read_plain_file
 from handover_marl.policies.policy import (
     Policy,
+    PolicyContext,
     check_policy_class,
     check_policy_options,
     get_parameters,
@@ -112,13 +113,20 @@ class PolicyReference:
             PolicyError: The constructor fails.
             HandoverError: The policy file is missing, invalid, or runs code and is not trusted.
         """
+        return self._construct(lambda: make_policy_context(dataset or open_dataset(), config, setup))
+
+    def make_from_context(self, context: PolicyContext | None) -> Policy:
+        """Construct the policy that this reference names for a policy context; see `make`."""
+        return self._construct(lambda: context)
+
+    def _construct(self, make_context: Callable[[], PolicyContext | None]) -> Policy:
         found = self._load()
         if isinstance(found, Policy):
             return found
         parameters = get_parameters(found)
         given: dict[str, Any] = {"agent": self.agent, "path": self.file, "trust": self.trust}
         if "context" in parameters:
-            given["context"] = make_policy_context(dataset or open_dataset(), config, setup)
+            given["context"] = make_context()
         given = {name: value for name, value in given.items() if name in parameters}
         try:
             policy = found(**dict(self.options) | given)

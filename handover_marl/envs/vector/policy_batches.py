@@ -1,5 +1,8 @@
 """Creation of the policies that act in many environments at once."""
 
+import functools
+from collections.abc import Callable, Sequence
+
 import numpy as np
 import numpy.typing as npt
 
@@ -8,8 +11,40 @@ from handover_marl.datasets.dataset import Dataset
 from handover_marl.episode.spaces import check_giver_action, check_receiver_action, giver_action_space
 from handover_marl.givers.batch import make_giver_batch
 from handover_marl.learning.batch.network_policies import make_network_policy_batch
-from handover_marl.policies.batch import PolicyBatch, SequentialPolicyBatch
+from handover_marl.policies.batch import Actions, ObserveFunction, PolicyBatch, Rows, SequentialPolicyBatch
+from handover_marl.policies.policy import Policy
+from handover_marl.policies.population_policies import PopulationPolicy
 from handover_marl.policies.reference import PolicyReference
+
+Check = Callable[[object], Actions]
+
+
+class PopulationBatch(PolicyBatch):
+    """Batch of `PopulationPolicy`: each member acts in the episodes that have drawn it.
+
+    Args:
+        policy: Policy of a single episode.
+        batches: Batch of each member for all episodes.
+        count: Number of episodes.
+    """
+
+    def __init__(self, policy: PopulationPolicy, batches: Sequence[PolicyBatch], count: int) -> None:
+        self._policy, self._batches = policy, batches
+        self._numbers = np.zeros(count, dtype=np.int_)
+
+    def reset(self, row: int, seed: int | None, object_names: Sequence[str]) -> None:
+        """Start an episode with the member that the seed draws; see `PolicyBatch.reset`."""
+        number, member_seed = self._policy.draw_member(seed)
+        self._numbers[row] = number
+        self._batches[number].reset(row, member_seed, object_names)
+
+    def act(self, rows: Rows, observe: ObserveFunction, steps: Rows) -> Actions:
+        """Return the current actions (r, ...); see `PolicyBatch.act`."""
+        numbers = self._numbers[rows]
+        groups = [np.flatnonzero(numbers == number) for number in np.unique(numbers)]
+        parts = [self._batches[numbers[own[0]]].act(rows[own], observe, steps[own]) for own in groups]
+        actions: Actions = np.concatenate(parts)[np.argsort(np.concatenate(groups))]
+        return actions
 
 
 def make_policy_batch(
@@ -27,13 +62,20 @@ def make_policy_batch(
     Raises:
         PolicyError: The constructor of the policy fails.
     """
-    first = reference.make(dataset, config, setup)
     space = giver_action_space(config.giver)
 
     def check(action: object) -> npt.NDArray[np.float32]:
         return check_giver_action(action, space) if reference.agent == "giver" else check_receiver_action(action)
 
+    return _make_batch(functools.partial(reference.make, dataset, config, setup), count, check)
+
+
+def _make_batch(make: Callable[[], Policy], count: int, check: Check) -> PolicyBatch:
+    first = make()
     batch = make_giver_batch(first, count) or make_network_policy_batch(first, count, check)
     if batch is not None:
         return batch
-    return SequentialPolicyBatch([first, *(reference.make(dataset, config, setup) for _ in range(count - 1))], check)
+    if isinstance(first, PopulationPolicy):
+        makers = [functools.partial(first.make_member, number) for number in range(len(first.members))]
+        return PopulationBatch(first, [_make_batch(maker, count, check) for maker in makers], count)
+    return SequentialPolicyBatch([first, *(make() for _ in range(count - 1))], check)

@@ -11,10 +11,10 @@ from handover_marl.evaluation.crossplay import format_pair_folder
 from handover_marl.evaluation.reports.report import Report
 from handover_marl.evaluation.reports.report_files import evaluate
 from handover_marl.evaluation.results.metadata import OFFICIAL_WORLD
-from handover_marl.evaluation.strangers.population import Partner, Population
 from handover_marl.evaluation.strangers.report import StrangersReport
 from handover_marl.execution.files import shorten_text, write_atomically
 from handover_marl.execution.reading import read_plain_file
+from handover_marl.policies.populations import Partner, Population
 
 ENTRY_FILE, TABLES_FILE = "strangers.json", "strangers.md"
 _MAX_BYTES = 10_000_000

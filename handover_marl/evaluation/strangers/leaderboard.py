@@ -12,7 +12,6 @@ from handover_marl.errors import OptionError, ResultsError
 from handover_marl.evaluation.reports.columns import AVERAGE_SUCCESS, N_EPISODES
 from handover_marl.evaluation.reports.tables import NO_VALUE, ReportTable, TabularResult
 from handover_marl.evaluation.strangers.entry import read_report
-from handover_marl.evaluation.strangers.population import DEFAULT_POPULATION, load_population
 from handover_marl.evaluation.strangers.references import load_references
 from handover_marl.evaluation.strangers.report import NOTE, StrangersReport, format_estimate
 from handover_marl.evaluation.strangers.scores import (
@@ -22,6 +21,7 @@ from handover_marl.evaluation.strangers.scores import (
     estimate_difference,
 )
 from handover_marl.execution.options import check_path
+from handover_marl.policies.populations import DEFAULT_POPULATION, load_population
 
 _COLUMNS = {
     "success": "success %",

@@ -12,10 +12,10 @@ from handover_marl.errors import OptionError
 from handover_marl.evaluation.config import EvaluationConfig, EvaluationOptions, ExecutionConfig, build_configs
 from handover_marl.evaluation.crossplay import CrossPlay, crossplay
 from handover_marl.evaluation.strangers.entry import StrangersEntry, check_folder, write_entry
-from handover_marl.evaluation.strangers.population import DEFAULT_POPULATION, Partner, Population, load_population
 from handover_marl.evaluation.strangers.references import load_references
 from handover_marl.evaluation.strangers.report import StrangersReport
 from handover_marl.execution.options import forward_signature
+from handover_marl.policies.populations import DEFAULT_POPULATION, Partner, Population, load_population
 from handover_marl.policies.reference import PolicyLike
 
 #: Number of scenes for each partner; one receiver takes less than two hours on two cores.
@@ -41,7 +41,7 @@ def strangers(
         receiver: Receiver to evaluate with givers, as for `benchmark`; or several trainings of one method.
         giver: Giver to evaluate with receivers, in place of a receiver.
         population: Name of a shipped population, or path of a file; see
-            `handover_marl.evaluation.strangers.population`.
+            `handover_marl.policies.populations`.
         partners: Families of the population to evaluate with: "train", "test" or "all".
         n_scenes: Number of scenes, evenly spaced over the split; all scenes if it has fewer. Ignored beside `scenes`.
         setup: Official setup, "s0" to "s3", or one of other data; or a whole `handover_marl.EvaluationConfig`, whose

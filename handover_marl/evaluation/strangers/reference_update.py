@@ -10,7 +10,6 @@ from handover_marl.evaluation.reports.report import Report
 from handover_marl.evaluation.reports.report_files import evaluate
 from handover_marl.evaluation.reports.tables import ReportTable, TabularResult
 from handover_marl.evaluation.results.metadata import CONFIG_FILE, OFFICIAL_WORLD, ResultMetadata
-from handover_marl.evaluation.strangers.population import DEFAULT_POPULATION, Partner, Population, load_population
 from handover_marl.evaluation.strangers.references import (
     Condition,
     Reference,
@@ -20,6 +19,7 @@ from handover_marl.evaluation.strangers.references import (
     write_references,
 )
 from handover_marl.execution.options import check_path
+from handover_marl.policies.populations import DEFAULT_POPULATION, Partner, Population, load_population
 from handover_marl.policies.reference import parse_policy
 
 # Agents of evaluated policies and of their partners.

@@ -21,7 +21,6 @@ from handover_marl.evaluation.reports.tables import (
     format_percent_rate,
 )
 from handover_marl.evaluation.results.episode_result import EpisodeResult
-from handover_marl.evaluation.strangers.population import Partner
 from handover_marl.evaluation.strangers.references import Condition, make_condition
 from handover_marl.evaluation.strangers.scores import (
     Estimate,
@@ -35,6 +34,7 @@ from handover_marl.evaluation.strangers.scores import (
     compute_worst_proximity,
     estimate,
 )
+from handover_marl.policies.populations import Partner
 
 Array = npt.NDArray[np.float64]
 _PARTNER_METRICS = ("max_robot_hand_force", "max_robot_object_force", "human_idle")

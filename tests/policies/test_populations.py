@@ -8,7 +8,7 @@ import pytest
 
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.errors import DataFormatError, DataNotFoundError, OptionError, UnknownNameError
-from handover_marl.evaluation.strangers.population import DEFAULT_POPULATION, list_populations, load_population
+from handover_marl.policies.populations import DEFAULT_POPULATION, list_populations, load_population
 from handover_marl.policies.reference import parse_policy
 from tests.evaluation.strangers.populations import GIVERS, make_content, write_population
 
