@@ -28,6 +28,7 @@ SCENE = 209
 #: Largest time that a giver sees ahead (physics steps of 1 ms).
 PREVIEW = round(1000 * max(OFFICIAL_CONFIG.giver.preview))
 LEARNED = Path(__file__).parents[1] / "data" / "v0_7_0" / "policies" / "receiver.npz"
+POPULATION = Path(__file__).with_name("population.json")
 RECEIVERS = (
     "hold",
     "random",
@@ -35,6 +36,7 @@ RECEIVERS = (
     "omg:wait=0.1",
     "omg_hand_aware:wait=0.1",
     "omg_unchecked_last:wait=0.1",
+    f"population:population={POPULATION}",
     "reactive",
     "gaddpg:wait=0.1",
     "vision",
@@ -81,13 +83,16 @@ class UndeviatingGiver(Giver):
 GIVERS: dict[str | type[Giver], float] = {
     UndeviatingGiver: 1.0,
     "replay": 1.0,
+    "clone": 2.0,
     "cooperative": 2.0,
     "displaced": 1.0,
     "early_release": 1.0,
     "hesitant": 2.0,
     "hurried": 2.0,
+    "interrupting": 1.0,
     "learned": 2.0,
     "noisy": 2.0,
+    "population": 2.0,
     "stop_when_near": 2.0,
     "tired": 1.0,
     "withdrawing": 2.0,

@@ -20,7 +20,9 @@ def test_names() -> None:
 
 
 def test_unknown_names(fake_data: Path) -> None:
-    known = "gaddpg, hold, learned, omg, omg_hand_aware, omg_unchecked_last, random, reactive, vision, yang2021"
+    known = (
+        "gaddpg, hold, learned, omg, omg_hand_aware, omg_unchecked_last, population, random, reactive, vision, yang2021"
+    )
     with pytest.raises(UnknownNameError, match=f"receiver 'yang'; valid: {known}"):
         receivers.make("yang", OfficialDataset(fake_data))
     with pytest.raises(OptionError, match="giver must be a name, a class or an instance of a policy, got 3"):
