@@ -129,6 +129,10 @@ class ApproachConfig:
             for an object that is held almost still in the air.
         close_timeout: Maximum time from closing the fingers until the person releases the object
             (s).
+        max_grip_closing_rate: Maximum decrease of the finger positions per second, as a share of these, of
+            fingers that the object blocks (1/s).
+        catch_distance: Maximum distance from the grasp at which the fingers close around an object that the
+            person has released already (m).
         close_period: Control period while the fingers close (s).
         close_gain: Gain with which the gripper follows the person's hand while the fingers close
             (1/s).
@@ -168,6 +172,8 @@ class ApproachConfig:
     axial_tolerance: float = 0.006
     held_still_tolerance_factor: float = 2.0
     close_timeout: float = 0.8
+    max_grip_closing_rate: float = 3.0
+    catch_distance: float = 0.02
     close_period: float = 0.01
     close_gain: float = 10.0
     close_acceleration: float = 100.0

@@ -113,6 +113,8 @@ class HandoverController:
 
     def _close(self, is_released: bool) -> Action:
         config, scene, motion = self._config.approach, self._scene, self._motion
+        if is_released and not scene.is_gripping:
+            return self._catch()
         if is_released:
             self.phase = ReactivePhase.RETREAT
             held = inverse_transform_points(scene.hand, transform_points(scene.object, self._selector.surface.centers))
@@ -135,6 +137,18 @@ class HandoverController:
         )
         velocity = following + config.close_gain * (goal[0] - scene.joints)
         return motion.move_closed(velocity, config.close_acceleration)
+
+    def _catch(self) -> Action:
+        """Return the action that closes the fingers around an object that was released too early and falls."""
+        config, scene, motion = self._config.approach, self._scene, self._motion
+        chosen, period = self._selector.chosen, config.close_period
+        if chosen is None or not self._approach_controller.is_catchable(chosen):
+            return self._start_backing_out()
+        motion.servo.period = period
+        # It may spin, which the gripper cannot follow.
+        falling, _ = scene.motion.predict_point_twist(scene.object[:3], period)
+        velocity = motion.arm.compute_joint_velocity(scene.joints, falling, np.zeros(3), ROTATION_WEIGHT, period)
+        return motion.catch(velocity, config.close_acceleration)
 
     def _start_backing_out(self) -> Action:
         """Start backing out after a miss, with a higher cost of this grasp for a while."""

@@ -92,6 +92,15 @@ class MotionController:
         velocity = self.servo.limit_speed(velocity)
         return self.move_closed(self._separate(velocity, self._config.hand_clearance, leaving=True))
 
+    def catch(self, velocity: Array, acceleration: float) -> Action:
+        """Return the action that follows a falling object with closing fingers, clear of the person's hand.
+
+        Args:
+            velocity: (7,) wanted joint velocities (rad/s).
+            acceleration: Maximum joint acceleration (rad/s^2).
+        """
+        return self.move_closed(self._separate(velocity, self._config.grasp_hand_clearance), acceleration)
+
     def move_open(self, velocity: Array) -> Action:
         """Return the action with joint velocities (7,) (rad/s) and open fingers, ignoring obstacles."""
         return self._action(velocity, OPEN, None)
@@ -173,10 +182,18 @@ class ApproachController:
             return self._motion.move_to(waypoint, self._selector.surface)
         self._check_progress(axial + lateral)
         is_at_grasp = abs(axial) < factor * config.axial_tolerance and lateral < factor * config.lateral_tolerance
+        if scene.is_loose:
+            # It falls: only fingers that are around it already can catch it.
+            return goal if self.is_catchable(goal) else self._approach_straight(goal, 0.0)
         is_slow = self._object_speed(error[:3]) < factor * config.close_speed
         if is_slow and is_at_grasp and rotation < factor * config.rotation_tolerance:
             return goal
         return self._approach_straight(goal, self._next_depth(axial, lateral, rotation))
+
+    def is_catchable(self, goal: GraspGoal) -> bool:
+        """Return whether the object of a grasp is still between the fingers, so that they may catch it."""
+        error = self._selector.compute_grasp_error(goal, self._scene.object, self._scene.hand)
+        return float(np.linalg.norm(error[:3])) < self._config.catch_distance
 
     def _object_speed(self, position: Array) -> float:
         """Return the object's speed (m/s), relative to the gripper for an object held in the air.

@@ -18,6 +18,8 @@ from handover_marl.receivers.reactive.config import ReactiveConfig
 
 Array = npt.NDArray[np.float64]
 
+_MIN_OPENING = 1e-4  # m
+
 
 class SceneEstimate(ABC):
     """Estimate of the states of robot, object and person's hand during one episode.
@@ -69,6 +71,16 @@ class SceneEstimate(ABC):
         Args:
             closing_since: Time at which the fingers began to close (s).
         """
+
+    @property
+    def is_loose(self) -> bool:
+        """Whether the person is known to have released the object."""
+        return False
+
+    @property
+    def is_gripping(self) -> bool:
+        """Whether the closing fingers are blocked by the object, as far as known."""
+        return True
 
     @property
     def is_lost(self) -> bool:
@@ -136,10 +148,15 @@ class PoseSceneEstimate(SceneEstimate):
         self._load_obstacle, self._object_names = load_obstacle, object_names
         self.object_name = ""
         self._is_released = False
+        self._closing_rate = 0.0
 
     def update(self, observation: Observation) -> None:
         """Update robot, object and person's hand from an observation."""
+        time, fingers = self.time, self.fingers
         self.update_robot(observation)
+        if self.time > time:
+            closed = float((fingers - self.fingers).max()) / max(float(fingers.max()), _MIN_OPENING)
+            self._closing_rate = closed / (self.time - time)
         self.object = observation["object_poses"][0].astype(np.float64)
         self.object_name = self._object_names[int(observation["object_classes"][0])]
         self._is_released = bool(observation["released"][0])
@@ -150,6 +167,16 @@ class PoseSceneEstimate(SceneEstimate):
     def has_released(self, closing_since: float) -> bool:
         """Return whether the person has released the object, as observed; `closing_since` is not used."""
         return self._is_released
+
+    @property
+    def is_loose(self) -> bool:
+        """Whether the person has released the object, as observed."""
+        return self._is_released
+
+    @property
+    def is_gripping(self) -> bool:
+        """Whether the object blocks the closing fingers."""
+        return self._closing_rate < self.config.approach.max_grip_closing_rate
 
     def _update_obstacles(self, observation: Observation) -> None:
         """Locate the objects besides the first one, which is handed over."""

@@ -191,6 +191,54 @@ def test_retreats_after_release(handover_observation: Observation) -> None:
     assert np.abs(receiver.servo.velocity).max() > 0.05
 
 
+def observe_closing(observation: Observation, seconds: float, fingers: float, **changes: np.ndarray) -> Observation:
+    """Return an observation after an early release, with both fingers at a position (m)."""
+    joints = observation["robot_joint_position"].copy()
+    joints[ARM_DOF:] = fingers
+    free = {"released": np.ones(1, dtype=np.float32), "robot_joint_position": joints}
+    return observe_at(observation, seconds, **free, **changes)
+
+
+def test_closes_until_the_object_is_held_after_an_early_release(handover_observation: Observation) -> None:
+    receiver, observation = start_closing(handover_observation)
+    fallen = observation["object_poses"].copy()
+    for number, fingers in enumerate((0.036, 0.0325, 0.0293), 1):
+        fallen[0, 2] -= 0.002
+        action = receiver.act(observe_closing(observation, 3.0 + 0.01 * number, fingers, object_poses=fallen))
+        assert receiver.phase is ReactivePhase.CLOSE
+        assert action[-1] == 0.0
+    # The arm follows the object.
+    rate = receiver.arm.compute_jacobian(observation["robot_joint_position"][:ARM_DOF].astype(np.float64))
+    assert (rate @ receiver.servo.velocity)[2] < -0.1
+    receiver.act(observe_closing(observation, 3.04, 0.0292, object_poses=fallen))
+    assert receiver.phase is ReactivePhase.RETREAT
+
+
+def test_gives_up_an_object_that_has_fallen(handover_observation: Observation) -> None:
+    receiver, observation = start_closing(handover_observation)
+    fallen = observation["object_poses"].copy()
+    fallen[0, 2] -= 0.05
+    action = receiver.act(observe_closing(observation, 3.01, 0.036, object_poses=fallen))
+    assert receiver.phase is ReactivePhase.BACK
+    assert action[-1] == np.float32(0.04)
+
+
+def test_closes_around_an_object_that_was_released_before(handover_observation: Observation) -> None:
+    receiver = make_reactive()
+    for number in range(20):
+        receiver.act(observe_at(handover_observation, 2.0 + 0.05 * number))
+    goal = receiver.selector.chosen
+    assert goal is not None
+    # Too far for fingers that close around an object that is held.
+    between = (goal.goal + 0.15 * (goal.standoff - goal.goal)).astype(np.float32)
+    joints = np.array([*between, 0.04, 0.04], dtype=np.float32)
+    receiver.act(observe_at(handover_observation, 3.0, robot_joint_position=joints))
+    assert receiver.phase is ReactivePhase.REACH
+    free = np.ones(1, dtype=np.float32)
+    receiver.act(observe_at(handover_observation, 3.02, robot_joint_position=joints, released=free))
+    assert receiver.phase is ReactivePhase.CLOSE
+
+
 def test_stays_without_known_grasps(handover_observation: Observation) -> None:
     receiver = make_reactive()
     classes = handover_observation["object_classes"].copy()
