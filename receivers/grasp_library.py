@@ -6,6 +6,7 @@ Poses are poses of the Panda's hand link: position (m) and quaternion xyzw.
 import functools
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -52,16 +53,10 @@ class GraspLibrary:
         self._grasps, self._object_names = grasps, object_names
         self._grippers: dict[str, Array | None] = {}
 
-    def get_hand_poses_in_world(self, observation: Observation) -> Array | None:
-        """Return world poses (n, 7) of the hand link at the grasps of the object to hand over.
-
-        None is returned for an object without grasps.
-        """
-        grippers = self.get_gripper_poses(self._object_names[int(observation["object_classes"][0])])
-        if grippers is None:
-            return None
-        # Not by `get_hand_poses_in_object`: the last bits of the reference depend on this order.
-        return compose(compose(observation["object_poses"][0], grippers), np.array(GRIPPER_FROM_HAND))
+    def load_grippers(self, object_class: int) -> tuple[Array] | None:
+        """Return the gripper poses (n, 7) in the frame of the object class with a number, for a `GraspTable`."""
+        grippers = self.get_gripper_poses(self._object_names[object_class])
+        return None if grippers is None else (grippers,)
 
     def get_hand_poses_in_object(self, object_name: str) -> Array | None:
         """Return poses (n, 7) of the hand link at an object class's grasps, or None without any."""
@@ -76,6 +71,49 @@ class GraspLibrary:
             if matrices is not None and len(matrices) > 0:
                 self._grippers[object_name] = poses_from_matrices(matrices)
         return self._grippers[object_name]
+
+
+class GraspTable:
+    """Grasps of object classes in arrays, which are padded to the largest number of grasps of a class.
+
+    Args:
+        load: Function from a class number to arrays (g, ...) of the class's g grasps, or None without any; called when
+            a class is needed first.
+
+    Attributes:
+        arrays: Array (c, g, ...) for each array of `load`, padded with zeros.
+        is_grasp: Whether there is a grasp at each place of the arrays, (c, g).
+    """
+
+    def __init__(self, load: Callable[[int], tuple[Array, ...] | None]) -> None:
+        self._load, self._index = load, dict[int, int]()
+        self.arrays: list[Array] = []
+        self.is_grasp = np.zeros((0, 0), dtype=bool)
+
+    def find(self, classes: npt.NDArray[np.number]) -> npt.NDArray[np.int_]:
+        """Return the index (r,) of each class number in the arrays, -1 for a class without grasps."""
+        numbers = classes.astype(int).tolist()
+        for number in sorted(set(numbers) - self._index.keys()):
+            known = self._load(number)
+            self._index[number] = -1 if known is None else len(self.is_grasp)
+            if known is not None:
+                self._append(known)
+        return np.array([self._index[number] for number in numbers])
+
+    def _append(self, known: tuple[Array, ...]) -> None:
+        width = max(self.is_grasp.shape[1], len(known[0]))
+        old = self.arrays or [np.zeros((0, 0, *array.shape[1:])) for array in known]
+        self.arrays = [_append_padded(before, array, width) for before, array in zip(old, known, strict=True)]
+        self.is_grasp = _append_padded(self.is_grasp, np.ones(len(known[0]), dtype=bool), width)
+
+
+def _append_padded(arrays: npt.NDArray[Any], array: npt.NDArray[Any], width: int) -> npt.NDArray[Any]:
+    """Append an array (g, ...) to arrays (c, w, ...), all padded with zeros to a width."""
+    parts = (
+        np.pad(part, [(0, 0), (0, width - part.shape[1]), *[(0, 0)] * (part.ndim - 2)])
+        for part in (arrays, array[None])
+    )
+    return np.concatenate(list(parts))
 
 
 class NearestGraspSelector:

@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.poses import compose, inverse_transform_points, invert_pose
-from handover_marl.receivers.grasp_library import BACK_Z, MAX_CLEARANCE, TIP_Z, NearestGraspSelector
+from handover_marl.receivers.grasp_library import BACK_Z, MAX_CLEARANCE, TIP_Z, GraspTable, NearestGraspSelector
 
 Array = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.int_]
@@ -34,10 +34,8 @@ class GraspSelectionBatch:
         self._selected, self._clearances = np.zeros((count, 7)), np.zeros(count)
         self._exists = np.zeros(count, dtype=bool)
         self._count = count
-        # Index of each object class in the arrays of grasps (c, g, 7) and of their z axes (c, g, 3).
-        self._index: dict[int, int] = {}
-        self._grasps, self._axes = np.zeros((0, 0, 7)), np.zeros((0, 0, 3))
-        self._is_grasp = np.zeros((0, 0), dtype=bool)
+        # Grasps (c, g, 7) and their z axes (c, g, 3).
+        self._table = GraspTable(selector.load_known)
 
     def select(self, rows: Rows, observation: Observation) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
         """Select a grasp of the object to hand over in episodes.
@@ -70,10 +68,7 @@ class GraspSelectionBatch:
         return self._selected[rows], self._clearances[rows], self._exists[rows]
 
     def _compute(self, rows: Rows, observation: Observation) -> None:
-        classes = observation["object_classes"][:, 0].astype(int)
-        for number in sorted(set(classes.tolist()) - self._index.keys()):
-            self._load(number)
-        index = np.array([self._index[number] for number in classes.tolist()])
+        index = self._table.find(observation["object_classes"][:, 0])
         self._exists[rows] = index >= 0
         known = np.flatnonzero(index >= 0)
         if not len(known):
@@ -81,9 +76,9 @@ class GraspSelectionBatch:
         item = observation["object_poses"][known, 0].astype(np.float64)
         gripper = compose(invert_pose(item), observation["gripper_pose"][known].astype(np.float64))
         index = index[known]
-        grasps = self._grasps[index]
+        grasps = self._table.arrays[0][index]
         costs = self._compute_motion_costs(grasps, gripper)
-        costs[~self._is_grasp[index]] = np.inf
+        costs[~self._table.is_grasp[index]] = np.inf
         joints = inverse_transform_points(item[:, None], observation["hand_keypoints"][known])
         present = observation["hand_present"][known, 0] != 0.0
         best, clearances = self._find_best(costs, index, joints, present)
@@ -135,34 +130,10 @@ class GraspSelectionBatch:
 
     def _compute_clearances(self, index: Rows, grasps: Rows, joints: Array) -> Array:
         """Return the smallest distances (r, k) in m of hand joints to the gripper's axis at k grasps."""
-        origins, axes = self._grasps[index[:, None], grasps], self._axes[index[:, None], grasps]
+        origins, axes = (array[index[:, None], grasps] for array in self._table.arrays)
         x, y, z = (joints[:, None, :, axis] - origins[..., None, axis] for axis in range(3))
         u, v, w = (axes[..., None, axis] for axis in range(3))
         along = np.clip(x * u + y * v + z * w, BACK_Z, TIP_Z)
         x, y, z = x - along * u, y - along * v, z - along * w
         clearances: Array = np.minimum(np.sqrt((x * x + y * y + z * z).min(axis=-1)), MAX_CLEARANCE)
         return clearances
-
-    def _load(self, object_class: int) -> None:
-        """Append the grasps of an object class to the arrays, padded to the largest number."""
-        known = self._selector.load_known(object_class)
-        if known is None:
-            self._index[object_class] = -1
-            return
-        self._index[object_class] = len(self._grasps)
-        grasps, axes = known
-        width = max(self._grasps.shape[1], len(grasps))
-        self._grasps, self._axes, self._is_grasp = (
-            np.concatenate([_pad(old, width), _pad(new[None], width)])
-            for old, new in (
-                (self._grasps, grasps),
-                (self._axes, axes),
-                (self._is_grasp, np.ones(len(grasps), dtype=bool)),
-            )
-        )
-
-
-def _pad(array: npt.NDArray[np.generic], width: int) -> npt.NDArray[np.generic]:
-    """Pad the second axis of an array with zeros to a width."""
-    missing = width - array.shape[1]
-    return np.pad(array, [(0, 0), (0, missing), *[(0, 0)] * (array.ndim - 2)])

@@ -18,7 +18,7 @@ from handover_marl.episode.loop import play
 from handover_marl.execution.options import is_pybullet_installed
 from handover_marl.givers import list_available
 from handover_marl.planning.ik_solvers import PandaIkSolver
-from handover_marl.receivers import make
+from handover_marl.receivers import make, yang2021_controller
 
 pytest.importorskip("mujoco", reason="without PyBullet, MuJoCo is what plays")
 
@@ -66,9 +66,10 @@ def rollout() -> str:
     """How a handover ends in MuJoCo's physics, and a hash of it; inverse kinematics are the library's own."""
     data = SyntheticDataset()
     receiver, episode, noting = make("yang2021", data), Episode("mujoco"), Noting()
-    receiver._ik_solver = PandaIkSolver(data.panda_urdf, episode.config.physics.panda)  # type: ignore[attr-defined]
     episode.reset(data.load_scene(SCENE))
-    play(episode, receiver, callbacks=[noting])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(yang2021_controller, "make_ik_solver", PandaIkSolver)
+        play(episode, receiver, callbacks=[noting])
     episode.close()
     return f"{episode.status.label} {episode.steps} {noting.digest.hexdigest()}"
 

@@ -134,8 +134,13 @@ def compute_rotation_angle(first: npt.ArrayLike, second: npt.ArrayLike) -> float
 
     A quaternion and its negative are the same rotation.
     """
-    a, b = np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)
-    return float(np.arccos(np.clip(2.0 * np.dot(a, b) ** 2 - 1.0, -1.0, 1.0)))
+    return float(compute_rotation_angles(first, second))
+
+
+def compute_rotation_angles(first: npt.ArrayLike, second: npt.ArrayLike) -> Array:
+    """Return the rotation angles (...) between unit quaternions (..., 4); see `compute_rotation_angle`."""
+    product = np.vecdot(np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64))
+    return np.asarray(np.arccos(np.clip(2.0 * product**2 - 1.0, -1.0, 1.0)))
 
 
 def quaternions_from_euler(angles: npt.ArrayLike) -> Array:
@@ -193,10 +198,10 @@ def select_nearest_euler(angles: Array, previous: Array) -> tuple[npt.NDArray[np
 
 
 def compute_pose_distances(pose: npt.ArrayLike, poses: Array, rotation_weight: float) -> Array:
-    """Compute distances (n,) in m^2 from poses (n, 7) to one pose (7,), for the ranking of grasps.
+    """Compute distances (..., n) in m^2 from poses (..., n, 7) to poses (..., 7), for the ranking of grasps.
 
     A distance is the squared distance of the positions plus a rotation term with a weight in m^2.
     """
     one = np.asarray(pose, dtype=np.float64)
-    translation: Array = ((poses[:, :3] - one[:3]) ** 2).sum(axis=1)
-    return translation + rotation_weight * (1.0 - (poses[:, 3:] @ one[3:]) ** 2)
+    translation: Array = ((poses[..., :3] - one[..., None, :3]) ** 2).sum(axis=-1)
+    return translation + rotation_weight * (1.0 - (poses[..., 3:] @ one[..., 3:, None])[..., 0] ** 2)

@@ -24,6 +24,7 @@ from handover_marl.geometry.poses import IDENTITY, compose, invert_pose
 from handover_marl.planning.inverse_kinematics import solve_ik
 
 Array = npt.NDArray[np.float64]
+Joints = npt.NDArray[np.floating]
 
 _UNLIMITED = np.full(ARM_DOF, -np.inf), np.full(ARM_DOF, np.inf)
 # Maximum final error of position (m) and rotation (rad), as in PyBullet.
@@ -70,7 +71,7 @@ class IkSolver(Protocol):
         )[0]
         return None if np.isnan(found[0]) else found
 
-    def solve_many(self, starts: Array, positions: Array, orientations: Array | None = None) -> Array:
+    def solve_many(self, starts: Joints, positions: Array, orientations: Array | None = None) -> Array:
         """Return the arm joints (n, 7) of n queries in rad, nan where `solve` returns None.
 
         Args:
@@ -160,14 +161,15 @@ class ThreadIkSolver(IkSolver):
         # Loaded here so that it does not count as planning time.
         self._find()
 
-    def solve_many(self, starts: Array, positions: Array, orientations: Array | None = None) -> Array:
+    def solve_many(self, starts: Joints, positions: Array, orientations: Array | None = None) -> Array:
         """Return arm joints (n, 7) in rad, nan where a search does not converge; see `IkSolver.solve_many`."""
         parts = [part for part in (starts[:, :ARM_DOF], positions, orientations) if part is not None]
         keys = [row.tobytes() for row in np.concatenate(parts, axis=1, dtype=np.float64)]
         rows = np.flatnonzero([key not in self._unsolved for key in keys])
         found = np.full((len(keys), ARM_DOF), np.nan)
         if len(rows):
-            found[rows] = self._find().solve_many(*(part[rows] for part in (starts, *parts[1:])))
+            turns = None if orientations is None else orientations[rows]
+            found[rows] = self._find().solve_many(starts[rows], positions[rows], turns)
         for row in rows[np.isnan(found[rows, 0])].tolist():
             self._unsolved[keys[row]] = None
             if len(self._unsolved) > _MAX_UNSOLVED:
@@ -213,7 +215,7 @@ class PandaIkSolver(IkSolver):
         hand = [joint.link for joint in tree.joints].index(HAND_LINK)
         self._reach = ReachabilityBound(tree, hand, self._base)
 
-    def solve_many(self, starts: Array, positions: Array, orientations: Array | None = None) -> Array:
+    def solve_many(self, starts: Joints, positions: Array, orientations: Array | None = None) -> Array:
         """Return arm joints (n, 7) in rad, nan where a search does not converge; see `IkSolver.solve_many`."""
         found = np.full((len(starts), ARM_DOF), np.nan)
         rows = np.flatnonzero(~self._reach.is_unreachable(positions, orientations, _REACH_DISTANCE, _REACH_ANGLE))
@@ -250,7 +252,7 @@ class PandaIkSolver(IkSolver):
 
     def _search(
         self,
-        starts: Array,
+        starts: Joints,
         positions: Array,
         orientations: Array | None,
         tolerance: tuple[float, float],

@@ -88,7 +88,8 @@ class SequentialPolicyBatch(PolicyBatch):
 class ArrayPolicy(PolicyBatch, Generic[PolicyType]):
     """Base class of policies that compute the actions of all episodes as arrays.
 
-    Subclasses define `decide`, and `start` if they store anything between decisions.
+    Subclasses define `decide`, `start` if they store anything between decisions, and `count_hold_steps` if the times
+    between decisions vary.
 
     Args:
         policy: Policy of a single episode; its parameters apply to all episodes.
@@ -113,7 +114,7 @@ class ArrayPolicy(PolicyBatch, Generic[PolicyType]):
         if is_due.any():
             due = rows[is_due]
             self._actions[due] = self.decide(due, observe(due))
-            self._due[due] = steps[is_due] + self._hold_steps
+            self._due[due] = steps[is_due] + self.count_hold_steps(due)
         return self._actions[rows]
 
     def start(self, row: int, seed: int | None) -> None:
@@ -123,6 +124,10 @@ class ArrayPolicy(PolicyBatch, Generic[PolicyType]):
             row: Index of the episode.
             seed: Seed of the policy.
         """
+
+    def count_hold_steps(self, rows: Rows) -> Rows:
+        """Return the physics steps (r,) for which the last actions of episodes are held; default: as the policy."""
+        return np.full(len(rows), self._hold_steps)
 
     @abstractmethod
     def decide(self, rows: Rows, observation: Observation) -> Actions:

@@ -15,6 +15,7 @@ from handover_marl.policies.batch import Actions, ObserveFunction, PolicyBatch, 
 from handover_marl.policies.policy import Policy
 from handover_marl.policies.population_policies import PopulationPolicy
 from handover_marl.policies.reference import PolicyReference
+from handover_marl.receivers.batch import make_receiver_batch
 
 Check = Callable[[object], Actions]
 
@@ -72,7 +73,11 @@ def make_policy_batch(
 
 def _make_batch(make: Callable[[], Policy], count: int, check: Check) -> PolicyBatch:
     first = make()
-    batch = make_giver_batch(first, count) or make_network_policy_batch(first, count, check)
+    batch = (
+        make_giver_batch(first, count)
+        or make_receiver_batch(first, count)
+        or make_network_policy_batch(first, count, check)
+    )
     if batch is not None:
         return batch
     if isinstance(first, PopulationPolicy):

@@ -133,7 +133,9 @@ class BulletIKSolver:
                 return np.array(joints[:ARM_DOF])
         return None
 
-    def solve_many(self, starts: Array, positions: Array, orientations: Array | None = None) -> Array:
+    def solve_many(
+        self, starts: npt.NDArray[np.floating], positions: Array, orientations: Array | None = None
+    ) -> Array:
         """Return the arm joints (n, 7) of n queries in rad, solved one after another; nan where `solve` returns None.
 
         Args:
