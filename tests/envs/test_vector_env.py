@@ -97,7 +97,6 @@ def test_features_and_schemes_that_wait_are_equal_too() -> None:
     assert_equal(rollout(together, 12), expected)
 
 
-@pytest.mark.slow
 def test_whole_handovers_to_yang_are_equal_to_the_bit() -> None:
     """A decision of the giver is a whole episode; single environments are reset too."""
     options = {**OPTIONS, "control_period": 0.1, "max_cycles": 80, "rewards": "shaped"}

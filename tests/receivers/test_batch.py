@@ -52,7 +52,6 @@ def record_rollouts() -> list[Rollout]:
     return found
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("make_solver", [make_ik_solver, PandaIkSolver], ids=["default", "without_pybullet"])
 def test_a_batch_acts_as_single_receivers(monkeypatch: pytest.MonkeyPatch, make_solver: object) -> None:
     """Rows start at different times and start anew alone, so that they are in different phases together."""
