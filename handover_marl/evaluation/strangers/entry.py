@@ -122,6 +122,7 @@ def read_report(folder: Path) -> StrangersReport:
     }
     for (policy, partner_name), report in reports.items():
         _check_pair(folder, entry, policy, partner_name, report, next(iter(reports.values())))
+        _check_code(folder, entry, policy, report, reports[policy, entry.partners[0].name])
     return StrangersReport(entry.population, entry.partner_split, entry.agent, entry.policies, entry.partners, reports)
 
 
@@ -164,3 +165,12 @@ def _check_pair(
     scenes, expected = ([episode.scene_id for episode in each.episodes] for each in (report, first))
     if scenes != expected:
         raise ResultsError(f"{folder / name} must have the scenes of the other pairs; run the same command to resume")
+
+
+def _check_code(folder: Path, entry: StrangersEntry, policy: str, report: Report, first: Report) -> None:
+    """Check that a policy had the same code and weights with every partner."""
+    hashes = [getattr(each.metadata, f"{entry.agent}_hash") for each in (report, first)]
+    if hashes[0] != hashes[1]:
+        raise ResultsError(
+            f"{folder} must have results of one version of {policy!r}, got {hashes[0]} and {hashes[1]}; evaluate again"
+        )

@@ -12,6 +12,7 @@ from handover_marl.errors import OptionError, ResultsError
 from handover_marl.evaluation.reports.columns import AVERAGE_SUCCESS, N_EPISODES
 from handover_marl.evaluation.reports.tables import NO_VALUE, ReportTable, TabularResult
 from handover_marl.evaluation.strangers.entry import read_report
+from handover_marl.evaluation.strangers.labels import find_wrong_labels, list_labels
 from handover_marl.evaluation.strangers.references import load_references
 from handover_marl.evaluation.strangers.report import NOTE, StrangersReport, format_estimate
 from handover_marl.evaluation.strangers.scores import (
@@ -21,7 +22,7 @@ from handover_marl.evaluation.strangers.scores import (
     estimate_difference,
 )
 from handover_marl.execution.options import check_path
-from handover_marl.policies.populations import DEFAULT_POPULATION, load_population
+from handover_marl.policies.populations import DEFAULT_POPULATION, Population, load_population
 
 _COLUMNS = {
     "success": "success %",
@@ -114,7 +115,8 @@ def make_leaderboard(
     reports = [read_report(path) for path in paths]
     found = load_population(population)
     for path, report in zip(paths, reports, strict=True):
-        _check_comparable(path, report, paths[0], reports[0], found.label)
+        _check_partners(path, report, found)
+        _check_comparable(path, report, paths[0], reports[0])
     names = [partner.name for partner in reports[0].partners]
     stored = load_references(found.references_path, found.content_hash).collect_scores(reports[0].condition, names)
     references = _find_best(reports) if stored is None else stored
@@ -131,13 +133,26 @@ def _find_best(reports: Sequence[StrangersReport]) -> npt.NDArray[np.float64]:
     return chosen
 
 
-def _check_comparable(
-    path: Path, report: StrangersReport, first_path: Path, first: StrangersReport, population: str
-) -> None:
-    if report.population != population:
+def _check_partners(path: Path, report: StrangersReport, population: Population) -> None:
+    """Check that a report has exactly the partners of its split of the population."""
+    if report.population != population.label:
         raise OptionError(
-            f"{path} must be of population {population}, got {report.population}; pass the population's file"
+            f"{path} must be of population {population.label}, got {report.population}; pass the population's file"
         )
+    other = "giver" if report.agent == "receiver" else "receiver"
+    if report.partners != population.select(other, report.partner_split):
+        raise ResultsError(f"{path} must have the partners of {report.partner_split!r}, got others; evaluate again")
+    found = [
+        (partner, getattr(report.reports[policy, partner.name].metadata, other))
+        for policy in report.policies
+        for partner in report.partners
+    ]
+    wrong = find_wrong_labels(list_labels(population, other, report.partners), found)
+    if wrong:
+        raise ResultsError(f"{path} must have results of {wrong[0]!r} of the population, got another policy")
+
+
+def _check_comparable(path: Path, report: StrangersReport, first_path: Path, first: StrangersReport) -> None:
     for name in ("partners", "condition"):
         if getattr(report, name) != getattr(first, name):
             raise ResultsError(

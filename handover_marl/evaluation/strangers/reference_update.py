@@ -4,12 +4,12 @@ import os
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
-from handover_marl.datasets import Dataset, open_dataset
 from handover_marl.errors import ResultsError
 from handover_marl.evaluation.reports.report import Report
 from handover_marl.evaluation.reports.report_files import evaluate
 from handover_marl.evaluation.reports.tables import ReportTable, TabularResult
 from handover_marl.evaluation.results.metadata import CONFIG_FILE, OFFICIAL_WORLD, ResultMetadata
+from handover_marl.evaluation.strangers.labels import list_labels
 from handover_marl.evaluation.strangers.references import (
     Condition,
     Reference,
@@ -19,8 +19,7 @@ from handover_marl.evaluation.strangers.references import (
     write_references,
 )
 from handover_marl.execution.options import check_path
-from handover_marl.policies.populations import DEFAULT_POPULATION, Partner, Population, load_population
-from handover_marl.policies.reference import parse_policy
+from handover_marl.policies.populations import DEFAULT_POPULATION, Population, load_population
 
 # Agents of evaluated policies and of their partners.
 _SIDES = (("receiver", "giver"), ("giver", "receiver"))
@@ -79,13 +78,13 @@ def update_references(
     found = load_population(population)
     path = found.references_path if out is None else check_path("out", out)
     table = load_references(path, found.content_hash)
-    labels: dict[tuple[str, str], dict[str, Partner]] = {}
+    labels = {
+        "giver": list_labels(found, "giver", found.givers),
+        "receiver": list_labels(found, "receiver", found.receivers),
+    }
     for report in _read_reports(folders):
         for agent, other in _SIDES:
-            key = other, report.metadata.dataset
-            if key not in labels:
-                labels[key] = _list_labels(found, other, report.metadata.dataset)
-            partner = labels[key].get(getattr(report.metadata, other))
+            partner = labels[other].get(getattr(report.metadata, other))
             if partner is not None and report.metadata.world == OFFICIAL_WORLD:
                 condition, reference = _make_reference(agent, report)
                 table = table.update(condition, partner.name, reference)
@@ -100,21 +99,6 @@ def _read_reports(folders: Iterable[str | os.PathLike[str]]) -> Iterator[Report]
         if not results:
             raise ResultsError(f"{path} must contain result folders, got none with {CONFIG_FILE}")
         yield from map(evaluate, results)
-
-
-def _list_labels(population: Population, agent: str, dataset_name: str) -> dict[str, Partner]:
-    """Return the partners of one agent by the label that they have in results."""
-    partners = population.givers if agent == "giver" else population.receivers
-    dataset = _open_any(dataset_name)
-    return {parse_policy(agent, population.get_policy(partner)).resolve(dataset).label: partner for partner in partners}
-
-
-def _open_any(name: str) -> Dataset:
-    """Open the data set of the results if it is here, else the synthetic one: labels do not depend on it."""
-    try:
-        return open_dataset(name)
-    except FileNotFoundError:
-        return open_dataset("synthetic")
 
 
 def _make_reference(agent: str, report: Report) -> tuple[Condition, Reference]:

@@ -109,6 +109,14 @@ def test_incomplete_folders_are_refused(population: Path, evaluated: Path, tmp_p
     shutil.rmtree(folder)
     with pytest.raises(ResultsError, match="does not exist"):
         make_leaderboard([out], population)
+    # The results of one partner in the place of another one, and a partner that is left out.
+    shutil.copytree(out / content["folders"]["hold"]["slow"], folder)
+    with pytest.raises(ResultsError, match="must have results of 'fast' of the population"):
+        make_leaderboard([out], population)
+    shortened = content | {"partners": content["partners"][1:]}
+    (out / "strangers.json").write_text(json.dumps(shortened))
+    with pytest.raises(ResultsError, match="must have the partners of 'test', got others"):
+        make_leaderboard([out], population)
     content["folders"]["hold"]["fast"] = "../other"
     (out / "strangers.json").write_text(json.dumps(content))
     with pytest.raises(ResultsError, match="not a readable evaluation"):

@@ -1,0 +1,57 @@
+"""Scripts that select the population and measure the spread of recordings."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from experiments.strangers.measure_recording_spread import (
+    ALL_OBJECTS,
+    RecordedHandover,
+    compute_residuals,
+    format_spread,
+    measure_handover,
+    measure_spread,
+)
+from experiments.strangers.select_population import CANDIDATES, format_features, select_by_family
+from handover_marl.datasets.synthetic import SyntheticDataset
+from handover_marl.evaluation.strangers.selection import EVENTS
+from handover_marl.policies.populations import Partner, load_population
+
+
+def test_selection_by_family() -> None:
+    givers = [Partner(f"{family}{n}", family, "train", f"{family}:{n}", "x") for family in "ab" for n in range(3)]
+    features = np.array([[1, 0, 0], [0.9, 0, 0], [0, 1, 0], [0, 0, 1], [0, 1, 0], [0, 0.9, 0]], dtype=float)
+    chosen = select_by_family(givers, features, 2)
+    assert [giver.name for giver in chosen] == ["a0", "a2", "b0", "b1"]
+    text = format_features(givers, np.zeros((6, len(EVENTS))), chosen)
+    assert text.count("yes") == 4
+
+
+def test_candidates_include_the_shipped_givers() -> None:
+    policies = {giver.policy for giver in load_population(CANDIDATES).givers}
+    shipped = load_population()
+    assert {giver.policy for giver in shipped.givers} <= policies
+
+
+def test_spread_is_relative_to_the_mean_of_a_group() -> None:
+    group = [
+        RecordedHandover(np.array([0.0, 0.1 * n, 0.0]), Rotation.from_rotvec([0.0, 0.0, 0.2 * n]), float(np.exp(n)))
+        for n in (-1, 0, 1)
+    ]
+    residuals = compute_residuals(group)
+    np.testing.assert_allclose(residuals[:, 1], [-0.1, 0.0, 0.1], atol=1e-9)
+    np.testing.assert_allclose(residuals[:, 5], [-0.2, 0.0, 0.2], atol=1e-9)
+    np.testing.assert_allclose(residuals[:, 6], [-1.0, 0.0, 1.0], atol=1e-9)
+    spread = format_spread([residuals])
+    assert spread["displacement"] == [0.0, 0.1, 0.0]
+    assert spread["n"] == 3
+
+
+def test_spread_of_recordings() -> None:
+    dataset = SyntheticDataset()
+    handover = measure_handover(dataset.load_scene(9))
+    assert handover is not None
+    assert 0.1 < handover.duration < 5.0
+    assert handover.position[2] == pytest.approx(1.2, abs=0.4)
+    found = measure_spread(dataset, [5, 6, 7, 8, 9])
+    assert set(found) == {ALL_OBJECTS, dataset.load_scene(9).info.target_name}
