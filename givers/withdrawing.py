@@ -100,7 +100,7 @@ class InterruptingConfig(CheckedConfig):
         "longest": (0.0, _MAX_TIME),
     }
 
-    interruptions_per_second: float = 0.3
+    interruptions_per_second: float = 0.6
     withdrawal: float = 0.15
     shortest: float = 0.5
     longest: float = 1.5

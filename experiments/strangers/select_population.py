@@ -40,6 +40,8 @@ class Args:
         out: Population file to write.
         candidates: File of the candidates, in the format of a population.
         per_family: Number of candidates to select in each family.
+        min_success: Success rate with the receiver (0..1) below which a candidate is not selected: partners with whom
+            nobody succeeds do not separate policies.
         name: Name of the population.
         version: Version of the population.
         description: Description of the population.
@@ -49,9 +51,10 @@ class Args:
     out: Path
     candidates: Path = CANDIDATES
     per_family: int = 3
+    min_success: float = 0.25
     name: str = "strangers-v1"
     version: str = "1.0"
-    description: str = "Givers whose behaviour differs from the recordings in ten families, and receivers."
+    description: str = "Givers whose behaviour differs from the recordings in nine families, and receivers."
 
 
 def read_reports(population: Population, folder: Path) -> list[Report]:
@@ -110,7 +113,9 @@ def main(args: Args) -> None:
     candidates = load_population(args.candidates)
     reports = read_reports(candidates, args.results)
     counts = np.array([count_events(report.episodes) for report in reports])
-    chosen = select_by_family(candidates.givers, normalize_features(counts), args.per_family)
+    possible = [number for number, report in enumerate(reports) if report.success_rate >= args.min_success]
+    givers = [candidates.givers[number] for number in possible]
+    chosen = select_by_family(givers, normalize_features(counts)[possible], args.per_family)
     write_atomically(args.out, format_population(args, chosen, candidates.receivers))
     first = reports[0]
     print(format_features(candidates.givers, counts, chosen))
