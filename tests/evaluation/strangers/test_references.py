@@ -14,6 +14,7 @@ from handover_marl.evaluation.strangers.references import (
     load_references,
     write_references,
 )
+from handover_marl.policies.populations import load_population
 
 CONDITION = Condition("receiver", "dexycb", "s0", "train", "fast", (3, 5, 9))
 GOOD = Reference("reactive", "0.8.0 abc", "handover-marl pair", (0.5, 0.0, 0.7))
@@ -53,3 +54,12 @@ def test_files(tmp_path: Path) -> None:
         path.write_text(text)
         with pytest.raises(DataFormatError, match="not a readable file of references"):
             load_references(path, "abc")
+
+
+def test_shipped_references_have_all_givers() -> None:
+    population = load_population()
+    table = load_references(population.references_path, population.content_hash)
+    condition = Condition("receiver", "dexycb", "s0", "train", "fast", (5, 445, 888))
+    scores = table.collect_scores(condition, [giver.name for giver in population.givers])
+    assert scores is not None
+    assert (scores.mean(axis=1) > 0.0).all()
