@@ -20,12 +20,11 @@ from typing import Any
 import numpy as np
 import torch
 import tyro
-from rich.progress import track
 from stable_baselines3 import PPO
 
-from handover_marl import givers
 from handover_marl.learning.training.arguments import PpoArgs
-from handover_marl.learning.training.environments import make_frozen_env_factory
+from handover_marl.learning.training.batch_vec_env import BatchVecEnv
+from handover_marl.learning.training.environments import record_first_decisions
 from handover_marl.learning.training.stable_baselines import train_agent
 
 
@@ -70,16 +69,20 @@ def imitate(args: Args, model: PPO) -> None:
     """Train the policy to imitate the teacher's first decision in each of many episodes, if there is a teacher."""
     if not args.teacher:
         return
-    env = make_frozen_env_factory(args, "giver", args.receiver)()
-    teacher = givers.make(args.teacher, env.unwrapped.dataset)
-    observations, outputs = [], []
-    for episode in track(range(args.demonstrations), description=f"observing {args.teacher}"):
-        features, _ = env.reset(seed=args.seed if episode == 0 else None)
-        teacher.reset(episode)
-        observations.append(features["giver"])
-        outputs.append(env.outputs_from_action("giver", teacher.act(env.get_last_observation("giver"))))
-    env.close()
-    inputs, targets = torch.as_tensor(np.stack(observations)), torch.as_tensor(np.stack(outputs))
+    envs, record = (
+        model.get_env().unwrapped,
+        functools.partial(record_first_decisions, args, args.receiver, args.teacher),
+    )
+    if isinstance(envs, BatchVecEnv):
+        sizes = [len(part) for part in np.array_split(np.arange(args.demonstrations), envs.process_count)]
+        # With seeds of their own, episodes of the processes differ from each other.
+        calls = [
+            functools.partial(record, size, args.seed + 1_000 * number) for number, size in enumerate(sizes) if size
+        ]
+        found = envs.call_in_processes(calls)
+    else:
+        found = [record(args.demonstrations, args.seed)]
+    inputs, targets = (torch.as_tensor(np.concatenate(parts)) for parts in zip(*found, strict=True))
     optimizer = torch.optim.Adam(model.policy.parameters(), lr=1e-3)
     generator = torch.Generator().manual_seed(args.seed)
     for _ in range(args.imitation_epochs):

@@ -2,11 +2,15 @@
 
 from typing import Any
 
-from handover_marl.errors import check_name
-from handover_marl.learning.action_scheme import ActionScheme
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.episode.observations import Observation
+from handover_marl.errors import OptionError, check_name
+from handover_marl.learning.action_scheme import Action, ActionScheme
 from handover_marl.learning.encodings.choices import import_reference, is_reference
-from handover_marl.learning.encodings.custom_schemes import KIND, SchemeLike, make_custom_scheme
-from handover_marl.learning.giver_schemes import DeviationScheme, HandoverPoseScheme, RawGiverScheme
+from handover_marl.learning.encodings.custom_schemes import KIND, CheckedScheme, SchemeLike, make_custom_scheme
+from handover_marl.learning.giver_schemes import DeviationScheme, GiverScheme, HandoverPoseScheme, RawGiverScheme
 from handover_marl.learning.receiver_schemes import (
     CartesianDeltaScheme,
     GraspServoScheme,
@@ -64,3 +68,15 @@ def make_scheme(agent: str, choice: SchemeLike, context: PolicyContext, trust: b
         return make_custom_scheme(agent, own, context, str(choice) if is_reference(choice) else "")
     scheme_size(agent, own)
     return _SCHEMES[own](context)
+
+
+def outputs_from_action(scheme: ActionScheme, action: Action, observation: Observation) -> npt.NDArray[np.float32]:
+    """Return the outputs (size,) of a giver's scheme whose action is the nearest to a given one (8,).
+
+    Raises:
+        OptionError: The scheme cannot be inverted.
+    """
+    inner = scheme.scheme if isinstance(scheme, CheckedScheme) else scheme
+    if not isinstance(inner, GiverScheme):
+        raise OptionError(f"action scheme {scheme.name!r} cannot imitate; use a scheme of the giver")
+    return np.asarray(inner.outputs_from_action(action, observation), dtype=np.float32)

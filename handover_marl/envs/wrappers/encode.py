@@ -24,10 +24,9 @@ from handover_marl.episode.spaces import check_vector, has_state
 from handover_marl.errors import OptionError, ResetNeededError
 from handover_marl.learning.encodings.choices import is_reference
 from handover_marl.learning.encodings.custom_features import FeaturesLike
-from handover_marl.learning.encodings.custom_schemes import CheckedScheme, SchemeLike
+from handover_marl.learning.encodings.custom_schemes import SchemeLike
 from handover_marl.learning.features import make_features
-from handover_marl.learning.giver_schemes import GiverScheme
-from handover_marl.learning.schemes import make_scheme
+from handover_marl.learning.schemes import make_scheme, outputs_from_action
 
 Vector = npt.NDArray[np.float32]
 
@@ -134,12 +133,7 @@ class EncodedEnv(ParallelWrapper):
         Raises:
             OptionError: The agent's action scheme cannot be inverted.
         """
-        scheme = self._schemes[agent]
-        if isinstance(scheme, CheckedScheme) and isinstance(scheme.scheme, GiverScheme):
-            scheme = scheme.scheme
-        if not isinstance(scheme, GiverScheme):
-            raise OptionError(f"action scheme {scheme.name!r} cannot imitate; use a scheme of the giver")
-        return np.asarray(scheme.outputs_from_action(action, self.get_last_observation(agent)), dtype=np.float32)
+        return outputs_from_action(self._schemes[agent], action, self.get_last_observation(agent))
 
     def reset(self, seed: int | None = None, options: ByAgent | None = None) -> tuple[ByAgent, ByAgent]:
         """Start an episode and simulate it until an action scheme needs outputs.

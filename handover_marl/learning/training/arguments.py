@@ -105,11 +105,13 @@ class PpoArgs(ResumableArgs):
         features: Name of the features that the learning agent observes, or module:name of user-defined features.
         actions: Name of the learning agent's action scheme, or module:name of a user-defined scheme.
         envs: Number of environments simulated in parallel; 0 means 64 with mujoco, else 8.
+        eval_start: Whether to evaluate before the training, too.
     """
 
     features: str = "close"
     actions: str = "grasp_servo"
     envs: int = 0
+    eval_start: bool = True
     val_scenes: int = 36
 
     @property

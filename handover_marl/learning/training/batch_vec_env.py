@@ -66,6 +66,20 @@ class BatchVecEnv(VecEnv):
         flat = [info for part in infos for info in part]
         return np.concatenate(observations), np.concatenate(rewards), np.concatenate(ended), flat
 
+    def call_in_processes(self, functions: Sequence[Callable[[], Any]]) -> list[Any]:
+        """Call picklable functions, each in another process, and return their results.
+
+        Args:
+            functions: At most `process_count` functions. Models that they load remain in the caches of the processes.
+        """
+        self._send_all("call", [cloudpickle.dumps(function) for function in functions])
+        return self._receive_all(len(functions))
+
+    @property
+    def process_count(self) -> int:
+        """Number of processes."""
+        return len(self._processes)
+
     def close(self) -> None:
         """Stop the processes that simulate the environments."""
         if self._closed:
@@ -118,9 +132,9 @@ class BatchVecEnv(VecEnv):
             except OSError as error:
                 raise _worker_error(number) from error
 
-    def _receive_all(self) -> list[Any]:
+    def _receive_all(self, count: int | None = None) -> list[Any]:
         results = []
-        for number, pipe in enumerate(self._pipes):
+        for number, pipe in enumerate(self._pipes[:count]):
             try:
                 result = pipe.recv()
             except (EOFError, OSError) as error:
@@ -146,7 +160,10 @@ def _run_worker(pipe: Connection, pickled: bytes) -> None:
             if command == "close":
                 envs.close()
                 return
-            pipe.send(envs.reset(seed=argument)[0] if command == "reset" else _step(envs, argument))
+            if command == "call":
+                pipe.send(cloudpickle.loads(argument)())
+            else:
+                pipe.send(envs.reset(seed=argument)[0] if command == "reset" else _step(envs, argument))
     except Exception as error:
         pipe.send(make_picklable(error))
     except (KeyboardInterrupt, EOFError):

@@ -53,7 +53,7 @@ def train_agent(args: PpoArgs, script: str, agent: str, partner: str, prepare: C
         run.discard_points_after(model.num_timesteps)
     else:
         prepare(model)
-    callback = EvaluationCallback(run, agent, args.eval_interval)
+    callback = EvaluationCallback(run, agent, args.eval_interval, args.eval_start)
     remaining = max(0, args.steps - model.num_timesteps)
     model.learn(remaining, callback, reset_num_timesteps=False, progress_bar=True, log_interval=1)
     callback.evaluate()
@@ -149,15 +149,17 @@ class EvaluationCallback(BaseCallback):
         run: Training run with its folder and evaluations.
         agent: Agent that learns.
         interval: Number of decisions between evaluations.
+        evaluates_at_start: Whether to evaluate before the training, too.
     """
 
-    def __init__(self, run: TrainingRun, agent: str, interval: int) -> None:
+    def __init__(self, run: TrainingRun, agent: str, interval: int, evaluates_at_start: bool = True) -> None:
         super().__init__()
         self._run, self._agent, self._interval, self._next = run, agent, interval, 0
+        self._evaluates_at_start = evaluates_at_start
 
     def _on_training_start(self) -> None:
         self._next = self.num_timesteps + self._interval
-        if not self._run.folder.points:
+        if self._evaluates_at_start and not self._run.folder.points:
             self.evaluate()
 
     def _on_step(self) -> bool:

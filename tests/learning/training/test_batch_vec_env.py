@@ -1,5 +1,6 @@
 """Batches of environments for Stable-Baselines3 equal single environments."""
 
+import functools
 from typing import Any
 
 import numpy as np
@@ -11,9 +12,12 @@ pytest.importorskip("stable_baselines3.common.vec_env", reason="needs the extra 
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 import handover_marl
+from handover_marl import givers
 from handover_marl.envs.vector.vector_env import HandoverVectorEnv
 from handover_marl.errors import PolicyError, WorkerError
+from handover_marl.learning.training.arguments import PpoArgs
 from handover_marl.learning.training.batch_vec_env import BatchVecEnv
+from handover_marl.learning.training.environments import make_frozen_env_factory, record_first_decisions
 from tests.failing import Failing
 
 COUNT = 3
@@ -91,3 +95,24 @@ def test_dead_processes_are_reported() -> None:
         envs.step(np.zeros((COUNT, *envs.action_space.shape)))
     envs.close()
     envs.close()
+
+
+def test_first_decisions_of_a_teacher_equal_those_in_single_environments() -> None:
+    args = PpoArgs(
+        dataset="synthetic", features="giver", actions="offer", control_period=0.1, time_limit=3.0, discount=0.99
+    )
+    envs = BatchVecEnv(COUNT, 2, batch)
+    assert envs.process_count == 2
+    record = functools.partial(record_first_decisions, args, "hold", "cooperative")
+    found = envs.call_in_processes([functools.partial(record, 2, 5), functools.partial(record, 1, 9)])
+    assert len(envs.call_in_processes([functools.partial(record, 1, 9)])) == 1
+    envs.close()
+    env, teacher = make_frozen_env_factory(args, "giver", "hold")(), givers.make("cooperative")
+    for seed, inputs, outputs in ((5, found[0][0][0], found[0][1][0]), (6, found[0][0][1], found[0][1][1])):
+        expected = env.reset(seed=seed)[0]["giver"]
+        teacher.reset()
+        wanted = env.outputs_from_action("giver", teacher.act(env.get_last_observation("giver")))
+        np.testing.assert_array_equal(inputs, expected)
+        np.testing.assert_array_equal(outputs, wanted)
+    assert [len(part) for part in found[1]] == [1, 1]
+    env.close()
