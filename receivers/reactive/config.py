@@ -131,6 +131,8 @@ class ApproachConfig:
             (s).
         max_grip_closing_rate: Maximum decrease of the finger positions per second, as a share of these, of
             fingers that the object blocks (1/s).
+        max_relative_speed: Maximum speed of a held object relative to the person's hand (m/s); the gripper follows
+            the hand instead of an object that is faster, which it pushes.
         catch_distance: Maximum distance from the grasp at which the fingers close around an object that the
             person has released already (m).
         close_period: Control period while the fingers close (s).
@@ -173,6 +175,7 @@ class ApproachConfig:
     held_still_tolerance_factor: float = 2.0
     close_timeout: float = 0.8
     max_grip_closing_rate: float = 3.0
+    max_relative_speed: float = 0.25
     catch_distance: float = 0.02
     close_period: float = 0.01
     close_gain: float = 10.0

@@ -255,7 +255,7 @@ class ApproachController:
         velocity = config.position_gain * (joints[0] - scene.joints)
         velocity *= min(1.0, config.max_joint_speed / max(float(np.abs(velocity).max()), 1e-9))
         period = self._motion.servo.period
-        linear, angular = scene.motion.predict_point_twist(pose[:3], period)
+        linear, angular = scene.predict_point_twist(pose[:3], period)
         following = arm.compute_joint_velocity(scene.joints, linear, angular, ROTATION_WEIGHT, period)
         return self._motion.approach(velocity + following)
 

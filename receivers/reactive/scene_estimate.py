@@ -72,6 +72,15 @@ class SceneEstimate(ABC):
             closing_since: Time at which the fingers began to close (s).
         """
 
+    def predict_point_twist(self, point: Array, ahead: float) -> tuple[Array, Array]:
+        """Predict linear (m/s) and angular velocity (rad/s), (3,) each, with which a point on the object is carried.
+
+        Args:
+            point: (3,) point fixed to the object, in the world (m).
+            ahead: Length of the coming control period (s); velocities are predicted for its middle.
+        """
+        return self.motion.predict_point_twist(point, ahead)
+
     @property
     def is_loose(self) -> bool:
         """Whether the person is known to have released the object."""
@@ -167,6 +176,15 @@ class PoseSceneEstimate(SceneEstimate):
     def has_released(self, closing_since: float) -> bool:
         """Return whether the person has released the object, as observed; `closing_since` is not used."""
         return self._is_released
+
+    def predict_point_twist(self, point: Array, ahead: float) -> tuple[Array, Array]:
+        """Predict the velocities of a point on the object; an object that the gripper pushes follows the hand."""
+        relative = self.motion.latest_velocity - self.person.velocity
+        is_held = self.person.spheres is not None and not self._is_released
+        if is_held and float(np.linalg.norm(relative)) > self.config.approach.max_relative_speed:
+            # To follow the pushed object would push it on.
+            return self.person.velocity, np.zeros(3)
+        return super().predict_point_twist(point, ahead)
 
     @property
     def is_loose(self) -> bool:
