@@ -10,11 +10,13 @@ from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import PolicyScheduler, play
 from handover_marl.episode.observations import Observation
 from handover_marl.errors import OptionError, ResetNeededError
+from handover_marl.planning.clearance import Spheres
 from handover_marl.policies.policy import make_policy_context
 from handover_marl.receivers import WAITING_JOINTS
 from handover_marl.receivers.reactive.config import ReactiveConfig, apply_risk
 from handover_marl.receivers.reactive.controller import ReactivePhase
 from handover_marl.receivers.reactive.receiver import ReactiveReceiver
+from handover_marl.receivers.reactive.scene_estimate import PoseSceneEstimate
 from handover_marl.testing import check_receiver
 from tests.receivers.quick import QUICK_PREPARATION, observe_handover
 
@@ -237,6 +239,22 @@ def test_closes_around_an_object_that_was_released_before(handover_observation: 
     free = np.ones(1, dtype=np.float32)
     receiver.act(observe_at(handover_observation, 3.02, robot_joint_position=joints, released=free))
     assert receiver.phase is ReactivePhase.CLOSE
+
+
+def test_follows_the_hand_instead_of_an_object_that_is_pushed(handover_observation: Observation) -> None:
+    def predict_velocity(moved: float, **changes: np.ndarray) -> np.ndarray:
+        """Return the predicted velocity (3,) of an object that moves within 20 ms by a distance (m)."""
+        scene = PoseSceneEstimate(make_reactive().arm, QUICK, lambda _: Spheres(np.zeros((1, 3)), np.zeros(1)))
+        poses = handover_observation["object_poses"].copy()
+        scene.update(observe_at(handover_observation, 3.0))
+        poses[0, 0] += moved
+        scene.update(observe_at(handover_observation, 3.02, object_poses=poses, **changes))
+        return scene.predict_point_twist(poses[0, :3].astype(np.float64), 0.02)[0]
+
+    assert predict_velocity(0.002)[0] > 0.09
+    np.testing.assert_allclose(predict_velocity(0.02), np.zeros(3), atol=1e-9)
+    # An object that was released falls.
+    assert predict_velocity(0.02, released=np.ones(1, dtype=np.float32))[0] > 0.9
 
 
 def test_stays_without_known_grasps(handover_observation: Observation) -> None:
