@@ -36,6 +36,9 @@ TARGETS = (
     "handover_marl.evaluation.merge.merge",
     "handover_marl.evaluation.rendering.plan.render_plan",
     "handover_marl.evaluation.rendering.scene.render_scene",
+    "handover_marl.evaluation.strangers.leaderboard.make_leaderboard",
+    "handover_marl.evaluation.strangers.protocol.strangers",
+    "handover_marl.evaluation.strangers.reference_update.update_references",
     "handover_marl.evaluation.verification.verify.verify",
 )
 #: What would write the files that a command names, and what it returns instead.
@@ -142,7 +145,7 @@ def _check_own(arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
 def _check_script(path: Path, arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
     """The script is there, and its own arguments take these."""
     source = path.read_text()
-    described = re.search(r"tyro\.cli\((\w+)\)", source)
+    described = re.search(r"tyro\.cli\((\w+)[,)]", source)
     assert described, f"{path.name} takes no arguments"
     monkeypatch.syspath_prepend(str(path.parent))
     spec = importlib.util.spec_from_file_location(path.stem, path)
