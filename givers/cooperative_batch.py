@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.spaces import GIVER_ACTION_SIZE
-from handover_marl.geometry.poses import compute_lengths, rotate_points
+from handover_marl.geometry.poses import compute_dot_products, compute_lengths, rotate_points
 from handover_marl.givers.cooperative import CooperativeGiver, HandoverPoseTimer
 from handover_marl.policies.batch import ArrayPolicy
 
@@ -140,7 +140,7 @@ class CooperativeBatch(ArrayPolicy[CooperativeGiver]):
         """Return the limited rotation vectors (r, 3) that turn directions `arms` towards others."""
         axes = np.cross(arms, directions)
         size = compute_lengths(axes)
-        angle = np.minimum(np.arctan2(size, np.vecdot(arms, directions)), self._policy.max_rotation)
+        angle = np.minimum(np.arctan2(size, compute_dot_products(arms, directions)), self._policy.max_rotation)
         is_turned = size >= 1e-9
         return np.where(is_turned[:, None], axes / np.where(is_turned, size, 1.0)[:, None] * angle[:, None], 0.0)
 

@@ -14,7 +14,13 @@ import numpy.typing as npt
 from handover_marl.config import ARM_DOF
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry import panda
-from handover_marl.geometry.poses import compose, compute_lengths, compute_pose_distances, compute_rotation_angles
+from handover_marl.geometry.poses import (
+    compose,
+    compute_dot_products,
+    compute_lengths,
+    compute_pose_distances,
+    compute_rotation_angles,
+)
 from handover_marl.planning.ik_solvers import IkSolver, make_ik_solver
 from handover_marl.policies.policy import PolicyContext, require_reset
 from handover_marl.receivers.grasp_library import GraspLibrary, GraspTable
@@ -152,7 +158,7 @@ class YangController:
             axis = grasp[:, :3] - standoff[:, :3]
             length = compute_lengths(axis)
             # The projection is divided by the length twice and clipped in between, as in the reference.
-            share = np.clip(np.vecdot(hand[:, :3] - standoff[:, :3], axis) / length, 0.0, 1.0) / length
+            share = np.clip(compute_dot_products(hand[:, :3] - standoff[:, :3], axis) / length, 0.0, 1.0) / length
             distance = compute_lengths(standoff[:, :3] + share[:, None] * axis - hand[:, :3])
             width = np.minimum(config.region_width * (1.0 + config.region_slope * length), config.region_max_width)
             in_region[some] = (distance < width) & (nearest < config.angle_tolerance)

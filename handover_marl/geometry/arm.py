@@ -13,7 +13,12 @@ import numpy.typing as npt
 from handover_marl.errors import SimulationError
 from handover_marl.geometry.kinematic_tree import KinematicTree
 from handover_marl.geometry.panda import FINGER_LINKS, HAND_LINK, OPEN
-from handover_marl.geometry.poses import compute_lengths, inverse_transform_points, transform_points
+from handover_marl.geometry.poses import (
+    compute_dot_products,
+    compute_lengths,
+    inverse_transform_points,
+    transform_points,
+)
 
 Array = npt.NDArray[np.float64]
 
@@ -237,7 +242,7 @@ class ReachabilityBound:
             return is_too_far
         pose = np.concatenate([target, np.asarray(orientation, dtype=np.float64)], axis=-1)
         shoulder = inverse_transform_points(pose, self._shoulder) - self._circle_center
-        height = np.vecdot(shoulder, self._axis)
+        height = compute_dot_products(shoulder, self._axis)
         radius = compute_lengths(shoulder - height[..., None] * self._axis)
         nearest = np.hypot(height, radius - self._circle_radius)
         return np.asarray(is_too_far | (nearest > self._wrist_range + distance + angle * self._wrist_distance))

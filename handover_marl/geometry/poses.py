@@ -15,9 +15,20 @@ IDENTITY = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 IDENTITY.flags.writeable = False
 
 
+def compute_dot_products(first: npt.NDArray[np.floating], second: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
+    """Compute the dot products (...) of vectors (..., k), each equal to `np.dot` to the bit."""
+    if hasattr(np, "vecdot"):
+        return np.asarray(np.vecdot(first, second))
+    # NumPy before 2.0.
+    first, second = np.broadcast_arrays(first, second)
+    pairs = zip(first.reshape(-1, first.shape[-1]), second.reshape(-1, first.shape[-1]), strict=True)
+    products = np.array([np.dot(one, other) for one, other in pairs], np.result_type(first, second))
+    return products.reshape(first.shape[:-1])
+
+
 def compute_lengths(vectors: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
     """Compute the lengths (...) of vectors (..., k), each equal to `np.linalg.norm` to the bit."""
-    return np.asarray(np.sqrt(np.vecdot(vectors, vectors)))
+    return np.asarray(np.sqrt(compute_dot_products(vectors, vectors)))
 
 
 def multiply_quaternions(left: npt.ArrayLike, right: npt.ArrayLike) -> Array:
@@ -139,7 +150,7 @@ def compute_rotation_angle(first: npt.ArrayLike, second: npt.ArrayLike) -> float
 
 def compute_rotation_angles(first: npt.ArrayLike, second: npt.ArrayLike) -> Array:
     """Return the rotation angles (...) between unit quaternions (..., 4); see `compute_rotation_angle`."""
-    product = np.vecdot(np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64))
+    product = compute_dot_products(np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64))
     return np.asarray(np.arccos(np.clip(2.0 * product**2 - 1.0, -1.0, 1.0)))
 
 
