@@ -1,4 +1,4 @@
-"""The guide "Your own object and motion": its programs and results, with 4 of its 20 recordings."""
+"""The guide "Your own object and motion": its programs and results."""
 
 from pathlib import Path
 from typing import Any
@@ -9,12 +9,12 @@ import handover_marl
 from tests.docs.pages import REPOSITORY, blocks
 
 PAGE = REPOSITORY / "docs" / "tutorials" / "own_object.md"
-N_RECORDINGS, N_SUCCESSES = 4, 3
+N_RECORDINGS = 20
 
 
-def check_results(report: Any) -> None:
+def check_results(report: Any, min_success_rate: float) -> None:
     assert len(report.episodes) == N_RECORDINGS
-    assert sum(episode.success for episode in report.episodes) >= N_SUCCESSES, str(report)
+    assert report.success_rate >= min_success_rate, str(report)
 
 
 @pytest.mark.slow
@@ -25,11 +25,11 @@ def test_receivers_take_the_bottle_of_the_guide(tmp_path: Path, monkeypatch: pyt
     monkeypatch.chdir(tmp_path)
     names: dict[str, Any] = {}
     for block in blocks(PAGE, "python"):
-        exec(block.text.replace("range(20)", f"range({N_RECORDINGS})"), names)
+        exec(block.text, names)
     assert names["scenes"].content.objects[0].n_grasps == 60
     assert set(names["scenes"].content.setups["people"]) == {"train", "val", "test"}
-    check_results(names["report"])
+    check_results(names["report"], 0.8)
     assert len(list((tmp_path / "results" / "bottles" / "episodes").glob("*.html"))) == N_RECORDINGS
     check_results(
-        handover_marl.benchmark(receiver="vision", dataset="own:bottles", physics="fast", workers=1, progress=False)
+        handover_marl.benchmark(receiver="vision", dataset="own:bottles", physics="fast", progress=False), 0.6
     )
