@@ -69,10 +69,9 @@ def imitate(args: Args, model: PPO) -> None:
     """Train the policy to imitate the teacher's first decision in each of many episodes, if there is a teacher."""
     if not args.teacher:
         return
-    envs, record = (
-        model.get_env().unwrapped,
-        functools.partial(record_first_decisions, args, args.receiver, args.teacher),
-    )
+    wrapped: Any = model.get_env()
+    envs = wrapped.unwrapped
+    record = functools.partial(record_first_decisions, args, args.receiver, args.teacher)
     if isinstance(envs, BatchVecEnv):
         sizes = [len(part) for part in np.array_split(np.arange(args.demonstrations), envs.process_count)]
         # With seeds of their own, episodes of the processes differ from each other.
