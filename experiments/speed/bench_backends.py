@@ -64,7 +64,7 @@ def main(args: Args) -> None:
         # Local, Ray, Ray, local, ...: so that neither is always the first.
         backend = (LOCAL, RAY, RAY, LOCAL)[turn % 4]
         started = time.perf_counter()
-        finished = list(run_episodes(replace(run, scenes=scenes), tasks, configs[backend]))
+        finished = list(run_episodes(replace(run, scenes=scenes), tasks, open_pool(configs[backend])))
         seconds[backend].append(time.perf_counter() - started)
         assert len(finished) == len(tasks)
     ratios = np.array(seconds[RAY]) / np.array(seconds[LOCAL])

@@ -35,6 +35,7 @@ from handover_marl.evaluation.config import EvaluationConfig, resolve_config
 from handover_marl.evaluation.episode_runner import SceneTask, run_episodes
 from handover_marl.evaluation.reports.tables import format_table
 from handover_marl.execution.options import PoolConfig
+from handover_marl.execution.tasks import open_pool
 from handover_marl.learning.training.scene_arguments import DatasetArgs
 from handover_marl.simulation.bullet.client import BulletClient
 from handover_marl.simulation.engines import MUJOCO, list_available_physics
@@ -316,7 +317,7 @@ def make_worker_table(args: Args) -> str:
         for workers in args.workers:
             started = time.perf_counter()
             for _ in progress(
-                run_episodes(run, tasks, PoolConfig(workers)), f"{physics}, {workers} workers", len(tasks)
+                run_episodes(run, tasks, open_pool(PoolConfig(workers))), f"{physics}, {workers} workers", len(tasks)
             ):
                 pass
             taken.append(time.perf_counter() - started)

@@ -1,7 +1,7 @@
 """Evaluation of receivers and givers by the official protocol: one episode per scene of a split."""
 
 import contextlib
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 
 from typing_extensions import Unpack
@@ -27,7 +27,9 @@ from handover_marl.evaluation.results.metadata import ResultMetadata
 from handover_marl.evaluation.results.result_folder import ResultFolder
 from handover_marl.evaluation.shards import Shard
 from handover_marl.evaluation.writers import EpisodeWriter
-from handover_marl.execution.options import check_pool, forward_signature
+from handover_marl.execution.options import PoolConfig, check_pool, forward_signature
+from handover_marl.execution.pool import Pool
+from handover_marl.execution.tasks import open_pool
 from handover_marl.policies.reference import PolicyLike
 
 
@@ -137,11 +139,13 @@ class Evaluation:
             SceneTask(indices[scene], scene, dataset.compute_fingerprint(scene)) for scene in self.config.scenes or ()
         ]
 
-    def run(self, writers: Sequence[EpisodeWriter] = ()) -> Report:
+    def run(self, writers: Sequence[EpisodeWriter] = (), open_workers: Callable[[], Pool] | None = None) -> Report:
         """Simulate the scenes that have no result yet, write the report and return it.
 
         Args:
             writers: Writers of further files for each episode; they require an output folder.
+            open_workers: Function that returns the worker pool, called if a scene has no result yet; default: a new
+                pool with the execution settings.
 
         Raises:
             HandoverError: The same errors as `benchmark`.
@@ -152,9 +156,11 @@ class Evaluation:
             task: result for task, result in stored.items() if all(writer.contains(result) for writer in all_writers)
         }
         remaining = [task for task in self._tasks if task not in results]
+        # Without tasks there is no need to connect to a cluster.
+        pool = (open_workers or self._open_pool)() if remaining else open_pool(PoolConfig(workers=1))
         with (
             self._show_progress(results.values()) as progress,
-            contextlib.closing(run_episodes(self.config, remaining, self._execution.pool, all_writers)) as finished,
+            contextlib.closing(run_episodes(self.config, remaining, pool, all_writers)) as finished,
         ):
             for _, episode in finished:
                 _check_same_outcome(stored.get(episode.task), episode.result)
@@ -168,6 +174,9 @@ class Evaluation:
         if self.folder is not None:
             write_report(self.folder.path, report)
         return report
+
+    def _open_pool(self) -> Pool:
+        return open_pool(self._execution.pool)
 
     def _collect_writers(self, writers: Sequence[EpisodeWriter]) -> tuple[EpisodeWriter, ...]:
         """Return all writers, the result folder last: its files mark scenes as finished."""

@@ -46,6 +46,7 @@ from handover_marl.evaluation.reports.tables import (
 from handover_marl.execution.files import shorten_text, write_atomically
 from handover_marl.execution.options import forward_signature, require_modules
 from handover_marl.execution.reading import read_plain_file
+from handover_marl.execution.tasks import share_pool
 from handover_marl.policies.policy import Policy
 from handover_marl.policies.reference import PolicyLike, PolicyReference, parse_policy
 
@@ -240,10 +241,12 @@ def crossplay(
             pair = giver.label, receiver.label
             pair_config = replace(config, giver=giver, receiver=receiver)
             evaluations[pair] = Evaluation(pair_config, execution.for_subfolder(format_pair_folder(pair)))
+    with share_pool(execution.pool) as open_workers:
+        reports = {pair: evaluation.run(open_workers=open_workers) for pair, evaluation in evaluations.items()}
     result = CrossPlay(
         tuple(giver.label for giver in resolved_givers),
         tuple(receiver.label for receiver in resolved_receivers),
-        {pair: evaluation.run() for pair, evaluation in evaluations.items()},
+        reports,
     )
     if execution.folder is not None:
         result.write(execution.folder)

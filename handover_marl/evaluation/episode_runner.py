@@ -23,8 +23,8 @@ from handover_marl.errors import ActionError, DataNotFoundError, HandoverError, 
 from handover_marl.evaluation.config import REPLAY, EvaluationConfig, require_policy_reference
 from handover_marl.evaluation.results.episode_result import EpisodeResult
 from handover_marl.evaluation.writers import EpisodeWriter
-from handover_marl.execution.options import PoolConfig, describe_machine
-from handover_marl.execution.tasks import open_pool
+from handover_marl.execution.options import describe_machine
+from handover_marl.execution.pool import Pool
 from handover_marl.policies.bundle import PolicyBundle
 
 
@@ -137,7 +137,7 @@ class EpisodeRunner:
 def run_episodes(
     config: EvaluationConfig,
     tasks: Sequence[SceneTask],
-    pool_config: PoolConfig,
+    pool: Pool,
     writers: tuple[EpisodeWriter, ...] = (),
 ) -> Generator[tuple[int, FinishedEpisode], None, None]:
     """Simulate scenes in workers; yield each episode as soon as it is finished.
@@ -145,7 +145,7 @@ def run_episodes(
     Args:
         config: Resolved configuration.
         tasks: Scenes to simulate.
-        pool_config: Number and kind of workers; one local worker is this process.
+        pool: Workers; one local worker is this process.
         writers: Writers whose recorders observe the episodes.
 
     Returns:
@@ -155,8 +155,6 @@ def run_episodes(
         WorkerError: Two workers died over the same scene, or the cluster cannot be used.
         HandoverError: Error of the library in a worker, raised again with its type.
     """
-    # Without tasks there is no need to connect to a cluster.
-    pool = open_pool(pool_config if tasks else PoolConfig(workers=1))
     parallelism = " ".join(filter(None, (f"{min(pool.n_workers, len(tasks))} at a time", pool.location)))
     open_runner: Callable[[], contextlib.AbstractContextManager[Callable[[SceneTask], FinishedEpisode]]]
     if pool.is_remote:

@@ -58,3 +58,7 @@ class Pool(ABC):
                 error that is not one of this library.
             HandoverError: A task failed with this error of the library.
         """
+
+    @abstractmethod
+    def close(self) -> None:
+        """End worker processes that the pool has kept."""

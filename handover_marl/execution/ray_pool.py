@@ -92,6 +92,9 @@ class RayPool(Pool):
             for reference in running:
                 ray.cancel(reference, force=True)
 
+    def close(self) -> None:
+        """Do nothing: Ray ends its idle workers itself."""
+
 
 def run_ray_task(
     job: list[Any], job_id: str, versions: Mapping[str, str], search_path: Sequence[str], task: bytes

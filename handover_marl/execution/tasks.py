@@ -4,12 +4,14 @@ Local processes are started by the library loky. Unlike with multiprocessing, th
 not imported again in the workers, so that it needs no `if __name__ == "__main__"`.
 """
 
+import functools
 import re
+import uuid
 import warnings
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import closing, nullcontext
+from contextlib import ExitStack, closing, contextmanager, nullcontext
 from typing import Any
 
 import cloudpickle
@@ -23,49 +25,6 @@ from handover_marl.execution.pool import Job, OpenWorker, Pool, Result, Task
 from handover_marl.execution.worker import run_local_task, start_local_worker, unpickle_result
 
 _EXIT_CODES = re.compile(r"\{(.*)\}")
-
-
-class LocalPool(Pool):
-    """Pool of worker processes on the caller's machine; a single worker is the caller's process.
-
-    When a worker dies (e.g. killed because memory is short), loky ends all workers. Their tasks
-    are then run again, one at a time, so that the task that kills its worker is identified.
-
-    Args:
-        n_workers: Number of processes.
-    """
-
-    def __init__(self, n_workers: int) -> None:
-        self.n_workers = n_workers
-
-    def map_unordered(
-        self, open_worker: OpenWorker[Task, Result], tasks: Sequence[Task], describe: Callable[[Task], str] = str
-    ) -> Generator[tuple[int, Result], None, None]:
-        """Apply a function to tasks, see `Pool.map_unordered`."""
-        if min(self.n_workers, len(tasks)) <= 1:
-            if tasks:
-                with open_worker() as function:
-                    for index, task in enumerate(tasks):
-                        yield index, function(task)
-            return
-        job = cloudpickle.dumps(Job(open_worker, describe))
-        pending = dict(enumerate(tasks))
-        while pending:
-            crash = yield from _run_until_crash(job, pending, min(self.n_workers, len(pending)))
-            if crash is None:
-                continue
-            suspects = {index: pending.pop(index) for index in crash.indices}
-            listed = ", ".join(map(describe, suspects.values()))
-            warnings.warn(
-                f"a worker process died ({crash.exit_codes}) while {listed}; retrying", RuntimeWarning, stacklevel=2
-            )
-            crash = yield from _run_until_crash(job, suspects, 1)
-            if crash is not None:
-                raise WorkerError(
-                    f"a worker process died twice while {describe(tasks[crash.indices[0]])} "
-                    f"({crash.exit_codes}); finished results are kept. Use fewer workers if "
-                    "memory is short, or workers=1 to see the failure in this process."
-                )
 
 
 class _Crash:
@@ -82,37 +41,103 @@ class _Crash:
         self.exit_codes = f"exit code {match[1]}" if match else type(error).__name__
 
 
-def _run_until_crash(
-    job: bytes, pending: dict[int, Any], n_workers: int
-) -> Generator[tuple[int, Any], None, _Crash | None]:
-    """Run tasks in new processes and remove the finished tasks from `pending`.
+class LocalPool(Pool):
+    """Pool of worker processes on the caller's machine; a single worker is the caller's process.
 
-    No more tasks are submitted than workers exist, so that the submitted ones are those that ran
-    when a worker died.
+    When a worker dies (e.g. killed because memory is short), loky ends all workers. Their tasks
+    are then run again, one at a time, so that the task that kills its worker is identified.
+
+    Args:
+        n_workers: Number of processes.
+        keep_workers: Whether processes continue after the last task, until `close` is called.
     """
-    open_missing_descriptors()
-    executor = ProcessPoolExecutor(n_workers, initializer=start_local_worker, initargs=(job,))
-    running: dict[Future[bytes], int] = {}
-    waiting = list(reversed(pending))
-    try:
-        while waiting or running:
-            while waiting and len(running) < n_workers:
-                task = cloudpickle.dumps(pending[waiting[-1]])
-                running[executor.submit(run_local_task, task)] = waiting.pop()
-            for future in wait(running, return_when=FIRST_COMPLETED).done:
-                answer = future.result()
-                index = running.pop(future)
-                del pending[index]
-                yield index, unpickle_result(answer)
-    except BrokenProcessPool as error:
-        return _Crash(list(running.values()), error)
-    finally:
-        executor.shutdown(wait=True, kill_workers=True)
-    return None
+
+    def __init__(self, n_workers: int, keep_workers: bool = False) -> None:
+        self.n_workers, self._keep_workers = n_workers, keep_workers
+        self._executor: ProcessPoolExecutor | None = None
+        self._n_processes = 0
+
+    def map_unordered(
+        self, open_worker: OpenWorker[Task, Result], tasks: Sequence[Task], describe: Callable[[Task], str] = str
+    ) -> Generator[tuple[int, Result], None, None]:
+        """Apply a function to tasks, see `Pool.map_unordered`."""
+        if min(self.n_workers, len(tasks)) <= 1:
+            if tasks:
+                with open_worker() as function:
+                    for index, task in enumerate(tasks):
+                        yield index, function(task)
+            return
+        job = uuid.uuid4().hex, cloudpickle.dumps(Job(open_worker, describe))
+        pending = dict(enumerate(tasks))
+        while pending:
+            crash = yield from self._run_until_crash(job, pending, min(self.n_workers, len(pending)))
+            if crash is None:
+                continue
+            suspects = {index: pending.pop(index) for index in crash.indices}
+            listed = ", ".join(map(describe, suspects.values()))
+            warnings.warn(
+                f"a worker process died ({crash.exit_codes}) while {listed}; retrying", RuntimeWarning, stacklevel=2
+            )
+            crash = yield from self._run_until_crash(job, suspects, 1)
+            if crash is not None:
+                raise WorkerError(
+                    f"a worker process died twice while {describe(tasks[crash.indices[0]])} "
+                    f"({crash.exit_codes}); finished results are kept. Use fewer workers if "
+                    "memory is short, or workers=1 to see the failure in this process."
+                )
+
+    def close(self) -> None:
+        """End the processes, even in the middle of a task."""
+        if self._executor is not None:
+            self._executor.shutdown(wait=True, kill_workers=True)
+            self._executor = None
+
+    def _run_until_crash(
+        self, job: tuple[str, bytes], pending: dict[int, Any], n_workers: int
+    ) -> Generator[tuple[int, Any], None, _Crash | None]:
+        """Run tasks in processes and remove the finished tasks from `pending`.
+
+        No more tasks are submitted than workers exist, so that the submitted ones are those that ran
+        when a worker died.
+        """
+        executor = self._get_executor(n_workers)
+        running: dict[Future[bytes], int] = {}
+        waiting = list(reversed(pending))
+        finished = False
+        try:
+            while waiting or running:
+                while waiting and len(running) < n_workers:
+                    task = cloudpickle.dumps(pending[waiting[-1]])
+                    running[executor.submit(run_local_task, *job, task)] = waiting.pop()
+                for future in wait(running, return_when=FIRST_COMPLETED).done:
+                    answer = future.result()
+                    index = running.pop(future)
+                    del pending[index]
+                    yield index, unpickle_result(answer)
+            finished = True
+        except BrokenProcessPool as error:
+            return _Crash(list(running.values()), error)
+        finally:
+            if not (finished and self._keep_workers):
+                self.close()
+        return None
+
+    def _get_executor(self, n_workers: int) -> ProcessPoolExecutor:
+        """Return the running processes, or start new ones if there are not enough."""
+        if self._executor is None or self._n_processes < n_workers:
+            self.close()
+            open_missing_descriptors()
+            self._executor = ProcessPoolExecutor(n_workers, initializer=start_local_worker)
+            self._n_processes = n_workers
+        return self._executor
 
 
-def open_pool(config: PoolConfig) -> Pool:
+def open_pool(config: PoolConfig, keep_workers: bool = False) -> Pool:
     """Return a worker pool with a configuration; for Ray, connect to the cluster.
+
+    Args:
+        config: Configuration of the pool.
+        keep_workers: Whether local processes continue after the last task, until the pool is closed.
 
     Raises:
         UnknownNameError: The backend is unknown.
@@ -125,7 +150,20 @@ def open_pool(config: PoolConfig) -> Pool:
         from handover_marl.execution.ray_pool import RayPool
 
         return RayPool(config)
-    return LocalPool(resolve_worker_count(config.workers))
+    return LocalPool(resolve_worker_count(config.workers), keep_workers)
+
+
+@contextmanager
+def share_pool(config: PoolConfig) -> Iterator[Callable[[], Pool]]:
+    """Yield a function that returns a pool whose processes are used for several jobs, and end at the exit.
+
+    The pool is opened at the first call.
+
+    Raises:
+        HandoverError: As `open_pool`, at the first call.
+    """
+    with ExitStack() as stack:
+        yield functools.cache(lambda: stack.enter_context(closing(open_pool(config, keep_workers=True))))
 
 
 def map_with_progress(

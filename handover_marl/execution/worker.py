@@ -107,7 +107,7 @@ def activate_job(job_id: str, load_job: Callable[[], bytes]) -> JobRunner:
     return _ProcessState.runner
 
 
-def start_local_worker(pickled_job: bytes) -> None:
+def start_local_worker() -> None:
     """Prepare the current process as a worker of `LocalPool`.
 
     Ctrl-C is left to the main process, which ends its workers. A worker exits when the main
@@ -115,12 +115,11 @@ def start_local_worker(pickled_job: bytes) -> None:
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_exit_with_parent, args=(os.getppid(),), daemon=True).start()
-    activate_job("", lambda: pickled_job)
 
 
-def run_local_task(pickled_task: bytes) -> bytes:
-    """Run a task in a process that `start_local_worker` prepared."""
-    return activate_job("", bytes).run(pickled_task)
+def run_local_task(job_id: str, pickled_job: bytes, pickled_task: bytes) -> bytes:
+    """Run a task of a job in a process that `start_local_worker` prepared."""
+    return activate_job(job_id, lambda: pickled_job).run(pickled_task)
 
 
 def _exit_with_parent(parent: int) -> None:

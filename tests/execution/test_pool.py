@@ -15,7 +15,7 @@ import pytest
 
 from handover_marl.errors import OptionError, ResultsError, UnknownNameError, WorkerError
 from handover_marl.execution.options import PoolConfig, open_missing_descriptors
-from handover_marl.execution.tasks import map_with_progress, open_pool
+from handover_marl.execution.tasks import map_with_progress, open_pool, share_pool
 
 
 def run(function: Callable[[Any], Any], tasks: list[Any], workers: int = 2) -> dict[Any, Any]:
@@ -166,3 +166,43 @@ def test_invalid_configurations(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(OptionError, match=r"needs ray: pip install 'handover-marl\[ray\]'"):
         open_pool(PoolConfig(backend="ray"))
+
+
+def test_shared_pool_keeps_its_processes() -> None:
+    def run_shared(function: Callable[[int], object]) -> list[object]:
+        found = open_workers().map_unordered(lambda: nullcontext(function), [0, 1, 2, 3])
+        return [result for _, result in sorted(found)]
+
+    def get_process(task: int) -> int:
+        time.sleep(0.2)
+        return os.getpid()
+
+    with share_pool(PoolConfig(2)) as open_workers:
+        first = set(run_shared(get_process))
+        assert len(first) == 2
+        assert run_shared(lambda task: task + 1) == [1, 2, 3, 4]
+        assert set(run_shared(get_process)) == first
+    for process in first:
+        with pytest.raises(ProcessLookupError):
+            os.kill(process, 0)
+
+
+@pytest.mark.filterwarnings("ignore:a worker process died")
+def test_shared_pool_continues_after_a_crash(tmp_path: Path) -> None:
+    def work(task: int) -> int:
+        if task == 1 and not (tmp_path / "killed").exists():
+            (tmp_path / "killed").touch()
+            kill_this_process()
+        return task
+
+    with share_pool(PoolConfig(2)) as open_workers:
+        for _ in range(2):
+            found = open_workers().map_unordered(lambda: nullcontext(work), [0, 1, 2])
+            assert sorted(result for _, result in found) == [0, 1, 2]
+
+
+def test_shared_pool_is_opened_on_demand() -> None:
+    with share_pool(PoolConfig(backend="slurm")) as open_workers, pytest.raises(UnknownNameError, match="slurm"):
+        open_workers()
+    with share_pool(PoolConfig(backend="slurm")):
+        pass
