@@ -9,6 +9,7 @@ from handover_marl.cli.options import PopulationName, SceneNumbers
 from handover_marl.cli.printing import TableFormat, print_tables
 from handover_marl.cli.streams import print_result
 from handover_marl.execution.files import write_atomically
+from handover_marl.execution.options import check_path
 
 _Folders = Annotated[tuple[str, ...], tyro.conf.arg(metavar="DIR"), tyro.conf.Positional]
 _PagePath = Annotated[str | None, tyro.conf.arg(metavar="FILE.html")]
@@ -137,18 +138,25 @@ def run_merge(
 
 
 def run_strangers_table(
-    folders: _Folders, population: PopulationName = "strangers-v1", table_format: TableFormat = "markdown"
+    folders: _Folders,
+    population: PopulationName = "strangers-v1",
+    heat_map: Annotated[str | None, tyro.conf.arg(metavar="FILE.png")] = None,
+    table_format: TableFormat = "markdown",
 ) -> None:
     """Print the leaderboard of folders that `strangers` wrote, one for each method.
 
     Args:
         folders: Output folders of `strangers` with the same partners and scenes.
         population: Population of the evaluations.
+        heat_map: Picture to write, with the success rate of every method with every partner.
         table_format: Format of the printed tables.
     """
     from handover_marl.evaluation.strangers.leaderboard import make_leaderboard
 
-    print_tables(make_leaderboard(folders, population), table_format, f"Folders: {', '.join(folders)}")
+    leaderboard = make_leaderboard(folders, population)
+    if heat_map is not None:
+        leaderboard.write_heat_map(check_path("heat_map", heat_map))
+    print_tables(leaderboard, table_format, f"Folders: {', '.join(folders)}")
 
 
 def run_strangers_references(

@@ -1,4 +1,4 @@
-"""Heat map of the success rates of a cross-play."""
+"""Heat map of the success rates of pairs of policies."""
 
 import io
 from collections.abc import Sequence
@@ -10,23 +10,28 @@ _WHITE_TEXT_THRESHOLD = 0.55
 
 
 def draw_heat_map(
-    rates: Sequence[Sequence[float]], givers: Sequence[str], receivers: Sequence[str], title: str
+    rates: Sequence[Sequence[float]],
+    rows: Sequence[str],
+    columns: Sequence[str],
+    title: str,
+    axis_labels: tuple[str, str] = ("giver", "receiver"),
 ) -> bytes:
-    """Draw the success rates of a cross-play as a heat map; return it as PNG.
+    """Draw success rates of pairs of policies as a heat map; return it as PNG.
 
     Args:
-        rates: Success rates (0 to 1), one row per giver and one column per receiver.
-        givers: Names of the rows.
-        receivers: Names of the columns.
+        rates: Success rates (0 to 1), by row and column.
+        rows: Names of the rows.
+        columns: Names of the columns.
         title: Title of the figure.
+        axis_labels: What the rows and the columns are.
     """
-    figure = Figure(figsize=(2.6 + 1.3 * len(receivers), 1.9 + 0.55 * len(givers)), dpi=150)
+    figure = Figure(figsize=(2.6 + 1.3 * len(columns), 1.9 + 0.55 * len(rows)), dpi=150)
     axes = figure.add_subplot()
     image = axes.imshow(rates, cmap="viridis_r", vmin=0.0, vmax=1.0, aspect="auto")
-    axes.set_xticks(range(len(receivers)), receivers)
-    axes.set_yticks(range(len(givers)), givers)
-    axes.set_xlabel("receiver")
-    axes.set_ylabel("giver")
+    axes.set_xticks(range(len(columns)), columns)
+    axes.set_yticks(range(len(rows)), rows)
+    axes.set_ylabel(axis_labels[0])
+    axes.set_xlabel(axis_labels[1])
     for row, line in enumerate(rates):
         for column, rate in enumerate(line):
             color = "white" if rate > _WHITE_TEXT_THRESHOLD else "black"

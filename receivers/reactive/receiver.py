@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from handover_marl.episode.observations import Observation
 from handover_marl.policies.policy import Action, PolicyContext, require_reset
-from handover_marl.receivers.reactive.config import ReactiveConfig, apply_risk
+from handover_marl.receivers.reactive.config import ReactiveConfig, apply_risk, override_settings
 from handover_marl.receivers.reactive.controller import ControllerReceiver
 from handover_marl.receivers.reactive.grasp_contact import load_graspable_object, load_obstacle
 from handover_marl.receivers.reactive.scene_estimate import PoseSceneEstimate
@@ -24,17 +24,24 @@ class ReactiveReceiver(ControllerReceiver):
         wait: Time at the waiting pose (s).
         risk: Trade-off between success rate (0) and speed (1).
         config: Configuration of the receiver for a risk of 0.5.
+        settings: Other values of numbers in the configuration, such as `approach_standoff=0.1`, which do not
+            depend on `risk`; see `override_settings`.
 
     Raises:
-        OptionError: `wait` or `risk` is out of range.
+        OptionError: `wait` or `risk` is out of range, or a setting is unknown.
     """
 
     name = "reactive"
 
     def __init__(
-        self, context: PolicyContext, wait: float = 0.0, risk: float = 0.5, config: ReactiveConfig | None = None
+        self,
+        context: PolicyContext,
+        wait: float = 0.0,
+        risk: float = 0.5,
+        config: ReactiveConfig | None = None,
+        **settings: float,
     ) -> None:
-        super().__init__(context, wait, apply_risk(config or ReactiveConfig(), risk))
+        super().__init__(context, wait, override_settings(apply_risk(config or ReactiveConfig(), risk), settings))
         self._object_name = ""
         self._scene: PoseSceneEstimate | None = None
 

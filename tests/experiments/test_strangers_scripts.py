@@ -12,10 +12,12 @@ from experiments.strangers.measure_recording_spread import (
     measure_handover,
     measure_spread,
 )
+from experiments.strangers.search_best_responses import SEARCH_SPACE, BestResponse, draw_receiver, format_results
 from experiments.strangers.select_population import CANDIDATES, format_features, select_by_family
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.evaluation.strangers.selection import EVENTS
 from handover_marl.policies.populations import Partner, load_population
+from handover_marl.policies.reference import parse_policy
 
 
 def test_selection_by_family() -> None:
@@ -31,6 +33,24 @@ def test_candidates_include_the_shipped_givers() -> None:
     policies = {giver.policy for giver in load_population(CANDIDATES).givers}
     shipped = load_population()
     assert {giver.policy for giver in shipped.givers} <= policies
+
+
+def test_drawn_settings_are_those_of_reactive() -> None:
+    names = [draw_receiver(np.random.default_rng((0, repeat))) for repeat in (0, 0, 1)]
+    assert names[0] == names[1] != names[2]
+    reference = parse_policy("receiver", names[2])
+    assert dict(reference.options).keys() == SEARCH_SPACE.keys()
+    assert all(low <= dict(reference.options)[name] <= high for name, (low, high) in SEARCH_SPACE.items())
+    reference.make(SyntheticDataset())
+
+
+def test_best_response_is_that_of_the_best_search() -> None:
+    partners = (Partner("a", "f", "train", "a", "x"),)
+    found = {(0, 1): BestResponse("second", 0.7, 1.0), (0, 0): BestResponse("first", 0.6, 0.9)}
+    text = format_results(partners, found, 8)
+    assert "60.0, 70.0" in text
+    assert "second" in text
+    assert "first" not in text
 
 
 def test_spread_is_relative_to_the_mean_of_a_group() -> None:

@@ -21,7 +21,8 @@ from handover_marl.evaluation.strangers.scores import (
     compute_unclipped_proximity,
     estimate_difference,
 )
-from handover_marl.execution.options import check_path
+from handover_marl.execution.files import write_atomically
+from handover_marl.execution.options import check_path, require_modules
 from handover_marl.policies.populations import DEFAULT_POPULATION, Population, load_population
 
 _COLUMNS = {
@@ -48,6 +49,27 @@ class Leaderboard(TabularResult):
     reports: tuple[StrangersReport, ...]
     has_stored_references: bool
 
+    def write_heat_map(self, path: Path) -> None:
+        """Write a heat map of the success rates by partner and method as PNG; requires the extra `plot`.
+
+        Raises:
+            OptionError: matplotlib is missing.
+            ResultsError: The file cannot be written.
+        """
+        require_modules("the heat map", "plot", "matplotlib")
+        from handover_marl.visualization.heat_map import draw_heat_map
+
+        first = self.reports[0]
+        rates = np.stack([report.successes.mean(axis=(0, 2)) for report in self.reports], axis=1).tolist()
+        partners = [f"{partner.name} ({partner.family})" for partner in first.partners]
+        other = "giver" if first.agent == "receiver" else "receiver"
+        title = f"{first.population}\n{self._describe_condition()}"
+        picture = draw_heat_map(rates, partners, list(map(_get_title, self.reports)), title, (other, first.agent))
+        try:
+            write_atomically(path, picture)
+        except OSError as error:
+            raise ResultsError(f"{path} cannot be written ({error})") from error
+
     def build_tables(self) -> list[ReportTable]:
         """Build the tables of scores, of differences to the first method, and of success by family."""
         return [self._build_scores(), self._build_differences(), self._build_families()]
@@ -55,14 +77,19 @@ class Leaderboard(TabularResult):
     def build_sections(self) -> list[str | ReportTable]:
         """Build heading, tables and notes."""
         first = self.reports[0]
-        condition = first.condition
         heading = (
             f"{len(first.partners)} partners of {first.population}, families of {first.partner_split}; "
-            f"{condition.dataset} {condition.setup} {condition.split}, {len(condition.scenes)} scenes each, "
-            f"{condition.physics} physics."
+            f"{self._describe_condition()}."
         )
         source = "stored with the population" if self.has_stored_references else "the best of these methods"
         return [heading, *self.build_tables(), f"{NOTE} References: {source}. Differences are paired by scene."]
+
+    def _describe_condition(self) -> str:
+        condition = self.reports[0].condition
+        return (
+            f"{condition.dataset} {condition.setup} {condition.split}, {len(condition.scenes)} scenes each, "
+            f"{condition.physics} physics"
+        )
 
     def _build_scores(self) -> ReportTable:
         rows = []

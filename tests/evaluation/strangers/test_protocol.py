@@ -86,8 +86,11 @@ def test_leaderboard(
     table = make_leaderboard([evaluated, other], population)
     assert [report.policies for report in table.reports] == [("hold",), ("hold",)]
     assert not table.has_stored_references
-    assert main(["strangers-table", str(evaluated), str(other), "--population", str(population)]) == 0
+    picture = tmp_path / "heat_map.png"
+    command = ["strangers-table", str(evaluated), str(other), "--population", str(population)]
+    assert main([*command, "--heat-map", str(picture)]) == 0
     assert "the best of these methods" in capsys.readouterr().out
+    assert picture.read_bytes().startswith(b"\x89PNG")
     for pair in json.loads((other / "strangers.json").read_text())["folders"]["hold"].values():
         next((other / pair).glob("*.npz")).unlink()
     with pytest.raises(ResultsError, match="must have the same condition"):

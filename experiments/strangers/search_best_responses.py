@@ -1,0 +1,141 @@
+"""Search a best response to every giver of a population: settings of the receiver `reactive` for this giver.
+
+    python experiments/strangers/search_best_responses.py --data-dir DIR --out results/best_responses
+
+Every search draws settings at random (random search; Bergstra and Bengio, JMLR 2012) and evaluates them on a few
+scenes of the train split. The best of the draws by average success is evaluated on all scenes of the search. A giver
+has several searches, which share no draws. The script prints the best response to every giver, and the result folders
+of all searches go to `OUT/best`, from which `handover-marl strangers-references` updates the references. The same
+command continues an interrupted search.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import tyro
+
+import handover_marl
+from handover_marl.datasets.splits import select_scenes_evenly
+from handover_marl.evaluation.reports.tables import format_table
+from handover_marl.execution.options import PoolConfig
+from handover_marl.execution.tasks import map_with_progress
+from handover_marl.learning.training.scene_arguments import EvaluationArgs
+from handover_marl.policies.populations import DEFAULT_POPULATION, Partner, load_population
+
+#: Range of each setting, from which a draw takes a number with a uniform distribution of its logarithm.
+SEARCH_SPACE = {
+    "risk": (0.4, 1.0),
+    "approach_standoff": (0.04, 0.12),
+    "approach_max_object_speed": (0.1, 0.8),
+    "approach_commit_distance": (0.03, 0.1),
+    "prediction_velocity_horizon": (0.1, 0.4),
+    "retreat_speed": (0.6, 2.4),
+    "selection_switch_margin": (0.1, 0.6),
+}
+_DIGITS = 3
+
+
+@dataclass(frozen=True)
+class Args(EvaluationArgs):
+    """Options of the command line.
+
+    Attributes:
+        out: Folder of the results.
+        population: Name of a shipped population, or path of a file.
+        partners: Families of the population: train, test or all.
+        searches: Number of searches for each giver.
+        draws: Number of settings that a search compares.
+        draw_scenes: Number of scenes on which the draws are compared.
+        n_scenes: Number of scenes on which the best draw is evaluated, the former among them.
+    """
+
+    out: Path = Path("results/best_responses")
+    population: str = DEFAULT_POPULATION
+    partners: str = "all"
+    searches: int = 2
+    draws: int = 5
+    draw_scenes: int = 4
+    n_scenes: int = 12
+
+
+@dataclass(frozen=True)
+class BestResponse:
+    """Result of a search.
+
+    Attributes:
+        receiver: Receiver with its settings.
+        score: Average success on all scenes of the search (0..1).
+        success_rate: Success rate on the same scenes (0..1).
+    """
+
+    receiver: str
+    score: float
+    success_rate: float
+
+
+def draw_receiver(rng: np.random.Generator) -> str:
+    """Return the receiver with random settings."""
+    values = {name: float(np.exp(rng.uniform(*np.log(limits)))) for name, limits in SEARCH_SPACE.items()}
+    return "reactive:" + ",".join(f"{name}={value:.{_DIGITS}g}" for name, value in values.items())
+
+
+def search(args: Args, giver: str, folder: Path, seed: tuple[int, ...]) -> BestResponse:
+    """Search the best response to a giver.
+
+    Args:
+        args: Options of the search.
+        giver: Giver with its options.
+        folder: Folder name of the search below `OUT/draws` and `OUT/best`.
+        seed: Seed of the draws.
+    """
+    rng = np.random.default_rng(seed)
+    scenes = select_scenes_evenly(args.open_dataset().list_scenes(args.setup, "train"), args.n_scenes)
+    few = select_scenes_evenly(scenes, args.draw_scenes)
+    receivers = [draw_receiver(rng) for _ in range(args.draws)]
+    scores = [
+        _evaluate(args, giver, receiver, few, args.out / "draws" / folder / str(number)).average_success
+        for number, receiver in enumerate(receivers)
+    ]
+    best = receivers[int(np.argmax(scores))]
+    report = _evaluate(args, giver, best, scenes, args.out / "best" / folder)
+    return BestResponse(best, report.average_success, report.success_rate)
+
+
+def _evaluate(args: Args, giver: str, receiver: str, scenes: tuple[int, ...], folder: Path) -> handover_marl.Report:
+    options = args.evaluation_options | {"workers": 1, "progress": False, "out": str(folder)}
+    return handover_marl.evaluate_pair(giver, receiver, split="train", scenes=scenes, **options)
+
+
+def format_results(partners: tuple[Partner, ...], found: dict[tuple[int, int], BestResponse], n_scenes: int) -> str:
+    """Return the table of the best responses, one row for each partner."""
+    rows = []
+    for number, partner in enumerate(partners):
+        responses = [found[key] for key in sorted(found) if key[0] == number]
+        best = max(responses, key=lambda response: response.score)
+        scores = ", ".join(f"{100 * response.score:.1f}" for response in responses)
+        rows.append([partner.name, partner.family, scores, f"{100 * best.success_rate:.1f}", n_scenes, best.receiver])
+    return format_table(["giver", "family", "AS % of searches", "success % of the best", "n", "best response"], rows)
+
+
+def main(args: Args) -> None:
+    """Search in worker processes, one giver and search at a time each, and print the best responses."""
+    args = args.resolve_setup()
+    population = load_population(args.population)
+    partners = population.select("giver", args.partners)
+    tasks = [(number, repeat) for number in range(len(partners)) for repeat in range(args.searches)]
+
+    def make_search() -> Callable[[tuple[int, int]], BestResponse]:
+        def run(task: tuple[int, int]) -> BestResponse:
+            partner = partners[task[0]]
+            return search(args, population.get_policy(partner), Path(f"{partner.name}-{task[1]}"), task)
+
+        return run
+
+    found = dict(map_with_progress(make_search, tasks, "best responses", PoolConfig(args.workers), progress=True))
+    print(format_results(partners, found, args.n_scenes))
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Args, description=__doc__))
