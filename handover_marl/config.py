@@ -10,6 +10,8 @@ from dataclasses import dataclass, field, fields
 from numbers import Integral, Real
 from typing import Any, ClassVar
 
+import numpy as np
+
 from handover_marl.errors import OptionError
 
 #: Largest image side (pixels); larger ones crash the software renderer.
@@ -298,11 +300,29 @@ class WorldConfig(CheckedConfig):
         physics: Configuration of the simulated world.
         protocol: Rules of release, success and failure.
         giver: Limits of the giver's deviation from the recording.
+        initial_joint_noise: Largest deviation (rad, at most 0.3) of each arm joint from `start_joints` at the start
+            of an episode; each episode draws the seven deviations uniformly.
     """
+
+    limits: ClassVar[Limits] = {"initial_joint_noise": (0.0, 0.3)}
 
     physics: PhysicsConfig = field(default_factory=PhysicsConfig)
     protocol: ProtocolConfig = field(default_factory=ProtocolConfig)
     giver: GiverConfig = field(default_factory=GiverConfig)
+    # Result folders state it beside the hash of the other fields, which is a hash of `repr`.
+    initial_joint_noise: float = field(default=0.0, repr=False)
+
+    def draw_initial_joints(self, seed: int) -> tuple[float, ...]:
+        """Draw the robot's nine joint positions at the start of an episode (rad, m).
+
+        Args:
+            seed: Seed of the draw; without noise the positions do not depend on it.
+        """
+        joints = self.physics.panda.start_joints
+        if self.initial_joint_noise == 0.0:
+            return joints
+        drawn = np.random.default_rng(seed).uniform(-self.initial_joint_noise, self.initial_joint_noise, ARM_DOF)
+        return (*np.add(joints[:ARM_DOF], drawn).tolist(), *joints[ARM_DOF:])
 
 
 #: Configuration with the values of HandoverSim.

@@ -84,6 +84,8 @@ def test_wrong_values_are_refused_with_the_name_of_the_field(config: CheckedConf
         lambda: ProtocolConfig(release_steps=0),
         lambda: ProtocolConfig(horizon_steps=13.0),  # type: ignore[arg-type]
         lambda: ProtocolConfig(region_lower=(1.0, 1.0, 1.0)),
+        lambda: WorldConfig(initial_joint_noise=-0.1),
+        lambda: WorldConfig(initial_joint_noise=0.31),
         lambda: CameraConfig(width=0),
         lambda: CameraConfig(vertical_fov=180.0),
         lambda: CameraConfig(near=1.0, far=0.5),
@@ -105,3 +107,15 @@ def test_lists_and_arrays_become_tuples() -> None:
     expected = ProtocolConfig(goal_center=(0.5, 0.25, 1.0))
     assert ProtocolConfig(goal_center=[0.5, 0.25, 1.0]) == expected  # type: ignore[arg-type]
     assert hash(ProtocolConfig(goal_center=np.array([0.5, 0.25, 1.0]))) == hash(expected)  # type: ignore[arg-type]
+
+
+def test_initial_joints_are_drawn_within_the_noise() -> None:
+    config = WorldConfig(initial_joint_noise=0.2)
+    start = np.array(PandaConfig().start_joints)
+    drawn = np.array([config.draw_initial_joints(seed) for seed in range(200)]) - start
+    assert np.abs(drawn[:, :7]).max() <= 0.2
+    assert (drawn[:, :7].max(axis=0) > 0.15).all()
+    assert (drawn[:, :7].min(axis=0) < -0.15).all()
+    assert not drawn[:, 7:].any(), "the gripper starts open"
+    assert config.draw_initial_joints(3) == config.draw_initial_joints(3) != config.draw_initial_joints(4)
+    assert WorldConfig().draw_initial_joints(3) == PandaConfig().start_joints

@@ -15,6 +15,7 @@ from tyro.constructors import (
     StructTypeInfo,
 )
 
+from handover_marl.config import WorldConfig
 from handover_marl.errors import HandoverError, OptionError
 from handover_marl.evaluation.config import MULTI_SCENE_FIELDS, EvaluationConfig, ExecutionConfig
 
@@ -42,7 +43,9 @@ class RenderExecutionArguments(ExecutionConfig):
     """Options of `render` that configure the execution."""
 
 
-# Fields without an option. Other worlds than the official one can be configured only in Python.
+#: Field of `WorldConfig` with an option; others can be set only in Python.
+_NOISE = "initial_joint_noise"
+# Fields without an option.
 _HIDDEN_FIELDS: dict[type, tuple[str, ...]] = {
     EvaluationConfig: ("world_config",),
     BenchmarkArguments: ("world_config", "giver"),
@@ -52,6 +55,8 @@ _HIDDEN_FIELDS: dict[type, tuple[str, ...]] = {
     ExecutionConfig: (),
     RenderExecutionArguments: MULTI_SCENE_FIELDS,
 }
+# The official protocol has no noise, and films show single scenes.
+_WITH_NOISE = (EvaluationConfig, CrossPlayArguments)
 
 
 def parse_scenes(words: Sequence[str]) -> tuple[int, ...]:
@@ -85,6 +90,7 @@ _OPTION_TYPES: dict[str, Any] = {
     "giver": Annotated[str, tyro.conf.arg(metavar="POLICY")],
     "receiver": Annotated[str, tyro.conf.arg(metavar="POLICY")],
     "scenes": SceneNumbers,
+    _NOISE: Annotated[float, tyro.conf.arg(metavar="RAD")],
     # Other noise models can be configured only in Python.
     "camera_noise": Annotated[str | None, tyro.conf.arg(metavar="CAMERA")],
     "data_dir": Annotated[str | None, tyro.conf.arg(metavar="DIR")],
@@ -116,16 +122,25 @@ def _struct_spec_from_config(info: StructTypeInfo) -> StructConstructorSpec | No
                 descriptions.get(part.name),
             )
             for part in visible
-        ),
+        )
+        + (_make_noise_options() if info.type in _WITH_NOISE else ()),
     )
+
+
+def _make_noise_options() -> tuple[StructFieldSpec, ...]:
+    """Return the option of the noise of the robot's initial joint positions."""
+    descriptions = {part.arg_name: part.description for part in parse(WorldConfig.__doc__ or "").params}
+    return (StructFieldSpec(_NOISE, _OPTION_TYPES[_NOISE], 0.0, descriptions[_NOISE]),)
 
 
 class ArgumentError(HandoverError):
     """Invalid option, reported without the help text that tyro adds to other errors."""
 
 
-def _make_evaluation_config(**options: Any) -> EvaluationConfig:
+def _make_evaluation_config(initial_joint_noise: float = 0.0, **options: Any) -> EvaluationConfig:
     with _report_directly():
+        if initial_joint_noise:
+            options["world_config"] = WorldConfig(initial_joint_noise=initial_joint_noise)
         return EvaluationConfig(**options)
 
 

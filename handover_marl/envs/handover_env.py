@@ -10,7 +10,7 @@ from gymnasium import spaces
 from gymnasium.utils import EzPickle, seeding
 from pettingzoo import ParallelEnv
 
-from handover_marl.config import TIME_STEP, CameraConfig
+from handover_marl.config import TIME_STEP, CameraConfig, WorldConfig
 from handover_marl.datasets import open_dataset
 from handover_marl.datasets.splits import choose_scenes
 from handover_marl.envs.arguments import AGENTS, GIVER, RECEIVER, check_actions, check_scene_option, has_display
@@ -196,7 +196,8 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         self._observation = None
         if seed is not None:
             self._rng, _ = seeding.np_random(seed)
-        self._episode.reset(self.dataset.load_scene(self._choose_scene(options)))
+        scene = self.dataset.load_scene(self._choose_scene(options))
+        self._episode.reset(scene, draw_robot_seed(self.np_random, self.config.world_config))
         self._episode.seed_camera(self._spawn_camera_seed())
         self._cycles = 0
         observations = self._observe()
@@ -365,6 +366,11 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         wait = self.config.control_steps * TIME_STEP - (time.monotonic() - started)
         if wait > 0:
             time.sleep(wait)
+
+
+def draw_robot_seed(rng: np.random.Generator, config: WorldConfig) -> int:
+    """Draw the seed of the robot's initial joint positions; without noise the generator keeps its state."""
+    return int(rng.integers(2**32)) if config.initial_joint_noise else 0
 
 
 def _add_terms(infos: dict[str, Info], terms: dict[str, Terms]) -> dict[str, Info]:

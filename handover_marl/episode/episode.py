@@ -62,8 +62,12 @@ class Episode:
         self._contacts: Contacts | None = Contacts()
         self._referee = Referee(config.protocol)
 
-    def reset(self, scene: Scene) -> None:
+    def reset(self, scene: Scene, seed: int = 0) -> None:
         """Reset simulation, giver motion, camera and referee to the start of a scene.
+
+        Args:
+            scene: Scene of the episode.
+            seed: Seed of the robot's initial joint positions, if the configuration has noise on them.
 
         Raises:
             DataNotFoundError, DataFormatError: Files of the scene are missing or damaged.
@@ -77,7 +81,7 @@ class Episode:
         self._referee = Referee(self.config.protocol)
         self._contacts = Contacts()
         playback = Playback(scene, self.config.giver)
-        self._world.reset(scene, playback.start())
+        self._world.reset(scene, playback.start(), self.config.draw_initial_joints(seed))
         self._playback = playback
         if self._wrist_camera is not None:
             self._wrist_camera.reset(scene, self._world)

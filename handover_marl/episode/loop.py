@@ -204,7 +204,7 @@ def derive_scene_seed(seed: int | None, scene_id: int, user: str) -> int:
     Args:
         seed: Seed of the run; None is 0.
         scene_id: Scene number.
-        user: "giver" or "camera".
+        user: "giver", "camera" or "robot".
     """
     digest = hashlib.sha256(f"handover_marl {seed or 0} {scene_id} {user}".encode())
     return int.from_bytes(digest.digest()[:4], "big")

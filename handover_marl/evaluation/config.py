@@ -58,7 +58,7 @@ class EvaluationConfig:
         renderer: Renderer of the wrist camera: bullet, rays, or auto (bullet in exact physics, else rays).
         camera_model: Projection of the wrist camera's point clouds: handoversim (as in the original) or pinhole.
         camera_noise: Noise and latency of the wrist camera: default none, or realsense.
-        seed: Seed of the random draws of policies and camera.
+        seed: Seed of the random draws of policies, camera and initial joint positions.
         world_config: World and rules; published results exist only for the default.
 
     Raises:

@@ -70,12 +70,13 @@ class World(ABC):
     """Simulated table, Panda, objects and human hand, advanced in steps of 1 ms."""
 
     @abstractmethod
-    def reset(self, scene: Scene, start: ReferenceMotion) -> None:
+    def reset(self, scene: Scene, start: ReferenceMotion, robot_joints: Sequence[float]) -> None:
         """Load a scene and set robot, objects and hand to its start.
 
         Args:
             scene: Scene to load.
             start: Reference motion of one row: joint positions of hand and objects at the start.
+            robot_joints: Nine joint positions of the robot at the start (rad, m).
         """
 
     @abstractmethod

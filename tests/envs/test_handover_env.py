@@ -117,6 +117,17 @@ class TestPettingZooApi:
         assert set(first) == {9, 14}
 
 
+def test_start_positions_are_drawn_by_seed_and_differ_between_episodes(fake_data: Path) -> None:
+    def draw(env: HandoverEnv) -> list[list[float]]:
+        return [env.reset(seed=7 if n == 0 else None)[0]["receiver"]["robot_joint_position"].tolist() for n in range(3)]
+
+    env = make(fake_data, scenes=[9, 14], world_config=WorldConfig(initial_joint_noise=0.1))
+    first = draw(env)
+    assert draw(env) == first
+    assert len({tuple(joints) for joints in first}) == 3
+    assert np.abs(np.array(first) - START).max() <= 0.1 + 1e-6
+
+
 def test_whole_rollouts_repeat(fake_data: Path) -> None:
     env = make(fake_data)
     first = rollout(env, 25)

@@ -14,6 +14,7 @@ import pytest
 pytest.importorskip("mujoco", reason="needs the extra `mujoco`")
 
 import handover_marl
+from handover_marl.config import WorldConfig
 from handover_marl.envs.custom_rewards import combine_rewards
 from handover_marl.envs.transition import Transition
 from handover_marl.envs.vector.vector_env import HandoverVectorEnv
@@ -120,10 +121,11 @@ def test_whole_handovers_to_yang_are_equal_to_the_bit() -> None:
     assert max(rewards) > 0.8, "an object was handed over"
 
 
-@pytest.mark.parametrize("rewards", ["sparse", "shaped"])
-def test_the_next_episode_is_the_one_that_a_single_environment_draws(rewards: str) -> None:
+@pytest.mark.parametrize(("rewards", "noise"), [("sparse", 0.0), ("shaped", 0.1)])
+def test_the_next_episode_is_the_one_that_a_single_environment_draws(rewards: str, noise: float) -> None:
     """Resets with a seed, a scene, a mask or nothing, also while the next episodes are prepared."""
     options = {**OPTIONS, "control_period": 0.2, "max_cycles": 14, "rewards": rewards}
+    options["world_config"] = WorldConfig(initial_joint_noise=noise)
     together = handover_marl.vector_env(
         3, "receiver", "hesitant", features="close", schemes="grasp_servo", threads=1, **options
     )

@@ -1,6 +1,7 @@
 """Tests of `Episode`: rollouts against single steps, releases by the giver, observations and camera images."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -188,3 +189,20 @@ def test_a_reset_starts_anew(episode: Episode) -> None:
     episode.reset(SCENE)
     for key, value in episode.observe().items():
         np.testing.assert_array_equal(value, first[key], err_msg=key)
+
+
+@pytest.mark.parametrize("physics", ["exact", "fast", "mujoco"])
+def test_the_robot_starts_at_drawn_joint_positions(physics: str) -> None:
+    if physics == "mujoco":
+        pytest.importorskip("mujoco")
+    config = replace(OFFICIAL_CONFIG, initial_joint_noise=0.1)
+    episode = Episode(physics, config)
+    for seed in (1, 2, 1):
+        episode.reset(SCENE, seed)
+        state = episode.observe()
+        np.testing.assert_array_equal(state["robot_joint_position"], np.float32(config.draw_initial_joints(seed)))
+        assert not state["robot_joint_velocity"].any()
+        target = state["robot_joint_position"]
+        episode.advance(target, 5)
+        np.testing.assert_allclose(episode.observe()["robot_joint_position"], target, atol=1e-4)
+    episode.close()

@@ -9,7 +9,7 @@ from gymnasium.utils import seeding
 
 from handover_marl.datasets.dataset import Scene
 from handover_marl.envs.arguments import check_scene_option
-from handover_marl.envs.handover_env import HandoverEnv
+from handover_marl.envs.handover_env import HandoverEnv, draw_robot_seed
 from handover_marl.envs.vector.array_episodes import ArrayEpisodes
 from handover_marl.envs.vector.results import EnvResult
 from handover_marl.envs.wrappers.encode import EncodedEnv
@@ -169,7 +169,9 @@ class ArrayEnvs:
         scene_id = check_scene_option(options or {}, base.scene_ids, f"{base.config.setup} {base.config.split}")
         if scene_id is None:
             scene_id = int(self._rngs[row].choice(base.scene_ids))
-        self._episodes.start(episode, self._load_scene(scene_id), int(self._partner_rngs[row].integers(2**32)))
+        robot_seed = draw_robot_seed(self._rngs[row], base.config.world_config)
+        partner_seed = int(self._partner_rngs[row].integers(2**32))
+        self._episodes.start(episode, self._load_scene(scene_id), partner_seed, robot_seed)
 
     def _start_next(self, rows: Rows) -> None:
         """Start the next episode of environments that have none."""

@@ -110,16 +110,17 @@ class ArrayEpisodes:
             check_giver_action(row, self._base.action_space(GIVER))
         return values
 
-    def start(self, row: int, scene: Scene, seed: int | None) -> None:
+    def start(self, row: int, scene: Scene, seed: int | None, robot_seed: int) -> None:
         """Start an episode.
 
         Args:
             row: Index of the episode.
             scene: Scene of the episode.
             seed: Seed of the partner.
+            robot_seed: Seed of the robot's initial joint positions.
         """
         episodes, rows = self._episodes, np.array([row])
-        episodes.reset(row, scene)
+        episodes.reset(row, scene, robot_seed)
         if self._partner is not None:
             self._partner.reset(row, seed, scene.info.object_names)
         for scheme in self._schemes.values():

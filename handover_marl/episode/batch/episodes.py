@@ -61,12 +61,13 @@ class EpisodeBatch:
         """Whether each person has released the object, (n,)."""
         return np.asarray(self.referees.release >= 0)
 
-    def reset(self, row: int, scene: Scene) -> None:
+    def reset(self, row: int, scene: Scene, seed: int = 0) -> None:
         """Start an episode of a scene.
 
         Args:
             row: Index of the episode.
             scene: Scene of the episode.
+            seed: Seed of the robot's initial joint positions, if the configuration has noise on them.
 
         Raises:
             DataNotFoundError, DataFormatError: Files of the scene are missing or damaged.
@@ -74,7 +75,7 @@ class EpisodeBatch:
         """
         for urdf in scene.urdfs:
             check_collision_meshes(urdf)
-        self._worlds[row].reset(scene, self.motion.reset(row, scene))
+        self._worlds[row].reset(scene, self.motion.reset(row, scene), self.config.draw_initial_joints(seed))
         self._scenes[row], self._previews[row] = scene, None
         self.referees.assign_rows(np.array([row]), self._start)
         ids = scene.info.object_ids

@@ -33,7 +33,7 @@ class EpisodeMetadata:
         physics: Kind of physics.
         dataset: Dataset of the scene.
         robot: Robot model, with or without the wrist camera.
-        seed: Seed of policies and camera.
+        seed: Seed of policies, camera and initial joint positions.
         models: Description of the hand model and of other substitutes for HandoverSim's models; empty
             without substitutes.
         fingerprint: Hash of the scene's data files.

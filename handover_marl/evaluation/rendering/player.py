@@ -7,7 +7,7 @@ from typing import Any
 from handover_marl.config import CameraConfig
 from handover_marl.episode.callbacks import EpisodeCallback
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.loop import play
+from handover_marl.episode.loop import derive_scene_seed, play
 from handover_marl.evaluation.config import build_configs, set_dataset
 from handover_marl.evaluation.replays import format_replay_facts
 from handover_marl.policies.reference import PolicyLike, parse_policy
@@ -54,8 +54,8 @@ class ScenePlayer:
                 end of the episode.
             callbacks: Callbacks of the episode.
         """
-        self.episode.reset(self.scene)
         seed = self.config.seed
+        self.episode.reset(self.scene, derive_scene_seed(seed, self.scene.info.scene_id, "robot"))
         play(self.episode, self.receiver, self._giver, seed=seed, until=until, callbacks=callbacks)
         return self.episode.steps
 

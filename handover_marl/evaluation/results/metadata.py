@@ -3,7 +3,7 @@
 import hashlib
 import re
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,7 @@ from handover_marl.simulation.engines import PHYSICS
 CONFIG_FILE = "config.yaml"
 #: Label of the official world and rules.
 OFFICIAL_WORLD = "official"
+_NOISE_PREFIX = "initial_joint_noise="
 _LIBRARY_SECTION = "HANDOVER_MARL"
 # HandoverSim's environment with the wrist camera.
 _HANDOVERSIM_CAMERA_ENV = "HandoverHandCameraPointStateEnv-v1"
@@ -48,8 +49,8 @@ class ResultMetadata:
         version: Version of this library, or "HandoverSim" for folders that HandoverSim wrote.
         receiver_hash: Hash of the receiver's code, options and file; empty if unknown.
         giver_hash: Hash of the giver's code, options and file; empty if unknown.
-        seed: Seed of policies and camera.
-        world: "official", or a hash of a world or rules that differ from the official ones.
+        seed: Seed of policies, camera and initial joint positions.
+        world: "official", or differences from the official world and rules; see `format_world_label`.
         wait_s: Time that the receiver waits before it approaches (s); empty if unknown.
         robot: Robot model, with or without the wrist camera.
         obs_mode: Observation mode of the receiver.
@@ -146,10 +147,31 @@ class ResultMetadata:
 
 
 def format_world_label(config: WorldConfig) -> str:
-    """Return "official" for the official world and rules, else a hash of the configuration."""
+    """Return "official" for the official world and rules, else their differences.
+
+    These are a hash of the configuration, the noise of the robot's initial joint positions, or both.
+    """
     if config == OFFICIAL_CONFIG:
         return OFFICIAL_WORLD
-    return hashlib.sha256(repr(config).encode()).hexdigest()[:8]
+    parts = []
+    if replace(config, initial_joint_noise=0.0) != OFFICIAL_CONFIG:
+        parts.append(hashlib.sha256(repr(config).encode()).hexdigest()[:8])
+    if config.initial_joint_noise:
+        parts.append(f"{_NOISE_PREFIX}{float(config.initial_joint_noise)!r}")
+    return " ".join(parts)
+
+
+def parse_world_label(label: str) -> WorldConfig:
+    """Return the official world and rules with the noise that a label states.
+
+    Other differences from the official ones cannot be read from a label.
+
+    Raises:
+        ValueError: The noise is not a number.
+        OptionError: The noise is out of range.
+    """
+    noise = label.removeprefix(_NOISE_PREFIX)
+    return OFFICIAL_CONFIG if noise == label else replace(OFFICIAL_CONFIG, initial_joint_noise=float(noise))
 
 
 def format_config(metadata: ResultMetadata, config: WorldConfig) -> str:

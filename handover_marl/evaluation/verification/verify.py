@@ -10,13 +10,18 @@ from rich.console import Console
 from rich.progress import track
 
 from handover_marl import __version__
-from handover_marl.config import OFFICIAL_CONFIG, WorldConfig
+from handover_marl.config import WorldConfig
 from handover_marl.datasets import open_dataset
 from handover_marl.datasets.splits import choose_scenes
-from handover_marl.errors import ResultsError
+from handover_marl.errors import OptionError, ResultsError
 from handover_marl.evaluation.config import EvaluationConfig, require_policy_reference, resolve_config
 from handover_marl.evaluation.episode_runner import EpisodeRunner, SceneTask
-from handover_marl.evaluation.results.metadata import ResultMetadata, format_world_label, read_result_metadata
+from handover_marl.evaluation.results.metadata import (
+    ResultMetadata,
+    format_world_label,
+    parse_world_label,
+    read_result_metadata,
+)
 from handover_marl.evaluation.results.result_folder import get_result_path, read_result
 from handover_marl.evaluation.verification.differences import (
     Difference,
@@ -38,7 +43,7 @@ def verify(
     data_dir: str | os.PathLike[str] | None = None,
     scenes: Iterable[int] | None = None,
     giver: PolicyLike | None = None,
-    world_config: WorldConfig = OFFICIAL_CONFIG,
+    world_config: WorldConfig | None = None,
     workers: int | None = None,
     progress: bool = True,
     trust: bool = False,
@@ -55,7 +60,8 @@ def verify(
             HANDOVER_MARL_DATA.
         scenes: Scene numbers to verify; default: all that have a result.
         giver: The person's policy; default: the registered policy that the folder names.
-        world_config: World and rules; must be the same as in the evaluation.
+        world_config: World and rules; must be the same as in the evaluation. Default: the official ones, with the
+            noise of the robot's initial joint positions that the folder states.
         workers: Number of worker processes; default: one per core.
         progress: Whether to show a progress bar on stderr.
         trust: Whether policy files may run code.
@@ -68,6 +74,8 @@ def verify(
     """
     path = check_path("folder", folder)
     metadata = read_result_metadata(path)
+    if world_config is None:
+        world_config = _parse_world(path, metadata)
     if metadata.world != format_world_label(world_config):
         raise ResultsError(
             f"{path} was made with world {metadata.world!r}, not with {format_world_label(world_config)!r}; pass the "
@@ -149,6 +157,13 @@ def _parse_seed(path: Path, metadata: ResultMetadata) -> int:
         return int(metadata.seed)
     except ValueError as error:
         raise ResultsError(f"{path}: seed must be an integer, got {shorten_text(metadata.seed)}") from error
+
+
+def _parse_world(path: Path, metadata: ResultMetadata) -> WorldConfig:
+    try:
+        return parse_world_label(metadata.world)
+    except (ValueError, OptionError) as error:
+        raise ResultsError(f"{path}: not a readable world ({shorten_text(error)})") from error
 
 
 def _describe_task(task: SceneTask) -> str:

@@ -161,13 +161,10 @@ class PandaBody(ArticulatedBody):
         self.reset_joints(self._start)
         self.set_collision_mask(0)
 
-    def reset_to_start(self) -> None:
-        """Reset the robot to its state after loading.
-
-        It is at rest at its initial joint positions, without cached contacts.
-        """
+    def reset_to_start(self, joints: Sequence[float]) -> None:
+        """Set the robot to nine joint positions (rad, m), at rest and without cached contacts."""
         self._target = None
-        self.reset_joints(self._start)
+        self.reset_joints(to_float32_list(joints))
         # A change of masks removes all contact pairs with their cached impulses, which would otherwise change the last
         # bits of later states.
         self.set_collision_mask(PANDA_MASK)

@@ -1,8 +1,9 @@
 """Base class of the PyBullet worlds, and the world whose states are bit-equal to HandoverSim."""
 
 from abc import abstractmethod
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -213,10 +214,11 @@ class ExactWorld(BulletWorld):
         self._hand: HandBody | None = None
         self._reference: Iterator[tuple[list[list[float]], list[float] | None]] = iter(())
 
-    def reset(self, scene: Scene, start: ReferenceMotion) -> None:
+    def reset(self, scene: Scene, start: ReferenceMotion, robot_joints: Sequence[float]) -> None:
         """Load a scene and set robot, objects and hand to its start, see `World.reset`."""
         with self._start_scene(scene):
-            self._workcell = load_workcell(self._client, scene.assets, self._config)
+            panda = replace(self._config.panda, start_joints=tuple(robot_joints))
+            self._workcell = load_workcell(self._client, scene.assets, replace(self._config, panda=panda))
             states, masks = start.objects[0].tolist(), compute_object_masks(scene.info.object_ids)
             self._objects = [
                 ObjectBody(self._client, urdf, mask, InitialState(state), self._config.objects)

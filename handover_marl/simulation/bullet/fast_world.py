@@ -6,6 +6,7 @@ by the collision masks it can touch only the Panda, and such a contact ends the 
 dynamics have no effect. Models stay loaded between scenes.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -59,7 +60,7 @@ class FastWorld(BulletWorld):
         # Sleeping bodies are safe before this row, as long as the robot has this target.
         self._free_until, self._free_target = 0, list[float]()
 
-    def reset(self, scene: Scene, start: ReferenceMotion) -> None:
+    def reset(self, scene: Scene, start: ReferenceMotion, robot_joints: Sequence[float]) -> None:
         """Load a scene and set robot, objects and hand to its start, see `World.reset`."""
         assets = scene.assets
         files = (assets.table, assets.panda)
@@ -85,7 +86,7 @@ class FastWorld(BulletWorld):
             for urdf, mask, state in zip(assets.objects, masks, start.objects[0], strict=True):
                 self._objects.append(SleepableObject(self._client, urdf, mask, state, self._config.objects))
             self._row, self._free_until = -1, 0
-            panda.reset_to_start()
+            panda.reset_to_start(robot_joints)
 
     def set_reference(self, motion: ReferenceMotion) -> None:
         """Set the joint targets of hand and objects for the coming steps, one row per step."""

@@ -1,6 +1,7 @@
 """World simulated by MuJoCo, with the same bodies, motors and collision masks as in PyBullet."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -65,18 +66,20 @@ class MujocoWorld(BatchWorld):
             raise ResetNeededError("the world has no scene; call reset() first")
         return self._controller
 
-    def reset(self, scene: Scene, start: ReferenceMotion) -> None:
+    def reset(self, scene: Scene, start: ReferenceMotion, robot_joints: Sequence[float]) -> None:
         """Load a scene and set robot, objects and hand to its start.
 
         Args:
             scene: Scene to load.
             start: Reference motion of one row: joint positions of hand and objects at the start.
+            robot_joints: Nine joint positions of the robot at the start (rad, m).
         """
         model = self._simulation.load_model(scene.assets, self._config)
         # A slot is invalid as soon as the next scene is loaded.
         previous, self._controller = self._controller, None
         slot = self._simulation.load_scene(model, None if previous is None else previous.slot)
-        self._controller = WorldController(slot, self._simulation, scene.assets.hand, self._config, start)
+        config = replace(self._config, panda=replace(self._config.panda, start_joints=tuple(robot_joints)))
+        self._controller = WorldController(slot, self._simulation, scene.assets.hand, config, start)
         self._scene = scene
         self._object_joints = start.objects[0].astype(np.float64)
         if not self._simulation.can_sleep:

@@ -2,6 +2,7 @@
 
 import json
 import os
+from dataclasses import replace
 from datetime import date
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from handover_marl.evaluation.results.metadata import (
     ResultMetadata,
     format_config,
     format_world_label,
+    parse_world_label,
     read_result_metadata,
 )
 from handover_marl.evaluation.results.result_folder import ResultFolder
@@ -169,6 +171,17 @@ def test_a_folder_stores_its_rules(tmp_path: Path) -> None:
     change_config(tmp_path, "HANDOVER_MARL", {"world": "official"})
     with pytest.raises(ResultsError, match=r"GOAL_RADIUS is 9\.0"):
         read_result_metadata(tmp_path)
+
+
+@pytest.mark.parametrize("noise", [0.001, 1 / 3 - 0.1])
+def test_a_label_states_the_noise_of_the_start(noise: float) -> None:
+    config = WorldConfig(initial_joint_noise=noise)
+    label = format_world_label(config)
+    assert label == f"initial_joint_noise={noise!r}"
+    assert parse_world_label(label) == config
+    rules = ProtocolConfig(goal_radius=9.0)
+    without_noise = format_world_label(WorldConfig(protocol=rules))
+    assert format_world_label(replace(config, protocol=rules)) == f"{without_noise} {label}"
 
 
 REST = "giver: replay, physics: exact, dataset: dexycb, version: '1.0'"
