@@ -5,8 +5,8 @@
 
 Features of a candidate are the mean events of its episodes with the receiver
 (`handover_marl.evaluation.strangers.selection.count_events`). In every family, the candidates with the largest
-determinant are selected. The script prints the table of features and writes the population; the receivers of the
-candidates' file are taken over.
+determinant are selected. The script prints the table of features and writes the population and its policy files; the
+receivers of the candidates' file are taken over.
 """
 
 import json
@@ -108,6 +108,14 @@ def format_population(args: Args, givers: Sequence[Partner], receivers: Sequence
     return json.dumps(content, indent=1) + "\n"
 
 
+def copy_policy_files(population: Population, chosen: Sequence[Partner], folder: Path) -> None:
+    """Copy the policy files that chosen partners name with `{folder}` from a population's folder to another one."""
+    for partner in chosen:
+        _, marker, name = partner.policy.partition(":{folder}/")
+        if marker:
+            write_atomically(folder / name, (population.path.parent / name).read_bytes())
+
+
 def main(args: Args) -> None:
     """Select givers, write the population and print the features."""
     candidates = load_population(args.candidates)
@@ -116,6 +124,7 @@ def main(args: Args) -> None:
     possible = [number for number, report in enumerate(reports) if report.success_rate >= args.min_success]
     givers = [candidates.givers[number] for number in possible]
     chosen = select_by_family(givers, normalize_features(counts)[possible], args.per_family)
+    copy_policy_files(candidates, chosen, args.out.parent)
     write_atomically(args.out, format_population(args, chosen, candidates.receivers))
     first = reports[0]
     print(format_features(candidates.givers, counts, chosen))

@@ -1,5 +1,8 @@
 """Scripts that select the population and measure the spread of recordings."""
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -13,7 +16,7 @@ from experiments.strangers.measure_recording_spread import (
     measure_spread,
 )
 from experiments.strangers.search_best_responses import SEARCH_SPACE, BestResponse, draw_receiver, format_results
-from experiments.strangers.select_population import CANDIDATES, format_features, select_by_family
+from experiments.strangers.select_population import CANDIDATES, copy_policy_files, format_features, select_by_family
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.evaluation.strangers.selection import EVENTS
 from handover_marl.policies.populations import Partner, load_population
@@ -51,6 +54,19 @@ def test_best_response_is_that_of_the_best_search() -> None:
     assert "60.0, 70.0" in text
     assert "second" in text
     assert "first" not in text
+
+
+def test_policy_files_of_chosen_givers_are_copied(tmp_path: Path) -> None:
+    folder = tmp_path / "population"
+    folder.mkdir()
+    for name in ("chosen.npz", "other.npz"):
+        (tmp_path / name).write_text(name)
+    plain = Partner("plain", "a", "train", "replay", "x")
+    givers = plain, *(Partner(name, "b", "test", f"learned:{{folder}}/{name}.npz", "x") for name in ("chosen", "other"))
+    population = replace(load_population(), givers=givers, path=tmp_path / "candidates.json")
+    copy_policy_files(population, givers[:2], folder)
+    assert [path.name for path in folder.iterdir()] == ["chosen.npz"]
+    assert (folder / "chosen.npz").read_text() == "chosen.npz"
 
 
 def test_spread_is_relative_to_the_mean_of_a_group() -> None:
