@@ -54,7 +54,7 @@ class Args:
     min_success: float = 0.25
     name: str = "strangers-v1"
     version: str = "1.0"
-    description: str = "Givers whose behaviour differs from the recordings in nine families, and receivers."
+    description: str = "Givers whose behaviour differs from the recordings in ten families, and receivers."
 
 
 def read_reports(population: Population, folder: Path) -> list[Report]:

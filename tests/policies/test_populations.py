@@ -1,11 +1,13 @@
 """Population files."""
 
+import configparser
 import json
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from handover_marl import evaluate_pair
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.errors import DataFormatError, DataNotFoundError, OptionError, UnknownNameError
 from handover_marl.policies.populations import DEFAULT_POPULATION, list_populations, load_population
@@ -91,3 +93,22 @@ def test_shipped_populations() -> None:
         if agent == "giver":
             labels = [reference.resolve(dataset).label for reference in references]
             assert len(set(labels)) == len(labels)
+
+
+def test_learned_givers_act_and_are_installed() -> None:
+    found = load_population()
+    learned = [giver for giver in found.givers if giver.family == "learned"]
+    assert len(learned) == 3
+    setup = configparser.ConfigParser()
+    setup.read(Path(__file__).parents[2] / "setup.cfg")
+    patterns = setup["options.package_data"]["handover_marl.assets"].split()
+    motions = set()
+    for giver in learned:
+        policy = found.get_policy(giver)
+        file = Path(policy.removeprefix("learned:"))
+        assert any(file.match(pattern) for pattern in patterns)
+        report = evaluate_pair(policy, "hold", dataset="synthetic", split="val", scenes=[9], progress=False)
+        fluency = report.episodes[0].fluency
+        assert fluency is not None
+        motions.add(fluency.giver_path)
+    assert len(motions) == 3

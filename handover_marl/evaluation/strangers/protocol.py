@@ -18,7 +18,7 @@ from handover_marl.execution.options import forward_signature
 from handover_marl.policies.populations import DEFAULT_POPULATION, Partner, Population, load_population
 from handover_marl.policies.reference import PolicyLike
 
-#: Number of scenes for each partner: 540 episodes with the 15 test givers of `strangers-v1`.
+#: Number of scenes for each partner: 648 episodes with the 18 test givers of `strangers-v1`.
 DEFAULT_N_SCENES = 36
 FAST = "fast"
 
