@@ -119,6 +119,8 @@ def format_page(
         _CONTROLS.format(
             total=format_percent_rate(changed, n) if n else NO_VALUE,
             n=n,
+            n_givers=sum(count_changes([entry])[1] > 0 for entry in entries.values()),
+            n_all=len(population.givers),
             n_scenes=len(setting["scenes"]),
             scenes=", ".join(map(str, setting["scenes"])),
             table=format_controls(entries),
@@ -163,8 +165,8 @@ The controls show how much of a difference between partners or methods may come 
 | self-play against cross-play | difference between policies that were trained together and the same with others |
 
 A nudge adds {nudge:g} rad with random signs to the seven joint targets of the whole episode; the giver's random draws
-stay the same. Differences below the noise floor may be chance. In all nudged episodes together, {total} % of {n}
-outcomes changed. Random starts deviate by up to {start_noise:g} rad in each joint.
+stay the same. Differences below the noise floor may be chance. {n_givers} of the {n_all} givers have been measured; {total} %
+of their {n} outcomes changed. Random starts deviate by up to {start_noise:g} rad in each joint.
 
 The table has {n_scenes} scenes of the {setup} {split} split of {dataset} ({scenes}), receiver `{receiver}`,
 {physics} physics, version {version}. A dash stands for what has not been measured. Intervals are Wilson's for rates,
