@@ -165,8 +165,8 @@ The controls show how much of a difference between partners or methods may come 
 | self-play against cross-play | difference between policies that were trained together and the same with others |
 
 A nudge adds {nudge:g} rad with random signs to the seven joint targets of the whole episode; the giver's random draws
-stay the same. Differences below the noise floor may be chance. {n_givers} of the {n_all} givers have been measured; {total} %
-of their {n} outcomes changed. Random starts deviate by up to {start_noise:g} rad in each joint.
+stay the same. Differences below the noise floor may be chance. {n_givers} of the {n_all} givers have been measured;
+{total} % of their {n} outcomes changed. Random starts deviate by up to {start_noise:g} rad in each joint.
 
 The table has {n_scenes} scenes of the {setup} {split} split of {dataset} ({scenes}), receiver `{receiver}`,
 {physics} physics, version {version}. A dash stands for what has not been measured. Intervals are Wilson's for rates,
