@@ -1,0 +1,174 @@
+"""Compare two ways to train a receiver, with the givers of a population and many episodes at once.
+
+    python experiments/strangers/compare_trainings.py --data-dir DIR --first a.npz b.npz c.npz --second d.npz e.npz
+
+All policy files need the same features, action scheme and control period. MuJoCo simulates the episodes of all files
+with a giver together, which takes a fraction of the time of `handover-marl strangers`. Scores, intervals and
+differences are computed as there: every file has the same scenes and the same seeds of the givers, and the reference
+of a giver is the best of the files. The script needs the extra `mujoco`.
+"""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import tyro
+
+from handover_marl.datasets.splits import select_scenes_evenly
+from handover_marl.envs.config import EnvConfig
+from handover_marl.envs.vector.batch import Envs
+from handover_marl.envs.vector.env_factory import EnvFactory
+from handover_marl.episode.referee import EpisodeStatus
+from handover_marl.errors import OptionError
+from handover_marl.evaluation.strangers.scores import (
+    Estimate,
+    compute_interquartile_mean,
+    compute_mean,
+    compute_unclipped_proximity,
+    estimate,
+    estimate_difference,
+)
+from handover_marl.execution.files import write_atomically
+from handover_marl.learning.policy_files import read_policy
+from handover_marl.learning.policy_spec import PolicyFunction, PolicySpec
+from handover_marl.learning.training.scene_arguments import SetupArgs
+from handover_marl.policies.populations import DEFAULT_POPULATION, load_population
+from handover_marl.simulation.engines import MUJOCO, BatchBackend
+
+Array = npt.NDArray[np.float64]
+_OUTCOMES = {
+    "success": EpisodeStatus.SUCCESS,
+    "contact": EpisodeStatus.HUMAN_CONTACT,
+    "drop": EpisodeStatus.OBJECT_DROP,
+    "timeout": EpisodeStatus.TIMEOUT,
+}
+
+
+@dataclass(frozen=True)
+class Args(SetupArgs):
+    """Arguments of the comparison of two ways to train a receiver.
+
+    Attributes:
+        first: Policy files of the first way, one for each seed.
+        second: Policy files of the second way.
+        population: Name or file of the population.
+        partners: Families of the population: train, test or all.
+        split: Split of the scenes.
+        n_scenes: Number of scenes, evenly spaced over the split.
+        out: File for the scores of every episode (JSON); default: none.
+    """
+
+    first: tuple[Path, ...] = ()
+    second: tuple[Path, ...] = ()
+    population: str = DEFAULT_POPULATION
+    partners: str = "train"
+    split: str = "val"
+    n_scenes: int = 36
+    out: Path | None = None
+
+
+def load_policies(files: tuple[Path, ...]) -> tuple[PolicySpec, list[PolicyFunction]]:
+    """Read policy files, and return their common specification and their networks.
+
+    Raises:
+        OptionError: There is no file, or the files have different features, action schemes or control periods.
+    """
+    found = [read_policy(file, "receiver", False, None) for file in files]
+    specs = {(one.spec.features, one.spec.actions, one.spec.control_period) for one in found}
+    if len(specs) != 1:
+        raise OptionError(f"policy files must have the same features, actions and control period, got {sorted(specs)}")
+    return found[0].spec, [one.function for one in found]
+
+
+def play(envs: Envs, functions: list[PolicyFunction], scenes: list[int]) -> tuple[Array, Array]:
+    """Return the status bits and the duration (s), each (policies, scenes), of an episode of each policy in each scene.
+
+    Args:
+        envs: Environments, one for each policy and scene.
+        functions: Networks of the policies.
+        scenes: Numbers of the scenes.
+    """
+    count = len(scenes)
+    rows = np.arange(len(functions) * count)
+    status, steps = np.zeros(len(rows), dtype=np.int_), np.zeros(len(rows))
+    # All policies have the same seeds.
+    results = [envs.reset(np.array([row]), [row % count], {"scene_id": scenes[row % count]}) for row in rows.tolist()]
+    features = np.concatenate([result.observations["receiver"] for result in results])
+    while len(rows):
+        outputs = [functions[row // count](own[None])[0] for row, own in zip(rows.tolist(), features, strict=True)]
+        result = envs.step(rows, {"receiver": np.stack(outputs).astype(np.float32)})
+        infos = result.infos["receiver"]
+        status[rows], steps[rows] = infos["status"], infos["steps"]
+        running = ~result.ended
+        rows, features = rows[running], result.observations["receiver"][running]
+    return status.reshape(-1, count), steps.reshape(-1, count) / 1000.0
+
+
+def evaluate(args: Args) -> tuple[Array, dict[str, Array]]:
+    """Return the scores of average success (policies, partners, scenes), and the same of every outcome."""
+    spec, functions = load_policies((*args.first, *args.second))
+    scenes = select_scenes_evenly(args.open_dataset().list_scenes(args.setup, args.split), args.n_scenes)
+    population = load_population(args.population)
+    config = EnvConfig(args.setup, args.split, args.data_dir, args.dataset, MUJOCO, spec.control_period)
+    found = []
+    for partner in population.select("giver", args.partners):
+        factory = EnvFactory(
+            *(config, "receiver", population.get_policy(partner), spec.features, spec.actions),
+            *((), False, False, BatchBackend()),
+        )
+        envs = factory.make(len(functions) * len(scenes))
+        found.append(play(envs, functions, list(scenes)))
+        envs.close()
+        print_partner(partner.name, partner.family, *found[-1], len(args.first))
+    status, seconds = (np.stack(parts, axis=1) for parts in zip(*found, strict=True))
+    outcomes = {name: ((status & int(bit)) != 0).astype(np.float64) for name, bit in _OUTCOMES.items()}
+    return outcomes["success"] * (1.0 - seconds / 13.0), outcomes
+
+
+def print_partner(name: str, family: str, status: Array, seconds: Array, n_first: int) -> None:
+    """Print the outcomes of both ways with a partner."""
+    cells = []
+    for part in (status[:n_first], status[n_first:]):
+        rates = [f"{100 * ((part & int(bit)) != 0).mean():.0f}" for bit in _OUTCOMES.values()]
+        cells.append(" / ".join(rates))
+    print(f"| `{name}` | {family} | {' | '.join(cells)} |", flush=True)
+
+
+def print_comparison(args: Args, scores: Array, outcomes: dict[str, Array]) -> None:
+    """Print the summary of both ways, and their differences, first minus second."""
+    ways = slice(0, len(args.first)), slice(len(args.first), None)
+    best = scores[scores.mean(axis=-1).argmax(axis=0), np.arange(scores.shape[1])]
+    for name, way in zip(("first", "second"), ways, strict=True):
+        rates = ", ".join(f"{key} {100 * values[way].mean():.1f} %" for key, values in outcomes.items())
+        proximity = format_points(estimate(compute_unclipped_proximity, scores[way], best))
+        seeds = ", ".join(f"{100 * own.mean():.1f}" for own in scores[way])
+        print(f"{name}: {rates}, AS {format_points(estimate(compute_mean, scores[way]))} (by file {seeds}), ", end="")
+        print(f"BR-Prox {proximity}, IQM of AS {100 * compute_interquartile_mean(scores[way].mean(axis=-1), 2):.1f}")
+    first, second = (scores[way] for way in ways)
+    success = estimate_difference(compute_mean, *(outcomes["success"][way] for way in ways))
+    print(f"success, first minus second: {format_points(success)} points")
+    print(f"AS, first minus second: {format_points(estimate_difference(compute_mean, first, second))} points")
+    proximity = estimate_difference(compute_unclipped_proximity, first, second, best)
+    print(f"BR-Prox, first minus second: {format_points(proximity)} points")
+
+
+def format_points(value: Estimate) -> str:
+    """Return a share in percent with its 95 % interval."""
+    return f"{100 * value.value:.1f} ({100 * value.low:.1f} to {100 * value.high:.1f})"
+
+
+def main(args: Args) -> None:
+    args = args.resolve_setup()
+    print("| giver | family | first: success / contact / drop / timeout % | second |\n|---|---|---|---|")
+    scores, outcomes = evaluate(args)
+    print(f"{scores.shape[1]} partners, {scores.shape[2]} scenes of {args.setup} {args.split}, MuJoCo physics")
+    print_comparison(args, scores, outcomes)
+    if args.out is not None:
+        content = {"AS": scores.tolist(), **{name: values.tolist() for name, values in outcomes.items()}}
+        write_atomically(args.out, json.dumps(content) + "\n")
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Args))
