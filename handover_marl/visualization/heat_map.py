@@ -7,6 +7,8 @@ from matplotlib.figure import Figure
 
 # Success rate above which a cell is so dark that its text is white.
 _WHITE_TEXT_THRESHOLD = 0.55
+# Number of characters above which names of columns are rotated, so that they do not overlap.
+_MAX_HORIZONTAL_TEXT = 16
 
 
 def draw_heat_map(
@@ -28,7 +30,10 @@ def draw_heat_map(
     figure = Figure(figsize=(2.6 + 1.3 * len(columns), 1.9 + 0.55 * len(rows)), dpi=150)
     axes = figure.add_subplot()
     image = axes.imshow(rates, cmap="viridis_r", vmin=0.0, vmax=1.0, aspect="auto")
-    axes.set_xticks(range(len(columns)), columns)
+    if max(len(line) for name in columns for line in name.splitlines()) > _MAX_HORIZONTAL_TEXT:
+        axes.set_xticks(range(len(columns)), columns, rotation=30, ha="right", rotation_mode="anchor")
+    else:
+        axes.set_xticks(range(len(columns)), columns)
     axes.set_yticks(range(len(rows)), rows)
     axes.set_ylabel(axis_labels[0])
     axes.set_xlabel(axis_labels[1])

@@ -64,7 +64,8 @@ class Leaderboard(TabularResult):
         partners = [f"{partner.name} ({partner.family})" for partner in first.partners]
         other = "giver" if first.agent == "receiver" else "receiver"
         title = f"{first.population}\n{self._describe_condition()}"
-        picture = draw_heat_map(rates, partners, list(map(_get_title, self.reports)), title, (other, first.agent))
+        methods = ["\n".join(report.policies) for report in self.reports]
+        picture = draw_heat_map(rates, partners, methods, title, (other, first.agent))
         try:
             write_atomically(path, picture)
         except OSError as error:
