@@ -56,10 +56,14 @@ def test_files(tmp_path: Path) -> None:
             load_references(path, "abc")
 
 
-def test_shipped_references_have_all_givers() -> None:
+@pytest.mark.parametrize(
+    ("partners", "split", "scenes"),
+    [("all", "train", (5, 430, 998)), ("test", "test", (209, 274, 349, 424))],
+)
+def test_shipped_references_have_all_givers(partners: str, split: str, scenes: tuple[int, ...]) -> None:
     population = load_population()
     table = load_references(population.references_path, population.content_hash)
-    condition = Condition("receiver", "dexycb", "s0", "train", "fast", (5, 445, 888))
-    scores = table.collect_scores(condition, [giver.name for giver in population.givers])
+    condition = Condition("receiver", "dexycb", "s0", split, "fast", scenes)
+    scores = table.collect_scores(condition, [giver.name for giver in population.select("giver", partners)])
     assert scores is not None
     assert (scores.mean(axis=1) > 0.0).all()
