@@ -53,7 +53,7 @@ def lying(steps: int) -> ReferenceMotion:
 def worlds() -> Iterator[tuple[World, World]]:
     both = FastWorld(CONFIG), MujocoWorld(CONFIG)
     for world in both:
-        world.reset(SCENE, lying(1))
+        world.reset(SCENE, lying(1), CONFIG.panda.start_joints)
     yield both
     for world in both:
         world.close()
@@ -88,7 +88,7 @@ def test_targets_are_clipped_to_joint_limits(kind: Callable[[PhysicsConfig], Wor
     paths = []
     for target in (beyond, within):
         world = kind(CONFIG)
-        world.reset(SCENE, lying(1))
+        world.reset(SCENE, lying(1), CONFIG.panda.start_joints)
         paths.append(joints_over(world, target, 100))
         world.close()
     np.testing.assert_allclose(*paths, atol=1e-4)
@@ -119,7 +119,7 @@ def test_released_objects_fall_onto_the_table() -> None:
     motion = ReferenceMotion(
         np.repeat(place, 1500, axis=0), np.zeros((1500, 51), np.float32), np.zeros(1500, dtype=bool)
     )
-    world.reset(SCENE, ReferenceMotion(place, motion.hand[:1], motion.hand_present[:1]))
+    world.reset(SCENE, ReferenceMotion(place, motion.hand[:1], motion.hand_present[:1]), CONFIG.panda.start_joints)
     world.set_reference(motion)
     for _ in range(50):
         world.step(START.tolist())

@@ -66,7 +66,8 @@ def place_object(scene: Scene, xyz: npt.ArrayLike, steps: int) -> ReferenceMotio
 def find_grasp_center() -> npt.NDArray[np.float32]:
     """Return the position between the fingers of the robot at its start (m)."""
     world = MujocoWorld(CONFIG)
-    world.reset(load_small_objects()[0], place_object(load_small_objects()[0], (0.0, 0.0, 2.0), 1))
+    scene = load_small_objects()[0]
+    world.reset(scene, place_object(scene, (0.0, 0.0, 2.0), 1), PANDA.start_joints)
     x, y, z, w = (pose := world.read_state().gripper_pose)[3:]
     axis = np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
     return np.asarray(pose[:3] + 0.1 * axis, dtype=np.float32)
@@ -77,7 +78,7 @@ def start_worlds(backend: BatchBackend, scenes: list[Scene], xyz: npt.ArrayLike 
     xyz = find_grasp_center() if xyz is None else xyz
     worlds = make_batch_worlds(CONFIG, CAPACITY, backend)[: len(scenes)]
     for world, scene in zip(worlds, scenes, strict=True):
-        world.reset(scene, place_object(scene, xyz, 1))
+        world.reset(scene, place_object(scene, xyz, 1), PANDA.start_joints)
         world.set_reference(place_object(scene, xyz, STEPS))
     if backend == WARP:
         assert len({world.batch_key[0] for world in worlds}) == 1, "one batch has different objects and hands"
