@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 import tyro
 
+from handover_marl.config import OFFICIAL_CONFIG
 from handover_marl.datasets.splits import select_scenes_evenly
 from handover_marl.envs.config import EnvConfig
 from handover_marl.envs.vector.batch import Envs
@@ -83,7 +84,7 @@ def load_policies(files: tuple[Path, ...]) -> tuple[PolicySpec, list[PolicyFunct
 
 
 def play(envs: Envs, functions: list[PolicyFunction], scenes: list[int]) -> tuple[Array, Array]:
-    """Return the status bits and the duration (s), each (policies, scenes), of an episode of each policy in each scene.
+    """Return status bits and physics steps, each (policies, scenes), of an episode of each policy in each scene.
 
     Args:
         envs: Environments, one for each policy and scene.
@@ -103,7 +104,7 @@ def play(envs: Envs, functions: list[PolicyFunction], scenes: list[int]) -> tupl
         status[rows], steps[rows] = infos["status"], infos["steps"]
         running = ~result.ended
         rows, features = rows[running], result.observations["receiver"][running]
-    return status.reshape(-1, count), steps.reshape(-1, count) / 1000.0
+    return status.reshape(-1, count), steps.reshape(-1, count)
 
 
 def evaluate(args: Args) -> tuple[Array, dict[str, Array]]:
@@ -115,19 +116,26 @@ def evaluate(args: Args) -> tuple[Array, dict[str, Array]]:
     found = []
     for partner in population.select("giver", args.partners):
         factory = EnvFactory(
-            *(config, "receiver", population.get_policy(partner), spec.features, spec.actions),
-            *((), False, False, BatchBackend()),
+            config=config,
+            agent="receiver",
+            partner=population.get_policy(partner),
+            features=spec.features,
+            schemes=spec.actions,
+            wrappers=(),
+            trust=False,
+            prepares_episodes=False,
+            backend=BatchBackend(),
         )
         envs = factory.make(len(functions) * len(scenes))
         found.append(play(envs, functions, list(scenes)))
         envs.close()
-        print_partner(partner.name, partner.family, *found[-1], len(args.first))
-    status, seconds = (np.stack(parts, axis=1) for parts in zip(*found, strict=True))
+        print_partner(partner.name, partner.family, found[-1][0], len(args.first))
+    status, steps = (np.stack(parts, axis=1) for parts in zip(*found, strict=True))
     outcomes = {name: ((status & int(bit)) != 0).astype(np.float64) for name, bit in _OUTCOMES.items()}
-    return outcomes["success"] * (1.0 - seconds / 13.0), outcomes
+    return outcomes["success"] * (1.0 - steps / OFFICIAL_CONFIG.protocol.horizon_steps), outcomes
 
 
-def print_partner(name: str, family: str, status: Array, seconds: Array, n_first: int) -> None:
+def print_partner(name: str, family: str, status: Array, n_first: int) -> None:
     """Print the outcomes of both ways with a partner."""
     cells = []
     for part in (status[:n_first], status[n_first:]):

@@ -340,7 +340,7 @@ def apply_risk(config: ReactiveConfig, risk: float) -> ReactiveConfig:
 
 
 def override_settings(config: ReactiveConfig, settings: Mapping[str, object]) -> ReactiveConfig:
-    """Return a copy of a configuration with other values of single settings.
+    """Return a copy of a configuration in which the given numbers are replaced.
 
     Args:
         config: Configuration to change.
