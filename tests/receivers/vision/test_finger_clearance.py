@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
@@ -52,6 +52,9 @@ def test_points_beyond_the_fingers_are_ignored() -> None:
 @given(seed=st.integers(0, 2**16), offset=st.floats(-0.02, 0.02))
 @settings(max_examples=30)
 def test_shift_is_invariant_to_the_frame(seed: int, offset: float) -> None:
+    # Whether a finger hits a point exactly on its side depends on the rounding of the transformation.
+    distances = np.abs(np.subtract.outer(bar(0.07, offset)[:, 1], FINGERS.lateral_shifts))
+    assume(np.abs(np.subtract.outer(distances, (FINGERS.inner_y, FINGERS.outer_y))).min() > 1e-12)
     rng = np.random.default_rng(seed)
     pose = np.concatenate([rng.normal(size=3), Rotation.random(random_state=seed).as_quat()])
     here, cost = shift_to_avoid_collisions(STRAIGHT[None], bar(0.07, offset))
