@@ -1,6 +1,7 @@
 """Search a best response to every giver of a population: settings of the receiver `reactive` for this giver.
 
     python experiments/strangers/search_best_responses.py --data-dir DIR --out results/best_responses
+    python experiments/strangers/search_best_responses.py --data-dir DIR --givers population --out results/population
 
 Every search draws settings at random (random search; Bergstra and Bengio, JMLR 2012) and evaluates them on a few
 scenes of the train split. The best of the draws by average success is evaluated on all scenes of the search. A giver
@@ -9,8 +10,9 @@ of all searches go to `OUT/best`, from which `handover-marl strangers-references
 command continues an interrupted search.
 """
 
+import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +20,7 @@ import tyro
 
 import handover_marl
 from handover_marl.datasets.splits import select_scenes_evenly
-from handover_marl.evaluation.reports.tables import format_table
+from handover_marl.evaluation.reports.tables import NO_VALUE, format_table
 from handover_marl.execution.options import PoolConfig
 from handover_marl.execution.tasks import map_with_progress
 from handover_marl.learning.training.scene_arguments import EvaluationArgs
@@ -35,6 +37,7 @@ SEARCH_SPACE = {
     "selection_switch_margin": (0.1, 0.6),
 }
 _DIGITS = 3
+_NOT_IN_NAME = re.compile(r"[^\w.-]+")  # characters that stay out of names of folders
 
 
 @dataclass(frozen=True)
@@ -45,6 +48,8 @@ class Args(EvaluationArgs):
         out: Folder of the results.
         population: Name of a shipped population, or path of a file.
         partners: Families of the population: train, test or all.
+        givers: Givers with options in place of those of the population, such as replay; population draws another
+            one in each episode. All of them have the same draws.
         searches: Number of searches for each giver.
         draws: Number of settings that a search compares.
         draw_scenes: Number of scenes on which the draws are compared.
@@ -54,6 +59,7 @@ class Args(EvaluationArgs):
     out: Path = Path("results/best_responses")
     population: str = DEFAULT_POPULATION
     partners: str = "all"
+    givers: tuple[str, ...] = ()
     searches: int = 2
     draws: int = 5
     draw_scenes: int = 4
@@ -119,17 +125,26 @@ def format_results(partners: tuple[Partner, ...], found: dict[tuple[int, int], B
     return format_table(["giver", "family", "AS % of searches", "success % of the best", "n", "best response"], rows)
 
 
+def list_partners(args: Args) -> tuple[Partner, ...]:
+    """Return the givers of the search; those that are not of the population have the family NO_VALUE."""
+    if not args.givers:
+        population = load_population(args.population)
+        chosen = population.select("giver", args.partners)
+        return tuple(replace(partner, policy=population.get_policy(partner)) for partner in chosen)
+    return tuple(Partner(_NOT_IN_NAME.sub("_", giver), NO_VALUE, "", giver, "") for giver in args.givers)
+
+
 def main(args: Args) -> None:
     """Search in worker processes, one giver and search at a time each, and print the best responses."""
     args = args.resolve_setup()
-    population = load_population(args.population)
-    partners = population.select("giver", args.partners)
+    partners = list_partners(args)
     tasks = [(number, repeat) for number in range(len(partners)) for repeat in range(args.searches)]
 
     def make_search() -> Callable[[tuple[int, int]], BestResponse]:
         def run(task: tuple[int, int]) -> BestResponse:
-            partner = partners[task[0]]
-            return search(args, population.get_policy(partner), Path(f"{partner.name}-{task[1]}"), task)
+            number, repeat = task
+            partner, seed = partners[number], (0 if args.givers else number, repeat)
+            return search(args, partner.policy, Path(f"{partner.name}-{repeat}"), seed)
 
         return run
 
