@@ -4,9 +4,11 @@ import os
 # PyTorch read their number of threads when they are imported.
 for variable in ("LOKY_MAX_CPU_COUNT", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(variable, "1")
+# Ray gives its workers a low priority by default, so that they would wait for the other tests.
+os.environ.setdefault("RAY_worker_niceness", "0")
 
 # ruff: noqa: E402
-from collections import Counter
+from collections import defaultdict
 from pathlib import Path
 
 import pytest
@@ -14,7 +16,7 @@ from hypothesis import settings
 
 from handover_marl.datasets import DATA_DIR_VARIABLE, OfficialDataset
 from tests.fake_layout import write_layout
-from tests.slow import read_slow_tests, test_name
+from tests.slow import module_name, read_slow_tests, test_name
 
 # The time of an example depends on what else the machine does.
 settings.register_profile("tests", deadline=None)
@@ -93,18 +95,19 @@ def recordings(real_data: Path) -> Path:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark what was measured to be slow, and begin with the files that have most of it.
+    """Mark the slow tests, and begin with the files that take most time, so that no core waits at the end.
 
-    So no core is left waiting for another at the end. The tests of a file stay together and share its fixtures.
+    The tests of a file stay together and share its fixtures.
     """
-    slow = read_slow_tests()
-    n_slow: Counter[str] = Counter()
+    times = read_slow_tests()
+    functions = {(str(item.path), test_name(module_name(item.nodeid), item.name)) for item in items}
+    file_times: defaultdict[str, float] = defaultdict(float)
+    for path, name in functions:
+        file_times[path] += times.get(name, 0.0)
     for item in items:
-        module = item.nodeid.partition("::")[0].removesuffix(".py").replace("/", ".")
-        if test_name(module, item.name) in slow:
+        if test_name(module_name(item.nodeid), item.name) in times:
             item.add_marker(pytest.mark.slow)
-        n_slow[str(item.path)] += item.get_closest_marker("slow") is not None
-    items.sort(key=lambda item: (-n_slow[str(item.path)], str(item.path)))
+    items.sort(key=lambda item: (-file_times[str(item.path)], str(item.path)))
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

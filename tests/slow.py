@@ -1,8 +1,8 @@
 """Selection of the slow tests, which `pytest -m "not slow"` leaves out.
 
-`make slow-tests` runs all tests, measures them and writes slow.txt: one test function on a line, its
-cases counted together. The functions that are not listed take at most `FAST_SECONDS` together. A new
-test is fast until it is measured.
+`make slow-tests` runs all tests, measures them and writes slow.txt: one test function on a line with its
+time (s), its cases counted together. The functions that are not listed take at most `FAST_SECONDS`
+together. A new test is fast until it is measured.
 """
 
 import sys
@@ -15,9 +15,17 @@ LIST = Path(__file__).with_name("slow.txt")
 FAST_SECONDS = 100.0
 
 
-def read_slow_tests() -> frozenset[str]:
-    """Return the names of the slow test functions, e.g. `tests.envs.test_vector::test_reset`."""
-    return frozenset(LIST.read_text().split()) if LIST.exists() else frozenset()
+def read_slow_tests() -> dict[str, float]:
+    """Return the times (s) of the slow test functions by name, e.g. `tests.envs.test_vector::test_reset`."""
+    lines = LIST.read_text().splitlines() if LIST.exists() else []
+    return {name: float(seconds) for name, seconds in map(str.split, lines)}
+
+
+def module_name(node_id: str) -> str:
+    """Return the name of a test's module from the id of the test."""
+    path, _, rest = node_id.partition("[")[0].partition("::")
+    classes = rest.split("::")[:-1]
+    return ".".join([path.removesuffix(".py").replace("/", "."), *classes])
 
 
 def test_name(module: str, test: str) -> str:
@@ -28,20 +36,20 @@ def test_name(module: str, test: str) -> str:
 test_name.__test__ = False  # type: ignore[attr-defined]
 
 
-def select_slow_tests(report: Path, fast_seconds: float = FAST_SECONDS) -> list[str]:
-    """Return the slowest test functions of a JUnit report, sorted, so that the others fit the limit."""
+def select_slow_tests(report: Path, fast_seconds: float = FAST_SECONDS) -> dict[str, float]:
+    """Return the times (s) of the slowest test functions of a JUnit report, so that the others fit the limit."""
     seconds: defaultdict[str, float] = defaultdict(float)
     for case in ET.parse(report).getroot().iter("testcase"):
         seconds[test_name(case.attrib["classname"], case.attrib["name"])] += float(case.attrib["time"])
-    total, slow = 0.0, []
+    total, slow = 0.0, {}
     for name in sorted(seconds, key=lambda name: (seconds[name], name)):
         total += seconds[name]
         if total > fast_seconds:
-            slow.append(name)
-    return sorted(slow)
+            slow[name] = seconds[name]
+    return dict(sorted(slow.items()))
 
 
 if __name__ == "__main__":
-    names = select_slow_tests(Path(sys.argv[1]))
-    LIST.write_text("".join(f"{name}\n" for name in names))
-    print(f"{len(names)} test functions are slow; they are listed in {LIST}")
+    found = select_slow_tests(Path(sys.argv[1]))
+    LIST.write_text("".join(f"{name} {seconds:.1f}\n" for name, seconds in found.items()))
+    print(f"{len(found)} test functions are slow; they are listed in {LIST}")

@@ -4,7 +4,7 @@ import ast
 import re
 from pathlib import Path
 
-from tests.slow import read_slow_tests, select_slow_tests
+from tests.slow import module_name, read_slow_tests, select_slow_tests
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 
@@ -29,5 +29,13 @@ def test_the_slowest_are_selected(tmp_path: Path) -> None:
     lines = [f'<testcase classname="tests.test_x" name="{name}" time="{time}"/>' for name, time in cases]
     report = tmp_path / "times.xml"
     report.write_text(f"<testsuites><testsuite>{''.join(lines)}</testsuite></testsuites>")
-    assert select_slow_tests(report, fast_seconds=3.0) == ["tests.test_x::case"]
-    assert select_slow_tests(report, fast_seconds=2.0) == ["tests.test_x::case", "tests.test_x::middle"]
+    assert select_slow_tests(report, fast_seconds=3.0) == {"tests.test_x::case": 6.0}
+    assert select_slow_tests(report, fast_seconds=2.0) == {
+        "tests.test_x::case": 6.0,
+        "tests.test_x::middle": 2.0,
+    }
+
+
+def test_module_names() -> None:
+    assert module_name("tests/envs/test_vector.py::test_reset[a::b]") == "tests.envs.test_vector"
+    assert module_name("tests/envs/test_vector.py::TestApi::test_reset") == "tests.envs.test_vector.TestApi"

@@ -107,7 +107,9 @@ def test_learned_givers_act_and_are_installed() -> None:
         policy = found.get_policy(giver)
         file = Path(policy.removeprefix("learned:"))
         assert any(file.match(pattern) for pattern in patterns)
-        report = evaluate_pair(policy, "hold", dataset="synthetic", split="val", scenes=[9], progress=False)
+        report = evaluate_pair(
+            policy, "hold", dataset="synthetic", split="val", scenes=[9], physics="fast", progress=False
+        )
         fluency = report.episodes[0].fluency
         assert fluency is not None
         motions.add(fluency.giver_path)
