@@ -1,11 +1,15 @@
 """Giver that helps the robot, and a timer that varies the handover pose while the robot stays away."""
 
+from dataclasses import dataclass
+from typing import ClassVar
+
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from handover_marl.config import CheckedConfig, Limits
 from handover_marl.episode.observations import Observation
-from handover_marl.policies.policy import Action, Giver, make_giver_action
+from handover_marl.policies.policy import Action, Giver, PolicyContext, make_giver_action
 
 Vector = npt.NDArray[np.float64]
 
@@ -43,6 +47,36 @@ class HandoverPoseTimer:
             self._min_distance, self._since = np.inf, now
 
 
+@dataclass(frozen=True)
+class CooperativeConfig(CheckedConfig):
+    """Configuration of `CooperativeGiver`.
+
+    Attributes:
+        approach_share: Share of the distance to the gripper by which the object is moved.
+        min_distance: Distance from gripper to object below which the object is not moved closer (m).
+        max_displacement: Largest displacement of the object from its recorded position (m).
+        max_rotation: Largest rotation of hand and object from their recorded orientation (rad).
+        rate: Playback rate minus 1; positive values are faster than recorded.
+        withdrawal: Distance by which the hand withdraws after the release (m).
+    """
+
+    limits: ClassVar[Limits] = {
+        "approach_share": (0.0, 1.0),
+        "min_distance": (0.0, 2.0),
+        "max_displacement": (0.0, 0.3),
+        "max_rotation": (0.0, 1.0),
+        "rate": (-0.8, 1.0),
+        "withdrawal": (0.0, 0.3),
+    }
+
+    approach_share: float = 0.3
+    min_distance: float = 0.45
+    max_displacement: float = 0.25
+    max_rotation: float = 0.8
+    rate: float = 0.0
+    withdrawal: float = 0.15
+
+
 class CooperativeGiver(Giver):
     """Giver that offers the object towards the gripper, waits for a grasp, releases and withdraws.
 
@@ -52,27 +86,39 @@ class CooperativeGiver(Giver):
     the pose if the gripper does not approach. The hand releases the object when both fingers have
     stopped on the object, and withdraws after any release.
 
-    Attributes:
+    Args:
+        context: Robot and task, which this giver does not use.
         approach_share: Share of the distance to the gripper by which the object is moved.
-        min_distance: Distance from gripper to object below which the object is not moved closer (m).
-        max_displacement: Largest displacement of the object from its recorded position (m).
-        max_rotation: Largest rotation of hand and object from their recorded orientation (rad).
+        min_distance: Distance from gripper to object below which the object is not moved closer, up to 2 m.
+        max_displacement: Largest displacement of the object from its recorded position, up to 0.3 m.
+        max_rotation: Largest rotation of hand and object from their recorded orientation, up to 1 rad.
+        rate: Playback rate minus 1, from -0.8 (a fifth of the recorded speed) to 1 (twice).
+        withdrawal: Distance by which the hand withdraws after the release, up to 0.3 m.
+
+    Attributes:
         near_distance: Distance from gripper to object at which the pose is fixed (m).
         arrival_tolerance: Remaining motion of the recorded wrist below which the hand counts as
             stopped (m).
         grasp_time: Time for which the fingers must rest on the object before the release (s).
-        withdrawal: Distance by which the hand withdraws after the release (m).
     """
 
     name = "cooperative"
-    approach_share = 0.3
-    min_distance = 0.45
-    max_displacement = 0.25
-    max_rotation = 0.8
     near_distance = 0.25
     arrival_tolerance = 0.01
     grasp_time = 0.2
-    withdrawal = 0.15
+
+    def __init__(
+        self,
+        context: PolicyContext | None = None,
+        approach_share: float = CooperativeConfig.approach_share,
+        min_distance: float = CooperativeConfig.min_distance,
+        max_displacement: float = CooperativeConfig.max_displacement,
+        max_rotation: float = CooperativeConfig.max_rotation,
+        rate: float = CooperativeConfig.rate,
+        withdrawal: float = CooperativeConfig.withdrawal,
+    ) -> None:
+        super().__init__(context)
+        self.config = CooperativeConfig(approach_share, min_distance, max_displacement, max_rotation, rate, withdrawal)
 
     def reset(self, seed: int | None = None) -> None:
         """Start an episode without deviation from the recording."""
@@ -93,6 +139,7 @@ class CooperativeGiver(Giver):
             self._timer.update(observation)
         share = self._timer.share
         return make_giver_action(
+            self.config.rate,
             displacement=share * self._displacement,
             rotation=share * self._rotation,
             release=self._is_grasped(observation),
@@ -109,6 +156,7 @@ class CooperativeGiver(Giver):
 
     def _choose_pose(self, observation: Observation) -> None:
         """Choose the deviation from the recorded poses half a second ahead."""
+        config = self.config
         gripper = observation["gripper_pose"][:3].astype(np.float64)
         wrist = observation["replay_wrist_poses"][-1, :3].astype(np.float64)
         item = observation["replay_object_poses"][-1, :3].astype(np.float64)
@@ -116,7 +164,7 @@ class CooperativeGiver(Giver):
         direction = gripper - item
         distance = float(np.linalg.norm(direction))
         length = float(
-            np.clip(min(self.approach_share * distance, distance - self.min_distance), 0.0, self.max_displacement)
+            np.clip(min(config.approach_share * distance, distance - config.min_distance), 0.0, config.max_displacement)
         )
         target = item + direction / max(distance, 1e-6) * length
         self._rotation = rotation
@@ -130,7 +178,7 @@ class CooperativeGiver(Giver):
         if size < 1e-9:
             return np.zeros(3)
         angle = float(np.arctan2(size, np.dot(arm, direction)))
-        return axis / size * min(angle, self.max_rotation)
+        return axis / size * min(angle, self.config.max_rotation)
 
     def _is_grasped(self, observation: Observation) -> bool:
         """Return whether the fingers have rested on something for long enough."""
@@ -147,5 +195,5 @@ class CooperativeGiver(Giver):
         if self._withdrawn is None:
             away = observation["hand_keypoints"][0] - observation["gripper_pose"][:3]
             displacement = self._timer.share * self._displacement
-            self._withdrawn = displacement + self.withdrawal * away / max(float(np.linalg.norm(away)), 1e-6)
+            self._withdrawn = displacement + self.config.withdrawal * away / max(float(np.linalg.norm(away)), 1e-6)
         return make_giver_action(displacement=self._withdrawn, rotation=self._timer.share * self._rotation)

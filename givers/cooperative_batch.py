@@ -109,6 +109,7 @@ class CooperativeBatch(ArrayPolicy[CooperativeGiver]):
         self._withdraw(rows, released & ~self._is_withdrawn[rows], displacement, observation)
         return make_giver_actions(
             len(rows),
+            np.where(released, 0.0, self._policy.config.rate),
             displacement=np.where(released[:, None], self._withdrawn[rows], displacement),
             rotation=share * self._rotation[rows],
             release=~released & self._are_grasped(rows, ~released, near, observation),
@@ -122,15 +123,15 @@ class CooperativeBatch(ArrayPolicy[CooperativeGiver]):
 
     def _choose_poses(self, rows: Rows, observation: Observation) -> None:
         """Choose the deviations from the recorded poses half a second ahead."""
-        giver = self._policy
+        config = self._policy.config
         gripper = observation["gripper_pose"][:, :3].astype(np.float64)
         wrist = observation["replay_wrist_poses"][:, -1, :3].astype(np.float64)
         item = observation["replay_object_poses"][:, -1, :3].astype(np.float64)
         direction = gripper - item
         rotation = self._rotate_towards(item - wrist, direction)
         distance = compute_lengths(direction)
-        wanted = np.minimum(giver.approach_share * distance, distance - giver.min_distance)
-        length = np.clip(wanted, 0.0, giver.max_displacement)
+        wanted = np.minimum(config.approach_share * distance, distance - config.min_distance)
+        length = np.clip(wanted, 0.0, config.max_displacement)
         target = item + direction / np.maximum(distance, 1e-6)[:, None] * length[:, None]
         # The rotation moves the object about the wrist; the displacement compensates for it.
         moved = rotate_points(Rotation.from_rotvec(rotation).as_quat(), item - wrist)
@@ -140,7 +141,7 @@ class CooperativeBatch(ArrayPolicy[CooperativeGiver]):
         """Return the limited rotation vectors (r, 3) that turn directions `arms` towards others."""
         axes = np.cross(arms, directions)
         size = compute_lengths(axes)
-        angle = np.minimum(np.arctan2(size, compute_dot_products(arms, directions)), self._policy.max_rotation)
+        angle = np.minimum(np.arctan2(size, compute_dot_products(arms, directions)), self._policy.config.max_rotation)
         is_turned = size >= 1e-9
         return np.where(is_turned[:, None], axes / np.where(is_turned, size, 1.0)[:, None] * angle[:, None], 0.0)
 
@@ -159,5 +160,5 @@ class CooperativeBatch(ArrayPolicy[CooperativeGiver]):
     def _withdraw(self, rows: Rows, begins: Flags, shift: Array, observation: Observation) -> None:
         """Set the displacement of the hands that begin to withdraw."""
         away = observation["hand_keypoints"][:, 0] - observation["gripper_pose"][:, :3]
-        withdrawal = shift + self._policy.withdrawal * away / np.maximum(compute_lengths(away), 1e-6)[:, None]
+        withdrawal = shift + self._policy.config.withdrawal * away / np.maximum(compute_lengths(away), 1e-6)[:, None]
         self._withdrawn[rows[begins]], self._is_withdrawn[rows[begins]] = withdrawal[begins], True

@@ -11,7 +11,7 @@ command continues an interrupted search.
 """
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -81,10 +81,21 @@ class BestResponse:
     success_rate: float
 
 
-def draw_receiver(rng: np.random.Generator) -> str:
-    """Return the receiver with random settings."""
-    values = {name: float(np.exp(rng.uniform(*np.log(limits)))) for name, limits in SEARCH_SPACE.items()}
-    return "reactive:" + ",".join(f"{name}={value:.{_DIGITS}g}" for name, value in values.items())
+def draw_policy(
+    name: str, space: Mapping[str, tuple[float, float]], rng: np.random.Generator, logarithmic: bool
+) -> str:
+    """Return a policy with random settings.
+
+    Args:
+        name: Name of the policy.
+        space: Range of each setting.
+        rng: Random generator.
+        logarithmic: Whether the logarithms of the settings have a uniform distribution, or the settings.
+    """
+    limits = {key: np.log(pair) if logarithmic else np.array(pair) for key, pair in space.items()}
+    drawn = {key: rng.uniform(*pair) for key, pair in limits.items()}
+    values = {key: float(np.exp(value) if logarithmic else value) for key, value in drawn.items()}
+    return f"{name}:" + ",".join(f"{key}={value:.{_DIGITS}g}" for key, value in values.items())
 
 
 def search(args: Args, giver: str, folder: Path, seed: tuple[int, ...]) -> BestResponse:
@@ -99,17 +110,20 @@ def search(args: Args, giver: str, folder: Path, seed: tuple[int, ...]) -> BestR
     rng = np.random.default_rng(seed)
     scenes = select_scenes_evenly(args.open_dataset().list_scenes(args.setup, "train"), args.n_scenes)
     few = select_scenes_evenly(scenes, args.draw_scenes)
-    receivers = [draw_receiver(rng) for _ in range(args.draws)]
+    receivers = [draw_policy("reactive", SEARCH_SPACE, rng, logarithmic=True) for _ in range(args.draws)]
     scores = [
-        _evaluate(args, giver, receiver, few, args.out / "draws" / folder / str(number)).average_success
+        evaluate_draw(args, giver, receiver, few, args.out / "draws" / folder / str(number)).average_success
         for number, receiver in enumerate(receivers)
     ]
     best = receivers[int(np.argmax(scores))]
-    report = _evaluate(args, giver, best, scenes, args.out / "best" / folder)
+    report = evaluate_draw(args, giver, best, scenes, args.out / "best" / folder)
     return BestResponse(best, report.average_success, report.success_rate)
 
 
-def _evaluate(args: Args, giver: str, receiver: str, scenes: tuple[int, ...], folder: Path) -> handover_marl.Report:
+def evaluate_draw(
+    args: EvaluationArgs, giver: str, receiver: str, scenes: tuple[int, ...], folder: Path
+) -> handover_marl.Report:
+    """Evaluate a pair in scenes of the train split in this process, and write the result folder."""
     options = args.evaluation_options | {"workers": 1, "progress": False, "out": str(folder)}
     return handover_marl.evaluate_pair(giver, receiver, split="train", scenes=scenes, **options)
 

@@ -27,6 +27,7 @@ NAMES = (
     "withdrawing",
     "withdrawing:max_speed=0.1,max_distance=0.6,withdrawal=0.3,return_after=0.2",
     "cooperative",
+    "cooperative:approach_share=0.5,min_distance=0.3,max_displacement=0.1,max_rotation=0.3,rate=0.5,withdrawal=0.3",
 )
 
 
@@ -86,7 +87,7 @@ def test_batches_act_as_single_givers(name: str) -> None:
         acted.append(expected)
     if name != "replay":
         assert np.ptp(acted, axis=(0, 1)).any()
-    if name == "cooperative":
+    if name.startswith("cooperative"):
         assert np.array(acted)[..., 7].any(), "no object was released"
 
 
