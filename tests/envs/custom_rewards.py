@@ -1,4 +1,4 @@
-"""Own rewards that tests refer to as `module:name`."""
+"""User-defined rewards that tests name as `module:name`."""
 
 import numpy as np
 
@@ -15,7 +15,7 @@ def approach(transition: Transition) -> dict[str, dict[str, float]]:
 
 
 class Counter:
-    """Number of control steps so far."""
+    """Reward of the giver that equals the number of control steps since the reset."""
 
     def __init__(self) -> None:
         self.count = 0

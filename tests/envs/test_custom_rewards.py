@@ -1,4 +1,4 @@
-"""Own rewards: what they get, how their terms are checked and reported, and combinations."""
+"""Tests of user-defined rewards: their transitions, checks and reports of their terms, and combinations."""
 
 import dataclasses
 import pickle
@@ -62,7 +62,7 @@ def terms_of(infos: dict[str, Any], agent: str) -> dict[str, float]:
 
 
 def returning(result: Any) -> Any:
-    """Return a reward that is well formed in the first call, and then returns something else."""
+    """Return a reward that gives well-formed terms at the start of an episode and `result` after every step."""
 
     class Mine:
         calls = 0

@@ -1,4 +1,4 @@
-"""Encoded environments keep the promises of Gymnasium, PettingZoo and Stable-Baselines3."""
+"""Tests of encoded environments: the checks of Gymnasium, PettingZoo and Stable-Baselines3, seeds and errors."""
 
 import pickle
 from typing import Any
@@ -38,7 +38,7 @@ def single(agent: str, partner: str, actions: str | None = None, **options: Any)
 )
 def test_gymnasium_and_stable_baselines_accept_it(agent: str, partner: str, actions: str) -> None:
     env = single(agent, partner, actions, max_cycles=30)
-    if actions != "offer":  # it takes one decision an episode, which Gymnasium's checker will not have
+    if actions != "offer":  # an episode has only one step, which Gymnasium's checker does not accept
         check_env(env, skip_render_check=True)
     sb3 = pytest.importorskip("stable_baselines3.common.env_checker", reason="needs the extra `train`")
     sb3.check_env(env, warn=False)
@@ -83,7 +83,7 @@ def test_an_offer_is_one_decision() -> None:
 
 
 def test_rewards_add_up_until_the_next_decision() -> None:
-    """A step that lasts until the end is rewarded as all its control periods are."""
+    """The reward of a step that lasts until the end of the episode is the sum over its control periods."""
     options = {"max_cycles": 40, "rewards": "shaped"}
     env, world = (
         encoded("giver", "hold", "offer", **options),

@@ -1,4 +1,4 @@
-"""PettingZoo's own kind of wrapper inside and outside of this library's wrappers."""
+"""Tests of wrappers made for PettingZoo, inside and outside of this library's wrappers and in vector environments."""
 
 import pickle
 from collections.abc import Callable
@@ -22,7 +22,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
 
 
 class Cost(BaseParallelWrapper):
-    """A wrapper that knows nothing of this library: keyword arguments only, a cost, a shifted observation."""
+    """Wrapper made for PettingZoo only; it subtracts 1 from each reward and shifts the receiver's gripper pose."""
 
     metadata = {"name": "cost"}
 

@@ -38,7 +38,7 @@ def frozen(data: Path, agent: str = "receiver", partner: Any = None, **options: 
 
 
 def assert_equal(first: Any, second: Any) -> None:
-    """The same bit for bit, containers and arrays all the way down."""
+    """Check that nested containers have the same types and keys, and that all their arrays and numbers are equal."""
     assert type(first) is type(second)
     if isinstance(first, dict):
         assert first.keys() == second.keys()
@@ -73,7 +73,7 @@ def test_benchmark_view_cannot_be_talked_out_of_the_protocol(fake_data: Path) ->
 @pytest.mark.parametrize("agent", ["receiver", "giver"])
 @pytest.mark.parametrize("smuggled", [make_giver_action(rate=-1.0), np.float32([0.1] * 9), None])
 def test_the_partners_action_is_not_taken_from_outside(fake_data: Path, agent: str, smuggled: Any) -> None:
-    """Not even one that would change nothing, and the world goes on as if nobody had asked."""
+    """An action for the partner is refused, whatever its value, and the episode continues as without this call."""
     env, untouched = (frozen(fake_data, agent, split="val") for _ in range(2))
     own = {"receiver": START, "giver": REPLAY}[agent]
     for one in (env, untouched):
@@ -159,7 +159,7 @@ Transition = tuple[Any, ...]
 
 
 def episodes(env: FrozenPartnerEnv, action: np.ndarray, seed: int, count: int = 3) -> list[list[Transition]]:
-    """Whole rollouts, of which only the first is seeded."""
+    """Simulate whole episodes, of which only the first has a seed, and return the results of resets and steps."""
     way: list[list[Transition]] = []
     for number in range(count):
         steps: list[Transition] = [env.reset(seed=seed if number == 0 else None)]
@@ -175,7 +175,7 @@ def episodes(env: FrozenPartnerEnv, action: np.ndarray, seed: int, count: int = 
     [("receiver", "noisy"), ("receiver", "hesitant"), ("giver", "random")],
 )
 def test_episodes_repeat_from_the_first_seed(agent: str, partner: str) -> None:
-    """With one scene only, so that episodes differ by what the partner draws."""
+    """The first seed determines all episodes; with a single scene, they differ in the partner's random numbers."""
     options = SYNTHETIC | {"scenes": [9], "max_cycles": 22, "rewards": "shaped"}
     action = {"receiver": START, "giver": REPLAY}[agent]
     first, again, other = (
@@ -200,7 +200,7 @@ def test_scenes_are_drawn_from_the_first_seed_too() -> None:
 
 
 class Slow(Giver):
-    """Wants to be asked every `hold` seconds and lets its playback rate tell how often it was."""
+    """Giver that acts every `hold` seconds; the rate in its action is 0.1 times the number of actions so far."""
 
     name = "slow"
 

@@ -1,4 +1,4 @@
-"""The giver as an agent of the environment, in both kinds of physics."""
+"""Tests of the giver as an agent of the environment, in exact and in fast physics."""
 
 from typing import Any
 
@@ -98,7 +98,7 @@ def test_random_givers_repeat_from_their_seed(physics: str) -> None:
 
 
 def test_the_benchmark_view_has_no_giver_to_ask() -> None:
-    """While the person holds the object, letting go and moving away are refused and do not happen."""
+    """While the person holds the object, actions that release it or move the hand are refused and have no effect."""
     view = handover_marl.benchmark_env(split="test", dataset="synthetic")
     view.reset(options={"scene_id": SCENE})
     for _ in range(28):

@@ -61,7 +61,7 @@ def assert_same(first: list[dict[str, np.ndarray]], second: list[dict[str, np.nd
 
 @pytest.fixture
 def only_known_scenes(monkeypatch: pytest.MonkeyPatch) -> None:
-    """API tests draw scenes; the small dataset has but a few of each split."""
+    """Restrict the scenes of a split to those in the small data set, because the API tests draw scenes at random."""
     splits = {("s0", "train"): (5, 6), ("s0", "val"): (9, 14)}
     monkeypatch.setattr(
         "handover_marl.datasets.official.OfficialDataset.list_scenes", lambda self, setup, split: splits[setup, split]
@@ -184,7 +184,7 @@ def test_the_hand_comes_and_goes(fake_data: Path) -> None:
         seen = env.step(both(START))[0]["giver"]
         present.append(bool(seen["hand_present"][0]))
         assert present[-1] == seen["hand_keypoints"].any() == seen["hand_dof_position"].any()
-    # Frames 50 to 350 have a hand; it goes one frame after its last.
+    # The recording has a hand in frames 50 to 350; the hand disappears one frame after the last of them.
     assert present == [False] * 4 + [True] * 31 + [False] * 5
     assert abs(float(seen["time"][0]) - 0.4) < 1e-6
 
@@ -347,18 +347,18 @@ def test_a_window_needs_a_screen(fake_data: Path, monkeypatch: pytest.MonkeyPatc
 
 
 SYNTHETIC: dict[str, Any] = {"dataset": "synthetic", "physics": "fast", "split": "val"}
-#: A scene in which the object is picked up early, at step 1039.
+#: Number of a scene in which the person picks up the object early, at step 1039.
 EARLY = 69
 
 
 def timed(step: int, release_at: int = 10**9) -> np.ndarray:
-    """What the giver does at a physics step, whatever the control period."""
+    """Return the giver's action at a physics step; it does not depend on the control period."""
     shift = (0.15, -0.1, 0.05) if step >= 1100 else (0.0, 0.0, 0.0)
     return make_giver_action(displacement=shift, rotation=(0.0, 0.0, 2.0 * shift[0]), release=step >= release_at)
 
 
 def to_the_end(env: HandoverEnv, release_at: int = 10**9) -> list[Any]:
-    """Every step's result, the first of them that of the reset."""
+    """Simulate an episode and return the results of the reset and of all steps."""
     observations, infos = env.reset(seed=0, options={"scene_id": EARLY})
     results: list[Any] = [(observations, infos)]
     while env.agents:
@@ -371,7 +371,10 @@ def to_the_end(env: HandoverEnv, release_at: int = 10**9) -> list[Any]:
 @pytest.mark.parametrize("rewards", ["sparse", "shaped"])
 @pytest.mark.parametrize(("release_at", "max_cycles"), [(1300, None), (10**9, 12)])
 def test_infos_are_the_same_numbers_all_along(rewards: str, release_at: int, max_cycles: int | None) -> None:
-    """From reset to the end, by a drop or by being cut off; many libraries keep them in arrays made at the start."""
+    """Infos have the same keys and are numbers from the reset to the end, by a drop or by `max_cycles`.
+
+    Many libraries store infos in arrays that they allocate at the start.
+    """
     results = to_the_end(parallel_env(**SYNTHETIC, rewards=rewards, max_cycles=max_cycles), release_at)
     for agent, weights in (("receiver", ReceiverWeights), ("giver", GiverWeights)):
         keys = {"scene_id", "status", "steps", "release_step", "release"}
@@ -423,7 +426,7 @@ def test_bad_max_cycles(cycles: Any) -> None:
 
 
 def assert_as_seen_by_the_giver(one: dict[str, np.ndarray], other: dict[str, np.ndarray], atol: float) -> None:
-    """What stands in the recording bit for bit; what fast physics simulates nearly so."""
+    """Check that observations of the giver are equal; the tolerance `atol` holds for simulated values only."""
     for key, value in one.items():
         own = key in ("replay_wrist_poses", "replay_object_poses", "deviation", "holding", "time", "released")
         np.testing.assert_allclose(value, other[key], rtol=0, atol=0.0 if own else atol, err_msg=key)
@@ -431,7 +434,7 @@ def assert_as_seen_by_the_giver(one: dict[str, np.ndarray], other: dict[str, np.
 
 @pytest.mark.parametrize(("physics", "period"), [("exact", 0.05), ("fast", 0.05), ("fast", 0.001)])
 def test_an_episode_that_ends_inside_a_control_step_stops_there(physics: str, period: float) -> None:
-    """What the giver sees last, and what it pays, is of where the world stopped, not of where it might have gone."""
+    """The giver's last observation and costs refer to the step in which the episode ended."""
     config = WorldConfig(protocol=ProtocolConfig(horizon_steps=1350))
     options = SYNTHETIC | {"physics": physics, "world_config": config, "rewards": "shaped"}
     coarse, fine = (to_the_end(parallel_env(**options, control_period=each)) for each in (0.1, period))

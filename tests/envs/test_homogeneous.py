@@ -1,4 +1,4 @@
-"""Vectors for dictionaries, and equal spaces for all agents: what goes in comes out, and the checkers are content."""
+"""Tests of `flatten` (vectors instead of dictionaries) and `homogeneous` (equal spaces for all agents)."""
 
 import pickle
 from collections.abc import Callable
@@ -137,7 +137,7 @@ def test_ones_own_action_comes_back_whatever_follows_it(seed: int, agent: str, r
     filled[: len(wanted)] = wanted
     np.testing.assert_array_equal(env.unpad_action(agent, filled), wanted)
     assert space.contains(filled)
-    # Whatever all agents may do is within one's own bounds.
+    # The part of any action of the common space that an agent uses is within the agent's own bounds.
     space.seed(seed)
     assert own.contains(env.unpad_action(agent, space.sample()))
 
@@ -190,7 +190,7 @@ def test_supersuit_takes_it_without_padding() -> None:
     envs = supersuit.concat_vec_envs_v1(vectors, 2, num_cpus=1, base_class="gymnasium")
     seen, _ = envs.reset(seed=0)
     assert seen.shape == (4, *encoded().observation_space("giver").shape)
-    for _ in range(8):  # beyond an episode's end
+    for _ in range(8):  # more steps than an episode has
         seen, rewards, ended, timed_out, _ = envs.step(np.zeros((4, 8), np.float32))
     assert rewards.shape == ended.shape == timed_out.shape == (4,)
     np.testing.assert_array_equal(seen[:, -2:], np.tile(np.eye(2), (2, 1)))

@@ -1,4 +1,4 @@
-"""Agents may write into the arrays that they are given."""
+"""Tests that an agent that writes into the arrays of its observations does not change what the other one observes."""
 
 from typing import Any
 
@@ -20,7 +20,7 @@ class ScribblingGiver(CooperativeGiver):
 
 
 class NoddingReceiver(HoldReceiver):
-    """Stays near the start pose and shows what it sees."""
+    """Receiver near the start pose, whose first three joints are shifted by 0.2 times the first object's position."""
 
     def act(self, observation: dict[str, np.ndarray]) -> np.ndarray:
         nod = np.float32(0.2) * observation["object_poses"][0, :3]
@@ -40,7 +40,10 @@ def spoil(observation: dict[str, np.ndarray]) -> None:
 
 
 def seen_alone(agent: str, partner: Any, scribbles: bool, api: Any) -> list[dict[str, np.ndarray]]:
-    """What one agent sees in an episode in which it moves, and perhaps spoils what it has seen."""
+    """Simulate random actions of one agent and return copies of its observations.
+
+    If `scribbles` is true, the agent overwrites the arrays of each observation.
+    """
     world = handover_marl.parallel_env(dataset="synthetic", physics="fast", split="test")
     env = handover_marl.freeze(world, agent, partner, api=api)
     parallel = api == "parallel"

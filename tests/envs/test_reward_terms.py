@@ -1,4 +1,4 @@
-"""Ready-made reward terms: their formulas, on made-up transitions, and weights."""
+"""Tests of the built-in reward terms: their formulas, with constructed transitions, and their weights."""
 
 import itertools
 from typing import Any
@@ -71,7 +71,7 @@ def test_hands_that_are_absent_have_no_terms() -> None:
 
 @pytest.mark.parametrize(("name", "body"), [("gripper_jerk", "gripper"), ("hand_jerk", "wrist")])
 def test_jerk_of_a_cubic_motion_is_constant(name: str, body: str) -> None:
-    """x = t^3 has the jerk 6 m/s^3, which integrates to 0.6 m/s^2 in a step of 0.1 s."""
+    """The motion x = t^3 has a jerk of 6 m/s^3, which integrates to 0.6 m/s^2 in a step of 0.1 s."""
     term = make_term(name)
     states = [state(**{body: (0.0, (0.1 * number) ** 3, 0.0)}) for number in range(8)]
     for _ in range(2):
@@ -89,14 +89,14 @@ def test_forces_are_integrated() -> None:
 
 
 def test_clearance_is_measured_from_the_gripper() -> None:
-    """The fingers' boxes reach 0.1126 m along z of the hand link, the hand body 0.104 m along y."""
+    """Distances are measured from boxes that reach z = 0.1126 m (fingers) and y = 0.104 m (body) of the hand link."""
     assert compute_hand_distance(state(wrist=(0.0, 0.0533, 0.2))) == pytest.approx(0.2 - 0.1126, abs=1e-4)
     assert compute_hand_distance(state(wrist=(0.0, 0.154, 0.02))) == pytest.approx(0.05, abs=1e-4)
     assert compute_hand_distance(state(wrist=(0.0, 0.0, 0.02))) == 0.0
     assert value("clearance", after=state(wrist=(0.0, 0.154, 0.02))) == pytest.approx(-0.05 * 0.1, abs=1e-5)
     assert value("clearance", after=state(wrist=(0.0, 0.5, 0.02))) == 0.0
     turned = state(wrist=(0.154, 0.0, 0.02))
-    turned["gripper_pose"][3:] = [0.0, 0.0, -np.sqrt(0.5), np.sqrt(0.5)]  # y of the gripper is x of the world
+    turned["gripper_pose"][3:] = [0.0, 0.0, -np.sqrt(0.5), np.sqrt(0.5)]  # the gripper's y axis is the world's x axis
     assert compute_hand_distance(turned) == pytest.approx(0.05, abs=1e-4)
 
 

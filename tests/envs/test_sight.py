@@ -1,4 +1,4 @@
-"""Environments whose receiver looks through the wrist camera."""
+"""Tests of environments whose receiver observes point clouds or images of the wrist camera."""
 
 import copy
 import importlib.util
@@ -32,7 +32,10 @@ def make(**options: Any) -> handover_marl.HandoverEnv:
 
 
 def rollout(steps: int = 14, seed: int = 3, looks: bool = False, **options: Any) -> list[dict[str, np.ndarray]]:
-    """What the receiver sees while its arm trembles."""
+    """Simulate small random motions of the arm and return the receiver's observations.
+
+    If `looks` is true, `capture_wrist_camera` is called before every step.
+    """
     env = make(**{"obs_mode": "state+pointcloud", **options})
     seen = [env.reset(seed=seed)[0]["receiver"]]
     rng = np.random.default_rng(0)
@@ -210,7 +213,7 @@ def test_vector_environments_repeat_from_their_seed() -> None:
 
 
 class Looker(Receiver):
-    """Asks for points alone and lets them move its arm."""
+    """Receiver that observes point clouds only; the number of points shifts the target of its first joint."""
 
     name = "looker"
     obs_mode = "pointcloud"

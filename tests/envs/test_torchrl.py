@@ -1,4 +1,4 @@
-"""TorchRL takes the environment as it is, and wrapped."""
+"""Tests that TorchRL accepts the environment, with and without this library's wrappers."""
 
 import pytest
 

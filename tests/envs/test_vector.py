@@ -1,4 +1,4 @@
-"""Many environments in processes, as training libraries run them."""
+"""Tests of environments in several processes, as training libraries run them."""
 
 from collections.abc import Callable
 from typing import Any
@@ -7,10 +7,10 @@ import gymnasium
 import numpy as np
 import pytest
 
-# With the module in front, worker processes find the name too, however they were started.
+# The name includes the module, so that worker processes import it, whatever their start method.
 NAME = "handover_marl:HandoverMARL/Receiver-v0"
 OPTIONS: dict[str, Any] = {"setup": "s0", "dataset": "synthetic", "physics": "fast", "max_cycles": 6}
-STEPS = 8  # more than an episode's 6
+STEPS = 8  # more than the 6 steps of an episode
 
 Rollout = tuple[dict[str, np.ndarray], np.ndarray]
 

@@ -1,4 +1,4 @@
-"""Many environments in one process: each plays what a single one plays, however many there are."""
+"""Tests of vector environments: each environment behaves like a single one, whatever their number."""
 
 import copy
 import inspect
@@ -30,10 +30,10 @@ from handover_marl.errors import (
 from handover_marl.learning.encodings.choices import declare_size
 from tests.failing import Failing
 
-#: Boxes, cylinders and balls, so that models of several layouts are mixed.
+#: The objects are boxes, cylinders and balls, so that models of several layouts are simulated together.
 OPTIONS: dict[str, Any] = {"setup": "s0", "split": "train", "dataset": "synthetic", "physics": "mujoco"}
 COUNT = 5
-#: Short, so that all episodes end and begin anew.
+#: Options of short episodes, so that all of them end and new ones start.
 SHORT: dict[str, Any] = {**OPTIONS, "max_cycles": 13, "control_period": 0.13}
 MORE_THAN_AN_EPISODE = 16
 
@@ -49,7 +49,7 @@ def encoded(**options: Any) -> gymnasium.Env[Any, Any]:
 
 
 def rollout(envs: gymnasium.vector.VectorEnv[Any, Any, Any], steps: int, seed: int = 3) -> list[Any]:
-    """All that an environment says while the robot goes here and there."""
+    """Return the results of `reset` and of all steps with random actions, and close the environments."""
     rng, said = np.random.default_rng(0), list(envs.reset(seed=seed))
     space = envs.single_action_space
     for _ in range(steps):
@@ -99,7 +99,7 @@ def test_features_and_schemes_that_wait_are_equal_too() -> None:
 
 
 def test_whole_handovers_to_yang_are_equal_to_the_bit() -> None:
-    """A decision of the giver is a whole episode; single environments are reset too."""
+    """Steps of the giver that last a whole episode equal those of single environments, also after masked resets."""
     options = {**OPTIONS, "control_period": 0.1, "max_cycles": 80, "rewards": "shaped"}
     encodings = {"features": "giver", "schemes": "offer"}
     together = handover_marl.vector_env(3, "giver", "yang2021:wait=0.5", threads=1, **encodings, **options)
@@ -123,7 +123,10 @@ def test_whole_handovers_to_yang_are_equal_to_the_bit() -> None:
 
 @pytest.mark.parametrize(("rewards", "noise"), [("sparse", 0.0), ("shaped", 0.1)])
 def test_the_next_episode_is_the_one_that_a_single_environment_draws(rewards: str, noise: float) -> None:
-    """Resets with a seed, a scene, a mask or nothing, also while the next episodes are prepared."""
+    """Resets with a seed, a scene, a mask or no argument start the same episodes as in single environments.
+
+    This also holds if the next episodes are simulated in advance.
+    """
     options = {**OPTIONS, "control_period": 0.2, "max_cycles": 14, "rewards": rewards}
     options["world_config"] = WorldConfig(initial_joint_noise=noise)
     together = handover_marl.vector_env(

@@ -1,4 +1,4 @@
-"""What must come to an end soon."""
+"""Time limit for tests of code that might never end."""
 
 import contextlib
 import signal
@@ -6,12 +6,12 @@ from collections.abc import Iterator
 
 
 class TooSlowError(BaseException):
-    """Nothing that code under test would catch and tell otherwise."""
+    """Error of an exceeded time limit; it is no `Exception`, so that the code under test does not catch it."""
 
 
 @contextlib.contextmanager
 def ends_within(seconds: float) -> Iterator[None]:
-    """Fail instead of waiting for ever, e.g. for somebody to write into a pipe."""
+    """Fail if the body does not end within some seconds, e.g. because it waits for the writer of a pipe."""
 
     def stop(*_: object) -> None:
         raise TooSlowError(f"no end after {seconds} s")

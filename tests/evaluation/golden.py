@@ -1,7 +1,7 @@
-"""Writes down how synthetic scenes end: `python -m tests.evaluation.golden` from the top of the tree.
+"""Write the outcomes of synthetic scenes: `python -m tests.evaluation.golden` in the root of the repository.
 
-Do so only when outcomes are meant to change, e.g. because the synthetic scenes or the receiver do, and look at what
-changed. Figures in README and docs then have to be made anew too.
+Do so only if outcomes are meant to change, e.g. because the synthetic scenes or the receiver changed, and examine
+the differences. The figures in README and docs then have to be computed again, too.
 """
 
 import json
@@ -12,7 +12,7 @@ import handover_marl
 
 FILE = Path(__file__).parents[1] / "golden" / "synthetic_outcomes.json"
 
-#: Of s0 val: the first twelve in fast physics, and four of them, which end in different ways, in exact physics.
+#: Scenes of s0 val: the first twelve in fast physics, and four of them with different ends in exact physics.
 N_FAST = 12
 EXACT = (9, 14, 19, 64)
 
@@ -20,7 +20,7 @@ Outcomes = dict[str, list[Any]]
 
 
 def outcomes(physics: str) -> Outcomes:
-    """Status, steps and release step of every scene by its number."""
+    """Return status, steps and release step of every scene, by its number."""
     data = handover_marl.EvaluationConfig(dataset="synthetic").open_dataset()
     scenes = data.list_scenes("s0", "val")[:N_FAST] if physics == "fast" else EXACT
     report = handover_marl.benchmark(
@@ -40,7 +40,7 @@ def outcomes(physics: str) -> Outcomes:
 
 
 def text(by_physics: dict[str, Outcomes]) -> str:
-    """JSON with a scene a line, so that changes can be seen."""
+    """Format outcomes as JSON with one line for each scene, so that a diff shows which scenes changed."""
     parts = []
     for physics, found in by_physics.items():
         rows = ",\n".join(f"    {json.dumps(scene)}: {json.dumps(outcome)}" for scene, outcome in found.items())
@@ -49,7 +49,7 @@ def text(by_physics: dict[str, Outcomes]) -> str:
 
 
 def main() -> None:
-    """Play and write."""
+    """Simulate the scenes, write their outcomes and print them."""
     FILE.parent.mkdir(exist_ok=True)
     FILE.write_text(text({physics: outcomes(physics) for physics in ("fast", "exact")}))
     print(FILE.read_text(), end="")

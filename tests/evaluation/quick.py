@@ -1,4 +1,4 @@
-"""Runs that cost next to nothing: few scenes, short episodes, a receiver that does nothing."""
+"""Evaluations that take little time: few scenes, short episodes and a receiver that does not move."""
 
 from pathlib import Path
 from typing import Any
@@ -12,12 +12,12 @@ from handover_marl.receivers import Receiver
 
 SCENES = (9, 14)
 HORIZON = 1300
-#: Rules that end an episode after a tenth of the time.
+#: Rules that end an episode after a tenth of the official time limit.
 SHORT = WorldConfig(protocol=ProtocolConfig(horizon_steps=HORIZON))
 
 
 class QuickReceiver(Receiver):
-    """Holds still; asked every second."""
+    """Receiver that holds still and acts once per second."""
 
     name = "quick"
     control_period = 1.0
@@ -30,7 +30,7 @@ class QuickReceiver(Receiver):
 
 
 def run(data: Path, out: Path | None = None, **options: Any) -> Report:
-    """A receiver that costs nothing, with the official giver, in few scenes."""
+    """Evaluate a receiver that holds still with the official giver in two scenes, unless `options` say otherwise."""
     named = {"giver": "replay", "receiver": QuickReceiver, "setup": "s0", "split": "val", "scenes": SCENES}
     named |= {"physics": "fast", "world_config": SHORT, "progress": False, "workers": 1}
     return handover_marl.evaluate_pair(data_dir=data, out=out, **{**named, **options})

@@ -345,7 +345,7 @@ class FailingGiver(Giver):
     name = "failing"
 
     def reset(self, seed: int | None = None) -> None:
-        """Nothing to forget."""
+        """Do nothing; the giver has no state."""
 
     def act(self, observation: dict[str, np.ndarray]) -> np.ndarray:
         raise LookupError("nonsense")
@@ -375,7 +375,7 @@ def test_malformed_actions_of_givers(
 
 
 def official_folder(folder: Path, n: int = 144, **changes: Any) -> Path:
-    """A folder as the original code writes it."""
+    """Write a result folder as HandoverSim does, and return it."""
     folder.mkdir()
     config = {"BENCHMARK": {"SETUP": "s0", "SPLIT": "test"}, "SIM": {"TIME_STEP": 0.001}}
     (folder / "config.yaml").write_text(yaml.safe_dump(config))

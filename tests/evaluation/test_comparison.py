@@ -51,7 +51,7 @@ def test_common_scenes_are_paired(tmp_path: Path, capsys: pytest.CaptureFixture[
         "3",
     ]
     (speed,) = [line for line in text.splitlines() if line.startswith("| AS")]
-    # Successes of 100 and 101 steps of 13,000, beside one of 100.
+    # A succeeds after 100 and 101 of 13,000 steps, B once after 100.
     assert [cell.split()[0] for cell in speed.strip("| ").split(" | ")] == ["AS", "66.15", "33.08", "+33.07", "3"]
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in text.splitlines() if "|" in line]
     assert ["scene id", "object name", "A outcome", "B outcome", "A steps", "B steps"] in rows
@@ -74,7 +74,7 @@ def test_incomparable_folders_are_refused(tmp_path: Path) -> None:
     first, second = (folder(tmp_path / name, "mine", {0: 1}, fingerprint=name, version="1.2.3") for name in ("a", "b"))
     with pytest.raises(ResultsError, match="different data"):
         handover_marl.compare(first, second)
-    # Other versions may compute other fingerprints of the same data.
+    # Fingerprints of different versions are not compared: the same data may have another fingerprint.
     for version in ("0", "2"):
         newer = folder(tmp_path / version, "mine", {0: 1}, fingerprint="other", version=version)
         assert len(handover_marl.compare(one, newer).pairs) == len(handover_marl.compare(newer, one).pairs) == 1
@@ -91,7 +91,7 @@ def test_incomparable_folders_are_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("first", "second"), [("", "data"), ("data", ""), ("", "")])
 def test_unknown_data_can_be_compared(first: str, second: str, tmp_path: Path) -> None:
-    """Results of HandoverSim have no fingerprints."""
+    """Results without a fingerprint of their data, such as those of HandoverSim, can be compared with any others."""
     one = folder(tmp_path / "one", "mine", {0: 1}, fingerprint=first)
     two = folder(tmp_path / "two", "mine", {0: 1}, fingerprint=second)
     assert len(handover_marl.compare(one, two).pairs) == 1

@@ -17,7 +17,7 @@ SCENES = "9"
 
 
 class Named(QuickReceiver):
-    """Has its option in its label."""
+    """Receiver whose label contains its option `text`, so that it can be of any length."""
 
     def __init__(self, context: PolicyContext, text: str) -> None:
         super().__init__(context)

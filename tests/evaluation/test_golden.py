@@ -1,4 +1,4 @@
-"""How synthetic scenes end, to the step; `python -m tests.evaluation.golden` writes the table anew."""
+"""Tests that synthetic scenes end as recorded; `python -m tests.evaluation.golden` writes the file again."""
 
 import json
 
@@ -12,7 +12,7 @@ EXPECTED = json.loads(FILE.read_text())
 @pytest.mark.slow
 @pytest.mark.parametrize("physics", ["fast", "exact"])
 def test_synthetic_scenes_end_as_recorded(physics: str) -> None:
-    """Regenerate the file with `python -m tests.evaluation.golden` if outcomes are meant to change."""
+    """Outcomes, steps and release steps equal the recorded ones; regenerate the file if they are meant to change."""
     found = outcomes(physics)
     changed = {
         scene: (EXPECTED[physics].get(scene), outcome)
@@ -24,7 +24,7 @@ def test_synthetic_scenes_end_as_recorded(physics: str) -> None:
 
 
 def test_the_recorded_outcomes_vary() -> None:
-    """Scenes that end in several ways, some of them after the person let go."""
+    """The recorded scenes end in several ways, some of them after the person released the object."""
     assert FILE.read_text() == text(EXPECTED)
     assert (len(EXPECTED["fast"]), len(EXPECTED["exact"])) == (N_FAST, len(EXACT))
     assert EXPECTED["exact"].keys() <= EXPECTED["fast"].keys()

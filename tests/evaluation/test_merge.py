@@ -1,4 +1,4 @@
-"""The folder of all shards is the folder of one run, to the byte where times stand still."""
+"""Tests that merged shards equal the folder of a single evaluation, byte for byte if measured times are constant."""
 
 import re
 import shutil
@@ -21,7 +21,7 @@ from tests.evaluation import quick
 from tests.evaluation.quick import SHORT, QuickReceiver
 from tests.unreadable import UNREADABLE, refuses_within
 
-#: A small split, and how it is played in next to no time.
+#: Options of a small split with short episodes, which take little time.
 SPLIT = {"setup": "s0", "split": "val", "dataset": "synthetic", "physics": "fast", "world_config": SHORT}
 OPTIONS: dict[str, Any] = {**SPLIT, "receiver": QuickReceiver, "workers": 1, "progress": False}
 SCENES = (9, 14, 19, 24, 29)
@@ -39,7 +39,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 def shards(folder: Path, count: int, **options: Any) -> list[Path]:
-    """The folders of all shards of a pair's run."""
+    """Evaluate all shards of a pair of policies, and return their folders."""
     for number in range(1, count + 1):
         out = folder / str(number)
         handover_marl.evaluate_pair("noisy", out=out, shard=f"{number}/{count}", **{**OPTIONS, **options})
@@ -48,7 +48,7 @@ def shards(folder: Path, count: int, **options: Any) -> list[Path]:
 
 @pytest.fixture(scope="module")
 def three(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
-    """Three shards of chosen scenes; do not write to them."""
+    """Return the folders of three shards of chosen scenes; do not write to them."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(play, "time", SimpleNamespace(perf_counter=lambda: 0.0))
         return shards(tmp_path_factory.mktemp("three"), 3, scenes=SCENES)
@@ -60,7 +60,7 @@ def test_the_merged_folder_is_that_of_one_run(three: list[Path], tmp_path: Path)
     assert contents(tmp_path / "merged") == contents(tmp_path / "whole")
     assert str(merged) == str(whole)
     assert len(contents(tmp_path / "merged")) == 5 + len(SCENES)
-    # And it goes on as that folder would.
+    # The merged folder is resumed like that of a single evaluation.
     more = handover_marl.evaluate_pair("noisy", out=tmp_path / "merged", scenes=SCENES, **OPTIONS)
     assert more.n_resumed == len(SCENES)
 
@@ -77,7 +77,7 @@ def test_folders_store_their_shard(three: list[Path]) -> None:
 
 @pytest.mark.slow
 def test_a_whole_split(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    """By the command line, with its own names; the last shard is interrupted at first."""
+    """Commands merge the shards of a whole split, and refuse to do so while a result is missing."""
     resolve = benchmark.resolve_config
     monkeypatch.setattr(
         benchmark, "resolve_config", lambda config, trust: resolve(replace(config, world_config=VERY_SHORT), trust)
@@ -292,7 +292,7 @@ def test_unreadable_replays_and_tables(kind: str, three: list[Path], tmp_path: P
             handover_marl.merge([tmp_path], tmp_path / "merged")
     assert not (tmp_path / "merged").exists()
     page.rmdir() if kind == "folder" else page.unlink()
-    # Links within the folder, and a folder that is itself a link, are as good as files.
+    # Links to files in the result folder, and result folders that are links themselves, are accepted.
     (copies[1] / "episodes" / "page").write_text("a page")
     page.symlink_to("page")
     copies[1].rename(tmp_path / "elsewhere")

@@ -1,4 +1,4 @@
-"""Files that version 0.7.0 wrote stay readable."""
+"""Tests that files written by version 0.7.0 can be read."""
 
 import re
 import shutil
@@ -36,7 +36,7 @@ def test_result_folders_are_evaluated(folder: str, outcomes: list[str]) -> None:
 
 
 def test_metrics_of_a_result_folder() -> None:
-    """The largest force has another name, and seven metrics are missing."""
+    """The largest force is read from its old key, and metrics that version 0.7.0 did not compute are None."""
     found = handover_marl.evaluate(OLD / "benchmark").episodes[0].fluency
     assert found is not None
     assert found.max_robot_object_force == pytest.approx(593.8567745478858)

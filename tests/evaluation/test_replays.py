@@ -1,4 +1,4 @@
-"""Replays of a benchmark's episodes."""
+"""Tests of the replay pages of evaluated episodes."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -23,7 +23,7 @@ pytest.importorskip("fast_simplification", reason="needs the extra `replay`")
 
 @pytest.fixture
 def played(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """The scenes that are played."""
+    """Return a list to which the number of every simulated scene is added."""
     scenes, play = [], episode_runner.play
 
     def noted(episode: Any, *players: Any, **options: Any) -> None:

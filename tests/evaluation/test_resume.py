@@ -1,4 +1,4 @@
-"""A folder goes on with the code that its results were made with, and with no other."""
+"""Tests that a result folder is resumed only with the code, options and state that its results were made with."""
 
 import importlib
 import subprocess
@@ -39,7 +39,7 @@ Write = Callable[..., type[Receiver]]
 
 @pytest.fixture
 def write(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Write]:
-    """Writes files into a folder of one's own code and imports what they define, as a new session would."""
+    """Return a function that writes modules of user code and imports a receiver from them, as a new process would."""
     home = tmp_path / "code"
     home.mkdir()
     monkeypatch.syspath_prepend(home)
@@ -68,7 +68,7 @@ def mine(shift: object = "0.0", imports: str = "") -> str:
 
 
 def goes_on(fake_data: Path, out: Path, receiver: Any) -> None:
-    """A second run takes over what is there."""
+    """Check that another evaluation takes over the stored result."""
     assert run(fake_data, out, receiver=receiver, scenes=[9]).n_resumed == 1
 
 
@@ -120,7 +120,7 @@ def test_changed_code_cannot_resume(fake_data: Path, tmp_path: Path, write: Writ
 def test_imported_code_is_hashed(
     fake_data: Path, tmp_path: Path, write: Write, imports: str, shift: str, package: bool
 ) -> None:
-    """From its own folder or package; all of them are what one changes while one develops a receiver."""
+    """The hash covers modules that the receiver imports from its own folder or package, as users change them, too."""
     where = "mine__in__" if package else ""
     imports = imports.replace("from helpers_of_mine", "from mine.helpers_of_mine") if package else imports
     imports = imports.replace("import helpers_of_mine", "from mine import helpers_of_mine") if package else imports

@@ -22,13 +22,13 @@ def test_shards_are_disjoint_complete_and_of_about_equal_size(chosen: set[int], 
 
 
 def test_scenes_of_a_shard_are_stable() -> None:
-    """Shards of different machines and versions must fit together."""
+    """The scenes of a shard never change, so that shards of different machines and versions can be merged."""
     assert Shard(1, 3).select(range(12)) == (0, 2, 4, 9)
     assert Shard(3, 16).select(list_split_scenes("s0", "test", get_prescribed_side))[:3] == (214, 264, 284)
 
 
 def test_shards_are_mixed() -> None:
-    """Objects repeat periodically in a split, so every n-th scene could have the same object."""
+    """Every shard has several objects, although every n-th scene of a split may have the same object."""
     scenes = list_split_scenes("s0", "test", get_prescribed_side)
     for count in (6, 9, 18):
         objects = Counter(scene // 5 % 20 for scene in Shard(1, count).select(scenes))

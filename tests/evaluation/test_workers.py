@@ -24,7 +24,7 @@ def run(data: Path, n_workers: int | None, **options: Any) -> list[tuple[Any, ..
 
 
 def files(folder: Path) -> dict[str, dict[str, np.ndarray]]:
-    """What the results of a folder hold, but for how long it took and where."""
+    """Return the arrays of a folder's result files, without the measured times and the machine."""
     found = {}
     for path in sorted(folder.glob("*.npz")):
         with np.load(path) as archive:
@@ -58,7 +58,7 @@ def test_results_are_independent_of_workers(fake_data: Path, tmp_path: Path) -> 
 
 @pytest.mark.slow
 def test_random_policies_are_independent_of_workers(fake_data: Path, tmp_path: Path) -> None:
-    """Nor does it matter which scenes are played before in the same process."""
+    """Results depend neither on the number of workers nor on the scenes simulated before in the same process."""
     drawing: dict[str, Any] = {"receiver": "random", "giver": "noisy"}
     run(fake_data, 1, out=tmp_path / "one", **drawing)
     run(fake_data, 2, out=tmp_path / "two", **drawing)
@@ -73,7 +73,7 @@ def test_random_policies_are_independent_of_workers(fake_data: Path, tmp_path: P
             assert others[scene].keys() == expected.keys()
             for key, value in expected.items():
                 np.testing.assert_array_equal(others[scene][key], value, err_msg=f"{name} {scene} {key}")
-    # Both have drawn, and draw otherwise with another seed, in another scene and as another agent.
+    # Both policies drew random numbers, which differ between scenes and seeds.
     first, second = (scene["action"][::100] for scene in alone.values())
     assert len(np.unique(first, axis=0)) == len(first) == 13
     assert not (first == second).any()
@@ -115,10 +115,10 @@ def test_errors_of_workers_are_raised_here(own_data: Path) -> None:
 
 
 def test_ctrl_c_leaves_no_process(tmp_path: Path) -> None:
-    # 36 scenes of 13 s each: it cannot end by itself in time.
+    # The 36 scenes of 13 s each take longer than this test, so that the process cannot end by itself.
     command = [sys.executable, "-m", "handover_marl.cli", "benchmark", "--split", "val", "--receiver", "hold"]
     command += ["--dataset", "synthetic", "--out", str(tmp_path / "out"), "--workers", "2"]
-    # Tests that run in the background may ignore Ctrl-C, which children inherit.
+    # Background processes may ignore Ctrl-C, and their children inherit this; the command must not.
     listen = functools.partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, preexec_fn=listen)
     while not (tmp_path / "out" / "config.yaml").exists():
@@ -197,7 +197,7 @@ handover_marl.benchmark("s0", "val", Sleeping, data_dir=sys.argv[1], scenes=[9, 
 
 
 def ended(process: int) -> bool:
-    """Whether a process is gone, though perhaps nobody has asked for its exit status yet."""
+    """Return whether a process has ended, even if its parent has not yet read its exit status."""
     try:
         return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] in "ZX"
     except OSError:
@@ -215,7 +215,7 @@ def waited_for(condition: Any, seconds: float) -> bool:
 
 @pytest.mark.slow
 def test_workers_end_with_a_killed_parent(fake_data: Path, tmp_path: Path) -> None:
-    """In the middle of a scene, and though their policy sleeps."""
+    """Workers end if their parent is killed during a scene, even if their policy sleeps."""
     (tmp_path / "script.py").write_text(SLEEPING)
     (tmp_path / "awake").mkdir()
     command = [sys.executable, str(tmp_path / "script.py"), str(fake_data), str(tmp_path / "awake")]
@@ -284,7 +284,7 @@ for workers in (1, 2):
 
 @pytest.mark.slow
 def test_script_policies_in_workers(fake_data: Path, tmp_path: Path) -> None:
-    """The script needs no guard, and is not run again in them."""
+    """Workers use policies of a script without running it again, so that it needs no `__main__` guard."""
     (tmp_path / "script.py").write_text(SCRIPT)
     command = [sys.executable, str(tmp_path / "script.py"), str(fake_data), str(tmp_path / "out")]
     finished = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)

@@ -1,4 +1,4 @@
-"""Receivers that look, in the benchmark."""
+"""Tests of evaluations of receivers that observe the wrist camera."""
 
 import importlib.util
 import time
@@ -27,7 +27,7 @@ SCENES = (9, 14, 19)
 
 
 class Seeing(Receiver):
-    """Leaves a mark of every cloud in its action, and so in the result files."""
+    """Receiver whose actions, and so the result files, depend on all point clouds that it observes."""
 
     name = "seeing"
     control_period = 0.3
@@ -106,7 +106,7 @@ def test_results_without_camera_have_state_mode(tmp_path: Path) -> None:
     handover_marl.evaluate_pair(**run)
     settings = read_result_metadata(tmp_path)
     assert (settings.robot, settings.wait_s, settings.obs_mode, settings.camera) == ("panda", "", "state", "")
-    # How pictures would be drawn makes no difference to who sees none.
+    # Camera options make no difference to a receiver without camera observations.
     handover_marl.evaluate_pair(**run, camera_model="pinhole")
 
 

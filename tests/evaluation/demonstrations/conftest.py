@@ -1,4 +1,4 @@
-"""Fixtures of the tests of recordings in both formats."""
+"""Fixtures for the tests of recordings in both formats."""
 
 from typing import Any
 
@@ -9,7 +9,7 @@ from handover_marl.evaluation import episode_runner
 
 @pytest.fixture
 def played(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """The scenes that this process plays from now on."""
+    """Return a list to which the number of every scene that this process simulates is added."""
     scenes: list[int] = []
     play = episode_runner.EpisodeRunner.run
 

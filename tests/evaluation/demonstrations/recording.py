@@ -1,4 +1,4 @@
-"""Short recordings of a receiver that moves, draws, and decides at varying times."""
+"""Functions that record short episodes of a receiver with random actions at varying intervals."""
 
 from pathlib import Path
 from typing import Any
@@ -11,14 +11,14 @@ from handover_marl.config import ProtocolConfig, WorldConfig
 from handover_marl.evaluation.demonstrations.demonstration import Demonstration
 from handover_marl.receivers import Receiver
 
-#: Two right hands, of the train split of every small dataset.
+#: Two scenes with right hands, in the train split of both the synthetic and the small official data set.
 SCENES = (5, 105)
 HORIZON = 600
 SHORT = WorldConfig(protocol=ProtocolConfig(horizon_steps=HORIZON))
 
 
 class MovingReceiver(Receiver):
-    """Swings its arm at random, and is asked after 50 to 150 ms."""
+    """Receiver that moves its arm at random and holds each action for 50 to 150 ms."""
 
     name = "moving"
 
@@ -34,7 +34,7 @@ class MovingReceiver(Receiver):
 
 
 def record(data: Path | None, out: Path | None, **options: Any) -> Demonstrations:
-    """A quick recording; without a data folder in synthetic scenes."""
+    """Record short episodes of scenes in the folder `data`, or of synthetic scenes if it is None."""
     named: dict[str, Any] = {"receiver": MovingReceiver, "scenes": SCENES, "world_config": SHORT, "physics": "fast"}
     named |= {"data_dir": data, "dataset": "synthetic" if data is None else "dexycb", "progress": False, "workers": 1}
     return handover_marl.demonstrate("s0", out=out, **{**named, **options})
@@ -45,12 +45,12 @@ def main_file(out: Path) -> Path:
 
 
 def contents(out: Path) -> dict[str, bytes]:
-    """What a data set's files hold."""
+    """Return the content of every file of a data set, by its name."""
     return {path.name: path.read_bytes() for path in sorted((out / "data").iterdir())}
 
 
 def assert_same(one: Demonstration, other: Demonstration) -> None:
-    """Equal bit for bit."""
+    """Check that two demonstrations are equal, including every value of their arrays."""
     assert one.metadata == other.metadata
     assert list(one.observations) == list(other.observations)
     for name, array in one.observations.items():

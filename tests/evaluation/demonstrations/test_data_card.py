@@ -1,4 +1,4 @@
-"""Cards of data sets."""
+"""Tests of the data cards (`README.md`) of recorded data sets."""
 
 from dataclasses import replace
 

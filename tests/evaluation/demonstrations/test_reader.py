@@ -1,4 +1,4 @@
-"""Reading what was recorded: with the library, and with Minari."""
+"""Tests of reading recorded demonstrations, with this library and with Minari."""
 
 import json
 import multiprocessing
@@ -21,7 +21,7 @@ from tests.unreadable import UNREADABLE, refuses_within, replace_by
 
 @pytest.fixture(scope="module")
 def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Recorded with everything that there may be; do not write to it."""
+    """Return the folder of a recording with point clouds and actions of the giver; do not write to it."""
     folder = tmp_path_factory.mktemp("demonstrations") / "out"
     record(None, folder, obs_mode="state+pointcloud", giver="noisy", robot="panda_camera")
     return folder
@@ -29,7 +29,7 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def own(out: Path, tmp_path: Path) -> Path:
-    """The same, for tests that spoil it."""
+    """Return a folder with a copy of the recorded data, which a test may damage."""
     (tmp_path / "own" / "data").mkdir(parents=True)
     for path in (out / "data").iterdir():
         (tmp_path / "own" / "data" / path.name).write_bytes(path.read_bytes())
@@ -151,7 +151,7 @@ def test_missing_data_sets(tmp_path: Path, own: Path) -> None:
 
 
 def test_flipped_bytes_are_detected(own: Path) -> None:
-    """In the middle of a large array, where nothing but its checksum is wrong."""
+    """A flipped byte in the middle of a large array, which only the array's checksum reveals, is an error."""
     path = main_file(own)
     data = bytearray(path.read_bytes())
     data[len(data) // 2] ^= 0xFF
@@ -193,7 +193,7 @@ def test_malformed_episodes_are_refused(own: Path, name: str, value: Any) -> Non
 
 
 def test_arrays_that_exceed_the_memory_are_refused(own: Path) -> None:
-    """Files of a few bytes may declare them."""
+    """Arrays of more than 8 GB are refused, because a file of a few bytes can declare them."""
     h5py = pytest.importorskip("h5py")
     with h5py.File(main_file(own), "a") as file:
         group = file["episode_0"]
@@ -244,7 +244,7 @@ def test_foreign_metadata_are_refused(own: Path, content: str) -> None:
 @pytest.mark.parametrize("kind", UNREADABLE)
 def test_unreadable_files(kind: str, own: Path) -> None:
     demonstrations = Demonstrations(own)
-    if kind != "large":  # a data set may be large
+    if kind != "large":  # the file of a data set may be large
         replace_by(kind, main_file(own))
         with refuses_within(5.0, DataFormatError, kind):
             demonstrations[0]
@@ -291,7 +291,7 @@ def link_in_circles(file: Any, group: Any, other: Path) -> None:
     "change", [link_array, link_within_the_file, link_group, store_elsewhere, make_virtual, link_in_circles]
 )
 def test_arrays_outside_of_the_file_are_refused(change: Callable[[Any, Any, Path], None], own: Path, out: Path) -> None:
-    """They could be any file of the machine that reads the data set."""
+    """Links and arrays in other files are refused: they could be any file of the machine that reads the data set."""
     h5py = pytest.importorskip("h5py")
     with h5py.File(main_file(own), "a") as file:
         del file["episode_0"]["actions"]

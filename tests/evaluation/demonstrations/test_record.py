@@ -1,4 +1,4 @@
-"""The folder: going on, workers, what is kept, what is refused."""
+"""Tests of the folder of a recording: resuming, workers, selection of episodes and refused options."""
 
 import os
 import signal
@@ -33,7 +33,7 @@ REPOSITORY = Path(__file__).parents[3]
 
 @pytest.fixture(scope="module")
 def whole(fake_data: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
-    """What an undisturbed recording makes."""
+    """Return the content of the files of an uninterrupted recording."""
     record(fake_data, out := tmp_path_factory.mktemp("whole") / "out")
     return contents(out)
 
@@ -83,7 +83,7 @@ def test_a_killed_recording_resumes(
     assert [path.name for path in (out / "episodes").iterdir()] == ["000.hdf5"]
     with pytest.raises(DataNotFoundError, match="not finished"):
         Demonstrations(out)
-    # What a writer leaves that is killed in the middle.
+    # A process that is killed while it writes leaves such a file.
     (out / "data" / ".main_data.hdf5.abcd1234.part").write_bytes(b"half")
     record(fake_data, out)
     assert played == [105]
@@ -151,7 +151,7 @@ def test_one_recording_at_a_time(fake_data: Path, tmp_path: Path, played: list[i
 
 
 def test_only_successes_and_then_all(tmp_path: Path, played: list[int]) -> None:
-    """`hold` never succeeds; one scene with a success is enough for the others."""
+    """Episodes that `keep` excluded are simulated again only if a later recording includes them."""
     options: dict[str, Any] = {"receiver": "yang2021:wait=0", "world_config": OFFICIAL_CONFIG, "scenes": [5, 10]}
     some = record(None, tmp_path / "out", keep="success", **options)
     outcomes = [metadata.outcome for metadata in some.read_metadata()]

@@ -1,4 +1,4 @@
-"""What is recorded gives the same episode again."""
+"""Tests that recorded actions reproduce the recorded episodes."""
 
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,7 @@ def assert_shows(seen: dict[str, np.ndarray], demonstration: Demonstration, numb
 
 
 def assert_replays_in_env(demonstration: Demonstration, data: Path, config: WorldConfig) -> None:
-    """Step by step in the environment, as a user would, with the giver replaying."""
+    """Check that the environment reproduces a demonstration step by step if the giver follows the recording."""
     metadata = demonstration.metadata
     options: dict[str, Any] = {"dataset": metadata.dataset, "physics": metadata.physics, "robot": metadata.robot}
     env = handover_marl.parallel_env(split="train", data_dir=data, control_period=0.001, world_config=config, **options)
@@ -53,7 +53,7 @@ def assert_replays_in_env(demonstration: Demonstration, data: Path, config: Worl
 def assert_replays(
     demonstration: Demonstration, shown: Demonstrations, config: WorldConfig, obs_mode: str = "state"
 ) -> None:
-    """Both agents' actions at the steps that they were recorded at, wrist camera and all."""
+    """Check that the actions of both agents, at their recorded steps, reproduce all observations and the outcome."""
     metadata = demonstration.metadata
     episode = Episode(metadata.physics, config)
     episode.reset(open_dataset(metadata.dataset).load_scene(metadata.scene_id))
@@ -95,10 +95,10 @@ def test_both_agents_and_the_camera_are_replayed(tmp_path: Path) -> None:
         assert len(demonstration.giver_steps) > 3
         assert len(np.unique(demonstration.giver_actions, axis=0)) > 3
         assert set(demonstration.giver_steps) != set(demonstration.steps[:-1])
-        # As often as the receiver wants to be asked, and no more when it is the giver that is asked.
+        # Decisions are recorded at the receiver's own intervals; actions of the giver add none.
         assert all(50 <= hold < 150 for hold in np.diff(demonstration.steps)[:-1])
         assert_replays(demonstration, demonstrations, SHORT, "state+pointcloud")
-    # More than 1024 points, of which some were drawn.
+    # The camera sees more than 1024 points, of which 1024 are drawn at random.
     assert demonstrations[0].observations["wrist_point_counts"].max() > 1024
 
 

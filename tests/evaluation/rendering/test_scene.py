@@ -33,7 +33,7 @@ def draw(out: Path, **options: Any) -> Path:
 
 
 def pictures(sheet: Path) -> list[np.ndarray]:
-    """The pictures of a sheet, without the white ones that fill it up."""
+    """Return the images of a contact sheet, without the white cells that fill its last row."""
     with Image.open(sheet) as image:
         pixels = np.asarray(image)
     rows, columns = pixels.shape[0] // CAMERA.height, pixels.shape[1] // CAMERA.width
@@ -46,7 +46,7 @@ def pictures(sheet: Path) -> list[np.ndarray]:
 
 @pytest.fixture
 def drawn_after(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """The steps after which pictures are taken."""
+    """Return a list to which the number of simulated steps is added whenever an image is rendered."""
     steps, render = [], Episode.render
 
     def noted(episode: Episode, camera: CameraConfig) -> Any:
@@ -81,7 +81,7 @@ def test_number_of_key_frames(tmp_path: Path, drawn_after: list[int], key_frames
     "players",
     [
         {"receiver": "yang2021"},
-        # Policies that draw, and hit whatever they can.
+        # Policies with random actions, which collide with objects.
         {"receiver": "random", "giver": "noisy", "seed": 1},
     ],
 )
@@ -113,7 +113,7 @@ class Joints(EpisodeCallback):
 @pytest.mark.slow
 @pytest.mark.parametrize(("scene_id", "physics"), [(209, "exact"), (214, "fast")])
 def test_rendering_does_not_change_the_episode(scene_id: int, physics: str) -> None:
-    """Bit for bit, whenever pictures are taken, and though this robot hits itself and the table."""
+    """Outcome and joints do not depend on when images are rendered, even if the robot hits itself and the table."""
     dataset = SyntheticDataset()
     players = receivers.make("random", dataset), givers.make("noisy", dataset)
     ends = []
@@ -206,7 +206,7 @@ IMPOSSIBLE = [
 
 @pytest.mark.parametrize("changes", IMPOSSIBLE)
 def test_impossible_cameras(tmp_path: Path, changes: dict[str, Any]) -> None:
-    """The renderer would end the process."""
+    """Cameras with impossible values are refused, because the renderer would end the process."""
     with pytest.raises(OptionError):
         draw(tmp_path / "x.png", camera=replace(CAMERA, **changes))
     assert not list(tmp_path.iterdir())
@@ -254,7 +254,7 @@ def test_invalid_output_paths_are_reported_before_rendering(
 
 
 def test_read_only_folder_is_reported_before_rendering(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """For root there are no such folders."""
+    """A folder without write permission is refused; the test is skipped for users like root, who may write anywhere."""
     folder = tmp_path / "locked"
     folder.mkdir()
     folder.chmod(0o555)
@@ -290,7 +290,7 @@ def test_any_giver(tmp_path: Path) -> None:
 
 
 class Asking(HoldReceiver):
-    """Wants to know whether it is trusted."""
+    """Receiver that stores the option `trust` with which it is made."""
 
     name = "asking"
     answers: list[bool] = []
@@ -373,7 +373,7 @@ def test_captions_fit_into_images_of_any_size(height: int) -> None:
 
 
 class AtStep:
-    """Stand-in for an episode at a time."""
+    """Substitute for an episode that has been simulated for 4250 steps."""
 
     def __init__(self, status: EpisodeStatus, release_step: int | None = None, touching: bool = False) -> None:
         self.steps, self.status, self.release_step = 4250, status, release_step

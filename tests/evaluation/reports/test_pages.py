@@ -13,7 +13,7 @@ from tests.visualization.outside import dangling, outside, references
 def test_outcomes_with_intervals_and_replay_links() -> None:
     made = render_report_page(report(1, 1, 2, 2 | 4, 8), {214: "episodes/214.html", 219: "episodes/219.html"})
     assert outside(made) == dangling(made) == []
-    # Two of five; both kinds of an episode that failed twice over lead to it.
+    # Two of five episodes succeed; an episode with contact and drop is linked from both outcomes.
     for word in ("11.8 to 76.9", "5 of 144 scenes (partial)", "2 of 5 episodes have a replay"):
         assert word in made
     links = references(made)

@@ -26,7 +26,7 @@ def report(*statuses: int, **settings: str) -> Report:
 
 
 def cells(text: str, start: str, *titles: str) -> list[str]:
-    """Cells of a row of the official table, which is printed in two parts."""
+    """Return cells of a row of the official table, which is printed in two parts."""
     found: dict[str, str] = {}
     header: list[str] = []
     for line in text.splitlines():
@@ -114,7 +114,7 @@ def test_published_rows_only_with_comparable_results(settings: dict[str, str]) -
 
 
 def test_breakdown_by_object() -> None:
-    # Of the mug: one success, two contacts, three drops, four timeouts.
+    # Ten episodes with the mug: one success, two contacts, three drops and four timeouts.
     statuses = (1, 2, 2, 4, 4, 4, 8, 8, 8, 8)
     mugs = tuple(episode(index, status, object_name="025_mug") for index, status in enumerate(statuses))
     lines = str(Report(SETTINGS, (*mugs, episode(10, 1)), 144)).splitlines()
@@ -213,7 +213,7 @@ def test_table_by_scene_shows_the_step_of_the_release() -> None:
 
 
 def test_intervals_of_times_are_in_seconds() -> None:
-    """The interval of the mean of two values is their range; the table has no interval of the total."""
+    """Intervals of two times are their range in seconds; the table has no interval of the total time."""
     found = Report(SETTINGS, (episode(0, 1, 4000, 0.25), episode(1, 1, 6000, 0.5)), 144)
     titles = ("AS %", "exec s", "plan s", "total s")
     assert cells(str(found), "mine", *titles) == ["61.54", "5.000", "0.375", "5.375"]

@@ -26,7 +26,7 @@ def test_wilson_interval_contains_the_rate(count_and_n: tuple[int, int]) -> None
 
 
 def test_mean_interval() -> None:
-    # Of the 27 resamples of three values one, more than 2.5 %, has the lowest mean and one the highest.
+    # One of the 27 resamples of three values has the lowest mean and one the highest; 1/27 is more than 2.5 %.
     assert compute_mean_interval([1.0, 2.0, 3.0]) == (1.0, 3.0)
     assert compute_mean_interval([2.0, 2.0]) == (2.0, 2.0)
     assert compute_mean_interval([1.0]) is None
@@ -34,7 +34,7 @@ def test_mean_interval() -> None:
 
 
 def test_mean_intervals_are_those_of_two_thousand_resamples() -> None:
-    """Intervals of the results pages must come out again in later versions."""
+    """The 2000 resamples are fixed, so that later versions reproduce the intervals of the results pages."""
     values = np.random.default_rng(2).normal(5.0, 2.0, 25)
     resamples = np.random.default_rng(0).integers(0, 25, (2000, 25))
     expected = np.percentile(values[resamples].mean(axis=1), [2.5, 97.5])
@@ -60,7 +60,7 @@ def test_mean_interval_lies_within_the_values_and_contains_their_mean(values: li
 
 
 def test_paired_differences_against_a_worked_example() -> None:
-    """Agresti, Categorical Data Analysis: 150 of 1600 approved first and not later, 86 the other way round."""
+    """The interval is that of Agresti, Categorical Data Analysis: 150 of 1600 approved only first, 86 only later."""
     first = [True] * 794 + [True] * 150 + [False] * 86 + [False] * 570
     second = [True] * 794 + [False] * 150 + [True] * 86 + [False] * 570
     mean, low, high = compute_paired_difference(first, second)
@@ -69,7 +69,7 @@ def test_paired_differences_against_a_worked_example() -> None:
 
 
 def test_paired_differences_of_few_scenes_add_half_an_episode_to_each_kind_of_pair() -> None:
-    """Of 10 scenes, 4 are won by the first only and 1 by the second only: 4.5 and 1.5 of 12 after the addition."""
+    """If only the first succeeds in 4 of 10 scenes and only the second in 1, they count as 4.5 and 1.5 of 12."""
     first = [True] * 4 + [False] + [True] * 5
     second = [False] * 4 + [True] + [True] * 5
     mean, low, high = compute_paired_difference(first, second)
@@ -94,7 +94,7 @@ def test_paired_differences_need_pairs() -> None:
 
 
 def test_rank_correlation_of_four_items() -> None:
-    # Of the 24 orders of four things one has a rho of 1, and three more one of 0.8.
+    # One of the 24 orders of four items has a rho of 1, and three others have a rho of 0.8.
     alike = compute_rank_correlation([1.0, 2.0, 3.0, 4.0], [10.0, 20.0, 30.0, 40.0])
     assert (alike.spearman, alike.kendall, alike.p) == pytest.approx((1.0, 1.0, 1 / 24))
     swapped = compute_rank_correlation([1.0, 2.0, 3.0, 4.0], [10.0, 30.0, 20.0, 40.0])

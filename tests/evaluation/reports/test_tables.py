@@ -59,13 +59,13 @@ def test_other_formats_are_not_split() -> None:
     assert r" a\_b" in latex
     assert r"x \& y" in latex
     for style in TABLE_FORMATS:
-        # Equal texts need not be one object.
+        # The name of a format may be any equal string, not only the same object.
         assert WIDE.format("".join([style[:2], style[2:]])) == WIDE.format(style)  # type: ignore[arg-type]
     assert ReportTable(["a"], []).format("latex") == ReportTable(["a"], []).format("csv") == ""
 
 
 def results() -> list[TabularResult]:
-    """One result of every kind that commands print."""
+    """Return one result of every kind that commands print."""
     first, other = report(1, 2), report(2, 1, physics="fast")
     pairs = tuple(zip(first.episodes, other.episodes, strict=True))
     both = {("replay", name): first for name in ("hold", "yang2021")}
@@ -120,7 +120,7 @@ def test_unknown_formats_are_refused() -> None:
 
 @pytest.mark.parametrize("table_format", TABLE_FORMATS)
 def test_stdout_of_a_command_is_the_result(table_format: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """A redirected table in CSV or LaTeX ends with the table."""
+    """The standard output in CSV or LaTeX has the result only; notes are printed to the standard error."""
     folder = OLD / "benchmark"
     expected = handover_marl.evaluate(folder).format(table_format)  # type: ignore[arg-type]
     assert main(["evaluate", str(folder), "--format", table_format]) == 0
@@ -134,7 +134,7 @@ def test_stdout_of_a_command_is_the_result(table_format: str, capsys: pytest.Cap
 
 
 def test_episodes_as_csv(tmp_path: Path) -> None:
-    """One row an episode, with the keys and values of report.json."""
+    """The CSV file has one row for each episode, with the keys and values of report.json."""
     made = handover_marl.evaluate(OLD / "benchmark")
     content = made.to_json()
     assert main(["evaluate", str(OLD / "benchmark"), "--episodes", str(tmp_path / "all.csv")]) == 0
@@ -151,7 +151,7 @@ def test_episodes_as_csv(tmp_path: Path) -> None:
 
 
 def test_episodes_without_metrics_as_csv() -> None:
-    """Results of HandoverSim have no fluency metrics; the columns are the same."""
+    """Episodes without fluency metrics, such as those of HandoverSim, have the same columns with empty cells."""
     first = report(1, 2)
     (header, *rows) = csv.reader(io.StringIO(format_episodes_csv(first.metadata, first.episodes)))
     assert header == next(csv.reader(io.StringIO(format_episodes_csv(first.metadata, first.episodes[:1]))))

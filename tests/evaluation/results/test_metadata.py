@@ -1,4 +1,4 @@
-"""`config.yaml` of a result folder, whoever wrote it."""
+"""Tests of reading `config.yaml` of result folders, also if it is malformed or was written by HandoverSim."""
 
 import json
 import os
@@ -92,7 +92,7 @@ def test_malformed_configurations(folder: ResultFolder, text: str) -> None:
 
 
 def json_like(value: object) -> str:
-    """YAML on one line, whole numbers to the base of sixteen."""
+    """Format a value as YAML on one line, with integers as hexadecimal numbers."""
     if isinstance(value, dict):
         return "{" + ", ".join(f"{json_like(key)}: {json_like(part)}" for key, part in value.items()) + "}"
     if isinstance(value, list):
@@ -121,7 +121,7 @@ def test_long_values_are_shortened_in_errors(folder: ResultFolder, text: str) ->
     config = yaml.safe_load((folder.path / "config.yaml").read_text())
     ((section, value),) = yaml.safe_load(text).items()
     config[section] = {**config[section], **value} if isinstance(value, dict) else value
-    # Not as safe_dump would write it: Python does not like to write such numbers in tens.
+    # safe_dump would write integers as decimal numbers, which Python refuses for so many digits.
     lines = [f"{name}: {json_like(part)}" for name, part in config.items()]
     (folder.path / "config.yaml").write_text("\n".join(lines))
     with pytest.raises(ResultsError, match=r"config\.yaml"):
@@ -145,7 +145,7 @@ def test_long_values_are_shortened_in_errors(folder: ResultFolder, text: str) ->
 def test_other_rules_are_not_official_results(
     folder: ResultFolder, section: str, key: str, value: object, own: bool
 ) -> None:
-    """They would stand beside published figures."""
+    """Results under other rules are refused, because reports would compare them with published figures."""
     (folder.path / "000.npz").write_bytes(b"not looked at")
     change_config(folder.path, section, {key: value})
     if not own:
@@ -167,7 +167,7 @@ def test_a_folder_stores_its_rules(tmp_path: Path) -> None:
     assert yaml.safe_load((tmp_path / "config.yaml").read_text())["BENCHMARK"]["GOAL_RADIUS"] == 9.0
     assert read_result_metadata(tmp_path) == settings
     assert settings.world != "official" == format_world_label(OFFICIAL_CONFIG)
-    # Nor may they be passed off as the official ones.
+    # Other rules may not be declared as the official ones.
     change_config(tmp_path, "HANDOVER_MARL", {"world": "official"})
     with pytest.raises(ResultsError, match=r"GOAL_RADIUS is 9\.0"):
         read_result_metadata(tmp_path)
@@ -188,7 +188,7 @@ REST = "giver: replay, physics: exact, dataset: dexycb, version: '1.0'"
 
 
 def bomb(levels: int) -> str:
-    """A few lines that mean 10^levels numbers."""
+    """Return a few lines of YAML whose aliases expand to 10^levels numbers."""
     lines = ["a0: &a0 [1, 1, 1, 1, 1, 1, 1, 1, 1, 1]"]
     lines += [f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 10)}]" for n in range(1, levels)]
     return "\n".join(lines) + f"\nHANDOVER_MARL: {{receiver: *a{levels - 1}, {REST}}}\n"
@@ -231,7 +231,7 @@ def test_alias_and_nesting_bombs_are_refused(folder: ResultFolder, text: str) ->
     ids=["brackets", "to the base of sixty", "list", "mapping", "text", "comments"],
 )
 def test_long_configurations_are_refused(folder: ResultFolder, text: str) -> None:
-    """The original's have a few thousand bytes."""
+    """Configurations of 700 kB and more are refused; those of HandoverSim have a few thousand bytes."""
     (folder.path / "config.yaml").write_text(text)
     with ends_within(5.0), pytest.raises(ResultsError, match=r"config\.yaml: not a readable configuration"):
         evaluate(folder.path)

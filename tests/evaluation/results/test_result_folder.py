@@ -40,7 +40,7 @@ CONTENT = encode_result(RESULT, np.zeros((50, 9), np.float32), np.full(50, 0.01)
 
 @pytest.fixture
 def folder(tmp_path: Path) -> ResultFolder:
-    """A folder with one result."""
+    """Return a folder with one result."""
     made = ResultFolder(tmp_path, SETTINGS)
     made.write(RESULT, CONTENT)
     return made
@@ -100,7 +100,7 @@ def test_files_of_another_kind_count_as_unfinished(folder: ResultFolder) -> None
     with pytest.raises(ResultsError, match=r"000\.npz: not a readable result file"):
         read_results(folder.path)
     assert folder.read(0, "abc") is None
-    # The central directory's flag for encrypted entries.
+    # Set the flag for encrypted entries in the central directory of the zip archive.
     start = whole.rindex(b"PK\x01\x02", 0, whole.rindex(b"result.npy"))
     path.write_bytes(whole[: start + 8] + b"\x01" + whole[start + 9 :])
     assert folder.read(0, "abc") is None
@@ -135,7 +135,7 @@ def test_unreadable_results(kind: str, folder: ResultFolder) -> None:
         evaluate(folder.path)
     with ends_within(5.0):
         assert ResultFolder(folder.path, SETTINGS).read(0, "abc") is None
-        # Its scene is then run again.
+        # The scene is then simulated again.
         folder.write(RESULT, CONTENT)
         assert len(evaluate(folder.path).episodes) == 1
 
@@ -174,7 +174,7 @@ def test_a_folder_belongs_to_its_first_evaluation(tmp_path: Path, other: ResultM
 def test_a_concurrent_evaluation_that_writes_first_wins(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, other: ResultMetadata, links: bool
 ) -> None:
-    """It takes the folder just before this one puts its configuration in place."""
+    """An evaluation is refused if another one writes its configuration to the folder just before it does."""
     sync, came = os.fsync, []
 
     def sync_and_be_overtaken(handle: int) -> None:
@@ -212,7 +212,7 @@ def test_concurrent_runs_of_the_same_evaluation_share_a_folder(tmp_path: Path) -
 
 
 def all_at_once(path: Path, settings: list[ResultMetadata]) -> list[ResultsError | None]:
-    """Why each run was refused that wanted the folder, or None."""
+    """Open a folder for several evaluations at the same time, and return the error of each, or None."""
     start = threading.Barrier(len(settings))
 
     def begin(mine: ResultMetadata) -> ResultsError | None:
@@ -246,7 +246,7 @@ def test_fresh_deletes_only_results(folder: ResultFolder, settings: ResultMetada
 
 @pytest.mark.parametrize("content", ["model: resnet\nlearning_rate: 0.1\n", "BENCHMARK: 3", "[1, 2]", "x: ["])
 def test_fresh_leaves_foreign_folders_unchanged(tmp_path: Path, content: str) -> None:
-    """Many programs have a `config.yaml`."""
+    """A folder with the `config.yaml` of another program is refused and not changed, even with `fresh`."""
     (tmp_path / "config.yaml").write_text(content)
     (tmp_path / "000.npz").write_text("precious")
     for fresh in (False, True):

@@ -1,4 +1,4 @@
-"""Population files for tests."""
+"""Functions that write population files for tests."""
 
 import json
 from pathlib import Path

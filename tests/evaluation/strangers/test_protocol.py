@@ -1,4 +1,4 @@
-"""The whole protocol, with a receiver that costs nothing."""
+"""Tests of the evaluation with the partners of a population, with policies that take little time."""
 
 import json
 import shutil
@@ -25,7 +25,7 @@ def population(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def evaluated(fake_data: Path, population: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder of an evaluation of `hold`; do not write to it."""
+    """Return the folder of an evaluation of `hold`; do not write to it."""
     out = tmp_path_factory.mktemp("evaluated")
     run(fake_data, population, out=out)
     return out
@@ -67,7 +67,7 @@ def test_references_of_evaluations(fake_data: Path, evaluated: Path, tmp_path: P
     shutil.copytree(evaluated, out)
     found = run(fake_data, population, out=out)
     assert found.references is not None
-    # No receiver succeeds with these partners, so that each counts as reached.
+    # The reference scores of both partners are zero, so that every score counts as having reached them.
     assert found.estimate_all()["br_prox"].value == 1.0
 
 
@@ -112,7 +112,7 @@ def test_incomplete_folders_are_refused(population: Path, evaluated: Path, tmp_p
     shutil.rmtree(folder)
     with pytest.raises(ResultsError, match="does not exist"):
         make_leaderboard([out], population)
-    # The results of one partner in the place of another one, and a partner that is left out.
+    # Results of one partner are in the folder of another one; then a partner is left out.
     shutil.copytree(out / content["folders"]["hold"]["slow"], folder)
     with pytest.raises(ResultsError, match="must have results of 'fast' of the population"):
         make_leaderboard([out], population)

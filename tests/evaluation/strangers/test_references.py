@@ -1,4 +1,4 @@
-"""Files of reference scores."""
+"""Tests of files with reference scores."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -35,7 +35,7 @@ def test_scores_of_some_of_the_scenes() -> None:
     table = EMPTY.update(CONDITION, "fast", GOOD).update(single, "fast", replace(BAD, scores=(0.3,)))
     part = table.collect_scores(replace(CONDITION, scenes=(3, 9)), ["fast"])
     np.testing.assert_array_equal(part, [[0.5, 0.7]])
-    # In this scene the other policy is better.
+    # For scene 5, a higher score of another policy is stored under another condition.
     np.testing.assert_array_equal(table.collect_scores(single, ["fast"]), [[0.3]])
     for changes in ({"scenes": (3, 4)}, {"physics": "exact"}, {"split": "val"}):
         assert table.collect_scores(replace(CONDITION, **changes), ["fast"]) is None

@@ -1,4 +1,4 @@
-"""Properties of scores and of their intervals."""
+"""Tests of scores and of their intervals."""
 
 import numpy as np
 import pytest
@@ -81,7 +81,7 @@ def test_worst_and_largest_bound_the_mean(pair: tuple[np.ndarray, np.ndarray]) -
 
 
 def test_intervals_cover_the_variation_between_trainings() -> None:
-    """Three trainings that differ much have a wide interval, however many scenes there are."""
+    """Three trainings with very different scores have a wide interval, however many scenes there are."""
     scores = np.array([0.1, 0.5, 0.9])[:, None, None] * np.ones((3, 4, 500))
     assert estimate(compute_mean, scores).high - estimate(compute_mean, scores).low > 0.4
     same = np.full((3, 4, 500), 0.5)

@@ -1,4 +1,4 @@
-"""Selection of diverse rows by the determinant."""
+"""Tests of the selection of diverse feature rows by a determinant."""
 
 import itertools
 

@@ -1,4 +1,4 @@
-"""Data sets in LeRobot's format as NumPy arrays, read with pyarrow alone."""
+"""Functions that read data sets in LeRobot's format as NumPy arrays, with pyarrow only."""
 
 import json
 from pathlib import Path
@@ -8,7 +8,7 @@ import numpy as np
 
 
 def data_set_contents(out: Path) -> dict[str, bytes]:
-    """What a data set's files hold."""
+    """Return the content of every file of a data set, by its path in the data set."""
     files = sorted(path for path in (out / "lerobot").rglob("*") if path.is_file())
     return {str(path.relative_to(out / "lerobot")): path.read_bytes() for path in files}
 
@@ -19,7 +19,7 @@ def read_info(out: Path) -> dict[str, Any]:
 
 
 def read_rows(out: Path) -> list[dict[str, Any]]:
-    """The rows of the episodes."""
+    """Return the rows of the table of episodes."""
     from pyarrow import parquet
 
     rows: list[dict[str, Any]] = parquet.read_table(
@@ -29,7 +29,7 @@ def read_rows(out: Path) -> list[dict[str, Any]]:
 
 
 def read_frames(out: Path, number: int) -> dict[str, np.ndarray]:
-    """The columns of an episode."""
+    """Return the columns of an episode's table of frames, by their names."""
     from pyarrow import parquet
 
     table = parquet.ParquetFile(out / "lerobot" / "data" / "chunk-000" / f"file-{number:03d}.parquet").read()
@@ -37,7 +37,7 @@ def read_frames(out: Path, number: int) -> dict[str, np.ndarray]:
 
 
 def as_array(column: Any) -> np.ndarray:
-    """A column of numbers or of nested lists of equal lengths."""
+    """Convert a column of numbers, or of nested lists of equal lengths, to an array."""
     shape = [len(column)]
     while hasattr(column, "flatten") and "list<" in str(column.type):
         column = column.flatten()

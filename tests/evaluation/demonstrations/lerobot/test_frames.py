@@ -1,4 +1,4 @@
-"""Frames at a constant rate: their times, observations and actions."""
+"""Tests of frames at a constant rate: their times, observations and actions."""
 
 import json
 from pathlib import Path
@@ -23,32 +23,32 @@ from tests.evaluation.demonstrations.recording import HORIZON, SCENES, record
 
 pytest.importorskip("pyarrow")
 pytest.importorskip("imageio_ffmpeg")
-FPS = 30  # no divisor of 1000
+FPS = 30  # does not divide 1000, the number of physics steps in a second
 
 
 @pytest.fixture(scope="module")
 def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Recorded at a rate that the physics step does not divide; do not write to it."""
+    """Return the folder of a recording whose frames fall between physics steps; do not write to it."""
     record(None, folder := tmp_path_factory.mktemp("frames") / "out", format="lerobot", fps=FPS, giver="noisy")
     return folder
 
 
 @pytest.fixture(scope="module")
 def decisions(tmp_path_factory: pytest.TempPathFactory) -> list[Demonstration]:
-    """The same episodes with every decision."""
+    """Return the same episodes with an observation at each decision."""
     return list(record(None, tmp_path_factory.mktemp("decisions") / "out", giver="noisy"))
 
 
 @pytest.fixture(scope="module")
 def every_step(tmp_path_factory: pytest.TempPathFactory) -> dict[str, np.ndarray]:
-    """The first episode with a frame for each physics step."""
+    """Return the columns of the first episode, recorded with a frame at each physics step."""
     out = tmp_path_factory.mktemp("steps") / "out"
     record(None, out, format="lerobot", fps=1000, giver="noisy", scenes=SCENES[:1])
     return read_frames(out, 0)
 
 
 def held(actions: np.ndarray, starts: np.ndarray, steps: np.ndarray) -> np.ndarray:
-    """The actions in effect from some steps on; zeros before the first."""
+    """Return the actions in effect at `steps`, given the step at which each starts; zeros before the first one."""
     before = np.zeros((1, actions.shape[1]), actions.dtype)
     return np.concatenate([before, actions])[np.searchsorted(starts, steps, side="right")]
 
@@ -74,7 +74,7 @@ def test_observations_are_those_of_the_nearest_step(
     nearest = np.rint(np.arange(18) * 1000.0 / FPS).astype(int)
     for name in ("observation.state", "observation.joint_velocity", "observation.environment_state", "action"):
         np.testing.assert_array_equal(frames[name], every_step[name][nearest], err_msg=name)
-    # At the decisions, they are what the receiver observed.
+    # At the steps of decisions, frames equal the receiver's observations.
     steps, observations = demonstration.steps[:-1], {k: v[:-1] for k, v in demonstration.observations.items()}
     for name, key in (("state", "robot_joint_position"), ("gripper_pose", "gripper_pose")):
         np.testing.assert_array_equal(every_step[f"observation.{name}"][steps].astype(np.float32), observations[key])
@@ -117,7 +117,7 @@ def test_files_agree(out: Path) -> None:
 
 
 def test_columns_have_lerobots_types(out: Path) -> None:
-    """Lists of fixed size for vectors, numbers for one component."""
+    """Vectors are stored as lists of fixed size, and values of one component as numbers."""
     from pyarrow import parquet
 
     schema = parquet.read_schema(out / "lerobot" / "data" / "chunk-000" / "file-000.parquet")
@@ -186,7 +186,7 @@ def test_frame_steps() -> None:
     assert [compute_frame_step(number, 20) for number in range(4)] == [0, 50, 100, 150]
     assert [compute_frame_step(number, 30) for number in range(4)] == [0, 33, 67, 100]
     assert [compute_frame_step(number, 1000) for number in range(3)] == [0, 1, 2]
-    # Of two steps that are equally near, the later.
+    # If two steps are equally near, the later one is used.
     assert compute_frame_step(1, 400) == 3
 
 

@@ -1,4 +1,4 @@
-"""LeRobot's own reader on what the format `lerobot` writes; `make lerobot` has the packages."""
+"""Tests that LeRobot's own reader reads data sets in the format `lerobot`; `make lerobot` installs LeRobot."""
 
 import os
 from pathlib import Path
@@ -17,7 +17,7 @@ FPS = 10
 
 @pytest.fixture(scope="module", autouse=True)
 def operators() -> None:
-    """Declare what torchvision's wheel lacks beside a PyTorch without CUDA, and LeRobot does not need."""
+    """Declare operators that torchvision's wheel lacks if PyTorch has no CUDA; LeRobot does not use them."""
     import torch
 
     if torch.version.cuda is None:
@@ -39,7 +39,7 @@ def out(obs_mode: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def decisions(obs_mode: str, tmp_path_factory: pytest.TempPathFactory) -> list[Demonstration]:
-    """The same episodes in the other format."""
+    """Return the same episodes, recorded in Minari's format."""
     return list(record(None, tmp_path_factory.mktemp("minari") / "out", obs_mode=obs_mode, giver="noisy"))
 
 
@@ -120,7 +120,7 @@ def test_statistics_are_those_of_lerobot(out: Path) -> None:
 
 
 def test_chunks_of_actions(out: Path) -> None:
-    """As policies read them, with padding at the end of an episode."""
+    """Chunks of consecutive actions, as policies read them, are padded at the end of an episode."""
     import torch
 
     dataset = load(out, episodes=[1], delta_timestamps={"action": [0.0, 1 / FPS, 2 / FPS]})

@@ -1,4 +1,4 @@
-"""The folder of a data set in LeRobot's format: resuming, workers, cards, and what is refused."""
+"""Tests of the folder of a data set in LeRobot's format: resuming, workers, data cards and refused options."""
 
 import importlib.util
 import shutil
@@ -22,14 +22,14 @@ OPTIONS: dict[str, Any] = {"format": "lerobot", "giver": "noisy"}
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """An undisturbed recording; do not write to it."""
+    """Return the folder of an uninterrupted recording; do not write to it."""
     record(None, out := tmp_path_factory.mktemp("whole") / "out", **OPTIONS)
     return out
 
 
 @pytest.fixture
 def out(recorded: Path, tmp_path: Path) -> Path:
-    """A copy of it."""
+    """Return a copy of the recorded folder, which a test may change."""
     return Path(shutil.copytree(recorded, tmp_path / "copy"))
 
 
@@ -52,7 +52,7 @@ def test_data_do_not_depend_on_workers(recorded: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("physics", ["exact", "fast"])
 def test_recording_does_not_change_the_results(tmp_path: Path, physics: str) -> None:
-    """Though frames are observed between decisions."""
+    """Results equal those of an evaluation without recording, although frames are observed between decisions."""
     options: dict[str, Any] = {"scenes": [5], "physics": physics, "giver": "noisy"}
     record(None, tmp_path / "recorded", format="lerobot", obs_mode="state+pointcloud", **options)
     options |= {"receiver": MovingReceiver, "split": "train", "dataset": "synthetic", "world_config": SHORT}
@@ -98,7 +98,7 @@ def test_an_interrupted_recording_resumes(
     assert sorted(path.name for path in (tmp_path / "out" / "episodes").iterdir()) == ["000.zip", "072.zip"]
     assert not list((tmp_path / "out").glob(".*"))
     assert not (tmp_path / "out" / "lerobot").exists()
-    # A file that was cut off; its episode is simulated again.
+    # The episode of a truncated file is simulated again.
     path = tmp_path / "out" / "episodes" / "072.zip"
     path.write_bytes(path.read_bytes()[:-100])
     record(None, tmp_path / "out", **OPTIONS)
@@ -112,7 +112,7 @@ def test_a_replacement_that_was_killed_is_undone(out: Path, recorded: Path, play
     record(None, out, **OPTIONS)
     assert not played
     assert not list(out.glob(".*"))
-    # Killed after the new data set was there.
+    # The process was killed when the new data set was in place, but the previous one was not yet deleted.
     shutil.copytree(out / "lerobot", out / ".lerobot.previous")
     record(None, out, **OPTIONS)
     assert not list(out.glob(".*"))
