@@ -1,4 +1,4 @@
-"""Camera observations: independent of earlier images, and rendered on request only."""
+"""Tests of camera observations, which do not depend on earlier images and are rendered on request only."""
 
 import re
 from collections.abc import Callable, Iterator
@@ -51,7 +51,7 @@ DATA = open_dataset("synthetic", robot="panda_camera")
 SCENE, OTHER = DATA.load_scene(9), DATA.load_scene(14)
 GOAL = np.array(PandaConfig().start_joints, dtype=np.float32)
 GOAL[:7] += [0.1, 0.3, 0.05, 0.2, 0.1, 0.3, 0.2]
-#: More than 1024 pixels show the object, and some the hand.
+#: Step at which more than 1024 pixels show the object, and some the hand.
 STEPS = 2000
 OBJECT, HAND, COUNTS = "wrist_object_points", "wrist_hand_points", "wrist_point_counts"
 PERFECT = CameraNoise(depth_noise_std=0.0, edge_dropout=0.0, latency=0.0)
@@ -60,7 +60,7 @@ NOISY = CameraNoise(latency=0.0)
 
 @pytest.fixture(scope="module")
 def world() -> Iterator[World]:
-    """A moment of a scene; looking changes nothing of it."""
+    """Yield the world of a scene after `STEPS` steps; rendering does not change it."""
     episode = Episode("fast")
     episode.reset(SCENE)
     episode.advance(GOAL, STEPS)
@@ -69,7 +69,7 @@ def world() -> Iterator[World]:
 
 
 def make_wrist_camera(world: World, seed: int = 0, **options: Any) -> WristCamera:
-    """In an episode of its own, as far as it knows."""
+    """Return a seeded camera that has been reset as at the start of an episode."""
     wrist_camera = WristCamera(WristCameraConfig(**{"renderer": "rays", **options}), "fast", OFFICIAL_CONFIG.physics)
     wrist_camera.reset(SCENE, world)
     wrist_camera.seed(seed)
@@ -87,7 +87,7 @@ def as_dict(view: CameraFrame) -> Observation:
 
 
 def places_in(rows: npt.NDArray[np.float32], cloud: npt.NDArray[np.float32]) -> list[int]:
-    """Where rows are in a cloud, all of whose points are different."""
+    """Return the index of each row in a point cloud without equal points."""
     where = {row.tobytes(): place for place, row in enumerate(cloud)}
     assert len(where) == len(cloud)
     return [where[row.tobytes()] for row in rows]
@@ -170,7 +170,7 @@ def test_results_have_a_label_of_the_camera() -> None:
 
 @pytest.mark.parametrize("camera_model", [HANDOVERSIM_MODEL, PINHOLE_MODEL])
 def test_clouds_and_images_of_a_frame_agree(world: World, camera_model: str) -> None:
-    """Points are those of depth and segmentation, row by row."""
+    """Images equal the ray caster's, and points equal those deprojected from depth and segmentation, row by row."""
     view = make_wrist_camera(world, camera_model=camera_model).capture(world, STEPS)
     expected = RayCamera(SCENE.assets, OFFICIAL_CONFIG.physics).render_wrist_camera(
         world.read_joint_snapshot(), color=True
@@ -197,7 +197,7 @@ def test_clouds_are_subsampled_or_padded(world: World, camera: CameraNoise | Non
     assert len(view.object_points) > 1100
     assert len(set(places)) == 1024, "without replacement"
     assert places == sorted(places), "in their order"
-    # Of all the picture, not of its first rows.
+    # Points are drawn from the whole image, not from its first rows.
     assert places[0] < 30
     assert places[-1] > len(view.object_points) - 30
     count = len(view.hand_points)
@@ -283,14 +283,14 @@ def test_object_and_hand_are_subsampled_independently(monkeypatch: pytest.Monkey
     seen, view = wrist_camera.observe(POINTCLOUD, world, STEPS), wrist_camera.capture(world, STEPS)
     first, second = places_in(seen[OBJECT], view.object_points), places_in(seen[HAND], view.hand_points)
     assert first != second
-    # Every part of a cloud has its share.
+    # Points are drawn evenly from all parts of a cloud.
     for places in (first, second):
         shares = np.histogram(places, bins=10, range=(0, 3000))[0]
         assert shares.min() > 60
         assert shares.max() < 145
 
 
-# ------------------------------------------------------------------------------------- whoever looked, and how often
+# ------------------------------------------------------------------------------------ independence of earlier images
 
 
 LOOKS: list[Callable[[WristCamera, World], object]] = [
@@ -306,7 +306,7 @@ LOOKS: list[Callable[[WristCamera, World], object]] = [
 @pytest.mark.parametrize("camera", [None, NOISY])
 @pytest.mark.parametrize("renderer", ["rays", "bullet"])
 def test_observations_do_not_depend_on_earlier_images(world: World, renderer: str, camera: CameraNoise | None) -> None:
-    """Bit for bit, although points alone are drawn otherwise than whole pictures."""
+    """Observations are bit-equal after any earlier image, although points alone are rendered differently."""
     expected = make_wrist_camera(world, 3, renderer=renderer, camera_noise=camera)
     points = expected.observe(POINTCLOUD, world, STEPS)
     view = as_dict(expected.capture(world, STEPS))
@@ -359,11 +359,11 @@ def test_two_clouds_are_two_arrays(world: World) -> None:
     assert seen[HAND].max() < 7.0
 
 
-# ------------------------------------------------------------------------------------------------- what is drawn when
+# ------------------------------------------------------------------------------------------ number of rendered images
 
 
 class Drawings:
-    """Counts what is asked of ray casters and of worlds."""
+    """Counter of the ray casters that are made, and of the images that ray casters and worlds render."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.count = dict.fromkeys(["made", "whole", "targets", "engine"], 0)
@@ -425,7 +425,7 @@ def test_state_observations_render_nothing(drawings: Drawings, camera: str | Non
         (POINTCLOUD, None, (1, 0, 4, 0)),
         (RGBD, None, (1, 4, 0, 0)),
         (FULL_POINTCLOUD, None, (1, 0, 4, 0)),
-        # Edges are those of whole pictures.
+        # Dropout at edges requires the whole image.
         (POINTCLOUD, NOISY, (1, 4, 0, 0)),
     ],
 )
@@ -438,7 +438,7 @@ def test_one_image_is_rendered_per_decision(
     keys = [key for key in camera_observation_space(obs_mode) if key.startswith("wrist")]
     assert [list(seen) for seen in looker.seen] == [keys] * 4
     assert drawings.taken() == expected
-    # Seen by the seed of the episode, as anybody sees it now who looks again.
+    # A repeated observation uses the seed of the episode again and is equal.
     assert_same(episode.observe_camera(obs_mode), episode.observe_camera(obs_mode))
     episode.close()
 
@@ -467,7 +467,7 @@ def test_a_step_is_rendered_once(world: World, drawings: Drawings) -> None:
 @pytest.mark.parametrize("camera", [None, "realsense"])
 @pytest.mark.parametrize("physics", ["exact", "fast"])
 def test_scenes_are_independent(physics: str, camera: str | None) -> None:
-    """The first step of one scene and of another have the same number."""
+    """Images are not reused in another scene, although the first steps of both scenes have the same number."""
     config = WristCameraConfig(renderer="rays", camera_noise=camera)
     used, fresh = Episode(physics, wrist_camera=config), {}
     for number, scene in enumerate((SCENE, OTHER, SCENE)):
@@ -498,7 +498,7 @@ def test_there_is_no_image_before_reset(world: World) -> None:
         wrist_camera.observe(POINTCLOUD, world, 0)
 
 
-# -------------------------------------------------------------------------------------------------- cameras' faults
+# ----------------------------------------------------------------------------------------------------- camera noise
 
 
 def test_the_noise_preset(world: World) -> None:
@@ -540,7 +540,7 @@ def test_noise_and_dropout_match_the_configuration(world: World) -> None:
     kept = there & ~lost
     apart = (views[0].depth - perfect.depth)[kept] / perfect.depth[kept] ** 2
     assert apart.std() == pytest.approx(0.0036, rel=0.03)
-    # As much for what is near as for what is far.
+    # Relative to the squared depth, the noise is the same for near and far pixels.
     near = perfect.depth[kept] < np.median(perfect.depth[kept])
     assert apart[near].std() == pytest.approx(apart[~near].std(), rel=0.1)
 
@@ -562,7 +562,7 @@ def test_noisy_clouds_equal_deprojected_noisy_images(world: World) -> None:
 
 
 class Diary:
-    """What a perfect camera saw at every step."""
+    """Callback that records the images of a camera without noise at the start and at the steps in `wanted`."""
 
     def __init__(self, episode: Episode, renderer: str, physics: str, scene: Scene) -> None:
         self._sight = WristCamera(WristCameraConfig(renderer=renderer), physics, OFFICIAL_CONFIG.physics)
@@ -577,7 +577,7 @@ class Diary:
             self.links[episode.steps] = episode.observe()["gripper_pose"]
 
     def assert_arrived(self, episode: Episode, step: int) -> None:
-        """What is seen now is what was to be seen then: the same pictures, and points at the same places."""
+        """Assert that the current delayed image is that of `step`, with points at the same positions in the world."""
         arrived, then = as_dict(episode.capture_wrist_camera()), as_dict(self.views[step])
         now = episode.observe()["gripper_pose"]
         for name in ("object_points", "hand_points"):
@@ -600,7 +600,7 @@ def test_late_images_are_those_of_earlier_steps(latency: float, chunk: int) -> N
     delay = round(1000 * latency)
     episode = Episode("fast", wrist_camera=WristCameraConfig(renderer="rays", camera_noise=late(latency)))
     for scene in (SCENE, OTHER):
-        # Nothing of the scene before is left.
+        # No image of the previous scene must be left.
         episode.reset(scene)
         diary = Diary(episode, "rays", "fast", scene)
         diary.assert_arrived(episode, 0)
@@ -620,7 +620,7 @@ def test_late_images_are_those_of_earlier_steps(latency: float, chunk: int) -> N
 
 @pytest.mark.parametrize("renderer", ["rays", "bullet"])
 def test_late_images_of_exact_physics_are_those_of_earlier_steps(renderer: str) -> None:
-    """With and without a hand, which comes after 0.4 s; the engine draws the past in a server of its own."""
+    """Delayed images match those of earlier steps with both renderers, before and after the hand appears at 0.4 s."""
     episode = Episode("exact", wrist_camera=WristCameraConfig(renderer=renderer, camera_noise=late(0.1)))
     episode.reset(OTHER)
     diary = Diary(episode, renderer, "exact", OTHER)
@@ -669,7 +669,7 @@ def test_late_clouds_do_not_depend_on_earlier_images() -> None:
 
 
 def test_noise_follows_the_seed_of_the_episode() -> None:
-    """Points are drawn anew in every episode and are the same in the same one."""
+    """Point clouds are subsampled differently with another seed of the episode, and equally with the same seed."""
     episode, clouds = Episode("fast"), []
     for seed in (0, 1, 0):
         looker = Looker(obs_mode=f"state+{POINTCLOUD}")

@@ -1,4 +1,4 @@
-"""When policies are asked."""
+"""Tests of the policy scheduler: the steps at which policies act, their hold times and their errors."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -13,7 +13,7 @@ SEEN: dict[str, np.ndarray] = {}
 
 
 class CountingPolicy:
-    """Acts with the number of times it was asked; wants to be asked when `hold_time` has passed."""
+    """Policy whose action is the number of its calls since the reset, held for `hold_time` (s)."""
 
     name = "counting"
 

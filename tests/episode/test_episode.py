@@ -48,7 +48,7 @@ def batch_episode() -> Iterator[Episode]:
 
 
 def test_steps_with_callbacks_equal_rollouts(batch_episode: Episode, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The object is released once, when the robot has grasped it."""
+    """Steps with callbacks have the outcome of rollouts; the object is released once, after the robot grasped it."""
     releases: list[int] = []
     release_target = type(batch_episode.world).release_target
 

@@ -1,4 +1,4 @@
-"""Rules on arrays give the same states as the referee step by step."""
+"""Tests of the rules on arrays, which give the same states as the referee step by step."""
 
 import dataclasses
 
@@ -13,7 +13,7 @@ from handover_marl.episode.referee import EpisodeStatus, Referee, RefereeState, 
 from handover_marl.simulation.contacts import NO_POINTS, ContactBatch, Contacts
 from tests.learning.training.scripts import script
 
-#: Short periods, so that few steps lead to releases and ends.
+#: Rules with short periods, so that few steps lead to releases and ends of episodes.
 RULES = ProtocolConfig(release_steps=4, success_steps=3, horizon_steps=40)
 INSIDE = np.array([[0.0, 0.0, 0.03]], dtype=np.float32)
 OUTSIDE = np.array([[0.02, 0.0, 0.03]], dtype=np.float32)
@@ -129,7 +129,7 @@ def test_the_script_compares_whole_episodes(
     assert " times, 0 differences" in output
 
     def late(before: RefereeStateBatch, seen: ContactBatch, rules: ProtocolConfig) -> object:
-        """Release one step too late."""
+        """Judge the steps by rules that release the object one step too late."""
         return judge_steps(before, seen, dataclasses.replace(rules, release_steps=rules.release_steps + 1))
 
     monkeypatch.setattr(check, "judge_steps", late)

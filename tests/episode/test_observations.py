@@ -1,4 +1,4 @@
-"""Shapes, bounds and values of observations."""
+"""Tests of the shapes, bounds and values of observations."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""The one loop: who is asked when, with what, and with which seed."""
+"""Tests of the episode loop: when policies act, with which observations and with which seeds."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -27,7 +27,7 @@ Observation = dict[str, np.ndarray]
 
 
 class Decisions(EpisodeCallback):
-    """Everything that was decided."""
+    """Callback that records the steps and the actions of all decisions."""
 
     def on_reset(self, episode: Episode) -> None:
         self.steps: list[int] = []
@@ -41,14 +41,14 @@ class Decisions(EpisodeCallback):
 
 
 class CopyingReceiver(Yang2021Receiver):
-    """Plans with arrays of its own."""
+    """Receiver that plans with copies of the observed arrays."""
 
     def act(self, observation: Observation) -> np.ndarray:
         return np.array(super().act({key: value.copy() for key, value in observation.items()}))
 
 
 class ScribblingReceiver(CopyingReceiver):
-    """And spoils those that it was given."""
+    """Receiver that overwrites the observed arrays after it has planned with copies."""
 
     def act(self, observation: Observation) -> np.ndarray:
         action = super().act(observation)
@@ -66,7 +66,7 @@ class ScribblingGiver(CooperativeGiver):
 
 
 class KeepingGiver(CooperativeGiver):
-    """Keeps what it sees, and what that was."""
+    """Giver that keeps every observation together with a copy of it."""
 
     def reset(self, seed: int | None = None) -> None:
         super().reset(seed)
@@ -116,7 +116,7 @@ def test_what_policies_write_into_their_observations_is_seen_by_nobody() -> None
 
 
 class Places(EpisodeCallback):
-    """Where robot and objects are after every step."""
+    """Callback that records the joint positions of robot and objects after every step."""
 
     def on_reset(self, episode: Episode) -> None:
         self.rows: list[np.ndarray] = []
@@ -132,7 +132,10 @@ class Places(EpisodeCallback):
     [("fast", "replay", (209, 214)), ("fast", "noisy", (214, 219)), ("exact", "noisy", (209,))],
 )
 def test_an_episode_does_not_depend_on_those_before_it(physics: str, giver: str, scenes: tuple[int, ...]) -> None:
-    """Bit for bit; else results would depend on which worker plays what. This receiver hits whatever it can."""
+    """Episodes are bit-equal after any earlier ones, so that results do not depend on the division among workers.
+
+    The random receiver collides with whatever is in its reach.
+    """
     dataset = SyntheticDataset()
     players = receivers.make("random", dataset), givers.make(giver, dataset)
     used = Episode(physics)
@@ -157,7 +160,7 @@ def test_an_episode_does_not_depend_on_those_before_it(physics: str, giver: str,
 
 
 class Counting(Policy):
-    """Says what it was asked and reported."""
+    """Policy with a constant action that records its seeds, its first observation and the times of its calls (ms)."""
 
     name = "counting"
 
@@ -217,7 +220,7 @@ def test_every_policy_gets_a_seed_of_its_own(pair: tuple[Counting, Counting]) ->
         assert receiver.seeds[-1] == derive_receiver_seed(seed, receiver.first_observation)
         assert giver.seeds[-1] == derive_scene_seed(seed, scene_id, "giver")
     assert len({*receiver.seeds[:3], *giver.seeds[:3]}) == 6
-    # None is 0: results without a seed can be had again.
+    # Without a seed, the seed is 0, so that results can be reproduced.
     assert receiver.seeds[0] == receiver.seeds[3] == receiver.seeds[4]
     episode.close()
 
@@ -282,7 +285,7 @@ def test_no_seed_is_the_seed_zero() -> None:
 
 
 def test_seeds_are_those_of_earlier_versions() -> None:
-    """Results of stored runs must come out again."""
+    """Seeds equal those of earlier versions, so that stored results can be reproduced."""
     assert derive_scene_seed(0, 209, "giver") == 989422024
     assert derive_receiver_seed(3, {"time": np.zeros(1, dtype=np.float32)}) == 2691522388
 

@@ -1,4 +1,4 @@
-"""The giver's action: what it does to the recording."""
+"""Tests of the effects of the giver's action on the recorded motion."""
 
 from dataclasses import replace
 
@@ -46,7 +46,7 @@ def wrist(motion: ReferenceMotion) -> np.ndarray:
 
 
 def held() -> Playback:
-    """A playback in which the object has been lifted and everything has come to rest."""
+    """Return a playback in which the object has been lifted and all motion has ended."""
     played = playback()
     advance(played, SCENE.n_frames)
     assert played.holding
@@ -212,7 +212,7 @@ def test_plans_change_nothing_until_they_are_committed() -> None:
 
 
 def apply_wrist_offset() -> Playback:
-    """A playback in which the object is on its way."""
+    """Return a playback that is 100 frames past the frame in which the object is picked up."""
     played = playback()
     lift = find_pick_up_frame(SCENE)
     assert lift is not None
@@ -224,7 +224,7 @@ def apply_wrist_offset() -> Playback:
 @settings(max_examples=25)
 @given(st.integers(1, 99), st.floats(-1.0, 1.0))
 def test_only_what_was_simulated_counts(done: int, rate: float) -> None:
-    """What was planned beyond the episode's end never happened."""
+    """Steps that were planned but not simulated have no effect on the playback."""
     wanted = action(rate=rate, shift=(0.1, -0.2, 0.05), turn=(0.3, 0.0, -0.5))
     whole, cut = apply_wrist_offset(), apply_wrist_offset()
     planned = whole.plan(100, wanted, opening=True)
@@ -239,7 +239,7 @@ def test_only_what_was_simulated_counts(done: int, rate: float) -> None:
 
 @pytest.mark.parametrize("rate", [-1.0, 1.0])
 def test_how_steps_are_cut_does_not_matter(rate: float) -> None:
-    """A control period only groups steps, whoever pauses or hurries."""
+    """The motion of a pausing or hurrying giver does not depend on the number of steps per control period."""
     whole = apply_wrist_offset()
     planned = np.concatenate([advance(whole, 100, action(rate=rate)).hand for _ in range(3)])
     for length in (1, 10, 20, 50):
@@ -258,7 +258,7 @@ def test_the_wrist_is_the_first_key_point_of_the_hand() -> None:
 
 
 def test_a_displaced_hand_rests() -> None:
-    """Many steps at rest equal one."""
+    """A displaced hand at rest keeps exactly the same pose in many steps and in single ones, and returns afterwards."""
     many, few, wanted = held(), held(), action(shift=(0.1, -0.2, 0.05), turn=(0.3, 0.0, -0.5))
     for played in (many, few):
         advance(played, 3000, wanted)
@@ -279,7 +279,7 @@ def test_a_replayed_recording_is_not_copied() -> None:
 
 
 def test_the_preview_of_later_frames() -> None:
-    """Poses are those of the frame, whichever frames were read before."""
+    """Previewed poses depend on the frame only, whichever frames were read before."""
     preview, ahead = MotionPreview(SCENE, CONFIG), np.array([100, 200, 300, 400, 500])
     for frame in (100, 900, 2500, 0, 1000, 999):
         rows = np.minimum(frame + ahead, SCENE.n_frames - 1)

@@ -21,7 +21,7 @@ AT_GOAL = GRASP._replace(gripper_position=CONFIG.goal_center, object_height=1.25
 
 
 def releases(sequence: list[Contacts]) -> list[ReleaseReason | None]:
-    """Reason of the release in each step; counters go on after a release."""
+    """Return the reason of the release in each step; the counters continue after a release."""
     referee, reasons = Referee(CONFIG), []
     for contacts in sequence:
         referee.update(contacts)
@@ -79,7 +79,7 @@ def statuses(sequence: list[Contacts], released: bool = True) -> list[EpisodeSta
 
 
 def make_referee(released: bool, steps: int = 0) -> Referee:
-    """Referee of an episode that has run for some steps; without a release, none is possible."""
+    """Return the referee of an episode that has run for some steps; unless `released`, no release is possible."""
     config = CONFIG if released else dataclasses.replace(CONFIG, release_steps=10**9)
     referee = Referee(config)
     state = referee.get_state()._replace(steps=steps)
@@ -169,7 +169,7 @@ def test_referee_reports_the_release_step() -> None:
 
 @given(st.lists(st.sampled_from([GRASP, PUSH, ONE_FINGER, NOTHING, AT_GOAL]), max_size=6), st.booleans())
 def test_a_restored_referee_continues_as_the_original(parts: list[Contacts], gives: bool) -> None:
-    """Before, at and after releases of all three kinds; each part is 60 steps."""
+    """A restored referee gives equal states before, at and after releases of all three kinds; each part is 60 steps."""
     original = Referee(CONFIG)
     if gives:
         original.release_voluntarily()

@@ -11,7 +11,7 @@ SPEED, ACCELERATION = 0.8, 5.0
 
 
 def track(*targets: tuple[npt.ArrayLike, int]) -> np.ndarray:
-    """Values while several set-points are tracked in turn."""
+    """Return the values (n, 3) while several set points are tracked in turn."""
     vector, parts = TrackedVector(), [np.zeros((0, 3))]
     for set_point, steps in targets:
         values, vector = track_set_point(vector, set_point, steps, SPEED, ACCELERATION)
@@ -24,7 +24,7 @@ def test_speed_and_acceleration_are_limited(targets: list[tuple[tuple[float, flo
     values = np.concatenate([np.zeros((2, 3)), track(*targets)])
     velocity = np.diff(values, axis=0) / TIME_STEP
     assert np.linalg.norm(velocity, axis=1).max(initial=0.0) <= SPEED + 1e-9
-    # Arrival snaps to the goal, over less than a micrometre.
+    # On arrival, the value is set to the goal, a change of less than a micrometre.
     acceleration = np.linalg.norm(np.diff(velocity, axis=0), axis=1) / TIME_STEP
     assert acceleration.max(initial=0.0) <= ACCELERATION + 1.1
 

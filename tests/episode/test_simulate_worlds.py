@@ -1,4 +1,4 @@
-"""Simulation of many worlds at once gives each the steps, release and end of an episode that is simulated alone."""
+"""Tests of the simulation of many worlds at once; each has the steps, release and end of a world simulated alone."""
 
 from collections.abc import Sequence
 
@@ -35,7 +35,7 @@ N_STEPS = 300
 
 
 class ScriptedWorld:
-    """World with given contacts, which checks how it is called."""
+    """Stub of a world that has given contacts and checks the calls of its methods."""
 
     max_rollout_worlds = 32
     sizes: list[int]
@@ -43,7 +43,7 @@ class ScriptedWorld:
 
     def __init__(self, steps: list[Contacts], number: int, key: object, max_steps: int, is_asleep: bool) -> None:
         self.steps, self.target = steps, [float(number)] * 9
-        # Places in a batch are in another order than the worlds.
+        # The worlds' places in the batch are in reverse order.
         self.batch_key = (key, -number)
         self.max_rollout_steps, self.is_asleep = max_steps, is_asleep
         self.position, self.is_prepared = 0, False

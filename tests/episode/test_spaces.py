@@ -26,7 +26,7 @@ from handover_marl.errors import ActionError, UnknownNameError
 
 
 class Tensor:
-    """Refuses to become an array as a torch tensor with a gradient does."""
+    """Object that cannot be converted to an array, like a torch tensor with a gradient."""
 
     def __array__(self, *_: object, **__: object) -> np.ndarray:
         raise RuntimeError("Can't call numpy() on Tensor that requires grad")
@@ -188,7 +188,7 @@ def test_parts_of_observation_modes() -> None:
         (True, SCENE_POINTCLOUD),
         (False, SCENE_POINTCLOUD),
     ]
-    # Equal texts need not be one object.
+    # Equal strings need not be the same object.
     assert has_state("".join(["sta", "te"]))
     assert get_camera_data_kind("".join(["sta", "te"])) is None
 

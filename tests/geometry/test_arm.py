@@ -1,4 +1,4 @@
-"""Forward kinematics and Jacobians of the Panda's arm."""
+"""Tests of forward kinematics, Jacobians and inverse kinematics of the Panda's arm."""
 
 from pathlib import Path
 
@@ -57,7 +57,7 @@ def test_inverse_kinematics_comes_back(seed: int) -> None:
     hand = ARM.compute_chain_frames(joints)
     near = np.clip(joints + np.random.default_rng(seed).uniform(-0.05, 0.05, joints.shape), *LIMITS)
     found, solved = solve_ik(ARM, hand.origins[-1].T, hand.rotations[-1].transpose(2, 0, 1), near, LIMITS, 1e-6, 100)
-    assert solved.sum() >= 6  # one near a limit may be clamped off its way
+    assert solved.sum() >= 6  # a query near a limit may fail because of the clamping
     again = ARM.compute_chain_frames(found[solved])
     np.testing.assert_allclose(again.origins[-1], hand.origins[-1][:, solved], atol=2e-6)
     np.testing.assert_allclose(again.rotations[-1], hand.rotations[-1][..., solved], atol=4e-6)

@@ -1,4 +1,4 @@
-"""Convex hulls with few vertices."""
+"""Tests of convex hulls and of hulls with few vertices."""
 
 import numpy as np
 from hypothesis import given
@@ -25,7 +25,7 @@ def test_a_hull_contains_all_points_and_faces_outwards(seed: int, n: int) -> Non
     normals = np.cross(second - first, third - first)
     heights = np.einsum("fi,fni->fn", normals, points[None] - first[:, None])
     assert heights.max() < 1e-9, "nothing lies outside of any face"
-    # Closed: every edge is met once in each direction.
+    # In a closed surface, every edge occurs once in each direction.
     edges = [(a, b) for face in faces.tolist() for a, b in zip(face, [*face[1:], face[0]], strict=True)]
     assert len(set(edges)) == len(edges)
     assert {(b, a) for a, b in edges} == set(edges)

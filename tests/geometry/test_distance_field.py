@@ -1,4 +1,4 @@
-"""Signed distance fields and their cache."""
+"""Tests of signed distance fields and their cache."""
 
 import logging
 import multiprocessing
@@ -50,7 +50,7 @@ def test_distances_and_slopes_of_a_ball(place: np.ndarray) -> None:
 
 @given(places)
 def test_gradients_are_derivatives_of_the_interpolation(place: np.ndarray) -> None:
-    # Within one cell, away from its faces, where the slope jumps.
+    # Use the centre of a cell, because the gradient jumps at the faces of cells.
     cells = (place + REACH) / 0.005
     place = (np.floor(cells) + 0.5) * 0.005 - REACH
     small = 1e-3
@@ -95,7 +95,7 @@ def test_field_of_a_box(cache: Path, fake_data: Path) -> None:
     outside = np.maximum(np.maximum(low - points, points - high), 0.0)
     inside = np.minimum(points - low, high - points).min(axis=1)
     wanted = np.where(inside > 0.0, -inside, np.linalg.norm(outside, axis=1))
-    # Between the grid's nodes edges come out rounded.
+    # Interpolation between the grid's nodes rounds off edges.
     np.testing.assert_allclose(
         load_object_sdf(urdf, MARGIN).compute_distances(points.T.astype(np.float32)), wanted, atol=3e-3
     )

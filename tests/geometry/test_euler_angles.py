@@ -1,4 +1,4 @@
-"""XYZ Euler angles compared with SciPy."""
+"""Tests of XYZ Euler angles against SciPy."""
 
 import numpy as np
 import numpy.typing as npt

@@ -37,7 +37,7 @@ def test_the_bounds_are_tight() -> None:
 
 
 def test_a_hand_that_points_back_reaches_less() -> None:
-    """Straight ahead at 80 cm a hand can point away from the robot but not back."""
+    """At 80 cm straight ahead, a hand that points away from the robot is reachable, and one that points back is not."""
     kinematics = BulletIKSolver(URDF, PandaConfig())
     position = np.array([0.61, 0.29, 1.15])
     away, back = np.array([-0.7071068, 0.0, 0.0, 0.7071068]), np.array([0.7071068, 0.0, 0.0, 0.7071068])

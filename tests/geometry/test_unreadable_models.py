@@ -1,4 +1,4 @@
-"""Pipes, devices, folders and huge files in the place of models and meshes are refused, not opened."""
+"""Tests that pipes, devices, folders and huge files in place of models and meshes are refused in a short time."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -29,7 +29,7 @@ TETRAHEDRON = "mtllib body.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1
 
 
 def write_model(folder: Path, mesh: str) -> Path:
-    """Write a model of one link with a mesh, of whatever content, and an OBJ mesh with material and texture."""
+    """Write a URDF of one link, its mesh in OBJ format whatever its suffix, and a material that names a texture."""
     (folder / mesh).write_text(TETRAHEDRON)
     (folder / "body.mtl").write_text("newmtl one\nmap_Kd body.png\n")
     shape = f'<geometry><mesh filename="package://{mesh}"/></geometry>'

@@ -1,4 +1,4 @@
-"""Visual meshes of URDF models."""
+"""Tests of the visual meshes of URDF models."""
 
 import shutil
 from pathlib import Path
@@ -29,7 +29,7 @@ def read(urdf: Path, *without: str) -> list[VisualMesh]:
 
 
 def write(folder: Path, *links: str) -> Path:
-    """A model of links, all of them fixed to the first."""
+    """Write a URDF model whose links are all fixed to the first; return its path."""
     parts = [f'<link name="l{number}">{shapes}</link>' for number, shapes in enumerate(links)]
     joints = [JOINT.format(number) for number in range(1, len(links))]
     path = folder / "model.urdf"
@@ -47,7 +47,7 @@ def box(x: float = 1.0, y: float = 1.0, z: float = 1.0) -> str:
 
 
 def volume(mesh: VisualMesh) -> float:
-    """Positive if faces are counterclockwise seen from outside."""
+    """Return the volume (m^3), which is positive if faces are counterclockwise as seen from outside."""
     return float(np.linalg.det(mesh.vertices[mesh.faces].astype(np.float64)).sum() / 6.0)
 
 
@@ -62,7 +62,7 @@ def check_form(mesh: VisualMesh) -> None:
 
 @pytest.mark.parametrize("urdf", [ASSETS.table, ASSETS.panda, ASSETS.hand, *ASSETS.objects], ids=lambda path: path.stem)
 def test_every_visible_link_has_one_mesh(urdf: Path) -> None:
-    """The same links as Bullet says, turned outside."""
+    """The links with a mesh are those with a visual shape in Bullet, and faces point outwards."""
     meshes, client = read(urdf), connect()
     body = load_urdf(client, urdf)
     for mesh in meshes:
@@ -93,7 +93,7 @@ def test_links_are_left_out_by_name() -> None:
 
 
 def test_shapes_of_one_link_become_one_mesh(tmp_path: Path) -> None:
-    """Each with its own place, corners and colour."""
+    """Shapes of one link are merged into one mesh and keep their positions, corners and colours."""
     shapes = [
         visual(box(), "3 0 0", color="1 0 0"),
         visual(box(0.5), "-3 0 0", color="0 0.5 1"),
@@ -114,7 +114,7 @@ def test_invisible_links_have_no_mesh(tmp_path: Path) -> None:
     urdf = write(tmp_path, collision, visual(box()), "", visual(box(2.0)) + collision)
     meshes = read(urdf)
     assert [mesh.link for mesh in meshes] == [0, 2]
-    # In the links' own frames.
+    # Vertices are in the frames of their links.
     for mesh, half in zip(meshes, (0.5, 1.0), strict=True):
         assert np.abs(mesh.vertices[:, 0]).max() == half
     assert [mesh.link for mesh in read(urdf, "l1")] == [2]
@@ -134,7 +134,7 @@ def test_shapes_are_where_their_origin_puts_them(tmp_path_factory: pytest.TempPa
     shape = visual(f'<mesh filename="mesh.obj" scale="{words(scale)}"/>', words(shift), words(angles))
     (mesh,) = read(write(folder, shape))
     corners = np.vstack([np.zeros(3), np.diag(scale)])
-    # URDF turns about fixed axes.
+    # URDF rotates about fixed axes.
     expected = Rotation.from_euler("xyz", angles).apply(corners) + shift
     np.testing.assert_allclose(mesh.vertices, expected, atol=1e-6)
     assert mesh.faces.tolist() == [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]

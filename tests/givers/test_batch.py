@@ -1,4 +1,4 @@
-"""Givers on arrays act as each giver does."""
+"""Tests of batches of givers, which act as single givers do."""
 
 import functools
 from collections.abc import Iterator
@@ -77,7 +77,7 @@ def test_batches_act_as_single_givers(name: str) -> None:
     for decision, observations in enumerate(draw_observations(1)):
         arrays = stack(observations)
         steps = np.full(COUNT, 100 * decision)
-        # In two parts, because an action must not depend on which episodes are decided together.
+        # The batch acts in two parts, because an action must not depend on which episodes act together.
         parts = [np.array([1, 3, 4]), np.array([0, 2, 5])]
         found = np.empty((COUNT, 8), dtype=np.float32)
         for rows in parts:

@@ -1,4 +1,4 @@
-"""What every giver must do, and what each is for."""
+"""Tests of the requirements on all givers, and of the behaviour of each giver."""
 
 import json
 from importlib.resources import files
@@ -27,7 +27,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
 
 
 def seen(**changes: Any) -> Observation:
-    """An observation of a hand that holds an object out, the gripper 0.6 m away."""
+    """Return an observation of a hand that holds out an object, with the gripper 0.6 m away."""
     pose = np.array([0.6, 0.3, 1.2, 0, 0, 0, 1], dtype=np.float32)
     wrist = pose + np.float32([0, 0.1, 0, 0, 0, 0, 0])
     observation = {

@@ -28,7 +28,7 @@ def sample_hull(vertices: np.ndarray, count: int) -> np.ndarray:
 
 @pytest.mark.parametrize("link", sorted({link for link, *_ in ARM_CAPSULES}))
 def test_capsules_cover_the_collision_meshes(link: int) -> None:
-    """The engine collides with the hulls of the collision meshes."""
+    """Points on the meshes' convex hulls, which collide in the engine, are at most 16 mm outside of the capsules."""
     (vertices,) = read_link_vertices(URDF, "collision", [ARM.link_names[link]])
     origins, rotations = IN_WORLD.compute_link_frames(START[None])
     points = sample_hull(vertices, 400) @ rotations[0, link].T + origins[0, link]
@@ -48,7 +48,7 @@ def test_closest_point_matches_the_clearance(seed: int) -> None:
     for one, distance in zip(joints, many, strict=True):
         closest, link = find_closest_arm_points(IN_WORLD, one, spheres)
         assert closest.distance == pytest.approx(distance, abs=1e-7)
-        # The point is on the capsule's surface, and the normal points to the sphere's.
+        # The point is on the capsule's surface, and the normal points from the sphere to the capsule.
         back = closest.point - closest.distance * closest.normal
         assert np.linalg.norm(back - spheres.centers[closest.sphere]) == pytest.approx(
             spheres.radii[closest.sphere], abs=1e-9

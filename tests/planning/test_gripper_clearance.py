@@ -46,8 +46,8 @@ def pose(position: np.ndarray, rotation: np.ndarray) -> np.ndarray:
         ((0.0, 0.0, 0.1), 0.0, -0.0205),  # between the pads, where fingers will close
         ((0.0, 0.154, 0.02), 0.0, 0.04),  # beside the hand's body
         ((0.1, 0.0, -0.065), 0.0, 0.035),  # beside the flange
-        ((0.0, 0.09, -0.2), 0.0, 0.09),  # behind it all
-        ((0.0, 0.09, -0.2), 0.1, 0.025),  # where the flange comes from
+        ((0.0, 0.09, -0.2), 0.0, 0.09),  # behind the whole gripper
+        ((0.0, 0.09, -0.2), 0.1, 0.025),  # on the way of the flange to the grasp
     ],
 )
 def test_grasp_clearance(position: tuple[float, ...], sweep: float, clearance: float) -> None:

@@ -48,7 +48,7 @@ def test_capsules_fill_the_simulated_hand(scene_id: int) -> None:
     poses = tree.compute_link_poses(observation["hand_dof_position"][None], shaped)[0]
     surface = np.concatenate([transform_points(pose, points) for pose, points in zip(poses, vertices, strict=True)])
     distances = capsules.compute_distances(surface)
-    # The flesh beside the palm's bones lies outside; fingers match the capsules.
+    # The flesh beside the palm's bones lies outside of the capsules; the fingers match them.
     assert np.quantile(distances, 0.9) < 0.012
     assert distances.min() > -0.02
     assert distances.max() < 0.025

@@ -74,14 +74,14 @@ def test_swaying_object_counts_as_held_still() -> None:
     predictor = track_swaying_motion(times, 0.03)
     assert predictor.is_held_still
     assert predictor.speed > HandoverPosePredictorConfig().rest_speed
-    # A object that is held still is not attracted.
+    # An object that is held still is not attracted to the mean handover position.
     assert np.linalg.norm(predictor.predict_handover_pose()[:3] - predictor.extrapolate_pose(0.0)[:3]) < 0.02
     assert not track_swaying_motion(times, 0.3).is_held_still
 
 
 @pytest.mark.parametrize("seconds", [0.3, 0.9])
 def test_lifted_object_is_not_held_still_at_once(seconds: float) -> None:
-    """An object that was not lifted does not count as held still either."""
+    """An object does not count as held still until 0.9 s after its lift began, nor if it was not lifted."""
     assert not track_swaying_motion(np.arange(0.0, seconds, STEP), 0.03).is_held_still
     assert not track_steady_motion(0.0, 2.0).is_held_still
 

@@ -41,7 +41,7 @@ def test_mirror_step_is_a_projection(values: list[float], seed: int) -> None:
     assert found.sum() == pytest.approx(1.0)
     assert (found >= 0.0).all()
     shift = 1.0 / (4 * len(values) + 1)
-    # Every positive weight is (w + d) exp(l - loss) - d with the same l, too small for the others.
+    # Every positive weight is (w + d) exp(l - loss) - d with the same l; it would not be positive for the others.
     levels = np.log((found + shift) / (weights + shift)) + losses
     level = levels[found > 0.0]
     assert np.ptp(level) < 1e-9

@@ -1,4 +1,4 @@
-"""Tests of speed and separation."""
+"""Tests of speed and separation monitoring, which limits joint velocities near moving bodies and the table."""
 
 from dataclasses import replace
 
@@ -87,7 +87,7 @@ def test_forearm_keeps_clear() -> None:
 
 
 def test_all_bodies_are_respected() -> None:
-    """One sphere is in front of a fingertip, the other beside the forearm, both too close."""
+    """The robot moves away from both of two spheres that are too close, at a fingertip and beside the forearm."""
     origins, rotations = IN_WORLD.compute_link_frames(START[None])
     cover = origins[0, 4] + rotations[0, 4] @ np.array([0.0, 0.15, -0.05])
     bodies = [MovingBody(Spheres(cover[None], np.array([0.01])), np.zeros(3), 0.03), make_body(0.01, 0.03)]

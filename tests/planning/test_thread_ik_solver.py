@@ -102,7 +102,7 @@ def test_many_queries_have_the_solutions_of_single_ones(solver_class: Any, is_tu
         one = solver.solve(start, position, turn if is_turned else None)
         np.testing.assert_array_equal(found[row], np.full(7, np.nan) if one is None else one)
     assert 4 < np.isfinite(found[:, 0]).sum() < 14 + (not is_turned)
-    # In parts, because a solution must not depend on the other queries.
+    # The queries are also solved in parts, because a solution must not depend on the other queries.
     for rows in ([3], [5, 2], range(4, 14)):
         part = solver.solve_many(starts[rows], positions[rows], turns[rows] if is_turned else None)
         np.testing.assert_array_equal(part, found[rows])
@@ -129,7 +129,7 @@ def test_queries_without_solution_are_searched_once(monkeypatch: pytest.MonkeyPa
     assert solver.solve(starts[1], positions[1]) is not None
     assert solver.solve(starts[0], positions[0], (0.0, 0.0, 0.0, 1.0)) is None
     assert searched == [[0.1, 1.0, 0.2], [1.0], [1.0], [0.1]]
-    # The oldest ones are searched again.
+    # The oldest queries without solution are dropped from the cache and searched again.
     for number in range(ik_solvers._MAX_UNSOLVED):
         solver.solve(np.full(9, -number - 1.0), positions[0])
     searched.clear()

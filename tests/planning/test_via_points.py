@@ -11,7 +11,7 @@ ARM_ = ArmInWorld(ARM, np.array([0.61, -0.5, 0.875, 0.0, 0.0, 0.7071068, 0.70710
 SPEEDS = np.full(7, 2.0)
 START = np.array([0.0, 0.3, 0.0, -2.0, 0.0, 2.2, 0.785])
 FAR, TABLE, CLEARANCE = Spheres(np.array([[5.0, 5.0, 5.0]]), np.array([0.1])), 0.5, 0.01
-# Configurations on both sides, by the first joint.
+# Joint positions on both sides of START, which differ in the first joint.
 LEFT, RIGHT = (START + side * np.eye(7)[0] for side in (-0.7, 0.7))
 NO_CANDIDATES = np.zeros((0, 7))
 
@@ -58,12 +58,12 @@ def test_via_point_avoids_the_obstacle() -> None:
 
 
 def test_fastest_candidate_is_selected() -> None:
-    """A known candidate on the path is faster than any random one."""
+    """The known candidate on the path is selected, because it is faster than any random one."""
     via_point = find_via_point(ARM_, LEFT, RIGHT, START[None], SPEEDS, obstacles(FAR), 24)
     np.testing.assert_array_equal(via_point, START)
 
 
 def test_colliding_goal_has_no_via_point() -> None:
-    """No path is clear if the goal collides."""
+    """No via point is found if the goal collides, because no path to it is clear."""
     blocked = Spheres(ARM_.compute_hand_pose(RIGHT)[None, :3], np.array([0.05]))
     assert find_via_point(ARM_, LEFT, RIGHT, START[None], SPEEDS, obstacles(blocked), 24) is None

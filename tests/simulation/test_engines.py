@@ -1,4 +1,4 @@
-"""Kinds of physics, with and without MuJoCo installed."""
+"""Tests of the available kinds of physics, with and without MuJoCo installed."""
 
 import importlib.util
 

@@ -1,4 +1,4 @@
-"""Motor models of joints without contact."""
+"""Tests of the motor models of joints without contact."""
 
 import numpy as np
 

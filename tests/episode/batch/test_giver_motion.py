@@ -1,4 +1,4 @@
-"""Motion of many givers at once equals the motion of each giver."""
+"""Tests of the motion of several givers at once, which equals the motion of each giver alone."""
 
 import numpy as np
 import pytest
@@ -27,7 +27,7 @@ def start(config: GiverConfig = CONFIG) -> tuple[GiverMotionBatch, list[Playback
 
 
 def compare(batch: GiverMotionBatch, singles: list[Playback], rng: np.random.Generator, actions: np.ndarray) -> None:
-    """Plan and commit some steps, the givers' objects released or not, and compare every value."""
+    """Plan and commit some steps, with random releases of the objects, and compare every value with single givers."""
     steps = int(rng.integers(1, 201))
     released = rng.random(COUNT) < 0.3
     opening = released & (rng.random(COUNT) < 0.5)
@@ -130,5 +130,5 @@ def test_givers_at_rest_and_single_steps_equal_those_of_one_giver() -> None:
         batch.commit(motion, np.full(COUNT, steps))
         np.testing.assert_array_equal(batch.deviation, [single.deviation for single in singles])
     assert batch.holding.all()
-    # Bodies move with several of the solutions and full turns of Euler angles.
+    # On the way, the Euler angles of bodies have taken several solutions and full turns.
     np.testing.assert_array_equal(batch.deviation[:, 1:], actions[:, 1:7])

@@ -1,4 +1,4 @@
-"""RULA scores of the giver's arm for postures with known scores."""
+"""Tests of the RULA scores of the giver's arm for postures with known scores."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Metrics of constructed traces with known values."""
+"""Tests of the fluency metrics on constructed traces with known values, and of the recorders of traces and actions."""
 
 import dataclasses
 from pathlib import Path
@@ -38,30 +38,30 @@ from handover_marl.simulation.world import AgentJoints
 from tests.playing import play
 
 PERIOD = SAMPLE_STEPS * TIME_STEP
-N = 251  # samples of 5 s, the start's own among them
+N = 251  # samples in 5 s, including the one at the start
 
 
 def exactly(value: float) -> object:
-    """Nothing but rounding."""
+    """Return an expected value that allows for rounding errors only."""
     return pytest.approx(value, abs=1e-9, rel=0.0)
 
 
 def ramp(start: float, end: float, duration: float, way: float) -> np.ndarray:
-    """(n, 3) places, from time 0 on, of something that goes `way` m along x between two times."""
+    """Return positions (n, 3) from time 0 on of a point that moves by `way` (m) along x between two times (s)."""
     times = PERIOD * np.arange(round(duration / PERIOD) + 1)
     x = np.interp(times, [start, end], [0.0, way])
     return np.stack([x, np.zeros_like(x), np.zeros_like(x)], axis=1)
 
 
 def made_up(**changes: object) -> EpisodeTrace:
-    """The person moves from 1 to 2 s, the robot from 3 to 4.5 s and takes the object at 4 s of 5 s."""
+    """Return a trace of 5 s: the person moves from 1 to 2 s, the robot from 3 to 4.5 s, the release is at 4 s."""
     wrist = ramp(1.0, 2.0, 5.0, 0.5)
     trace = EpisodeTrace(ramp(3.0, 4.5, 5.0, 0.6), np.zeros((len(wrist), 2)), wrist, 5000, 4000, 12.0, 0.03)
     return dataclasses.replace(trace, **changes)  # type: ignore[arg-type]
 
 
 def test_a_handover_one_after_the_other() -> None:
-    """Averaged over three samples of a symmetric difference, a ramp is active one sample before and behind it too."""
+    """A ramp is also active one sample before and after it, because speeds are averaged over three samples."""
     found = compute_fluency(made_up())
     assert found.handover_time == exactly(4.0)
     assert found.human_idle == exactly(1.0 - 53 / N)  # active from 0.98 to 2.02 s, samples 49 to 101
@@ -75,7 +75,7 @@ def test_a_handover_one_after_the_other() -> None:
 
 def test_a_robot_that_comes_while_the_person_moves_has_a_negative_delay() -> None:
     found = compute_fluency(made_up(gripper=ramp(1.5, 4.2, 5.0, 0.6)))
-    # It is so slow that the sample before its ramp does not count: samples 75 to 210.
+    # The gripper is so slow that the sample before its ramp is not active; samples 75 to 210 are.
     assert found.functional_delay == exactly((1.5 - 2.02) / 5.0)
     assert found.concurrent == exactly(27 / N)
     assert found.robot_idle == exactly(1.0 - 136 / N)
@@ -105,7 +105,7 @@ def test_protective_distance_of_a_moving_person_and_of_a_moving_robot() -> None:
 
 
 def test_nothing_to_tell() -> None:
-    """No release and no hand: nothing is made up."""
+    """Metrics that need a release or a hand are None without them; the hand is always idle and its path is 0."""
     trace = made_up()
     found = compute_fluency(
         dataclasses.replace(trace, wrist=np.full_like(trace.wrist, np.nan), release_step=None, min_distance=None)
@@ -121,7 +121,7 @@ def test_samples_up_to_every_step(steps: int) -> None:
     trace = made_up(wrist=np.zeros((n, 3)), gripper=np.zeros((n, 3)), fingers=np.zeros((n, 2)), steps=steps)
     found = [trace.count_samples_until(step) for step in range(1, 13_001)]
     assert found == [min(step // 20 + 1, n) for step in range(1, 13_001)]
-    # Which is to say: as many as were taken, every 20 steps from 0 on, when the step was over.
+    # That is the number of samples, one every 20 steps from 0 on, that were taken when the step ended.
     taken = np.arange(0, steps + 1, 20)
     assert found[:steps] == [int((taken <= step).sum()) for step in range(1, steps + 1)]
 
@@ -130,7 +130,7 @@ def test_samples_up_to_every_step(steps: int) -> None:
     ("release_step", "seconds"), [(4000, 4.0), (4001, 4.0), (4019, 4.0), (4020, 4.02), (3999, 3.98), (3001, 3.0)]
 )
 def test_nothing_counts_after_the_release(release_step: int, seconds: float) -> None:
-    """The wrist goes on at 0.5 m/s from 3 s to the end."""
+    """Path and reach of a wrist that moves at 0.5 m/s from 3 s to the end count until the release only."""
     found = compute_fluency(made_up(wrist=ramp(3.0, 5.0, 5.0, 1.0), release_step=release_step))
     assert found.giver_path == exactly(0.5 * (seconds - 3.0))
     assert found.reach == exactly(0.5 * (seconds - 3.0))
@@ -150,10 +150,10 @@ def test_a_robot_that_moves_only_after_the_release_takes_nothing() -> None:
 
 def test_a_hand_that_comes_late_goes_no_way_before() -> None:
     wrist = ramp(1.0, 2.0, 5.0, 0.5)
-    wrist[:75] = np.nan  # seen from 1.5 s on
+    wrist[:75] = np.nan  # the hand is present from 1.5 s on
     found = compute_fluency(made_up(wrist=wrist))
     assert (found.giver_path, found.reach) == (exactly(0.25), exactly(0.25))
-    # Its speed is known from the second sample on, and at the first by averaging.
+    # Its speed is known from its second sample on, and at its first sample by averaging.
     assert found.human_idle == exactly(1.0 - 27 / N)
 
 
@@ -179,7 +179,7 @@ def test_smoothness_is_as_published() -> None:
 
 
 def test_smoothness_is_that_of_the_published_program() -> None:
-    """The program of Balasubramanian et al. (2015), in its own terms."""
+    """The spectral arc length equals that of the program published by Balasubramanian et al. (2015)."""
     rate, speed = 50.0, np.convolve(np.abs(np.random.default_rng(0).normal(size=90)), np.hanning(9), "same")
     length = 2 ** int(np.ceil(np.log2(len(speed))) + 4)
     frequency = np.arange(0, rate, rate / length)
@@ -203,7 +203,7 @@ def test_smoothness_does_not_depend_on_speed(factor: float) -> None:
 
 
 def quintic(length: float, duration: float, samples: int) -> np.ndarray:
-    """(n, 3) positions of a minimum-jerk movement in a direction that is not an axis."""
+    """Return positions (samples, 3) of a minimum-jerk movement in a direction that is not along an axis."""
     t = np.arange(samples) * PERIOD / duration
     way = length * (10.0 * t**3 - 15.0 * t**4 + 6.0 * t**5)
     return way[:, None] * np.array([2.0, -1.0, 2.0]) / 3.0
@@ -211,7 +211,7 @@ def quintic(length: float, duration: float, samples: int) -> np.ndarray:
 
 @pytest.mark.parametrize(("length", "duration"), [(0.3, 1.0), (0.5, 0.8), (0.3, 2.0)])
 def test_jerk_of_a_minimum_jerk_movement(length: float, duration: float) -> None:
-    """The third derivative is 60 A / T^3 (1 - 6 t/T + 6 (t/T)^2) (Flash and Hogan, 1985)."""
+    """The jerk equals 60 A / T^3 (1 - 6 t/T + 6 (t/T)^2) for length A and duration T (Flash and Hogan, 1985)."""
     n = round(duration / PERIOD) + 1
     t = np.arange(n)[6:-6] * PERIOD / duration
     expected = 60.0 * length / duration**3 * (1.0 - 6.0 * t + 6.0 * t**2)
@@ -227,7 +227,7 @@ def test_jerk_of_constant_jerk_and_of_motion_without_jerk() -> None:
 
 
 def test_jerk_of_slow_and_fast_oscillations() -> None:
-    """Motion of 1 Hz counts in full, vibration above 12 Hz hardly."""
+    """The jerk of an oscillation of 1 Hz is measured in full, that of 13 Hz by less than 6 %."""
     t = PERIOD * np.arange(500)[:, None]
     for frequency, low, high in ((1.0, 0.99, 1.01), (5.0, 0.8, 0.9), (13.0, 0.0, 0.06)):
         omega = 2.0 * np.pi * frequency
@@ -264,7 +264,7 @@ def test_jerk_of_the_hand_counts_until_the_release_and_of_the_gripper_to_the_end
 
 
 def test_path_and_speeds_of_the_gripper() -> None:
-    """0.6 m from 3 to 4.5 s of an episode of 5 s."""
+    """A gripper that moves by 0.6 m from 3 to 4.5 s has a maximum speed of 0.4 m/s and a mean over 5 s of 0.12 m/s."""
     found = compute_fluency(made_up())
     assert found.gripper_path == exactly(0.6)
     assert found.gripper_max_speed == exactly(0.4)
@@ -279,7 +279,7 @@ def test_force_on_the_person_is_none_without_contact() -> None:
 
 
 def test_gap_is_what_the_world_says() -> None:
-    """In the world, where both stand, Bullet reports the same distance."""
+    """The distance between robot and hand equals the one that Bullet reports for the bodies in the world."""
     scene = SyntheticDataset().load_scene(209)
     episode = Episode("exact")
     episode.reset(scene)
@@ -322,7 +322,7 @@ def robot_frames(dof: np.ndarray) -> LinkFrameTrajectory:
 
 @pytest.mark.parametrize("engine", ["bullet", "mujoco"])
 def test_no_time_is_missed_by_the_bounds(engine: str) -> None:
-    """The smallest gap of a motion is the smallest of the gaps that are measured at every time of it."""
+    """The minimum distance and margin of a motion equal the minima of the distances measured at every sample."""
     scene, rng = SyntheticDataset().load_scene(209), np.random.default_rng(0)
     distance_query = make_distance_queries(scene.assets.panda)[engine]
     meter = ClearanceMonitor(scene.assets.panda, OFFICIAL_CONFIG.physics.panda, distance_query)
@@ -360,7 +360,7 @@ def make_distance_queries(panda: Path) -> dict[str, DistanceQuery]:
 
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_engines_measure_alike(robot: str) -> None:
-    """Also where robot and hand overlap, and for boxes, which have no margin around them."""
+    """Both engines measure the same distance, also for overlapping bodies and for boxes, which have no margin."""
     scene, rng = SyntheticDataset(robot).load_scene(209), np.random.default_rng(1)
     queries = make_distance_queries(scene.assets.panda)
     found = []
@@ -432,7 +432,7 @@ def test_every_engine_measures_the_force_on_the_person(physics: str) -> None:
 
 
 class PushedEpisode:
-    """Stand-in for an episode, whose contacts a test sets."""
+    """Stub of an episode whose contacts are set by a test."""
 
     contacts, steps = Contacts(), 1
     release_step: int | None = None
@@ -446,7 +446,7 @@ class PushedEpisode:
 
 
 def test_forces_of_several_steps_are_collected() -> None:
-    """Under other rules an episode may go on after a contact."""
+    """Hand forces of all steps and the maximum object force are recorded, as an episode may go on after a contact."""
     recorder, episode = TraceRecorder(), PushedEpisode()
     recorder.on_reset(episode)  # type: ignore[arg-type]
     for object_force, hand_force in [(0.0, 0.0), (5.0, 20.0), (40.0, 10.0), (3.0, 0.0)]:
@@ -472,7 +472,7 @@ def test_the_impulse_on_the_object_ends_with_the_release() -> None:
 
 
 class Sketch(EpisodeCallback):
-    """Notes what policies would see, every 20 steps from the start on."""
+    """Callback that records the observation every 20 steps, including the start."""
 
     def on_reset(self, episode: Episode) -> None:
         self.seen: list[dict[str, np.ndarray]] = []
@@ -529,7 +529,7 @@ def test_motion_is_sampled_every_twenty_steps(until: int, n_samples: int) -> Non
 
 
 def test_positions_of_a_trace_are_those_of_the_world() -> None:
-    """Of gripper, fingers and wrist, while the person holds the object."""
+    """Recorded positions of gripper, fingers and wrist equal the world's while the person holds the object."""
     dataset, recorder, episode = SyntheticDataset(), TraceRecorder(), Episode("fast")
     episode.reset(dataset.load_scene(209))
     target = np.array(OFFICIAL_CONFIG.physics.panda.start_joints, dtype=np.float32)
@@ -557,7 +557,7 @@ def test_positions_of_a_trace_are_those_of_the_world() -> None:
 
 def test_recorded_actions_are_those_of_every_step() -> None:
     class Alternating(Policy):
-        """Policy with the actions 0, 1, 2, ... which it holds for 70 steps."""
+        """Policy that holds each action for 70 steps; every action is 0.001 larger than the one before."""
 
         name, hold_time = "alternating", 0.07
 

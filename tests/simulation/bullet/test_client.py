@@ -1,4 +1,4 @@
-"""PyBullet's client and window: missing screens, second windows, lost connections, viewpoint."""
+"""Tests of PyBullet's client and window: missing screens, second windows, lost connections and viewpoint."""
 
 import contextlib
 import ctypes
@@ -110,7 +110,7 @@ def test_window_looks_where_the_camera_does(camera: CameraConfig, monkeypatch: p
     monkeypatch.setattr(client, "resetDebugVisualizerCamera", lambda *orbit: orbits.append(orbit))
     aim_window(client, camera)
     ((distance, yaw, pitch, target),) = orbits
-    # PyBullet's own reading of distance, yaw and pitch, z up.
+    # PyBullet itself computes the view from distance, yaw and pitch; 2 is the index of the up axis z.
     view = client.computeViewMatrixFromYawPitchRoll(target, distance, yaw, pitch, 0.0, 2)
     expected = client.computeViewMatrix(camera.position, camera.target, (0.0, 0.0, 1.0))
     np.testing.assert_allclose(view, expected, atol=1e-5)
@@ -139,7 +139,7 @@ def test_real_window() -> None:
         client.resetSimulation()
     default = CameraConfig()
     expected = client.computeViewMatrix(default.position, default.target, (0.0, 0.0, 1.0))
-    # The window draws in a thread of its own.
+    # The window is drawn in a separate thread, so that the view changes some time later.
     deadline = time.monotonic() + 20.0
     while time.monotonic() < deadline and not np.allclose(view_matrix(client), expected, atol=1e-4):
         time.sleep(0.05)

@@ -1,4 +1,4 @@
-"""Fast physics compared with exact physics on synthetic scenes."""
+"""Tests of fast physics against exact physics on synthetic scenes."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -26,7 +26,7 @@ from tests.playing import play
 
 START = np.array(PandaConfig().start_joints, dtype=np.float32)
 DATA = SyntheticDataset()
-#: Scenes of s0 val that Yang's receiver ends in different ways and soon.
+#: Scenes of s0 val in which Yang's receiver ends the episode early and with different outcomes.
 SCENES = (9, 14, 19, 24, 34)
 
 
@@ -81,7 +81,7 @@ def test_yang_ends_alike(both: tuple[Episode, Episode], scene_id: int) -> None:
 
 
 def test_a_used_world_equals_a_new_one() -> None:
-    """Whatever was played before, and in whatever state it ended, an episode is the same bit for bit."""
+    """An episode in a used world is bit-equal to one in a new world, whichever episodes were simulated before."""
     policy = receivers.make("yang2021", DATA)
     used = Episode("fast")
     for scene_id in (*SCENES[:3], *SCENES[1::-1]):
@@ -98,7 +98,7 @@ def test_a_used_world_equals_a_new_one() -> None:
 
 @pytest.mark.slow
 def test_fast_motion_leaves_no_trace_in_the_next_episode() -> None:
-    """Arms that hit themselves and the table stir up what Bullet remembers of pairs."""
+    """An arm that hits itself and the table leaves nothing in Bullet's cache of pairs that changes a later episode."""
     policy = receivers.make("random", DATA)
     used = Episode("fast")
     for scene_id in (209, 214, 209, 219):
@@ -149,7 +149,7 @@ def test_images_are_alike(both: tuple[Episode, Episode], frame: int) -> None:
 
 
 def throw(scene: Scene, aims: list[np.ndarray]) -> list[tuple[EpisodeStatus, int]]:
-    """Drive the arm at one thing after the other in both kinds of physics."""
+    """Return status and steps in exact and in fast physics after the arm was driven to two joint targets in turn."""
     ends = []
     for physics in ("exact", "fast"):
         episode = Episode(physics)
@@ -168,7 +168,7 @@ aims = st.lists(st.floats(0.2, 0.8), min_size=7, max_size=7)
 @settings(max_examples=4, derandomize=True)
 @given(st.sampled_from(DATA.list_scenes("s0", "train")[:40]), st.tuples(aims, aims))
 def test_no_contact_with_the_hand_is_missed(scene_id: int, shares: tuple[list[float], list[float]]) -> None:
-    """Arms thrown about at full speed touch the person in fast physics when they do in exact physics."""
+    """A moving arm touches the hand in fast physics if and only if it does in exact physics, at most 3 steps apart."""
     lower, upper = np.array(LOWER_LIMITS), np.array(UPPER_LIMITS)
     targets = []
     for share in shares:
@@ -218,7 +218,7 @@ def test_kinematics_equal_bullets(hand_file: Callable[[Path], Path], fake_data: 
 
 
 def test_kinematic_bodies_match_the_simulated_hand() -> None:
-    """Distances to a small ball at many places are those of the exact world's hand."""
+    """Distances from the kinematic hand to a small ball at 40 positions equal those from the exact world's hand."""
     scene = DATA.load_scene(209)
     client = connect()
     frame = np.array([scene.n_frames - 1])

@@ -1,4 +1,4 @@
-"""Contact points of the fingers are those of PyBullet, in the frames of the fingers."""
+"""Tests of the fingers' contact points, which equal PyBullet's in the frames of the fingers."""
 
 import numpy as np
 from scipy.spatial.transform import Rotation

@@ -17,7 +17,7 @@ FORWARD = np.array([-0.5, 0.5, 0.5, 0.5])
 
 @pytest.mark.parametrize("orientation", [None, FORWARD])
 def test_solutions_match_the_worlds_hand_pose(fake_data: Path, orientation: np.ndarray | None) -> None:
-    """The model's links have centres of mass away from their frames, and more links than the official one."""
+    """Solutions are right for a model whose centres of mass are off its link frames and that has additional links."""
     goal = np.array([0.55, 0.05, 1.25])
     arm = BulletIKSolver(PANDA, PandaConfig()).solve(START, goal, orientation)
     assert arm is not None

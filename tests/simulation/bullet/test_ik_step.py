@@ -34,7 +34,7 @@ def test_solutions_equal_those_of_the_worlds_robot(
     for _ in range(2):
         found = kinematics.solve_step(world.read_joints_float64(), POSE[:3], orientation)
         np.testing.assert_array_equal(found, expected)
-        # Another question in between.
+        # Another query in between must not change the next solution.
         kinematics.solve_step(world.read_joints_float64(), POSE[:3] + 0.1)
     if steps:
         rounded = kinematics.solve_step(world.read_joints_float64().astype(np.float32), POSE[:3], orientation)

@@ -1,4 +1,4 @@
-"""Collision masks of a scene's objects."""
+"""Tests of the collision masks of a scene's objects."""
 
 import pytest
 from hypothesis import given

@@ -1,4 +1,4 @@
-"""Wrist camera images of the PyBullet worlds."""
+"""Tests of the wrist camera images of the PyBullet worlds."""
 
 from collections.abc import Iterator
 
@@ -14,7 +14,7 @@ from handover_marl.simulation.camera.frames import EMPTY_DEPTH, NEAR, CameraImag
 from handover_marl.simulation.world import JointSnapshot
 
 DATA = open_dataset("synthetic", robot="panda_camera")
-#: With a hand from the 400th millisecond on.
+#: The hand is present in this scene from 0.4 s on.
 SCENE = DATA.load_scene(14)
 GOAL = np.array(PandaConfig().start_joints, dtype=np.float32)
 GOAL[:7] += [0.1, 0.3, 0.05, 0.2, 0.1, 0.3, 0.2]
@@ -22,14 +22,14 @@ STEPS = (350, 350, 350)
 
 
 def assert_close(first: CameraImage, second: CameraImage) -> None:
-    """The same but for pixels on edges."""
+    """Assert that two images are equal except for a few pixels on edges, less than 0.1 % of all."""
     assert (first.segmentation != second.segmentation).mean() < 1e-3
     assert (np.abs(first.depth - second.depth) > 1e-4).mean() < 1e-3
 
 
 @pytest.fixture(scope="module", params=["exact", "fast"])
 def played(request: pytest.FixtureRequest) -> Iterator[tuple[Episode, list[JointSnapshot], list[CameraImage]]]:
-    """An episode and what was seen at some of its moments, before and after the hand came."""
+    """Yield an episode with joint snapshots and images, before (step 350) and after (700, 1050) the hand appears."""
     episode = Episode(request.param)
     episode.reset(SCENE)
     moments, photos = [], []
@@ -56,7 +56,7 @@ def test_image_shapes_and_types(played: FinishedEpisode) -> None:
 
 
 def test_all_labels_occur(played: FinishedEpisode) -> None:
-    """The camera looks at fingers, table, objects, and at the hand once it is there."""
+    """Every label occurs once the hand is present, and the label of the hand does not occur before."""
     before, _, after = played[2]
     assert played[1][0].hand is None
     assert not before.compute_mask(SegmentationLabel.HAND).any()
@@ -73,7 +73,7 @@ def test_colours_are_rendered_on_request(played: FinishedEpisode) -> None:
 
 
 def test_earlier_steps_can_be_rendered(played: FinishedEpisode) -> None:
-    """In any order, with and without a hand, and the present one stays what it is."""
+    """Snapshots can be rendered in any order, with and without a hand, and do not change the current image."""
     episode, moments, photos = played
     for number in (0, 2, 1, 0, 1, 2):
         assert_close(episode.world.render_wrist_camera(True, moments[number]), photos[number])
@@ -92,7 +92,7 @@ def test_images_of_earlier_steps_are_bit_equal_in_any_order(played: FinishedEpis
 
 @pytest.mark.parametrize("played", ["exact", "fast"], indirect=True)
 def test_rendering_does_not_change_later_states(played: FinishedEpisode, request: pytest.FixtureRequest) -> None:
-    """Not a bit of it, whether somebody looks at now or at then."""
+    """Joint snapshots of an episode that is rendered are bit-equal to those of an episode that is not."""
     physics = request.node.callspec.params["played"]
     blind = Episode(physics)
     blind.reset(SCENE)
@@ -139,7 +139,7 @@ def test_the_first_object_is_the_target() -> None:
 
 
 def test_table_points_are_on_the_table() -> None:
-    """Its top lies flat where the pinhole of the hand's frame puts what the pixels show."""
+    """Table pixels that are deprojected with a pinhole model lie on the top of the table, except for legs and edge."""
     episode = Episode("fast")
     episode.reset(DATA.load_scene(209))
     photo, gripper = (
@@ -153,6 +153,6 @@ def test_table_points_are_on_the_table() -> None:
     top = OFFICIAL_CONFIG.physics.table_position[2] + 0.92
     assert len(rows) > 10_000
     assert heights.max() < top + 1e-4
-    # The rest of it are its legs and its edge.
+    # The other points are on the legs and the edge.
     assert np.mean(heights > top - 1e-4) > 0.9
     episode.close()

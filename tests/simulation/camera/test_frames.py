@@ -1,4 +1,4 @@
-"""Deprojection of the wrist camera, compared with an independent pinhole model."""
+"""Tests of the wrist camera's deprojection against an independent pinhole model."""
 
 import numpy as np
 import numpy.typing as npt
@@ -18,14 +18,14 @@ from handover_marl.simulation.camera.frames import (
 )
 
 SHAPE = (224, 224)
-#: Of the reference's deprojection, as its float32 tangent makes them.
+#: Scale and shift of HandoverSim's deprojection, with the rounding errors of its float32 tangent.
 SCALE, SHIFT = np.float32(0.008928572), np.float32(-1.0000001)
 
 seeds = st.integers(0, 2**32 - 1)
 
 
 def image_positions(points: npt.NDArray[np.float32]) -> npt.NDArray[np.float64]:
-    """(n, 2) right and down (pixels) of points in the hand's frame; a pinhole that knows nothing of the library."""
+    """Project points (n, 3) in the hand's frame to (n, 2) right and down (pixels), independently of the library."""
     ahead, right, up = (points.astype(np.float64) - (0.036, 0.0, 0.036)).T[[2, 1, 0]]
     return np.stack([112.0 + 112.0 * right / ahead, 112.0 - 112.0 * up / ahead], axis=1)
 
@@ -53,7 +53,7 @@ def test_handoversim_points_are_shifted_by_one_pixel(seed: int) -> None:
     depth, seen = random_picture(seed)
     reference, true = deproject(depth, seen, HANDOVERSIM_MODEL), deproject(depth, seen, PINHOLE_MODEL)
     np.testing.assert_array_equal(reference[:, 1:], true[:, 1:])
-    # Up in the picture is the hand's x.
+    # The image's upward direction is the x axis of the hand's frame.
     np.testing.assert_allclose(reference[:, 0] - true[:, 0], depth[seen] / 112.0, atol=3e-7)
 
 
@@ -126,7 +126,7 @@ def test_depth_buffers_are_converted_to_metres() -> None:
     exact = 2.0 * 0.035 / (2.0 - 1.965 * buffer.astype(np.float64))
     np.testing.assert_allclose(depth[:-1], exact[:-1], rtol=2e-5)
     assert depth[0] == np.float32(NEAR)
-    # What an OpenGL buffer has where nothing is.
+    # An OpenGL buffer contains 1 at pixels where nothing is drawn.
     assert depth[-1] == 0.0
 
 

@@ -1,4 +1,4 @@
-"""What is wrong with a camera, and only that."""
+"""Tests of camera noise: depth noise, dropout at edges, pixel stride and the check of their values."""
 
 from dataclasses import replace
 from typing import Any
@@ -28,7 +28,7 @@ def flat(depth: float) -> CameraImage:
 
 
 def patches(seed: int) -> CameraImage:
-    """Rectangles at random depths before nothing, some of them too little apart to be edges."""
+    """Return an image of rectangles at random depths before an empty background; some steps are too small for edges."""
     rng = np.random.default_rng(seed)
     depth = np.full(SHAPE, EMPTY_DEPTH, dtype=np.float32)
     seen = np.zeros(SHAPE, dtype=np.uint8)
@@ -41,7 +41,7 @@ def patches(seed: int) -> CameraImage:
 
 
 def beside_edges(depth: npt.NDArray[np.float32], step: float) -> npt.NDArray[np.bool_]:
-    """Whether one of the four neighbours is more than a step away."""
+    """Return a mask of the pixels whose depth differs by more than `step` (m) from one of the four neighbours."""
     framed = np.pad(depth, 1, mode="edge")
     neighbours = [framed[:-2, 1:-1], framed[2:, 1:-1], framed[1:-1, :-2], framed[1:-1, 2:]]
     return np.array(np.any([np.abs(other - depth) > step for other in neighbours], axis=0))
@@ -88,7 +88,7 @@ def test_noise_grows_with_the_square_of_the_depth(distance: float) -> None:
     apart = (taken(photo, CameraNoise()).depth - photo.depth).astype(np.float64)
     assert apart.std() == pytest.approx(0.0036 * distance**2, rel=0.02)
     assert abs(apart.mean()) < 0.02 * apart.std()
-    # Of every pixel its own.
+    # The noise of neighbouring pixels is independent.
     assert abs(np.corrcoef(apart[:, 1:].ravel(), apart[:, :-1].ravel())[0, 1]) < 0.02
     assert abs(np.corrcoef(apart[1:].ravel(), apart[:-1].ravel())[0, 1]) < 0.02
 
@@ -167,7 +167,7 @@ def test_noise_follows_the_seed() -> None:
 @settings(max_examples=10)
 @given(seeds)
 def test_noise_draws_do_not_depend_on_the_image(seed: int) -> None:
-    """A pixel that shows the same in two pictures comes out the same, whatever is beside it."""
+    """Rows that are equal in two images have equal noise with the same seed, whatever the other rows show."""
     first, second = patches(seed), patches(seed + 1)
     second.depth[:40], second.segmentation[:40] = first.depth[:40], first.segmentation[:40]
     worse = [taken(photo, CameraNoise(), seed) for photo in (first, second)]

@@ -1,4 +1,4 @@
-"""Images of the ray caster compared with those of Bullet's software renderer."""
+"""Tests of the ray caster's images against those of Bullet's software renderer."""
 
 import os
 import shutil
@@ -38,16 +38,16 @@ Array = npt.NDArray[np.float64]
 DATA = open_dataset("synthetic", robot=PANDA_CAMERA)
 START = np.array(PandaConfig().start_joints, dtype=np.float32)
 SOUGHT = (SegmentationLabel.TARGET, SegmentationLabel.HAND)
-#: With five, three and four objects, and hands of both sides.
+#: Scenes with five, three and four objects, and with left and right hands.
 SCENES = (9, 209, 14)
-#: The camera's axes (right, down, ahead) in the hand link, as columns, and its pinhole.
+#: Axes of the camera (right, down, ahead) as columns, and its pinhole (m), in the frame of the hand link.
 _AXES, _PINHOLE = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), (0.036, 0.0, 0.036)
 
 seeds = st.integers(0, 2**32 - 1)
 
 
 def hand_frame(robot: npt.NDArray[np.float32], urdf: Path, config: PhysicsConfig) -> tuple[Rotation, Array]:
-    """Where the Panda's hand link is in the world."""
+    """Return the rotation and position (m) of the Panda's hand link in the world."""
     tree = read_tree(urdf)
     origins, turns = (value[0] for value in tree.compute_link_frames(robot[None]))
     link = [joint.link for joint in tree.joints].index(HAND_LINK)
@@ -57,7 +57,7 @@ def hand_frame(robot: npt.NDArray[np.float32], urdf: Path, config: PhysicsConfig
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Stand:
-    """A scene before both renderers."""
+    """Scene with both of its renderers, the ray caster and Bullet's."""
 
     scene: Scene
     rays: RayCamera
@@ -70,14 +70,14 @@ class Stand:
         return np.array(origin + turn.apply(np.asarray(places) @ _AXES.T + _PINHOLE))
 
     def thrown(self, rng: np.random.Generator, near: float = 0.0, far: float = 0.6) -> JointSnapshot:
-        """The arm in any pose, and things before its camera, so many metres away, in each other and in the robot."""
+        """Return a random arm pose, with hand and objects `near` to `far` (m) before the camera; bodies may overlap."""
         low, high = np.array(LOWER_LIMITS), np.array(UPPER_LIMITS)
         robot = (low + rng.uniform(0.1, 0.9, 9) * (high - low)).astype(np.float32)
         count = len(self.scene.assets.objects) + 1
         ahead = rng.uniform(near, far, (count, 1))
         aside = rng.uniform(-0.7, 0.7, (count, 2)) * np.maximum(np.abs(ahead), 0.05)
         dof = np.c_[self.in_view(robot, np.c_[aside, ahead]), rng.uniform(-np.pi, np.pi, (count, 3))]
-        # The ground hides object and hand in whole pictures only, but nothing ever is below it.
+        # Nothing may be below the ground, because the ground hides object and hand in whole images only.
         dof[:, 2] = np.maximum(dof[:, 2], 0.3)
         hand = np.concatenate([dof[0], rng.uniform(-0.8, 0.8, 45)])
         return JointSnapshot(robot, hand.astype(np.float32), dof[1:].astype(np.float32))
@@ -101,7 +101,7 @@ def assert_same_bits(first: CameraImage, second: CameraImage) -> None:
 
 
 class Agreement:
-    """Pixels that two renderers see alike, over several pictures; (n, 6) by what is seen."""
+    """Counts (n, 6) of the pixels on which two renderers agree, by image and segmentation label."""
 
     def __init__(self) -> None:
         self.both, self.either, self.near = (np.zeros((0, 6), dtype=int) for _ in range(3))
@@ -117,7 +117,7 @@ class Agreement:
         return int(self.either[:, list(wanted)].sum())
 
     def check(self, *wanted: SegmentationLabel, least: int = 500, alike: float = 0.999) -> None:
-        """As asked for, of what is wanted, and of all else; and more than a few pixels of each that is wanted."""
+        """Check the agreement on the given labels and on all labels, and that each given label has `least` pixels."""
         for kinds in (wanted, SegmentationLabel):
             both, either, near = (value[:, list(kinds)].sum() for value in (self.both, self.either, self.near))
             assert both >= alike * either
@@ -125,7 +125,7 @@ class Agreement:
         assert min(self.seen(kind) for kind in wanted) >= least
 
 
-# ---------------------------------------------------------------------------------------------- beside the engine
+# ------------------------------------------------------------------------------------- comparison with the engine
 
 
 @pytest.mark.parametrize("scene_id", SCENES)
@@ -135,12 +135,12 @@ def test_rays_match_the_engine_for_random_poses(stands: dict[int, Stand], scene_
         now = stand.thrown(rng)
         agreement.add(stand.engine.render_wrist_camera(now, False), stand.rays.render_wrist_camera(now, False))
     agreement.check(*SOUGHT, SegmentationLabel.OTHER_OBJECT, SegmentationLabel.ROBOT, least=2000)
-    # Ground and table are in some of them, and so is nothing at all.
+    # Some of the images show the table, and some the ground or nothing.
     assert min(agreement.seen(SegmentationLabel.BACKGROUND), agreement.seen(SegmentationLabel.TABLE)) > 2000
 
 
 def test_rays_match_the_engine_for_far_objects(stands: dict[int, Stand]) -> None:
-    """Up to where the picture ends, and through it. The engine leaves triangles out that are far less than a pixel."""
+    """Both renderers agree up to the far plane and across it; the engine omits triangles far smaller than a pixel."""
     stand, agreement, rng, farthest = stands[9], Agreement(), np.random.default_rng(4), []
     for _ in range(8):
         now = stand.thrown(rng, 1.2, 2.1)
@@ -153,7 +153,7 @@ def test_rays_match_the_engine_for_far_objects(stands: dict[int, Stand]) -> None
 
 @pytest.mark.parametrize("physics", ["exact", "fast"])
 def test_rays_match_the_engine_during_motion(physics: str) -> None:
-    """The arm goes to where it sees the hand, which is there after 0.4 s."""
+    """Both renderers agree while the arm moves to where it sees the hand, which appears after 0.4 s."""
     scene, agreement = DATA.load_scene(14), Agreement()
     episode, camera = Episode(physics), RayCamera(scene.assets, OFFICIAL_CONFIG.physics)
     episode.reset(scene)
@@ -170,7 +170,7 @@ def test_rays_match_the_engine_during_motion(physics: str) -> None:
 
 
 def grasped(stand: Stand, robot: npt.NDArray[np.float32], place: npt.ArrayLike, turn: list[float]) -> JointSnapshot:
-    """Return a snapshot with the target at a pose in the hand link's frame, the hand behind it, all else far."""
+    """Return a snapshot with the target at a pose in the hand link's frame and the hand behind it; all else is far."""
     frame, origin = hand_frame(robot, stand.scene.assets.panda, stand.config)
     points = origin + frame.apply([place, np.add(place, (0.05, 0.0, 0.1))])
     angles = (frame * Rotation.from_euler("XYZ", turn)).as_euler("XYZ")
@@ -188,7 +188,7 @@ def grasped(stand: Stand, robot: npt.NDArray[np.float32], place: npt.ArrayLike, 
 def test_rays_match_the_engine_for_a_grasped_object(
     stands: dict[int, Stand], place: tuple[float, ...], seen: bool, fingers: float
 ) -> None:
-    """Between the fingers, through the near plane on two sides, and all around the camera, where it is not seen."""
+    """Both renderers agree on a target between the fingers, across the near plane, or around the camera (invisible)."""
     stand, agreement, robot = stands[209], Agreement(), START.copy()
     robot[7:] = fingers
     for turn in ([0.0, 0.0, 0.0], [0.3, 1.2, -0.5], [1.5, 0.1, 0.7], [-0.5, 0.5, 2.0]):
@@ -228,7 +228,7 @@ def test_robot_and_table_stand_where_they_are_configured_to() -> None:
 
 
 def test_objects_of_one_model_have_own_labels() -> None:
-    """A target beside three others of its own class, each in its place."""
+    """The target and three other objects of the same model have their own labels at their own positions."""
     scene = DATA.load_scene(209)
     assets = replace(scene.assets, objects=scene.assets.objects[:1] * 4)
     ids = scene.info.object_ids[:1] * 4
@@ -246,11 +246,14 @@ def test_objects_of_one_model_have_own_labels() -> None:
     stand.engine.close()
 
 
-# ------------------------------------------------------------------------------------------------ object and hand
+# ------------------------------------------------------------------------------------------ images of the targets
 
 
 def assert_targets_equal_the_whole_image(rays: RayCamera, now: JointSnapshot) -> CameraImage:
-    """Bit for bit, and all else is nothing."""
+    """Assert that images of targets equal the whole image at their pixels and are empty elsewhere.
+
+    Return the image of the target object and the hand.
+    """
     whole, part = rays.render_wrist_camera(now, False), rays.render_targets(now)
     wanted = whole.compute_mask(SegmentationLabel.TARGET) | whole.compute_mask(SegmentationLabel.HAND)
     np.testing.assert_array_equal(part.segmentation, np.where(wanted, whole.segmentation, 0))
@@ -274,7 +277,7 @@ def test_targets_equal_those_of_the_whole_image(
 @settings(max_examples=10)
 @given(seeds)
 def test_full_occlusion_leaves_no_targets(stands: dict[int, Stand], seed: int) -> None:
-    """The second object, a gelatin box, before the camera; object and hand behind it."""
+    """Target and hand have no pixels where the second object, a gelatin box before the camera, hides them."""
     stand, rng = stands[209], np.random.default_rng(seed)
     now = stand.thrown(rng, 0.8, 1.2)
     now.objects[1:, :3] = stand.in_view(now.robot, [0.0, 0.0, 0.07])
@@ -293,11 +296,11 @@ def test_image_without_object_and_hand_is_empty(stands: dict[int, Stand]) -> Non
     assert (part.depth == EMPTY_DEPTH).all()
 
 
-# ------------------------------------------------------------------------------------------------------- pictures
+# --------------------------------------------------------------------------------------------------- whole images
 
 
 def test_images_do_not_depend_on_earlier_images(stands: dict[int, Stand]) -> None:
-    """Bodies are shared by scenes and remember what they were asked last."""
+    """Images do not depend on earlier ones, although scenes share bodies, which cache their last poses."""
     views = [(stand, stand.thrown(np.random.default_rng(number))) for number in range(3) for stand in stands.values()]
     still = [(stand, now._replace(robot=views[0][1].robot)) for stand, now in views[:3]]
     views += still
@@ -353,7 +356,7 @@ def test_colours_change_nothing_and_are_those_of_the_materials(stands: dict[int,
     assert_same_bits(plain, photo)
     assert (photo.rgb.shape, photo.rgb.dtype) == ((224, 224, 3), np.uint8)
     assert (photo.rgb[photo.depth == EMPTY_DEPTH] == 255).all()
-    # Every material has one hue; light makes it darker by half at most, and not everywhere alike.
+    # Every material has one hue; shading darkens it by at most half, and differently on different faces.
     (skin,) = {tuple(color) for colors in stand.rays._hand.colors for color in colors.tolist()}
     light = photo.rgb[photo.compute_mask(SegmentationLabel.HAND)] / (255.0 * np.array(skin))
     assert 0.49 < light.min() < 0.75 < light.max() < 1.01
@@ -384,7 +387,7 @@ _CHAIN = "".join(
 
 
 def write_box(path: Path, size: str) -> Path:
-    """An object's chain with a box at its end."""
+    """Write a URDF with the six joints of an object and a box at the end of the chain; return its path."""
     box = f'<visual><geometry><box size="{size}"/></geometry></visual>'
     chain = _CHAIN.replace('<link name="l6"/>', f'<link name="l6">{box}</link>')
     path.write_text(f'<robot name="box"><link name="l0"/>{chain}</robot>')
@@ -394,7 +397,7 @@ def write_box(path: Path, size: str) -> Path:
 @settings(max_examples=15)
 @given(seeds)
 def test_pinhole_points_are_on_the_surfaces(tmp_path_factory: pytest.TempPathFactory, seed: int) -> None:
-    """From the picture of a box back into its own frame; HandoverSim's are a pixel beside it."""
+    """Points of a box that are deprojected with the pinhole model lie on the surface of the box."""
     scene, rng = DATA.load_scene(209), np.random.default_rng(seed)
     half = np.array([0.05, 0.08, 0.11])
     urdf = write_box(tmp_path_factory.mktemp("box") / "box.urdf", "0.1 0.16 0.22")
@@ -425,7 +428,7 @@ def test_changed_models_are_read_again(tmp_path: Path) -> None:
 
 
 def own_assets(tmp_path: Path, spoil: Callable[[Path], object]) -> SceneAssets:
-    """A scene's models, of whose target the visual mesh was spoilt."""
+    """Return the models of a scene with a copy of the target whose visual mesh was damaged by `spoil`."""
     assets = DATA.load_scene(209).assets
     folder = tmp_path / "target"
     shutil.copytree(assets.objects[0].parent, folder)

@@ -1,4 +1,4 @@
-"""Ray casting at boxes, whose exact depths follow from the positions of their sides."""
+"""Tests of ray casting on boxes and squares, whose exact depths follow from the positions of their sides."""
 
 import numpy as np
 import numpy.typing as npt
@@ -12,7 +12,7 @@ Array = npt.NDArray[np.float32]
 
 FAR = np.float32(1e3)
 _CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=np.float64)
-# Counterclockwise seen from outside.
+# The corners of each side are counterclockwise as seen from outside.
 _SIDES = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
 _FACES = np.array([face for a, b, c, d in _SIDES for face in ((a, b, c), (a, c, d))], dtype=np.int32)
 
@@ -20,13 +20,13 @@ seeds = st.integers(0, 2**32 - 1)
 
 
 def boxes(*halves: float) -> RayMesh:
-    """Boxes one in the other, of so many metres from their middle to their sides."""
+    """Return a mesh of nested boxes with the given distances from the centre to the sides (m)."""
     vertices = np.concatenate([half * _CORNERS for half in halves]).astype(np.float32)
     return RayMesh(vertices, np.concatenate([_FACES + 8 * number for number in range(len(halves))]))
 
 
 def sheets(*depths: float, backs: tuple[float, ...] = ()) -> RayMesh:
-    """Squares across the z axis that are seen from below, and such as are seen from above."""
+    """Return a mesh of squares across the z axis, visible from below at `depths` and from above at `backs`."""
     places = [*depths, *backs]
     square = np.array([[-1, -1], [-1, 1], [1, 1], [1, -1]], dtype=np.float64)
     vertices = np.concatenate([np.c_[square, np.full(4, depth)] for depth in places]).astype(np.float32)
@@ -42,19 +42,19 @@ def cast(mesh: RayMesh, start: object, ways: object, begin: float = 0.0, ends: o
 
 
 def into_box(start: npt.NDArray[np.float64], ways: npt.NDArray[np.float64], half: float) -> npt.NDArray[np.float64]:
-    """(n,) how many times along their ways rays come into a box from outside; nan where they do not."""
+    """Return depths (n,) at which rays enter a box from outside, in units of their directions; nan if they do not."""
     one, other = (-half - start) / ways, (half - start) / ways
     into, out = np.minimum(one, other).max(axis=1), np.maximum(one, other).min(axis=1)
     return np.where((into < out) & (into > 0.0), into, np.nan)
 
 
 def random_rays(rng: np.random.Generator, count: int) -> npt.NDArray[np.float64]:
-    """Directions of all lengths."""
+    """Return random directions (count, 3) of different lengths."""
     return np.array(rng.normal(size=(count, 3)) * rng.uniform(0.3, 3.0, (count, 1)))
 
 
 def check_hits(hits: RayHits, expected: npt.NDArray[np.float64], clear: npt.NDArray[np.bool_]) -> None:
-    """Those rays met something that should, and as deep as they should; none twice."""
+    """Check that no ray has two hits and that `clear` rays have the expected depths, or no hit where that is nan."""
     assert len(np.unique(hits.ray)) == len(hits.ray)
     depths = np.full(len(expected), np.nan)
     depths[hits.ray] = hits.depth
@@ -65,7 +65,7 @@ def check_hits(hits: RayHits, expected: npt.NDArray[np.float64], clear: npt.NDAr
 @settings(max_examples=60)
 @given(seeds)
 def test_the_outer_of_nested_boxes_is_hit(seed: int) -> None:
-    """From outside, and from between any two of them."""
+    """Rays that start outside of nested boxes, or between two of them, hit the first box that they enter."""
     rng = np.random.default_rng(seed)
     halves = np.cumsum(rng.uniform(0.1, 0.5, 3))
     start = rng.uniform(-1.2, 1.2, 3) * halves[-1]
@@ -77,7 +77,7 @@ def test_the_outer_of_nested_boxes_is_hit(seed: int) -> None:
     outside = [half for half in halves if np.abs(start).max() > half]
     depths = [into_box(start, ways, half) for half in outside]
     expected = np.fmin.reduce([np.full(200, np.nan), *depths])
-    # Rays that graze an edge may meet it or not.
+    # Rays that graze an edge may hit it or not.
     grazed = [np.isnan(into_box(start, ways, half * grown)) for half in outside for grown in (0.999, 1.001)]
     pairs = zip(grazed[::2], grazed[1::2], strict=True)
     clear = np.all([np.ones(200, dtype=bool), *(one == other for one, other in pairs)], axis=0)
@@ -144,9 +144,9 @@ def test_hits_before_the_near_limit_are_ignored() -> None:
     mesh = sheets(1.0, 2.0)
     np.testing.assert_allclose(cast(mesh, [0, 0, 0], [0, 0, 1], 1.001).depth, [2.0], rtol=1e-6)
     assert not len(cast(mesh, [0, 0, 0], [0, 0, 1], 2.001).ray)
-    # Begun inside of a box, its own back is passed through.
+    # A ray whose near limit is inside a box passes through the back faces of the box.
     assert not len(cast(boxes(1.0), [0.1, 0.2, -2.0], [0, 0, 1], 1.5).ray)
-    # Twice as long a way is begun as far on.
+    # The near limit is in units of the direction, which is twice as long here.
     np.testing.assert_allclose(cast(mesh, [0, 0, 0], [0, 0, 2], 0.501).depth, [1.0], rtol=1e-6)
 
 

@@ -1,4 +1,4 @@
-"""Choice of the wrist camera's renderer."""
+"""Tests of the choice of the wrist camera's renderer."""
 
 import importlib.util
 import shutil

@@ -1,4 +1,4 @@
-"""Screen bounds contain every pixel that shows a triangle, compared with rays in double precision."""
+"""Tests that the screen bounds of triangles contain every pixel whose ray, in double precision, hits a triangle."""
 
 import numpy as np
 import numpy.typing as npt
@@ -11,7 +11,7 @@ from handover_marl.simulation.camera.screen_bounds import find_candidate_pixels,
 NEAR = 0.035
 PIXELS = np.arange(224 * 224)
 WAYS = np.stack([PIXELS % 224 - 112.0, PIXELS // 224 + 1 - 112.0, np.full(len(PIXELS), 112.0)], axis=1) / 112.0
-#: Triangles met within so small a share of their sides from their edge, or so nearly edgewise, may be met or not.
+#: Hits this near to an edge (share of the sides), or of triangles this nearly edge-on, are uncertain and not counted.
 EDGE = 1e-6
 
 Array = npt.NDArray[np.float32]
@@ -20,11 +20,11 @@ Pixels = npt.NDArray[np.int64]
 
 
 def met(corners: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
-    """Which pixels' rays meet the front of a triangle (3, 3) behind the near plane (Moeller and Trumbore, 1997)."""
+    """Return a mask of pixels whose rays hit a triangle's front beyond the near plane (Moeller and Trumbore, 1997)."""
     first, second = corners[1] - corners[0], corners[2] - corners[0]
     across = np.cross(WAYS, second)
     determinant = across @ first
-    # Rays run along the front of a triangle if they run against its normal, which makes this positive.
+    # The determinant is positive if the ray meets the front of the triangle, against its normal.
     size = np.linalg.norm(first) * np.linalg.norm(second)
     front = determinant > EDGE * size
     divisor = np.where(front, determinant, 1.0)
@@ -40,7 +40,7 @@ def mesh_met(points: Array, faces: Faces) -> Pixels:
 
 
 def boxed(points: Array, margin: float) -> npt.NDArray[np.bool_]:
-    """Pixels in the box around points in front, with some more on all sides."""
+    """Return a mask of pixels in the bounding box of points before the camera, enlarged by a margin (pixels)."""
     x, y, z = points.astype(np.float64).T
     right, down = 112.0 + 112.0 * x / z, 111.0 + 112.0 * y / z
     columns, rows = PIXELS % 224, PIXELS // 224
@@ -72,7 +72,7 @@ def vectors(scale: float) -> st.SearchStrategy[list[float]]:
 
 @st.composite
 def triangles(draw: st.DrawFn) -> Array:
-    """(3, 3): anywhere, at the near plane, tiny, huge, or edgewise to some ray."""
+    """Draw a triangle (3, 3): anywhere, at the near plane, tiny, huge, edge-on, behind the camera or far aside."""
     kind = draw(st.sampled_from(["anywhere", "near plane", "tiny", "huge", "edgewise", "behind", "far aside"]))
     middle = np.array([draw(coordinates), draw(coordinates), draw(st.floats(-0.3, 2.0))])
     size = {"tiny": 3e-3, "huge": 100.0, "far aside": 0.3}.get(kind, 0.7)
@@ -81,7 +81,7 @@ def triangles(draw: st.DrawFn) -> Array:
         corners *= 0.1
         corners[:, 2] = NEAR + 0.01 * (corners[:, 2] - 0.05)
     elif kind == "edgewise":
-        # In a plane through the pinhole, but for a little.
+        # The corners lie almost in a plane through the pinhole.
         corners[2] = corners[0] * draw(st.floats(-1.0, 2.0)) + corners[1] * draw(st.floats(-1.0, 2.0))
         corners[2] += draw(vectors(draw(st.sampled_from([0.0, 1e-6, 1e-3]))))
     elif kind == "behind":
@@ -103,7 +103,7 @@ def test_no_pixel_of_a_triangle_is_missed(corners: Array, side: int) -> None:
 @settings(max_examples=30)
 @given(st.lists(triangles(), min_size=2, max_size=5), st.integers(0, 2**32 - 1))
 def test_no_pixel_of_a_mesh_is_missed(parts: list[Array], seed: int) -> None:
-    """Triangles of all kinds together, some of whose corners are shared and some of no triangle."""
+    """No pixel is missed if triangles of all kinds share corners and some corners belong to no triangle."""
     points = np.concatenate([*parts, np.zeros((1, 3), dtype=np.float32)])
     order = np.random.default_rng(seed).integers(0, len(points), (len(parts), 3))
     faces = np.concatenate([np.arange(3 * len(parts)).reshape(-1, 3), order]).astype(np.int32)
@@ -150,7 +150,7 @@ def test_a_triangle_covers_a_pixel_only_at_its_sample_position() -> None:
 @settings(max_examples=40)
 @given(st.integers(0, 2**32 - 1))
 def test_pixels_at_vertices_are_covered(seed: int) -> None:
-    """However they are rounded."""
+    """A pixel whose ray passes through a vertex is covered despite the rounding to float32."""
     rng = np.random.default_rng(seed)
     pixels = rng.integers(0, len(PIXELS), 3)
     points = (WAYS[pixels] * rng.uniform(0.04, 2.0, (3, 1))).astype(np.float32)

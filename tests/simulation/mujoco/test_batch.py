@@ -1,4 +1,4 @@
-"""Batches of worlds: rows, models, and the memory that they hold."""
+"""Tests of batches of worlds: their rows, models and memory."""
 
 import gc
 import weakref
@@ -19,7 +19,7 @@ DATA = SyntheticDataset()
 
 
 def models(count: int) -> list[SceneModel]:
-    """Models of different bodies."""
+    """Return models of scenes with different bodies."""
     found: dict[SceneAssets, SceneModel] = {}
     for scene_id in DATA.list_scenes("s0", "train"):
         assets = DATA.load_scene(scene_id).assets

@@ -1,4 +1,4 @@
-"""Contact sensors agree with MuJoCo's contacts, for one world and for many at once."""
+"""Tests of the contact sensors against MuJoCo's contacts, for one world and for several at once."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""MuJoCo's profiler is stopped once a world is created."""
+"""Tests of stopping MuJoCo's profiler when a world is created."""
 
 import subprocess
 import sys

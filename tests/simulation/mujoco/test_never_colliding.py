@@ -1,4 +1,4 @@
-"""Proof that two links never collide: sampled poses agree, and colliding links are not among the pairs."""
+"""Tests of the proof that two links never collide, against sampled poses and links that do collide."""
 
 import itertools
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Models of scenes in MuJoCo have Bullet's masses, link poses, joint limits and collision masks."""
+"""Tests of scene models in MuJoCo, which have Bullet's masses, link poses, joint limits and collision masks."""
 
 from pathlib import Path
 

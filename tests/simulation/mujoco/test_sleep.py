@@ -1,4 +1,4 @@
-"""Sleeping worlds: skipping bodies that nothing can touch must not change the simulation."""
+"""Tests of sleeping worlds, which skip bodies that nothing can touch without changing the simulation."""
 
 from collections.abc import Callable
 
@@ -51,7 +51,7 @@ def test_sleeping_worlds_move_as_awake_ones() -> None:
             if asleep.status or awake.status:
                 break
             stages.add(own.is_asleep)
-            # As near as MuJoCo's actuators follow the reference: m, then rad.
+            # Tolerances (m, then rad) are the errors with which MuJoCo's actuators follow the reference.
             ways = own.read_object_joints() - other.read_object_joints()
             assert np.abs(ways[:, :3]).max() < 2e-4
             assert np.abs(ways[:, 3:]).max() < 3e-3

@@ -1,4 +1,4 @@
-"""MuJoCo's physics compared with fast physics, on generated scenes."""
+"""Tests of MuJoCo's physics against fast physics on synthetic scenes."""
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -32,7 +32,7 @@ WAITING = np.array(WAITING_JOINTS, dtype=np.float32)
 DATA = SyntheticDataset()
 SCENE = DATA.load_scene(209)
 CONFIG = PhysicsConfig()
-#: Joints with which the robot is in the hand's way in this scene.
+#: Joint positions with which the robot is in the hand's way in this scene.
 INTO_THE_HAND = np.array([0.285, -0.182, -0.074, -2.037, -0.538, 2.359, 0.688, 0.04, 0.04], dtype=np.float32)
 NOTHING = Contacts(object_height=0.0, gripper_position=(0.0,) * 3)
 
@@ -43,7 +43,7 @@ def world_of(episode: Episode) -> MujocoWorld:
 
 
 def lying(steps: int) -> ReferenceMotion:
-    """Objects stay where they are at first, without a hand."""
+    """Return a motion of some steps in which objects stay at their first poses, without a hand."""
     return ReferenceMotion(
         np.repeat(SCENE.object_dof[:1], steps, axis=0), np.zeros((steps, 51), np.float32), np.zeros(steps, dtype=bool)
     )
@@ -143,7 +143,7 @@ def test_released_objects_fall_onto_the_table() -> None:
 
 
 def episode_states(episode: Episode, scene_id: int, looks: int) -> list[npt.NDArray[np.float64]]:
-    """All joints of an episode in which the robot drives into the person, seen after so many steps at a time."""
+    """Return robot joints, qpos and qvel after every 400 steps of an episode that is observed every `looks` steps."""
     episode.reset(DATA.load_scene(scene_id))
     world, states = world_of(episode), []
     targets = [WAITING, START + np.float32(0.2), START]
@@ -161,7 +161,7 @@ def test_whole_rollouts_are_equal_to_the_bit() -> None:
     used = Episode("mujoco")
     played = episode_states(used, 209, 100)
     np.testing.assert_array_equal(played, fresh)
-    # In between another scene with a contact and a release, and then the same model again.
+    # Before the next rollout, another scene is played to its end, and the object of the first scene is released.
     play(used, DATA.load_scene(14), receivers.make("yang2021", DATA))
     used.reset(SCENE)
     world_of(used).release_target()
@@ -223,7 +223,7 @@ def test_no_window_and_no_step_before_reset() -> None:
 
 
 def test_ignoring_hands_out_of_reach_does_not_change_the_simulation(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Compare with a hand that can collide all the time, contact with the hand included."""
+    """An episode that ends with contact is bit-equal to one in which the hand can collide all the time."""
     hands: set[bool] = set()
     select = ModelVariants.select
 
@@ -234,7 +234,7 @@ def test_ignoring_hands_out_of_reach_does_not_change_the_simulation(monkeypatch:
     def played() -> list[npt.NDArray[np.float32]]:
         episode, states = Episode("mujoco"), []
         episode.reset(SCENE)
-        # Long before the hand comes near.
+        # The world is woken long before the hand comes near.
         world_of(episode).controller.wake()
         while not episode.status and episode.steps < 6000:
             episode.advance(INTO_THE_HAND, 50)

@@ -1,4 +1,4 @@
-"""MuJoCo Warp's batches compared with MuJoCo's, on Warp's CPU device.
+"""Tests of MuJoCo Warp's batches against MuJoCo's, on Warp's CPU device.
 
 All tests use one model layout, whose kernels Warp compiles in about two minutes and then caches.
 """
@@ -34,13 +34,13 @@ WARP = BatchBackend("warp", "cpu")
 CAPACITY = 3
 CLOSED = [*PANDA.start_joints[:7], 0.0, 0.0]
 STEPS = 40
-#: The fingers touch the first two.
+#: The closed fingers touch the first two of these objects.
 NAMES = ("011_banana", "052_extra_large_clamp", "040_large_marker")
 
 
 @functools.cache
 def load_small_objects() -> list[Scene]:
-    """Scenes with different objects and hands; each target object fits between the fingers."""
+    """Return scenes with different objects and hands; each target object fits between the fingers."""
     found: dict[str, Scene] = {}
     for scene_id in DATA.list_scenes("s0", "train"):
         if len(found) == len(NAMES):
@@ -93,7 +93,7 @@ def read_poses(worlds: list[BatchWorld]) -> npt.NDArray[np.float64]:
 
 @pytest.fixture(scope="module")
 def grasps() -> npt.NDArray[np.float64]:
-    """Poses in worlds of MuJoCo Warp after the fingers have closed."""
+    """Return joint positions and object poses (3, 16) of MuJoCo Warp's worlds after the fingers have closed."""
     worlds = start_worlds(WARP, load_small_objects())
     contacts = worlds[0].simulate_rollout(worlds, [CLOSED] * 3, STEPS, RULES).contacts
     assert contacts.fingers_touch[-1].all(axis=-1).tolist() == [True, True, False]
