@@ -1,4 +1,4 @@
-"""Recordings and meshes of the tests of custom scenes."""
+"""Recordings and meshes for the tests of custom scenes."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,18 +11,22 @@ import trimesh
 from handover_marl.config import TABLE_HEIGHT
 
 PARTS = ("x", "y", "z", "qx", "qy", "qz", "qw")
-#: Wrist beside the box of `make_box`: the fingers point to -y, the palm to +x.
+#: Position (m) and orientation (quaternion xyzw) of the wrist beside the box of `make_box`, in the object frame.
+#: The fingers point to -y, the palm to +x.
 WRIST_IN_OBJECT = (-0.055, 0.1, -0.02)
 WRIST_ROTATION = (0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5))
 
 
 def make_box() -> trimesh.Trimesh:
-    """A box of 5 x 5 x 16 cm."""
+    """Return a box of 5 x 5 x 16 cm."""
     return trimesh.creation.box((0.05, 0.05, 0.16))
 
 
 def make_recording(rate: float = 60.0, duration: float = 3.0) -> dict[str, npt.NDArray[np.float64]]:
-    """A box that a right hand lifts and holds out, in the world frame."""
+    """Return a recording in the world frame: a right hand lifts a box and holds it out.
+
+    Keys: "time" (N,) in s, and the poses (N, 7) "object" and "wrist", xyz (m) and quaternion xyzw.
+    """
     time = np.arange(round(duration * rate) + 1) / rate
     t = np.clip((time - 1.0) / 1.2, 0.0, 1.0)
     progress = (t**3 * (10.0 + t * (6.0 * t - 15.0)))[:, None]

@@ -1,4 +1,4 @@
-"""A receiver that fails."""
+"""Receiver that fails, for tests of how errors are reported."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ from handover_marl.receivers import Receiver
 
 
 class Failing(Receiver):
-    """Fails in its third decision."""
+    """Receiver that raises a KeyError in its third decision."""
 
     name, control_period = "failing", 0.13
 

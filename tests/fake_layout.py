@@ -1,4 +1,4 @@
-"""A tiny dataset in HandoverSim's folder layout, made on the spot: boxes for objects, balls for a hand."""
+"""Writer of a tiny dataset in HandoverSim's folder layout: objects are boxes, hands consist of spheres."""
 
 import json
 import pickle
@@ -17,7 +17,7 @@ HAND_FIRST, HAND_LAST = 50, 350
 
 @dataclass(frozen=True)
 class FakeScene:
-    """One scene to write; `object_ids` in file order, `grasped` an index into them."""
+    """Scene to write; `object_ids` are in file order, and `grasped` is an index into them."""
 
     scene_id: int
     object_ids: tuple[int, ...] = ()
@@ -36,7 +36,7 @@ SCENES = (
 
 
 def spoil(whole: bytes, rng: random.Random) -> bytes:
-    """A copy in which one to eight random bytes have random values."""
+    """Return a copy in which one to eight random bytes have random values."""
     spoilt = bytearray(whole)
     for _ in range(rng.choice((1, 1, 2, 8))):
         spoilt[rng.randrange(len(spoilt))] = rng.randrange(256)
@@ -79,7 +79,10 @@ def write_scene(folder: Path, scene: FakeScene) -> None:
 
 
 def motion(n_objects: int, grasped: int) -> tuple[np.ndarray, np.ndarray]:
-    """The grasped object rises from the table and comes nearer; the hand goes with it."""
+    """Return the poses of objects (N_FRAMES, n_objects, 6) and of the hand (N_FRAMES, 1, 51).
+
+    The grasped object rises from the table and moves towards the robot; the hand moves with it.
+    """
     rise = np.linspace(0.0, 1.0, N_FRAMES)
     pose_y = np.zeros((N_FRAMES, n_objects, 6), dtype=np.float32)
     pose_y[:, :, 0] = 0.45 - 0.15 * np.arange(n_objects)
@@ -95,7 +98,7 @@ def motion(n_objects: int, grasped: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def write_grasps(path: Path, n: int = 100) -> None:
-    """Grasps from the robot's side at all roll angles, in the official pickled form."""
+    """Write grasps that approach from the robot's side, with roll angles from 0 to pi, in the official pickled form."""
     path.parent.mkdir(parents=True, exist_ok=True)
     transforms = np.tile(np.eye(4, dtype=np.float32), (n, 1, 1))
     angles = np.linspace(0.0, np.pi, n)
@@ -108,7 +111,7 @@ def write_grasps(path: Path, n: int = 100) -> None:
 
 
 def evil_grasps(path: Path, marker: Path) -> None:
-    """A grasp file that would create `marker` if it were unpickled freely."""
+    """Write a grasp file that would create `marker` if it were unpickled without restrictions."""
 
     class Payload:
         def __reduce__(self) -> tuple[object, ...]:

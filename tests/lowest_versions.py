@@ -1,4 +1,4 @@
-"""The lowest versions that setup.cfg claims of what the library itself needs, as pip's requirements.
+"""Print the lowest versions of the required packages that setup.cfg allows, as requirements for pip.
 
 python -m tests.lowest_versions
 """
@@ -8,7 +8,7 @@ from pathlib import Path
 
 
 def requirements() -> list[str]:
-    """Every requirement pinned to its lower bound."""
+    """Return every requirement, pinned to its lower bound."""
     setup = configparser.ConfigParser()
     setup.read(Path(__file__).parents[1] / "setup.cfg")
     lines = setup["options"]["install_requires"].splitlines()

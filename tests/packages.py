@@ -1,10 +1,10 @@
-"""What users install: wheel and sdist, looked at, and an episode played with each in a clean environment.
+"""Build the wheel and the sdist, check them, and play an episode with each in a clean environment.
 
     python -m tests.packages                    # with this Python
-    python -m tests.packages --every --final    # with every supported Python at hand, and fit to be published
+    python -m tests.packages --every --final    # with every installed Python that is supported; for publication
 
-A package that is fit to be published has a version with an entry of its own in CHANGELOG.md, comes from a tree without
-uncommitted changes, and is not tagged yet.
+A version can be published if CHANGELOG.md has an entry for it, the working tree has no uncommitted changes, and the
+version is not tagged yet.
 """
 
 import configparser
@@ -23,27 +23,28 @@ from handover_marl import __version__
 from handover_marl.evaluation.reports.tables import format_table
 
 ROOT = Path(__file__).parents[1]
-#: A wheel is at most so large (bytes).
+#: Largest size of a wheel (bytes).
 LARGEST = 12_000_000
-#: What is played with an installed package, and in which physics; PyBullet has no wheels for later Pythons.
+#: Arguments of the command that plays an episode with an installed package; the name of the physics is appended.
+#: PyBullet has no wheels for Python versions after _LAST_WITH_PYBULLET.
 EPISODE = (
     *("benchmark", "--dataset", "synthetic", "--split", "val", "--scenes", "9"),
     *("--out", "results", "--fresh", "--physics"),
 )
 _LAST_WITH_PYBULLET = (3, 11)
-# Without compiling: most modules of the dependencies are never imported.
+# The modules are not compiled, because most modules of the dependencies are never imported.
 _PIP_INSTALL = ("-m", "pip", "--disable-pip-version-check", "install", "--no-compile", "--quiet")
 _PLAYED, _REPORT = "1 of 36 scenes (partial)", "Report: results/report.html"
 
 
 @dataclass(frozen=True)
 class Args:
-    """What is built and tried.
+    """Options of building and testing packages.
 
     Attributes:
-        every: With every supported Python that is found on PATH or in pyenv, not with this one alone.
-        final: Refuse what is not fit to be published.
-        out: Where the packages go.
+        every: Test with every supported Python that is found on PATH or in pyenv, instead of only with this one.
+        final: Refuse a version that cannot be published.
+        out: Folder for the packages.
     """
 
     every: bool = False
@@ -52,23 +53,23 @@ class Args:
 
 
 class PackageError(Exception):
-    """A package is not as it should be."""
+    """A package does not pass a check."""
 
 
 def supported() -> list[str]:
-    """Versions of Python, such as "3.11", that setup.cfg claims."""
+    """Return the versions of Python, such as "3.11", that setup.cfg lists as supported."""
     setup = configparser.ConfigParser()
     setup.read(ROOT / "setup.cfg")
     return re.findall(r"Python :: (3\.\d+)$", setup["metadata"]["classifiers"], re.MULTILINE)
 
 
 def pythons() -> dict[str, str]:
-    """The supported ones at hand: version to program."""
+    """Return the program of every supported version of Python that is installed, by version."""
     kept = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv")) / "versions"
     found = {}
     for version in supported():
         candidates = [shutil.which(f"python{version}"), *sorted(kept.glob(f"{version}.*/bin/python{version}"))]
-        # A program of that name may be a shim that leads nowhere.
+        # A program of that name may be a shim of pyenv without a program behind it.
         works = (str(program) for program in candidates if program and _runs(str(program), "--version"))
         program = next(works, None)
         if program is not None:
@@ -77,10 +78,10 @@ def pythons() -> dict[str, str]:
 
 
 def check_final(version: str) -> None:
-    """Whether a version may be published.
+    """Check that a version can be published.
 
     Raises:
-        PackageError: It may not, and why.
+        PackageError: The version cannot be published; the message states the reason.
     """
     if not re.search(rf"^## {re.escape(version)}$", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE):
         raise PackageError(f"CHANGELOG.md has no entry '## {version}'")
@@ -91,10 +92,10 @@ def check_final(version: str) -> None:
 
 
 def check_wheel(wheel: Path) -> None:
-    """Its size, and that nothing is in it that is not the library.
+    """Check the size of a wheel, and that it contains only the library.
 
     Raises:
-        PackageError: It is too large, or holds something else.
+        PackageError: The wheel is too large, or contains another file.
     """
     size = wheel.stat().st_size
     if size > LARGEST:
@@ -105,7 +106,7 @@ def check_wheel(wheel: Path) -> None:
 
 
 def build(out: Path) -> list[Path]:
-    """Wheel and sdist, after what lay there is gone."""
+    """Delete the folder `out`, build the wheel and the sdist in it, and return their paths."""
     shutil.rmtree(out, ignore_errors=True)
     _run(sys.executable, "-m", "build", "--outdir", str(out), str(ROOT))
     packages = [*out.glob("*.whl"), *out.glob("*.tar.gz")]
@@ -114,7 +115,7 @@ def build(out: Path) -> list[Path]:
 
 
 def needed_for(version: str) -> tuple[str, str]:
-    """The extra, in pip's brackets, and the physics that are played with a Python such as "3.11"."""
+    """Return the extra, in brackets as for pip, and the physics to use with a version of Python such as "3.11"."""
     with_pybullet = tuple(map(int, version.split("."))) <= _LAST_WITH_PYBULLET
     return ("", "fast") if with_pybullet else ("[mujoco]", "mujoco")
 
@@ -124,28 +125,28 @@ def play_with(package: Path, version: str, python: str, place: Path) -> None:
 
     Args:
         package: Wheel or sdist.
-        version: Of Python, such as "3.11".
-        python: Its program.
-        place: Where the environment goes.
+        version: Version of Python, such as "3.11".
+        python: Program of that Python.
+        place: Folder for the environment.
 
     Raises:
-        PackageError: It cannot be installed, or does not play.
+        PackageError: The package cannot be installed, or does not play the episode.
     """
     _run(python, "-m", "venv", "--clear", str(place))
     pip = (str(place / "bin" / "python"), *_PIP_INSTALL)
     extra, physics = needed_for(version)
     _run(*pip, "-c", str(ROOT / "constraints.txt"), f"{package}{extra}")
     reported = _run(str(place / "bin" / "handover-marl"), *EPISODE, physics, folder=place)
-    # The web page, named in the last line, needs templates, which are data files of the package.
+    # The web page that the last line names needs templates, which are data files of the package.
     if _PLAYED not in reported or _REPORT not in reported:
         raise PackageError(f"{package.name} did not play with {python}:\n{reported}")
 
 
 def main(args: Args) -> str:
-    """Everything; a table of what was done.
+    """Build and check the packages, play an episode with each, and return a table of the results.
 
     Raises:
-        PackageError: Something is not as it should be.
+        PackageError: A package does not pass a check.
     """
     if args.final:
         check_final(__version__)

@@ -1,4 +1,4 @@
-"""Playing a scene in tests."""
+"""Function that plays a scene, for tests."""
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +13,7 @@ from handover_marl.policies.policy import Policy
 def play(
     episode: Episode, scene: Scene, receiver: Policy, giver: Policy | None = None, *callbacks: EpisodeCallback
 ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float64]]:
-    """Play a scene to its end; the action and the receiver's time of every physics step."""
+    """Play a scene to its end; return the actions (T, 9) and the receiver's planning times (T,) in s of all steps."""
     log = ActionRecorder()
     episode.reset(scene)
     play_episode(episode, receiver, giver, callbacks=(log, *callbacks))

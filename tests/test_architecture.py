@@ -1,4 +1,4 @@
-"""Architecture rules: packages, their order, file counts, and where engines may be imported."""
+"""Tests of the architecture rules: packages, their order, file counts, and where engines may be imported."""
 
 import ast
 import configparser
@@ -24,7 +24,7 @@ PICTURE = REPOSITORY / "docs" / "explanation" / "architecture.svg"
 
 
 def strongly_connected(edges: dict[str, set[str]]) -> list[list[str]]:
-    """Return the groups of names that import each other in a circle."""
+    """Return the groups of modules that import each other in a cycle."""
     reach: dict[str, set[str]] = {}
     for start in edges:
         found: set[str] = set()
@@ -41,7 +41,7 @@ def strongly_connected(edges: dict[str, set[str]]) -> list[list[str]]:
 
 def test_no_modules_import_each_other_in_a_circle() -> None:
     edges = build_import_graph()
-    # The library's own __init__ imports lazily, by name.
+    # The library's own __init__ is left out, because it imports modules lazily, by name.
     edges = {name: found - {"handover_marl"} for name, found in edges.items() if name != "handover_marl"}
     assert strongly_connected(edges) == []
 

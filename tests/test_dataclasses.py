@@ -1,4 +1,4 @@
-"""Rules of dataclasses: they cannot be changed, and those with arrays are equal only to themselves."""
+"""Tests of the rules of dataclasses: they are frozen, and those with arrays are equal only to themselves."""
 
 import ast
 import functools
@@ -12,7 +12,7 @@ MUTABLE = {"PointCloudMemory", "_Rollout"}
 
 @functools.cache
 def find_dataclasses(path: Path) -> dict[str, tuple[set[str], bool]]:
-    """Return the options that are true or false, such as "frozen=True", and whether there are arrays, by class."""
+    """Return, by class, the options of its decorator, such as "frozen=True", and whether it has array fields."""
     tree = ast.parse(path.read_text())
     aliases = {
         target.id
@@ -49,7 +49,7 @@ def test_dataclasses_are_frozen() -> None:
 
 
 def test_dataclasses_with_arrays_are_compared_by_identity() -> None:
-    """Equality of all fields would fail, because arrays have no truth value."""
+    """Dataclasses with array fields set eq=False, because a comparison of arrays has no single truth value."""
     wrong = [
         f"{module}.{name}"
         for module, path in find_modules().items()

@@ -1,4 +1,4 @@
-"""Rules of names and prose: plain words, imperative docstrings, no metaphors."""
+"""Tests of names and prose: plain words, imperative docstrings, no metaphors."""
 
 import ast
 import re

@@ -31,7 +31,7 @@ def test_import_is_light() -> None:
     assert run.stdout.strip() == "[]"
 
 
-# `out` of a picture is its own.
+# Options that functions that render one scene do not have. Their option `out` is the path of the picture.
 NOT_OF_A_SCENE = {"workers", "backend", "ray_address", "shard", "fresh", "replays"}
 
 
@@ -62,11 +62,11 @@ def parameters(function: Callable[..., Any]) -> dict[str, inspect.Parameter]:
     ],
 )
 def test_signatures_show_every_option(function: Callable[..., Any], own: set[str], left_out: set[str]) -> None:
-    """Which completion and help show, though functions pass them on as keywords."""
+    """Signatures name every option, so that completion and help show it, although it is passed on as a keyword."""
     shown = parameters(function)
     assert shown.keys() == (RUN | EXECUTION | own) - left_out
     defaults = {part.name: part.default for kind in (EvaluationConfig, ExecutionConfig) for part in fields(kind)}
-    chosen = {"split", "receiver", "out"}  # by some of the functions themselves
+    chosen = {"split", "receiver", "out"}  # some of the functions have other defaults
     for name in shown.keys() - own - chosen:
         assert shown[name].default == defaults[name], name
 

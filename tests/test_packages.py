@@ -1,4 +1,7 @@
-"""The checks of packages before they are published; `make smoke` and `make release` build and play them."""
+"""Tests of the checks of packages before publication.
+
+`make smoke` and `make release` build the packages and play an episode with them.
+"""
 
 import sys
 import zipfile

@@ -1,4 +1,4 @@
-"""The list of slow tests names existing tests, and is made from measured times."""
+"""Tests of the list of slow tests: it names existing tests, and is made from measured times."""
 
 import ast
 import re

@@ -1,4 +1,4 @@
-"""The conformance tests that ship for users' policies, on policies that conform and on some that do not."""
+"""Tests of the conformance checks for users' policies, on policies that conform and on some that do not."""
 
 import numpy as np
 import pytest

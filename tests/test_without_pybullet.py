@@ -1,4 +1,4 @@
-"""The library where PyBullet is not installed, as with Python 3.12 and later: in processes that cannot import it."""
+"""Tests of the library in processes that cannot import PyBullet, as with Python 3.12 and later."""
 
 import hashlib
 import importlib.util
@@ -24,13 +24,13 @@ pytest.importorskip("mujoco", reason="without PyBullet, MuJoCo is what plays")
 
 SCENE = 209
 NEEDS = "needs PyBullet, which is not installed (it has wheels up to Python 3.11"
-# Read by Python as it starts, in worker processes too.
+# Content of sitecustomize.py, which Python runs when it starts, also in worker processes.
 BLOCKADE = 'import sys\nsys.modules["pybullet"] = sys.modules["pybullet_data"] = None\n'
 
 
 @pytest.fixture(scope="module")
 def elsewhere(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    """The environment of processes without PyBullet, with a cache folder of their own."""
+    """Return the environment variables of processes without PyBullet and with another cache folder."""
     folder = tmp_path_factory.mktemp("blockade")
     (folder / "sitecustomize.py").write_text(BLOCKADE)
     path = os.pathsep.join([str(folder), str(Path(__file__).parents[1])])
@@ -38,20 +38,20 @@ def elsewhere(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
 
 
 def python(elsewhere: dict[str, str], code: str) -> str:
-    """What a program prints there."""
+    """Run a program without PyBullet, and return its output."""
     done = subprocess.run([sys.executable, "-c", code], env=elsewhere, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return done.stdout
 
 
 def command(elsewhere: dict[str, str], *arguments: object) -> subprocess.CompletedProcess[str]:
-    """How a command ends there."""
+    """Run a command of the library without PyBullet, and return its exit status and output."""
     words = [sys.executable, "-m", "handover_marl.cli", *map(str, arguments)]
     return subprocess.run(words, env=elsewhere, capture_output=True, text=True, check=False)
 
 
 class Noting(EpisodeCallback):
-    """Keeps a hash of all that is seen every 20 steps."""
+    """Callback that hashes the observation of every 20th step."""
 
     def __init__(self) -> None:
         self.digest = hashlib.sha256()
@@ -63,7 +63,10 @@ class Noting(EpisodeCallback):
 
 
 def rollout() -> str:
-    """How a handover ends in MuJoCo's physics, and a hash of it; inverse kinematics are the library's own."""
+    """Play a handover in MuJoCo with the library's own inverse kinematics.
+
+    Return the outcome, the number of steps and a hash of the observations.
+    """
     data = SyntheticDataset()
     receiver, episode, noting = make("yang2021", data), Episode("mujoco"), Noting()
     episode.reset(data.load_scene(SCENE))
@@ -153,7 +156,7 @@ def test_who_sees_plays(elsewhere: dict[str, str]) -> None:
 
 @pytest.mark.skipif(importlib.util.find_spec("embreex") is None, reason="the extra vision is not installed")
 def test_gaddpg_moves_towards_points(elsewhere: dict[str, str]) -> None:
-    """With a network that goes on ahead, its inverse kinematics is the library's own."""
+    """GA-DDPG moves the gripper without PyBullet's inverse kinematics; the network always predicts a step forwards."""
     python(
         elsewhere,
         f"""

@@ -1,4 +1,4 @@
-"""What may stand where a plain file is expected: opening or reading it would never end, or fill the memory."""
+"""Unreadable files for tests: opening or reading one would never end, or would fill the memory."""
 
 import contextlib
 import os
@@ -28,7 +28,7 @@ def _make_large(path: Path) -> None:
         file.truncate(30_000_000_000)  # takes no space on the disk
 
 
-#: Functions that make something unreadable at a path that does not exist, by its kind.
+#: Functions that make an unreadable file at a path that does not exist, by the kind of the file.
 UNREADABLE: dict[str, Callable[[Path], object]] = {
     "folder": Path.mkdir,
     "pipe": os.mkfifo,
@@ -39,7 +39,7 @@ UNREADABLE: dict[str, Callable[[Path], object]] = {
 
 
 def replace_by(kind: str, path: Path) -> None:
-    """Replace a file by something unreadable."""
+    """Replace a file or folder by an unreadable file of some kind."""
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path)
     else:
@@ -48,14 +48,14 @@ def replace_by(kind: str, path: Path) -> None:
 
 
 def check_refusal(read: Callable[[Path], object], path: Path, kind: str, error: type[Exception]) -> None:
-    """Check that a reader soon refuses something unreadable, which is made at a path, with an error that names it."""
+    """Check that a reader refuses an unreadable file, made at a path, within 5 s and with an error that states why."""
     UNREADABLE[kind](path)
     with refuses_within(5.0, error, kind):
         read(path)
 
 
 def check_content_refusal(read: Callable[[Path], object], path: Path, content: bytes) -> None:
-    """Check that a reader refuses a file with some content, with an error that names the file."""
+    """Check that a reader refuses a file with this content, with an error that names the file."""
     path.write_bytes(content)
     with pytest.raises(DataFormatError, match=path.stem):
         read(path)
@@ -63,7 +63,7 @@ def check_content_refusal(read: Callable[[Path], object], path: Path, content: b
 
 @contextlib.contextmanager
 def refuses_within(seconds: float, error: type[Exception], kind: str) -> Iterator[None]:
-    """Check that a block ends soon, with an error that names what is wrong."""
+    """Check that a block ends within some seconds, with an error that states why the file is unreadable."""
     match = "larger than" if kind == "large" else "not a plain file"
     with ends_within(seconds), pytest.raises(error, match=match):
         yield

@@ -1,4 +1,4 @@
-"""Commands `handover-marl scenes ...`."""
+"""Tests of the commands `handover-marl scenes ...`."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Shell commands as the documentation shows them, taken apart and checked without running what takes long."""
+"""Shell commands of the documentation: functions that parse and check them without running their slow parts."""
 
 import configparser
 import importlib
@@ -21,7 +21,7 @@ from handover_marl.evaluation.config import EvaluationConfig
 from handover_marl.policies.reference import parse_policy
 from tests.docs.pages import REPOSITORY
 
-#: What the commands of the library lead to.
+#: Functions that the commands of the library call; they are replaced by a mock.
 TARGETS = (
     "handover_marl.evaluation.agreement.compare_physics",
     "handover_marl.evaluation.comparison.compare",
@@ -41,7 +41,7 @@ TARGETS = (
     "handover_marl.evaluation.strangers.reference_update.update_references",
     "handover_marl.evaluation.verification.verify.verify",
 )
-#: What would write the files that a command names, and what it returns instead.
+#: Functions that would check or write files that a command names, and the values that their replacements return.
 NOT_WRITTEN = {
     "handover_marl.evaluation.reports.scene_tables.format_episodes_csv": "",
     "handover_marl.visualization.film.check_output_path": Path("episodes.csv"),
@@ -52,7 +52,7 @@ _SHELL = ("tar", "done", "pytest")
 
 
 def commands(text: str) -> Iterator[list[str]]:
-    """The words of every command in a block; of loops those of the first turn."""
+    """Yield the words of every command in a block; of loops those of the first iteration."""
     variables: dict[str, str] = {}
     for line in text.replace("\\\n", " ").splitlines():
         if computed := re.fullmatch(r"(\w+)=\$\((.*)\)", line.strip()):
@@ -84,7 +84,7 @@ def _fill_in(word: str, variables: dict[str, str]) -> list[str]:
 
 
 def check(words: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    """Fail unless a command would be taken as it is."""
+    """Check that the program that a command calls exists and accepts the arguments."""
     first, rest = words[0], words[1:]
     if first == "handover-marl":
         _check_own(rest, monkeypatch)
@@ -101,8 +101,8 @@ def check(words: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def _check_own(arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    """The library's own command line takes it, and every name in it means something."""
-    if len(arguments) == 1 or arguments[1:] == ["--help"]:  # only named
+    """Check that the library's command line accepts the arguments, and that the named setups and policies exist."""
+    if len(arguments) == 1 or arguments[1:] == ["--help"]:  # the text only names the command
         with pytest.raises(SystemExit, match="0"):
             main([arguments[0], "--help"])
         return
@@ -112,7 +112,7 @@ def _check_own(arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
         called.append((args, kwargs))
         return MagicMock()
 
-    # A module that is imported while others are patched would keep what stands in for them.
+    # Import all modules first: a module that is imported while others are patched would keep the mocks.
     for target in (*TARGETS, *NOT_WRITTEN):
         importlib.import_module(target.rpartition(".")[0])
     with monkeypatch.context() as patch:
@@ -129,7 +129,7 @@ def _check_own(arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
     args, kwargs = called[0]
     for value in (*args, *kwargs.values()):
         if isinstance(value, EvaluationConfig):
-            # Other data sets have setups of their own.
+            # Other data sets define other setups.
             is_official = value.setup is not None and ":" not in value.dataset
             check_setup_and_split(value.setup if value.setup and is_official else "s0", value.split)
             for agent in ("giver", "receiver"):
@@ -143,7 +143,7 @@ def _check_own(arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def _check_script(path: Path, arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    """The script is there, and its own arguments take these."""
+    """Check that a script exists and accepts the arguments."""
     source = path.read_text()
     described = re.search(r"tyro\.cli\((\w+)[,)]", source)
     assert described, f"{path.name} takes no arguments"

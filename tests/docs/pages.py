@@ -1,4 +1,4 @@
-"""The pages of the documentation, and the blocks and tables that stand in them."""
+"""Pages of the documentation, and functions that read their code blocks and tables."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,20 +9,20 @@ from markdown_it.token import Token
 REPOSITORY = Path(__file__).parents[2]
 _SITE = sorted(path for path in (REPOSITORY / "docs").rglob("*.md") if path.parent.name != "source")
 PAGES = (REPOSITORY / "README.md", REPOSITORY / "CONTRIBUTING.md", *_SITE)
-#: Inline code that starts so is a command to be tried; alone it is only a name.
+#: Inline code that begins with one of these is checked as a command; without arguments it is only a name.
 _COMMANDS = ("handover-marl ", "python ", "make ")
 _MARK = "<!-- checked: "
 
 
 @dataclass(frozen=True)
 class Block:
-    """Code in a page.
+    """Block of code in a page.
 
     Attributes:
-        page: The file.
-        line: Where it starts, from 1.
-        language: What the fence says; "" for none.
-        text: The code.
+        page: File of the page.
+        line: Line at which the code starts, from 1.
+        language: Language that the fence names; "" for none.
+        text: Code of the block.
     """
 
     page: Path
@@ -32,12 +32,12 @@ class Block:
 
 
 def name(page: Path) -> str:
-    """What a page is called in tests."""
+    """Return the name of a page in tests: its path in the repository."""
     return page.relative_to(REPOSITORY).as_posix()
 
 
 def blocks(page: Path, language: str | None = None) -> list[Block]:
-    """Fenced and indented code, of one language or all, as it stands from top to bottom."""
+    """Return the fenced and indented code blocks of a page, in order, of one language or of all."""
     found = [
         Block(page, _line(token) + 1, token.info.strip(), token.content)
         for token in _tokens(page)
@@ -47,7 +47,7 @@ def blocks(page: Path, language: str | None = None) -> list[Block]:
 
 
 def inline_commands(page: Path) -> list[Block]:
-    """Commands with arguments that stand within sentences."""
+    """Return the commands with arguments that a page has as inline code."""
     found = []
     for token in _tokens(page):
         for child in token.children or ():
@@ -57,7 +57,7 @@ def inline_commands(page: Path) -> list[Block]:
 
 
 def checked_table(page: Path, mark: str) -> list[list[str]]:
-    """The rows below the header of the table that follows `<!-- checked: MARK -->`."""
+    """Return the rows below the header of the table that follows `<!-- checked: MARK -->`."""
     tokens = _tokens(page)
     marks = [number for number, token in enumerate(tokens) if token.content.strip() == f"{_MARK}{mark} -->"]
     assert len(marks) == 1, f"{name(page)} has {len(marks)} tables that are marked {mark!r}"
@@ -73,7 +73,7 @@ def checked_table(page: Path, mark: str) -> list[list[str]]:
 
 
 def marks(page: Path) -> set[str]:
-    """The marks of a page's checked tables."""
+    """Return the marks of a page's checked tables."""
     found = (token.content.strip() for token in _tokens(page) if token.type == "html_block")
     return {text.removeprefix(_MARK).removesuffix(" -->") for text in found if text.startswith(_MARK)}
 
@@ -83,5 +83,5 @@ def _tokens(page: Path) -> list[Token]:
 
 
 def _line(token: Token) -> int:
-    """The first line of a token, from 1; a fence's own is that of its backticks."""
+    """Return the first line of a token, from 1; for fenced code this is the line of the backticks."""
     return 1 + (token.map[0] if token.map else 0)

@@ -1,4 +1,4 @@
-"""Every block of code in the documentation does what it says, on synthetic scenes or made-up data, few and short."""
+"""Tests of all code blocks of the documentation, on a few short synthetic scenes or on generated data."""
 
 import functools
 import importlib.util
@@ -25,7 +25,7 @@ SHELL = [
 ]
 #: Pages with programs. The programs of own_object.md take long; test_own_object runs them and checks their results.
 PROGRAMS = [page for page in PAGES if blocks(page, "python") and page.stem != "own_object"]
-#: Which pages need more than the library itself.
+#: Additional modules that the programs of a page need, by page.
 NEEDS = {"docs/reference/environment.md": ("stable_baselines3",), "docs/how_to/wrist_camera.md": ("embreex",)} | {
     "docs/how_to/demonstrations.md": ("h5py", "minari", "embreex"),
     "docs/how_to/many_machines.md": ("ray",),
@@ -33,13 +33,13 @@ NEEDS = {"docs/reference/environment.md": ("stable_baselines3",), "docs/how_to/w
     "docs/tutorials/own_network.md": ("stable_baselines3", "onnxruntime", "onnx"),
     "docs/tutorials/own_reward.md": ("mujoco", "stable_baselines3"),
 }
-#: Which scripts need more than the library itself, by the beginning of their names.
+#: Additional module that a script needs, by the beginning of its name.
 SCRIPTS_NEED = {
     "train": "torch",
     "train_receiver": "stable_baselines3",
     "train_giver": "stable_baselines3",
     "train_both_torchrl": "torchrl",
-    "train_both_rllib": "tree",  # of RLlib; Ray alone is there for the backend
+    "train_both_rllib": "tree",  # a requirement of RLlib; the backend needs only Ray
     "train_both_benchmarl": "benchmarl",
     "train_both_tianshou": "tianshou",
     "best_response": "stable_baselines3",
@@ -78,9 +78,9 @@ def test_a_wrong_command_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A folder to work in with a made-up data folder; splits of one scene, few environments, little to learn."""
+    """Change to a folder with generated data; use one scene of a split, few environments and short trainings."""
     monkeypatch.chdir(tmp_path)
-    # Else Ray joins whatever cluster another test has on this machine, and falls with it.
+    # Otherwise Ray would join a cluster of another test on this machine, and fail when that cluster ends.
     monkeypatch.setenv("RAY_ADDRESS", "local")
     first, *_ = list_split_scenes("s3", "test", get_prescribed_side)
     write_layout(tmp_path / "handover" / "data", (FakeScene(first),))
@@ -103,10 +103,10 @@ def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def run(block: Block, names: dict[str, Any]) -> None:
-    """Run a block so that a traceback shows its place in the page."""
+    """Run a block and the tests that it defines; a traceback shows the place in the page."""
     source = "\n" * (block.line - 1) + block.text
     place = f"{name(block.page)}:{block.line}"
-    # Policies that are sent to other processes are known by their source.
+    # The source code of policies is read when they are sent to other processes.
     linecache.cache[place] = (len(source), None, source.splitlines(keepends=True), place)
     before = set(names)
     exec(compile(source, place, "exec"), names)

@@ -1,4 +1,4 @@
-"""Links between pages, and from pages to files, lead somewhere."""
+"""Tests of links between pages and from pages to files, and of words that users search for."""
 
 import re
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The guide "Your own object and motion": its programs and results."""
+"""Tests of the guide "Your own object and motion": its programs and results."""
 
 from pathlib import Path
 from typing import Any

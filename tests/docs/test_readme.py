@@ -1,4 +1,4 @@
-"""README is short, and files that name versions name the same ones."""
+"""Tests of the README's content, and of versions and commands that several files name."""
 
 import configparser
 import re

@@ -1,4 +1,4 @@
-"""The tables of the documentation agree with the code."""
+"""Tests of the tables of the documentation: they agree with the code."""
 
 import ast
 import csv
@@ -80,7 +80,7 @@ def bare(cell: str) -> str:
 
 
 def documented_space(rows: list[list[str]]) -> dict[str, tuple[tuple[int, ...], np.dtype[Any]]]:
-    """Shapes and types by key, from the rows of a table."""
+    """Return shapes and types by key, from the rows of a table."""
     return {bare(row[0]): (ast.literal_eval(row[1]), np.dtype(row[2])) for row in rows}
 
 
@@ -140,7 +140,7 @@ def test_rewards() -> None:
 
 
 def test_reward_terms() -> None:
-    """The page has the table of the module, whose values `tests/envs/test_reward_terms.py` checks."""
+    """The page has the same table as the module; `tests/envs/test_reward_terms.py` checks its values."""
     rows = checked_table(REPOSITORY / "docs" / "reference" / "rewards.md", "reward terms")
     lines = [line.split("|") for line in (reward_terms.__doc__ or "").splitlines() if line.startswith("| ")][1:]
     documented = [[bare(row[0]), row[1].replace(" of duration T", ""), row[2]] for row in rows]
@@ -149,7 +149,7 @@ def test_reward_terms() -> None:
 
 @pytest.mark.parametrize("mark", sorted(CHECKED["docs/reference/features.md"]))
 def test_columns_of_features_and_schemes(mark: str) -> None:
-    """The page has the tables of the code, whose values `tests/learning/encodings/test_columns.py` checks."""
+    """The page has the same tables as the code; `tests/learning/encodings/test_columns.py` checks their values."""
     page = REPOSITORY / "docs" / "reference" / "features.md"
     kind, _, place = mark.partition(" ")
     agent, _, name = place.partition("/")
@@ -236,7 +236,7 @@ def sample_crossplay() -> CrossPlay:
     ],
 )
 def test_metrics_have_one_name(mark: str, group: str, columns: tuple[Column, ...]) -> None:
-    """Title in tables, key in JSON and key in CSV are made from the same words."""
+    """The page names the title in tables, the key in JSON and the key in CSV of every metric as the code does."""
     rows = checked_table(BENCHMARK, mark)
     assert [bare(row[0]) for row in rows] == [column.title for column in columns]
     report, header = sample_report().to_json(), next(csv.reader(sample_crossplay().to_csv().splitlines()))

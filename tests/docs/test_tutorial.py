@@ -1,4 +1,4 @@
-"""The notebook is stored without outputs; `make docs` executes it and fails if a cell does."""
+"""Tests of the notebook: it is stored without outputs, and `make docs` executes it and fails if a cell fails."""
 
 import json
 

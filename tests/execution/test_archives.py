@@ -1,4 +1,4 @@
-"""Archives of strangers: what is in them is read, and nothing else happens."""
+"""Tests of reading archives from untrusted sources: links, paths outside and oversized files are never read."""
 
 import contextlib
 import gzip
@@ -125,7 +125,7 @@ class Zeros(io.RawIOBase):
 
 
 def bomb(path: Path, sizes: list[int]) -> Path:
-    """A gzip archive of zeros, a thousandth as large as what it holds."""
+    """Write a gzip archive of files of zeros, which is much smaller than its content."""
     with gzip.open(path, "wb", 1) as packed, tarfile.open(fileobj=packed, mode="w") as archive:  # type: ignore[arg-type]
         for number, size in enumerate(sizes):
             entry = tarfile.TarInfo(f"assets/{number}.obj")
@@ -149,7 +149,7 @@ def test_decompression_bombs_are_refused(tmp_path: Path, monkeypatch: pytest.Mon
 
 
 def test_large_headers_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The names and comments of PAX archives are read whole by whoever reads them."""
+    """An archive with a large PAX header is refused, because readers load a header into memory as a whole."""
     monkeypatch.setattr(archives, "MAX_FILE_BYTES", 100_000)
     entry = tarfile.TarInfo("assets/a.obj")
     entry.pax_headers = {"comment": "x" * 200_000}
@@ -169,7 +169,7 @@ def test_too_many_files_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 def test_wrong_sizes_in_a_zip_archive(tmp_path: Path) -> None:
     source = zipped(tmp_path / "a.zip", {"assets/a.obj": bytes(5000)})
     data = source.read_bytes()
-    # Both the entry's own header and the directory's say 5,000.
+    # The header of the entry and the central directory both contain the size 5,000.
     assert data.count((5000).to_bytes(4, "little")) == 2
     source.write_bytes(data.replace((5000).to_bytes(4, "little"), (10).to_bytes(4, "little")))
     with pytest.raises(DataFormatError):
@@ -190,7 +190,7 @@ def test_other_files_as_archives(tmp_path: Path) -> None:
 @settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data(), kind=st.sampled_from(["w", "w:gz", "zip"]))
 def test_damaged_archives_are_reported(data: st.DataObject, kind: str, tmp_path: Path) -> None:
-    """Cut or flipped bytes: an error of the library's own, or an archive that can be read."""
+    """A truncated archive, or one with a changed byte, is read or raises an error of the library."""
     source = tmp_path / "a"
     zipped(source) if kind == "zip" else tar(source, kind)
     whole = bytearray(source.read_bytes())

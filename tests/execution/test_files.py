@@ -78,7 +78,7 @@ def test_missing_folder(tmp_path: Path, write: Write) -> None:
 
 @pytest.fixture(params=[True, False], ids=["links", "no links"])
 def links(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> bool:
-    """With and without hard links on the file system."""
+    """Return whether the file system supports hard links; without them, making a link fails."""
 
     def refuse(*_: object) -> None:
         raise PermissionError(1, "Operation not permitted")
@@ -111,7 +111,7 @@ def test_create_exclusively_is_atomic(tmp_path: Path, monkeypatch: pytest.Monkey
     create_exclusively(path, "mine")
     assert path.read_text() == "another's"
     assert list(tmp_path.iterdir()) == [path]
-    # Whereas this one replaces.
+    # In contrast, `write_atomically` replaces the file.
     write_atomically(path, "mine")
     assert path.read_text() == "mine"
 

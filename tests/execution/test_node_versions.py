@@ -1,4 +1,4 @@
-"""Nodes with other versions of the packages that results depend on are refused."""
+"""Tests of the versions of packages on nodes: nodes with versions that could change results are refused."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Tasks in this process and in worker processes of this machine, and invalid configurations."""
+"""Tests of tasks in this process and in worker processes of this machine, and of invalid configurations."""
 
 import os
 import signal
@@ -42,7 +42,7 @@ def test_one_worker_is_this_process() -> None:
 
 
 def test_worker_processes_run_local_functions() -> None:
-    """Functions within functions cannot be imported by another process."""
+    """Worker processes run functions that are defined within functions, which no other process can import."""
     found = sorted(open_pool(PoolConfig(2)).map_unordered(open_worker([]), [1, 2, 3, 4]))
     assert [result for _, (_, result) in found] == [10, 20, 30, 40]
     processes = {process for _, (process, _) in found}
@@ -124,7 +124,7 @@ def test_a_killed_worker_is_replaced(tmp_path: Path) -> None:
 
 @pytest.mark.filterwarnings("ignore:a worker process died")
 def test_a_task_that_kills_its_worker_twice() -> None:
-    """The task beside it, whose worker ends too, is not blamed."""
+    """The error names the task that kills its worker, and no task whose worker ends at the same time."""
 
     def work(task: int) -> int:
         time.sleep(0.2)

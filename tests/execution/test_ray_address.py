@@ -1,4 +1,4 @@
-"""Addresses at which no Ray answers are reported at once."""
+"""Tests of addresses at which no Ray cluster answers: they are reported at once."""
 
 import socket
 import threading
@@ -16,7 +16,7 @@ from handover_marl.execution.tasks import open_pool
 
 @contextmanager
 def server(greeting: bytes) -> Iterator[str]:
-    """A server that sends some bytes to everyone; its address."""
+    """Run a server that sends some bytes to the first client, and yield the server's address."""
     with socket.socket() as listener:
         listener.bind(("127.0.0.1", 0))
         listener.listen()

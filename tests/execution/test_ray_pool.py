@@ -1,4 +1,7 @@
-"""A real cluster of several nodes on this machine: the same files as without it, whatever happens to its nodes."""
+"""Tests of a Ray cluster of several nodes on this machine.
+
+The result files equal those without a cluster, also if nodes join or fail.
+"""
 
 import inspect
 import os
@@ -31,7 +34,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore")]
 SCENES = (9, 14, 19, 24, 29, 34)
 HORIZON = 600
 PATIENCE = 200  # s
-#: On nodes where this names a file, a scene that has begun does not end.
+#: Environment variable of a node. If it names a file, an episode creates the file and then waits for PATIENCE.
 STUCK_VARIABLE = "HANDOVER_MARL_TEST_STUCK"
 OPTIONS: dict[str, Any] = {
     **{"setup": "s0", "split": "val", "dataset": "synthetic", "physics": "fast", "scenes": SCENES, "progress": False},
@@ -40,7 +43,7 @@ OPTIONS: dict[str, Any] = {
 
 
 def swaying() -> type[Receiver]:
-    """A receiver that no other process could import, as one that was typed into a notebook."""
+    """Return a receiver class that no other process can import, like a class in a notebook."""
 
     class Swaying(Receiver):
         name = "swaying"
@@ -60,7 +63,7 @@ def swaying() -> type[Receiver]:
 
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[Any]:
-    """A head that does nothing; nodes come with the tests. This process is connected to it."""
+    """Yield a Ray cluster whose head node runs no tasks; tests add further nodes."""
     patience = {"worker_register_timeout_seconds": PATIENCE, "agent_register_timeout_ms": 1000 * PATIENCE}
     patience |= {"health_check_failure_threshold": 50}
     head = {"num_cpus": 0, "include_dashboard": False, "no_monitor": True, "_system_config": patience, **light()}
@@ -76,16 +79,20 @@ def cluster() -> Iterator[Any]:
 
 
 def light() -> dict[str, Any]:
-    """A node without what is not needed; its helper gets a free port, since Ray waits but briefly for what it finds."""
+    """Return the options of a node without optional services.
+
+    The runtime environment agent gets a free port, because Ray waits only briefly for a port that it finds itself.
+    """
     with socket.socket() as one:
         one.bind(("", 0))
         return {"include_log_monitor": False, "runtime_env_agent_port": one.getsockname()[1]}
 
 
 def without_waiting(start: Callable[..., Any]) -> Callable[..., Any]:
-    """Ray waits 15 s for a node's other helper to say on which ports it serves, which is to say that it does not.
+    """Return a function that starts a node without waiting for the ports of its dashboard agent.
 
-    Where other tests have the cores this is not enough.
+    Ray waits 15 s for the agent to report that these services have no ports. This is too short if other tests use the
+    cores, so the function reports it beforehand.
     """
 
     def started(*args: Any, **kwargs: Any) -> Any:
@@ -98,7 +105,7 @@ def without_waiting(start: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def patiently(ask: Callable[..., Any]) -> Callable[..., Any]:
-    """Likewise the 30 s that Ray waits for the node itself."""
+    """Return a function that asks for a node again until PATIENCE, because Ray's own limit of 30 s may be too short."""
 
     def asked(*args: Any, **kwargs: Any) -> Any:
         until = time.monotonic() + PATIENCE
@@ -114,13 +121,13 @@ def patiently(ask: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def add_node(cluster: Any, **options: Any) -> Any:
-    """A node of one core."""
+    """Add a node of one core to a cluster, and return it."""
     return cluster.add_node(num_cpus=1, **light(), **options)
 
 
 @pytest.fixture(scope="module")
 def nodes(cluster: Any) -> Iterator[list[Any]]:
-    """Two nodes of one core."""
+    """Yield two nodes of one core each, and remove all nodes at the end."""
     yield [add_node(cluster) for _ in range(2)]
     for node in list(cluster.worker_nodes):
         cluster.remove_node(node)
@@ -133,14 +140,14 @@ def play(cluster: Any, out: Path | None = None, **options: Any) -> handover_marl
 
 @pytest.fixture(scope="module")
 def alone(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What this machine makes without a cluster."""
+    """Return the result folder of an evaluation on this machine without a cluster."""
     out = tmp_path_factory.mktemp("alone") / "out"
     handover_marl.evaluate_pair(**{**OPTIONS, "receiver": swaying(), "workers": 1, "out": out})
     return out
 
 
 def assert_same(one: Path, other: Path) -> None:
-    """Equal but for times."""
+    """Check that two result folders are equal, except for times and machines."""
     assert sorted(path.name for path in one.iterdir()) == sorted(path.name for path in other.iterdir())
     assert (one / "config.yaml").read_bytes() == (other / "config.yaml").read_bytes()
     first, second = files(one), files(other)
@@ -151,7 +158,7 @@ def assert_same(one: Path, other: Path) -> None:
 
 
 def test_nodes_that_join_later(cluster: Any, alone: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """More workers are wanted than there are cores, at first none."""
+    """A run waits for nodes if it requests more workers than there are cores, also if there are none at first."""
     wait, added = ray_pool._wait_for_one, []
 
     def wait_and_add(references: list[Any]) -> Any:
@@ -171,7 +178,7 @@ def test_nodes_that_join_later(cluster: Any, alone: Path, tmp_path: Path, monkey
 def test_data_folders_of_nodes(
     cluster: Any, fake_data: Path, own_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Named by their environment; other data than here are refused, and so are none."""
+    """Nodes read the data folder that their environment names; missing data and data that differ are refused."""
     monkeypatch.setenv(DATA_DIR_VARIABLE, str(fake_data))
     options = {"dataset": "dexycb", "scenes": [9, 14], "receiver": "hold"}
     for folder, error, message in (
@@ -262,7 +269,7 @@ def test_interruption_frees_the_cores(cluster: Any, nodes: list[Any], monkeypatc
 
 
 def test_results_are_the_same_if_a_node_dies(cluster: Any, nodes: list[Any], alone: Path, tmp_path: Path) -> None:
-    """One where a scene is being simulated, as the file shows that it leaves."""
+    """Results stay the same if a node is killed while it simulates a scene; the node creates a file to show this."""
     playing = tmp_path / "playing"
     doomed = add_node(cluster, env_vars={STUCK_VARIABLE: str(playing)})
 

@@ -1,4 +1,4 @@
-"""Features of the best reachable grasp."""
+"""Tests of the features of the best reachable grasp."""
 
 from dataclasses import replace
 

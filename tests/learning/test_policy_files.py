@@ -1,4 +1,4 @@
-"""Reading policy files of all kinds, without running code in them."""
+"""Tests of reading policy files of all kinds, without running code in them."""
 
 import base64
 import contextlib
@@ -35,7 +35,7 @@ RAN = "HANDOVER_MARL_TEST_CODE_RAN"
 
 
 class Evil:
-    """Runs code when it is unpickled."""
+    """Object that runs code when it is unpickled."""
 
     def __reduce__(self) -> tuple[Any, ...]:
         return exec, (f"import os; os.environ[{RAN!r}] = '1'",)
@@ -192,7 +192,7 @@ def test_pickles_in_place_of_weights_are_refused(tmp_path: Path) -> None:
 
 
 def test_pickles_in_the_json_are_not_loaded(tmp_path: Path) -> None:
-    """Stable-Baselines3 keeps Python objects as pickles in its JSON; loading the weights does not need them."""
+    """Pickled objects in the JSON of a Stable-Baselines3 file are not loaded, because the weights do not need them."""
     sb3 = pytest.importorskip("stable_baselines3", reason="needs the extra `train`")
     env = gymnasium.make("HandoverMARL/Giver-v0", partner="hold", dataset="synthetic", physics="fast")
     model = sb3.PPO("MultiInputPolicy", env, n_steps=8, batch_size=8, policy_kwargs={"net_arch": [16]})
@@ -224,7 +224,7 @@ def make_policy(path: Path, agent: str, **options: Any) -> Policy:
 
 
 def trained(path: Path, env: Any, policy: str = "MultiInputPolicy", **options: Any) -> Path:
-    """A file of PPO after a few steps."""
+    """Train PPO for a few steps, and return the path of the saved model."""
     sb3 = pytest.importorskip("stable_baselines3", reason="needs the extra `train`")
     options = {"policy_kwargs": {"net_arch": [8]}, "seed": 0} | options
     sb3.PPO(policy, env, n_steps=8, batch_size=8, n_epochs=1, **options).learn(8).save(path)
@@ -235,7 +235,7 @@ def trained(path: Path, env: Any, policy: str = "MultiInputPolicy", **options: A
 @pytest.mark.parametrize("kind", ["PPO", "SAC", "TD3", "A2C"])
 @pytest.mark.parametrize("name", ["Giver", "Receiver"])
 def test_stable_baselines_policies_act_as_they_do_there(tmp_path: Path, kind: str, name: str) -> None:
-    """Also with weights so large that outputs leave the space's bounds."""
+    """Learned policies act as their models do, also with weights so large that outputs exceed the space's bounds."""
     sb3 = pytest.importorskip("stable_baselines3", reason="needs the extra `train`")
     env = view(name)
     options = {"buffer_size": 100} if kind in ("SAC", "TD3") else {}
@@ -315,7 +315,7 @@ def test_normalized_observations_are_refused(tmp_path: Path, name: str) -> None:
 
 @pytest.mark.parametrize(("beyond", "plain"), [(0.0698, True), (0.2, False)])
 def test_joints_at_their_stops_count_as_raw(beyond: float, plain: bool) -> None:
-    """Thrown at its limits, a joint comes to rest 4 degrees beyond them, where the robot's stops are."""
+    """Joint positions 4 degrees beyond the limits, at the robot's stops, do not count as normalized observations."""
     space = gymnasium.spaces.Box(-1.0, 1.0, (9,))
     joints = np.array([[*panda.UPPER_LIMITS[:7], 0.0, 0.0]]) + beyond
     record = Sb3TrainingRecord(space.low, space.high, None, False, {"robot_joint_position": joints})

@@ -1,4 +1,4 @@
-"""Action schemes decode network outputs into actions."""
+"""Tests of action schemes, which decode network outputs into actions."""
 
 import numpy as np
 import pytest
@@ -166,7 +166,7 @@ def test_grasp_servo_approaches_along_the_axis_of_the_grasp() -> None:
 
 
 def test_chosen_grasp_keeps_clear_of_the_hand() -> None:
-    """Another grasp is chosen if a hand is at the first; a rotation by pi makes no difference."""
+    """The selector chooses another grasp if a hand is at the first; rotating the gripper by pi changes nothing."""
     choice, observation = NearestGraspSelector(CONTEXT), seen()
     away = observation | {"hand_keypoints": np.full((16, 3), 5.0, np.float32)}
     first = choice.select(away)
@@ -228,7 +228,7 @@ def test_unknown_schemes_are_refused() -> None:
 
 
 def test_schemes_and_features_follow_the_configuration() -> None:
-    """Bounds of the giver and position of the goal are configurable."""
+    """Schemes and features use the configured bounds of the giver and the configured position of the goal."""
     narrow, moved = GiverConfig(displacement=0.1), ProtocolConfig(goal_center=(0.5, -0.3, 1.1))
     context = make_policy_context(SyntheticDataset(), WorldConfig(protocol=moved, giver=narrow))
     scheme = make_scheme("giver", "deviation", context)

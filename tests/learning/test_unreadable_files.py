@@ -1,4 +1,4 @@
-"""Policies, weights and files of trainings that would wait for ever or fill the memory are refused at once."""
+"""Tests of policies, weights and training files whose reading would never end or fill the memory: they are refused."""
 
 import io
 import struct
@@ -45,14 +45,14 @@ def test_unreadable_file(reader: str, kind: str, tmp_path: Path) -> None:
 
 
 def pack(members: dict[str, bytes], claims: str = "") -> bytes:
-    """Return a zip archive, in which one member claims to have 4 GB."""
+    """Return a zip archive; if `claims` names a member, its entry states a size of 4 GB."""
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, content in members.items():
             archive.writestr(name, content)
     packed = bytearray(stream.getvalue())
     if claims:
-        # The list of contents, at the end, has the size 22 bytes before the name.
+        # In the central directory, at the end of the archive, the size is 22 bytes before the name.
         size = packed.rindex(claims.encode()) - 22
         packed[size : size + 4] = struct.pack("<I", 4_000_000_000)
     return bytes(packed)

@@ -1,4 +1,4 @@
-"""Policies on their way to machines that have other files."""
+"""Tests of bundles of policies, which are sent to machines that have other files."""
 
 import importlib
 import shutil
@@ -34,7 +34,7 @@ class Mine(Receiver):
 
 
 class Reads(Receiver):
-    """Makes its constant of a file, or of all files of a folder."""
+    """Receiver that reads a constant from a file, or from all files of a folder."""
 
     name = "reads"
     file_options = ("weights",)
@@ -107,7 +107,7 @@ def test_other_code_there_is_reported(tmp_path: Path, monkeypatch: pytest.Monkey
         (home / "sway_of_mine.py").write_text(f"SWAY = {0.1 if home.name == 'other' else 0.0}\n")
 
     def at(home: Path | None) -> None:
-        """As on a machine that has the code there, or nowhere."""
+        """Make the code importable from one folder only, as on a machine that has it there; from none if it is None."""
         for name in ("robots_of_mine", "sway_of_mine"):
             sys.modules.pop(name, None)
         monkeypatch.setattr(
@@ -143,5 +143,5 @@ def test_other_code_of_an_adapted_function_is_reported(tmp_path: Path, monkeypat
     sys.modules.pop(name)
     with pytest.raises(PolicyError, match=rf"receiver 'act' is not installed .*{name}"):
         bundle.unpack(tmp_path)
-    # A function of a script is sent along.
+    # A local function is sent in the bundle, so it needs no installed package.
     assert PolicyBundle.pack(handover_marl.as_receiver(lambda _: None)).reference.packages == ()

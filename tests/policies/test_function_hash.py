@@ -1,4 +1,4 @@
-"""Hashes of functions and objects."""
+"""Tests of hashes of functions and objects."""
 
 import functools
 import math

@@ -1,4 +1,4 @@
-"""Givers get the same context as receivers, and need no constructor for it."""
+"""Tests of the context of givers: it equals that of receivers, and givers need no constructor for it."""
 
 import pytest
 
@@ -19,7 +19,7 @@ class Plain(ReplayGiver):
 
 
 class Lifting(Plain):
-    """Takes context and option, as receivers do."""
+    """Giver whose constructor takes the context and an option, as constructors of receivers do."""
 
     name = "lifting"
 
@@ -29,7 +29,7 @@ class Lifting(Plain):
 
 
 class Alone(Plain):
-    """Has a constructor that knows of no context."""
+    """Giver whose constructor takes no context."""
 
     name = "alone"
 
@@ -38,7 +38,7 @@ class Alone(Plain):
 
 
 class Keeping(Plain):
-    """Sets the attribute itself."""
+    """Giver whose constructor sets the attribute `context`."""
 
     name = "keeping"
 

@@ -1,4 +1,4 @@
-"""Policies that act as another member of a population in each episode."""
+"""Tests of policies that act as a randomly drawn member of a population in each episode."""
 
 import os
 from pathlib import Path

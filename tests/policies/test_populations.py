@@ -1,4 +1,4 @@
-"""Population files."""
+"""Tests of population files."""
 
 import configparser
 import json
@@ -79,7 +79,7 @@ def test_splits_without_partners(tmp_path: Path) -> None:
 
 
 def test_shipped_populations() -> None:
-    """Every partner of a shipped population can be made; train and test have different families."""
+    """All partners of the default population can be parsed, and all givers made; train and test share no family."""
     assert DEFAULT_POPULATION in list_populations()
     dataset = SyntheticDataset()
     found = load_population(DEFAULT_POPULATION)

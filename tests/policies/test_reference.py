@@ -1,4 +1,4 @@
-"""All ways of saying which policy is meant."""
+"""Tests of all ways to refer to a policy: names, files, classes, instances and options."""
 
 import importlib
 import os
@@ -35,7 +35,7 @@ HERE = __name__
 
 
 class Mine(Giver):
-    """Plays at another speed."""
+    """Giver that plays the recorded motion at `speed` times its rate."""
 
     name = "mine"
 
@@ -58,7 +58,7 @@ class Anything(Mine):
 
 
 class Eithers(Mine):
-    """A policy of either agent, which asks for all there is to ask for."""
+    """Policy of either agent, whose constructor takes all arguments that the library can pass."""
 
     agent: ClassVar[str | None] = None
     name = "eithers"
@@ -129,7 +129,7 @@ class Impostor(Mine):
 
 
 def make(policy: PolicyLike, agent: str = "giver", **options: Any) -> Any:
-    """A policy that went through a pickle, as on its way to a worker process."""
+    """Return a policy made from a pickled reference, as in a worker process."""
     reference = pickle.loads(pickle.dumps(parse_policy(agent, policy, **options)))
     assert isinstance(reference, PolicyReference)
     return reference.make(DATA)
@@ -187,7 +187,7 @@ def test_files(tmp_path: Path) -> None:
 
 
 def test_instances_are_copied() -> None:
-    """What one player's policy remembers is not known to another's."""
+    """Policies made from an instance are copies, which do not share state with it or with each other."""
     instance = Mine(word=["state"])
     reference = parse_policy("giver", instance)
     first, second = reference.make(DATA), reference.make(DATA)
@@ -217,7 +217,7 @@ def test_make_givers_and_receivers() -> None:
 
 @pytest.mark.parametrize("name", ["agent", "context", "path", "trust", "self", "size"])
 def test_unknown_options(name: str) -> None:
-    """Nor may files be trusted by way of their name."""
+    """Unknown options are refused, and so are arguments that only the library passes, such as `trust`."""
     for policy in (f"{HERE}:Mine:{name}=1", (Mine, {name: 1}), (f"{HERE}:Mine", {name: 1})):
         with pytest.raises(OptionError, match=rf"Mine' has no option '{name}'; valid options: speed, word"):
             parse_policy("giver", policy)
@@ -366,7 +366,10 @@ if __name__ == "__main__":
 
 
 def typed(folder: Path, prompt: bool = False, gain: float = 2.0, shared: float = 1.0) -> list[PolicyReference]:
-    """What a script made of a class of its own, or a prompt, where the class has no file."""
+    """Return the references that a script pickled of a class that it defines.
+
+    If `prompt` is true, the code runs with `python -c` instead, where the class has no file.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     out, text = folder / "references.pickle", SCRIPT.format(gain=gain, shared=shared)
     (folder / "script.py").write_text(text)
@@ -378,7 +381,7 @@ def typed(folder: Path, prompt: bool = False, gain: float = 2.0, shared: float =
 
 @pytest.mark.parametrize("prompt", [False, True])
 def test_classes_of_scripts_are_pickled(tmp_path: Path, prompt: bool) -> None:
-    """To a process that has never seen the script."""
+    """References to classes of a script can be unpickled in a process that has not run the script."""
     references = typed(tmp_path, prompt)
     assert "Typed" not in vars(sys.modules["__main__"])
     assert [float(reference.make(DATA).act({})[0]) for reference in references] == [2.0, 1.0, 0.5]
@@ -576,7 +579,7 @@ class Package:
 
 
 def register(monkeypatch: pytest.MonkeyPatch, *points: tuple[str, str, str | None], agent: str = "giver") -> None:
-    """Pretend that packages registered policies: name, place and package of each."""
+    """Replace the registered policies; a point is the name, the place and the package of a policy."""
     made = []
     for name, value, package in points:
         point = EntryPoint(name, value, registry.GROUPS[agent])

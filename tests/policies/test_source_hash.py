@@ -1,4 +1,4 @@
-"""Hashes of the library's files, of an author's package, and of weights."""
+"""Tests of hashes of the library's files, of an author's package, and of weights."""
 
 import collections.abc
 import subprocess
@@ -51,7 +51,7 @@ def test_the_standard_library_is_not_read(monkeypatch: pytest.MonkeyPatch) -> No
 
     monkeypatch.setattr(Path, "stat", refuse)
     assert hash_policy(Mixed) == expected
-    # A profiler is the main module of the script that it runs.
+    # While a profiler runs a script, the file of the main module is that of the profiler.
     profiled = type("Profiled", (Mine,), {"__module__": "profiled_script"})
     monkeypatch.setitem(sys.modules, "profiled_script", ModuleType("profiled_script"))
     expected = hash_policy(profiled)
@@ -60,7 +60,7 @@ def test_the_standard_library_is_not_read(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def test_hashing_imports_nothing_and_is_quick() -> None:
-    """Simulators are imported only by the runs that use them."""
+    """Hashing the library takes less than 1 s, and imports neither further modules of the library nor MuJoCo."""
     code = (
         "import sys, handover_marl.policies.source_hash as source_hash\n"
         "before = set(sys.modules)\n"

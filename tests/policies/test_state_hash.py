@@ -16,7 +16,7 @@ from handover_marl.receivers import Receiver
 
 
 class Weighted(Receiver):
-    """Receiver that holds one joint position, which it reads from a file or is given."""
+    """Receiver whose state is an array that it reads from a file, or any object that is passed."""
 
     name = "weighted"
 

@@ -1,4 +1,4 @@
-"""How long receivers wait, as results tell it."""
+"""Tests of the time that receivers wait before they move."""
 
 from typing import Any
 
@@ -58,7 +58,7 @@ def test_impossible_waits_are_refused() -> None:
 
 
 def test_a_wait_is_waited() -> None:
-    """Yang's receiver comes as late as it says."""
+    """Yang's receiver does not move before the end of its waiting time."""
     from handover_marl.episode.callbacks import ActionRecorder
     from handover_marl.episode.episode import Episode
     from handover_marl.episode.loop import play

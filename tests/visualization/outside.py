@@ -1,4 +1,4 @@
-"""What a page would load or lead to outside of its folder."""
+"""Functions that list the references of an HTML page, such as those that lead outside of its folder."""
 
 import re
 from html.parser import HTMLParser
@@ -39,19 +39,19 @@ def _styled(text: str) -> list[str]:
 
 
 def references(page: str) -> list[str]:
-    """All references of a page and of the pages within it, in order."""
+    """Return all references of a page and of the pages embedded in it, in order."""
     parser = _References()
     parser.feed(page)
     return parser.found
 
 
 def outside(page: str) -> list[str]:
-    """Those that leave the page and are no neighbours of it."""
+    """Return the references that are absolute addresses or paths, except embedded data."""
     return [name for name in references(page) if re.match(r"[a-z][a-z0-9+.-]*:|/", name, re.I) and name[:5] != "data:"]
 
 
 def dangling(page: str) -> list[str]:
-    """References to places within the page that are not there."""
+    """Return the references to anchors that the page does not have."""
     parser = _References()
     parser.feed(page)
     return [name for name in parser.found if name.startswith("#") and name[1:] not in parser.ids]

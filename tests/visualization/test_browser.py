@@ -1,4 +1,4 @@
-"""Pages as a browser shows them: nothing is loaded, nothing fails, a failed episode is two clicks away."""
+"""Tests of report pages in a browser: they load nothing else, and lead to a failed episode in two clicks."""
 
 import io
 import shutil
@@ -21,13 +21,13 @@ pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(BROWSER is None, reason="NO BROWSER: install Chromium (Debian: apt-get install chromium)"),
 ]
-# A picture in software may take its time.
+# Time limit (ms); rendering in software may take long.
 PATIENCE = 120_000
 
 
 @pytest.fixture(scope="module")
 def results(fake_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A result folder with a failed episode and its replay."""
+    """Return a result folder with a failed episode and its replay."""
     folder = tmp_path_factory.mktemp("results")
     run(fake_data, folder, scenes=[14], replays="failed")
     return folder
@@ -36,7 +36,7 @@ def results(fake_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
     with sync_api.sync_playwright() as play:
-        # Without a graphics card; as root, as in containers, it has no sandbox.
+        # Render without a graphics card. Disable the sandbox, which does not work for root, as in containers.
         options = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
         started = play.chromium.launch(executable_path=BROWSER, args=options)
         yield started
@@ -71,7 +71,7 @@ def test_two_clicks_from_the_table_to_a_failed_episode(results: Path, browser: A
     assert page.evaluate("document.documentElement.scrollWidth") == width
     stage = page.frame_locator("iframe")
     stage.locator("canvas").first.wait_for()
-    # Viser would show it at 5 % until its map of the surroundings is decoded, in software half a minute.
+    # By default, viser shows the canvas at 5 % opacity until the environment map is decoded: half a minute in software.
     opacities = stage.locator("canvas").evaluate_all("all => all.map(one => getComputedStyle(one).animationName)")
     assert opacities
     assert set(opacities) == {"appear"}

@@ -1,4 +1,4 @@
-"""Episodes as pages that play them in three dimensions."""
+"""Tests of pages that replay an episode in three dimensions."""
 
 import base64
 import re
@@ -42,7 +42,7 @@ pytest.importorskip("fast_simplification", reason="needs the extra `replay`")
 
 
 class Meaning(QuickReceiver):
-    """Holds still, and says that it means to go to a place in front of it."""
+    """Receiver that holds still, and reports a constant planned goal in front of the gripper."""
 
     name = "meaning"
     obs_mode = "state+pointcloud"
@@ -54,7 +54,7 @@ class Meaning(QuickReceiver):
 
 
 class Seeing(EpisodeCallback):
-    """Keeps the true place of the gripper at every frame."""
+    """Callback that records the simulated pose of the gripper at every frame of the replay."""
 
     def on_reset(self, episode: Episode) -> None:
         self.gripper = [episode.observe()["gripper_pose"]]
@@ -149,7 +149,7 @@ def test_simplified_meshes_are_close_to_the_originals(fake_data: Path, model: st
 
 
 def test_robot_has_its_visual_meshes(log: EpisodeLog) -> None:
-    """In more detail than other bodies, and than its collision shapes."""
+    """The links of the robot are shown with their visual meshes, simplified to at most 3000 faces each."""
     from handover_marl.geometry.kinematic_tree import read_tree
 
     urdf = log.scene.assets.panda
@@ -166,7 +166,7 @@ def test_robot_has_its_visual_meshes(log: EpisodeLog) -> None:
 
 
 def read_recording(page: str) -> dict[str, Any]:
-    """What viser's page plays."""
+    """Return the decoded recording that viser's page plays."""
     stage = unescape(re.search(r'srcdoc="(.*?)"', page, re.DOTALL).group(1))  # type: ignore[union-attr]
     packed = base64.b64decode(re.search(r'__VISER_EMBED_DATA__="(.*?)"', stage).group(1))  # type: ignore[union-attr]
     plain = zstandard.ZstdDecompressor().decompress(packed[8:])

@@ -1,4 +1,4 @@
-"""Pictures of what the robot sees."""
+"""Tests of pictures of the wrist camera's view."""
 
 import importlib.util
 from pathlib import Path

@@ -18,17 +18,17 @@ SCALE = 1.0
 
 
 def stay(observation: dict[str, Any]) -> Any:
-    """Hold the joints where they are."""
+    """Return the present joint positions, times SCALE, as the action."""
     return SCALE * observation["robot_joint_position"]
 
 
 def replay(observation: dict[str, Any]) -> Any:
-    """Follow the recording."""
+    """Return the action of a giver that follows the recording."""
     return np.zeros(8)
 
 
 class Counting:
-    """Moves the more the longer the episode takes; forgets at its start."""
+    """Function that moves the joints further with every call; `reset` sets the count of calls to 0."""
 
     def __init__(self, step: float = 0.001) -> None:
         self.step, self.seed, self.count = step, -1, 0
@@ -42,7 +42,7 @@ class Counting:
 
 
 class DictModule(torch.nn.Module):  # type: ignore[misc, name-defined]
-    """Takes the observation as tensors."""
+    """Module that takes the observation as a dictionary of tensors."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -53,7 +53,7 @@ class DictModule(torch.nn.Module):  # type: ignore[misc, name-defined]
 
 
 class NoisyModule(torch.nn.Module):  # type: ignore[misc, name-defined]
-    """Draws random numbers, as a stochastic policy does."""
+    """Module whose outputs are random numbers, as those of a stochastic policy are."""
 
     def forward(self, inputs: Any) -> Any:
         return torch.randn(1, 7)

@@ -1,4 +1,4 @@
-"""Functions, modules and files as receivers and givers."""
+"""Tests of functions, modules and files that are adapted to receivers and givers."""
 
 import functools
 import io
@@ -52,7 +52,7 @@ def observations() -> dict[str, Any]:
 def adapt(agent: str, policy: Any, **options: Any) -> PolicyReference:
     function = handover_marl.as_receiver if agent == "receiver" else handover_marl.as_giver
     reference = function(policy, **options)
-    # As on its way to a worker process.
+    # References are pickled when they are sent to a worker process.
     found: PolicyReference = pickle.loads(pickle.dumps(reference))
     return found
 
@@ -346,7 +346,7 @@ def test_adapted_policies_pass_the_conformance_tests() -> None:
 
 
 class Forgetful:
-    """Does not forget earlier episodes."""
+    """Function without `reset`, whose count of calls continues in the next episode."""
 
     def __init__(self) -> None:
         self.count = 0

@@ -1,4 +1,4 @@
-"""Policy files from models of Stable-Baselines3 and modules of PyTorch."""
+"""Tests of policy files that are exported from models of Stable-Baselines3 and modules of PyTorch."""
 
 import itertools
 from collections.abc import Callable
@@ -50,7 +50,7 @@ def make_model(kind: str, env: Any, **options: Any) -> Any:
 
 
 def normalize(env: Any, observations: list[Any], **options: Any) -> VecNormalize:
-    """Return the environment with statistics of some observations."""
+    """Return the environment in a VecNormalize that has the statistics of some observations."""
     wrapped = VecNormalize(DummyVecEnv([lambda: env]), **options)
     for observation in observations:
         wrapped.obs_rms.update(observation[None]) if not isinstance(observation, dict) else [
@@ -117,7 +117,7 @@ def test_normalized_observations_of_plain_environments(keys: list[str] | None, t
 
 
 def test_files_of_encoded_models_need_no_export(tmp_path: Path) -> None:
-    """The space of outputs records features, action scheme and control period."""
+    """Files of encoded models can be read directly, because their action space records how inputs are encoded."""
     env = make_env()
     seen, model = collect(env, 1), make_model("PPO", env)
     model.save(tmp_path / "model.zip")
@@ -136,7 +136,7 @@ def test_files_of_encoded_models_need_no_export(tmp_path: Path) -> None:
 
 
 def test_models_that_record_nothing(tmp_path: Path) -> None:
-    """A model that was trained elsewhere, on numbers of the same sizes."""
+    """A model of another environment, with inputs and outputs of the same sizes, requires the missing options."""
 
     class Elsewhere(gymnasium.Env[Any, Any]):
         observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (64,), np.float32)
@@ -186,7 +186,7 @@ def test_modules_of_dense_layers(activation: str, tmp_path: Path) -> None:
 
 
 class Functional(torch.nn.Module):  # type: ignore[misc, name-defined]
-    """Has its activation in `forward`, dropout, and a layer without bias."""
+    """Module with an activation in `forward`, dropout, and a layer without bias."""
 
     def __init__(self, faulty: bool = False) -> None:
         super().__init__()
@@ -259,7 +259,7 @@ def test_files_with_normalization_and_bounds(tmp_path: Path) -> None:
 
 
 def test_plain_files_keep_their_format(tmp_path: Path) -> None:
-    """Versions before 0.8 read them."""
+    """Files without normalization and bounds have format 1, which versions before 0.8 read."""
     plain = DenseNetwork((np.zeros((7, 64), np.float32),), (np.zeros(7, np.float32),))
     write_policy(tmp_path / "p.npz", PolicySpec("receiver", "grasp", "cartesian_delta"), plain)
     with np.load(tmp_path / "p.npz") as arrays:

@@ -1,4 +1,4 @@
-"""Features and action schemes of many episodes equal those of each episode."""
+"""Tests of features and action schemes of batches of episodes: they equal those of single episodes."""
 
 from collections.abc import Iterator
 

@@ -100,7 +100,7 @@ def test_a_batch_acts_as_single_policies(agent: str, features: str, scheme: str,
             np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-5)
             by_itself = alone.act(some, functools.partial(select, observation), steps[some])
             np.testing.assert_array_equal(by_itself, found[some])
-            # Until the next decision the action is held.
+            # The action is held until the next decision.
             held = batch.act(ROWS, functools.partial(select, draw_observation(99)), steps + 99)
             np.testing.assert_array_equal(held, found)
 

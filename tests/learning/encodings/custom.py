@@ -1,4 +1,4 @@
-"""Own features and an own action scheme, which tests and `module:name` texts refer to."""
+"""Custom features and a custom action scheme, to which tests refer directly or by `module:name`."""
 
 import numpy as np
 
@@ -14,7 +14,7 @@ def offset_to_object(observation: Observation) -> np.ndarray:
 
 
 class OffsetAndCount(FeatureExtractor):
-    """Offset to the object, and the number of observations since the start of the episode."""
+    """Features (4,): offset to the object (3,), and the number of observations since the start of the episode."""
 
     agent, size = "receiver", 4
 
@@ -27,7 +27,7 @@ class OffsetAndCount(FeatureExtractor):
 
 
 class FirstJoint(ActionScheme):
-    """One output that moves the first joint."""
+    """Action scheme with one output, which moves the first joint."""
 
     name, agent, size = "first_joint", "receiver", 1
 

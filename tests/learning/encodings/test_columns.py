@@ -1,4 +1,4 @@
-"""The described columns are what built-in features and action schemes compute."""
+"""Tests of the described columns: built-in features and action schemes have the described values."""
 
 from collections.abc import Callable
 from typing import Any
@@ -19,7 +19,6 @@ from handover_marl.receivers.grasp_library import get_nearest_grasp_selector
 
 CONTEXT = make_policy_context(SyntheticDataset())
 AGENTS = ("giver", "receiver")
-#: A sample from the observation space with proper rotations, joints and flags.
 _RNG = np.random.default_rng(1)
 
 
@@ -45,6 +44,7 @@ def sample() -> dict[str, Any]:
     return observation
 
 
+#: Sample from the observation space with valid rotations, joints and flags.
 OBSERVATION = sample()
 
 
@@ -79,7 +79,7 @@ def fingers_in_future() -> np.ndarray:
 
 GRIPPER, FUTURE = OBSERVATION["gripper_pose"], OBSERVATION["replay_object_poses"][-1]
 GOAL = np.array(CONTEXT.protocol.goal_center)
-#: Quantities by the name of the column, computed from the observation anew.
+#: Functions that compute the quantity of a column from the observation independently, by the column's name.
 QUANTITIES: dict[str, Callable[[], Any]] = {
     "object, from the gripper": lambda: in_gripper(OBSERVATION["object_poses"][0, :3]),
     "person's wrist, from the gripper; zeros without a hand": lambda: in_gripper(OBSERVATION["hand_keypoints"][0]),
@@ -125,7 +125,7 @@ def described_value(text: str, quantity: Any) -> np.ndarray:
     """Evaluate the value of a column, such as "10 q - 5", for a quantity q."""
     formula = text.partition(";")[0]
     if "q" not in formula.replace("row by row", ""):
-        return np.asarray(quantity)  # a flag, described in words
+        return np.asarray(quantity)  # the column is a flag, which is described in words
     for factor in ("5", "10", "50"):
         formula = formula.replace(f"{factor} q", f"{factor} * q")
     values: np.ndarray = eval(formula, {"q": np.asarray(quantity, dtype=float), "exp": np.exp})

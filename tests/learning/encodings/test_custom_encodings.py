@@ -1,4 +1,4 @@
-"""Own features and action schemes: accepted forms, and errors that name them."""
+"""Tests of custom features and action schemes: accepted forms, and errors that name them."""
 
 from typing import Any
 

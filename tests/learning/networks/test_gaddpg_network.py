@@ -1,4 +1,4 @@
-"""What GA-DDPG's network acts by: the action that it reports, or the grasp that it reports and a rule."""
+"""Tests of how GA-DDPG's network acts: by its predicted action, or by a rule that approaches its predicted grasp."""
 
 import json
 from dataclasses import replace
@@ -56,7 +56,7 @@ def test_files_know_the_rule(approach: ApproachFieldConfig | None, cloud: np.nda
     assert found.approach == approach
     np.testing.assert_allclose(found.predict_step(cloud, 7), network(approach).predict_step(cloud, 7), atol=2e-3)
     for name, value in network(approach).state_dict().items():
-        # An eight-bit step of the row's largest, or half precision.
+        # Weights are rounded to 8 bits, relative to the largest of their row; vectors to half precision.
         step = 0.5 * value.abs().amax(dim=tuple(range(1, value.ndim)), keepdim=True) / 127 if value.ndim > 1 else 0.0
         assert ((found.state_dict()[name] - value).abs() <= step + 5e-4 * value.abs() + 1e-7).all(), name
     about = json.loads(str(np.load(tmp_path / "policy.npz")["about"]))

@@ -1,4 +1,4 @@
-"""A checkpoint as the original code writes it, made up here from its names and shapes."""
+"""Tests of reading checkpoints of the original code, generated here with the same names and shapes."""
 
 import pickle
 import shutil
@@ -62,7 +62,7 @@ def head_weights(rng: torch.Generator) -> dict[str, torch.Tensor]:
 
 
 def as_saved(net: dict[str, torch.Tensor]) -> dict[str, Any]:
-    """With an optimizer and a schedule, as the original saves them."""
+    """Return weights with the states of an optimizer and a schedule, as the original code saves them."""
     parameter = torch.nn.Parameter(torch.zeros(3))
     optimizer = torch.optim.Adam([parameter], lr=3e-4, eps=1e-5, weight_decay=1e-5)
     parameter.grad = torch.ones(3)
@@ -73,7 +73,7 @@ def as_saved(net: dict[str, torch.Tensor]) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def made_up(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Do not write to it."""
+    """Return the folder of a generated checkpoint; tests share it, so do not write to it."""
     folder, rng = tmp_path_factory.mktemp("output") / "demo_model", torch.Generator().manual_seed(0)
     folder.mkdir()
     torch.save(as_saved(head_weights(rng)), folder / ACTOR)

@@ -1,4 +1,4 @@
-"""The library's own weights: small files that hold numbers alone, found where they ship."""
+"""Tests of weights in the library's own format: small files without pickled objects, read by default."""
 
 from pathlib import Path
 

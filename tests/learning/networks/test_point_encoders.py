@@ -16,7 +16,10 @@ def size(module: nn.Module) -> int:
 
 
 def lively(module: nn.Module) -> nn.Module:
-    """For inference, with other batch statistics than fresh ones, and so that centimetres make a difference."""
+    """Return the module in evaluation mode, with random batch statistics and larger weights.
+
+    The larger weights ensure that centimetres change the outputs.
+    """
     generator = torch.Generator().manual_seed(1)
     for name, parameter in module.named_parameters():
         if name.endswith("stages.0.mlps.0.0.weight"):
@@ -32,7 +35,7 @@ def lively(module: nn.Module) -> nn.Module:
 
 
 def patch(seed: int, count: int, batch: int = 1) -> torch.Tensor:
-    """(B, 4, N) points of a patch as large as an object, and flags."""
+    """Return points of a patch as large as an object, and flags (B, 4, N)."""
     rng = np.random.default_rng(seed)
     points = rng.uniform((-0.06, -0.06, 0.15), (0.06, 0.06, 0.25), (batch, count, 3))
     flags = rng.integers(0, 2, (batch, count, 1))
@@ -55,7 +58,7 @@ def test_looks_where_the_published_one_looks() -> None:
 
 
 class ByLoops:
-    """The encoder once more in NumPy, point by point."""
+    """Reference implementation of the encoder in NumPy, with loops over points."""
 
     def __init__(self, encoder: nn.Module) -> None:
         self._weights = {name: value.numpy().astype(np.float64) for name, value in encoder.state_dict().items()}
@@ -115,13 +118,13 @@ def test_a_cloud_alone_gives_what_it_gives_among_others(device: str) -> None:
 
 
 def test_order_behind_the_first_means_nothing_to_pointnet_plus_plus() -> None:
-    """As long as no ball holds more points than are looked at; else their order counts, as in the original."""
+    """The order of points after the first matters only if a ball has more points than a group, as in the original."""
     torch.manual_seed(0)
     encoder = lively(PointNetPlusPlus(4))
     order = torch.randperm(199, generator=torch.Generator().manual_seed(2)) + 1
     order = torch.cat([torch.zeros(1, dtype=torch.long), order])
     sparse, dense = patch(0, 200), patch(0, 200)
-    # All in one ball, more than are looked at.
+    # All points are in one ball, and there are more of them than a group has.
     dense[:, :3] = dense[:, :3, :1] + 0.15 * (dense[:, :3] - dense[:, :3, :1])
     with torch.no_grad():
         np.testing.assert_allclose(encoder(sparse[..., order]), encoder(sparse), atol=1e-5)
@@ -129,7 +132,7 @@ def test_order_behind_the_first_means_nothing_to_pointnet_plus_plus() -> None:
 
 
 def test_groups_are_seen_from_their_centers() -> None:
-    """Moved clouds have the same features in all stages but the last, which sees places."""
+    """A translation of the cloud translates the centers of the first stage, and does not change its features."""
     torch.manual_seed(0)
     encoder, cloud = PointNetPlusPlus(3).eval(), patch(0, 300)[:, :3]
     stage: SetAbstraction = encoder.stages[0]

@@ -16,14 +16,14 @@ DEVICES = ["cpu", pytest.param("cuda", marks=pytest.mark.skipif(not torch.cuda.i
 
 
 def clouds(seed: int, batch: int = 2, count: int = 200) -> torch.Tensor:
-    """(B, N, 3) points on patches before the hand."""
+    """Return points (B, N, 3) of patches in front of the hand."""
     rng = np.random.default_rng(seed)
     points = rng.uniform((-0.05, -0.05, 0.1), (0.05, 0.05, 0.14), (batch, count, 3))
     return torch.tensor(points, dtype=torch.float32)
 
 
 def farthest_by_loops(points: np.ndarray, count: int) -> list[int]:
-    """As the kernel does it, for one cloud in float32."""
+    """Return the indices of farthest points as the original kernel does, for one cloud (N, 3) in float32."""
     chosen, distances = [0], np.full(len(points), 1e10, dtype=np.float32)
     while len(chosen) < count:
         best, farthest = 0, np.float32(-1.0)
@@ -84,7 +84,7 @@ def test_the_ball_is_open() -> None:
 @settings(max_examples=25)
 @given(seed=st.integers(0, 10_000), order=st.permutations(range(1, 40)))
 def test_choices_go_with_their_points(seed: int, order: list[int]) -> None:
-    """Whatever order the points behind the first are in, the same are chosen, and the same are neighbours."""
+    """The order of points after the first does not change which points are chosen and which are neighbours."""
     points = clouds(seed, batch=1, count=40)
     moved = [0, *order]
     turned = points[:, moved]
@@ -113,7 +113,7 @@ def test_greatest_of_groups_and_its_gradient(seed: int, members: int) -> None:
     groups = torch.randint(7, (3, 6, members), generator=draw)
     wanted = gather_columns(features.transpose(1, 2), groups).amax(dim=-1).transpose(1, 2)
     weights = torch.randn(3, 6, 4, generator=draw)
-    # Where a group has a point twice, `amax` shares the gradient among the two: of one point, all the same.
+    # If a group has a point twice, `amax` splits the gradient between both entries; the sum for the point is the same.
     (gradient,) = torch.autograd.grad((wanted * weights).sum(), features)
     found = max_pool_groups(features, groups)
     assert found.equal(wanted)

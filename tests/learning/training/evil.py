@@ -1,4 +1,4 @@
-"""A pickle as a stranger might send it."""
+"""Object for tests of untrusted pickles."""
 
 import os
 from pathlib import Path
@@ -6,7 +6,7 @@ from typing import Any
 
 
 class Evil:
-    """Makes a folder when it is unpickled freely."""
+    """Object that makes a folder if it is unpickled without restrictions."""
 
     def __init__(self, marker: Path) -> None:
         self.marker = marker

@@ -8,7 +8,7 @@ from types import ModuleType
 
 import pytest
 
-#: Built-in and own terms together.
+#: Built-in and custom reward terms.
 REWARDS = "tests.envs.custom_rewards:SHAPED_AND_OWN"
 EXPERIMENTS = Path(__file__).parents[3] / "experiments"
 
@@ -26,7 +26,10 @@ def script(name: str, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
 
 
 def reward_terms_of(folder: Path, agent: str) -> set[str]:
-    """Return the names of an agent's terms in the table of reward terms; the receiver's are not all 0."""
+    """Return the names of an agent's terms in the table of reward terms.
+
+    Check that every term has episodes, and that the means of the receiver's terms are not all 0.
+    """
     with (folder / "reward_terms.csv").open(newline="") as file:
         rows = [row for row in csv.DictReader(file) if row["agent"] == agent]
     assert agent == "giver" or any(float(row["mean"]) for row in rows)

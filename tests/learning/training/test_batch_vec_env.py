@@ -1,4 +1,4 @@
-"""Batches of environments for Stable-Baselines3 equal single environments."""
+"""Tests of batches of environments for Stable-Baselines3: they equal single environments."""
 
 import functools
 from typing import Any

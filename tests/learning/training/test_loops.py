@@ -1,4 +1,4 @@
-"""Training with other libraries at the smallest size; the policies run without these libraries."""
+"""Tests of training with other libraries at the smallest size; the policies run without these libraries."""
 
 from pathlib import Path
 from types import ModuleType
@@ -127,7 +127,7 @@ def test_tianshou_steps_every_agent_as_an_environment(monkeypatch: pytest.Monkey
     seen, _ = envs.reset()
     assert seen.shape == (4, *worlds[0].observation_space("giver").shape)
     np.testing.assert_array_equal(seen[:, -2:], np.tile(np.eye(2), (2, 1)))
-    # World 1 alone, in whatever order.
+    # Only environment 1 is stepped, with its agents in reverse order.
     size = worlds[0].action_space("giver").shape
     after, rewards, ended, timed_out, infos = envs.step(np.zeros((2, *size)), id=[3, 2])
     np.testing.assert_array_equal(after[:, -2:], [[0, 1], [1, 0]])
@@ -157,7 +157,7 @@ def test_benchmarl_task_has_the_specs_of_the_environment(monkeypatch: pytest.Mon
     assert task.state_spec(env)["state"].shape == (172,)
     assert task.group_map(env) == {"giver": ["giver"], "receiver": ["receiver"]}
     for group in ("giver", "receiver"):
-        # A number of agents, and inputs of rank 1.
+        # The first axis is the number of agents; the inputs are vectors.
         assert task.observation_spec(env)[group, "observation"].ndim == 2
     assert task.supports_continuous_actions()
     assert not task.supports_discrete_actions()

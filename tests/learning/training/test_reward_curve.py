@@ -1,4 +1,4 @@
-"""The table of reward terms of a training."""
+"""Tests of the table of reward terms of a training."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Folders of training runs: resuming, and damaged files."""
+"""Tests of folders of training runs: resuming, and damaged files."""
 
 import contextlib
 import json
@@ -70,7 +70,7 @@ def test_other_runs_are_not_overwritten(tmp_path: Path) -> None:
 
 
 def test_run_is_resumed_on_its_dataset_only(tmp_path: Path) -> None:
-    """Both times the argument was "auto"."""
+    """A run is not resumed on another dataset, even if the argument "auto" is the same."""
     RunFolder(tmp_path / "run", Args(), False, "synthetic")
     with pytest.raises(ResultsError, match=r"other arguments \(dataset\)"):
         RunFolder(tmp_path / "run", Args(resume=True), True, "dexycb")
@@ -84,7 +84,7 @@ class RenamedArgs:
 
 
 def test_runs_of_version_0_7_can_be_resumed(tmp_path: Path) -> None:
-    """Arguments, and configurations that were printed as text, had other names."""
+    """A run of version 0.7, where arguments and configurations have other names, is resumed if the values are equal."""
     pytest.importorskip("matplotlib", reason="needs the extra `plot`")
     old = {"every": 512, "expert": "ExpertConfig(options=24, way=(0.1, 0.2))", "dataset": "synthetic"}
     for values, is_same in ((old, True), (old | {"every": 256}, False), (old | {"expert": "E(options=23)"}, False)):

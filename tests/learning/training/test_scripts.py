@@ -1,4 +1,4 @@
-"""Training scripts on a few steps of synthetic scenes."""
+"""Tests of the training scripts with a few steps on synthetic scenes."""
 
 import functools
 import pickle
@@ -161,7 +161,7 @@ def test_best_responses_resume_runs_without_a_checkpoint(tmp_path: Path, monkeyp
 def test_runs_are_not_resumed_on_another_dataset(
     tmp_path: Path, fake_data: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
-    """The dataset "auto" depends on an environment variable."""
+    """A run with the dataset "auto" is not resumed if an environment variable now selects another dataset."""
     train = script(name, monkeypatch)
     args = train.Args(setup="s0", out=str(tmp_path / "run"), resume=True)
     RunFolder(tmp_path / "run", args, False, "synthetic")

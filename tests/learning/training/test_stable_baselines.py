@@ -1,4 +1,4 @@
-"""Checkpoints of Stable-Baselines3 models, read without running code from them."""
+"""Tests of reading checkpoints of Stable-Baselines3 models without running code from them."""
 
 import io
 import pickle

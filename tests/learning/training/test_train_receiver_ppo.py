@@ -1,4 +1,4 @@
-"""PPO in plain PyTorch: advantages, updates, and a short training whose policy runs without PyTorch."""
+"""Tests of PPO in plain PyTorch: advantages, updates, and a short training whose policy runs without PyTorch."""
 
 import re
 import sys

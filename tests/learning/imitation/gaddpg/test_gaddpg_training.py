@@ -1,4 +1,4 @@
-"""Training of GA-DDPG's network on a few synthetic scenes: interrupted, resumed, deployed."""
+"""Tests of training GA-DDPG's network on a few synthetic scenes: interruption, resuming and deployment."""
 
 from pathlib import Path
 from types import ModuleType
@@ -25,7 +25,7 @@ from handover_marl.learning.imitation.gaddpg.grasp_costs import GraspCostConfig
 from handover_marl.receivers import make
 from tests.learning.training.scripts import script, steps_of
 
-# Without validation of grasps and without the planner, which take minutes at first use.
+# The validation of grasps and the planner are off, because they take minutes at first use.
 QUICK: dict[str, Any] = {
     "dataset": "synthetic",
     "scenarios": 4,

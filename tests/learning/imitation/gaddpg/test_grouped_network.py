@@ -1,4 +1,4 @@
-"""Training of GA-DDPG's network on stored groups equals the deployed network; losses and resuming."""
+"""Tests of training GA-DDPG's network on stored groups: equality with the deployed network, losses, resuming."""
 
 from collections.abc import Iterator
 
@@ -42,7 +42,7 @@ def some_states(seed: int = 0) -> tuple[ImitationStates, list[np.ndarray]]:
 
 
 def filled(points: np.ndarray) -> np.ndarray:
-    """Return the receiver's cloud (4, 1024): the points, then repeated ones."""
+    """Return the receiver's cloud (4, 1024): the points, and then randomly chosen points again."""
     more = np.random.default_rng(1).integers(len(points), size=1024 - len(points))
     columns = np.zeros((4, 1024), dtype=np.float32)
     columns[:3] = points[np.concatenate([np.arange(len(points)), more])].T
@@ -109,7 +109,7 @@ def test_action_losses_are_in_metres() -> None:
 
 @pytest.fixture
 def one_thread() -> Iterator[None]:
-    """Use one thread, since rounding of several varies from run to run."""
+    """Use one thread, because the rounding of several threads varies from run to run."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     yield

@@ -31,7 +31,7 @@ from handover_marl.receivers.reactive.grasps import GraspPreparationConfig
 pytest.importorskip("embreex")
 DATA = open_dataset("synthetic")
 SCENE = DATA.load_scene(9)
-# Known grasps only, tried from their places alone: what is tested here is not how well they hold.
+# Validate only known grasps, without tilts and offsets, because these tests do not check how well grasps hold.
 QUICK = GraspLabelConfig(
     receiver=ReactiveConfig(
         preparation=GraspPreparationConfig(tilts=(), lateral_offsets=(), release_offsets=(), advances=())
@@ -68,7 +68,7 @@ def test_views_contain_object_and_hand(views: GraspViews) -> None:
     count = len(views.object_points)
     assert count > 20
     assert [array.shape[1:] for array in views] == [(64, 3), (32, 3), (), (24, 7), (24,), (3,), (3,), (3,)]
-    # Nothing nearer than the near plane is seen, and what is seen is about where the object is.
+    # No point is nearer than the near plane, and all points are near the object.
     assert (views.object_points[..., 2] > 0.07).all()
     away = np.linalg.norm(views.object_points.astype(float) - views.object_center[:, None].astype(float), axis=-1)
     assert away.max() < 0.3
