@@ -35,7 +35,7 @@ def hand_and_object(name, subject, side, dof):
 
 
 def gaps_by_link(client, item, hand, within):
-    """Smallest distance (m) from each hand link to the object, by PyBullet."""
+    """Return the smallest distance (m) from each hand link to the object by PyBullet, by link number."""
     gaps = {}
     for point in client.getClosestPoints(hand.id, item, within):
         gaps[point[3]] = min(gaps.get(point[3], np.inf), point[8])

@@ -1,4 +1,4 @@
-"""The Panda with a camera on its hand."""
+"""Tests of the Panda with a camera on its hand."""
 
 import os
 import subprocess
@@ -19,7 +19,7 @@ from handover_marl.geometry.poses import compose, invert_pose
 from handover_marl.simulation.bullet.bodies import PandaBody
 from handover_marl.simulation.bullet.client import BulletClient, connect, load_urdf
 
-#: Places in what PyBullet reports of a joint.
+#: Indices in the tuple that PyBullet returns for a joint.
 TYPE, FIRST_LIMIT, LINK, AXIS = 2, 8, 12, 13
 
 
@@ -31,7 +31,7 @@ def client() -> Iterator[BulletClient]:
 
 
 def joints(client: BulletClient, urdf: Path) -> dict[str, tuple[Any, ...]]:
-    """What PyBullet reports of each link's joint, but for its number and its parent's."""
+    """Return PyBullet's data of each link's joint without the indices of the joint and its parent, by link name."""
     body = load_urdf(client, urdf, useFixedBase=True)
     infos = [client.getJointInfo(body, joint) for joint in range(client.getNumJoints(body))]
     return {info[LINK].decode(): (info[1], info[TYPE], *info[6:16]) for info in infos}
@@ -73,7 +73,7 @@ def test_camera_pose_equals_handoversims(client: BulletClient, seed: int) -> Non
     np.testing.assert_allclose(relative[:3], [0.036, 0.0, 0.036], atol=1e-6)
     assert abs(relative[3:] @ [-0.5, 0.5, -0.5, 0.5]) == pytest.approx(1.0, abs=1e-6)
     np.testing.assert_allclose(panda.read_camera_pose(), camera, atol=1e-6)
-    # A Panda without one looks from the same place.
+    # A Panda without a camera has the same camera pose.
     plain = PandaBody(client, PANDA_URDF, PandaConfig())
     plain.reset_joints(robot.tolist())
     pose = plain.read_camera_pose()
@@ -103,7 +103,7 @@ def test_one_process_has_one_file() -> None:
 
 
 def run(code: str) -> list[Path]:
-    """Run a program and tell the paths that it printed."""
+    """Run a program and return the paths that it printed."""
     program = f"import os, sys\nfrom handover_marl.assets.robot_model import write_camera_panda_urdf\n{code}"
     done = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True, timeout=60)
     assert not done.stderr
@@ -151,7 +151,7 @@ def test_forked_children_keep_their_parents_file() -> None:
     ],
 )
 def test_child_processes_remove_their_files(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, method: str) -> None:
-    """As vectors of environments start them."""
+    """Child processes, which vector environments start by any of these methods, remove their files at exit."""
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     run(
         "import multiprocessing\n"

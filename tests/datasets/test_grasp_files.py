@@ -76,7 +76,7 @@ def test_reads_python_2_pickles(tmp_path: Path) -> None:
 
 
 class Calls:
-    """Pickles as a call of anything, with a state to follow."""
+    """Object that is pickled as the call of a function, with an optional state."""
 
     def __init__(self, call: Callable[..., Any], arguments: tuple[Any, ...], state: Any = None) -> None:
         self.reduced = (call, arguments) if state is None else (call, arguments, state)
@@ -125,7 +125,7 @@ def test_hostile_arrays_are_refused(tmp_path: Path) -> None:
     paths = [tmp_path / f"{number}.npy" for number in range(len(HOSTILE))]
     for path, hostile in zip(paths, HOSTILE.values(), strict=True):
         with_header(path, pickle.dumps({"transforms": hostile}))
-    # What gets through may crash the interpreter, so not in this one.
+    # Files that are not refused may crash the interpreter, so another process reads them.
     load = (
         "import sys, pathlib; from handover_marl.datasets.grasp_files import *; from handover_marl.errors import *\n"
         "for path in sys.argv[1:]:\n"
@@ -142,17 +142,17 @@ def test_hostile_arrays_are_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "pickled",
     [
-        # A function of the reader is asked for and its defaults set, as BUILD sets attributes.
+        # The pickle requests a function of the reader and sets its defaults by BUILD, which sets attributes.
         b"\x80\x02cnumpy._core.multiarray\n_reconstruct\n(N}U\x0c__defaults__K\x01stb.",
         b"\x80\x02cnumpy\nndarray\n(N}U\x05_callK\x01stb.",
-        # A memo index that would take 32 GiB.
+        # The memo index would take 32 GiB.
         b"\x80\x02}r\xff\xff\xff\x7f.",
         b"\x80\x02}p2147483647\n.",
-        # A key so deep that hashing it would overflow the stack.
+        # The key is nested so deeply that hashing it would overflow the stack.
         b"\x80\x02})" + b"\x85" * 500_000 + b"K\x01s.",
-        # The same key from a few bytes: a tuple of twice the same tuple, a hundred times over.
+        # The key has few bytes, but 99 nested tuples that each contain the next one twice.
         b"\x80\x02})q\x00" + b"".join(bytes([104, k, 134, 113, k + 1]) for k in range(99)) + b"K\x01s.",
-        # A thousand copies of a long text, as bytes.
+        # The pickle encodes a long text a thousand times as bytes.
         b"\x80\x02}(X\x40\x42\x0f\x00"
         + b"a" * 1_000_000
         + b"q\x00"
@@ -170,7 +170,7 @@ def test_hostile_pickles_are_refused(tmp_path: Path, pickled: bytes) -> None:
 
 
 def flip_bytes(folder: Path) -> None:
-    """Spoil files of every protocol at random places; anything but the library's errors ends the process."""
+    """Read randomly damaged files of every pickle protocol; errors other than the library's end the process."""
     path, rng = folder / "g.npy", random.Random(0)
     for protocol in range(2, pickle.HIGHEST_PROTOCOL + 1):
         content = {

@@ -8,13 +8,17 @@ from handover_marl.errors import DataFormatError
 
 
 def test_data_folder_of_another_machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The one that was given, its own, or the usual one of the machine that asks, in this order."""
+    """A machine chooses the first data folder that applies.
+
+    The order is: the folder of the argument, the folder in its own environment variable, the folder in the environment
+    variable of the machine that starts the evaluation.
+    """
     argument, environment, own = (tmp_path / name for name in ("given", "usual", "own"))
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv(DATA_DIR_VARIABLE, str(environment))
     asked, not_given = DataLocation.from_data_dir("given"), DataLocation.from_data_dir(None)
     assert (asked.argument, not_given.argument, asked.environment) == (str(argument), "", str(environment))
-    # On a machine that has neither, its own dataset says what is missing.
+    # On a machine that has neither folder, the machine's own environment variable is used.
     monkeypatch.chdir("/")
     monkeypatch.setenv(DATA_DIR_VARIABLE, str(own))
     assert asked.resolve() is not_given.resolve() is None

@@ -143,7 +143,7 @@ def test_other_files_as_motion(own_data: Path) -> None:
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("pose_y.npy", b"\x93NUMPY\x01\x00\x06\x00{'a': \n")
     refused()
-    # Flags of the first entry: encrypted; then compression 99, which zipfile does not know.
+    # In the central directory, the first entry is marked as encrypted, then as compressed by the unknown method 99.
     for offset, value in ((8, 1), (10, 99)):
         start = whole.index(b"PK\x01\x02")
         path.write_bytes(whole[: start + offset] + bytes([value]) + whole[start + offset + 1 :])
@@ -157,7 +157,7 @@ def test_flipped_bytes_in_motion_files(own_data: Path) -> None:
     for _ in range(400):
         spoilt = bytearray(whole)
         for _ in range(rng.choice((1, 1, 2, 8))):
-            # Headers stand at both ends; the compressed middle is guarded by checksums.
+            # Headers are at both ends; checksums protect the compressed data between them.
             spoilt[rng.choice((rng.randrange(200), -1 - rng.randrange(250)))] = rng.randrange(256)
         path.write_bytes(spoilt)
         try:

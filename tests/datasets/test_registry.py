@@ -1,4 +1,4 @@
-"""Data sets beyond the 1000 official scenes: other numbers, setups and object classes."""
+"""Tests of data sets whose scene numbers, setups and object classes differ from the official ones."""
 
 import copy
 import pickle
@@ -29,7 +29,7 @@ N_SCENES, CUP = 1500, 29
 
 
 class ManyScenes(SyntheticDataset):
-    """The synthetic scenes once more from 1000 on, with a class of their own for mugs."""
+    """Synthetic scenes that repeat from number 1000 on, with mugs in a class of their own, `cup`."""
 
     name = "many:cups"
 
@@ -40,36 +40,36 @@ class ManyScenes(SyntheticDataset):
 
     @property
     def setups(self) -> tuple[str, ...]:
-        """One setup."""
+        """Name of the only setup."""
         return ("all",)
 
     @property
     def object_names(self) -> Mapping[int, str]:
-        """The YCB classes and cups."""
+        """Names of the YCB classes and of the class `cup`, by number."""
         return {**CLASS_NAMES, CUP: "cup"}
 
     def list_scenes(self, setup: str | None, split: str) -> tuple[int, ...]:
-        """All scenes are in every split."""
+        """Return all scenes, which are in every split."""
         self.resolve_setup(setup)
         return tuple(range(N_SCENES))
 
     def load_info(self, scene_id: int) -> SceneInfo:
-        """A mug is a cup."""
+        """Return a scene's info, in which mugs are cups."""
         self.check_scene_id(scene_id)
         return rename(super().load_info(scene_id % 1000), scene_id)
 
     def load_scene(self, scene_id: int) -> Scene:
-        """A mug is a cup."""
+        """Return a scene, in which mugs are cups."""
         self.check_scene_id(scene_id)
         scene = super().load_scene(scene_id % 1000)
         return replace(scene, info=rename(scene.info, scene_id), dataset=self.name)
 
     def find_object_urdf(self, object_name: str) -> Path:
-        """A mug is a cup."""
+        """Return the URDF of an object; a cup has that of the mug."""
         return super().find_object_urdf(object_name.replace("cup", "025_mug"))
 
     def load_grasps(self, object_name: str) -> Any:
-        """A mug is a cup."""
+        """Return the grasps of an object; a cup has those of the mug."""
         return super().load_grasps(object_name.replace("cup", "025_mug"))
 
 
@@ -150,7 +150,7 @@ def test_policies_name_the_classes_of_the_data_set(many: Dataset) -> None:
 
 
 def test_results_of_another_data_set(many: Dataset, tmp_path: Path) -> None:
-    """Files, report, verification and shards with scene numbers of four digits."""
+    """Results with scene numbers of four digits are written, read again, verified, and merged from shards."""
     report = evaluate_scenes(tmp_path / "whole")
     assert (tmp_path / "whole" / "1069.npz").exists()
     metadata = read_result_metadata(tmp_path / "whole")
@@ -170,7 +170,7 @@ def test_results_of_another_data_set(many: Dataset, tmp_path: Path) -> None:
 
 
 def test_official_files_do_not_change(tmp_path: Path) -> None:
-    """The size of an official split is known and in no file."""
+    """The configuration file of results does not contain the size of an official split, which is known."""
     report = handover_marl.benchmark(
         split="val", receiver="hold", dataset="synthetic", physics="fast", scenes=[9], workers=1, out=tmp_path
     )

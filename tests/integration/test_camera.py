@@ -1,4 +1,4 @@
-"""The wrist camera against recordings of the reference, bit for bit, and its two renderers on real motion."""
+"""Tests of the wrist camera: equality with recordings of the reference, and agreement of its two renderers."""
 
 from contextlib import nullcontext
 from pathlib import Path
@@ -20,7 +20,7 @@ from tests.conftest import RECORDINGS
 from tests.integration.test_reference import STRIDE, read_recording
 
 NAMES = sorted(path.stem for path in Path(RECORDINGS).glob("camera/*.npz")) if RECORDINGS else ["none"]
-#: What body numbers of the recordings are seen as: ground 0, table, Panda, object, hand, nothing -1.
+#: Labels of the recordings' body numbers: ground 0, table 1, Panda 2, object 3, hand 4, nothing -1.
 SEEN = np.array(
     [
         SegmentationLabel.BACKGROUND,
@@ -35,7 +35,7 @@ SEEN = np.array(
 
 
 class Clouds:
-    """The clouds of a recording, by frame."""
+    """Point clouds of object and hand in a recording, by frame."""
 
     def __init__(self, recording: dict[str, npt.NDArray[np.generic]]) -> None:
         ends = {name: np.cumsum(recording[f"{name}_cloud_size"])[:-1] for name in ("object", "hand")}

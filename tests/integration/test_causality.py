@@ -1,4 +1,4 @@
-"""Actions and observations do not depend on motion that is still to come."""
+"""Tests of causality: actions and observations do not depend on future motion of the recording."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -25,7 +25,7 @@ from handover_marl.receivers.reactive.receiver import ReactiveReceiver
 from tests.receivers.quick import QUICK_PREPARATION
 
 SCENE = 209
-#: Largest time that a giver sees ahead (physics steps of 1 ms).
+#: Largest time by which a giver previews the recording (physics steps of 1 ms).
 PREVIEW = round(1000 * max(OFFICIAL_CONFIG.giver.preview))
 LEARNED = Path(__file__).parents[1] / "data" / "v0_7_0" / "policies" / "receiver.npz"
 POPULATION = Path(__file__).with_name("population.json")
@@ -46,29 +46,29 @@ Motion = npt.NDArray[np.float32]
 
 
 def freeze(motion: Motion, step: int) -> Motion:
-    """Stay at the pose of a step."""
+    """Return a motion that stays at the pose of a step."""
     return np.concatenate([motion[: step + 1], np.repeat(motion[step : step + 1], len(motion) - step - 1, axis=0)])
 
 
 def move(motion: Motion, step: int) -> Motion:
-    """Move all positions upwards at 1 m/s after a step."""
+    """Return a motion whose positions all move upwards at 1 m/s after a step."""
     changed = motion.copy()
     changed[step + 1 :, ..., 2] += 0.001 * np.arange(1, len(motion) - step).reshape((-1,) + (1,) * (motion.ndim - 2))
     return changed
 
 
 def cut(motion: Motion, step: int) -> Motion:
-    """End the recording at a step."""
+    """Return a motion that ends at a step."""
     return motion[: step + 1].copy()
 
 
 def lengthen(motion: Motion, step: int) -> Motion:
-    """Move at half the speed after a step."""
+    """Return a motion that has half the speed after a step."""
     return np.concatenate([motion[: step + 1], np.repeat(motion[step + 1 :], 2, axis=0)])
 
 
 class UndeviatingGiver(Giver):
-    """Giver that is asked ten times a second and replays the recording at its own rate."""
+    """Giver that decides ten times a second and replays the recording at the recorded rate."""
 
     name = "undeviating"
 
@@ -102,7 +102,7 @@ CHANGES: tuple[Callable[[Motion, int], Motion], ...] = (freeze, move, cut, lengt
 
 @dataclass
 class Recorder:
-    """Policy that records what another policy observes and does.
+    """Policy that records the observations and actions of another policy.
 
     Attributes:
         policy: The other policy.
@@ -132,7 +132,7 @@ class Recorder:
 
 
 def change_motion(scene: Scene, step: int, change: Callable[[Motion, int], Motion]) -> Scene:
-    """Return the scene with other motion after a step; the hand disappears half a second after it."""
+    """Return the scene with changed motion after a step; the hand is absent from 0.5 s after the step on."""
     hand_last = scene.hand_last if scene.hand_last is None else min(scene.hand_last, step + 500)
     return replace(
         scene,
@@ -143,7 +143,7 @@ def change_motion(scene: Scene, step: int, change: Callable[[Motion, int], Motio
 
 
 def make_receiver(reference: str, dataset: Dataset) -> Policy:
-    """Make a receiver; `reactive` with a short validation of its grasps."""
+    """Return a receiver; `reactive` gets a short validation of its grasps."""
     if reference == "reactive":
         return ReactiveReceiver(make_policy_context(dataset), config=ReactiveConfig(preparation=QUICK_PREPARATION))
     return receivers.make(reference, dataset)
@@ -164,7 +164,11 @@ def assert_same_until(end: int, recorded: Recorder, other: list[tuple[int, Obser
 def choose_decisions(
     events: list[tuple[int, Observation, np.ndarray]], after: int, rng: np.random.Generator
 ) -> list[int]:
-    """Choose the steps of one decision for each change; policies that decide once have no other."""
+    """Choose the step of a decision for each change.
+
+    Decisions after the step `after` are chosen if there are enough of them. Policies with fewer decisions than changes
+    get some of them repeatedly.
+    """
     late = [step for step, *_ in events if step > after]
     steps = late if len(late) >= len(CHANGES) else [step for step, *_ in events]
     chosen: list[int] = rng.choice(steps, len(CHANGES), replace=len(steps) < len(CHANGES)).tolist()
@@ -188,7 +192,7 @@ def test_receivers_do_not_know_motion_that_is_still_to_come(reference: str) -> N
     episode.reset(scene)
     play(episode, receiver, until=end)
     events = receiver.events
-    # Just after a decision, so that a look 50 ms ahead would see other motion.
+    # Motion changes less than 40 ms after a decision, so that a preview of 50 ms would contain the change.
     decisions = choose_decisions(events, end // 4, rng)
     for decision, change in zip(decisions, CHANGES, strict=True):
         last = decision + int(rng.integers(0, 40))

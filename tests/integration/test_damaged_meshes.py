@@ -1,4 +1,4 @@
-"""Empty, flat and infinite collision meshes are refused in every kind of physics."""
+"""Tests of empty, truncated, flat and non-finite collision meshes, which every physics engine refuses."""
 
 import shutil
 from collections.abc import Callable

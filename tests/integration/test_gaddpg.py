@@ -1,4 +1,4 @@
-"""GA-DDPG's protocol against recordings of the original scripts, bit for bit."""
+"""Tests of GA-DDPG's protocol: it equals recordings of the original scripts bit for bit."""
 
 from pathlib import Path
 
@@ -17,13 +17,17 @@ from tests.integration.test_reference import STRIDE, read_recording
 from tests.playing import play
 
 NAMES = sorted(path.stem for path in Path(RECORDINGS).glob("gaddpg/*.npz")) if RECORDINGS else ["none"]
-#: Recorded after scene 12 in one process, with a world of its own. The scripts ask PyBullet's first server for inverse
-#: kinematics, which was that of the other world: every answer began at the joints that the robot had there in the end.
+#: `ELSEWHERE` was recorded after `AFTER` in the same process, in another world. The scripts query PyBullet's first
+#: client for inverse kinematics. That was the client of the first world, so every query started from the robot's last
+#: joints in that world.
 ELSEWHERE, AFTER = "gaddpg_scene009_wo_hold", "gaddpg_scene012_hold"
 
 
 class StandIn:
-    """The function that the recordings were made with, which answers what it was recorded to answer."""
+    """Network function of the recordings, which records its inputs and returns the recorded outputs.
+
+    It checks that the recorded outputs are those of the function's formula.
+    """
 
     def __init__(self, expected: dict[str, npt.NDArray[np.generic]]) -> None:
         self.inputs: list[npt.NDArray[np.float64]] = []
@@ -38,13 +42,17 @@ class StandIn:
         turn = [0.06 * np.sin(9.0 * mean[1]), 0.06 * np.sin(7.0 * mean[0]), 0.01 * np.cos(remaining)]
         answer = np.array(self._outputs[len(self.inputs) - 1])
         np.testing.assert_array_equal(answer[:3], shift)
-        # The recordings' NumPy (1.23.5) had sines of its own, up to four units in the last place from others.
+        # Sines of NumPy 1.23.5, which made the recordings, differ from others by up to four units in the last place.
         np.testing.assert_array_max_ulp(answer[3:], np.array(turn), maxulp=4)
         return answer
 
 
 class Watched(GaddpgReceiver):
-    """Notes when it decides; solves from the joints that it is given instead of its own, if it is given any."""
+    """GA-DDPG receiver that records the steps of its decisions.
+
+    Attributes:
+        joints: Joint positions from which inverse kinematics start instead of the observed ones, or None.
+    """
 
     joints: npt.NDArray[np.float64] | None = None
 
@@ -63,7 +71,7 @@ class Watched(GaddpgReceiver):
 
 
 class Joints(EpisodeCallback):
-    """The robot's joints after steps 1, 11, 21, ..., and in the end."""
+    """Callback that records the robot's joints after the steps 1, 11, 21, ..., and at the end."""
 
     def __init__(self) -> None:
         self.rows: list[npt.NDArray[np.float32]] = []
@@ -83,7 +91,7 @@ def dataset(real_dataset: OfficialDataset) -> OfficialDataset:
 
 @pytest.fixture(scope="module")
 def joints_elsewhere(recordings: Path, dataset: OfficialDataset) -> npt.NDArray[np.float64]:
-    """Where the robot is at the end of another recording."""
+    """Return the robot's joint positions at the end of the recording `AFTER`."""
     expected, episode = read_recording(recordings, f"gaddpg/{AFTER}"), Episode("exact")
     episode.reset(dataset.load_scene(int(expected["scene_id"])))
     for action in expected["action"]:

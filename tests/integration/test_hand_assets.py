@@ -1,4 +1,4 @@
-"""The models made of raw DexYCB and MANO against those that HandoverSim's own scripts made of the same data."""
+"""Tests of models made of raw DexYCB and MANO, which equal those of HandoverSim's scripts to the byte."""
 
 import hashlib
 import json
@@ -13,7 +13,7 @@ from handover_marl.geometry.ycb import SUBJECTS
 
 
 def first_betas(dex_ycb: Path, subject: str) -> list[float]:
-    """The betas of a person's first scene, which HandoverSim takes for both hands."""
+    """Return the betas of a subject's first scene, which HandoverSim uses for both hands."""
     first = min((dex_ycb / subject).iterdir())
     calibration = yaml.safe_load((first / "meta.yml").read_text())["mano_calib"][0]
     betas: list[float] = yaml.safe_load((dex_ycb / f"calibration/mano_{calibration}/mano.yml").read_text())["betas"]

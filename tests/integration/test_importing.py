@@ -1,4 +1,4 @@
-"""Raw DexYCB imported as HandoverSim's own scripts imported it, bit for bit."""
+"""Tests of the import of raw DexYCB, which equals that of HandoverSim's own scripts bit for bit."""
 
 import hashlib
 import json
@@ -45,7 +45,7 @@ def checksums(raw_dexycb: Path) -> dict[str, Any]:
 
 
 def described(cache: Path, scene_id: int) -> dict[str, Any]:
-    """A scene's files as the checksums describe them."""
+    """Return checksums, shapes and types of a scene's files, in the format of the expected checksums."""
     content: dict[str, Any] = {"meta": hashlib.sha256((cache / f"meta_{scene_id:03d}.json").read_bytes()).hexdigest()}
     with np.load(cache / f"pose_{scene_id:03d}.npz", allow_pickle=False) as archive:
         assert archive.files == ["pose_y", "pose_m"]
@@ -77,7 +77,7 @@ def test_scenes_equal_the_original(
     sequences = [sequence for sequence in layout.sequences if sequence.subject == SUBJECTS[subject]]
     assert len(sequences) == 100
     different = []
-    # Every fourth scene: all objects and trials are among those of the ten subjects.
+    # Every fourth scene is imported; those of the ten subjects together have all objects and trials.
     for sequence in sequences[subject % 4 :: 4]:
         import_scene(sequence, models, first_betas, tmp_path)
         if described(tmp_path / CACHE_FOLDER, sequence.scene_id) != checksums[f"{sequence.scene_id:03d}"]:
@@ -90,7 +90,10 @@ PLAYED = (5, 108, 146)
 
 @pytest.fixture(scope="module")
 def imported(raw_dexycb: Path, real_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A data folder from raw recordings, invented MANO files, and the assets of the real one as third-party folder."""
+    """Return a data folder that is imported from raw recordings and invented MANO files.
+
+    The assets of the real data folder are its third-party files.
+    """
     out = tmp_path_factory.mktemp("imported")
     found = import_dexycb(
         raw_dexycb / "raw" / "dex-ycb",
@@ -122,7 +125,7 @@ def test_imported_scenes_are_played(imported: Path, physics: str) -> None:
 def test_a_hand_from_the_import_is_the_originals(
     imported: Path, several_objects: OfficialDataset, scene_id: int
 ) -> None:
-    """Same bits as with the folder that the original scripts wrote."""
+    """Observations in imported scenes equal those in the folder of the original scripts bit for bit."""
     states = []
     for dataset in (OfficialDataset(imported), several_objects):
         episode = Episode("exact")

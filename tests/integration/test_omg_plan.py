@@ -1,4 +1,4 @@
-"""The planner against a plan that the original printed: HandoverSim's demonstration in scene 105."""
+"""Tests of the planner against the plan of the original planner in HandoverSim's demonstration of scene 105."""
 
 from pathlib import Path
 
@@ -28,7 +28,7 @@ def test_goal_set_holds_the_goal_of_the_original(real_dataset: OfficialDataset, 
 
 
 def _demonstration(recordings: Path) -> np.ndarray:
-    """(30, 7) waypoints of the approach."""
+    """Return the waypoints (30, 7) of the demonstration's approach (rad)."""
     with np.load(recordings / "scene105_demo.npz") as recorded:
         actions = recorded["action"]
     changes = np.flatnonzero(np.abs(np.diff(actions, axis=0)).max(axis=1) > 1e-7) + 1

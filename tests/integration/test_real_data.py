@@ -1,4 +1,4 @@
-"""The loader on the real data."""
+"""Tests of the loader on the real data."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""The exact physics against recordings of the reference simulator, bit for bit."""
+"""Tests of exact physics, which equals recordings of the reference simulator bit for bit."""
 
 import json
 from pathlib import Path
@@ -37,14 +37,14 @@ def assert_same_state(episode: Episode, expected: dict[str, np.ndarray], row: in
         "hand_dof_position": seen["hand_dof_position"],
         "hand_link_pose": seen["gripper_pose"],
     }
-    # Recordings with several objects lack the Panda's hand link, those with one have no axis for them.
+    # Recordings of several objects have no pose of the Panda's hand link; those of one object have no object axis.
     for key in pairs.keys() & expected.keys():
         value, wanted = pairs[key], expected[key][row]
         assert value.dtype == np.float32
         np.testing.assert_array_equal(value, wanted.reshape(value.shape), err_msg=f"{key} after step {episode.steps}")
 
 
-# The receiver that made the other recordings plays them itself, see `test_yang_receiver_gives_the_recording`.
+# The other recordings are played by the receiver that made them in `test_yang_receiver_gives_the_recording`.
 @pytest.mark.parametrize("name", [name for name in NAMES if name not in YANG[1:]])
 def test_replayed_actions_give_the_recorded_states(name: str, recordings: Path, real_dataset: OfficialDataset) -> None:
     assert_replays(read_recording(recordings, name), real_dataset)
@@ -75,7 +75,7 @@ def assert_same_end(episode: Episode, expected: dict[str, np.ndarray]) -> None:
 
 
 class StateComparison(EpisodeCallback):
-    """Comparison of every tenth state with a recording."""
+    """Callback that compares every tenth state with a recording."""
 
     def __init__(self, expected: dict[str, np.ndarray]) -> None:
         self.expected, self.compared = expected, 0
@@ -100,7 +100,7 @@ def test_yang_receiver_gives_the_recording(name: str, recordings: Path, real_dat
     episode.close()
 
 
-# A third of the scenes that no recording has; experiments/measure_results.py evaluates all test splits.
+# The test plays a third of the scenes without a recording; experiments/measure_results.py evaluates all test splits.
 @pytest.mark.parametrize("part", range(2))
 def test_yang_receiver_on_s0_val(recordings: Path, real_dataset: OfficialDataset, part: int) -> None:
     expected = json.loads((recordings / "yang_s0_val.json").read_text())

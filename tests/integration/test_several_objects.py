@@ -1,4 +1,4 @@
-"""Scenes with one to four other objects, as all of DexYCB has them: every part of the library that meets them."""
+"""Tests of scenes with up to four other objects beside the given one, as DexYCB has them."""
 
 import json
 from dataclasses import replace
@@ -56,13 +56,13 @@ def test_all_of_them_are_observed(several_objects: OfficialDataset, scene_id: in
     episode.close()
     assert seen["object_mask"].tolist() == [1] * n + [0] * (len(seen["object_mask"]) - n)
     assert tuple(seen["object_classes"][:n]) == scene.info.object_ids
-    # The motors of exact physics follow the recording, and lag a little where it moves.
+    # The motors of exact physics follow the recording, and lag a little behind moving objects.
     np.testing.assert_allclose(seen["object_poses"][:n, :3], scene.object_dof[100, :, :3], atol=5e-3)
 
 
 @pytest.mark.parametrize("physics", PHYSICS)
 def test_held_objects_pass_through_each_other(several_objects: OfficialDataset, physics: str) -> None:
-    """Until one is let go, each collides with the robot alone."""
+    """Before the release, objects do not collide with each other, so that they can be at the same position."""
     scene = several_objects.load_scene(STACK)
     still = np.repeat(scene.object_dof[:1], scene.n_frames, axis=0)
     still[:, 1:, :3] = still[:, :1, :3]
@@ -75,10 +75,10 @@ def test_held_objects_pass_through_each_other(several_objects: OfficialDataset, 
 
 
 def stacked(scene: Scene) -> tuple[Scene, float]:
-    """The scene moved so that the given object ends over another one; that one's height above the table (m)."""
+    """Return the scene, moved so that the given object ends above another one, and that one's world z (m)."""
     dof, hand = scene.object_dof.copy(), scene.hand_dof.copy()
     offset = dof[-1, 1, :3] - dof[-1, 0, :3]
-    # Half of the sugar box and half of the cracker box, and a little more; the box stays upright as it is held.
+    # This is more than half the heights of cracker box and sugar box together; the held box stays upright.
     offset[2] += 0.30
     dof[:, 0, :3] += offset
     hand[np.any(hand != 0, axis=1), :3] += offset
@@ -98,14 +98,14 @@ def test_an_object_that_falls_on_another_one_is_dropped(several_objects: Officia
     assert episode.release is ReleaseReason.VOLUNTARY
     assert episode.status == EpisodeStatus.OBJECT_DROP
     height = float(episode.observe()["object_poses"][0, 2])
-    # It never came to the table: the other one stands between.
+    # The object did not reach the table, because the other object is below it.
     assert height > lower + 0.05
     assert episode.contacts.object_supported
     episode.close()
 
 
 def replay(episode: Episode, actions: np.ndarray) -> None:
-    """Play actions, the last one for a little longer, to the end of the episode if there is one."""
+    """Play actions, and the last one for 20 more steps, or until the episode ends."""
     for action in [*actions, *[actions[-1]] * 20]:
         if not episode.status:
             episode.advance(action, 1)
@@ -128,7 +128,7 @@ def test_the_others_sleep_until_the_arm_comes(several_objects: OfficialDataset, 
     assert any(item.is_awake for item in world._objects), "the arm sweeps over the table"
     exact, fast = (episode.world.read_object_joints() for episode in both)
     moved = np.abs(exact - scene.object_dof[-1])[:, :3].max(axis=1)
-    # What was pushed ends alike; tumbling boxes do not repeat to the millimetre.
+    # Objects that were not pushed end at the same pose to 1 mm; those that tumbled may end up to 5 cm apart.
     np.testing.assert_allclose(fast[moved < 1e-3], exact[moved < 1e-3], atol=1e-3)
     assert (moved > 0.02).any(), "something was pushed"
     np.testing.assert_allclose(fast[:, :3], exact[:, :3], atol=0.05)
@@ -144,13 +144,13 @@ def test_fast_physics_ends_the_recordings_alike(several_objects: OfficialDataset
     episode.reset(several_objects.load_scene(int(recorded["scene_id"])))
     replay(episode, recorded["action"])
     assert episode.status == recorded["status"]
-    # A fall of a third of a second ends a step or two apart.
+    # The end of a fall of a third of a second may differ by some steps.
     assert abs(episode.steps - int(recorded["steps"])) <= 10
     episode.close()
 
 
 def planned_way(dataset: OfficialDataset, scene: Scene) -> np.ndarray:
-    """(w, 3) where the gripper goes by the plan, in the world (m)."""
+    """Return the world positions (w, 3) of the hand at the waypoints of the plan (m)."""
     episode = Episode("fast")
     episode.reset(scene)
     episode.advance(np.array(WAITING_JOINTS, dtype=np.float32), 3000)
@@ -170,7 +170,7 @@ def test_plans_go_round_the_other_objects(several_objects: OfficialDataset) -> N
     away = scene.object_dof.copy()
     away[:, 1:, :3] = (0.0, 1.2, 0.0)
     free = planned_way(several_objects, replace(scene, object_dof=away))
-    # A box is put where the hand would pass, well before the object that it goes for.
+    # A box is put on the path of the hand, far from the object that the hand is to grasp.
     place = free[len(free) // 2]
     assert np.linalg.norm(place - scene.object_dof[-1, 0, :3]) > 0.2, "not the object itself"
     blocked = away.copy()
@@ -182,7 +182,7 @@ def test_plans_go_round_the_other_objects(several_objects: OfficialDataset) -> N
 
 @pytest.mark.parametrize("scene_id", [44, 108, 205])
 def test_the_wrist_camera_separates_them(several_objects: OfficialDataset, scene_id: int) -> None:
-    """A view over the table by both renderers."""
+    """In a view over the table, both renderers label the other objects separately from the given one."""
     pytest.importorskip("embreex")
     scene = several_objects.load_scene(scene_id)
     over_the_table = np.array([0.0, -0.3, 0.0, -2.2, 0.0, 2.9, 0.785, 0.04, 0.04], dtype=np.float32)
@@ -198,5 +198,5 @@ def test_the_wrist_camera_separates_them(several_objects: OfficialDataset, scene
     assert (drawn == cast).mean() > 0.999
     same = (drawn == SegmentationLabel.OTHER_OBJECT) & (cast == SegmentationLabel.OTHER_OBJECT)
     assert same.sum() > 0.99 * (drawn == SegmentationLabel.OTHER_OBJECT).sum()
-    # The cloud of the object that is given has none of their points.
+    # The point cloud of the given object has no points of the other objects.
     assert len(views["bullet"].object_points) == (drawn == SegmentationLabel.TARGET).sum()

@@ -9,7 +9,7 @@ from handover_marl.receivers import WAITING_JOINTS
 from handover_marl.receivers.reactive.grasps import GraspPreparationConfig
 from handover_marl.simulation.grasp_validation import GraspValidationConfig
 
-# Validations that are so short that all grasps pass.
+# The simulated validations are so short that all grasps pass them.
 QUICK_PREPARATION = GraspPreparationConfig(
     tilts=(),
     lateral_offsets=(),

@@ -1,4 +1,4 @@
-"""Receivers on arrays act as each receiver does, to the bit, in whole recorded rollouts."""
+"""Tests of batched receivers: in recorded rollouts, their actions equal those of single receivers to the bit."""
 
 from dataclasses import replace
 
@@ -42,7 +42,7 @@ class RecordingReceiver(Yang2021Receiver):
 
 
 def record_rollouts() -> list[Rollout]:
-    """Play the rollouts with one receiver, which a rollout must not change."""
+    """Play all rollouts with one receiver, whose state must not carry over between them, and return the decisions."""
     episode, receiver, found = Episode("mujoco"), RecordingReceiver(CONTEXT, wait=0.4), []
     for number, (scene_id, giver) in enumerate(ROLLOUTS):
         episode.reset(DATA.load_scene(scene_id))
@@ -54,13 +54,16 @@ def record_rollouts() -> list[Rollout]:
 
 @pytest.mark.parametrize("make_solver", [make_ik_solver, PandaIkSolver], ids=["default", "without_pybullet"])
 def test_a_batch_acts_as_single_receivers(monkeypatch: pytest.MonkeyPatch, make_solver: object) -> None:
-    """Rows start at different times and start anew alone, so that they are in different phases together."""
+    """The actions of a batch equal those of single receivers to the bit.
+
+    Rows start and restart at different times, so that they are in different phases at the same time.
+    """
     monkeypatch.setattr(yang2021_controller, "make_ik_solver", make_solver)
     rollouts = record_rollouts()
     assert max(len(decisions) for decisions in rollouts) > 500, "fingers have closed"
     batch = make_receiver_batch(Yang2021Receiver(CONTEXT, wait=0.4), ROWS)
     assert batch is not None
-    # Per row: the rollouts still to come, the start of the present one, and the number of its next decision.
+    # Per row: rollouts that have not ended, start time (ms) of the current one, and number of its next decision.
     waiting = [[first, second] for first, second in zip(rollouts[:ROWS], rollouts[ROWS:], strict=True)]
     starts, numbers = [0, 130, 470], [0] * ROWS
     for row in range(ROWS):
@@ -94,7 +97,7 @@ def test_a_batch_acts_as_single_receivers(monkeypatch: pytest.MonkeyPatch, make_
 
 
 def test_an_object_without_grasps() -> None:
-    """Stays where it is; the rows beside it move."""
+    """The robot of a row whose object has no grasps stays where it is, and those of the other rows move."""
     episode, scene = Episode("mujoco"), DATA.load_scene(14)
     episode.reset(scene)
     state = episode.observe()

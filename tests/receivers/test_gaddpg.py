@@ -78,7 +78,7 @@ def make_observation(
 ) -> Observation:
     """Return an observation with the keys of the receiver's observation mode."""
     filled = np.zeros((224 * 224, 3), dtype=np.float32)
-    # Rows behind the cloud must not be read.
+    # The rows after those of the cloud must not be read.
     filled[:] = 7.0
     filled[: len(points)] = points
     return {
@@ -241,7 +241,7 @@ def test_closes_on_a_caged_object(
     receiver: GaddpgReceiver, network: ConstantNetwork, gripper: npt.NDArray[np.float32]
 ) -> None:
     receiver.act(make_observation(0, gripper, CAGED))
-    # Only in the last millisecond of the decision, with the hand's pose at that time.
+    # Caging is checked only in the last millisecond of a decision, with the hand's pose at that time.
     retracted = compose(gripper.astype(np.float64), np.array([0.0, 0.0, -0.2, 0.0, 0.0, 0.0, 1.0])).astype(np.float32)
     assert receiver.act(make_observation(100, gripper, CAGED))[7] > 0.0
     receiver.act(make_observation(149, retracted, CAGED))
@@ -268,7 +268,7 @@ def run_retreat(receiver: GaddpgReceiver, gripper: npt.NDArray[np.float32]) -> l
     while np.isfinite(receiver.hold_time):
         assert receiver.hold_time == 0.15
         now += 150
-        # Solved from the joints at the start, whatever the present ones.
+        # IK queries start from the joints at the start of the retreat, not from the present ones.
         actions.append(receiver.act(make_observation(now, gripper + np.float32(0.1), CAGED, START + 0.3)))
     np.testing.assert_array_equal(receiver.act(make_observation(12_000, gripper)), actions[-1])
     return actions
@@ -317,7 +317,7 @@ def test_commands_do_not_depend_on_the_call_period(network: ConstantNetwork) -> 
             if period is None and episode.steps < scheduler.due:
                 action = actions[-1]
             else:
-                # Synthetic points: rendering is tested elsewhere.
+                # The points are synthetic; other tests check rendering.
                 known = episode.observe()
                 own = make_observation(0, known["gripper_pose"], FAR, episode.world.read_joints_float64())
                 action = scheduler.decide({**own, "time": known["time"]}, episode.steps)

@@ -1,4 +1,4 @@
-"""File `scenes.json`: damaged ones are refused, and the error names the field."""
+"""Tests of the file `scenes.json`: damaged files are refused with an error that names the field."""
 
 import json
 from pathlib import Path

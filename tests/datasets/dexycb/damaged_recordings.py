@@ -1,4 +1,4 @@
-"""What can be wrong with one recording of raw DexYCB, and what the import says of it."""
+"""Damages to a recording of raw DexYCB, and the errors that the import reports for them."""
 
 import io
 import os
@@ -19,7 +19,7 @@ Array = np.ndarray[Any, Any]
 
 @dataclass(frozen=True)
 class Files:
-    """A recording's four files."""
+    """Paths of the four files of a recording."""
 
     meta: Path
     pose: Path
@@ -31,7 +31,7 @@ Damage = Callable[[Files], object]
 
 
 def meta(**changes: object) -> Damage:
-    """Other entries in meta.yml."""
+    """Return a damage that changes entries of meta.yml."""
     return lambda files: _changed(files.meta, changes)
 
 
@@ -48,12 +48,12 @@ def _changed(path: Path, changes: dict[str, Any]) -> None:
 
 
 def content(which: str, data: bytes) -> Damage:
-    """Other bytes in a file."""
+    """Return a damage that overwrites a file with other bytes."""
     return lambda files: getattr(files, which).write_bytes(data)
 
 
 def instead(which: str, put: Callable[[Path], object]) -> Damage:
-    """Something else in the place of a file."""
+    """Return a damage that removes a file and calls `put` to create something else at its path."""
 
     def damage(files: Files) -> None:
         path = getattr(files, which)
@@ -64,7 +64,7 @@ def instead(which: str, put: Callable[[Path], object]) -> Damage:
 
 
 def nothing(_: Path) -> None:
-    """Put nothing there."""
+    """Create nothing, so that the file is missing."""
 
 
 def link(target: str) -> Callable[[Path], object]:
@@ -72,20 +72,20 @@ def link(target: str) -> Callable[[Path], object]:
 
 
 def stranger(path: Path) -> None:
-    """A link to a text of somebody else's, out of the dataset."""
+    """Create a link to a text file outside of the dataset."""
     other = path.parents[3] / "somebody_elses.txt"
     other.write_text("password: 12345\n")
     path.symlink_to(other)
 
 
 def sparse(path: Path) -> None:
-    """A file of a terabyte that takes no space."""
+    """Create a sparse file of 1 TiB, which takes no disk space."""
     with path.open("wb") as stream:
         stream.truncate(1 << 40)
 
 
 def poses(objects: Array | None = None, hand: Array | None = None, **others: Array) -> Damage:
-    """Other arrays of two objects and a hand in pose.npz."""
+    """Return a damage that writes pose.npz with these arrays; by default those of two objects and a hand."""
     pose_y = object_poses(n_objects=2) if objects is None else objects
     pose_m = (hand_poses() if hand is None else hand)[:, None]
     return lambda files: np.savez(files.pose, **{"pose_y": pose_y, "pose_m": pose_m, **others})
@@ -110,11 +110,11 @@ def hand_with(where: object, value: float) -> Damage:
 
 
 def archive(members: list[tuple[str, bytes]], method: int = zipfile.ZIP_DEFLATED) -> Damage:
-    """A zip archive of these members."""
+    """Return a damage that writes pose.npz as a zip archive with these members (name, content)."""
 
     def damage(files: Files) -> None:
         with zipfile.ZipFile(files.pose, "w", method) as target, warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # two members of one name
+            warnings.simplefilter("ignore", UserWarning)  # two members have the same name
             for name, data in members:
                 target.writestr(name, data)
 
@@ -128,24 +128,24 @@ def npy(array: Array) -> bytes:
 
 
 def npy_of_shape(shape: tuple[int, ...], data: bytes) -> bytes:
-    """An array's file that promises more than it holds."""
+    """Return an .npy file whose header declares a shape, which may need more data than the file has."""
     stream = io.BytesIO()
     np.lib.format.write_array_header_1_0(stream, {"descr": "<f4", "fortran_order": False, "shape": shape})
     return stream.getvalue() + data
 
 
 def lying_bomb(files: Files) -> None:
-    """Zeros by the hundred megabytes that the archive's list calls a thousand bytes."""
+    """Write an archive with 100 MB of zeros whose central directory declares 1000 bytes."""
     size = 100_000_000
     archive([("pose_y.npy", npy_of_shape((size // 56, 2, 7), bytes(size))), ("pose_m.npy", HAND)])(files)
     data = bytearray(files.pose.read_bytes())
-    at = data.index(b"PK\x01\x02") + 24  # the size when unpacked, in the list at the end
+    at = data.index(b"PK\x01\x02") + 24  # unpacked size in the central directory
     data[at : at + 4] = (1000).to_bytes(4, "little")
     files.pose.write_bytes(bytes(data))
 
 
 def locked(files: Files) -> None:
-    """An archive that says it is encrypted."""
+    """Mark the first member of the archive as encrypted."""
     data = bytearray(files.pose.read_bytes())
     for mark, offset in ((b"PK\x03\x04", 6), (b"PK\x01\x02", 8)):
         data[data.index(mark) + offset] |= 1
@@ -157,7 +157,7 @@ def halved(files: Files) -> None:
 
 
 def moved(files: Files) -> None:
-    """The recording on another disk, with a link to it."""
+    """Move the recording's folder out of the dataset and put a link to it in its place."""
     folder = files.pose.parent
     other = folder.parents[2] / "elsewhere"
     folder.rename(other)
@@ -171,7 +171,7 @@ def without_quotes(files: Files) -> None:
 
 
 class Touch:
-    """What would leave a file behind if it were unpickled."""
+    """Object that runs a command when it is unpickled; the command creates the file `was_run`."""
 
     def __reduce__(self) -> tuple[object, ...]:
         return (os.system, ("touch was_run",))
@@ -183,7 +183,7 @@ _NO_YAML = r"meta\.yml: not as DexYCB writes it \("
 _NO_POSES = r"pose\.npz: not as DexYCB writes it \("
 _STOPS = "frames, a number for which HandoverSim's conversion fails"
 
-#: Kind of damage -> what does it, and what is said.
+#: Function that damages a recording, and pattern of the reported error, by kind of damage.
 DAMAGES: dict[str, tuple[Damage, str]] = {
     "no meta": (instead("meta", nothing), r"lacks meta\.yml; expand"),
     "empty meta": (content("meta", b""), _NO_YAML + "no keys"),
@@ -280,7 +280,7 @@ DAMAGES: dict[str, tuple[Damage, str]] = {
     **{f"{count} frames": (frames(count), f"{count} {_STOPS}") for count in (7, 14, 28, 56, 57, 111)},
 }
 
-#: Kind of damage that hides nothing.
+#: Functions that change a recording without an effect on the import, by kind of change.
 HARMLESS: dict[str, Damage] = {
     "ids without quotes": without_quotes,
     "further arrays": poses(labels=np.zeros(3)),

@@ -1,7 +1,7 @@
-"""Model files that would do harm, and a reader of them that watches what happens.
+"""Hostile model files, and a program that reads them and checks for side effects.
 
-`python -m tests.datasets.dexycb.hostile_pickles FOLDER` reads all of them and ends with an error if anything was
-imported, run or opened on the way, or if anything but the library's own errors came out.
+`python -m tests.datasets.dexycb.hostile_pickles FOLDER` reads all of them. It fails if reading a file imports or
+runs something or opens another file, or does not raise one of the library's own errors.
 """
 
 import os
@@ -18,7 +18,7 @@ TOUCH = text("touch was_run")
 
 
 def file(entry: bytes) -> bytes:
-    """A file whose only key holds these operations."""
+    """Return a pickled dict with the only key `weights`, whose value is made by these operations."""
     return b"\x80\x05" + b"}" + text("weights") + entry + b"s."
 
 
@@ -33,7 +33,7 @@ def stack_global(module: str, attribute: str) -> bytes:
     return unicode(module) + unicode(attribute) + b"\x93"
 
 
-#: Ask for what no model consists of.
+#: Operations that request names or use operations that no model contains; they are refused as unsafe.
 UNSAFE = {
     "os.system": called("os", "system", TOUCH),
     "posix.system": called("posix", "system", TOUCH),
@@ -66,7 +66,7 @@ UNSAFE = {
 DICT_OF_TRICKS = mapping(
     __class__=name("chumpy.ch", "Ch"), __dict__=b"}", set_state=integer(1), kind=text("scipy's csc_matrix"), state=b"}"
 )
-#: Are made of what a model consists of, but not as one.
+#: Operations with names and operations of models, in combinations that no model has.
 DAMAGED = {
     "a record with tricks": name("chumpy.ch", "Ch") + b")\x81" + DICT_OF_TRICKS + b"b",
     "a record with slots": name("chumpy.ch", "Ch") + b")\x81N" + DICT_OF_TRICKS + b"\x86b",
@@ -99,7 +99,7 @@ _LONG_NUMBER = b"\x8b" + (1_000_000).to_bytes(4, "little") + b"\x7f" * 1_000_000
 _F8 = called("numpy", "dtype", text("f8"))
 _SIZE = sequence(integer(2**30), integer(2**30), integer(2**30))
 _MEGABYTE = b"X" + (1_000_000).to_bytes(4, "little") + b"a" * 1_000_000 + b"q\x00"
-#: Would take all memory, or for ever, or overflow the stack.
+#: Operations that would fill the memory, never end or overflow the stack if they were not limited.
 EXHAUSTING = {
     "lists in lists": b"]" * 9_000 + b"a" * 8_999,
     "tuples in tuples": b")" + b"\x85" * 9_000,
@@ -166,7 +166,7 @@ _on = False
 
 
 def _watch(event: str, arguments: tuple[object, ...]) -> None:
-    # The only thing that may be opened is the file itself.
+    # Opening the model file itself is the only permitted event.
     if _on and (event != "open" or Path(str(arguments[0])).name != "MANO_RIGHT.pkl"):
         _watched.append(f"{event} {arguments!r:.200}")
 
@@ -178,7 +178,7 @@ def main(folder: Path) -> None:
     sys.addaudithook(_watch)
     for what, data in HOSTILE.items():
         write(path, data)
-        # Python loads codecs and numpy's error texts when they are first needed; the second time reports.
+        # The first read may import codecs and NumPy's error texts, so only events of the second read are recorded.
         for watching in (False, True):
             _on = watching
             try:

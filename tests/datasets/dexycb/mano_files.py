@@ -1,4 +1,4 @@
-"""A made-up hand with MANO's shapes, and the pickles it can come in, put together operation by operation."""
+"""Invented hand model with MANO's array shapes, and its pickles, which are composed of single operations."""
 
 import pickle
 import types
@@ -16,7 +16,10 @@ Content = dict[str, Any]
 
 
 def made_up_hand(seed: int = 0) -> Content:
-    """The content of a model file with plain arrays: every vertex goes with one joint, triangles join neighbours."""
+    """Return the content of a model file as arrays.
+
+    Every vertex has the weight 1 for one joint, and every triangle joins three vertices with successive numbers.
+    """
     rng = np.random.default_rng(seed)
     owner = np.arange(N_VERTICES) * N_JOINTS // N_VERTICES
     whole = np.flatnonzero(owner[:-2] == owner[2:])
@@ -35,33 +38,33 @@ def made_up_hand(seed: int = 0) -> Content:
 
 
 def text(value: str | bytes) -> bytes:
-    """Python 2's text."""
+    """Return the operation for a Python 2 string (SHORT_BINSTRING or BINSTRING)."""
     data = value.encode() if isinstance(value, str) else value
     return b"U" + bytes([len(data)]) + data if len(data) < 256 else b"T" + len(data).to_bytes(4, "little") + data
 
 
 def integer(value: int) -> bytes:
-    """A whole number of 32 bits."""
+    """Return the operation for a signed integer of 32 bits (BININT)."""
     return b"J" + value.to_bytes(4, "little", signed=True)
 
 
 def name(module: str, attribute: str) -> bytes:
-    """What a pickle asks for."""
+    """Return the operation that requests an attribute of a module (GLOBAL)."""
     return f"c{module}\n{attribute}\n".encode()
 
 
 def sequence(*items: bytes) -> bytes:
-    """A tuple."""
+    """Return the operations for a tuple of these items."""
     return b"(" + b"".join(items) + b"t"
 
 
 def mapping(**entries: bytes) -> bytes:
-    """A dict."""
+    """Return the operations for a dict with these entries."""
     return b"}(" + b"".join(text(key) + value for key, value in entries.items()) + b"u"
 
 
 def array(value: Array) -> bytes:
-    """An array as numpy wrote it under Python 2."""
+    """Return the operations for an array as NumPy pickled it under Python 2."""
     order = "<" if value.dtype.byteorder != ">" else ">"
     minus_one = integer(-1)
     state = sequence(integer(3), text(order), b"N", b"N", b"N", minus_one, minus_one, integer(0))
@@ -75,12 +78,12 @@ def array(value: Array) -> bytes:
 
 
 def record(module: str, attribute: str, **state: bytes) -> bytes:
-    """An object with a dict of attributes."""
+    """Return the operations for an object of a class with these attributes."""
     return name(module, attribute) + b")\x81" + mapping(**state) + b"b"
 
 
 def sparse(matrix: csc_matrix, **changes: bytes) -> bytes:
-    """A sparse matrix as scipy wrote it under Python 2."""
+    """Return the operations for a sparse matrix as SciPy pickled it under Python 2, with changed attributes."""
     state = {
         "_shape": sequence(*map(integer, matrix.shape)),
         "maxprint": integer(50),
@@ -90,7 +93,10 @@ def sparse(matrix: csc_matrix, **changes: bytes) -> bytes:
 
 
 def selection(wanted: Array, **changes: bytes) -> bytes:
-    """Shape directions as chumpy wrote them: ten of twenty, with its bookkeeping."""
+    """Return the operations for shape directions as chumpy pickled them, with changed attributes.
+
+    The object selects the first ten of twenty directions, and has the internal attributes of chumpy's classes.
+    """
     everything = np.concatenate([wanted, np.full_like(wanted, 7.0)], axis=2)
     picked = np.arange(everything.size).reshape(everything.shape)[:, :, :10].ravel()
     an_empty_set = name("__builtin__", "set") + b"]\x85R"
@@ -105,7 +111,7 @@ def selection(wanted: Array, **changes: bytes) -> bytes:
 
 
 def official(content: Content, **changes: bytes) -> bytes:
-    """A whole file like the official ones, with other operations in the place of some entries."""
+    """Return a whole file like the official ones; `changes` replaces the operations of some entries."""
     entries = {"bs_style": text("lbs"), "J": array(np.zeros((16, 3)))}
     for key, value in content.items():
         entries[key] = sparse(value) if isinstance(value, csc_matrix) else array(value)
@@ -120,7 +126,7 @@ def write(path: Path, data: bytes) -> Path:
 
 
 def saved_with_chumpy(content: Content, classes: types.SimpleNamespace, protocol: int) -> bytes:
-    """The same with chumpy's objects, saved by today's Python."""
+    """Return a model file with chumpy's objects, pickled by the running version of Python."""
     variable, chosen = classes.Ch(), classes.Select()
     variable.x = np.concatenate([content["shapedirs"], content["shapedirs"]], axis=2)
     variable._dirty_vars = {"x"}

@@ -1,4 +1,4 @@
-"""A small raw DexYCB on disk and a hand model, invented, for tests to read and to spoil."""
+"""Small invented raw DexYCB dataset and invented hand model, which tests read and damage."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,18 +18,21 @@ N_KEYS = 6
 
 
 def random_rotations(n: int, seed: int) -> Rotation:
-    """Rotations, none likelier than another."""
+    """Return n uniformly distributed random rotations."""
     return Rotation.from_quat(np.random.default_rng(seed).normal(size=(n, 4)))
 
 
 def tag_pose(seed: int = 0) -> np.ndarray:
-    """(3, 4) pose of a tag."""
+    """Return the pose of a tag as a (3, 4) matrix, with the translation in m."""
     turn = random_rotations(1, seed).as_matrix()[0]
     return np.concatenate([turn, [[0.3], [-0.2], [0.9]]], axis=1)
 
 
 def object_poses(n_keyframes: int = N_KEYS, n_objects: int = 1, seed: int = 0) -> np.ndarray:
-    """(n_keyframes, n_objects, 7) float32 key poses: every object turns slowly and goes straight."""
+    """Return (n_keyframes, n_objects, 7) float32 poses (quaternion xyzw, position in m) of keyframes.
+
+    Every object turns slowly and moves along a straight line.
+    """
     time = np.linspace(0.0, 1.0, n_keyframes)[:, None]
     poses = []
     for number in range(n_objects):
@@ -40,7 +43,7 @@ def object_poses(n_keyframes: int = N_KEYS, n_objects: int = 1, seed: int = 0) -
 
 
 def hand_poses(n_keyframes: int = N_KEYS, first: int = 0, last: int | None = None, seed: int = 0) -> np.ndarray:
-    """(n_keyframes, 51) float32 key poses, zero before `first` and after `last`."""
+    """Return (n_keyframes, 51) float32 hand poses of keyframes, zero before `first` and after `last`."""
     rng = np.random.default_rng(seed)
     time = np.linspace(0.0, 1.0, n_keyframes)[:, None]
     poses = (rng.normal(size=51) + time * rng.normal(scale=0.2, size=51)).astype(np.float32)
@@ -50,7 +53,7 @@ def hand_poses(n_keyframes: int = N_KEYS, first: int = 0, last: int | None = Non
 
 
 def hand_model(side: str = "right", seed: int = 0) -> ManoModel:
-    """A hand of the right sizes that looks like nothing."""
+    """Return a hand model whose arrays have MANO's shapes and arbitrary values."""
     rng = np.random.default_rng(seed)
     vertices = rng.normal(scale=0.05, size=(778, 3))
     regressor = np.where(rng.random((16, 778)) < 0.02, rng.random((16, 778)), 0.0)
@@ -68,7 +71,7 @@ def hand_model(side: str = "right", seed: int = 0) -> ManoModel:
 
 @dataclass
 class RawScene:
-    """A recording as it will lie on disk; change it, then `write` it."""
+    """Content of a recording, which tests may change before they `write` it to the disk."""
 
     subject: int = 0
     name: str = "20200709_141754"
@@ -78,10 +81,10 @@ class RawScene:
     objects: np.ndarray = field(default_factory=lambda: object_poses(n_objects=2))
     hand: np.ndarray = field(default_factory=hand_poses)
     extrinsics: str = EXTRINSICS
-    mano: str = ""  # which calibration of the hand; empty: the person's and the side's
+    mano: str = ""  # name of the hand's calibration; empty: a name made of subject and side
 
     def write(self, raw: Path, scene_id: int = 0) -> SequenceFolder:
-        """Its files below a raw folder."""
+        """Write the recording's files below a raw folder, and return the recording's folder."""
         subject = SUBJECTS[self.subject]
         mano = self.mano or f"20200709_140042_{subject[9:]}_{self.side}"
         folder = raw / subject / self.name
@@ -119,7 +122,7 @@ def write_yaml(path: Path, content: object) -> None:
 
 
 def write_mano(folder: Path) -> Path:
-    """MANO_RIGHT.pkl and MANO_LEFT.pkl of two made-up hands; the folder."""
+    """Write MANO_RIGHT.pkl and MANO_LEFT.pkl of two invented hands, and return their folder."""
     folder.mkdir(parents=True)
     for seed, side in enumerate(("RIGHT", "LEFT")):
         (folder / f"MANO_{side}.pkl").write_bytes(official(made_up_hand(seed)))
@@ -127,5 +130,5 @@ def write_mano(folder: Path) -> Path:
 
 
 def all_files(folder: Path) -> dict[str, bytes]:
-    """Content of all files below a folder, also hidden ones, by path relative to it."""
+    """Return the content of all files below a folder, also of hidden ones, by relative path."""
     return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}

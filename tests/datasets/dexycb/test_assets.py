@@ -76,7 +76,7 @@ def test_links_and_joints_of_the_hand() -> None:
     kinds = ["prismatic"] * 3 + ["continuous"] * 3 + ["fixed"] + ["revolute"] * 45
     assert [joint.get("type") for joint in found] == kinds
 
-    # Every body ends up where its joint is.
+    # The origin of every body is at the position of the body's joint.
     place = {"link0": np.zeros(3)}
     for joint in found:
         parent, child, origin = joint.find("parent"), joint.find("child"), joint.find("origin")
@@ -193,6 +193,6 @@ def test_folders_and_links_in_the_place_of_files(tmp_path: Path) -> None:
             write_missing_files(tmp_path, {name: b"x"})
     with pytest.raises(ResultsError, match="cannot make the folder"):
         write_missing_files(tmp_path, {"file/below": b"x"})
-    # HandoverSim's own scripts leave links, which are good if they lead to the same content.
+    # HandoverSim's own scripts create links, which are accepted if their targets have the same content.
     write_missing_files(tmp_path, {"linked": b""})
     assert (tmp_path / "linked").is_symlink()

@@ -1,6 +1,7 @@
-"""Every kind of damage to a recording: a sentence that says so, all other recordings right, mended by the next run.
+"""Tests of imports with damaged recordings.
 
-All kinds are in one dataset, a recording each, between some that are whole.
+Every kind of damage is reported in one sentence, all other recordings are imported correctly, and an import of
+undamaged data completes the folder. One dataset has undamaged recordings and one recording for each kind of damage.
 """
 
 import re
@@ -20,7 +21,7 @@ from tests.evaluation.deadline import ends_within
 pytestmark = pytest.mark.slow
 
 SUBJECT = 6
-WHOLE = 4  # recordings at the beginning, of both hands
+WHOLE = 4  # number of undamaged recordings at the beginning, of both hands
 KINDS = [*DAMAGES, *HARMLESS]
 RANKS = {kind: WHOLE + number for number, kind in enumerate(KINDS)}
 NAMES = read_sequence_names()[SUBJECTS[SUBJECT]]
@@ -28,14 +29,14 @@ NAMES = read_sequence_names()[SUBJECTS[SUBJECT]]
 
 @dataclass(frozen=True)
 class Runs:
-    """What came of it.
+    """Results of the imports.
 
     Attributes:
-        found: The import of the damaged dataset.
-        files: The data folder's files after it, by name.
-        again: The import of the whole dataset into the same folder.
-        files_again: The files after that.
-        expected: The files that the whole dataset gives in an empty folder.
+        found: Report of the import of the damaged dataset.
+        files: Content of the data folder's files after that import, by path.
+        again: Report of the import of the undamaged dataset into the same folder.
+        files_again: Content of the files after that second import, by path.
+        expected: Content of the files that the undamaged dataset gives in an empty folder, by path.
     """
 
     found: ImportReport
@@ -46,7 +47,7 @@ class Runs:
 
 
 def write_dataset(raw: Path) -> None:
-    """A recording for each kind, with a calibration of its own."""
+    """Write an undamaged recording for each kind and `WHOLE` more, each with its own calibration."""
     for rank in range(WHOLE + len(KINDS)):
         name = NAMES[rank]
         RawScene(
@@ -103,7 +104,7 @@ def test_damage(runs: Runs, kind: str) -> None:
     assert reported[0].isprintable()
     assert 100 * SUBJECT + rank not in runs.found.scenes
     assert not find_scene_assets(runs.files, rank), "nothing of it is written"
-    # Mended, it is there.
+    # The import of the undamaged dataset adds the scene.
     assert not any(NAMES[rank] in fault for fault in runs.again.faults)
     assert len(find_scene_assets(runs.files_again, rank)) == 2
     assert find_scene_assets(runs.files_again, rank) == find_scene_assets(runs.expected, rank)
@@ -123,7 +124,7 @@ def test_other_scenes_are_imported(runs: Runs) -> None:
     assert runs.found.hands == (f"{SUBJECTS[SUBJECT]}_right", f"{SUBJECTS[SUBJECT]}_left")
     damaged = set().union(*(find_scene_assets(runs.expected, RANKS[kind]) for kind in DAMAGES))
     assert runs.files == {name: data for name, data in runs.expected.items() if name not in damaged}
-    # Besides: the other subjects, and recordings of this one that were never there.
+    # Further faults are the nine missing subjects and the missing recordings of this subject.
     assert len(runs.found.faults) == len(DAMAGES) + 9 + 1
 
 

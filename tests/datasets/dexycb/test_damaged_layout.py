@@ -1,4 +1,7 @@
-"""Recordings that are missing, too many or elsewhere: the others keep their numbers, and the next run goes on."""
+"""Tests of imports with missing, superfluous or moved recordings.
+
+The other recordings keep their scene numbers, and an import of the complete data completes the folder.
+"""
 
 import re
 import shutil
@@ -15,7 +18,7 @@ from tests.evaluation.deadline import ends_within
 
 pytestmark = pytest.mark.slow
 
-#: One subject has some of DexYCB's recordings, another a hundred that are called otherwise.
+#: The first subject has some of DexYCB's recordings, the other one a hundred recordings with other names.
 DEXYCBS, OTHER = SUBJECTS[0], SUBJECTS[3]
 NAMES = read_sequence_names()[DEXYCBS][4:8]
 OTHER_NAMES = [f"20200903_{100000 + rank}" for rank in range(100)]
@@ -25,7 +28,7 @@ FEW, MANY = (4, 5, 6, 7), (300, 301, 399)
 
 @pytest.fixture(scope="module")
 def given(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """`raw/`, `mano/` and what they give, `expected/`."""
+    """Return a folder with raw data `raw/`, models `mano/` and the result of their import `expected/`."""
     folder = tmp_path_factory.mktemp("given")
     write_mano(folder / "mano")
     for name in NAMES:
@@ -54,7 +57,7 @@ def loop(name: str) -> Callable[[Path], object]:
 
 
 def moved(name: str) -> Callable[[Path], object]:
-    """Onto another disk, with a link there."""
+    """Return a damage that moves a folder out of the raw data and puts a link to it in its place."""
 
     def put(raw: Path) -> None:
         (raw / name).rename(raw.parent / "elsewhere")
@@ -76,7 +79,7 @@ def one_more(name: str) -> Callable[[Path], object]:
 
 
 UNKNOWN = "so that their scene numbers, which are ranks, are unknown"
-#: Kind -> what does it, the scenes that are imported all the same, the hands' subjects, and what is said.
+#: Function that damages the data, imported scenes, subjects with hand models, pattern of the fault, by kind.
 DAMAGES: dict[str, tuple[Callable[[Path], object], tuple[int, ...], tuple[str, ...], str]] = {
     "no calibration": (gone("calibration"), (), (), "calibration is missing, without which no recording"),
     "a subject that is missing": (gone(OTHER), FEW, (DEXYCBS,), rf"{OTHER} is missing; expand"),
@@ -127,6 +130,6 @@ def test_damaged_layout(given: Path, tmp_path: Path, kind: str) -> None:
     files, expected = all_files(out), all_files(given / "expected")
     assert files.items() <= expected.items()
     assert sum("dex-ycb-cache" in name for name in files) == 2 * len(scenes)
-    # Mended.
+    # An import of the undamaged data completes the folder.
     assert imported(given, given / "raw", out).scenes == SCENES
     assert all_files(out) == expected

@@ -1,4 +1,7 @@
-"""Imports that are killed: what they wrote is whole, none of their processes stays, and the next run goes on."""
+"""Tests of imports that are killed or interrupted.
+
+The files that they wrote are complete, none of their processes stays alive, and the next import adds what is missing.
+"""
 
 import os
 import re
@@ -20,7 +23,7 @@ from tests.datasets.dexycb.raw_files import RawScene, all_files, hand_poses, obj
 pytestmark = pytest.mark.slow
 
 N_SCENES = 24
-N_KEYS = 24  # takes long enough to be met half-way
+N_KEYS = 24  # number for which an import takes long enough to be killed half-way
 _CODE = """
 import signal, sys
 from handover_marl.cli import main
@@ -33,7 +36,7 @@ if __name__ == "__main__":
 
 @pytest.fixture(scope="module")
 def given(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """`raw/`, `mano/` and what they give, `expected/`."""
+    """Return a folder with raw data `raw/`, models `mano/` and the result of their import `expected/`."""
     folder = tmp_path_factory.mktemp("given")
     write_mano(folder / "mano")
     for name in read_sequence_names()[SUBJECTS[2]][:N_SCENES]:
@@ -44,7 +47,7 @@ def given(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def started(given: Path, tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
-    """The command in a process of its own, with two workers, about to write to `out/`."""
+    """Yield a process that runs the import to `out/` with two workers."""
     options = {"--dexycb": given / "raw", "--mano": given / "mano", "--out": tmp_path / "out", "--workers": 2}
     script = tmp_path / "script.py"
     script.write_text(_CODE)
@@ -68,12 +71,12 @@ def cached(out: Path) -> list[Path]:
 
 
 def leave_half(out: Path) -> None:
-    """What a worker leaves that is killed in the middle of a file."""
+    """Write a temporary file, as it remains of a worker that is killed while it writes a file."""
     (out / CACHE_FOLDER / ".pose_205.npz.5rpomakf.part").write_bytes(b"half")
 
 
 def workers(parent: int) -> list[int]:
-    """Process ids of the workers of an import."""
+    """Return the process ids of the workers of an import."""
     children = Path(f"/proc/{parent}/task/{parent}/children").read_text().split()
     return [int(child) for child in children if b"popen_loky" in Path(f"/proc/{child}/cmdline").read_bytes()]
 
@@ -86,7 +89,7 @@ def runs(process: int) -> bool:
 
 
 def check_half_way(given: Path, out: Path) -> None:
-    """There is less than all, but what has its name is whole."""
+    """Check that only some of the files exist and that all but the temporary ones are complete."""
     found = {name: data for name, data in all_files(out).items() if not name.endswith(".part")}
     expected = all_files(given / "expected")
     assert 0 < len(found) < len(expected)
@@ -174,7 +177,7 @@ def test_interrupted_import(given: Path, tmp_path: Path, started: subprocess.Pop
 
 
 def test_worker_killed_while_writing_a_file(given: Path, tmp_path: Path) -> None:
-    """What it leaves is gone after the next run; what somebody is writing at that time is not."""
+    """The next import removes the temporary files of a process that was killed while it wrote files."""
     out = tmp_path / "out"
     import_dexycb(given / "raw", given / "mano", out, scenes=[200], workers=1, progress=False)
     code = (

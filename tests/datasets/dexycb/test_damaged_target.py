@@ -1,4 +1,7 @@
-"""What can be wrong with the folder that an import writes to: nothing there is changed, nothing half-written stays."""
+"""Tests of imports to folders that have other files or cannot be written to.
+
+Existing files are not changed, and no partly written files stay.
+"""
 
 import errno
 import os
@@ -27,7 +30,7 @@ HANDS = f"assets/{SUBJECTS[0]}_right"
 
 @pytest.fixture(scope="module")
 def given(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """`raw/`, `mano/` and what they give, `expected/`."""
+    """Return a folder with raw data `raw/`, models `mano/` and the result of their import `expected/`."""
     folder = tmp_path_factory.mktemp("given")
     write_mano(folder / "mano")
     for name in read_sequence_names()[SUBJECTS[0]][:N_SCENES]:
@@ -42,7 +45,7 @@ def imported(given: Path, out: Path) -> ImportReport:
 
 
 def altered(path: Path) -> None:
-    """The same motion but for one number."""
+    """Change one number of the motion in a pose file."""
     with np.load(path) as archive:
         arrays = {name: archive[name].copy() for name in archive.files}
     arrays["pose_m"][3, 0, 5] += 1e-6
@@ -67,7 +70,7 @@ def pointing_at(target: str) -> Callable[[Path], object]:
 
 
 POSE, META = "pose", "meta"
-#: Kind -> which of a scene's files, and what is there instead when the import comes.
+#: Which of a scene's files is changed before the second import, and function that changes it, by kind.
 SPOILS: dict[str, tuple[str, Callable[[Path], object]]] = {
     "poses of other content": (POSE, altered),
     "half of the poses": (POSE, lambda path: path.write_bytes(path.read_bytes()[:500])),
@@ -139,7 +142,7 @@ def test_invalid_target_folders(given: Path, tmp_path: Path) -> None:
 
 @pytest.fixture
 def mounted(tmp_path: Path) -> Iterator[Path]:
-    """A folder whose cache is a disk of its own, of 64 kB."""
+    """Yield a folder whose cache is a file system of 64 kB; skip the test where mounting is not permitted."""
     cache = tmp_path / "out" / CACHE_FOLDER
     cache.mkdir(parents=True)
     if os.system(f"mount -t tmpfs -o size=64k none {cache} 2>/dev/null"):
@@ -153,7 +156,7 @@ def cached(out: Path) -> dict[str, bytes]:
 
 
 def check_partial(given: Path, out: Path) -> None:
-    """There are some files, all of them whole."""
+    """Check that some but not all of the cached files exist and that they are complete."""
     found, expected = cached(out), cached(given / "expected")
     assert 0 < len(found) < len(expected)
     assert found.items() <= expected.items()
@@ -177,7 +180,10 @@ def test_read_only_disk(given: Path, mounted: Path) -> None:
 
 @pytest.mark.parametrize(("code", "message"), [(errno.EROFS, "Read"), (errno.EDQUOT, "quota"), (errno.EIO, "error")])
 def test_failing_writes(given: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: int, message: str) -> None:
-    """Wherever nothing may be mounted too: the first file of all that fails."""
+    """An import whose first write fails reports the error and leaves no file, and the next import is complete.
+
+    Unlike the tests of a full or read-only disk, this test also runs where mounting is not permitted.
+    """
 
     def fail(*_: object) -> None:
         raise OSError(code, os.strerror(code))
@@ -190,12 +196,15 @@ def test_failing_writes(given: Path, tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 
 def test_limited_file_size(given: Path, tmp_path: Path) -> None:
-    """As with a quota: the system refuses one long recording's file in the middle of writing it."""
+    """An import reports a file that exceeds a limit of the file size, and keeps the complete scenes.
+
+    The limit acts like a quota: the system stops the write of one long recording's file half-way.
+    """
     raw, out, limit = tmp_path / "raw", tmp_path / "out", 200_000
     for number, name in enumerate(read_sequence_names()[SUBJECTS[0]][:3]):
         n_keyframes = 72 if number == 2 else 6
         RawScene(name=name, objects=object_poses(n_keyframes, 2), hand=hand_poses(n_keyframes)).write(raw)
-    # The models, some of which are larger, are there.
+    # Some models are larger than the limit, so they are written before without it.
     import_dexycb(raw, given / "mano", out, scenes=[0], workers=1, progress=False)
     code = "import sys; from handover_marl.cli import main; sys.exit(main(sys.argv[1:]))"
     options = ["--dexycb", raw, "--mano", given / "mano", "--out", out, "--workers", "1", "--no-progress"]

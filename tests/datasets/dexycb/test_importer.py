@@ -1,4 +1,4 @@
-"""The whole import, on a subject of a hundred short invented recordings."""
+"""Tests of the whole import, with one subject of a hundred short invented recordings."""
 
 import hashlib
 import shutil
@@ -21,7 +21,7 @@ SCENES = (300, 301, 399)
 
 @pytest.fixture(scope="module")
 def given(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """`dex-ycb/` with the fourth subject alone, and `mano/models/`."""
+    """Return a folder with `dex-ycb/`, which has only the fourth subject, and with `mano/models/`."""
     folder = tmp_path_factory.mktemp("given")
     for rank in range(100):
         side = "left" if rank % 2 else "right"
@@ -53,7 +53,7 @@ def test_incomplete_data_keep_their_scene_numbers(given: Path, tmp_path: Path) -
     assert (info.name, info.side, info.object_ids) == (f"{SUBJECTS[3]}/20200903_100001", "left", (5, 2))
     before = files(tmp_path)
     assert {"assets/table/table.urdf", "assets/003_cracker_box/model_normalized.urdf"} <= set(before)
-    # Again, with one process: nothing changes, what is gone comes back.
+    # A second import, with one process, restores removed files and changes no other.
     (tmp_path / "dex-ycb-cache/meta_301.json").unlink()
     shutil.rmtree(tmp_path / "assets" / f"{SUBJECTS[3]}_left")
     again = import_dexycb(given / "dex-ycb", given / "mano", tmp_path, scenes=SCENES, workers=1, progress=False)

@@ -87,7 +87,7 @@ def test_reads_files_of_current_libraries(tmp_path: Path, protocol: int, make: A
 
 @pytest.fixture
 def chumpy(monkeypatch: pytest.MonkeyPatch) -> types.SimpleNamespace:
-    """Empty classes under the names of chumpy's, so that objects of them can be saved; reading must not need them."""
+    """Return empty classes with the names of chumpy's, for writing files; reading must not need them."""
     found = {}
     for module, attribute in (("chumpy.ch", "Ch"), ("chumpy.reordering", "Select")):
         made = types.ModuleType(module)
@@ -261,7 +261,7 @@ def test_finger_pose_sums_are_from_left_to_right() -> None:
     regressor = scipy.sparse.lil_matrix((16, 778))
     regressor[3, 5], regressor[3, 6], regressor[3, 7] = 1.0, 2.0**-53, 2.0**-53
     model = replace(model, shapedirs=shapedirs, j_regressor=regressor.tocsc(), v_template=np.zeros((778, 3)))
-    # The other way round, the two small ones would together make a difference.
+    # Summed from right to left, the two small numbers together would change the sum.
     assert model.shape_vertices([1.0] * 10)[0, 0] == 1.0
     assert model.regress_joints(np.ones((778, 3)))[3, 0] == 1.0
 
@@ -272,7 +272,7 @@ def test_mean_hand() -> None:
 
 
 def right_hand(reach: float = -0.08) -> Content:
-    """A made-up hand whose index finger begins `reach` m along x from the wrist."""
+    """Return an invented hand whose index finger begins `reach` m along x from the wrist."""
     content = made_up_hand()
     regressor = np.zeros((16, 778))
     regressor[np.arange(16), np.arange(16)] = 1.0

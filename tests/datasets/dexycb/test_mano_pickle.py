@@ -17,7 +17,7 @@ from tests.datasets.dexycb.hostile_pickles import DAMAGED, EXHAUSTING, HOSTILE, 
 from tests.datasets.dexycb.mano_files import made_up_hand, official, write
 from tests.evaluation.deadline import ends_within
 
-# Python's own reader of escapes says so where a stranger's text has odd ones.
+# Python warns when it decodes invalid escape sequences, which random texts may have.
 pytestmark = pytest.mark.filterwarnings("ignore:invalid (escape|octal):DeprecationWarning")
 
 WHOLE = official(made_up_hand())
@@ -94,7 +94,7 @@ def test_huge_files_are_not_read(tmp_path: Path) -> None:
 
 
 def tried(folder: Path, data: bytes) -> None:
-    """Read what may or may not be a model; anything but the library's errors is one."""
+    """Read a file that may be damaged, and fail on any error that is not the library's own."""
     try:
         with ends_within(20):
             read(folder, data)
@@ -121,7 +121,10 @@ def test_random_operations(tmp_path: Path, pieces: list[bytes]) -> None:
 
 
 def places(data: bytes) -> list[int]:
-    """Where in a pickle the operations and their short arguments are, not the contents of arrays."""
+    """Return the positions in a pickle of the first 40 bytes of every operation.
+
+    These are the operations and their short arguments, but hardly any contents of arrays.
+    """
     starts = [position for _, _, position in pickletools.genops(data) if position is not None]
     ends = [*starts[1:], len(data)]
     return [place for start, end in zip(starts, ends, strict=True) for place in range(start, min(end, start + 40))]

@@ -55,7 +55,10 @@ def test_frames_without_a_hand_are_zero(first: int, last: int) -> None:
 @settings(max_examples=30)
 @given(seed=st.integers(0, 10_000))
 def test_wrist_position_is_the_recorded_one(seed: int) -> None:
-    """MANO turns about the wrist, the articulated hand about its origin; both must put the wrist in one place."""
+    """The articulated hand has its wrist at the recorded position.
+
+    The articulated hand rotates about its origin, but MANO rotates about the wrist.
+    """
     poses, pose = hand_poses(6, seed=seed), tag_pose(seed)
     found = trajectory(poses, seed)[::STRIDE].astype(np.float64)
     base = Rotation.from_euler("XYZ", found[:, 3:6])

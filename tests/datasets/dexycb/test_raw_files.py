@@ -16,7 +16,7 @@ from handover_marl.geometry.ycb import SUBJECTS
 
 
 def write_subject(raw: Path, number: int, n: int = 100) -> list[Path]:
-    """Recordings of a subject, their files empty."""
+    """Create recordings of a subject with empty files, and return their folders in the order of their names."""
     folders = [raw / SUBJECTS[number] / f"{SUBJECTS[number][:8]}_{9000 + 7 * k:06d}" for k in range(n)]
     for folder in reversed(folders):
         folder.mkdir(parents=True)
@@ -27,7 +27,7 @@ def write_subject(raw: Path, number: int, n: int = 100) -> list[Path]:
 
 @pytest.fixture
 def raw(tmp_path: Path) -> Path:
-    """Subjects 0 and 3 complete, no other."""
+    """Return a raw folder with all recordings of the subjects 0 and 3 and of no other subject."""
     (tmp_path / "calibration").mkdir()
     write_subject(tmp_path, 0)
     write_subject(tmp_path, 3)
@@ -68,7 +68,10 @@ def test_too_many_recordings(raw: Path) -> None:
 
 @pytest.mark.parametrize("instead", [False, True])
 def test_unknown_folders(raw: Path, instead: bool) -> None:
-    """Also in the place of a recording, where the number would be right by chance."""
+    """A subject with an unknown folder is left out, even if it has 100 folders.
+
+    With `instead`, the unknown folder replaces a recording.
+    """
     (raw / SUBJECTS[0] / "backup").mkdir()
     if instead:
         shutil.rmtree(min((raw / SUBJECTS[0]).iterdir()))
@@ -131,7 +134,7 @@ def test_links_to_folders_are_accepted(raw: Path) -> None:
 
 
 def write_known(raw: Path, number: int, names: Iterable[str]) -> None:
-    """Recordings of these names, their files empty, and an empty calibration."""
+    """Create recordings with these names and empty files, and an empty calibration folder."""
     (raw / "calibration").mkdir(exist_ok=True)
     for name in names:
         folder = raw / SUBJECTS[number] / name
@@ -180,7 +183,10 @@ def test_parts_of_dexycb_have_the_official_numbers(ranks: set[int]) -> None:
 @pytest.mark.parametrize("stranger", ["backup", "20200813_000000", "20200709_141754"])
 @pytest.mark.parametrize("missing", [0, 1])
 def test_unknown_recordings_beside_dexycbs(tmp_path: Path, stranger: str, missing: int) -> None:
-    """Also where there are a hundred, and all numbers would be wrong by rank."""
+    """A recording with an unknown name is left out beside DexYCB's recordings, which keep their scene numbers.
+
+    With `missing`, there are 100 recordings, and their ranks would be wrong scene numbers.
+    """
     names = read_sequence_names()[SUBJECTS[1]]
     write_known(tmp_path, 1, [stranger, *names[missing:]])
     layout = find_sequences(tmp_path)
@@ -199,7 +205,10 @@ def test_single_official_names_are_ignored(tmp_path: Path) -> None:
 
 
 def test_unreadable_folders(raw: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As root enters all, by what the system would say."""
+    """Folders that cannot be read are reported.
+
+    The test simulates the system's error, since root may read every folder.
+    """
     closed = raw / SUBJECTS[0] / "20200709_009007"
     stat = Path.stat
 

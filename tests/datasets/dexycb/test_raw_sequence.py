@@ -50,7 +50,7 @@ def test_betas_keep_their_type(tmp_path: Path) -> None:
 
 
 def test_identifiers_without_quotes(tmp_path: Path) -> None:
-    """YAML 1.1 lets numbers hold underscores."""
+    """An id without quotes, which is an integer with an underscore in YAML 1.1, is read as text."""
     sequence = RawScene().write(tmp_path)
     path = sequence.folder / "meta.yml"
     path.write_text(path.read_text().replace("'20200702_151821'", "20200702_151821").replace('"', ""))
@@ -99,7 +99,7 @@ def test_bad_meta(
 
 @pytest.fixture
 def unlimited_digits() -> Callable[[], None]:
-    """YAML was written; from now on numbers have Python's usual limit of digits."""
+    """Remove the limit of digits of integers, for writing YAML, and return a function that restores it."""
     usual = sys.get_int_max_str_digits()
     sys.set_int_max_str_digits(0)
     return lambda: sys.set_int_max_str_digits(usual)

@@ -29,7 +29,7 @@ TAME = st.floats(-8.0, 8.0, width=32)
 
 
 def rounded(exact: Fraction) -> np.float32:
-    """The nearest float32, ties to even, by exact arithmetic."""
+    """Return the nearest float32 of an exact number; ties are rounded to even."""
     guess = np.float32(float(exact))
     around = [np.nextafter(guess, np.float32(-np.inf)), guess, np.nextafter(guess, np.float32(np.inf))]
     finite = [value for value in around if np.isfinite(value)]
@@ -57,7 +57,10 @@ def test_fused_sums_round_once(a: float, b: float, c: float) -> None:
 @settings(max_examples=1000)
 @given(steps=st.integers(0, 2**23), shift=st.integers(1, 30), sign=st.sampled_from([-1.0, 1.0]))
 def test_fused_sums_next_to_half_way_points(steps: int, shift: int, sign: float) -> None:
-    """Half a unit in the last place of c and a very little more or less, which float64 alone cannot tell."""
+    """A fused sum is rounded once where the product is nearly half a unit in the last place of c.
+
+    The difference from half a unit is often too small for a sum in float64.
+    """
     c = 1.0 + steps * 2.0**-23
     a, b = 2.0**-24 * (1.0 + 2.0**-shift) if shift <= 23 else 2.0**-24, sign * (1.0 - 2.0 ** -min(shift, 23))
     assert one(a, b, c) == fused(np.float32(a), np.float32(b), np.float32(c))
@@ -121,7 +124,10 @@ def test_zero_and_tiny_rotation_vectors() -> None:
 
 
 def test_angle_and_axis_round_differently() -> None:
-    """Values that transforms3d 0.4.2 gave under NumPy 1.23.5; with one sum of squares the eighth digit differs."""
+    """Matrices equal those that transforms3d 0.4.2 computed under NumPy 1.23.5.
+
+    If angle and axis used the same sum of squares, the eighth digit would differ.
+    """
     vectors = np.array([[-0.7454434, -0.04336259, -0.16392876], [0.502127, -0.9361622, -0.81068945]], dtype=np.float32)
     expected = [float.fromhex("0x1.4f7c5caa122b2p-3"), float.fromhex("0x1.8d4af38ed3b14p-2")]
     np.testing.assert_allclose(matrices_from_rotation_vectors(vectors)[:, 0, 1], expected, rtol=1e-13)
@@ -130,7 +136,7 @@ def test_angle_and_axis_round_differently() -> None:
 PI = math.pi
 ANGLES = st.one_of(st.floats(-4.0, 4.0), st.sampled_from([quarter * PI / 4 for quarter in range(-4, 5)]))
 
-#: Quaternions xyzw, and what SciPy 1.10.1 gave for them. At y = +-pi / 2 only eight digits of y mean anything.
+#: Quaternions xyzw, and their Euler angles by SciPy 1.10.1. At y = +-pi / 2 only eight digits of y are significant.
 OF_SCIPY = [
     ((1.0, 2.0, 3.0, 4.0), ("-0x1.94441f8f72600p-3", "0x1.a57c0a4edcbdcp-1", "0x1.5f97315254858p+0")),
     ((-3.0, 1.0, 2.0, 1.0), ("-0x1.0468a8ace4df6p+1", "-0x1.759edd04f68e0p-1", "0x1.1b6e192ebbe40p+0")),
@@ -144,7 +150,7 @@ OF_SCIPY = [
     ((0.0, -1.0, 0.0, 1.0), ("0x0.0p+0", "-0x1.921fb59ec54b0p+0", "0x0.0p+0")),
     ((1.0, 1.0, 1.0, 1.0), ("0x1.921fb54442d18p+0", "0x1.921fb54442d18p+0", "0x0.0p+0")),
     ((1.0, 0.0, 1.0, 0.0), ("0x1.921fb54442d18p+1", "0x1.921fb59ec54b2p+0", "0x0.0p+0")),
-    # Negative zeros in the matrix must not turn x.
+    # Negative zeros in the matrix must not change x.
     ((-1.0, -0.0, 1.0, 0.0), ("0x1.921fb54442d18p+1", "-0x1.921fb59ec54b0p+0", "0x0.0p+0")),
     ((0.5, -0.0, 0.5, -0.0), ("0x1.921fb54442d18p+1", "0x1.921fb59ec54b2p+0", "0x0.0p+0")),
     ((0.0, 1.0, 1.0, 0.0), ("-0x1.921fb54442d18p+0", "0x0.0p+0", "-0x1.921fb54442d18p+1")),
@@ -155,7 +161,7 @@ OF_SCIPY = [
 @pytest.mark.parametrize(("quaternion", "expected"), OF_SCIPY)
 def test_angles_equal_those_of_scipy_1_10(quaternion: tuple[float, ...], expected: tuple[str, ...]) -> None:
     found = scipy_euler_from_rotations(Rotation.from_quat([quaternion]))[0]
-    # As float32, which is what is kept; the last bits of float64 are the C library's.
+    # Angles are stored as float32; the last bits of float64 depend on the C library.
     np.testing.assert_array_equal(
         found.astype(np.float32), np.array([float.fromhex(text) for text in expected], dtype=np.float32)
     )
@@ -221,7 +227,7 @@ def test_matrices_are_not_orthogonalized(seed: int) -> None:
     rotation = random_rotations(20, seed)
     exact = quaternions_from_matrices(rotation.as_matrix())
     assert (np.abs(np.sum(exact * rotation.as_quat(), axis=1)) > 1.0 - 1e-12).all()
-    # Stretched by a hundredth: the largest entry's row is taken as it stands.
+    # A matrix that is stretched by 1 % along x gives the quaternion of its largest entry.
     x, y, z, w = quaternions_from_matrices(np.diag([1.01, 1.0, 1.0])[None])[0]
     assert (x, y, z, w) == (0.0, 0.0, 0.0, 1.0)
 

@@ -31,7 +31,7 @@ META = {
 
 
 def scene(number: int = 7) -> CachedScene:
-    # Neither is in C order.
+    # Neither array is contiguous in C order.
     pose_y = np.asfortranarray(np.arange(5 * 2 * 6, dtype=np.float32).reshape(5, 2, 6))
     pose_m = np.zeros((5, 1, 102), dtype=np.float32)[:, :, ::2]
     return CachedScene(number, META, pose_y, pose_m)
@@ -63,7 +63,7 @@ def _unpacked(path: Path) -> bytes:
 
 def test_equal_files_are_kept(tmp_path: Path) -> None:
     write_scene(scene(), tmp_path)
-    # Another program's archive of the same arrays.
+    # This archive has the same arrays, but was written in another way.
     with (tmp_path / "pose_007.npz").open("wb") as stream:
         np.savez(stream, pose_m=scene().pose_m, pose_y=scene().pose_y)
     before = contents(tmp_path)
@@ -187,7 +187,7 @@ def test_base_joint_is_from_the_first_recording(tmp_path: Path) -> None:
         with np.load(tmp_path / "out" / CACHE_FOLDER / f"pose_{number:03d}.npz") as archive:
             expected = compute_hand_trajectory(hand_poses(), tag, model, model.locate_wrist([own] * 10), base)
             np.testing.assert_array_equal(archive["pose_m"][:, 0], expected)
-    # One that cannot be read is passed over.
+    # Recordings that cannot be read are skipped.
     (sequences[0].folder / "meta.yml").write_text("[]")
     (raw / "calibration" / "mano_four" / "mano.yml").unlink()
     assert {key: value[0] for key, value in find_first_betas(sequences).items()} == {
@@ -203,14 +203,14 @@ def test_hand_shape_is_from_the_first_recording(tmp_path: Path) -> None:
         for rank, name in enumerate(names)
     ]
     assert read_hand_betas(known) == (0.0,) * 10
-    # In DexYCB all of a person's are equal, so another will do.
+    # In DexYCB all recordings of a person have equal betas, so those of a later recording are used.
     assert read_hand_betas(known[1:]) == (0.1,) * 10
     mano_file(tmp_path, "hand0").write_text("betas: [1.0]")
     mano_file(tmp_path, "hand1").unlink()
     assert read_hand_betas(known) == (0.2,) * 10
     with pytest.raises(DataFormatError, match="expected 10 numbers"):
         read_hand_betas(known[:2])
-    # Of other data nothing is known.
+    # In other data, betas may differ between recordings, so the first recording is needed.
     others = [RawScene(name=f"20200709_00000{rank}").write(tmp_path, rank) for rank in range(2)]
     assert len(read_hand_betas(others)) == 10
     with pytest.raises(DataNotFoundError, match=f"{SUBJECT} lacks its first recording, which has the hand.s shape"):

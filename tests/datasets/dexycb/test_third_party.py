@@ -1,4 +1,4 @@
-"""The third-party archive's files: where they go, and what stands in for them."""
+"""Tests of the installation of files from the third-party archive, and of stand-ins for them."""
 
 import hashlib
 import shutil
@@ -101,7 +101,7 @@ def test_file_origins(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="module")
 def stood_in(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """`assets/` with what stands in where DexYCB has models of two objects."""
+    """Return `assets/` with the stand-ins that DexYCB's models of two objects give; a third model is damaged."""
     folder = tmp_path_factory.mktemp("stood_in")
     for name in ("003_cracker_box", "061_foam_brick"):
         (folder / "models" / name).mkdir(parents=True)
@@ -146,7 +146,7 @@ def test_originals_replace_stand_ins(stood_in: Path, tmp_path: Path) -> None:
     shutil.copytree(stood_in, assets)
     install_third_party(tar(tmp_path / "a.tar", "w", {"assets/grasps/025_mug.npy": b"original"}), assets)
     assert (assets / "grasps/025_mug.npy").read_bytes() == b"original"
-    # And the other way round nothing happens.
+    # Stand-ins do not replace originals.
     write_stand_ins(tmp_path, assets, workers=1, progress=False)
     assert (assets / "grasps/025_mug.npy").read_bytes() == b"original"
 

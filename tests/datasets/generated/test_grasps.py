@@ -47,7 +47,7 @@ def test_human_hands_hold_objects(kind: str, side: Side) -> None:
         assert grasps.touching[row, 4]
         assert grasps.touching[row, :4].sum() >= 2
         assert grasps.overlap[row] < 0.004
-        # In the object's own frame, not the mirrored one: all joints are outside, fingertips near.
+        # Grasps of both sides are in the object's frame, not mirrored: joints are outside, fingertips near.
         points = hand.compute_keypoints(grasps.compute_hand_dof(row))
         distances = solid.compute_distances(points)
         assert distances.min() > -0.004
@@ -85,7 +85,7 @@ def test_digits_in_closed_form_equal_forward_kinematics() -> None:
 
 
 def test_hands_without_a_free_posture() -> None:
-    """A body around every hand: no posture is free, and none is an error."""
+    """Hands inside a body have no free posture, which is not an error, and hands far away from it all have one."""
     body = Solid((Part("box", (1.0, 1.0, 1.0), "red"),))
     templates, rows = make_hand_templates(SUBJECT_SIZES[3]), np.arange(5)
     palms = Palms(np.zeros((5, 3)), np.tile(np.eye(3), (5, 1, 1)))

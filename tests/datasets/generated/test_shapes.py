@@ -26,7 +26,7 @@ def test_surface_is_the_convex_hull_of_its_vertices(part: Part) -> None:
     corners = surface.vertices[surface.faces]
     volume = np.einsum("fi,fi->f", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6.0
     hull = ConvexHull(surface.vertices)
-    assert volume == pytest.approx(hull.volume, rel=1e-9)  # closed, and all faces point outwards
+    assert volume == pytest.approx(hull.volume, rel=1e-9)  # The surface is closed and all faces point outwards.
     assert (surface.vertices @ surface.normals.T <= surface.offsets + 1e-9).all()
 
 
@@ -34,7 +34,7 @@ def test_surface_is_the_convex_hull_of_its_vertices(part: Part) -> None:
 @given(part=parts(), seed=st.integers(0, 1000))
 def test_distances_agree_with_the_surface(part: Part, seed: int) -> None:
     surface = make_surface(part)
-    vertices = surface.vertices[:-2]  # The last two are centers of the ends.
+    vertices = surface.vertices[:-2]  # The last two vertices are the centers of the part's ends.
     assert np.abs(part.compute_distances(vertices)).max() < 0.0015
     points = np.random.default_rng(seed).uniform(-0.25, 0.25, (200, 3)) + part.position
     distances = part.compute_distances(points)

@@ -19,7 +19,7 @@ def make_motion(rotations: Rotation, fingers: np.ndarray) -> KeyframeMotion:
 @settings(max_examples=30, deadline=None)
 def test_rotations_between_keyframes_equal_scipy(seed: int, n: int) -> None:
     rng = np.random.default_rng(seed)
-    # Large and small turns, and keyframes without motion.
+    # The motion has large and small turns, and keyframes without a turn.
     turns = rng.normal(size=(n, 3)) * rng.choice([0.0, 0.02, 1.0], size=(n, 1))
     rotations = [Rotation.random(rng=rng)]
     for turn in turns[1:]:
@@ -42,7 +42,7 @@ def test_rotations_between_keyframes_equal_scipy(seed: int, n: int) -> None:
 
 @pytest.mark.parametrize("axis", [0, 2])
 def test_angles_have_no_jumps(axis: int) -> None:
-    """More than two turns about an axis, across the wraps of the angle."""
+    """The angles of a motion of more than two turns about an axis are continuous."""
     vectors = np.zeros((40, 3))
     vectors[:, axis] = np.linspace(0.0, 14.0, 40)
     angles = compute_object_trajectory(make_motion(Rotation.from_rotvec(vectors), np.zeros((40, 45))))[:, 3:]

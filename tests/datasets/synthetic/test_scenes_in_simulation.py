@@ -20,7 +20,7 @@ def episode() -> Iterator[Episode]:
 
 
 def measure_distance(world: ExactWorld, first: int, second: int) -> float:
-    """Distance (m) of two bodies, negative where they overlap; inf beyond 5 cm."""
+    """Return the distance (m) between two bodies: negative where they overlap, inf beyond 5 cm."""
     points = world._client.getClosestPoints(first, second, 0.05)
     return min((point[8] for point in points), default=float("inf"))
 
@@ -62,12 +62,12 @@ def test_hand_touches_the_object_at_the_handover(episode: Episode, scene_id: int
     world = set_frame(episode, scene.n_frames - 1)
     assert world._hand is not None
     points = world._client.getClosestPoints(world._hand.id, world._objects[0].id, 0.004)
-    # Links of the digits, three axes each, in the order index, middle, little, ring, thumb.
+    # Each digit has nine links; the order is index, middle, little, ring, thumb.
     digits = {(point[3] - 7) // 9 for point in points if point[3] >= 7}
     assert 4 in digits, "the thumb holds"
     assert len(digits) >= 3
     assert min(point[8] for point in points) > -0.012
-    # People's hands keep 3 cm and more off the robot's start pose.
+    # The human hand is more than 3 cm away from the robot in its start pose.
     assert measure_distance(world, world._hand.id, world._loaded_workcell.panda.id) > 0.03
 
 

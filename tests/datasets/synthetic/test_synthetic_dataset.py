@@ -70,7 +70,7 @@ def test_scenes_have_the_statistics_of_recordings(scene_id: int) -> None:
     assert scene.hand_first % 40 == 0
     assert not scene.hand_dof[: scene.hand_first].any()
     assert np.isfinite(scene.hand_dof).all()
-    # Nothing jumps: at most 5 m/s, and the other objects stand still.
+    # Object and hand move at less than 5 m/s along each axis, and the other objects do not move.
     assert np.abs(np.diff(scene.object_dof[:, 0, :3], axis=0)).max() < 0.005
     assert np.abs(np.diff(scene.hand_dof[scene.hand_first :, :3], axis=0)).max() < 0.005
     assert not np.ptp(scene.object_dof[:, 1:], axis=0).any()

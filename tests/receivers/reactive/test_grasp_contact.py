@@ -21,7 +21,7 @@ from handover_marl.receivers.reactive.grasps import (
     perturb_grasps,
 )
 
-TIP = 0.1126  # m, of the fingers before the hand's frame
+TIP = 0.1126  # distance of the fingertips from the hand's frame (m)
 HALVES = np.array([0.05, 0.02, 0.05])
 BOX = trimesh.creation.box(extents=2.0 * HALVES)
 POINTS = sample_surface_points(np.array(BOX.vertices), np.array(BOX.faces), 4000)
@@ -42,10 +42,10 @@ def pose_above(overlap: float, lateral: float = 0.0) -> np.ndarray:
 @pytest.mark.parametrize(
     ("overlap", "lateral", "margin"),
     [
-        (0.015, 0.0, 0.015),  # well on the pads
-        (0.003, 0.0, 0.003),  # by the tips
-        (0.030, 0.055, 0.011),  # by the edges, which count twice
-        (-0.002, 0.0, 0.0),  # before the tips
+        (0.015, 0.0, 0.015),  # far from the edges of the pads
+        (0.003, 0.0, 0.003),  # near the tips
+        (0.030, 0.055, 0.011),  # near the edges, whose distance counts twice
+        (-0.002, 0.0, 0.0),  # beyond the tips
     ],
 )
 def test_pad_margins(overlap: float, lateral: float, margin: float) -> None:
@@ -96,7 +96,7 @@ def test_number_of_offset_grasps_is_limited() -> None:
 
 @pytest.mark.parametrize(("quick", "stored"), [(True, False), (True, True), (False, False)])
 def test_many_objects_are_validated_quickly(monkeypatch: pytest.MonkeyPatch, quick: bool, stored: bool) -> None:
-    """Only objects without a stored validation, in data sets with many objects, get the quick one."""
+    """Grasps are validated quickly only in data sets with many objects, for objects without a stored record."""
     used: list[GraspPreparationConfig] = []
 
     def validate(urdf: Path, panda: Path, known: np.ndarray, config: GraspPreparationConfig) -> ValidatedGrasps:

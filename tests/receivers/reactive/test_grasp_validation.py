@@ -99,7 +99,7 @@ def test_invalid_records(place: tuple[int, int], value: int) -> None:
 
 
 def test_records_of_different_robots(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Shaking is shared by all robots; the release depends on the robot's fingers."""
+    """The grasps of an object are shaken once for all robots, and released once for each robot."""
     known, done = np.array([IDENTITY]), []
 
     def shake(*arguments: object) -> ValidationRecord:
@@ -123,7 +123,7 @@ def test_records_of_different_robots(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 
 def validate_slowly(log: Path, start: Any) -> None:
-    """Validate a grasp in a process of its own; simulations and messages are noted in a file."""
+    """Validate a grasp, and append simulations, log messages and the success rate to a file."""
     logging.getLogger(validation_module.__name__).addHandler(logging.FileHandler(log))
 
     def shake(*arguments: object) -> ValidationRecord:

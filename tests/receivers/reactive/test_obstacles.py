@@ -124,7 +124,10 @@ def test_robot_slows_down_before_other_objects(handover_observation: Observation
 
 
 def test_no_other_object_is_touched() -> None:
-    """Without regard to the wood block, the robot's wrist is stuck on it until the episode times out."""
+    """The receiver succeeds in a scene without touching the other objects.
+
+    If it ignored the wood block, the robot's wrist would be stuck on it until the episode times out.
+    """
     touches = []
     episode, receiver = Episode("fast"), make_receiver()
     episode.reset(DATA.load_scene(69))

@@ -190,7 +190,7 @@ def test_retreats_after_release(handover_observation: Observation) -> None:
     action = receiver.act(observe_at(observation, 3.2, **free))
     assert receiver.phase is ReactivePhase.RETREAT
     assert action[-1] == 0.0
-    # It backs out of the hand.
+    # The retreat has begun: the robot moves.
     hand = observation["gripper_pose"]
     assert np.isfinite(hand).all()
     assert np.abs(receiver.servo.velocity).max() > 0.05
@@ -234,7 +234,7 @@ def test_closes_around_an_object_that_was_released_before(handover_observation: 
         receiver.act(observe_at(handover_observation, 2.0 + 0.05 * number))
     goal = receiver.selector.chosen
     assert goal is not None
-    # Too far for fingers that close around an object that is held.
+    # The hand is too far away for closing the fingers around an object that the person still holds.
     between = (goal.goal + 0.15 * (goal.standoff - goal.goal)).astype(np.float32)
     joints = np.array([*between, 0.04, 0.04], dtype=np.float32)
     receiver.act(observe_at(handover_observation, 3.0, robot_joint_position=joints))

@@ -19,7 +19,7 @@ GOAL = np.array(ProtocolConfig().goal_center)
 BASE = np.array([0.61, -0.5, 0.875, 0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)])
 LIMITS = np.array(LOWER_LIMITS[:7]) + 0.03, np.array(UPPER_LIMITS[:7]) - 0.03
 PERIOD = 0.05
-# In front of the waiting pose, to the side.
+# The start is in front of the waiting pose and to its side.
 START = HOME + np.array([0.6, 0.5, 0.0, 0.4, 0.0, 0.0, 0.0])
 
 
@@ -54,7 +54,7 @@ def test_backs_out_straight_and_reaches_the_goal() -> None:
 
 
 def test_reaches_the_goal_after_the_backout_timeout() -> None:
-    # Only the timeout ends an infinite distance.
+    # The distance cannot be reached, so only the timeout ends the backout.
     config = RetreatConfig(backout_distance=100.0)
     assert np.linalg.norm(simulate_retreat(config=config)[-1, :3] - GOAL) < ProtocolConfig().goal_radius
     never = replace(config, backout_timeout=1000.0, stall_timeout=1000.0)

@@ -1,4 +1,4 @@
-"""Folders of custom scenes from recordings and meshes to results."""
+"""Tests of folders of custom scenes, from recordings and meshes to results."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -30,7 +30,7 @@ def _cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 
 def mirror(recording: dict[str, Any]) -> dict[str, Any]:
-    """The recording of a left hand: everything mirrored in x about the object's place."""
+    """Return the recording of a left hand, which is mirrored in x about the object's position."""
     result = {name: value.copy() for name, value in recording.items()}
     for key in ("object", "wrist"):
         result[key][:, 0] = 1.2 - result[key][:, 0]
@@ -40,7 +40,10 @@ def mirror(recording: dict[str, Any]) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def scenes(tmp_path_factory: pytest.TempPathFactory) -> CustomSceneFolder:
-    """A box that is handed over with the right hand beside a mug, with the left hand, and without a hand."""
+    """Return a folder with three scenes of a box.
+
+    A right hand gives the box beside a mug, a left hand gives the box alone, and the box moves without a hand.
+    """
     builder = CustomSceneFolder(tmp_path_factory.mktemp("own") / "boxes")
     builder.add_object("box", make_box(), MeshConfig(mass=0.2, concavity=1.0), grasps=8, workers=1, progress=False)
     recording = make_recording()
@@ -95,7 +98,7 @@ def test_a_hand_closes_on_the_object(scenes: CustomSceneFolder) -> None:
     np.testing.assert_array_equal(end, scene.hand_dof[2500, 6:])
     model = make_hand_geometry(6, "right")
     tips = model.compute_keypoints(scene.hand_dof[-1])[[4, 8, 12, 16, 20]] - scene.object_dof[-1, 0, :3]
-    # Thumb and fingers are on different sides of the box.
+    # All fingertips are at the surface of the box or outside, and at least two are near it.
     outside = np.abs(tips[:, :2]).max(axis=1)
     assert (outside < 0.06).sum() >= 2
     assert (outside > 0.02).all()
@@ -139,7 +142,7 @@ def test_results_of_custom_scenes(scenes: CustomSceneFolder, tmp_path: Path) -> 
     assert "all test, all 3 scenes" in report.heading
     assert "Own data: not comparable" in report.format_notes()
     assert {episode.object_name for episode in report.episodes} == {"box"}
-    # The folder is found by its path, since results have the name alone.
+    # The path of the folder is passed, because results have only the data set's name.
     assert verify(tmp_path / "out", data_dir=scenes.folder, workers=1, progress=False).is_verified
     with pytest.raises(HandoverError, match="data_dir"):
         verify(tmp_path / "out", workers=1, progress=False)
@@ -167,7 +170,7 @@ def test_names_of_own_data_sets(scenes: CustomSceneFolder, tmp_path: Path) -> No
 
 
 def table_frame() -> dict[str, Any]:
-    """Poses in the table's frame, which are below the table as poses in the world."""
+    """Return a recording in the table's frame, whose poses would be below the table in the world frame."""
     recording = make_recording()
     for key in ("object", "wrist"):
         recording[key][:, 2] -= TABLE_HEIGHT
@@ -307,7 +310,7 @@ def test_fingerprints_change_with_the_files(scenes: CustomSceneFolder, tmp_path:
 
 
 def test_configuration_of_the_frame(scenes: CustomSceneFolder) -> None:
-    """A pose of the recording's frame is applied to all bodies."""
+    """A recording in the table's frame gives the same motion of object and hand as one in the world frame."""
     builder = CustomSceneFolder(scenes.folder)
     builder.add_motion(table_frame(), "box", "carl", MotionConfig(frame="table"), recording="table")
     dataset = CustomDataset(scenes.folder)

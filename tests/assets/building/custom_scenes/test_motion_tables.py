@@ -1,4 +1,4 @@
-"""Recorded poses: damaged ones are refused or repaired, and every repair is stated."""
+"""Tests of recorded poses: damaged recordings are refused or repaired, and every repair is stated."""
 
 from pathlib import Path
 from typing import Any

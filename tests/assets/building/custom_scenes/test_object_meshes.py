@@ -1,4 +1,4 @@
-"""Objects from meshes: damaged ones are refused or repaired, and nothing is left behind."""
+"""Tests of objects from meshes: damaged meshes are refused or repaired, and failures leave no files."""
 
 import re
 from collections.abc import Callable
