@@ -1,5 +1,6 @@
 """Commands that read result folders."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -8,6 +9,7 @@ import tyro
 from handover_marl.cli.options import PopulationName, SceneNumbers
 from handover_marl.cli.printing import TableFormat, print_tables
 from handover_marl.cli.streams import print_result
+from handover_marl.errors import OptionError
 from handover_marl.execution.files import write_atomically
 from handover_marl.execution.options import check_path
 
@@ -138,25 +140,41 @@ def run_merge(
 
 
 def run_strangers_table(
-    folders: _Folders,
+    folders: Annotated[tuple[str, ...], tyro.conf.arg(metavar="[NAME=]DIR"), tyro.conf.Positional],
     population: PopulationName = "strangers-v1",
+    references: Annotated[str | None, tyro.conf.arg(metavar="FILE.json")] = None,
     heat_map: Annotated[str | None, tyro.conf.arg(metavar="FILE.png")] = None,
     table_format: TableFormat = "markdown",
 ) -> None:
     """Print the leaderboard of folders that `strangers` wrote, one for each method.
 
     Args:
-        folders: Output folders of `strangers` with the same partners and scenes.
+        folders: Output folders of `strangers` with the same partners and scenes, each with the name of the method or
+            without; default: the label of the policy.
         population: Population of the evaluations.
+        references: File of references, as `strangers-references` writes it; default: that of the population.
         heat_map: Picture to write, with the success rate of every method with every partner.
         table_format: Format of the printed tables.
     """
     from handover_marl.evaluation.strangers.leaderboard import make_leaderboard
 
-    leaderboard = make_leaderboard(folders, population)
+    leaderboard = make_leaderboard(_split_names(folders), population, references)
     if heat_map is not None:
         leaderboard.write_heat_map(check_path("heat_map", heat_map))
     print_tables(leaderboard, table_format, f"Folders: {', '.join(folders)}")
+
+
+def _split_names(folders: tuple[str, ...]) -> Mapping[str, str] | tuple[str, ...]:
+    """Return folders by name if they are given as NAME=DIR.
+
+    Raises:
+        OptionError: Only some have a name, or two have the same one.
+    """
+    named = [folder.partition("=") for folder in folders if not Path(folder).expanduser().is_dir()]
+    by_name = {name: folder for name, sign, folder in named if sign}
+    if by_name and len(by_name) < len(folders):
+        raise OptionError(f"folders must have different names, all or none, got {' '.join(folders)}")
+    return by_name or folders
 
 
 def run_strangers_references(

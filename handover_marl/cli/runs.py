@@ -98,7 +98,8 @@ def run_strangers(
     giver: _OptionalNames = None,
     population: PopulationName = "strangers-v1",
     partners: Literal["train", "test", "all"] = "test",
-    n_scenes: int = 36,
+    n_scenes: int = 12,
+    references: Annotated[str | None, tyro.conf.arg(metavar="FILE.json")] = None,
     evaluation: StrangersArguments = _STRANGERS,
     execution: ExecutionConfig = ExecutionConfig(),
     table_format: TableFormat = "markdown",
@@ -111,6 +112,7 @@ def run_strangers(
         population: Name of a shipped population, or a file.
         partners: Families of the population.
         n_scenes: Number of scenes, evenly spaced over the split; a large number takes all.
+        references: File of references, as `strangers-references` writes it; default: that of the population.
         evaluation: Scenes and simulation.
         execution: Workers and output; outcomes do not depend on them.
         table_format: Format of the printed tables.
@@ -125,6 +127,7 @@ def run_strangers(
         partners,
         n_scenes,
         evaluation,
+        references=references,
         execution=execution,
     )
     print_tables(report, table_format, _describe_path(execution, "strangers.md"))

@@ -1,7 +1,7 @@
 """Leaderboard: table of several evaluations with the same partners and scenes, made from their folders."""
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -41,12 +41,14 @@ class Leaderboard(TabularResult):
     """Evaluations of several methods with the same partners and scenes. `str` returns Markdown tables.
 
     Attributes:
-        reports: Reports with the same references, the best BR-Prox or success first.
+        reports: Reports with the same references, the largest BR-Prox first.
+        names: Name of the method of every report.
         has_stored_references: Whether every partner has a stored reference for these scenes; otherwise the best of
             the evaluations is the reference.
     """
 
     reports: tuple[StrangersReport, ...]
+    names: tuple[str, ...]
     has_stored_references: bool
 
     def write_heat_map(self, path: Path) -> None:
@@ -64,8 +66,7 @@ class Leaderboard(TabularResult):
         partners = [f"{partner.name} ({partner.family})" for partner in first.partners]
         other = "giver" if first.agent == "receiver" else "receiver"
         title = f"{first.population}\n{self._describe_condition()}"
-        methods = ["\n".join(report.policies) for report in self.reports]
-        picture = draw_heat_map(rates, partners, methods, title, (other, first.agent))
+        picture = draw_heat_map(rates, partners, list(self.names), title, (other, first.agent))
         try:
             write_atomically(path, picture)
         except OSError as error:
@@ -82,8 +83,12 @@ class Leaderboard(TabularResult):
             f"{len(first.partners)} partners of {first.population}, families of {first.partner_split}; "
             f"{self._describe_condition()}."
         )
-        source = "stored with the population" if self.has_stored_references else "the best of these methods"
-        return [heading, *self.build_tables(), f"{NOTE} References: {source}. Differences are paired by scene."]
+        source = "stored references" if self.has_stored_references else "the best of these methods"
+        return [
+            heading,
+            *self.build_tables(),
+            f"{NOTE} BR-Prox is relative to {source}. Differences are paired by partner and scene.",
+        ]
 
     def _describe_condition(self) -> str:
         condition = self.reports[0].condition
@@ -94,22 +99,24 @@ class Leaderboard(TabularResult):
 
     def _build_scores(self) -> ReportTable:
         rows = []
-        for report in self.reports:
-            found = report.estimate_all()
+        for name, report in zip(self.names, self.reports, strict=True):
+            found, metadata = report.estimate_all(), next(iter(report.reports.values())).metadata
             cells = [format_estimate(found[key]) if key in found else NO_VALUE for key in _COLUMNS]
-            rows.append([_get_title(report), len(report.policies), *cells, report.scores.size])
-        return ReportTable(["method", "policies", *_COLUMNS.values(), N_EPISODES.title], rows)
+            origin = [len(report.policies), metadata.robot, metadata.version]
+            rows.append([name, *origin, *cells, report.scores.size])
+        header = ["method", "trainings", "robot", "version", *_COLUMNS.values(), N_EPISODES.title]
+        return ReportTable(header, rows)
 
     def _build_differences(self) -> ReportTable:
         best, rows = self.reports[0], []
-        for report in self.reports[1:]:
+        for name, report in zip(self.names[1:], self.reports[1:], strict=True):
             cells = [
                 _format_difference(compute_mean, best.successes, report.successes),
                 _format_difference(compute_mean, best.contacts, report.contacts),
                 _format_difference(compute_mean, best.scores, report.scores),
                 _format_difference(compute_unclipped_proximity, best.scores, report.scores, best.references),
             ]
-            rows.append([_get_title(best), _get_title(report), *cells])
+            rows.append([self.names[0], name, *cells])
         titles = ["success, points", "contact, points", "AS, points", "BR-Prox, points"]
         return ReportTable(["method", "minus", *titles], rows, n_keys=2)
 
@@ -119,19 +126,23 @@ class Leaderboard(TabularResult):
         for family in first.families:
             chosen = [number for number, partner in enumerate(first.partners) if partner.family == family]
             rows.append([family, *(f"{100 * each.successes[:, chosen].mean():.1f}" for each in self.reports)])
-        return ReportTable(["family", *(f"{_get_title(each)}: success %" for each in self.reports)], rows)
+        return ReportTable(["family", *(f"{name}: success %" for name in self.names)], rows)
 
 
 def make_leaderboard(
-    folders: Sequence[str | os.PathLike[str]], population: str | os.PathLike[str] = DEFAULT_POPULATION
+    folders: Sequence[str | os.PathLike[str]] | Mapping[str, str | os.PathLike[str]],
+    population: str | os.PathLike[str] = DEFAULT_POPULATION,
+    references: str | os.PathLike[str] | None = None,
 ) -> Leaderboard:
     """Make the leaderboard of folders that `strangers` wrote, one for each method.
 
     Every value is computed from the result folders of the pairs.
 
     Args:
-        folders: Output folders of `strangers` with the same partners, scenes and simulation.
-        population: Population of the evaluations, whose references are used.
+        folders: Output folders of `strangers` with the same partners, scenes and simulation; or such folders by the
+            name of the method. The default name is the label of the policy.
+        population: Population of the evaluations.
+        references: File of references; default: that of the population.
 
     Raises:
         OptionError: There is no folder, or the evaluations differ in population, partners or scenes.
@@ -139,18 +150,20 @@ def make_leaderboard(
     """
     if not folders:
         raise OptionError("folders must name at least one folder of handover-marl strangers, got none")
-    paths = [check_path("folder", folder) for folder in folders]
+    paths = [check_path("folder", folder) for folder in (folders.values() if isinstance(folders, Mapping) else folders)]
     reports = [read_report(path) for path in paths]
+    names = [*folders] if isinstance(folders, Mapping) else [", ".join(report.policies) for report in reports]
     found = load_population(population)
     for path, report in zip(paths, reports, strict=True):
         _check_partners(path, report, found)
         _check_comparable(path, report, paths[0], reports[0])
-    names = [partner.name for partner in reports[0].partners]
-    stored = load_references(found.references_path, found.content_hash).collect_scores(reports[0].condition, names)
-    references = _find_best(reports) if stored is None else stored
-    with_references = [replace(report, references=references) for report in reports]
-    with_references.sort(key=lambda report: report.estimate_all()["br_prox"].value, reverse=True)
-    return Leaderboard(tuple(with_references), stored is not None)
+    partners = [partner.name for partner in reports[0].partners]
+    file = found.references_path if references is None else check_path("references", references)
+    stored = load_references(file, found.content_hash).collect_scores(reports[0].condition, partners)
+    best = _find_best(reports) if stored is None else stored
+    rows = [(name, replace(report, references=best)) for name, report in zip(names, reports, strict=True)]
+    rows.sort(key=lambda row: row[1].estimate_all()["br_prox"].value, reverse=True)
+    return Leaderboard(tuple(row[1] for row in rows), tuple(row[0] for row in rows), stored is not None)
 
 
 def _find_best(reports: Sequence[StrangersReport]) -> npt.NDArray[np.float64]:
@@ -187,10 +200,6 @@ def _check_comparable(path: Path, report: StrangersReport, first_path: Path, fir
                 f"{path} and {first_path} must have the same {name}; evaluate with the same families, scenes, data "
                 "and physics"
             )
-
-
-def _get_title(report: StrangersReport) -> str:
-    return ", ".join(report.policies)
 
 
 def _format_difference(

@@ -14,12 +14,12 @@ from handover_marl.evaluation.crossplay import CrossPlay, crossplay
 from handover_marl.evaluation.strangers.entry import StrangersEntry, check_folder, write_entry
 from handover_marl.evaluation.strangers.references import load_references
 from handover_marl.evaluation.strangers.report import StrangersReport
-from handover_marl.execution.options import forward_signature
+from handover_marl.execution.options import check_path, forward_signature
 from handover_marl.policies.populations import DEFAULT_POPULATION, Partner, Population, load_population
 from handover_marl.policies.reference import PolicyLike
 
-#: Number of scenes for each partner: 648 episodes with the 18 test givers of `strangers-v1`.
-DEFAULT_N_SCENES = 36
+#: Number of scenes for each partner: 216 episodes with the 18 test givers of `strangers-v1`.
+DEFAULT_N_SCENES = 12
 FAST = "fast"
 
 
@@ -32,6 +32,7 @@ def strangers(
     n_scenes: int = DEFAULT_N_SCENES,
     setup: str | EvaluationConfig | None = None,
     split: str = "test",
+    references: str | os.PathLike[str] | None = None,
     execution: ExecutionConfig | None = None,
     **options: Unpack[EvaluationOptions],
 ) -> StrangersReport:
@@ -47,6 +48,7 @@ def strangers(
         setup: Official setup, "s0" to "s3", or one of other data; or a whole `handover_marl.EvaluationConfig`, whose
             policies are ignored.
         split: Split of the scenes, "train", "val" or "test".
+        references: File of references, as `strangers-references` writes it; default: that of the population.
         execution: Execution settings. The output folder gets a result folder for each pair, the files of `crossplay`,
             `strangers.md` and `strangers.json`; an interrupted evaluation resumes there.
         options: Fields of `handover_marl.EvaluationConfig` and `handover_marl.ExecutionConfig`; the default of
@@ -69,10 +71,11 @@ def strangers(
     found = load_population(population)
     chosen = found.select("giver" if agent == "receiver" else "receiver", partners)
     config = _choose_scenes(config, n_scenes)
+    file = None if references is None else check_path("references", references)
     if execution.folder is not None and not execution.fresh:
         check_folder(execution.folder, found.content_hash, partners)
     result = _play(agent, policies, found, chosen, config, execution)
-    report = _make_report(result, agent, found, chosen, partners)
+    report = add_references(_make_report(result, agent, found, chosen, partners), found, file)
     if execution.folder is not None:
         write_entry(execution.folder, StrangersEntry.from_report(report, found), report)
     return report
@@ -124,5 +127,4 @@ def _make_report(
         for policy in policies
         for partner, other in zip(partners, others, strict=True)
     }
-    report = StrangersReport(population.label, split, agent, policies, partners, reports)
-    return add_references(report, population)
+    return StrangersReport(population.label, split, agent, policies, partners, reports)

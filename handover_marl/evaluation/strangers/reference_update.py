@@ -1,14 +1,14 @@
 """Update of reference scores from result folders."""
 
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 from handover_marl.errors import ResultsError
 from handover_marl.evaluation.reports.report import Report
 from handover_marl.evaluation.reports.report_files import evaluate
 from handover_marl.evaluation.reports.tables import ReportTable, TabularResult
-from handover_marl.evaluation.results.metadata import CONFIG_FILE, OFFICIAL_WORLD, ResultMetadata
+from handover_marl.evaluation.results.metadata import CONFIG_FILE, OFFICIAL_WORLD
 from handover_marl.evaluation.strangers.labels import list_labels
 from handover_marl.evaluation.strangers.references import (
     Condition,
@@ -22,7 +22,7 @@ from handover_marl.execution.options import check_path
 from handover_marl.policies.populations import DEFAULT_POPULATION, Population, load_population
 
 # Agents of evaluated policies and of their partners.
-_SIDES = (("receiver", "giver"), ("giver", "receiver"))
+_OTHER = {"receiver": "giver", "giver": "receiver"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,10 +83,10 @@ def update_references(
         "receiver": list_labels(found, "receiver", found.receivers),
     }
     for report in _read_reports(folders):
-        for agent, other in _SIDES:
+        for agent, other in _OTHER.items():
             partner = labels[other].get(getattr(report.metadata, other))
             if partner is not None and report.metadata.world == OFFICIAL_WORLD:
-                condition, reference = _make_reference(agent, report)
+                condition, reference = _make_reference(agent, report, partner.policy)
                 table = table.update(condition, partner.name, reference)
     write_references(path, table)
     return ReferenceSummary(found, table)
@@ -101,17 +101,20 @@ def _read_reports(folders: Iterable[str | os.PathLike[str]]) -> Iterator[Report]
         yield from map(evaluate, results)
 
 
-def _make_reference(agent: str, report: Report) -> tuple[Condition, Reference]:
+def _make_reference(agent: str, report: Report, partner_policy: str) -> tuple[Condition, Reference]:
     metadata = report.metadata
     policy = getattr(metadata, agent)
     version = f"{metadata.version} {getattr(metadata, f'{agent}_hash')}".strip()
     scores = tuple(episode.speed_score for episode in report.episodes)
-    return make_condition(agent, report), Reference(policy, version, _format_command(metadata, report), scores)
+    policies = {"giver": metadata.giver, "receiver": metadata.receiver} | {_OTHER[agent]: partner_policy}
+    return make_condition(agent, report), Reference(policy, version, _format_command(policies, report), scores)
 
 
-def _format_command(metadata: ResultMetadata, report: Report) -> str:
+def _format_command(policies: Mapping[str, str], report: Report) -> str:
+    metadata = report.metadata
     scenes = ",".join(str(episode.scene_id) for episode in report.episodes)
-    return (
-        f"handover-marl pair --giver {metadata.giver} --receiver {metadata.receiver} --dataset {metadata.dataset} "
-        f"--setup {metadata.setup} --split {metadata.split} --physics {metadata.physics} --scenes {scenes}"
-    )
+    options = [
+        f"--{name} {getattr(metadata, name)}" for name in ("dataset", "setup", "split", "physics", "robot", "seed")
+    ]
+    named = [f"--{agent} {policy}" for agent, policy in policies.items()]
+    return f"handover-marl pair {' '.join([*named, *options])} --scenes {scenes}"

@@ -64,6 +64,9 @@ def test_references_of_evaluations(fake_data: Path, evaluated: Path, tmp_path: P
     rows = summary.build_tables()[0].rows
     assert [row[0] for row in rows] == ["fast", "slow", "still"]
     assert [row[3] for row in rows[:2]] == ["hold", "hold"]
+    command = next(iter(summary.table.sections.values()))["fast"].command
+    assert command.startswith("handover-marl pair --giver hurried:min_rate=0.5,max_rate=0.6 --receiver hold --dataset ")
+    assert "--physics fast --robot panda --seed 0 --scenes " in command
     shutil.copytree(evaluated, out)
     found = run(fake_data, population, out=out)
     assert found.references is not None
@@ -91,6 +94,16 @@ def test_leaderboard(
     assert main([*command, "--heat-map", str(picture)]) == 0
     assert "the best of these methods" in capsys.readouterr().out
     assert picture.read_bytes().startswith(b"\x89PNG")
+    references = tmp_path / "references.json"
+    update_references([evaluated], population, references)
+    named = ["strangers-table", f"one={evaluated}", f"another={other}", "--population", str(population)]
+    assert main([*named, "--references", str(references)]) == 0
+    printed = capsys.readouterr().out
+    assert "| one     | 1         | panda | 0." in printed
+    assert "| one    | another |" in printed
+    assert "stored references" in printed
+    assert main([*named[:2], str(other), *named[3:]]) == 2
+    assert "must have different names, all or none" in capsys.readouterr().err
     for pair in json.loads((other / "strangers.json").read_text())["folders"]["hold"].values():
         next((other / pair).glob("*.npz")).unlink()
     with pytest.raises(ResultsError, match="must have the same condition"):
