@@ -1,6 +1,7 @@
 """Cross-play: evaluation of every giver with every receiver on the same scenes."""
 
 import csv
+import hashlib
 import io
 import re
 from collections.abc import Sequence
@@ -56,6 +57,8 @@ _CSV_IDENTITY = ("setup", "split", "dataset", "physics")
 _GAIN_HEADER = (N_EPISODES.title, "success gain, points", "contact gain, points")
 _CSV_MEANS = (AVERAGE_SUCCESS, *TIMES, *FLUENCY)
 _MAX_CSV_BYTES = 10_000_000
+# File systems allow names of 255 bytes; a hash follows longer names.
+_MAX_NAME_BYTES = 200
 
 
 @dataclass(frozen=True, eq=False)
@@ -276,9 +279,16 @@ def read_crossplay_pairs(folder: Path) -> list[PolicyPair]:
 
 
 def format_pair_folder(pair: PolicyPair) -> str:
-    """Return the name of a pair's result folder, given its labels (giver, receiver)."""
+    """Return the name of a pair's result folder, given its labels (giver, receiver).
+
+    A name that is too long for file systems ends in a hash of the labels.
+    """
     giver, receiver = pair
-    return re.sub(r"[^\w.@=,+-]", "_", f"{giver}-{receiver}")
+    name = re.sub(r"[^\w.@=,+-]", "_", f"{giver}-{receiver}")
+    if len(name.encode()) <= _MAX_NAME_BYTES:
+        return name
+    start = name.encode()[:_MAX_NAME_BYTES].decode(errors="ignore")
+    return f"{start}-{hashlib.sha256(repr(pair).encode()).hexdigest()[:12]}"
 
 
 def _resolve_policies(

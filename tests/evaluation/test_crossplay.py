@@ -10,6 +10,7 @@ from handover_marl.cli import main
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import OptionError, ResultsError, UnknownNameError
 from handover_marl.evaluation.benchmark import Evaluation
+from handover_marl.evaluation.crossplay import format_pair_folder
 from handover_marl.policies.policy import PolicyContext
 from tests.evaluation.quick import QuickReceiver
 
@@ -83,3 +84,11 @@ def test_receivers_are_compared_scene_by_scene(fake_data: Path) -> None:
     assert "success gain, points" in text
     rows = [[cell.strip() for cell in line.split("|")] for line in text.splitlines()]
     assert any(row[1:4] == ["yang2021", "hold", "replay"] for row in rows)
+
+
+@pytest.mark.parametrize("letter", ["x", "é"])
+def test_folders_of_long_labels_are_short_and_differ(letter: str) -> None:
+    assert format_pair_folder(("noisy:rate=0", "hold")) == "noisy_rate=0-hold"
+    names = [format_pair_folder((letter * 300, f"reactive:wait={number}")) for number in range(2)]
+    assert len(set(names)) == 2
+    assert all(len(name.encode()) < 255 for name in names)
