@@ -11,17 +11,8 @@ from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import OptionError, ResultsError, UnknownNameError
 from handover_marl.evaluation.benchmark import Evaluation
 from handover_marl.evaluation.crossplay import format_pair_folder
-from handover_marl.policies.policy import PolicyContext
-from tests.evaluation.quick import QuickReceiver
 
 SCENES = "9"
-
-
-class Named(QuickReceiver):
-    """Receiver whose label contains its option `text`, so that it can be of any length."""
-
-    def __init__(self, context: PolicyContext, text: str) -> None:
-        super().__init__(context)
 
 
 def test_command_writes_tables_and_a_picture(
@@ -59,8 +50,9 @@ def test_folders_that_cannot_be_written_are_reported_before_the_first_scene(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(Evaluation, "run", lambda *_: pytest.fail("a scene was simulated"))
-    with pytest.raises(ResultsError, match="File name too long"):
-        handover_marl.crossplay(["replay"], ["hold", (Named, {"text": "x" * 300})], dataset="synthetic", out=tmp_path)
+    (tmp_path / "replay-random").write_text("")
+    with pytest.raises(ResultsError, match=r"cannot use .*replay-random as result folder"):
+        handover_marl.crossplay(["replay"], ["hold", "random"], dataset="synthetic", out=tmp_path)
 
 
 @pytest.mark.slow
