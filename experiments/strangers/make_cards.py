@@ -137,7 +137,7 @@ _INTRODUCTION = """\
 This page describes every giver of the population {population.label}, with which
 [the protocol strangers](../how_to/strangers.md) evaluates receivers.
 
-- **Limits**: speeds, accelerations and offsets of all givers are limited by `handover_marl.config.GiverConfig`: at most
+- **Limits**: speeds, accelerations and offsets of all givers' deviations from the recordings are limited by `handover_marl.config.GiverConfig`: at most
   0.3 m and 1 rad of displacement for each axis, 0.8 m/s, 5 m/s², 2.5 rad/s, 15 rad/s². The tables list the bounds of
   their own options.
 - **Films**: the receiver `reactive` in scene 95 of the synthetic data set, fast physics. The first row replays the
@@ -165,8 +165,9 @@ The controls show how much of a difference between partners or methods may come 
 | self-play against cross-play | difference between policies that were trained together and the same with others |
 
 A nudge adds {nudge:g} rad with random signs to the seven joint targets of the whole episode; the giver's random draws
-stay the same. Differences below the noise floor may be chance. {n_givers} of the {n_all} givers have been measured;
-{total} % of their {n} outcomes changed. Random starts deviate by up to {start_noise:g} rad in each joint.
+stay the same. Differences below the noise floor may be chance. {n_givers} of the {n_all} givers have been measured,
+and {total} % of their {n} outcomes changed; the noise floor of the others is unknown. Random starts deviate by up to
+{start_noise:g} rad in each joint.
 
 The table has {n_scenes} scenes of the {setup} {split} split of {dataset} ({scenes}), receiver `{receiver}`,
 {physics} physics, version {version}. A dash stands for what has not been measured. Intervals are Wilson's for rates,
