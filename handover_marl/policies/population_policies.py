@@ -20,7 +20,7 @@ class PopulationPolicy(Policy):
     Args:
         context: Robot and task, for the members.
         population: Name of a shipped population, or path of a file; see `handover_marl.policies.populations`.
-        split: Families to draw from: "train", "test" or "all".
+        partners: Families to draw from: "train", "test" or "all".
 
     Attributes:
         members: Policies of the members.
@@ -36,13 +36,13 @@ class PopulationPolicy(Policy):
     file_options = ("population",)
 
     def __init__(
-        self, context: PolicyContext | None = None, population: str = DEFAULT_POPULATION, split: str = TRAIN
+        self, context: PolicyContext | None = None, population: str = DEFAULT_POPULATION, partners: str = TRAIN
     ) -> None:
         super().__init__(context)
         self._given_context = context
         agent, found = str(self.agent), load_population(population)
         self._content_hash = found.content_hash
-        references = [parse_policy(agent, found.get_policy(partner)) for partner in found.select(agent, split)]
+        references = [parse_policy(agent, found.get_policy(partner)) for partner in found.select(agent, partners)]
         self._references = [one for one in references if one.policy_class.obs_mode == STATE]
         if not self._references:
             raise OptionError(f"population must have {agent}s that act on the state, got none in {population!r}")

@@ -15,8 +15,8 @@ from tests.evaluation.strangers.populations import GIVERS, RECEIVERS, write_popu
 from tests.givers.test_givers import seen
 
 
-def make_giver(path: Path, split: str = "all") -> PopulationPolicy:
-    policy = givers.make(("population", {"population": os.fspath(path), "split": split}))
+def make_giver(path: Path, partners: str = "all") -> PopulationPolicy:
+    policy = givers.make(("population", {"population": os.fspath(path), "partners": partners}))
     assert isinstance(policy, PopulationPolicy)
     return policy
 
@@ -50,19 +50,19 @@ def test_the_seed_draws_the_member_that_acts(tmp_path: Path) -> None:
 def test_receivers_with_a_camera_are_left_out(tmp_path: Path) -> None:
     vision = {**RECEIVERS[0], "name": "camera", "policy": "gaddpg"}
     path = write_population(tmp_path, receivers=[*RECEIVERS, vision])
-    policy = receivers.make(("population", {"population": os.fspath(path), "split": "test"}))
+    policy = receivers.make(("population", {"population": os.fspath(path), "partners": "test"}))
     assert isinstance(policy, PopulationPolicy)
     assert [member.name for member in policy.members] == ["hold"]
     only = write_population(tmp_path, receivers=[vision])
     with pytest.raises(OptionError, match="receivers that act on the state"):
-        receivers.make(("population", {"population": os.fspath(only), "split": "test"}))
+        receivers.make(("population", {"population": os.fspath(only), "partners": "test"}))
 
 
 def test_a_vector_environment_equals_single_environments(tmp_path: Path) -> None:
     pytest.importorskip("mujoco")
     interrupting = {**GIVERS[0], "name": "interrupting", "policy": "interrupting"}
     partner = ("population", {"population": os.fspath(write_population(tmp_path, givers=[*GIVERS, interrupting]))})
-    partner[1]["split"] = "all"
+    partner[1]["partners"] = "all"
     fields = {"dataset": "synthetic", "physics": "mujoco", "control_period": 0.2, "max_cycles": 12}
     envs = handover_marl.vector_env(5, "receiver", partner, autoreset="disabled", threads=2, **fields)
     observations, _ = envs.reset(seed=3)
