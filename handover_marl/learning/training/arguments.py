@@ -9,6 +9,7 @@ from typing_extensions import Self
 
 from handover_marl.envs.config import EnvConfig
 from handover_marl.envs.custom_rewards import set_discount
+from handover_marl.errors import OptionError
 from handover_marl.learning.encodings.choices import is_reference
 from handover_marl.learning.training.run_folder import select_training_scenes
 from handover_marl.learning.training.scene_arguments import SetupArgs
@@ -113,6 +114,14 @@ class PpoArgs(ResumableArgs):
     envs: int = 0
     eval_start: bool = True
     val_scenes: int = 36
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.batch_size < self.n_envs:
+            raise OptionError(
+                f"batch_size must be at least the number of environments, {self.n_envs}, got {self.batch_size}; choose "
+                "fewer with envs"
+            )
 
     @property
     def n_envs(self) -> int:

@@ -11,7 +11,7 @@ from handover_marl import benchmark, givers, receivers
 from handover_marl.datasets import DATA_DIR_VARIABLE
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.envs.rewards import SHAPED
-from handover_marl.errors import ResultsError
+from handover_marl.errors import OptionError, ResultsError
 from handover_marl.learning.imitation.vision.grasp_labels import GraspLabelConfig
 from handover_marl.learning.imitation.vision.view_files import ViewDatasetConfig, generate_views
 from handover_marl.learning.networks.grasp_network import GraspNetwork, GraspNetworkConfig
@@ -126,6 +126,12 @@ def test_best_responses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
     respond.main(args)
     table = (tmp_path / "run" / "crossplay" / "crossplay.csv").read_text().splitlines()
     assert len(table) == 1 + 2 * 2
+
+
+def test_batches_smaller_than_the_environments_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    train = script("train_giver_sb3", monkeypatch)
+    with pytest.raises(OptionError, match="batch_size must be at least the number of environments, 8, got 4"):
+        train.Args(**GIVER | {"envs": 8})
 
 
 class StoppedError(Exception):
