@@ -137,7 +137,7 @@ _INTRODUCTION = """\
 This page describes every giver of the population {population.label}, with which
 [the protocol strangers](../how_to/strangers.md) evaluates receivers.
 
-- **Limits**: speeds, accelerations and offsets of all givers' deviations from the recordings are limited by `handover_marl.config.GiverConfig`: at most
+- **Limits**: `handover_marl.config.GiverConfig` limits the deviations of all givers from their recordings: at most
   0.3 m and 1 rad of displacement for each axis, 0.8 m/s, 5 m/s², 2.5 rad/s, 15 rad/s². The tables list the bounds of
   their own options.
 - **Films**: the receiver `reactive` in scene 95 of the synthetic data set, fast physics. The first row replays the
