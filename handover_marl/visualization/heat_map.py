@@ -1,6 +1,7 @@
 """Heat map of the success rates of pairs of policies."""
 
 import io
+import textwrap
 from collections.abc import Sequence
 
 from matplotlib.figure import Figure
@@ -9,6 +10,8 @@ from matplotlib.figure import Figure
 _WHITE_TEXT_THRESHOLD = 0.55
 # Number of characters above which names of columns are rotated, so that they do not overlap.
 _MAX_HORIZONTAL_TEXT = 16
+# Longest line, and most lines, of the name of a policy with many options.
+_MAX_LINE, _MAX_LINES = 30, 3
 
 
 def draw_heat_map(
@@ -22,11 +25,12 @@ def draw_heat_map(
 
     Args:
         rates: Success rates (0 to 1), by row and column.
-        rows: Names of the rows.
-        columns: Names of the columns.
+        rows: Names of the rows; long names are wrapped and cut off.
+        columns: Names of the columns; likewise.
         title: Title of the figure.
         axis_labels: What the rows and the columns are.
     """
+    rows, columns = ([_wrap_name(name) for name in names] for names in (rows, columns))
     figure = Figure(figsize=(2.6 + 1.3 * len(columns), 1.9 + 0.55 * len(rows)), dpi=150)
     axes = figure.add_subplot()
     image = axes.imshow(rates, cmap="viridis_r", vmin=0.0, vmax=1.0, aspect="auto")
@@ -47,3 +51,11 @@ def draw_heat_map(
     stream = io.BytesIO()
     figure.savefig(stream, format="png")
     return stream.getvalue()
+
+
+def _wrap_name(name: str) -> str:
+    """Return a name with line breaks between options, cut off after `_MAX_LINES` lines."""
+    lines = textwrap.wrap(
+        name.replace(",", ", ").replace(":", ": "), _MAX_LINE, max_lines=_MAX_LINES, placeholder=" ..."
+    )
+    return "\n".join(lines)
