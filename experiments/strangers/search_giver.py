@@ -15,6 +15,7 @@ import numpy as np
 import tyro
 from search_best_responses import draw_policy, evaluate_draw
 
+from handover_marl import __version__
 from handover_marl.datasets.splits import select_scenes_evenly
 from handover_marl.evaluation.reports.tables import format_table
 from handover_marl.execution.options import PoolConfig
@@ -87,7 +88,8 @@ def main(args: Args) -> None:
     args = args.resolve_setup()
     population = load_population(args.population)
     receivers = [population.get_policy(partner) for partner in population.select("receiver", TRAIN)]
-    scenes = select_scenes_evenly(args.open_dataset().list_scenes(args.setup, "train"), args.n_scenes)
+    data = args.open_dataset()
+    scenes = select_scenes_evenly(data.list_scenes(args.setup, "train"), args.n_scenes)
     searches = list_givers(args)
     givers = [_REPLAY, *(giver for draws in searches for giver in draws)]
     tasks = [(giver, receiver) for giver in givers for receiver in receivers]
@@ -102,7 +104,10 @@ def main(args: Args) -> None:
     found = dict(map_with_progress(make_evaluation, tasks, "givers", PoolConfig(args.workers), progress=True))
     scores = {giver: [found[giver, receiver] for receiver in receivers] for giver in givers}
     print(format_results(searches, scores))
-    print(f"\n{args.setup} train, {len(scenes)} scenes, {len(receivers)} receivers, {args.physics} physics")
+    print(
+        f"\n{data.name}, {args.setup} train, {len(scenes)} scenes, {len(receivers)} receivers, {args.physics} physics, "
+        f"version {__version__}. The scenes have chosen the givers, so that their scores are optimistic."
+    )
 
 
 if __name__ == "__main__":

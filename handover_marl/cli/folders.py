@@ -172,7 +172,7 @@ def _split_names(folders: tuple[str, ...]) -> Mapping[str, str] | tuple[str, ...
     """
     named = [folder.partition("=") for folder in folders if not Path(folder).expanduser().is_dir()]
     by_name = {name: folder for name, sign, folder in named if sign}
-    if by_name and len(by_name) < len(folders):
+    if by_name and (len(by_name) < len(folders) or "" in by_name):
         raise OptionError(f"folders must have different names, all or none, got {' '.join(folders)}")
     return by_name or folders
 

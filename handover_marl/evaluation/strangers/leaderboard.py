@@ -13,7 +13,7 @@ from handover_marl.evaluation.reports.columns import AVERAGE_SUCCESS, N_EPISODES
 from handover_marl.evaluation.reports.tables import NO_VALUE, ReportTable, TabularResult
 from handover_marl.evaluation.strangers.entry import read_report
 from handover_marl.evaluation.strangers.labels import find_wrong_labels, list_labels
-from handover_marl.evaluation.strangers.references import load_references
+from handover_marl.evaluation.strangers.references import load_population_references
 from handover_marl.evaluation.strangers.report import NOTE, StrangersReport, format_estimate
 from handover_marl.evaluation.strangers.scores import (
     Statistic,
@@ -147,6 +147,7 @@ def make_leaderboard(
     Raises:
         OptionError: There is no folder, or the evaluations differ in population, partners or scenes.
         ResultsError: A folder is not a finished evaluation.
+        DataNotFoundError: The file of references does not exist.
     """
     if not folders:
         raise OptionError("folders must name at least one folder of handover-marl strangers, got none")
@@ -158,8 +159,8 @@ def make_leaderboard(
         _check_partners(path, report, found)
         _check_comparable(path, report, paths[0], reports[0])
     partners = [partner.name for partner in reports[0].partners]
-    file = found.references_path if references is None else check_path("references", references)
-    stored = load_references(file, found.content_hash).collect_scores(reports[0].condition, partners)
+    file = None if references is None else check_path("references", references)
+    stored = load_population_references(found, file).collect_scores(reports[0].condition, partners)
     best = _find_best(reports) if stored is None else stored
     rows = [(name, replace(report, references=best)) for name, report in zip(names, reports, strict=True)]
     rows.sort(key=lambda row: row[1].estimate_all()["br_prox"].value, reverse=True)

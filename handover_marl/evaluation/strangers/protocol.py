@@ -3,7 +3,6 @@
 import os
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 from typing_extensions import Unpack
 
@@ -12,7 +11,7 @@ from handover_marl.errors import OptionError
 from handover_marl.evaluation.config import EvaluationConfig, EvaluationOptions, ExecutionConfig, build_configs
 from handover_marl.evaluation.crossplay import CrossPlay, crossplay
 from handover_marl.evaluation.strangers.entry import StrangersEntry, check_folder, write_entry
-from handover_marl.evaluation.strangers.references import load_references
+from handover_marl.evaluation.strangers.references import load_population_references
 from handover_marl.evaluation.strangers.report import StrangersReport
 from handover_marl.execution.options import check_path, forward_signature
 from handover_marl.policies.populations import DEFAULT_POPULATION, Partner, Population, load_population
@@ -71,27 +70,15 @@ def strangers(
     found = load_population(population)
     chosen = found.select("giver" if agent == "receiver" else "receiver", partners)
     config = _choose_scenes(config, n_scenes)
-    file = None if references is None else check_path("references", references)
+    table = load_population_references(found, None if references is None else check_path("references", references))
     if execution.folder is not None and not execution.fresh:
         check_folder(execution.folder, found.content_hash, partners)
     result = _play(agent, policies, found, chosen, config, execution)
-    report = add_references(_make_report(result, agent, found, chosen, partners), found, file)
+    report = _make_report(result, agent, found, chosen, partners)
+    report = replace(report, references=table.collect_scores(report.condition, [each.name for each in chosen]))
     if execution.folder is not None:
         write_entry(execution.folder, StrangersEntry.from_report(report, found), report)
     return report
-
-
-def add_references(report: StrangersReport, population: Population, path: Path | None = None) -> StrangersReport:
-    """Return a copy of a report with the reference scores of a population.
-
-    Args:
-        report: Report of an evaluation.
-        population: Population of the evaluation.
-        path: File of references; default: that of the population.
-    """
-    table = load_references(population.references_path if path is None else path, population.content_hash)
-    names = [partner.name for partner in report.partners]
-    return replace(report, references=table.collect_scores(report.condition, names))
 
 
 def _choose_scenes(config: EvaluationConfig, n_scenes: int) -> EvaluationConfig:

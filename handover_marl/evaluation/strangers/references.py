@@ -17,6 +17,7 @@ from handover_marl.errors import DataFormatError, DataNotFoundError, ResultsErro
 from handover_marl.evaluation.reports.report import Report
 from handover_marl.execution.files import shorten_text, write_atomically
 from handover_marl.execution.reading import read_plain_file
+from handover_marl.policies.populations import Population
 
 Array = npt.NDArray[np.float64]
 _MAX_BYTES = 20_000_000
@@ -149,6 +150,18 @@ def load_references(path: Path, population_hash: str) -> ReferenceTable:
             "with handover-marl strangers-references"
         )
     return ReferenceTable(population_hash, sections)
+
+
+def load_population_references(population: Population, path: Path | None = None) -> ReferenceTable:
+    """Load the references of a population from a file, or by default those that are stored beside it.
+
+    Raises:
+        DataNotFoundError: The given file does not exist, or cannot be read.
+        DataFormatError: The file is malformed, or belongs to another population.
+    """
+    if path is not None and not path.is_file():
+        raise DataNotFoundError(f"references must be a file that handover-marl strangers-references wrote, got {path}")
+    return load_references(population.references_path if path is None else path, population.content_hash)
 
 
 def write_references(path: Path, table: ReferenceTable) -> None:

@@ -102,6 +102,8 @@ def test_leaderboard(
     assert "| one     | 1         | panda | 0." in printed
     assert "| one    | another |" in printed
     assert "stored references" in printed
+    assert main([*named, "--references", str(tmp_path / "absent.json")]) == 2
+    assert "references must be a file that" in capsys.readouterr().err
     assert main([*named[:2], str(other), *named[3:]]) == 2
     assert "must have different names, all or none" in capsys.readouterr().err
     for pair in json.loads((other / "strangers.json").read_text())["folders"]["hold"].values():
