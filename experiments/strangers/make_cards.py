@@ -165,9 +165,8 @@ The controls show how much of a difference between partners or methods may come 
 | self-play against cross-play | difference between policies that were trained together and the same with others |
 
 A nudge adds {nudge:g} rad with random signs to the seven joint targets of the whole episode; the giver's random draws
-stay the same. Differences below the noise floor may be chance. {n_givers} of the {n_all} givers have been measured,
-and {total} % of their {n} outcomes changed; the noise floor of the others is unknown. Random starts deviate by up to
-{start_noise:g} rad in each joint.
+stay the same. Differences below the noise floor may be chance. With the {n_givers} of {n_all} givers that have been
+measured, {total} % of {n} outcomes changed. Random starts deviate by up to {start_noise:g} rad in each joint.
 
 The table has {n_scenes} scenes of the {setup} {split} split of {dataset} ({scenes}), receiver `{receiver}`,
 {physics} physics, version {version}. A dash stands for what has not been measured. Intervals are Wilson's for rates,
@@ -193,7 +192,9 @@ population act the same without it. Tests verify both.
 
 The giver `learned` was trained with `yang2021`. Its gain over `replay` with this receiver is on the page
 [results](../results/index.md#adaptive-givers), its gain with a receiver that it has not met in the table of
-[`reactive` with other givers](../results/reactive.md#other-givers). To compare your own teams:
+[`reactive` with other givers](../results/reactive.md#other-givers). The page
+[results with unseen partners](../results/strangers.md#settings-of-a-receiver) has receivers that were chosen with one
+giver or with a population. To compare your own teams:
 
 ```bash
 handover-marl crossplay --givers replay,learned --receivers yang2021,reactive --setup s0 --split val --physics fast
