@@ -100,7 +100,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     The tests of a file stay together and share its fixtures.
     """
     times = read_slow_tests()
-    functions = {(str(item.path), test_name(module_name(item.nodeid), item.name)) for item in items}
+    # In the order of the items: all worker processes must compute equal sums.
+    functions = dict.fromkeys((str(item.path), test_name(module_name(item.nodeid), item.name)) for item in items)
     file_times: defaultdict[str, float] = defaultdict(float)
     for path, name in functions:
         file_times[path] += times.get(name, 0.0)
