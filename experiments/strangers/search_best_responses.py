@@ -37,7 +37,7 @@ SEARCH_SPACE = {
     "selection_switch_margin": (0.1, 0.6),
 }
 _DIGITS = 3
-_NOT_IN_NAME = re.compile(r"[^\w.-]+")  # characters that stay out of names of folders
+_NOT_IN_NAME = re.compile(r"[^\w.-]+")  # characters that folder names do not contain
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ def draw_policy(
         name: Name of the policy.
         space: Range of each setting.
         rng: Random generator.
-        logarithmic: Whether the logarithms of the settings have a uniform distribution, or the settings.
+        logarithmic: Whether the logarithm of each setting is uniformly distributed, instead of the setting itself.
     """
     limits = {key: np.log(pair) if logarithmic else np.array(pair) for key, pair in space.items()}
     drawn = {key: rng.uniform(*pair) for key, pair in limits.items()}
@@ -140,7 +140,7 @@ def format_results(partners: tuple[Partner, ...], found: dict[tuple[int, int], B
 
 
 def list_partners(args: Args) -> tuple[Partner, ...]:
-    """Return the givers of the search; those that are not of the population have the family NO_VALUE."""
+    """Return the givers of the search; givers outside of the population have no family."""
     if not args.givers:
         population = load_population(args.population)
         chosen = population.select("giver", args.partners)

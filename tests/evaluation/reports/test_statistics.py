@@ -69,7 +69,7 @@ def test_paired_differences_against_a_worked_example() -> None:
 
 
 def test_paired_differences_of_few_scenes_add_half_an_episode_to_each_kind_of_pair() -> None:
-    """If only the first succeeds in 4 of 10 scenes and only the second in 1, they count as 4.5 and 1.5 of 12."""
+    """Count 4 of 10 scenes that only the first solves, and 1 that only the second solves, as 4.5 and 1.5 of 12."""
     first = [True] * 4 + [False] + [True] * 5
     second = [False] * 4 + [True] + [True] * 5
     mean, low, high = compute_paired_difference(first, second)
