@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from handover_marl.episode.observations import Observation
 from handover_marl.policies.policy import Action, PolicyContext, Receiver, milliseconds_from_wait
+from handover_marl.policies.settings import override_settings
 from handover_marl.receivers.yang2021_controller import YangConfig, YangController, YangPhase
 
 _ROW = np.zeros(1, dtype=np.int_)
@@ -29,6 +30,10 @@ class Yang2021Receiver(Receiver):
         context: The robot, the task, the objects and their grasps.
         wait: Time at the waiting pose (s); default: the time in `config`.
         config: Constants of the method.
+        settings: Other values of numbers in the configuration, such as `step_length=0.03`; see `YangConfig`.
+
+    Raises:
+        OptionError: `wait` or a setting is out of range, or a setting is unknown.
 
     Attributes:
         config: Constants of the method.
@@ -37,11 +42,13 @@ class Yang2021Receiver(Receiver):
     name = "yang2021"
     control_period = 0.1
 
-    def __init__(self, context: PolicyContext, wait: float | None = None, config: YangConfig | None = None) -> None:
+    def __init__(
+        self, context: PolicyContext, wait: float | None = None, config: YangConfig | None = None, **settings: float
+    ) -> None:
         super().__init__(context)
-        self.config = config or YangConfig()
+        self.config = override_settings(config or YangConfig(), settings, "step_length")
         if wait is not None:
-            self.config = replace(self.config, wait_time=milliseconds_from_wait(wait) / 1000.0)
+            self.config = replace(self.config, wait=milliseconds_from_wait(wait) / 1000.0)
         self._controller = YangController(context, self.config, 1)
 
     def prepare(self, object_names: Sequence[str]) -> None:
@@ -55,7 +62,7 @@ class Yang2021Receiver(Receiver):
     @property
     def wait(self) -> float:
         """Time at the waiting pose (s)."""
-        return self.config.wait_time
+        return self.config.wait
 
     @property
     def planned_goal(self) -> npt.NDArray[np.float64] | None:

@@ -7,11 +7,12 @@ position (m) and quaternion xyzw.
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum, auto
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.config import ARM_DOF
+from handover_marl.config import ARM_DOF, CheckedConfig, Limits
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry import panda
 from handover_marl.geometry.poses import (
@@ -32,11 +33,11 @@ Flags = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
-class YangConfig:
+class YangConfig(CheckedConfig):
     """Constants of the method of Yang et al. (2021), as in HandoverSim.
 
     Attributes:
-        wait_time: Time at the waiting pose (s).
+        wait: Time at the waiting pose (s).
         decision_period: Time between decisions during the approach (s).
         close_time: Time for which the fingers close (s).
         standoff: (7,) standoff pose of the hand link, in the frame of the hand link at the grasp.
@@ -53,7 +54,21 @@ class YangConfig:
         grasp_tolerance: Maximum distance from the grasp at which the fingers close (m).
     """
 
-    wait_time: float = 3.0
+    limits: ClassVar[Limits] = {
+        "wait": (0.0, 60.0),
+        "decision_period": (0.001, 60.0),
+        "close_time": (0.0, 60.0),
+        "rotation_weight": (0.0, np.inf),
+        "max_candidates": (1, np.inf),
+        "region_width": (0.0, np.inf),
+        "region_slope": (0.0, np.inf),
+        "region_max_width": (0.0, np.inf),
+        "angle_tolerance": (0.0, np.pi),
+        "step_length": (0.001, np.inf),
+        "grasp_tolerance": (0.0, np.inf),
+    }
+
+    wait: float = 3.0
     decision_period: float = 0.1
     close_time: float = 0.5
     standoff: tuple[float, ...] = panda.RANKING_STANDOFF
@@ -119,13 +134,13 @@ class YangController:
     def get_hold_times(self, rows: Rows) -> Array:
         """Return the times (r,) until the next decisions (s), infinite during the retreat."""
         config = self._config
-        times = np.array([config.wait_time or config.decision_period, config.decision_period, 0.001, np.inf])
+        times = np.array([config.wait or config.decision_period, config.decision_period, 0.001, np.inf])
         return np.take(times, self.phase[rows] - YangPhase.WAIT)
 
     def act(self, rows: Rows, observation: Observation) -> Actions:
         """Return the next target joint positions (r, 9) (rad, m)."""
         time, phase = np.round(observation["time"][:, 0].astype(np.float64), 3), self.phase[rows]
-        waits = time < self._config.wait_time
+        waits = time < self._config.wait
         phase[~waits & (phase == YangPhase.WAIT)] = YangPhase.APPROACH
         approaches = ~waits & (phase == YangPhase.APPROACH)
         arms = observation["robot_joint_position"][:, :ARM_DOF].astype(np.float64)

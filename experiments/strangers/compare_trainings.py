@@ -2,14 +2,14 @@
 
     python experiments/strangers/compare_trainings.py --data-dir DIR --first a.npz b.npz c.npz --second d.npz e.npz
 
-All policy files need the same features, action scheme and control period. MuJoCo simulates the episodes of all files
-with a giver together, which takes a fraction of the time of `handover-marl strangers`. Scores, intervals and
+The files of one way need the same features, action scheme and control period. MuJoCo simulates their episodes with a
+giver together, which takes a fraction of the time of `handover-marl strangers`. Scores, intervals and
 differences are computed as there: every file has the same scenes and the same seeds of the givers, and the reference
 of a giver is the best of the files. The script needs the extra `mujoco`.
 """
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -107,28 +107,38 @@ def play(envs: Envs, functions: list[PolicyFunction], scenes: list[int]) -> tupl
     return status.reshape(-1, count), steps.reshape(-1, count)
 
 
+def play_partner(
+    config: EnvConfig, partner: str, spec: PolicySpec, functions: list[PolicyFunction], scenes: list[int]
+) -> tuple[Array, Array]:
+    """Return status bits and physics steps of the policies of one way with a partner, as `play` does."""
+    factory = EnvFactory(
+        config=replace(config, control_period=spec.control_period),
+        agent="receiver",
+        partner=partner,
+        features=spec.features,
+        schemes=spec.actions,
+        wrappers=(),
+        trust=False,
+        prepares_episodes=False,
+        backend=BatchBackend(),
+    )
+    envs = factory.make(len(functions) * len(scenes))
+    found = play(envs, functions, scenes)
+    envs.close()
+    return found
+
+
 def evaluate(args: Args) -> tuple[Array, dict[str, Array]]:
     """Return the scores of average success (policies, partners, scenes), and the same of every outcome."""
-    spec, functions = load_policies((*args.first, *args.second))
-    scenes = select_scenes_evenly(args.open_dataset().list_scenes(args.setup, args.split), args.n_scenes)
+    ways = [load_policies(files) for files in (args.first, args.second)]
+    scenes = list(select_scenes_evenly(args.open_dataset().list_scenes(args.setup, args.split), args.n_scenes))
     population = load_population(args.population)
-    config = EnvConfig(args.setup, args.split, args.data_dir, args.dataset, MUJOCO, spec.control_period)
+    config = EnvConfig(args.setup, args.split, args.data_dir, args.dataset, MUJOCO)
     found = []
     for partner in population.select("giver", args.partners):
-        factory = EnvFactory(
-            config=config,
-            agent="receiver",
-            partner=population.get_policy(partner),
-            features=spec.features,
-            schemes=spec.actions,
-            wrappers=(),
-            trust=False,
-            prepares_episodes=False,
-            backend=BatchBackend(),
-        )
-        envs = factory.make(len(functions) * len(scenes))
-        found.append(play(envs, functions, list(scenes)))
-        envs.close()
+        policy = population.get_policy(partner)
+        parts = [play_partner(config, policy, *way, scenes) for way in ways]
+        found.append([np.concatenate(arrays) for arrays in zip(*parts, strict=True)])
         print_partner(partner.name, partner.family, found[-1][0], len(args.first))
     status, steps = (np.stack(parts, axis=1) for parts in zip(*found, strict=True))
     outcomes = {name: ((status & int(bit)) != 0).astype(np.float64) for name, bit in _OUTCOMES.items()}

@@ -9,9 +9,8 @@ determinant are selected. The script prints the table of features and writes the
 receivers of the candidates' file are taken over.
 """
 
-import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +24,7 @@ from handover_marl.evaluation.reports.tables import format_table
 from handover_marl.evaluation.results.metadata import CONFIG_FILE
 from handover_marl.evaluation.strangers.selection import EVENTS, count_events, normalize_features, select_diverse
 from handover_marl.execution.files import write_atomically
-from handover_marl.policies.populations import Partner, Population, load_population
+from handover_marl.policies.populations import Partner, Population, format_population, load_population
 from handover_marl.policies.reference import parse_policy
 
 CANDIDATES = Path(__file__).with_name("candidates.json")
@@ -96,18 +95,6 @@ def format_features(givers: Sequence[Partner], counts: npt.NDArray[np.float64], 
     return format_table(["giver", "family", "selected", *EVENTS], rows, n_keys=3, max_width=1000)
 
 
-def format_population(args: Args, givers: Sequence[Partner], receivers: Sequence[Partner]) -> str:
-    """Return the content of the population's file."""
-    content = {
-        "name": args.name,
-        "version": args.version,
-        "description": args.description,
-        "givers": [asdict(giver) for giver in givers],
-        "receivers": [asdict(receiver) for receiver in receivers],
-    }
-    return json.dumps(content, indent=1) + "\n"
-
-
 def copy_policy_files(population: Population, chosen: Sequence[Partner], folder: Path) -> None:
     """Copy the policy files that chosen partners name with `{folder}` from a population's folder to another one."""
     for partner in chosen:
@@ -125,7 +112,9 @@ def main(args: Args) -> None:
     givers = [candidates.givers[number] for number in possible]
     chosen = select_by_family(givers, normalize_features(counts)[possible], args.per_family)
     copy_policy_files(candidates, chosen, args.out.parent)
-    write_atomically(args.out, format_population(args, chosen, candidates.receivers))
+    write_atomically(
+        args.out, format_population(args.name, args.version, args.description, chosen, candidates.receivers)
+    )
     first = reports[0]
     print(format_features(candidates.givers, counts, chosen))
     print(f"\nReceiver {first.metadata.receiver}, {first.heading}")

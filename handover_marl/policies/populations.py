@@ -9,7 +9,7 @@ import json
 import os
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -129,6 +129,28 @@ def load_population(population: str | os.PathLike[str] = DEFAULT_POPULATION) -> 
     givers, receivers = (_parse_partners(path, key, content[key]) for key in _KEYS[3:])
     content_hash = _compute_hash(path, content, (*givers, *receivers))
     return Population(name, version, description, givers, receivers, content_hash, path)
+
+
+def format_population(
+    name: str, version: str, description: str, givers: Sequence[Partner], receivers: Sequence[Partner]
+) -> str:
+    """Return the content of a population's file.
+
+    Args:
+        name: Name of the population.
+        version: Version of its content.
+        description: Sentence on its purpose.
+        givers: Givers, partners of receivers.
+        receivers: Receivers, partners of givers.
+    """
+    content = {
+        "name": name,
+        "version": version,
+        "description": description,
+        "givers": [asdict(giver) for giver in givers],
+        "receivers": [asdict(receiver) for receiver in receivers],
+    }
+    return json.dumps(content, indent=1) + "\n"
 
 
 def list_populations() -> tuple[str, ...]:

@@ -1,9 +1,6 @@
 """Configuration of the receiver `reactive`, in metres, radians and seconds."""
 
-import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field, is_dataclass, replace
-from typing import Any
+from dataclasses import dataclass, field, replace
 
 from handover_marl.errors import OptionError
 from handover_marl.planning.arm_control import ServoConfig
@@ -337,31 +334,3 @@ def apply_risk(config: ReactiveConfig, risk: float) -> ReactiveConfig:
             partial_hold_cost=selection.partial_hold_cost / pace,
         ),
     )
-
-
-def override_settings(config: ReactiveConfig, settings: Mapping[str, object]) -> ReactiveConfig:
-    """Return a copy of a configuration in which the given numbers are replaced.
-
-    Args:
-        config: Configuration to change.
-        settings: Numbers by name: a field of `ReactiveConfig`, such as `near_period`, or a field of one of its parts
-            after the name of the part, such as `approach_standoff`.
-
-    Raises:
-        OptionError: A name is not that of a number in the configuration, or a value is not a finite number.
-    """
-    for name, value in settings.items():
-        part, _, field_name = name.partition("_")
-        section: Any = getattr(config, part, None)
-        is_part = is_dataclass(section)
-        known = getattr(section, field_name, None) if is_part else getattr(config, name, None)
-        if isinstance(known, bool) or not isinstance(known, (int, float)):
-            raise OptionError(
-                f"options of receiver 'reactive' must be wait, risk or numbers of its configuration such as "
-                f"approach_standoff, got {name!r}; see receivers/reactive/config.py"
-            )
-        if isinstance(value, bool) or not isinstance(value, (int, type(known))) or not math.isfinite(value):
-            raise OptionError(f"{name} must be a finite {type(known).__name__}, got {value!r}")
-        changes: dict[str, Any] = {part: replace(section, **{field_name: value})} if is_part else {name: value}
-        config = replace(config, **changes)
-    return config

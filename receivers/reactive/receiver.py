@@ -4,7 +4,8 @@ from collections.abc import Sequence
 
 from handover_marl.episode.observations import Observation
 from handover_marl.policies.policy import Action, PolicyContext, require_reset
-from handover_marl.receivers.reactive.config import ReactiveConfig, apply_risk, override_settings
+from handover_marl.policies.settings import override_settings
+from handover_marl.receivers.reactive.config import ReactiveConfig, apply_risk
 from handover_marl.receivers.reactive.controller import ControllerReceiver
 from handover_marl.receivers.reactive.grasp_contact import load_graspable_object, load_obstacle
 from handover_marl.receivers.reactive.scene_estimate import PoseSceneEstimate
@@ -41,7 +42,8 @@ class ReactiveReceiver(ControllerReceiver):
         config: ReactiveConfig | None = None,
         **settings: float,
     ) -> None:
-        super().__init__(context, wait, override_settings(apply_risk(config or ReactiveConfig(), risk), settings))
+        config = apply_risk(config or ReactiveConfig(), risk)
+        super().__init__(context, wait, override_settings(config, settings, "approach_standoff"))
         self._object_name = ""
         self._scene: PoseSceneEstimate | None = None
 

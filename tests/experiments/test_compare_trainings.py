@@ -53,7 +53,16 @@ def test_scores_are_those_of_single_episodes(tmp_path: Path, capsys: pytest.Capt
     assert (tmp_path / "scores.json").is_file()
 
 
-def test_files_with_other_features_are_refused(tmp_path: Path) -> None:
+def test_files_of_one_way_with_different_features_are_refused(tmp_path: Path) -> None:
     first, second = write(tmp_path / "a.npz", 1.5), write(tmp_path / "b.npz", 1.5, 48)
     with pytest.raises(OptionError, match="same features, actions and control period"):
-        evaluate(Args(dataset="synthetic", setup="s0", first=(first,), second=(second,)))
+        evaluate(Args(dataset="synthetic", setup="s0", first=(first, second), second=(second,)))
+
+
+def test_ways_with_different_features(tmp_path: Path) -> None:
+    population = str(write_population(tmp_path))
+    first, second = write(tmp_path / "a.npz", 20.0), write(tmp_path / "b.npz", 20.0, 48)
+    args = Args(dataset="synthetic", setup="s0", first=(first,), second=(second,), population=population, n_scenes=2)
+    scores, _ = evaluate(args)
+    # Both have the same weights of the present decision, and zeros for the earlier ones.
+    np.testing.assert_array_equal(scores[0], scores[1])

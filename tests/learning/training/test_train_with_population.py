@@ -1,0 +1,94 @@
+"""Script that trains with a population; the two scripts that it calls write random networks."""
+
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+from handover_marl.datasets.synthetic import SyntheticDataset
+from handover_marl.errors import OptionError
+from handover_marl.learning.policy_files import write_policy
+from handover_marl.learning.policy_spec import DenseNetwork, PolicySpec
+from handover_marl.policies.reference import parse_policy
+from tests.learning.training.scripts import script
+
+pytest.importorskip("stable_baselines3", reason="needs the extra `train`")
+
+SIZES = {"receiver": (12, 7, "close", "grasp_servo"), "giver": (39, 7, "giver", "offer")}
+
+
+def write(agent: str, path: Path) -> Path:
+    n_inputs, n_outputs, features, actions = SIZES[agent]
+    weights = np.random.default_rng(0).normal(size=(n_outputs, n_inputs)).astype(np.float32)
+    network = DenseNetwork((weights,), (np.zeros(n_outputs, np.float32),))
+    write_policy(path, PolicySpec(agent, features, actions, 0.1), network)
+    return path
+
+
+@pytest.fixture
+def calls() -> list[Any]:
+    return []
+
+
+@pytest.fixture
+def train(calls: list[Any], monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    module = script("train_with_population", monkeypatch)
+
+    def train_receiver(args: Any) -> None:
+        calls.append(args)
+        args.out.parent.mkdir(parents=True, exist_ok=True)
+        write("receiver", args.out)
+
+    def train_giver(args: Any) -> Path:
+        calls.append(args)
+        Path(args.out).mkdir(parents=True, exist_ok=True)
+        return write("giver", Path(args.out) / "policy.npz")
+
+    monkeypatch.setattr(module.train_receiver_ppo, "main", train_receiver)
+    monkeypatch.setattr(module.train_giver_sb3, "main", train_giver)
+    return module
+
+
+@pytest.mark.parametrize(
+    ("method", "giver", "features"),
+    [
+        ("best_response", "replay", "close"),
+        ("population", "population:population=strangers-v1", "close"),
+        ("history", "population:population=strangers-v1", "close_stack"),
+    ],
+)
+def test_receivers(method: str, giver: str, features: str, train: ModuleType, calls: list[Any], tmp_path: Path) -> None:
+    args = train.Args(dataset="synthetic", method=method, seeds=(3, 5), out=tmp_path)
+    paths = train.main(args)
+    assert paths == [tmp_path / f"receiver_{method}_{seed}.npz" for seed in (3, 5)]
+    assert [(call.giver, call.features, call.seed, call.setup) for call in calls] == [
+        (giver, features, seed, "s0") for seed in (3, 5)
+    ]
+    paths[0].unlink()
+    train.main(args)
+    assert [call.seed for call in calls[2:]] == [3]
+
+
+def test_fictitious_co_play(train: ModuleType, calls: list[Any], tmp_path: Path) -> None:
+    common = {"dataset": "synthetic", "method": "fictitious_co_play", "out": tmp_path, "pairs": 2, "seeds": (0,)}
+    (receiver,) = train.main(train.Args(**common))
+    (giver,) = train.main(train.Args(**common, ego="giver"))
+    policies = [parse_policy("receiver", calls[8].giver), parse_policy("giver", calls[8].giver)]
+    assert receiver.stem == "receiver_fictitious_co_play_0"
+    for policy in (policies[1], parse_policy("receiver", calls[9].receiver)):
+        made: Any = policy.make(SyntheticDataset())
+        assert len(made.members) == 4
+    steps = [call.decisions if hasattr(call, "decisions") else call.steps for call in calls[:4]]
+    assert steps == [6144, 12288, 256, 512]
+    assert calls[2].receiver == calls[3].receiver == f"learned:{tmp_path}/pairs/receiver_final_1000.npz"
+    # The giver continues its own training.
+    assert [call.resume for call in calls[2:4]] == [False, True]
+    assert len(calls) == 10
+    assert giver.is_file()
+
+
+def test_history_of_a_giver_is_refused(train: ModuleType) -> None:
+    with pytest.raises(OptionError, match="a giver, which decides once"):
+        train.Args(ego="giver", method="history")
