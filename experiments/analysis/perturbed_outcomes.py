@@ -8,26 +8,20 @@ outcome is an upper bound for the agreement of another physics engine whose join
 much.
 """
 
-import functools
 from collections import Counter
-from collections.abc import Callable
 from dataclasses import dataclass
-from unittest import mock
 
-import numpy as np
 import tyro
 
 from handover_marl import __version__, receivers
-from handover_marl.config import ARM_DOF
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import play
-from handover_marl.episode.observations import Observation
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.evaluation.reports.tables import format_percent_rate, format_table
 from handover_marl.execution.options import PoolConfig
 from handover_marl.execution.tasks import map_with_progress
 from handover_marl.learning.training.scene_arguments import EvaluationArgs
-from handover_marl.policies.policy import Action
+from handover_marl.policies.nudged import NudgedReceiver
 
 
 @dataclass(frozen=True)
@@ -67,28 +61,11 @@ class PerturbedSimulator:
             number: Scene number, which also seeds the signs of the perturbations.
         """
         scene, statuses = self._data.load_scene(number), []
-        signs = np.random.default_rng(number).choice([-1.0, 1.0], ARM_DOF)
         for nudge in (0.0, *self._nudges):
             self._episode.reset(scene)
-            with mock.patch.object(
-                self._receiver, "act", functools.partial(act_perturbed, self._receiver.act, nudge * signs)
-            ):
-                play(self._episode, self._receiver, seed=0)
+            play(self._episode, NudgedReceiver(self._receiver, nudge, number), seed=0)
             statuses.append(self._episode.status)
         return statuses
-
-
-def act_perturbed(act: Callable[[Observation], Action], offsets: np.ndarray, observation: Observation) -> Action:
-    """Return a receiver's action (9,) with offsets added to the arm's joint targets.
-
-    Args:
-        act: Method `act` of the receiver.
-        offsets: (7,) offsets of the arm's joint targets (rad).
-        observation: Observation of the receiver.
-    """
-    action = np.array(act(observation), dtype=np.float32)
-    action[:ARM_DOF] += offsets.astype(np.float32)
-    return action
 
 
 def main(args: Args) -> None:

@@ -11,24 +11,19 @@ condition; an interrupted measurement resumes with the same command.
 """
 
 import contextlib
-import functools
 import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
-from unittest import mock
 
-import numpy as np
-import numpy.typing as npt
 import tyro
 
 from handover_marl import __version__
-from handover_marl.config import ARM_DOF, OFFICIAL_CONFIG, GiverConfig, WorldConfig
+from handover_marl.config import OFFICIAL_CONFIG, GiverConfig, WorldConfig
 from handover_marl.datasets.splits import select_scenes_evenly
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import play
-from handover_marl.episode.observations import Observation
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import OptionError
 from handover_marl.evaluation.reports.statistics import compute_paired_difference
@@ -42,11 +37,11 @@ from handover_marl.execution.files import write_atomically
 from handover_marl.execution.options import PoolConfig
 from handover_marl.execution.tasks import open_pool
 from handover_marl.learning.training.scene_arguments import EvaluationArgs
-from handover_marl.policies.policy import Action, Policy
+from handover_marl.policies.nudged import NudgedReceiver
+from handover_marl.policies.policy import Policy
 from handover_marl.policies.populations import DEFAULT_POPULATION, Partner, load_population
 from handover_marl.policies.reference import parse_policy
 
-Array = npt.NDArray[np.float64]
 # Entries of the output file by the name of the giver: policy, and outcomes by condition.
 Entries = dict[str, dict[str, Any]]
 
@@ -134,19 +129,10 @@ class ControlSimulator:
             return [self._play(episode, giver, condition, number) for number in self._scenes]
 
     def _play(self, episode: Episode, giver: Policy, condition: Condition, number: int) -> str:
-        signs = np.random.default_rng((condition.seed, number)).choice([-1.0, 1.0], ARM_DOF)
-        act = functools.partial(act_nudged, self._receiver.act, condition.nudge * signs)
+        receiver = NudgedReceiver(self._receiver, condition.nudge, (condition.seed, number))
         episode.reset(self._data.load_scene(number), number)
-        with mock.patch.object(self._receiver, "act", act):
-            play(episode, self._receiver, giver, seed=0)
+        play(episode, receiver, giver, seed=0)
         return episode.status.label
-
-
-def act_nudged(act: Callable[[Observation], Action], nudge: Array, observation: Observation) -> Action:
-    """Return a receiver's action (9,) with a nudge (7,) added to the arm's joint targets (rad)."""
-    action = np.array(act(observation), dtype=np.float32)
-    action[:ARM_DOF] += nudge.astype(np.float32)
-    return action
 
 
 def list_conditions(args: Args, partner: Partner) -> list[Condition]:

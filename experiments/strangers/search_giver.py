@@ -3,13 +3,15 @@
     python experiments/strangers/search_giver.py --data-dir DIR --out results/giver
 
 Every search draws settings at random (random search; Bergstra and Bengio, JMLR 2012) and evaluates them with every
-receiver of the train families in a few scenes of the train split. The result of a search is the draw of the largest
-average success over receivers and scenes. Searches share no draws. The same command continues an interrupted search.
+receiver of the train families in a few scenes of the train split. The result of a search is the draw with the largest
+mean score over receivers and scenes: success rate, or average success (AS). Searches share no draws. The same command
+continues an interrupted search.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import tyro
@@ -42,6 +44,7 @@ class Args(EvaluationArgs):
     Attributes:
         out: Folder of the results.
         population: Name of a shipped population, or path of a file.
+        score: Score that is compared: AS or success.
         searches: Number of searches.
         draws: Number of settings that a search compares.
         n_scenes: Number of scenes of the train split for each receiver.
@@ -49,6 +52,7 @@ class Args(EvaluationArgs):
 
     out: Path = Path("results/giver")
     population: str = DEFAULT_POPULATION
+    score: Literal["AS", "success"] = "AS"
     searches: int = 3
     draws: int = 10
     n_scenes: int = 6
@@ -65,17 +69,18 @@ def list_givers(args: Args) -> list[tuple[str, ...]]:
     ]
 
 
-def format_results(searches: list[tuple[str, ...]], scores: dict[str, list[float]]) -> str:
+def format_results(searches: list[tuple[str, ...]], scores: dict[str, list[float]], label: str) -> str:
     """Return the table of the best giver of every search.
 
     Args:
         searches: Givers that each search compared.
-        scores: Average success (0..1) with every receiver, by giver; `replay` among them.
+        scores: Score (0..1) with every receiver, by giver; `replay` among them.
+        label: Name of the score.
     """
     rows = [_format_row("-", _REPLAY, scores)]
     for number, givers in enumerate(searches):
         rows.append(_format_row(str(number), max(givers, key=lambda giver: np.mean(scores[giver])), scores))
-    return format_table(["search", "giver", "AS %", "minus replay"], rows, max_width=1000)
+    return format_table(["search", "giver", f"{label} %", "minus replay"], rows, max_width=1000)
 
 
 def _format_row(number: str, giver: str, scores: dict[str, list[float]]) -> list[str]:
@@ -97,13 +102,14 @@ def main(args: Args) -> None:
     def make_evaluation() -> Callable[[tuple[str, str]], float]:
         def run(task: tuple[str, str]) -> float:
             folder = args.out / f"{givers.index(task[0])}-{receivers.index(task[1])}"
-            return evaluate_draw(args, *task, scenes, folder).average_success
+            report = evaluate_draw(args, *task, scenes, folder)
+            return report.success_rate if args.score == "success" else report.average_success
 
         return run
 
     found = dict(map_with_progress(make_evaluation, tasks, "givers", PoolConfig(args.workers), progress=True))
     scores = {giver: [found[giver, receiver] for receiver in receivers] for giver in givers}
-    print(format_results(searches, scores))
+    print(format_results(searches, scores, args.score))
     print(
         f"\n{data.name}, {args.setup} train, {len(scenes)} scenes, {len(receivers)} receivers, {args.physics} physics, "
         f"version {__version__}. The scenes have chosen the givers, so that their scores are optimistic."

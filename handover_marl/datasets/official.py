@@ -5,6 +5,7 @@
 """
 
 import hashlib
+import os
 from functools import lru_cache
 from pathlib import Path
 
@@ -25,6 +26,7 @@ from handover_marl.datasets.official_files import (
 )
 from handover_marl.datasets.scene_files import CACHE_FOLDER, read_scene_info, read_scene_motion
 from handover_marl.errors import DataNotFoundError
+from handover_marl.execution.options import check_path
 from handover_marl.execution.reading import read_plain_file
 from handover_marl.geometry.panda import PANDA
 from handover_marl.geometry.urdf import list_mesh_references
@@ -41,22 +43,23 @@ class OfficialDataset(Dataset):
         data_dir: Data folder.
 
     Raises:
+        OptionError: `data_dir` is not a path.
         UnknownNameError: `robot` is not in `ROBOTS`.
         DataNotFoundError: The folder or one of its two subfolders is missing.
     """
 
     name = "dexycb"
 
-    def __init__(self, data_dir: Path, robot: str = PANDA) -> None:
+    def __init__(self, data_dir: str | os.PathLike[str], robot: str = PANDA) -> None:
         super().__init__(robot)
-        self.data_dir = data_dir
-        for folder in (data_dir, data_dir / CACHE_FOLDER, data_dir / "assets"):
+        self.data_dir = check_path("data_dir", data_dir)
+        for folder in (self.data_dir, self.data_dir / CACHE_FOLDER, self.data_dir / "assets"):
             if not is_folder(folder):
                 raise DataNotFoundError(
                     f"data folder {folder} does not exist. Give the folder that holds dex-ycb-cache/ and assets/ "
                     "(HandoverSim's handover/data) as data_dir=, --data-dir or HANDOVER_MARL_DATA."
                 )
-        self._assets = data_dir / "assets"
+        self._assets = self.data_dir / "assets"
         self._info = lru_cache(maxsize=None)(lambda scene_id: read_scene_info(self._find_meta_file(scene_id), scene_id))
         self._origin = lru_cache(maxsize=None)(lambda path: find_origin(self._assets, path))
         self._hand_origin = lru_cache(maxsize=None)(lambda name: find_hand_origin(self._assets / name))

@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from handover_marl.datasets import DATA_DIR_VARIABLE, OfficialDataset, open_dataset
-from handover_marl.errors import DataFormatError, DataNotFoundError, SceneError
+from handover_marl.errors import DataFormatError, DataNotFoundError, OptionError, SceneError
 from tests.fake_layout import HAND_FIRST, HAND_LAST, N_FRAMES, FakeScene, evil_grasps, write_grasps, write_scene
 
 
@@ -33,6 +33,12 @@ def test_scene_is_in_the_world_frame(fake_data: Path) -> None:
     assert scene.object_dof.dtype == scene.hand_dof.dtype == np.float32
     with pytest.raises(ValueError, match="read-only"):
         scene.object_dof[0, 0, 0] = 1.0
+
+
+def test_folder_as_text(fake_data: Path) -> None:
+    assert OfficialDataset(str(fake_data)).data_dir == fake_data
+    with pytest.raises(OptionError, match="data_dir must be a path, got 3"):
+        OfficialDataset(3)  # type: ignore[arg-type]
 
 
 def test_grasped_object_comes_first(fake_data: Path) -> None:

@@ -57,7 +57,9 @@ def test_giver_of_the_largest_score_is_found(monkeypatch: pytest.MonkeyPatch) ->
     search = script("search_giver", monkeypatch)
     check_draws("giver", "cooperative", search.SEARCH_SPACE, logarithmic=False)
     scores = {"replay": [0.5, 0.5], "a": [0.9, 0.4], "b": [0.6, 0.6], "c": [0.7, 0.8]}
-    rows = [row.replace("|", " ").split() for row in search.format_results([("a", "b"), ("c",)], scores).splitlines()]
+    rows = [
+        row.replace("|", " ").split() for row in search.format_results([("a", "b"), ("c",)], scores, "AS").splitlines()
+    ]
     assert [(row[1], row[-1]) for row in rows[-3:]] == [("replay", "+0.0"), ("a", "+15.0"), ("c", "+25.0")]
 
 

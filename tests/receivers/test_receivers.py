@@ -11,6 +11,8 @@ from handover_marl.episode.episode import Episode
 from handover_marl.errors import OptionError, ResetNeededError, UnknownNameError
 from handover_marl.policies import registry
 from handover_marl.receivers import WAITING_JOINTS, Receiver
+from handover_marl.receivers.yang2021 import Yang2021Receiver
+from handover_marl.receivers.yang2021_controller import YangConfig
 from tests.fake_layout import FakeScene, write_scene
 
 
@@ -101,3 +103,12 @@ def test_yang_needs_a_reset(fake_data: Path) -> None:
     observation = {**episode.observe(), "time": np.array([3.0], dtype=np.float32)}
     with pytest.raises(ResetNeededError, match="yang2021"):
         policy.act(observation)
+
+
+def test_settings_of_yang2021() -> None:
+    receiver = receivers.make("yang2021:wait=1,step_length=0.02,max_candidates=5", SyntheticDataset())
+    assert isinstance(receiver, Yang2021Receiver)
+    assert receiver.config == YangConfig(wait=1.0, step_length=0.02, max_candidates=5)
+    for text, message in (("speed=1", "YangConfig such as step_length, got 'speed'"), ("step_length=0", "step_length")):
+        with pytest.raises(OptionError, match=message):
+            receivers.make(f"yang2021:{text}", SyntheticDataset())

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from typing_extensions import Unpack
 
+from handover_marl.config import OFFICIAL_CONFIG
 from handover_marl.datasets.splits import select_scenes_evenly
 from handover_marl.errors import OptionError
 from handover_marl.evaluation.config import EvaluationConfig, EvaluationOptions, ExecutionConfig, build_configs
@@ -54,13 +55,15 @@ def strangers(
             `physics` is "fast".
 
     Raises:
-        OptionError: Not exactly one of receiver and giver is given, the population has no partners in the split,
-            or the output folder holds another evaluation.
+        OptionError: Not exactly one of receiver and giver is given, the world or the rules are not the official ones,
+            the population has no partners in the split, or the output folder holds another evaluation.
         HandoverError: The same errors as `crossplay` and `load_population`.
     """
     if not isinstance(setup, EvaluationConfig) and "physics" not in options:
         options["physics"] = FAST
     config, execution = build_configs(setup, options, execution, split=split)
+    if config.world_config != OFFICIAL_CONFIG:
+        raise OptionError("strangers requires the official world and rules; use crossplay for others")
     policies = giver if receiver is None else receiver
     if policies is None or (receiver is not None and giver is not None):
         raise OptionError("pass exactly one of receiver and giver; the population has partners for both")

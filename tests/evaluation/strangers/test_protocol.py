@@ -9,6 +9,7 @@ import pytest
 
 import handover_marl
 from handover_marl.cli import main
+from handover_marl.config import WorldConfig
 from handover_marl.errors import OptionError, ResultsError
 from handover_marl.evaluation.strangers.leaderboard import make_leaderboard
 from handover_marl.evaluation.strangers.reference_update import update_references
@@ -79,6 +80,11 @@ def test_evenly_spaced_scenes_and_receivers_as_partners(fake_data: Path, populat
     assert report.policies == ("replay", "hesitant")
     assert report.scores.shape == (2, 1, 1)
     assert "Giver replay, hesitant with 1 receivers" in str(report)
+
+
+def test_other_worlds_are_refused(fake_data: Path, population: Path) -> None:
+    with pytest.raises(OptionError, match="requires the official world and rules; use crossplay"):
+        run(fake_data, population, world_config=WorldConfig(initial_joint_noise=0.1))
 
 
 def test_leaderboard(

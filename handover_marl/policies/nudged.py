@@ -1,0 +1,42 @@
+"""Receiver whose joint targets deviate from those of another receiver, to measure how sensitive outcomes are."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from handover_marl.config import ARM_DOF
+from handover_marl.episode.observations import Observation
+from handover_marl.policies.policy import Action, Policy, Receiver
+
+
+class NudgedReceiver(Receiver):
+    """Receiver that adds an offset to the arm's joint targets of another receiver.
+
+    Args:
+        receiver: Receiver that decides.
+        size: Size of the offset of each joint target (rad).
+        seed: Seed of the signs of the offsets, an integer or several.
+    """
+
+    name = "nudged"
+
+    def __init__(self, receiver: Policy, size: float, seed: int | Sequence[int]) -> None:
+        super().__init__()
+        self._receiver = receiver
+        self.obs_mode = receiver.obs_mode
+        self._offsets = size * np.random.default_rng(seed).choice([-1.0, 1.0], ARM_DOF)
+
+    @property
+    def hold_time(self) -> float:
+        """Time (s) for which the last action is held."""
+        return self._receiver.hold_time
+
+    def reset(self, seed: int | None = None) -> None:
+        """Start an episode of the other receiver."""
+        self._receiver.reset(seed)
+
+    def act(self, observation: Observation) -> Action:
+        """Return the other receiver's action (9,) with the offsets added to the first seven targets."""
+        action = np.array(self._receiver.act(observation), dtype=np.float32)
+        action[:ARM_DOF] += self._offsets.astype(np.float32)
+        return action
