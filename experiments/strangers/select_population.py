@@ -111,7 +111,7 @@ def main(args: Args) -> None:
     possible = [number for number, report in enumerate(reports) if report.success_rate >= args.min_success]
     givers = [candidates.givers[number] for number in possible]
     chosen = select_by_family(givers, normalize_features(counts)[possible], args.per_family)
-    copy_policy_files(candidates, chosen, args.out.parent)
+    copy_policy_files(candidates, (*chosen, *candidates.receivers), args.out.parent)
     write_atomically(
         args.out, format_population(args.name, args.version, args.description, chosen, candidates.receivers)
     )
