@@ -1,4 +1,4 @@
-"""Search a best response to every giver of a population: settings of a scripted receiver for this giver.
+"""Search a best response to every giver of a population: settings of the receiver `reactive` for this giver.
 
     python experiments/strangers/search_best_responses.py --data-dir DIR --out results/best_responses
     python experiments/strangers/search_best_responses.py --data-dir DIR --givers population --out results/population
@@ -20,34 +20,21 @@ import tyro
 
 import handover_marl
 from handover_marl.datasets.splits import select_scenes_evenly
-from handover_marl.errors import check_name
 from handover_marl.evaluation.reports.tables import NO_VALUE, format_table
 from handover_marl.execution.options import PoolConfig
 from handover_marl.execution.tasks import map_with_progress
 from handover_marl.learning.training.scene_arguments import EvaluationArgs
 from handover_marl.policies.populations import DEFAULT_POPULATION, Partner, load_population
 
-#: By receiver: range of each setting, from which a draw takes a number with a uniform distribution of its logarithm.
-SEARCH_SPACES = {
-    "reactive": {
-        "risk": (0.4, 1.0),
-        "approach_standoff": (0.04, 0.12),
-        "approach_max_object_speed": (0.1, 0.8),
-        "approach_commit_distance": (0.03, 0.1),
-        "prediction_velocity_horizon": (0.1, 0.4),
-        "retreat_speed": (0.6, 2.4),
-        "selection_switch_margin": (0.1, 0.6),
-    },
-    "yang2021": {
-        "wait": (0.5, 3.0),
-        "close_time": (0.2, 0.8),
-        "step_length": (0.02, 0.15),
-        "grasp_tolerance": (0.003, 0.03),
-        "angle_tolerance": (0.15, 0.6),
-        "region_width": (0.01, 0.04),
-        "region_max_width": (0.03, 0.1),
-        "rotation_weight": (0.1, 1.0),
-    },
+#: Range of each setting, from which a draw takes a number with a uniform distribution of its logarithm.
+SEARCH_SPACE = {
+    "risk": (0.4, 1.0),
+    "approach_standoff": (0.04, 0.12),
+    "approach_max_object_speed": (0.1, 0.8),
+    "approach_commit_distance": (0.03, 0.1),
+    "prediction_velocity_horizon": (0.1, 0.4),
+    "retreat_speed": (0.6, 2.4),
+    "selection_switch_margin": (0.1, 0.6),
 }
 _DIGITS = 3
 _NOT_IN_NAME = re.compile(r"[^\w.-]+")  # characters that folder names do not contain
@@ -59,7 +46,6 @@ class Args(EvaluationArgs):
 
     Attributes:
         out: Folder of the results.
-        receiver: Receiver whose settings are searched: reactive or yang2021.
         population: Name of a shipped population, or path of a file.
         partners: Families of the population: train, test or all.
         givers: Givers with options in place of those of the population, such as replay; population draws another
@@ -71,7 +57,6 @@ class Args(EvaluationArgs):
     """
 
     out: Path = Path("results/best_responses")
-    receiver: str = "reactive"
     population: str = DEFAULT_POPULATION
     partners: str = "all"
     givers: tuple[str, ...] = ()
@@ -125,8 +110,7 @@ def search(args: Args, giver: str, folder: Path, seed: tuple[int, ...]) -> BestR
     rng = np.random.default_rng(seed)
     scenes = select_scenes_evenly(args.open_dataset().list_scenes(args.setup, "train"), args.n_scenes)
     few = select_scenes_evenly(scenes, args.draw_scenes)
-    space = SEARCH_SPACES[args.receiver]
-    receivers = [draw_policy(args.receiver, space, rng, logarithmic=True) for _ in range(args.draws)]
+    receivers = [draw_policy("reactive", SEARCH_SPACE, rng, logarithmic=True) for _ in range(args.draws)]
     scores = [
         evaluate_draw(args, giver, receiver, few, args.out / "draws" / folder / str(number)).average_success
         for number, receiver in enumerate(receivers)
@@ -167,7 +151,6 @@ def list_partners(args: Args) -> tuple[Partner, ...]:
 def main(args: Args) -> None:
     """Search in worker processes, one giver and search at a time each, and print the best responses."""
     args = args.resolve_setup()
-    check_name("receiver", args.receiver, SEARCH_SPACES)
     partners = list_partners(args)
     tasks = [(number, repeat) for number in range(len(partners)) for repeat in range(args.searches)]
 
