@@ -9,6 +9,7 @@ from handover_marl.evaluation.reports.report import Report
 from handover_marl.evaluation.reports.report_files import evaluate
 from handover_marl.evaluation.reports.tables import ReportTable, TabularResult
 from handover_marl.evaluation.results.metadata import CONFIG_FILE, OFFICIAL_WORLD
+from handover_marl.evaluation.strangers.entry import ENTRY_FILE, read_entry
 from handover_marl.evaluation.strangers.labels import list_labels
 from handover_marl.evaluation.strangers.references import (
     Condition,
@@ -67,7 +68,8 @@ def update_references(
 
     Args:
         folders: Result folders, or folders that contain some, such as those of `strangers` and `crossplay`. Pairs
-            without a partner of the population are ignored.
+            without a partner of the population are ignored. In a folder of `strangers`, the references of the
+            policies that were evaluated there are updated; of other pairs, both policies count as evaluated.
         population: Name of a shipped population, or path of a file.
         out: File of references to update; default: that of the population.
 
@@ -82,8 +84,9 @@ def update_references(
         "giver": list_labels(found, "giver", found.givers),
         "receiver": list_labels(found, "receiver", found.receivers),
     }
-    for report in _read_reports(folders):
-        for agent, other in _OTHER.items():
+    for report, agents in _read_reports(folders):
+        for agent in agents:
+            other = _OTHER[agent]
             partner = labels[other].get(getattr(report.metadata, other))
             if partner is not None and report.metadata.world == OFFICIAL_WORLD:
                 condition, reference = _make_reference(agent, report, partner.policy)
@@ -92,13 +95,16 @@ def update_references(
     return ReferenceSummary(found, table)
 
 
-def _read_reports(folders: Iterable[str | os.PathLike[str]]) -> Iterator[Report]:
+def _read_reports(folders: Iterable[str | os.PathLike[str]]) -> Iterator[tuple[Report, tuple[str, ...]]]:
+    """Yield every report with the agents whose policies are evaluated: that of `strangers`, or both of a pair."""
     for folder in folders:
         path = check_path("folder", folder)
         results = sorted(file.parent for file in path.rglob(CONFIG_FILE))
         if not results:
             raise ResultsError(f"{path} must contain result folders, got none with {CONFIG_FILE}")
-        yield from map(evaluate, results)
+        for result in results:
+            is_entry = (result.parent / ENTRY_FILE).is_file()
+            yield evaluate(result), (read_entry(result.parent).agent,) if is_entry else tuple(_OTHER)
 
 
 def _make_reference(agent: str, report: Report, partner_policy: str) -> tuple[Condition, Reference]:

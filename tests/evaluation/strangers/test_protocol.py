@@ -63,14 +63,17 @@ def test_references_of_evaluations(fake_data: Path, evaluated: Path, tmp_path: P
     population, out = write_population(tmp_path), tmp_path / "out"
     summary = update_references([evaluated], population)
     rows = summary.build_tables()[0].rows
-    assert [row[0] for row in rows] == ["fast", "slow", "still"]
-    assert [row[3] for row in rows[:2]] == ["hold", "hold"]
+    assert [row[0] for row in rows] == ["fast", "slow"]
+    assert [row[3] for row in rows] == ["hold", "hold"]
     command = next(iter(summary.table.sections.values()))["fast"].command
     assert command.startswith("handover-marl pair --giver hurried:min_rate=0.5,max_rate=0.6 --receiver hold --dataset ")
     assert "--physics fast --robot panda --seed 0 --scenes " in command
     shutil.copytree(evaluated, out)
     found = run(fake_data, population, out=out)
     assert found.references is not None
+    (out / "strangers.json").unlink()
+    both = update_references([out], population, tmp_path / "both.json")
+    assert [row[0] for row in both.build_tables()[0].rows] == ["fast", "slow", "still"]
     # The reference scores of both partners are zero, so that every score counts as having reached them.
     assert found.estimate_all()["br_prox"].value == 1.0
 
