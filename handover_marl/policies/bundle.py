@@ -7,8 +7,8 @@ from pathlib import Path
 from platform import node
 
 from handover_marl.errors import DataNotFoundError, PolicyError
+from handover_marl.policies.hashing.source_hash import hash_library, hash_package, hash_packages
 from handover_marl.policies.reference import PolicyReference, read_policy_file
-from handover_marl.policies.source_hash import hash_library, hash_package, hash_packages
 
 # Key of the reference's own policy file among the options that name files.
 _FILE = ""

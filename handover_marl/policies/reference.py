@@ -35,6 +35,8 @@ from handover_marl.errors import (
 )
 from handover_marl.execution.options import check_boolean
 from handover_marl.execution.reading import read_plain_file
+from handover_marl.policies.hashing.source_hash import hash_policy, is_library_class
+from handover_marl.policies.hashing.state_hash import hash_constructed_state, record_opened_files
 from handover_marl.policies.policy import (
     Policy,
     PolicyContext,
@@ -45,8 +47,6 @@ from handover_marl.policies.policy import (
     milliseconds_from_wait,
 )
 from handover_marl.policies.registry import import_policy, list_available, load_registered
-from handover_marl.policies.source_hash import hash_policy, is_library_class
-from handover_marl.policies.state_hash import hash_constructed_state, record_opened_files
 
 _MAX_TEXT = 1000  # characters of a label or a hash of weights
 _OPTIONS = re.compile(r"[A-Za-z_]\w*=[^=,]*(,[A-Za-z_]\w*=[^=,]*)*")

@@ -38,10 +38,11 @@ SCRIPTS_NEED = {
     "train": "torch",
     "train_receiver": "stable_baselines3",
     "train_giver": "stable_baselines3",
-    "train_both_torchrl": "torchrl",
-    "train_both_rllib": "tree",  # a requirement of RLlib; the backend needs only Ray
-    "train_both_benchmarl": "benchmarl",
-    "train_both_tianshou": "tianshou",
+    "train_with_population": "stable_baselines3",
+    "other_libraries/train_both_torchrl": "torchrl",
+    "other_libraries/train_both_rllib": "tree",  # a requirement of RLlib; the backend needs only Ray
+    "other_libraries/train_both_benchmarl": "benchmarl",
+    "other_libraries/train_both_tianshou": "tianshou",
     "best_response": "stable_baselines3",
 }
 ENVIRONMENTS, DECISIONS = 2, 16

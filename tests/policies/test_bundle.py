@@ -14,8 +14,8 @@ from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.errors import DataNotFoundError, PolicyError
 from handover_marl.learning.learned_policy import DEFAULT_GIVER_FILE
 from handover_marl.policies.bundle import PolicyBundle
+from handover_marl.policies.hashing.source_hash import hash_library, hash_packages
 from handover_marl.policies.reference import parse_policy
-from handover_marl.policies.source_hash import hash_library, hash_packages
 from handover_marl.receivers import Receiver
 
 CODE = """

@@ -26,7 +26,7 @@ from handover_marl.learning.encodings.custom_schemes import SchemeLike
 from handover_marl.learning.features import available_features
 from handover_marl.learning.policy_files import RAW_ENCODINGS, check_control_period, read_file, read_policy
 from handover_marl.learning.schemes import available_schemes
-from handover_marl.policies.function_hash import hash_function, list_packages
+from handover_marl.policies.hashing.function_hash import hash_function, list_packages
 from handover_marl.policies.policy import Policy
 from handover_marl.policies.reference import PolicyReference
 

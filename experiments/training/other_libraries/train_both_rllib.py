@@ -3,7 +3,7 @@
 The script needs the extras `rllib`, `plot` and, by default, `mujoco`; `--physics fast` does not need MuJoCo,
 but is slower.
 
-    python experiments/training/train_both_rllib.py --dataset synthetic --out runs/rllib
+    python experiments/training/other_libraries/train_both_rllib.py --dataset synthetic --out runs/rllib
 
 Each agent has an RLModule of its own, because the spaces differ; EnvRunners run in processes, with
 the default connectors. RLModules need vectors. This script makes them with `encode`;

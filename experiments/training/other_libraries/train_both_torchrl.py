@@ -3,7 +3,7 @@
 The script needs the extras `torchrl`, `plot` and, by default, `mujoco`; `--physics fast` does not need MuJoCo,
 but is slower.
 
-    python experiments/training/train_both_torchrl.py --dataset synthetic --out runs/torchrl
+    python experiments/training/other_libraries/train_both_torchrl.py --dataset synthetic --out runs/torchrl
 
 The script follows TorchRL's multi-agent examples: collector, generalized advantage estimation and
 clipped PPO, one group per agent. By default both critics observe the features of both agents

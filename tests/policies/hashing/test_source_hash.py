@@ -10,7 +10,7 @@ from types import ModuleType
 
 import pytest
 
-from handover_marl.policies.source_hash import hash_library, hash_packages, hash_policy
+from handover_marl.policies.hashing.source_hash import hash_library, hash_packages, hash_policy
 from handover_marl.receivers import Receiver
 from handover_marl.receivers.hold import HoldReceiver
 
@@ -62,7 +62,7 @@ def test_the_standard_library_is_not_read(monkeypatch: pytest.MonkeyPatch) -> No
 def test_hashing_imports_nothing_and_is_quick() -> None:
     """Hashing the library takes less than 1 s, and imports neither further modules of the library nor MuJoCo."""
     code = (
-        "import sys, handover_marl.policies.source_hash as source_hash\n"
+        "import sys, handover_marl.policies.hashing.source_hash as source_hash\n"
         "before = set(sys.modules)\n"
         "source_hash.hash_library()\n"
         "print(sorted(name for name in set(sys.modules) - before if name.startswith(('handover_marl', 'mujoco'))))\n"

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handover_marl.policies.function_hash import hash_function, list_packages
+from handover_marl.policies.hashing.function_hash import hash_function, list_packages
 
 WEIGHTS = np.arange(3.0)
 OFFSET = 1.0

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from handover_marl.policies.source_hash import is_library_class
+from handover_marl.policies.hashing.source_hash import is_library_class
 
 _MAX_DEPTH = 8
 # Files of programs and devices are not weights; code is covered by `hash_policy`.

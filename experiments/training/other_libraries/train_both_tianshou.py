@@ -3,7 +3,7 @@
 The script needs the extras `tianshou`, `plot` and, by default, `mujoco`; `--physics fast` does not need
 MuJoCo, but is slower.
 
-    python experiments/training/train_both_tianshou.py --dataset synthetic --out runs/tianshou
+    python experiments/training/other_libraries/train_both_tianshou.py --dataset synthetic --out runs/tianshou
 
 Agents that share parameters need equal spaces: `handover_marl.homogeneous` pads them and adds an
 agent indicator. Every agent of every world is one environment for Tianshou, so that each agent

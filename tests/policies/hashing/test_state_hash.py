@@ -9,9 +9,9 @@ from handover_marl.datasets import open_dataset
 from handover_marl.errors import ResultsError
 from handover_marl.evaluation.benchmark import benchmark
 from handover_marl.evaluation.reports.report_files import evaluate
+from handover_marl.policies.hashing.state_hash import hash_constructed_state, record_opened_files
 from handover_marl.policies.policy import Action, Policy
 from handover_marl.policies.reference import parse_policy
-from handover_marl.policies.state_hash import hash_constructed_state, record_opened_files
 from handover_marl.receivers import Receiver
 
 

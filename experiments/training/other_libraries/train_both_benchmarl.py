@@ -3,7 +3,7 @@
 The script needs the extras `benchmarl`, `plot` and, by default, `mujoco`; `--physics fast` does not need
 MuJoCo, but is slower.
 
-    python experiments/training/train_both_benchmarl.py --dataset synthetic --out runs/benchmarl
+    python experiments/training/other_libraries/train_both_benchmarl.py --dataset synthetic --out runs/benchmarl
 
 The task is `handover_marl.learning.training.benchmarl_task.HandoverTask`; centralized critics
 observe the environment's state. The folder gets `giver.npz` and `receiver.npz`, which need no

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from handover_marl.policies.source_hash import (
+from handover_marl.policies.hashing.source_hash import (
     describe_class,
     describe_code,
     find_source_file,
@@ -20,7 +20,7 @@ from handover_marl.policies.source_hash import (
     is_installed_package,
     is_library_class,
 )
-from handover_marl.policies.state_hash import convert_array
+from handover_marl.policies.hashing.state_hash import convert_array
 
 _PLAIN = (int, float, complex, str, bytes, type(None))
 _WITHOUT_ARRAYS = (type, ModuleType, FunctionType, BuiltinFunctionType, MethodType)
