@@ -6,12 +6,13 @@
 |---|---|
 | `best_response` | one partner, `--partner` |
 | `population` | another member of the population's train families in each episode |
-| `fictitious_co_play` | networks of several self-play pairs, at half and at the end of their training |
+| `fictitious_co_play` | networks of several pairs, at half and at the end of their training |
 | `history` | as `population`; the receiver observes its last four decisions, and can identify its partner by them |
 
-Fictitious co-play is that of Strouse et al. (NeurIPS 2021). A pair is a receiver trained with `replay`, and a giver
-trained with this receiver. The policies are `OUT/EGO_METHOD_SEED.npz`, the pairs are in `OUT/pairs`. The script needs
-the extras `train`, `plot` and `mujoco`. The same command continues an interrupted run after the last written policy.
+Fictitious co-play follows Strouse et al. (NeurIPS 2021), but the two policies of a pair are trained one after the
+other: the receiver with `replay`, and the giver with this receiver. The policies are `OUT/EGO_METHOD_SEED.npz`, the
+pairs are in `OUT/pairs`. The script needs the extras `train`, `plot` and `mujoco`. The same command continues an
+interrupted run after the last written policy.
 """
 
 from dataclasses import dataclass, field, replace
@@ -27,7 +28,7 @@ from handover_marl.execution.files import write_atomically
 from handover_marl.learning.training.scene_arguments import SetupArgs
 from handover_marl.policies.populations import DEFAULT_POPULATION, TRAIN, Partner, format_population
 
-_POPULATION_FILE = "self_play.json"
+_PAIRS_FILE = "pairs.json"
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,7 @@ class Args(SetupArgs):
         out: Folder of the policies.
         partner: Partner of the method best_response; default: replay for receivers, yang2021 for givers.
         population: Name of a shipped population, or path of a file.
-        pairs: Number of self-play pairs of the method fictitious_co_play.
+        pairs: Number of pairs of the method fictitious_co_play.
         receiver: Further arguments of `train_receiver_ppo.py`.
         giver: Further arguments of `train_giver_sb3.py`.
     """
@@ -107,7 +108,7 @@ def _get_scenes(args: Args) -> dict[str, str | None]:
 
 
 def train_pairs(args: Args) -> Path:
-    """Train self-play pairs, and return the file of the population of their policies.
+    """Train the pairs, and return the file of the population of their policies.
 
     The pairs have other seeds than the trainings of the script, 1000 and following.
     """
@@ -123,15 +124,12 @@ def train_pairs(args: Args) -> Path:
             train_giver(args, f"learned:{receiver}", giver, folder / f"giver_{seed}", seed, share)
             names["giver"].append(giver.name)
     givers, receivers = (
-        [
-            Partner(Path(name).stem, "self_play", TRAIN, f"learned:{{folder}}/{name}", "trained in a pair")
-            for name in own
-        ]
+        [Partner(Path(name).stem, "pairs", TRAIN, f"learned:{{folder}}/{name}", "trained in a pair") for name in own]
         for own in names.values()
     )
-    description = f"Networks of {args.pairs} self-play pairs, at half and at the end of their training."
-    file = folder / _POPULATION_FILE
-    write_atomically(file, format_population("self_play", "1", description, givers, receivers))
+    description = f"Networks of {args.pairs} pairs, at half and at the end of their training."
+    file = folder / _PAIRS_FILE
+    write_atomically(file, format_population("pairs", "1", description, givers, receivers))
     return file
 
 
