@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from handover_marl.config import check_config
 from handover_marl.episode.observations import Observation
 from handover_marl.policies.policy import Action, PolicyContext, Receiver, milliseconds_from_wait
 from handover_marl.policies.settings import override_settings
@@ -46,7 +47,9 @@ class Yang2021Receiver(Receiver):
         self, context: PolicyContext, wait: float | None = None, config: YangConfig | None = None, **settings: float
     ) -> None:
         super().__init__(context)
-        self.config = override_settings(config or YangConfig(), settings, "step_length")
+        config = YangConfig() if config is None else config
+        check_config("config", config, YangConfig)
+        self.config = override_settings(config, settings, "step_length")
         if wait is not None:
             self.config = replace(self.config, wait=milliseconds_from_wait(wait) / 1000.0)
         self._controller = YangController(context, self.config, 1)

@@ -74,8 +74,10 @@ def load_policies(files: tuple[Path, ...]) -> tuple[PolicySpec, list[PolicyFunct
     """Read policy files, and return their common specification and their networks.
 
     Raises:
-        OptionError: There is no file, or the files have different features, action schemes or control periods.
+        OptionError: There is no file, or files have different features, action schemes or control periods.
     """
+    if not files:
+        raise OptionError("first and second must each have at least one policy file, got none")
     found = [read_policy(file, "receiver", False, None) for file in files]
     specs = {(one.spec.features, one.spec.actions, one.spec.control_period) for one in found}
     if len(specs) != 1:
@@ -129,12 +131,17 @@ def play_partner(
 
 
 def evaluate(args: Args) -> tuple[Array, dict[str, Array]]:
-    """Return the scores of average success (policies, partners, scenes), and the same of every outcome."""
+    """Evaluate the files of both ways, print a table, and return the scores.
+
+    Returns:
+        AS of every episode, an array (policies, partners, scenes), and such an array of 0 and 1 for every outcome.
+    """
     ways = [load_policies(files) for files in (args.first, args.second)]
     scenes = list(select_scenes_evenly(args.open_dataset().list_scenes(args.setup, args.split), args.n_scenes))
     population = load_population(args.population)
     config = EnvConfig(args.setup, args.split, args.data_dir, args.dataset, MUJOCO)
     found = []
+    print("| giver | family | first: success / contact / drop / timeout % | second |\n|---|---|---|---|")
     for partner in population.select("giver", args.partners):
         policy = population.get_policy(partner)
         parts = [play_partner(config, policy, *way, scenes) for way in ways]
@@ -179,7 +186,6 @@ def format_points(value: Estimate) -> str:
 
 def main(args: Args) -> None:
     args = args.resolve_setup()
-    print("| giver | family | first: success / contact / drop / timeout % | second |\n|---|---|---|---|")
     scores, outcomes = evaluate(args)
     print(f"{scores.shape[1]} partners, {scores.shape[2]} scenes of {args.setup} {args.split}, MuJoCo physics")
     print_comparison(args, scores, outcomes)

@@ -6,13 +6,14 @@
 |---|---|
 | `best_response` | one partner, `--partner` |
 | `population` | another member of the population's train families in each episode |
-| `fictitious_co_play` | networks of several pairs, at half and at the end of their training |
-| `history` | as `population`; the receiver observes its last four decisions, and can identify its partner by them |
+| `fictitious_co_play` | networks of several pairs, after half of their training and after all of it |
+| `history` | as `population`, with the features of the receiver's last four decisions (`close_stack`) |
 
-Fictitious co-play follows Strouse et al. (NeurIPS 2021), but the two policies of a pair are trained one after the
-other: the receiver with `replay`, and the giver with this receiver. The policies are `OUT/EGO_METHOD_SEED.npz`, the
-pairs are in `OUT/pairs`. The script needs the extras `train`, `plot` and `mujoco`. The same command continues an
-interrupted run after the last written policy.
+`fictitious_co_play` simplifies the method of Strouse et al. (NeurIPS 2021): the two policies of a pair are trained one
+after the other, the receiver with `replay`, and then the giver with this receiver, after it has imitated
+`cooperative`; there are no untrained partners. The policies are `OUT/EGO_METHOD/SEED.npz`, the pairs are in
+`OUT/pairs`. The script needs the extras `train`, `plot` and `mujoco`. The same command continues an interrupted run
+after the last written policy.
 """
 
 from dataclasses import dataclass, field, replace
@@ -23,12 +24,15 @@ import train_giver_sb3
 import train_receiver_ppo
 import tyro
 
-from handover_marl.errors import OptionError
+from handover_marl.errors import OptionError, ResultsError
 from handover_marl.execution.files import write_atomically
+from handover_marl.learning.training.run_folder import RunFolder
 from handover_marl.learning.training.scene_arguments import SetupArgs
 from handover_marl.policies.populations import DEFAULT_POPULATION, TRAIN, Partner, format_population
 
 _PAIRS_FILE = "pairs.json"
+_FIRST_PAIR_SEED = 1000
+_MAX_MINUTES = 600.0
 
 
 @dataclass(frozen=True)
@@ -38,13 +42,13 @@ class Args(SetupArgs):
     Attributes:
         ego: Agent that learns.
         method: Choice of the partners.
-        seeds: Seeds of the trainings.
+        seeds: Seeds of the trainings, below 1000; the pairs have the seeds from 1000 on.
         out: Folder of the policies.
         partner: Partner of the method best_response; default: replay for receivers, yang2021 for givers.
         population: Name of a shipped population, or path of a file.
         pairs: Number of pairs of the method fictitious_co_play.
-        receiver: Further arguments of `train_receiver_ppo.py`.
-        giver: Further arguments of `train_giver_sb3.py`.
+        receiver: Further arguments of `train_receiver_ppo.py`; this script sets giver, out, seed and the data.
+        giver: Further arguments of `train_giver_sb3.py`; this script sets receiver, out, seed, resume and the data.
     """
 
     ego: Literal["receiver", "giver"] = "receiver"
@@ -54,16 +58,29 @@ class Args(SetupArgs):
     partner: str = ""
     population: str = DEFAULT_POPULATION
     pairs: int = 3
-    receiver: train_receiver_ppo.Args = field(default_factory=lambda: train_receiver_ppo.Args(val_scenes=0))
+    receiver: train_receiver_ppo.Args = field(
+        default_factory=lambda: train_receiver_ppo.Args(val_scenes=0, minutes=_MAX_MINUTES)
+    )
     giver: train_giver_sb3.Args = field(
         default_factory=lambda: train_giver_sb3.Args(
-            physics="mujoco", batch_size=64, epochs=20, eval_interval=8192, eval_start=False
+            physics="mujoco", batch_size=64, epochs=20, eval_interval=8192, eval_start=False, minutes=_MAX_MINUTES
         )
     )
 
     def __post_init__(self) -> None:
         if self.ego == "giver" and self.method == "history":
-            raise OptionError("method must not be history for a giver, which decides once in an episode; got history")
+            raise OptionError(
+                "method must be best_response, population or fictitious_co_play for a giver, got history; the features "
+                "of the last four decisions are for receivers"
+            )
+        if self.partner and self.method != "best_response":
+            raise OptionError(f"partner must be left out with method {self.method}, got {self.partner!r}")
+        if not self.seeds or not all(0 <= seed < _FIRST_PAIR_SEED for seed in self.seeds):
+            raise OptionError(f"seeds must be integers from 0 to {_FIRST_PAIR_SEED - 1}, got {self.seeds}")
+        if self.pairs < 1:
+            raise OptionError(f"pairs must be at least 1, got {self.pairs}")
+        if set(str(self.out)) & set(",="):
+            raise OptionError(f"out must be a path without commas and equals signs, got {self.out}")
 
 
 def train_receiver(args: Args, giver: str, path: Path, seed: int, features: str, share: float = 1.0) -> Path:
@@ -80,7 +97,7 @@ def train_receiver(args: Args, giver: str, path: Path, seed: int, features: str,
     if not path.exists():
         decisions = round(share * args.receiver.decisions)
         changes = {"giver": giver, "out": path, "seed": seed, "features": features, "decisions": decisions}
-        train_receiver_ppo.main(replace(args.receiver, **_get_scenes(args), **changes))
+        train_receiver_ppo.main(replace(args.receiver, **_get_data_options(args), **changes))
     return path
 
 
@@ -98,39 +115,59 @@ def train_giver(args: Args, receiver: str, path: Path, folder: Path, seed: int, 
     if not path.exists():
         steps = round(share * args.giver.steps)
         changes = {"receiver": receiver, "out": str(folder), "seed": seed, "steps": steps, "resume": folder.exists()}
-        policy = train_giver_sb3.main(replace(args.giver, **_get_scenes(args), **changes))
+        policy = train_giver_sb3.main(replace(args.giver, **_get_data_options(args), **changes))
         write_atomically(path, policy.read_bytes())
     return path
 
 
-def _get_scenes(args: Args) -> dict[str, str | None]:
+def _get_data_options(args: Args) -> dict[str, str | None]:
     return {"data_dir": args.data_dir, "dataset": args.dataset, "setup": args.setup}
+
+
+def open_folder(args: Args, name: str, free: tuple[str, ...]) -> Path:
+    """Return a folder of `args.out`, after a check that it holds no policies of other arguments.
+
+    Args:
+        args: Arguments of the script.
+        name: Name of the folder.
+        free: Names of arguments that may change.
+
+    Raises:
+        ResultsError: The folder was made with other arguments.
+    """
+    path = args.out / name
+    RunFolder(path, args, path.exists(), args.open_dataset().name, free)
+    return path
 
 
 def train_pairs(args: Args) -> Path:
     """Train the pairs, and return the file of the population of their policies.
 
-    The pairs have other seeds than the trainings of the script, 1000 and following.
+    Raises:
+        ResultsError: The pairs have other arguments, or a policy of a finished pair is missing.
     """
-    folder = args.out / "pairs"
-    names: dict[str, list[str]] = {"giver": [], "receiver": []}
-    for seed in range(1000, 1000 + args.pairs):
+    folder = open_folder(args, "pairs", ("ego", "method", "seeds", "partner", "population"))
+    partners: dict[str, list[Partner]] = {"giver": [], "receiver": []}
+    for seed in range(_FIRST_PAIR_SEED, _FIRST_PAIR_SEED + args.pairs):
         for label, share in (("mid", 0.5), ("final", 1.0)):
-            receiver = folder / f"receiver_{label}_{seed}.npz"
-            train_receiver(args, "replay", receiver, seed, args.receiver.features, share)
-            names["receiver"].append(receiver.name)
-        for label, share in (("mid", 0.5), ("final", 1.0)):
-            giver = folder / f"giver_{label}_{seed}.npz"
-            train_giver(args, f"learned:{receiver}", giver, folder / f"giver_{seed}", seed, share)
-            names["giver"].append(giver.name)
-    givers, receivers = (
-        [Partner(Path(name).stem, "pairs", TRAIN, f"learned:{{folder}}/{name}", "trained in a pair") for name in own]
-        for own in names.values()
-    )
-    description = f"Networks of {args.pairs} pairs, at half and at the end of their training."
+            path = folder / f"receiver_{label}_{seed}.npz"
+            train_receiver(args, "replay", path, seed, args.receiver.features, share)
+            partners["receiver"].append(_make_partner(path))
+        receiver, run = f"learned:{path}", folder / f"giver_{seed}"
+        mid, final = (folder / f"giver_{label}_{seed}.npz" for label in ("mid", "final"))
+        if final.exists() and not mid.exists():
+            raise ResultsError(f"{mid} must exist beside {final.name}; remove {run} and {final} to train it again")
+        train_giver(args, receiver, mid, run, seed, 0.5)
+        train_giver(args, receiver, final, run, seed)
+        partners["giver"] += [_make_partner(mid), _make_partner(final)]
+    description = f"Networks of {args.pairs} pairs, after half of their training and after all of it."
     file = folder / _PAIRS_FILE
-    write_atomically(file, format_population("pairs", "1", description, givers, receivers))
+    write_atomically(file, format_population("pairs", "1", description, partners["giver"], partners["receiver"]))
     return file
+
+
+def _make_partner(path: Path) -> Partner:
+    return Partner(path.stem, "pairs", TRAIN, f"learned:{{folder}}/{path.name}", "Network of a pair.")
 
 
 def choose_partner(args: Args) -> str:
@@ -142,14 +179,18 @@ def choose_partner(args: Args) -> str:
 
 
 def main(args: Args) -> list[Path]:
-    """Train a policy with every seed, and return the policy files."""
+    """Train a policy with every seed, and return the policy files.
+
+    Raises:
+        ResultsError: The folder holds policies of other arguments.
+    """
     args = args.resolve_setup()
-    partner = choose_partner(args)
-    paths = []
+    folder = open_folder(args, f"{args.ego}_{args.method}", ("seeds",))
+    partner, paths = choose_partner(args), []
     for seed in args.seeds:
-        path = args.out / f"{args.ego}_{args.method}_{seed}.npz"
+        path = folder / f"{seed}.npz"
         if args.ego == "giver":
-            paths.append(train_giver(args, partner, path, path.with_suffix(""), seed))
+            paths.append(train_giver(args, partner, path, folder / str(seed), seed))
         else:
             features = "close_stack" if args.method == "history" else args.receiver.features
             paths.append(train_receiver(args, partner, path, seed, features))

@@ -26,6 +26,10 @@ class NudgedReceiver(Receiver):
         self.obs_mode = receiver.obs_mode
         self._offsets = size * np.random.default_rng(seed).choice([-1.0, 1.0], ARM_DOF)
 
+    def prepare(self, object_names: Sequence[str]) -> None:
+        """Prepare the other receiver."""
+        self._receiver.prepare(object_names)
+
     @property
     def hold_time(self) -> float:
         """Time (s) for which the last action is held."""

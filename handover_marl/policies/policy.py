@@ -289,11 +289,10 @@ def check_policy_options(agent: str, policy_class: type, name: str, options: Ite
         OptionError: The constructor has no such parameter, or the library fills it in.
     """
     parameters = get_parameters(policy_class)
-    if any(parameter.kind is inspect.Parameter.VAR_KEYWORD for parameter in parameters.values()):
-        return
+    takes_all = any(parameter.kind is inspect.Parameter.VAR_KEYWORD for parameter in parameters.values())
     valid = [key for key in parameters if key not in _RESERVED_PARAMETERS]
     for key in options:
-        if key not in valid:
+        if key in _RESERVED_PARAMETERS or not (takes_all or key in valid):
             known = f"valid options: {', '.join(valid)}" if valid else "it takes no options"
             raise OptionError(f"{agent} {name!r} has no option {key!r}; {known}")
 

@@ -30,7 +30,7 @@ def override_settings(config: _Config, settings: Mapping[str, object], example: 
         if isinstance(known, bool) or not isinstance(known, (int, float)):
             raise OptionError(
                 f"options must be those of the constructor or numbers in {type(config).__name__} such as {example}, "
-                f"got {name!r}; see the documentation of {type(config).__name__}"
+                f"got {name!r}; see docs/reference/policies.md"
             )
         if isinstance(value, bool) or not isinstance(value, (int, type(known))) or not math.isfinite(value):
             raise OptionError(f"{name} must be a finite {type(known).__name__}, got {value!r}")

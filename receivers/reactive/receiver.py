@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from handover_marl.config import check_config
 from handover_marl.episode.observations import Observation
 from handover_marl.policies.policy import Action, PolicyContext, require_reset
 from handover_marl.policies.settings import override_settings
@@ -42,7 +43,9 @@ class ReactiveReceiver(ControllerReceiver):
         config: ReactiveConfig | None = None,
         **settings: float,
     ) -> None:
-        config = apply_risk(config or ReactiveConfig(), risk)
+        config = ReactiveConfig() if config is None else config
+        check_config("config", config, ReactiveConfig)
+        config = apply_risk(config, risk)
         super().__init__(context, wait, override_settings(config, settings, "approach_standoff"))
         self._object_name = ""
         self._scene: PoseSceneEstimate | None = None

@@ -109,6 +109,18 @@ def test_settings_of_yang2021() -> None:
     receiver = receivers.make("yang2021:wait=1,step_length=0.02,max_candidates=5", SyntheticDataset())
     assert isinstance(receiver, Yang2021Receiver)
     assert receiver.config == YangConfig(wait=1.0, step_length=0.02, max_candidates=5)
-    for text, message in (("speed=1", "YangConfig such as step_length, got 'speed'"), ("step_length=0", "step_length")):
-        with pytest.raises(OptionError, match=message):
-            receivers.make(f"yang2021:{text}", SyntheticDataset())
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("yang2021:speed=1", "YangConfig such as step_length, got 'speed'"),
+        ("yang2021:step_length=0", "step_length of YangConfig must be"),
+        ("yang2021:config=3", "config must be a YangConfig, got 3"),
+        ("yang2021:context=3", "has no option 'context'"),
+        ("reactive:config=3", "config must be a ReactiveConfig, got 3"),
+    ],
+)
+def test_wrong_settings(name: str, message: str) -> None:
+    with pytest.raises(OptionError, match=message):
+        receivers.make(name, SyntheticDataset())

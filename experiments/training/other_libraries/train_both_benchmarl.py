@@ -121,7 +121,7 @@ def make_experiment_config(args: Args, folder: str) -> ExperimentConfig:
 def main(args: Args) -> TrainingRun:
     args = args.shrink_for_smoke_test()
     torch.set_num_threads(1)
-    run = TrainingRun(args, "train_both_benchmarl", args.encodings)
+    run = TrainingRun(args, "other_libraries/train_both_benchmarl", args.encodings)
     model = MlpConfig.get_from_yaml()
     model.num_cells = [args.width, args.width]
     experiment = Experiment(

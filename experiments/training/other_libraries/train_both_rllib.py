@@ -121,7 +121,7 @@ def extract_policy_networks(algorithm: Algorithm) -> dict[str, DenseNetwork]:
 def main(args: Args) -> TrainingRun:
     args = args.shrink_for_smoke_test()
     torch.set_num_threads(1)
-    run = TrainingRun(args, "train_both_rllib", args.encodings)
+    run = TrainingRun(args, "other_libraries/train_both_rllib", args.encodings)
     ray.init(num_cpus=args.envs + 1, object_store_memory=_OBJECT_STORE, include_dashboard=False, log_to_driver=False)
     try:
         algorithm = make_config(args).build_algo()

@@ -177,7 +177,7 @@ def main(args: Args) -> TrainingRun:
     args = args.shrink_for_smoke_test()
     torch.manual_seed(args.seed)
     torch.set_num_threads(1)
-    run = TrainingRun(args, "train_both_tianshou", args.encodings)
+    run = TrainingRun(args, "other_libraries/train_both_tianshou", args.encodings)
     worlds = [homogeneous(make_pair_env(args)) for _ in range(args.envs)]
     envs = AgentsVectorEnv(worlds, run.rewards)
     envs.seed(args.seed)

@@ -161,7 +161,7 @@ def main(args: Args) -> TrainingRun:
     args = args.shrink_for_smoke_test()
     torch.manual_seed(args.seed)
     torch.set_num_threads(1)
-    run = TrainingRun(args, "train_both_torchrl", args.encodings)
+    run = TrainingRun(args, "other_libraries/train_both_torchrl", args.encodings)
     env = make_env(args)
     env.set_seed(args.seed)
     actors = {group: make_actor(env, group, args) for group in AGENTS}

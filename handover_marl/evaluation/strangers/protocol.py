@@ -63,7 +63,9 @@ def strangers(
         options["physics"] = FAST
     config, execution = build_configs(setup, options, execution, split=split)
     if config.world_config != OFFICIAL_CONFIG:
-        raise OptionError("strangers requires the official world and rules; use crossplay for others")
+        raise OptionError(
+            "world_config must be the official one for strangers, got another; use crossplay for other worlds and rules"
+        )
     policies = giver if receiver is None else receiver
     if policies is None or (receiver is not None and giver is not None):
         raise OptionError("pass exactly one of receiver and giver; the population has partners for both")

@@ -68,8 +68,8 @@ def update_references(
 
     Args:
         folders: Result folders, or folders that contain some, such as those of `strangers` and `crossplay`. Pairs
-            without a partner of the population are ignored. In a folder of `strangers`, the references of the
-            policies that were evaluated there are updated; of other pairs, both policies count as evaluated.
+            without a partner of the population are ignored. In a folder of `strangers`, only the evaluated
+            policy can become a reference; in other folders, giver and receiver can.
         population: Name of a shipped population, or path of a file.
         out: File of references to update; default: that of the population.
 

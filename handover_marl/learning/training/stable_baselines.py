@@ -143,7 +143,8 @@ def load_checkpoint(model: OnPolicyAlgorithm, path: Path) -> None:
 class EvaluationCallback(BaseCallback):
     """Callback that logs reward terms, evaluates the policy, writes checkpoints and stops when time is up.
 
-    Evaluations happen between rollouts, so that a resumed run continues exactly.
+    Evaluations happen between rollouts. A resumed run has new environments with the seeds of its start, so that its
+    episodes differ from those of a run without an interruption.
 
     Args:
         run: Training run with its folder and evaluations.

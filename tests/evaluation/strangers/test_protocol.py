@@ -86,7 +86,7 @@ def test_evenly_spaced_scenes_and_receivers_as_partners(fake_data: Path, populat
 
 
 def test_other_worlds_are_refused(fake_data: Path, population: Path) -> None:
-    with pytest.raises(OptionError, match="requires the official world and rules; use crossplay"):
+    with pytest.raises(OptionError, match="must be the official one for strangers"):
         run(fake_data, population, world_config=WorldConfig(initial_joint_noise=0.1))
 
 

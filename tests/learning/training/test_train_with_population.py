@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.errors import OptionError
+from handover_marl.errors import OptionError, ResultsError
 from handover_marl.learning.policy_files import write_policy
 from handover_marl.learning.policy_spec import DenseNetwork, PolicySpec
 from handover_marl.policies.reference import parse_policy
@@ -62,7 +62,7 @@ def train(calls: list[Any], monkeypatch: pytest.MonkeyPatch) -> ModuleType:
 def test_receivers(method: str, giver: str, features: str, train: ModuleType, calls: list[Any], tmp_path: Path) -> None:
     args = train.Args(dataset="synthetic", method=method, seeds=(3, 5), out=tmp_path)
     paths = train.main(args)
-    assert paths == [tmp_path / f"receiver_{method}_{seed}.npz" for seed in (3, 5)]
+    assert paths == [tmp_path / f"receiver_{method}" / f"{seed}.npz" for seed in (3, 5)]
     assert [(call.giver, call.features, call.seed, call.setup) for call in calls] == [
         (giver, features, seed, "s0") for seed in (3, 5)
     ]
@@ -76,7 +76,7 @@ def test_fictitious_co_play(train: ModuleType, calls: list[Any], tmp_path: Path)
     (receiver,) = train.main(train.Args(**common))
     (giver,) = train.main(train.Args(**common, ego="giver"))
     policies = [parse_policy("receiver", calls[8].giver), parse_policy("giver", calls[8].giver)]
-    assert receiver.stem == "receiver_fictitious_co_play_0"
+    assert receiver == tmp_path / "receiver_fictitious_co_play" / "0.npz"
     for policy in (policies[1], parse_policy("receiver", calls[9].receiver)):
         made: Any = policy.make(SyntheticDataset())
         assert len(made.members) == 4
@@ -89,6 +89,31 @@ def test_fictitious_co_play(train: ModuleType, calls: list[Any], tmp_path: Path)
     assert giver.is_file()
 
 
-def test_history_of_a_giver_is_refused(train: ModuleType) -> None:
-    with pytest.raises(OptionError, match="a giver, which decides once"):
-        train.Args(ego="giver", method="history")
+def test_policies_of_other_arguments_are_not_taken(train: ModuleType, tmp_path: Path) -> None:
+    args = {"dataset": "synthetic", "method": "best_response", "out": tmp_path, "seeds": (0,)}
+    train.main(train.Args(**args))
+    with pytest.raises(ResultsError, match=r"other arguments \(partner\)"):
+        train.main(train.Args(**args, partner="noisy"))
+
+
+def test_missing_policy_of_a_pair_is_named(train: ModuleType, tmp_path: Path) -> None:
+    args = train.Args(dataset="synthetic", method="fictitious_co_play", out=tmp_path, pairs=1, seeds=(0,))
+    train.main(args)
+    (tmp_path / "pairs" / "giver_mid_1000.npz").unlink()
+    with pytest.raises(ResultsError, match=r"giver_mid_1000\.npz must exist beside giver_final_1000\.npz"):
+        train.main(args)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"ego": "giver", "method": "history"}, "method must be best_response, population or fictitious_co_play"),
+        ({"partner": "noisy"}, "partner must be left out with method population"),
+        ({"seeds": (1000,)}, "seeds must be integers from 0 to 999"),
+        ({"pairs": 0}, "pairs must be at least 1"),
+        ({"out": Path("a,b")}, "out must be a path without commas"),
+    ],
+)
+def test_wrong_arguments_are_refused(options: dict[str, Any], message: str, train: ModuleType) -> None:
+    with pytest.raises(OptionError, match=message):
+        train.Args(**options)
