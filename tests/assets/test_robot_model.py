@@ -20,7 +20,7 @@ from handover_marl.simulation.bullet.bodies import PandaBody
 from handover_marl.simulation.bullet.client import BulletClient, connect, load_urdf
 
 #: Indices in the tuple that PyBullet returns for a joint.
-TYPE, FIRST_LIMIT, LINK, AXIS = 2, 8, 12, 13
+TYPE, FIRST_LIMIT, LINK, AXIS, PARENT = 2, 8, 12, 13, 16
 
 
 @pytest.fixture
@@ -82,11 +82,24 @@ def test_camera_pose_equals_handoversims(client: BulletClient, seed: int) -> Non
     assert abs(pose[3:] @ camera[3:]) == pytest.approx(1.0, abs=1e-6)
 
 
-def test_kinematic_tree_equals_bullets() -> None:
+def test_kinematic_tree_equals_bullets(client: BulletClient) -> None:
     tree = read_tree(write_camera_panda_urdf())
+    body = load_urdf(client, write_camera_panda_urdf(), useFixedBase=True)
+    infos = [client.getJointInfo(body, joint) for joint in range(client.getNumJoints(body))]
     names = [joint.link for joint in tree.joints]
-    assert tree.n_dof == 9
+    assert names == [info[LINK].decode() for info in infos]
+    assert [joint.parent for joint in tree.joints] == [info[PARENT] for info in infos]
     assert tree.joints[names.index(CAMERA_LINK)].parent == names.index(HAND_LINK)
+    moving = [link for link, info in enumerate(infos) if info[TYPE] != client.JOINT_FIXED]
+    assert tree.n_dof == len(moving) == 9
+    joints = np.random.default_rng(0).uniform(LOWER_LIMITS, UPPER_LIMITS, (3, 9))
+    for dof, poses in zip(joints, tree.compute_link_poses(joints, range(len(infos))), strict=True):
+        for link, position in zip(moving, dof.tolist(), strict=True):
+            client.resetJointState(body, link, position)
+        for link, pose in enumerate(poses):
+            state = client.getLinkState(body, link, computeForwardKinematics=1)
+            np.testing.assert_allclose(pose[:3], state[4], atol=1e-6, err_msg=names[link])
+            assert abs(pose[3:] @ np.array(state[5])) == pytest.approx(1.0, abs=1e-6), names[link]
 
 
 def test_one_process_has_one_file() -> None:

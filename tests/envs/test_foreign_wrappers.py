@@ -84,16 +84,25 @@ def test_a_wrapper_changes_what_the_learner_gets_and_not_the_partner() -> None:
         assert other[1]["receiver"] == one[1]["receiver"] - 1.0
 
 
-def test_other_environments_are_refused() -> None:
-    class Other(BaseParallelWrapper):
-        unwrapped = None
+class Other(BaseParallelWrapper):
+    """Wrapper of an environment of another kind."""
 
-    for wrong in (Other(make()), make(), HandoverEnv, "env", None):
-        if isinstance(wrong, HandoverEnv):
-            handover_marl.flatten(wrong)
-            continue
-        with pytest.raises(OptionError, match=r"env must be made by handover_marl.parallel_env\(\) or a pettingzoo"):
-            handover_marl.flatten(wrong)  # type: ignore[arg-type]
+    unwrapped = None
+
+
+@pytest.mark.parametrize(
+    ("make_wrong", "got"),
+    [
+        (lambda: Other(make()), "a wrapper of NoneType"),
+        (lambda: HandoverEnv, "the class HandoverEnv"),
+        (lambda: "env", "str"),
+        (lambda: None, "NoneType"),
+    ],
+)
+def test_other_environments_are_refused(make_wrong: Callable[[], Any], got: str) -> None:
+    rule = r"env must be made by handover_marl\.parallel_env\(\) or a pettingzoo\.utils\.BaseParallelWrapper of it"
+    with pytest.raises(OptionError, match=f"^{rule}, got {got}$"):
+        handover_marl.flatten(make_wrong())
 
 
 @pytest.mark.parametrize("physics", ["fast", "mujoco"])

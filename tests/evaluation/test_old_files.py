@@ -2,15 +2,19 @@
 
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import handover_marl
+from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.evaluation.crossplay import read_crossplay_pairs
 from handover_marl.evaluation.demonstrations.reader import Demonstrations
 from handover_marl.evaluation.merge import merge
 from handover_marl.evaluation.results.metadata import read_result_metadata
+from handover_marl.evaluation.results.result_folder import ResultFolder, encode_result
 from handover_marl.evaluation.verification.folder_checks import check_reports
 from handover_marl.policies.reference import parse_policy
 
@@ -74,8 +78,18 @@ def test_camera_of_a_result_folder() -> None:
 
 
 def test_old_and_new_folders_are_compared(tmp_path: Path) -> None:
-    comparison = handover_marl.compare(OLD / "benchmark", OLD / "benchmark")
-    assert comparison.changes == []
+    """Folders of both versions with equal metrics, other hashes of the data and one other outcome."""
+    report = handover_marl.evaluate(OLD / "benchmark")
+    new = ResultFolder(tmp_path, replace(report.metadata, version=handover_marl.__version__))
+    for episode, status in zip(report.episodes, (EpisodeStatus.SUCCESS, EpisodeStatus.OBJECT_DROP), strict=True):
+        result = replace(episode, status=status, fingerprint="of another version")
+        new.write(result, encode_result(result, np.zeros((result.steps, 9), np.float32), np.zeros(result.steps)))
+    comparison = handover_marl.compare(OLD / "benchmark", tmp_path)
+    versions = [side.metadata.version for side in (comparison.first, comparison.second)]
+    assert versions == ["0.7.0", handover_marl.__version__]
+    assert [(one.index, other.index) for one, other in comparison.pairs] == [(0, 0), (1, 1)]
+    assert [(one.status.label, other.status.label) for one, other in comparison.changes] == [("success", "drop")]
+    assert all(one.fluency == other.fluency for one, other in comparison.pairs)
 
 
 def test_pairs_of_a_cross_play() -> None:

@@ -1,5 +1,5 @@
 import json
-import pickle
+import multiprocessing
 import shutil
 import zipfile
 from pathlib import Path
@@ -155,10 +155,13 @@ def test_scene_in_the_cache(tmp_path: Path) -> None:
 def test_imports_are_equal_in_a_worker_process(tmp_path: Path) -> None:
     sequence = RawScene().write(tmp_path / "raw")
     betas = find_first_betas([sequence])
+    with multiprocessing.get_context("fork").Pool(1) as pool:
+        pool.apply(import_scene, (sequence, MODELS, betas, tmp_path / "out"))
+    written = contents(tmp_path / "out" / CACHE_FOLDER)
+    assert sorted(written) == ["meta_000.json", "pose_000.npz"]
+    # An import raises an error if a file exists with other content.
     import_scene(sequence, MODELS, betas, tmp_path / "out")
-    import_scene(sequence, MODELS, betas, tmp_path / "out")
-    again = pickle.loads(pickle.dumps((sequence, MODELS, betas)))
-    import_scene(*again, tmp_path / "out")
+    assert contents(tmp_path / "out" / CACHE_FOLDER) == written
 
 
 def test_base_joint_is_from_the_first_recording(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 from handover_marl.cli import main
-from handover_marl.config import PhysicsConfig, WorldConfig
+from handover_marl.config import PhysicsConfig, ProtocolConfig, WorldConfig
 from handover_marl.episode.metrics.fluency import FluencyMetrics
 from handover_marl.errors import HandoverError, ResultsError
 from handover_marl.evaluation.benchmark import benchmark, evaluate_pair
@@ -25,6 +25,8 @@ from handover_marl.evaluation.verification.verify import EpisodeChecker, verify
 
 SCENE, INDEX = 19, 2
 OPTIONS: dict[str, Any] = {"dataset": "synthetic", "physics": "fast", "workers": 1, "progress": False}
+#: World of short episodes whose initial joint positions depend on the seed.
+NOISY = WorldConfig(protocol=ProtocolConfig(horizon_steps=300), initial_joint_noise=0.1)
 Arrays = dict[str, Any]
 
 
@@ -268,12 +270,24 @@ def test_values_of_a_giver_are_verified_with_its_code(tmp_path: Path) -> None:
     assert {"giver", "giver_hash"} <= {difference.key for difference in other.folder_differences}
 
 
-def test_another_seed_or_physics_in_the_configuration_is_found(folder: Path) -> None:
-    path = folder / "config.yaml"
+@pytest.fixture(scope="module")
+def noisy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("noisy")
+    evaluate_pair("replay", "hold", "s0", "val", scenes=[SCENE], out=folder, world_config=NOISY, **OPTIONS)
+    return folder
+
+
+@pytest.mark.parametrize(("key", "value"), [("seed", "0"), ("seed", "1"), ("physics", "mujoco")])
+def test_another_seed_or_physics_in_the_configuration_is_found(
+    key: str, value: str, noisy: Path, tmp_path: Path
+) -> None:
+    path = copy_files(noisy, tmp_path) / "config.yaml"
     content = yaml.safe_load(path.read_text())
-    content["HANDOVER_MARL"]["physics"] = "mujoco"
+    is_other = content["HANDOVER_MARL"][key] != value
+    content["HANDOVER_MARL"][key] = value
     path.write_text(yaml.safe_dump(content))
-    assert not verify(folder, workers=1, progress=False).is_verified
+    verification = verify(tmp_path, workers=1, progress=False, world_config=NOISY)
+    assert [episode.index for episode in verification.changed_episodes] == ([INDEX] if is_other else [])
 
 
 def test_a_copied_result_is_found(folder: Path) -> None:

@@ -37,7 +37,7 @@ Array = npt.NDArray[np.float64]
 
 DATA = open_dataset("synthetic", robot=PANDA_CAMERA)
 START = np.array(PandaConfig().start_joints, dtype=np.float32)
-SOUGHT = (SegmentationLabel.TARGET, SegmentationLabel.HAND)
+TARGET_LABELS = (SegmentationLabel.TARGET, SegmentationLabel.HAND)
 #: Scenes with five, three and four objects, and with left and right hands.
 SCENES = (9, 209, 14)
 #: Axes of the camera (right, down, ahead) as columns, and its pinhole (m), in the frame of the hand link.
@@ -134,7 +134,7 @@ def test_rays_match_the_engine_for_random_poses(stands: dict[int, Stand], scene_
     for _ in range(7):
         now = stand.thrown(rng)
         agreement.add(stand.engine.render_wrist_camera(now, False), stand.rays.render_wrist_camera(now, False))
-    agreement.check(*SOUGHT, SegmentationLabel.OTHER_OBJECT, SegmentationLabel.ROBOT, least=2000)
+    agreement.check(*TARGET_LABELS, SegmentationLabel.OTHER_OBJECT, SegmentationLabel.ROBOT, least=2000)
     # Some of the images show the table, and some the ground or nothing.
     assert min(agreement.seen(SegmentationLabel.BACKGROUND), agreement.seen(SegmentationLabel.TABLE)) > 2000
 
@@ -147,7 +147,7 @@ def test_rays_match_the_engine_for_far_objects(stands: dict[int, Stand]) -> None
         drawn, cast = stand.engine.render_wrist_camera(now, False), stand.rays.render_wrist_camera(now, False)
         agreement.add(drawn, cast)
         farthest.append(cast.depth[cast.segmentation > SegmentationLabel.TABLE].max(initial=0.0))
-    agreement.check(*SOUGHT, SegmentationLabel.OTHER_OBJECT, least=200, alike=0.995)
+    agreement.check(*TARGET_LABELS, SegmentationLabel.OTHER_OBJECT, least=200, alike=0.995)
     assert 1.98 < max(farthest) < EMPTY_DEPTH
 
 
@@ -164,7 +164,7 @@ def test_rays_match_the_engine_during_motion(physics: str) -> None:
             episode.world.render_wrist_camera(False),
             camera.render_wrist_camera(episode.world.read_joint_snapshot(), False),
         )
-    agreement.check(*SOUGHT)
+    agreement.check(*TARGET_LABELS)
     assert episode.steps == 1200
     episode.close()
 
@@ -195,7 +195,7 @@ def test_rays_match_the_engine_for_a_grasped_object(
         now = grasped(stand, robot, place, turn)
         assert_targets_equal_the_whole_image(stand.rays, now)
         agreement.add(stand.engine.render_wrist_camera(now, False), stand.rays.render_wrist_camera(now, False))
-    agreement.check(*(SOUGHT if seen else [SegmentationLabel.HAND]))
+    agreement.check(*(TARGET_LABELS if seen else [SegmentationLabel.HAND]))
     assert seen == bool(agreement.seen(SegmentationLabel.TARGET))
 
 
