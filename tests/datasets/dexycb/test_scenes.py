@@ -155,7 +155,7 @@ def test_scene_in_the_cache(tmp_path: Path) -> None:
 def test_imports_are_equal_in_a_worker_process(tmp_path: Path) -> None:
     sequence = RawScene().write(tmp_path / "raw")
     betas = find_first_betas([sequence])
-    with multiprocessing.get_context("fork").Pool(1) as pool:
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
         pool.apply(import_scene, (sequence, MODELS, betas, tmp_path / "out"))
     written = contents(tmp_path / "out" / CACHE_FOLDER)
     assert sorted(written) == ["meta_000.json", "pose_000.npz"]
