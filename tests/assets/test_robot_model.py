@@ -50,7 +50,7 @@ def test_only_the_camera_is_added(client: BulletClient) -> None:
     masses, shapes = [], []
     for body in bodies:
         links = range(-1, client.getNumJoints(body))
-        names = [HAND_LINK if link < 0 else client.getJointInfo(body, link)[LINK].decode() for link in links]
+        names = ["base" if link < 0 else client.getJointInfo(body, link)[LINK].decode() for link in links]
         masses.append({name: client.getDynamicsInfo(body, link)[0] for name, link in zip(names, links, strict=True)})
         shapes.append(
             {name: len(client.getCollisionShapeData(body, link)) for name, link in zip(names, links, strict=True)}
