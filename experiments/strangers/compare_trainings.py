@@ -2,10 +2,11 @@
 
     python experiments/strangers/compare_trainings.py --data-dir DIR --first a.npz b.npz c.npz --second d.npz e.npz
 
-The files of one way need the same features, action scheme and control period. MuJoCo simulates their episodes with a
-giver together, which takes a fraction of the time of `handover-marl strangers`. Scores, intervals and
-differences are computed as there: every file has the same scenes and the same seeds of the givers, and the reference
-of a giver is the best of the files. The script needs the extra `mujoco`.
+The files of `--first` must have the same features, action scheme and control period, and so must those of `--second`.
+MuJoCo simulates the episodes of the files of one option with a giver together, which takes a fraction of the time of
+`handover-marl strangers`. Scores, intervals and differences are computed as there: every file has the same scenes and
+the same seeds of the givers, and the reference of a giver is the best of all files. The script needs the extra
+`mujoco`.
 """
 
 import json
@@ -112,7 +113,7 @@ def play(envs: Envs, functions: list[PolicyFunction], scenes: list[int]) -> tupl
 def play_partner(
     config: EnvConfig, partner: str, spec: PolicySpec, functions: list[PolicyFunction], scenes: list[int]
 ) -> tuple[Array, Array]:
-    """Return status bits and physics steps of the policies of one way with a partner, as `play` does."""
+    """Return status bits and physics steps, each (policies, scenes), of policies with a giver; see `play`."""
     factory = EnvFactory(
         config=replace(config, control_period=spec.control_period),
         agent="receiver",

@@ -84,7 +84,7 @@ class Args(SetupArgs):
 
 
 def train_receiver(args: Args, giver: str, path: Path, seed: int, features: str, share: float = 1.0) -> Path:
-    """Train a receiver with a giver, unless its policy file exists.
+    """Train a receiver with a frozen giver and write its policy file, unless this file exists.
 
     Args:
         args: Arguments of the script.
@@ -102,7 +102,9 @@ def train_receiver(args: Args, giver: str, path: Path, seed: int, features: str,
 
 
 def train_giver(args: Args, receiver: str, path: Path, folder: Path, seed: int, share: float = 1.0) -> Path:
-    """Train a giver with a receiver, unless its policy file exists; continue the training in the folder.
+    """Train a giver with a frozen receiver and write its policy file, unless this file exists.
+
+    A training that was interrupted, or that stopped after a smaller share of its steps, continues in its folder.
 
     Args:
         args: Arguments of the script.
@@ -136,6 +138,7 @@ def open_folder(args: Args, name: str, free: tuple[str, ...]) -> Path:
         ResultsError: The folder was made with other arguments.
     """
     path = args.out / name
+    # Compares the arguments with those that are recorded in the folder, or records them.
     RunFolder(path, args, path.exists(), args.open_dataset().name, free)
     return path
 

@@ -1,4 +1,4 @@
-"""Receiver whose joint targets deviate from those of another receiver, to measure how sensitive outcomes are."""
+"""Wrapper that offsets the joint targets of a receiver, to measure how sensitive outcomes are to them."""
 
 from collections.abc import Sequence
 
@@ -10,10 +10,10 @@ from handover_marl.policies.policy import Action, Policy, Receiver
 
 
 class NudgedReceiver(Receiver):
-    """Receiver that adds an offset to the arm's joint targets of another receiver.
+    """Wrapper of a receiver that adds a constant offset to the arm's joint targets.
 
     Args:
-        receiver: Receiver that decides.
+        receiver: Receiver to wrap.
         size: Size of the offset of each joint target (rad).
         seed: Seed of the signs of the offsets, an integer or several.
     """
@@ -27,20 +27,20 @@ class NudgedReceiver(Receiver):
         self._offsets = size * np.random.default_rng(seed).choice([-1.0, 1.0], ARM_DOF)
 
     def prepare(self, object_names: Sequence[str]) -> None:
-        """Prepare the other receiver."""
+        """Prepare the wrapped receiver."""
         self._receiver.prepare(object_names)
 
     @property
     def hold_time(self) -> float:
-        """Time (s) for which the last action is held."""
+        """Time (s) for which the last action of the wrapped receiver is held."""
         return self._receiver.hold_time
 
     def reset(self, seed: int | None = None) -> None:
-        """Start an episode of the other receiver."""
+        """Start an episode of the wrapped receiver."""
         self._receiver.reset(seed)
 
     def act(self, observation: Observation) -> Action:
-        """Return the other receiver's action (9,) with the offsets added to the first seven targets."""
+        """Return the wrapped receiver's action (9,), with the offsets added to the seven arm targets (rad)."""
         action = np.array(self._receiver.act(observation), dtype=np.float32)
         action[:ARM_DOF] += self._offsets.astype(np.float32)
         return action

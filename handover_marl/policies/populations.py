@@ -134,7 +134,7 @@ def load_population(population: str | os.PathLike[str] = DEFAULT_POPULATION) -> 
 def format_population(
     name: str, version: str, description: str, givers: Sequence[Partner], receivers: Sequence[Partner]
 ) -> str:
-    """Return the content of a population's file.
+    """Return the JSON text of a population's file, which `load_population` reads.
 
     Args:
         name: Name of the population.

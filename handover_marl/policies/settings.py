@@ -11,7 +11,7 @@ _Config = TypeVar("_Config")
 
 
 def override_settings(config: _Config, settings: Mapping[str, object], example: str) -> _Config:
-    """Return a copy of a configuration in which the given numbers are replaced.
+    """Return a copy of a policy's configuration with other values of some of its numbers.
 
     Args:
         config: Configuration to change, a dataclass.

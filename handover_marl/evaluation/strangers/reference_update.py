@@ -96,7 +96,10 @@ def update_references(
 
 
 def _read_reports(folders: Iterable[str | os.PathLike[str]]) -> Iterator[tuple[Report, tuple[str, ...]]]:
-    """Yield every report with the agents whose policies are evaluated: that of `strangers`, or both of a pair."""
+    """Yield every report, and the agents whose policies may become references.
+
+    A result folder of `strangers` has one evaluated agent; in other result folders both agents count.
+    """
     for folder in folders:
         path = check_path("folder", folder)
         results = sorted(file.parent for file in path.rglob(CONFIG_FILE))
