@@ -7,7 +7,7 @@ import numpy as np
 
 from handover_marl.assets.hand_model import DIGIT_ORDER, HandGeometry
 from handover_marl.assets.object_models import TEMPLATES_PACKAGE
-from handover_marl.geometry.urdf import render_urdf
+from handover_marl.geometry.model_files.urdf import render_urdf
 
 #: Names of the links with meshes: palm, then phalanges.
 MESH_NAMES: Final = ("palm", *(f"{digit}{joint}" for digit in DIGIT_ORDER for joint in (1, 2, 3)))

@@ -72,7 +72,7 @@ class HumanGrasps:
     def finger_direction(self) -> npt.NDArray[np.float64]:
         """Unit vectors (n, 3) along straight fingers in the object's frame."""
         along = [1.0 if self.side == "left" else -1.0, 0.0, 0.0]
-        return rotate_points(self.object_from_base[:, 3:], np.tile(along, (len(self), 1)))
+        return np.asarray(rotate_points(self.object_from_base[:, 3:], np.tile(along, (len(self), 1))))
 
     def compute_hand_dof(self, rows: int | slice = slice(None)) -> npt.NDArray[np.float64]:
         """Return the hand's joint positions (51,) in a grasp, or (n, 51) in several, of an object at the origin.

@@ -10,7 +10,7 @@ from typing import Final
 
 from handover_marl.errors import DataNotFoundError, check_name
 from handover_marl.execution.options import require_pybullet
-from handover_marl.geometry.urdf import render_urdf
+from handover_marl.geometry.model_files.urdf import render_urdf
 from handover_marl.geometry.ycb import CLASS_NAMES
 
 DATA_ROOT = Path(__file__).resolve().parent / "data"

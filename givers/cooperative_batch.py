@@ -40,7 +40,7 @@ def make_giver_actions(
 def compute_grip_distances(observation: Observation) -> Array:
     """Return the distances (r,) of the grippers from the objects' origins (m)."""
     between = observation["gripper_pose"][:, :3] - observation["object_poses"][:, 0, :3]
-    return compute_lengths(between).astype(np.float64)
+    return np.asarray(compute_lengths(between).astype(np.float64))
 
 
 class PoseTimerBatch:

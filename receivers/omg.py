@@ -118,7 +118,7 @@ class OmgReceiver(PhasedReceiver):
             return None
         chain = self.arm.compute_chain_frames(self._plan.trajectory)
         hand = poses_from_rotations(chain.origins[-1].T, np.moveaxis(chain.rotations[-1], -1, 0))
-        return compose(np.broadcast_to(self.world_from_base, hand.shape), hand)
+        return np.asarray(compose(np.broadcast_to(self.world_from_base, hand.shape), hand))
 
     def reset(self, seed: int | None = None) -> None:
         """Start an episode; the receiver is deterministic."""

@@ -31,7 +31,7 @@ from handover_marl.assets.hand_model import (
 )
 from handover_marl.assets.hand_spheres import make_forearm_capsules, make_palm_capsules
 from handover_marl.assets.hand_urdf import MESH_NAMES, format_hand_urdf, format_numbers
-from handover_marl.geometry.meshes import select_extreme_points
+from handover_marl.geometry.model_files.meshes import select_extreme_points
 
 #: Largest number of vertices of a collision mesh; Bullet is slow with more.
 MAX_COLLISION_VERTICES = 60

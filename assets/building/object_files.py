@@ -14,8 +14,8 @@ import numpy.typing as npt
 import trimesh
 
 from handover_marl.assets.object_models import COLLISION_NAME, OBJECTS_ROOT, VISUAL_NAME, find_object_urdf
-from handover_marl.geometry.meshes import concatenate_meshes
-from handover_marl.geometry.obj_files import format_obj, read_obj
+from handover_marl.geometry.model_files.meshes import concatenate_meshes
+from handover_marl.geometry.model_files.obj_files import format_obj, read_obj
 
 #: sRGB values (0 to 255) by color name.
 PALETTE: Mapping[str, Sequence[int]] = json.loads((files(__package__) / "palette.json").read_text())

@@ -9,9 +9,9 @@ from handover_marl.datasets.grasp_files import load_grasps
 from handover_marl.datasets.official_files import N_HAND_MESHES, PANDA_FILES
 from handover_marl.errors import HandoverError
 from handover_marl.execution.reading import read_plain_file
-from handover_marl.geometry.meshes import check_model
-from handover_marl.geometry.obj_files import check_mesh
-from handover_marl.geometry.urdf import list_mesh_references
+from handover_marl.geometry.model_files.meshes import check_model
+from handover_marl.geometry.model_files.obj_files import check_mesh
+from handover_marl.geometry.model_files.urdf import list_mesh_references
 from handover_marl.geometry.ycb import CLASS_NAMES
 
 #: Paths in `assets/` of the objects' URDFs.

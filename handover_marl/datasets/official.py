@@ -28,8 +28,8 @@ from handover_marl.datasets.scene_files import CACHE_FOLDER, read_scene_info, re
 from handover_marl.errors import DataNotFoundError
 from handover_marl.execution.options import check_path
 from handover_marl.execution.reading import read_plain_file
+from handover_marl.geometry.model_files.urdf import list_mesh_references
 from handover_marl.geometry.panda import PANDA
-from handover_marl.geometry.urdf import list_mesh_references
 
 
 class OfficialDataset(Dataset):

@@ -20,7 +20,7 @@ from handover_marl.episode.observations import (
 from handover_marl.episode.referee import EpisodeStatus, Referee, ReleaseReason
 from handover_marl.episode.spaces import STATE, GiverAction, check_obs_mode, get_camera_data_kind
 from handover_marl.errors import ResetNeededError
-from handover_marl.geometry.meshes import check_collision_meshes
+from handover_marl.geometry.model_files.meshes import check_collision_meshes
 from handover_marl.simulation.contacts import Contacts
 from handover_marl.simulation.engines import check_physics, make_world
 from handover_marl.simulation.world import BatchWorld, World

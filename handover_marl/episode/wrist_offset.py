@@ -4,7 +4,6 @@ Euler angles are intrinsic XYZ; bodies are on chains of three prismatic and thre
 """
 
 import math
-import warnings
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -14,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from handover_marl.config import TIME_STEP, Vector3
 from handover_marl.geometry.poses import multiply_quaternions, quaternions_from_euler, unwrap_euler
+from handover_marl.geometry.rotations import euler_from_quaternions
 
 Array = npt.NDArray[np.float64]
 
@@ -51,15 +51,6 @@ def apply_wrist_offset(
         rows = slice(index * n_rows, (index + 1) * n_rows)
         moved[rows, 3:] = unwrap_euler(angles[rows], before[3:].astype(np.float64))
     return np.split(moved.astype(np.float32), count)
-
-
-def euler_from_quaternions(quaternions: Array) -> Array:
-    """Convert quaternions (n, 4) xyzw to intrinsic XYZ Euler angles (n, 3) (rad)."""
-    with warnings.catch_warnings():
-        # At gimbal lock the solution is not unique, and any is right.
-        warnings.simplefilter("ignore", UserWarning)
-        angles: Array = Rotation.from_quat(quaternions).as_euler("XYZ")
-    return angles
 
 
 def compute_wrist_positions(hand_dof: npt.NDArray[np.float32], base_from_wrist: Array) -> Array:

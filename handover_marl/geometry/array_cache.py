@@ -17,7 +17,7 @@ import numpy.typing as npt
 from handover_marl.errors import HandoverError
 from handover_marl.execution.files import write_arrays
 from handover_marl.execution.reading import read_arrays, read_plain_file
-from handover_marl.geometry.meshes import list_mesh_files
+from handover_marl.geometry.model_files.meshes import list_mesh_files
 
 Arrays = dict[str, npt.NDArray[Any]]
 

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from scipy.ndimage import map_coordinates
 
 from handover_marl.geometry.array_cache import Arrays, get_cache_path, load_cached_arrays, save_cached_arrays
-from handover_marl.geometry.meshes import read_collision_mesh
+from handover_marl.geometry.model_files.meshes import read_collision_mesh
 
 Floats = npt.NDArray[np.float32]
 Array = npt.NDArray[np.float64]

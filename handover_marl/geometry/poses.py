@@ -3,20 +3,28 @@
 A pose `a_from_b` maps coordinates in frame b to coordinates in frame a. Arrays are neither
 normalised nor cast: results of float32 arrays are float32, of mixed arrays float64, because the
 outcome of an episode can depend on the last bit. Euler angles are intrinsic XYZ angles in rad.
+
+Functions whose arguments are `AnyArray` also take PyTorch tensors, and return tensors on the same device.
 """
 
 import numpy as np
 import numpy.typing as npt
+
+from handover_marl.geometry.arrays import AnyArray, as_arrays, get_namespace, is_tensor, stack_last
 
 Array = npt.NDArray[np.float64]
 
 #: Identity pose (7,).
 IDENTITY = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 IDENTITY.flags.writeable = False
+_CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
 
 
-def compute_dot_products(first: npt.NDArray[np.floating], second: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
+def compute_dot_products(first: AnyArray, second: AnyArray) -> AnyArray:
     """Compute the dot products (...) of vectors (..., k), each equal to `np.dot` to the bit."""
+    xp, first, second = as_arrays(first, second)
+    if is_tensor(first):
+        return xp.sum(first * second, axis=-1)
     if hasattr(np, "vecdot"):
         return np.asarray(np.vecdot(first, second))
     # NumPy before 2.0.
@@ -26,43 +34,59 @@ def compute_dot_products(first: npt.NDArray[np.floating], second: npt.NDArray[np
     return products.reshape(first.shape[:-1])
 
 
-def compute_lengths(vectors: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
+def compute_lengths(vectors: AnyArray) -> AnyArray:
     """Compute the lengths (...) of vectors (..., k), each equal to `np.linalg.norm` to the bit."""
-    return np.asarray(np.sqrt(compute_dot_products(vectors, vectors)))
+    return get_namespace(vectors).sqrt(compute_dot_products(vectors, vectors))
 
 
-def multiply_quaternions(left: npt.ArrayLike, right: npt.ArrayLike) -> Array:
+def normalize_quaternions(quaternions: AnyArray) -> AnyArray:
+    """Scale quaternions (..., 4) to length 1."""
+    xp = get_namespace(quaternions)
+    return quaternions / xp.sqrt(xp.sum(quaternions**2, axis=-1, keepdims=True))
+
+
+def multiply_quaternions(left: AnyArray, right: AnyArray) -> AnyArray:
     """Compute the Hamilton product of quaternions (..., 4) xyzw: rotate by `right`, then `left`."""
-    a, b = np.asarray(left), np.asarray(right)
+    _, a, b = as_arrays(left, right)
     ax, ay, az, aw = a[..., 0], a[..., 1], a[..., 2], a[..., 3]
     bx, by, bz, bw = b[..., 0], b[..., 1], b[..., 2], b[..., 3]
-    first = aw * bx + bw * ax + ay * bz - by * az
-    # Here and below: several times as fast as `np.stack`.
-    product: Array = np.empty((*first.shape, 4), first.dtype)
-    product[..., 0] = first
-    product[..., 1] = aw * by + bw * ay + az * bx - bz * ax
-    product[..., 2] = aw * bz + bw * az + ax * by - bx * ay
-    product[..., 3] = aw * bw - ax * bx - ay * by - az * bz
-    return product
+    return stack_last(
+        [
+            aw * bx + bw * ax + ay * bz - by * az,
+            aw * by + bw * ay + az * bx - bz * ax,
+            aw * bz + bw * az + ax * by - bx * ay,
+            aw * bw - ax * bx - ay * by - az * bz,
+        ]
+    )
 
 
-def rotate_points(quaternion: npt.ArrayLike, points: npt.ArrayLike) -> Array:
+def conjugate_quaternions(quaternions: AnyArray) -> AnyArray:
+    """Return the conjugates of quaternions (..., 4) xyzw, float64: the inverse rotations of unit quaternions."""
+    _, array, signs = as_arrays(quaternions, _CONJUGATE)
+    return array * signs
+
+
+def rotate_points(quaternion: AnyArray, points: AnyArray) -> AnyArray:
     """Rotate points (..., 3) by unit quaternions (..., 4) xyzw."""
-    return transform_points(np.concatenate([np.zeros((*np.shape(quaternion)[:-1], 3)), quaternion], axis=-1), points)
+    xp, turn, at = as_arrays(quaternion, points)
+    # Zeros are float64, and so is the result.
+    zeros = xp.zeros_like(turn[..., :3], dtype=xp.float64)
+    return transform_points(xp.concat([zeros, turn], axis=-1), at)
 
 
-def transform_points(a_from_b: npt.ArrayLike, points: npt.ArrayLike) -> Array:
+def transform_points(a_from_b: AnyArray, points: AnyArray) -> AnyArray:
     """Transform points (..., 3) from frame b to frame a by poses `a_from_b` (..., 7)."""
-    pose, at = np.asarray(a_from_b), np.asarray(points)
+    _, pose, at = as_arrays(a_from_b, points)
     tx, ty, tz = pose[..., 0], pose[..., 1], pose[..., 2]
     x, y, z, w = pose[..., 3], pose[..., 4], pose[..., 5], pose[..., 6]
     px, py, pz = at[..., 0], at[..., 1], at[..., 2]
-    first = tx + px + 2.0 * (-(y * y + z * z) * px + (x * y - w * z) * py + (w * y + x * z) * pz)
-    moved: Array = np.empty((*first.shape, 3), first.dtype)
-    moved[..., 0] = first
-    moved[..., 1] = ty + py + 2.0 * ((w * z + x * y) * px - (x * x + z * z) * py + (y * z - w * x) * pz)
-    moved[..., 2] = tz + pz + 2.0 * ((x * z - w * y) * px + (w * x + y * z) * py - (x * x + y * y) * pz)
-    return moved
+    return stack_last(
+        [
+            tx + px + 2.0 * (-(y * y + z * z) * px + (x * y - w * z) * py + (w * y + x * z) * pz),
+            ty + py + 2.0 * ((w * z + x * y) * px - (x * x + z * z) * py + (y * z - w * x) * pz),
+            tz + pz + 2.0 * ((x * z - w * y) * px + (w * x + y * z) * py - (x * x + y * y) * pz),
+        ]
+    )
 
 
 def compute_cross_products(left: npt.ArrayLike, right: npt.ArrayLike) -> Array:
@@ -70,9 +94,7 @@ def compute_cross_products(left: npt.ArrayLike, right: npt.ArrayLike) -> Array:
     a, b = np.asarray(left), np.asarray(right)
     ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
     bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
-    first = ay * bz - az * by
-    product: Array = np.empty((*first.shape, 3), first.dtype)
-    product[..., 0], product[..., 1], product[..., 2] = first, az * bx - ax * bz, ax * by - ay * bx
+    product: Array = stack_last([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
     return product
 
 
@@ -118,26 +140,25 @@ def poses_from_rotations(positions: npt.ArrayLike, rotations: npt.ArrayLike) -> 
     return np.concatenate([np.asarray(positions), quaternion_from_matrix(rotations)], axis=-1)
 
 
-def compose(a_from_b: npt.ArrayLike, b_from_c: npt.ArrayLike) -> Array:
+def compose(a_from_b: AnyArray, b_from_c: AnyArray) -> AnyArray:
     """Return the product of the poses `a_from_b` and `b_from_c`: the pose `a_from_c` (..., 7)."""
-    outer, inner = np.asarray(a_from_b), np.asarray(b_from_c)
+    xp, outer, inner = as_arrays(a_from_b, b_from_c)
     position = transform_points(outer, inner[..., :3])
-    return np.concatenate([position, multiply_quaternions(outer[..., 3:], inner[..., 3:])], axis=-1)
+    return xp.concat([position, multiply_quaternions(outer[..., 3:], inner[..., 3:])], axis=-1)
 
 
-def invert_pose(a_from_b: npt.ArrayLike) -> Array:
+def invert_pose(a_from_b: AnyArray) -> AnyArray:
     """Return the inverse `b_from_a` (..., 7) of a pose `a_from_b`."""
-    pose = np.asarray(a_from_b)
-    conjugate = pose[..., 3:] * np.array([-1.0, -1.0, -1.0, 1.0])
-    return np.concatenate([-rotate_points(conjugate, pose[..., :3]), conjugate], axis=-1)
+    xp, pose = as_arrays(a_from_b)
+    conjugate = conjugate_quaternions(pose[..., 3:])
+    return xp.concat([-rotate_points(conjugate, pose[..., :3]), conjugate], axis=-1)
 
 
-def inverse_transform_points(a_from_b: npt.ArrayLike, points: npt.ArrayLike) -> Array:
+def inverse_transform_points(a_from_b: AnyArray, points: AnyArray) -> AnyArray:
     """Transform points (..., 3) from frame a to frame b by the inverses of poses `a_from_b`."""
-    pose = np.asarray(a_from_b, dtype=np.float64)
-    conjugate = pose[..., 3:] * np.array([-1.0, -1.0, -1.0, 1.0])
-    rotation = np.concatenate([np.zeros_like(pose[..., :3]), conjugate], axis=-1)
-    return transform_points(rotation, np.asarray(points, dtype=np.float64) - pose[..., :3])
+    xp, pose, at = as_arrays(a_from_b, points)
+    pose, at = xp.astype(pose, xp.float64, copy=False), xp.astype(at, xp.float64, copy=False)
+    return rotate_points(conjugate_quaternions(pose[..., 3:]), at - pose[..., :3])
 
 
 def compute_rotation_angle(first: npt.ArrayLike, second: npt.ArrayLike) -> float:
@@ -154,15 +175,16 @@ def compute_rotation_angles(first: npt.ArrayLike, second: npt.ArrayLike) -> Arra
     return np.asarray(np.arccos(np.clip(2.0 * product**2 - 1.0, -1.0, 1.0)))
 
 
-def quaternions_from_euler(angles: npt.ArrayLike) -> Array:
+def quaternions_from_euler(angles: AnyArray) -> AnyArray:
     """Convert XYZ Euler angles (n, 3) in rad to unit quaternions (n, 4) xyzw.
 
     The result equals SciPy's bit for bit and is computed several times as fast.
     """
-    half = np.asarray(angles, dtype=np.float64).T / 2.0
-    (sx, sy, sz), (cx, cy, cz) = np.sin(half), np.cos(half)
+    xp, given = as_arrays(angles)
+    half = xp.astype(given, xp.float64, copy=False).T / 2.0
+    (sx, sy, sz), (cx, cy, cz) = xp.sin(half), xp.cos(half)
     x, y, z, w = sx * cy, cx * sy, sx * sy, cx * cy
-    return np.stack([x * cz + y * sz, y * cz - x * sz, z * cz + w * sz, w * cz - z * sz], axis=-1)
+    return xp.stack([x * cz + y * sz, y * cz - x * sz, z * cz + w * sz, w * cz - z * sz], axis=-1)
 
 
 def unwrap_euler(angles: Array, previous: Array) -> Array:
@@ -191,21 +213,23 @@ def unwrap_euler(angles: Array, previous: Array) -> Array:
     return rows
 
 
-def _euler_solutions(angles: Array) -> Array:
+def _euler_solutions(angles: AnyArray) -> AnyArray:
     """Return both Euler solutions (n, 2, 3) of each rotation, up to multiples of 2 pi."""
-    return np.stack([angles, [np.pi, np.pi, np.pi] + angles * [1.0, -1.0, 1.0]], axis=1)
+    xp, own, half_turns, signs = as_arrays(angles, np.array([np.pi, np.pi, np.pi]), np.array([1.0, -1.0, 1.0]))
+    return xp.stack([own, half_turns + own * signs], axis=1)
 
 
-def select_nearest_euler(angles: Array, previous: Array) -> tuple[npt.NDArray[np.int_], Array]:
+def select_nearest_euler(angles: AnyArray, previous: AnyArray) -> tuple[AnyArray, AnyArray]:
     """Select the Euler solution nearest to the previous angles (n, 3).
 
     Returns its index (n,) and the full turns (n, 3) that are added to it.
     """
+    xp = get_namespace(angles)
     solutions = _euler_solutions(angles)
-    turns = np.round((previous[:, None] - solutions) / (2.0 * np.pi))
-    distances = np.abs(solutions + 2.0 * np.pi * turns - previous[:, None]).sum(axis=2)
-    nearest = distances.argmin(axis=1)
-    return nearest, turns[np.arange(len(angles)), nearest]
+    turns = xp.round((previous[:, None] - solutions) / (2.0 * np.pi))
+    distances = xp.sum(xp.abs(solutions + 2.0 * np.pi * turns - previous[:, None]), axis=2)
+    is_second = distances[:, 1] < distances[:, 0]
+    return xp.astype(is_second, xp.int64), xp.where(is_second[:, None], turns[:, 1], turns[:, 0])
 
 
 def compute_pose_distances(pose: npt.ArrayLike, poses: Array, rotation_weight: float) -> Array:

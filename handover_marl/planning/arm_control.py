@@ -58,7 +58,9 @@ class ArmInWorld:
     def compute_hand_poses(self, joints: Array) -> Array:
         """Return the world poses (n, 7) of the hand link at configurations (n, 7) (rad)."""
         chain = self.arm.compute_chain_frames(joints)
-        return compose(self.base, poses_from_rotations(chain.origins[-1].T, np.moveaxis(chain.rotations[-1], -1, 0)))
+        return np.asarray(
+            compose(self.base, poses_from_rotations(chain.origins[-1].T, np.moveaxis(chain.rotations[-1], -1, 0)))
+        )
 
     def compute_hand_pose(self, joints: Array) -> Array:
         """Return the world pose (7,) of the hand link at one configuration (7,) (rad)."""

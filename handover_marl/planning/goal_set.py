@@ -161,7 +161,7 @@ class GoalSetBuilder:
     def _tail_poses(self, grasps: Array, step: int) -> Array:
         """Return the hand poses (n, 7) at one step of the tails."""
         back = self._config.standoff / self._config.n_tail * (self._config.n_tail - 1 - step)
-        return compose(grasps, np.array([0.0, 0.0, -back, 0.0, 0.0, 0.0, 1.0]))
+        return np.asarray(compose(grasps, np.array([0.0, 0.0, -back, 0.0, 0.0, 0.0, 1.0])))
 
     def _solve(self, poses: Array, numbers: npt.NDArray[np.int_], seeds: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
         """Solve IK for the poses with the given indices, one seed each."""

@@ -244,11 +244,11 @@ class PandaIkSolver(IkSolver):
 
     def to_base_frame(self, world_from_hand: npt.NDArray[np.floating]) -> Array:
         """Transform a pose (7,) from the world to the robot's base frame, rounded to float32."""
-        return compose(self._base_from_world, world_from_hand).astype(np.float32).astype(np.float64)
+        return np.asarray(compose(self._base_from_world, world_from_hand).astype(np.float32).astype(np.float64))
 
     def to_world_frame(self, base_from_hand: Array) -> Array:
         """Transform a pose (7,) from the robot's base frame to the world, rounded to float32."""
-        return compose(self._base, base_from_hand).astype(np.float32).astype(np.float64)
+        return np.asarray(compose(self._base, base_from_hand).astype(np.float32).astype(np.float64))
 
     def _search(
         self,

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.arm import ArmKinematics, LinkFrames
-from handover_marl.geometry.meshes import read_collision_mesh
+from handover_marl.geometry.model_files.meshes import read_collision_mesh
 from handover_marl.geometry.panda import GRIPPER_OUTLINE
 from handover_marl.geometry.poses import transform_points
 from handover_marl.planning.hand_tracker import hand_capsules_from_observation
@@ -92,7 +92,7 @@ def _draw_person_hand(axes: Any, observation: Observation) -> None:
 
 def _draw_plan(axes: Any, plan: Plan, arm: ArmKinematics, world_from_base: Array) -> None:
     def to_world(points: Array) -> Array:
-        return transform_points(world_from_base, points)
+        return np.asarray(transform_points(world_from_base, points))
 
     def arm_line(joints: Array) -> Array:
         origins = arm.compute_chain_frames(joints[None]).origins[..., 0]

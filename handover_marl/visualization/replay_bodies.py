@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from handover_marl.config import HAND_DOF
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.link_trajectory import compute_link_trajectory
-from handover_marl.geometry.meshes import read_visual_meshes
+from handover_marl.geometry.model_files.meshes import read_visual_meshes
 from handover_marl.geometry.poses import IDENTITY, poses_from_rotations, transform_points
 from handover_marl.simulation.camera.frames import SegmentationLabel
 from handover_marl.simulation.world import JointSnapshot

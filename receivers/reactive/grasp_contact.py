@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.geometry.meshes import read_collision_mesh
+from handover_marl.geometry.model_files.meshes import read_collision_mesh
 from handover_marl.geometry.poses import inverse_transform_points
 from handover_marl.planning.clearance import Spheres, compute_flange_clearances, sample_surface_spheres
 from handover_marl.policies.policy import PolicyContext

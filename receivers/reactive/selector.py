@@ -171,7 +171,7 @@ class GraspSelector:
 
     def compute_standoff_pose(self, grasp_pose: Array) -> Array:
         """Return the hand link's pose (7,) at the standoff of a grasp with a given pose (7,)."""
-        return compose(grasp_pose, self._reachability.grasp_from_standoff)
+        return np.asarray(compose(grasp_pose, self._reachability.grasp_from_standoff))
 
     def compute_grasp_error(self, goal: GraspGoal, object_pose: Array, hand: Array) -> Array:
         """Return the hand link's pose (7,) in the frame of a grasp.

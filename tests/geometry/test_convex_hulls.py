@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handover_marl.geometry.meshes import compute_convex_hull, select_extreme_points
+from handover_marl.geometry.model_files.meshes import compute_convex_hull, select_extreme_points
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(8, 400))

@@ -21,7 +21,7 @@ from handover_marl.geometry.distance_field import (
     load_object_sdf,
     sample_distance_field,
 )
-from handover_marl.geometry.meshes import read_collision_mesh
+from handover_marl.geometry.model_files.meshes import read_collision_mesh
 from handover_marl.planning.trajectory_cost import compute_proximity_cost, compute_proximity_gradient
 
 RADIUS, REACH = 0.05, 0.2

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from handover_marl.assets.object_models import OBJECTS_ROOT
 from handover_marl.errors import DataFormatError, SimulationError
-from handover_marl.geometry.obj_files import check_mesh, read_obj
+from handover_marl.geometry.model_files.obj_files import check_mesh, read_obj
 from handover_marl.simulation.bullet.client import connect, load_urdf
 
 TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"

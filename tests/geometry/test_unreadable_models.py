@@ -8,9 +8,14 @@ import pytest
 from handover_marl.errors import HandoverError
 from handover_marl.geometry.array_cache import load_cached_arrays
 from handover_marl.geometry.kinematic_tree import KinematicTree, read_tree
-from handover_marl.geometry.meshes import check_collision_meshes, check_model, read_collision_mesh, read_visual_meshes
-from handover_marl.geometry.obj_files import check_mesh, read_obj
-from handover_marl.geometry.urdf import list_mesh_references, read_urdf_links, read_urdf_shapes
+from handover_marl.geometry.model_files.meshes import (
+    check_collision_meshes,
+    check_model,
+    read_collision_mesh,
+    read_visual_meshes,
+)
+from handover_marl.geometry.model_files.obj_files import check_mesh, read_obj
+from handover_marl.geometry.model_files.urdf import list_mesh_references, read_urdf_links, read_urdf_shapes
 from tests.unreadable import UNREADABLE, check_refusal, refuses_within, replace_by
 
 TREE = KinematicTree([])

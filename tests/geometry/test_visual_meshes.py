@@ -14,7 +14,7 @@ from handover_marl.assets.object_models import OBJECTS_ROOT
 from handover_marl.datasets import open_dataset
 from handover_marl.errors import DataFormatError, SimulationError
 from handover_marl.geometry.kinematic_tree import read_tree
-from handover_marl.geometry.meshes import VisualMesh, read_visual_meshes
+from handover_marl.geometry.model_files.meshes import VisualMesh, read_visual_meshes
 from handover_marl.geometry.panda import CAMERA_LINK
 from handover_marl.simulation.bullet.client import connect, load_urdf
 from tests.assets.ycb_bounds import YCB_BOUNDS

@@ -11,7 +11,7 @@ from handover_marl.datasets import open_dataset
 from handover_marl.datasets.dataset import Scene
 from handover_marl.episode.episode import Episode
 from handover_marl.errors import DataFormatError
-from handover_marl.geometry.urdf import list_mesh_references
+from handover_marl.geometry.model_files.urdf import list_mesh_references
 
 DAMAGES: dict[str, Callable[[str], str]] = {
     "empty": lambda text: "",

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.geometry.meshes import read_link_vertices
+from handover_marl.geometry.model_files.meshes import read_link_vertices
 from handover_marl.planning.arm_control import ArmInWorld
 from handover_marl.planning.clearance import ARM_CAPSULES, Spheres, compute_arm_clearances, find_closest_arm_points
 from tests.planning.robots import ARM, LIMITS, START, random_joints

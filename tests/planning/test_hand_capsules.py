@@ -9,9 +9,9 @@ from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.kinematic_tree import read_tree
-from handover_marl.geometry.meshes import read_link_vertices
+from handover_marl.geometry.model_files.meshes import read_link_vertices
+from handover_marl.geometry.model_files.urdf import read_urdf_shapes
 from handover_marl.geometry.poses import transform_points
-from handover_marl.geometry.urdf import read_urdf_shapes
 from handover_marl.planning.hand_tracker import Capsules, hand_capsules_from_observation
 from handover_marl.receivers import WAITING_JOINTS
 

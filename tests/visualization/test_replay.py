@@ -18,7 +18,7 @@ from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import play
 from handover_marl.episode.referee import EpisodeStatus, ReleaseReason
 from handover_marl.geometry.link_trajectory import compute_link_trajectory
-from handover_marl.geometry.meshes import read_visual_meshes
+from handover_marl.geometry.model_files.meshes import read_visual_meshes
 from handover_marl.geometry.panda import HAND_LINK
 from handover_marl.receivers import Receiver, make
 from handover_marl.simulation.camera.frames import SegmentationLabel

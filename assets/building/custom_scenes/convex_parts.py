@@ -20,7 +20,7 @@ from scipy.spatial import QhullError
 from handover_marl.errors import DataFormatError
 from handover_marl.execution.files import shorten_text
 from handover_marl.geometry.array_cache import get_cache_folder, load_cached_arrays, save_cached_arrays
-from handover_marl.geometry.meshes import compute_convex_hull, select_extreme_points
+from handover_marl.geometry.model_files.meshes import compute_convex_hull, select_extreme_points
 
 Array = npt.NDArray[np.float64]
 

@@ -28,8 +28,8 @@ from handover_marl.datasets.splits import SPLITS
 from handover_marl.errors import DataFormatError, DataNotFoundError, OptionError, UnknownNameError, check_name
 from handover_marl.execution.options import check_path
 from handover_marl.execution.reading import read_arrays, read_plain_file
+from handover_marl.geometry.model_files.urdf import list_mesh_references
 from handover_marl.geometry.panda import PANDA
-from handover_marl.geometry.urdf import list_mesh_references
 from handover_marl.geometry.ycb import CLASS_NAMES
 
 OBJECT_FOLDER, MOTION_FOLDER, GRASP_FILE = "objects", "motion", "grasps.npz"

@@ -12,7 +12,7 @@ from handover_marl.datasets.dexycb.urdf import build_hand_urdf, build_object_urd
 from handover_marl.datasets.official_files import is_stand_in_file
 from handover_marl.errors import DataFormatError, ResultsError, check_name
 from handover_marl.execution.files import create_exclusively, has_content, remove_stale_temporaries, write_atomically
-from handover_marl.geometry.obj_files import format_obj
+from handover_marl.geometry.model_files.obj_files import format_obj
 from handover_marl.geometry.ycb import CLASS_NAMES, SUBJECTS
 
 Array = npt.NDArray[np.float64]

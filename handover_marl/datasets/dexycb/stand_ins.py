@@ -33,8 +33,8 @@ from handover_marl.execution.archives import read_members
 from handover_marl.execution.options import PoolConfig
 from handover_marl.execution.reading import read_plain_file
 from handover_marl.execution.tasks import map_with_progress
-from handover_marl.geometry.meshes import compute_convex_hull, select_extreme_points
-from handover_marl.geometry.obj_files import format_obj, read_obj
+from handover_marl.geometry.model_files.meshes import compute_convex_hull, select_extreme_points
+from handover_marl.geometry.model_files.obj_files import format_obj, read_obj
 from handover_marl.geometry.panda import PANDA_CAMERA
 from handover_marl.geometry.ycb import CLASS_NAMES
 

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.datasets.dexycb.mano import PARENTS
-from handover_marl.geometry.urdf import render_urdf
+from handover_marl.geometry.model_files.urdf import render_urdf
 
 _PALM_MASS, _FINGER_MASS = 0.2, 0.02  # kg
 _MAX_ANGLES = (math.pi, math.pi / 2, math.pi)

@@ -31,7 +31,7 @@ from handover_marl.datasets.generated.objects import ProceduralObject
 from handover_marl.datasets.generated.shapes import make_surface
 from handover_marl.errors import DataNotFoundError
 from handover_marl.geometry.array_cache import get_cache_folder
-from handover_marl.geometry.obj_files import format_obj
+from handover_marl.geometry.model_files.obj_files import format_obj
 
 #: Largest number of folders of models; of more, the oldest ones are removed.
 MAX_FOLDERS: Final = 20_000

@@ -37,7 +37,7 @@ def _make_gripper_points() -> Array:
 
 def hand_poses_from_grasps(transforms: Array) -> Array:
     """Return poses (n, 7) of the Panda's hand link from grasp matrices (n, 4, 4)."""
-    return compose(poses_from_matrices(transforms), np.array(GRIPPER_FROM_HAND))
+    return np.asarray(compose(poses_from_matrices(transforms), np.array(GRIPPER_FROM_HAND)))
 
 
 def place_gripper_points(grasps: Array) -> Array:
@@ -46,7 +46,7 @@ def place_gripper_points(grasps: Array) -> Array:
     Args:
         grasps: (n, 7) poses of the gripper's hand link in the object's frame.
     """
-    return transform_points(grasps[:, None], _make_gripper_points())
+    return np.asarray(transform_points(grasps[:, None], _make_gripper_points()))
 
 
 def find_clear_grasps(gripper_points: Array, hand_points: Array) -> npt.NDArray[np.bool_]:

@@ -23,7 +23,7 @@ from handover_marl.datasets.synthetic.grasp_clearance import (
     place_gripper_points,
 )
 from handover_marl.datasets.synthetic.random_stream import RandomStream
-from handover_marl.geometry.meshes import read_collision_mesh
+from handover_marl.geometry.model_files.meshes import read_collision_mesh
 from handover_marl.geometry.poses import compute_cross_products, poses_from_rotations
 
 Array = npt.NDArray[np.float64]

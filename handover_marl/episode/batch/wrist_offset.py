@@ -11,7 +11,6 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from handover_marl.config import TIME_STEP
-from handover_marl.episode.wrist_offset import euler_from_quaternions
 from handover_marl.geometry.poses import (
     multiply_quaternions,
     quaternions_from_euler,
@@ -19,6 +18,7 @@ from handover_marl.geometry.poses import (
     select_nearest_euler,
     unwrap_euler,
 )
+from handover_marl.geometry.rotations import euler_from_quaternions
 
 Array = npt.NDArray[np.float64]
 Float32 = npt.NDArray[np.float32]
@@ -149,7 +149,7 @@ def _continue_euler(quaternions: Array, counts: list[int], previous: Array) -> A
         counts: Number of rows of each pair.
         previous: (d, 2, 3) angles before the first row of each pair.
     """
-    angles = euler_from_quaternions(quaternions.reshape(-1, 4)).reshape(2, -1, 3)
+    angles: Array = euler_from_quaternions(quaternions.reshape(-1, 4)).reshape(2, -1, 3)
     ends = np.cumsum(counts)
     starts = ends - counts
     # Mostly the same solution and full turns are right in all rows of a body: try those of its first.

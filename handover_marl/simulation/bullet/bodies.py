@@ -136,7 +136,7 @@ class PandaBody(ArticulatedBody):
         if self._camera_link is not None:
             pose: npt.NDArray[np.float32] = self.read_link_poses([self._camera_link])[0]
             return pose
-        return compose(self.read_link_poses([self.hand_link])[0], HAND_FROM_CAMERA_LINK).astype(np.float32)
+        return np.asarray(compose(self.read_link_poses([self.hand_link])[0], HAND_FROM_CAMERA_LINK).astype(np.float32))
 
     @contextmanager
     def hide_camera_link(self) -> Iterator[None]:

@@ -16,8 +16,8 @@ import numpy as np
 from handover_marl.config import CameraConfig
 from handover_marl.errors import SimulationError
 from handover_marl.execution.options import require_pybullet
-from handover_marl.geometry.obj_files import check_mesh
-from handover_marl.geometry.urdf import list_mesh_references
+from handover_marl.geometry.model_files.obj_files import check_mesh
+from handover_marl.geometry.model_files.urdf import list_mesh_references
 
 
 @contextlib.contextmanager

@@ -104,7 +104,7 @@ class BulletGraspValidator(GraspValidator):
             return np.zeros((0, 3))
         state = self._client.getLinkState(self._hand, finger, computeForwardKinematics=1)
         positions = np.array([point[_POSITION_ON_A] for point in pressing])
-        return inverse_transform_points(state[4] + state[5], positions)
+        return np.asarray(inverse_transform_points(state[4] + state[5], positions))
 
     def _read_object_pose(self) -> Array:
         state = self._client.getLinkState(self._object, self._mesh_link, computeForwardKinematics=1)

@@ -11,8 +11,8 @@ import numpy.typing as npt
 
 from handover_marl.errors import SimulationError
 from handover_marl.geometry.kinematic_tree import BoundingSphere, KinematicTree
+from handover_marl.geometry.model_files.urdf import UrdfShape, read_urdf_shapes
 from handover_marl.geometry.poses import IDENTITY, compose, inverse_transform_points
-from handover_marl.geometry.urdf import UrdfShape, read_urdf_shapes
 from handover_marl.simulation.bullet.client import BulletClient, connect, load_urdf, pybullet_error
 
 

@@ -13,8 +13,8 @@ import numpy.typing as npt
 
 from handover_marl.config import HandConfig, ObjectConfig
 from handover_marl.geometry.kinematic_tree import KinematicTree, read_tree
+from handover_marl.geometry.model_files.urdf import UrdfShape, read_urdf_shapes
 from handover_marl.geometry.poses import compose
-from handover_marl.geometry.urdf import UrdfShape, read_urdf_shapes
 from handover_marl.simulation.bullet.bodies import HAND_MASK, ObjectBody
 from handover_marl.simulation.bullet.body import InitialState
 from handover_marl.simulation.bullet.client import BulletClient

@@ -13,9 +13,9 @@ from scipy.spatial.transform import Rotation
 
 from handover_marl.errors import SimulationError
 from handover_marl.geometry.kinematic_tree import read_tree
-from handover_marl.geometry.meshes import read_visual_meshes
+from handover_marl.geometry.model_files.meshes import read_visual_meshes
+from handover_marl.geometry.model_files.urdf import read_model_mtimes
 from handover_marl.geometry.panda import CAMERA_LINK
-from handover_marl.geometry.urdf import read_model_mtimes
 from handover_marl.simulation.camera.frames import SegmentationLabel
 
 Array = npt.NDArray[np.float32]

@@ -125,7 +125,7 @@ def _compute_link_poses(tree: KinematicTree, joints: list[float], links: list[in
     origins, rotations = (found[0] for found in tree.compute_link_frames(np.array([joints])))
     # Index -1, the base, selects the last frame.
     frames = np.concatenate([poses_from_rotations(origins, rotations), IDENTITY[None]])
-    return compose(world_from_base, frames[links])
+    return np.asarray(compose(world_from_base, frames[links]))
 
 
 def find_never_colliding_pairs(model: "mujoco.MjModel") -> list[tuple[int, int]]:

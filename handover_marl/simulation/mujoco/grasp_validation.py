@@ -10,9 +10,9 @@ from handover_marl.assets.robot_model import PANDA_URDF
 from handover_marl.config import OBJECT_DOF, OFFICIAL_CONFIG, TIME_STEP, PhysicsConfig
 from handover_marl.errors import SimulationError
 from handover_marl.geometry.kinematic_tree import read_tree
+from handover_marl.geometry.model_files.urdf import read_urdf_links
 from handover_marl.geometry.panda import FINGER_LINKS, HAND_LINK, OPEN
 from handover_marl.geometry.poses import inverse_transform_points, quaternion_from_matrix
-from handover_marl.geometry.urdf import read_urdf_links
 from handover_marl.simulation.grasp_validation import GraspValidationConfig, GraspValidator
 from handover_marl.simulation.mujoco.collision_shapes import load_link_parts, set_inertia
 from handover_marl.simulation.mujoco.engine import TUNING, XYZW, MujocoTuning, wxyz_from_xyzw

@@ -13,8 +13,8 @@ from handover_marl.config import OBJECT_DOF, PANDA_DOF, PhysicsConfig
 from handover_marl.datasets.dataset import SceneAssets
 from handover_marl.errors import SimulationError
 from handover_marl.geometry.kinematic_tree import read_tree
+from handover_marl.geometry.model_files.urdf import read_model_mtimes
 from handover_marl.geometry.panda import FINGER_LINKS, HAND_LINK
-from handover_marl.geometry.urdf import read_model_mtimes
 from handover_marl.simulation.contact_horizon import RobotMotionBounds
 from handover_marl.simulation.kinematic_paths import BASE_JOINTS
 from handover_marl.simulation.mujoco.collision_shapes import compute_bounding_spheres

@@ -9,9 +9,9 @@ import numpy as np
 
 from handover_marl.config import OBJECT_DOF, TIME_STEP, MotorConfig, PhysicsConfig
 from handover_marl.geometry.kinematic_tree import KinematicTree, read_tree
+from handover_marl.geometry.model_files.urdf import UrdfLink, read_urdf_links, read_urdf_shapes
 from handover_marl.geometry.panda import FINGER_LINKS, HAND_LINK
 from handover_marl.geometry.poses import IDENTITY, quaternion_from_matrix
-from handover_marl.geometry.urdf import UrdfLink, read_urdf_links, read_urdf_shapes
 from handover_marl.simulation.kinematic_paths import list_object_motors
 from handover_marl.simulation.mujoco.collision_shapes import (
     ConvexPart,

@@ -19,7 +19,7 @@ from handover_marl.datasets.dexycb.assets import (
 from handover_marl.datasets.dexycb.mano import ManoModel
 from handover_marl.datasets.dexycb.urdf import build_hand_urdf, build_object_urdf, format_numbers
 from handover_marl.errors import DataFormatError, OptionError, ResultsError, UnknownNameError
-from handover_marl.geometry.obj_files import format_obj, read_obj
+from handover_marl.geometry.model_files.obj_files import format_obj, read_obj
 from handover_marl.geometry.ycb import CLASS_NAMES
 from tests.datasets.dexycb.mano_files import made_up_hand
 

@@ -24,8 +24,8 @@ from handover_marl.datasets.official_files import (
 )
 from handover_marl.episode.episode import Episode
 from handover_marl.errors import DataFormatError, ResultsError, UnsafeFileError
-from handover_marl.geometry.obj_files import read_obj
-from handover_marl.geometry.urdf import list_mesh_references
+from handover_marl.geometry.model_files.obj_files import read_obj
+from handover_marl.geometry.model_files.urdf import list_mesh_references
 from tests.execution.test_archives import link, tar
 from tests.fake_layout import FakeScene, write_layout
 from tests.playing import play

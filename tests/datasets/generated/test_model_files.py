@@ -8,7 +8,7 @@ from handover_marl.datasets.generated.config import parse_generated_config
 from handover_marl.datasets.generated.dataset import GeneratedDataset
 from handover_marl.datasets.generated.hands import draw_person
 from handover_marl.errors import DataNotFoundError
-from handover_marl.geometry.meshes import check_model, read_collision_mesh
+from handover_marl.geometry.model_files.meshes import check_model, read_collision_mesh
 
 
 @pytest.fixture

@@ -14,8 +14,8 @@ from handover_marl.datasets.dataset import SceneAssets
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.errors import HandoverError, SimulationError
 from handover_marl.geometry.kinematic_tree import read_tree
+from handover_marl.geometry.model_files.urdf import read_urdf_links
 from handover_marl.geometry.panda import LOWER_LIMITS, UPPER_LIMITS
-from handover_marl.geometry.urdf import read_urdf_links
 from handover_marl.simulation.bullet.bodies import PandaBody
 from handover_marl.simulation.bullet.client import BulletClient, connect, load_urdf
 from handover_marl.simulation.mujoco.collision_shapes import load_link_parts

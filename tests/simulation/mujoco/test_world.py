@@ -16,8 +16,8 @@ from handover_marl.episode.episode import Episode
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import OptionError, ResetNeededError, SimulationError
 from handover_marl.geometry.kinematic_tree import read_tree
+from handover_marl.geometry.model_files.urdf import read_urdf_links
 from handover_marl.geometry.panda import WAITING_JOINTS
-from handover_marl.geometry.urdf import read_urdf_links
 from handover_marl.simulation.bullet.fast_world import FastWorld
 from handover_marl.simulation.contacts import Contacts
 from handover_marl.simulation.engines import make_world

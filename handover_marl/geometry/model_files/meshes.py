@@ -15,9 +15,9 @@ from scipy.spatial import ConvexHull
 from handover_marl.errors import DataFormatError
 from handover_marl.execution.reading import check_plain_file
 from handover_marl.geometry.kinematic_tree import KinematicTree, read_tree
-from handover_marl.geometry.obj_files import check_mesh, read_obj
+from handover_marl.geometry.model_files.obj_files import check_mesh, read_obj
+from handover_marl.geometry.model_files.urdf import UrdfShape, read_model_mtimes, read_urdf_links, read_urdf_shapes
 from handover_marl.geometry.poses import transform_points
-from handover_marl.geometry.urdf import UrdfShape, read_model_mtimes, read_urdf_links, read_urdf_shapes
 
 Array = npt.NDArray[np.float64]
 Faces = npt.NDArray[np.int64]

@@ -1,0 +1,1 @@
+"""Model files: URDF trees of shapes, OBJ files and their meshes."""
