@@ -8,10 +8,10 @@ import numpy.typing as npt
 
 from handover_marl.config import ProtocolConfig
 from handover_marl.episode.referee import EpisodeStatus, RefereeState, ReleaseReason
+from handover_marl.geometry.arrays import AnyArray, get_namespace, is_tensor, make_constant
 from handover_marl.simulation.contacts import ContactBatch
 from handover_marl.simulation.world import BatchWorld
 
-Flags = npt.NDArray[np.bool_]
 Counts = npt.NDArray[np.int_]
 
 _ACTIVE, _PASSIVE = tuple(ReleaseReason).index(ReleaseReason.ACTIVE), tuple(ReleaseReason).index(ReleaseReason.PASSIVE)
@@ -20,15 +20,15 @@ _ROLLOUT_STEPS = 100
 
 
 class RefereeStateBatch(NamedTuple):
-    """States of the referees of n episodes: the fields of `RefereeState` as arrays (n,)."""
+    """States of the referees of n episodes: the fields of `RefereeState` as arrays or tensors (n,)."""
 
-    status: Counts
-    steps: Counts
-    release: Counts
-    release_step: Counts
-    active_steps: Counts
-    passive_steps: Counts
-    goal_steps: Counts
+    status: AnyArray
+    steps: AnyArray
+    release: AnyArray
+    release_step: AnyArray
+    active_steps: AnyArray
+    passive_steps: AnyArray
+    goal_steps: AnyArray
 
     @classmethod
     def from_states(cls, states: list[RefereeState]) -> "RefereeStateBatch":
@@ -39,11 +39,11 @@ class RefereeStateBatch(NamedTuple):
         """Return the referee state of the episode with this index."""
         return RefereeState(*(int(array[number]) for array in self))
 
-    def select_rows(self, rows: Counts) -> "RefereeStateBatch":
+    def select_rows(self, rows: AnyArray) -> "RefereeStateBatch":
         """Return the referee states of the episodes with these indices."""
         return RefereeStateBatch(*(array[rows] for array in self))
 
-    def assign_rows(self, rows: Counts, states: "RefereeStateBatch") -> None:
+    def assign_rows(self, rows: AnyArray, states: "RefereeStateBatch") -> None:
         """Set the referee states of the episodes with these indices."""
         for array, values in zip(self, states, strict=True):
             array[rows] = values
@@ -125,13 +125,13 @@ def _simulate_rollout(
 
 def judge_steps(
     before: RefereeStateBatch, contacts: ContactBatch, config: ProtocolConfig
-) -> tuple[Counts, RefereeStateBatch]:
+) -> tuple[AnyArray, RefereeStateBatch]:
     """Apply release and end rules to k steps of n episodes, up to the first release or end of each.
 
     The states are the same as with `Referee.update` after every step, but there is no loop over steps.
 
     Args:
-        before: Referee states before these steps; all episodes are running.
+        before: Referee states before these steps, arrays or tensors; all episodes are running.
         contacts: Contacts of the steps. Steps after a release or an episode's end are ignored.
         config: Thresholds of the protocol's rules.
 
@@ -139,41 +139,43 @@ def judge_steps(
         Index (n,) from 0 of the last step that was applied in each episode, and the referee
         states after that step.
     """
-    n_steps, n_episodes = contacts.robot_touches_hand.shape
-    if _nothing_happens(before, contacts, config):
+    xp = get_namespace(before.steps)
+    n_steps = len(contacts.robot_touches_hand)
+    # Reading tensors of a GPU takes more time than the rules.
+    if not is_tensor(before.steps) and _nothing_happens(before, contacts, config):
         return _judge_time_limit(before, n_steps, config)
-    number = np.arange(n_steps)[:, None]
+    indices = xp.cumsum(xp.ones_like(contacts.robot_touches_hand, dtype=xp.int64), axis=0) - 1
     left, right = contacts.in_grasp_region[..., 0], contacts.in_grasp_region[..., 1]
     active = _count_consecutive(contacts.robot_touches_object & left & right, before.active_steps)
     passive = _count_consecutive(contacts.robot_touches_object & ~(left | right), before.passive_steps)
     held = before.release < 0
     releases = held & ((active >= config.release_steps) | (passive >= config.release_steps))
-    released = ~held | np.logical_or.accumulate(releases, axis=0)
-    both = contacts.fingers_touch.all(axis=-1)
+    released = ~held | (xp.cumsum(xp.astype(releases, xp.int64), axis=0) > 0)
+    both = xp.all(contacts.fingers_touch, axis=-1)
     dropped = released & ~both & (contacts.object_supported | (contacts.object_height < config.drop_height))
     fails = contacts.robot_touches_hand | dropped
-    away = contacts.gripper_position - np.array(config.goal_center)
-    near = np.sqrt((away**2).sum(axis=-1)) < config.goal_radius
+    away = contacts.gripper_position - make_constant(config.goal_center, contacts.gripper_position)
+    near = xp.sqrt(xp.sum(away**2, axis=-1)) < config.goal_radius
     goal = _count_consecutive(released & ~fails & near & both, before.goal_steps)
     succeeds = goal >= config.success_steps
-    late = before.steps + number + 1 >= config.horizon_steps
-    stops = releases | fails | succeeds | late
-    last = np.where(stops.any(axis=0), stops.argmax(axis=0), n_steps - 1)
-    now = (last, np.arange(n_episodes))
+    late = before.steps + indices + 1 >= config.horizon_steps
+    stops = xp.astype(releases | fails | succeeds | late, xp.int64)
+    last = xp.where(xp.any(stops, axis=0), xp.argmax(stops, axis=0), n_steps - 1)
+    now = (last, xp.cumsum(xp.ones_like(last), axis=0) - 1)
     status = (
         int(EpisodeStatus.HUMAN_CONTACT) * contacts.robot_touches_hand[now]
         + int(EpisodeStatus.OBJECT_DROP) * dropped[now]
         + int(EpisodeStatus.TIMEOUT) * late[now]
     )
     steps = before.steps + last + 1
-    reason = np.where(active[now] >= config.release_steps, _ACTIVE, _PASSIVE)
+    reason = xp.where(active[now] >= config.release_steps, _ACTIVE, _PASSIVE)
     return last, RefereeStateBatch(
-        status=np.where(succeeds[now], int(EpisodeStatus.SUCCESS), status),
+        status=xp.where(succeeds[now], int(EpisodeStatus.SUCCESS), status),
         steps=steps,
-        release=np.where(releases[now], reason, before.release),
-        release_step=np.where(releases[now], steps, before.release_step),
-        active_steps=np.where(held, active[now], before.active_steps),
-        passive_steps=np.where(held, passive[now], before.passive_steps),
+        release=xp.where(releases[now], reason, before.release),
+        release_step=xp.where(releases[now], steps, before.release_step),
+        active_steps=xp.where(held, active[now], before.active_steps),
+        passive_steps=xp.where(held, passive[now], before.passive_steps),
         goal_steps=goal[now],
     )
 
@@ -203,7 +205,7 @@ def _judge_time_limit(
     )
 
 
-def _count_consecutive(condition: Flags, before: Counts) -> Counts:
+def _count_consecutive(condition: AnyArray, before: AnyArray) -> AnyArray:
     """Count, after each step, for how many consecutive steps a condition has held.
 
     Args:
@@ -213,6 +215,8 @@ def _count_consecutive(condition: Flags, before: Counts) -> Counts:
     Returns:
         Counts (k, n).
     """
-    number = np.arange(len(condition))[:, None]
-    missed = np.maximum.accumulate(np.where(condition, -1, number), axis=0)
-    return np.where(missed < 0, before + number + 1, number - missed)
+    xp = get_namespace(condition)
+    number = xp.cumsum(xp.ones_like(condition, dtype=xp.int64), axis=0) - 1
+    missed = xp.where(condition, -1, number)
+    missed = xp.cummax(missed, 0).values if is_tensor(missed) else np.maximum.accumulate(missed, axis=0)
+    return xp.where(missed < 0, before + number + 1, number - missed)

@@ -4,6 +4,7 @@ A namespace is that of the Python array API standard, as `array-api-compat` prov
 the namespace of their arguments; objects with arrays as state get an `ArrayFactory`.
 """
 
+import functools
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -44,6 +45,20 @@ def as_arrays(*values: Any) -> tuple[Any, ...]:
         return xp, *map(np.asarray, values)
     (device,) = {value.device for value in values if is_tensor(value)}
     return xp, *(value if is_tensor(value) else xp.asarray(np.asarray(value), device=device) for value in values)
+
+
+def make_constant(values: tuple[float, ...], like: AnyArray) -> AnyArray:
+    """Return numbers as a float64 array in the namespace and on the device of another array; it is shared."""
+    return _make_constant(values, like.device if is_tensor(like) else None)
+
+
+@functools.lru_cache(maxsize=256)
+def _make_constant(values: tuple[float, ...], device: Any) -> AnyArray:
+    if device is None:
+        array = np.array(values, dtype=np.float64)
+        array.flags.writeable = False
+        return array
+    return make_tensor_factory(device).asarray(values, "float64")
 
 
 def to_numpy(array: AnyArray) -> npt.NDArray[Any]:
@@ -101,9 +116,36 @@ class ArrayFactory:
 NUMPY_ARRAYS = ArrayFactory(numpy_namespace, "cpu")
 
 
-def make_tensor_factory(device: str) -> ArrayFactory:
-    """Return the creator of PyTorch tensors on a device, e.g. "cuda"."""
+def make_tensor_factory(device: Any) -> ArrayFactory:
+    """Return the creator of PyTorch tensors on a device, a PyTorch device or its name, e.g. "cuda"."""
     from array_api_compat import torch as torch_namespace
 
     xp: Any = torch_namespace
     return ArrayFactory(xp, xp.device(device))
+
+
+class RowBank:
+    """Rows of one shape in an array that grows by doubling.
+
+    Args:
+        arrays: Creator of the array.
+        shape: Shape of a row.
+        dtype: Number type.
+
+    Attributes:
+        rows: Array (c, *shape), whose last rows may be unused.
+    """
+
+    def __init__(self, arrays: ArrayFactory, shape: tuple[int, ...], dtype: str) -> None:
+        self._arrays, self._dtype, self._count = arrays, dtype, 0
+        self.rows = arrays.zeros((0, *shape), dtype)
+
+    def extend(self, values: AnyArray) -> int:
+        """Append rows (k, *shape), and return the index of the first."""
+        first, self._count = self._count, self._count + len(values)
+        if self._count > len(self.rows):
+            missing = max(self._count, 2 * len(self.rows)) - len(self.rows)
+            more = self._arrays.zeros((missing, *self.rows.shape[1:]), self._dtype)
+            self.rows = self._arrays.xp.concat([self.rows, more])
+        self.rows[first : self._count] = self._arrays.asarray(values, self._dtype)
+        return first

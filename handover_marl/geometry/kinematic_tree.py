@@ -8,6 +8,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from handover_marl.errors import SimulationError
 from handover_marl.execution.reading import read_plain_file
+from handover_marl.geometry.arrays import AnyArray, get_namespace, make_constant
 from handover_marl.geometry.poses import quaternion_from_matrix
 
 Array = npt.NDArray[np.float64]
@@ -56,12 +58,33 @@ class TreeJoint:
     axis: Array
 
 
+class TreeConstants(NamedTuple):
+    """Constants of the joints of L links, of one tree or of a batch (...) of trees with the same joint types.
+
+    Attributes:
+        offsets: Origins (..., L, 3) of the joints in the parents' frames (m).
+        turns: Orientations (..., L, 3, 3) of the joints in the parents' frames.
+        cross: Cross-product matrices (..., L, 3, 3) of the axes of revolute joints, else zeros.
+        cross_squared: Squares (..., L, 3, 3) of these matrices.
+        slides: Axes (..., L, 3) of prismatic joints in the parents' frames, else zeros.
+    """
+
+    offsets: AnyArray
+    turns: AnyArray
+    cross: AnyArray
+    cross_squared: AnyArray
+    slides: AnyArray
+
+
 class KinematicTree:
     """Kinematic tree of a URDF model; links are numbered depth first without the base link.
 
     Attributes:
         joints: Joints by link number; joint i connects link i to its parent link.
         n_dof: Number of moving joints.
+        constants: Constants of the joints.
+        columns: Index (L,) in the joint positions of each link's joint; `n_dof` for fixed joints.
+        levels: Links and their parents, level by level from the children of the base's children on.
     """
 
     def __init__(self, joints: Sequence[TreeJoint]) -> None:
@@ -69,22 +92,22 @@ class KinematicTree:
         is_moving = [joint.kind in (*_REVOLUTE, *_PRISMATIC) for joint in joints]
         self.n_dof = sum(is_moving)
         # Fixed joints read the zero that is appended to the joint positions.
-        self._dof = np.where(is_moving, np.cumsum(is_moving) - 1, self.n_dof).astype(np.int64)
+        self.columns = np.where(is_moving, np.cumsum(is_moving) - 1, self.n_dof).astype(np.int64)
         # Reshaped for models without joints.
-        self._offsets = np.array([joint.offset for joint in joints]).reshape(-1, 3)
-        self._turns = np.array([joint.rotation for joint in joints]).reshape(-1, 3, 3)
+        offsets = np.array([joint.offset for joint in joints]).reshape(-1, 3)
+        turns = np.array([joint.rotation for joint in joints]).reshape(-1, 3, 3)
         axes = np.array([joint.axis for joint in joints]).reshape(-1, 3)
         is_revolute = np.array([joint.kind in _REVOLUTE for joint in joints], dtype=bool)[:, None]
         is_prismatic = np.array([joint.kind in _PRISMATIC for joint in joints], dtype=bool)[:, None]
-        self._cross = np.cross(np.eye(3), (axes * is_revolute)[:, None, :])
-        self._cross_squared = self._cross @ self._cross
-        self._slides = (self._turns @ (axes * is_prismatic)[..., None])[..., 0]
+        cross = np.cross(np.eye(3), (axes * is_revolute)[:, None, :])
+        slides = (turns @ (axes * is_prismatic)[..., None])[..., 0]
+        self.constants = TreeConstants(offsets, turns, cross, cross @ cross, slides)
         parents = np.array([joint.parent for joint in joints], dtype=np.int64)
         depths: list[int] = []
         for parent in parents.tolist():
             depths.append(0 if parent < 0 else depths[parent] + 1)
         levels = [np.flatnonzero(np.array(depths) == depth) for depth in range(1, max(depths, default=0) + 1)]
-        self._levels = [(links, parents[links]) for links in levels]
+        self.levels = [(links, parents[links]) for links in levels]
 
     def compute_link_frames(self, dof: npt.ArrayLike) -> tuple[Array, Array]:
         """Compute the frames of all L links in the base link's frame for n configurations.
@@ -96,15 +119,8 @@ class KinematicTree:
             (n, L, 3) origins (m) and (n, L, 3, 3) rotation matrices.
         """
         values = np.asarray(dof, dtype=np.float64)
-        values = np.concatenate([values, np.zeros((len(values), 1))], axis=1)[:, self._dof]
-        sines, cosines = np.sin(values)[..., None, None], np.cos(values)[..., None, None]
-        rotations = self._turns @ (np.eye(3) + sines * self._cross + (1.0 - cosines) * self._cross_squared)
-        origins = self._offsets + values[..., None] * self._slides
-        for links, parents in self._levels:
-            carried = rotations[:, parents]
-            origins[:, links] = origins[:, parents] + (carried @ origins[:, links, :, None])[..., 0]
-            rotations[:, links] = carried @ rotations[:, links]
-        return origins, rotations
+        values = np.concatenate([values, np.zeros((len(values), 1))], axis=1)[:, self.columns]
+        return compute_tree_frames(self.constants, self.levels, values)
 
     def compute_link_poses(self, dof: npt.ArrayLike, links: Sequence[int]) -> Array:
         """Compute the poses of some links in the base link's frame for n configurations.
@@ -207,6 +223,31 @@ class KinematicTree:
                 else:
                     farthest = max(farthest, float(np.linalg.norm(start)) + reaches[child])
         return farthest
+
+
+def compute_tree_frames(
+    constants: TreeConstants, levels: Sequence[tuple[AnyArray, AnyArray]], values: AnyArray
+) -> tuple[AnyArray, AnyArray]:
+    """Compute the frames of all L links in the base link's frame for any batch (...) of configurations.
+
+    Args:
+        constants: Constants of the joints, arrays or tensors that broadcast to the batch.
+        levels: Links and their parents, see `KinematicTree.levels`.
+        values: Positions (..., L) of the links' joints (rad, m), 0 for fixed joints.
+
+    Returns:
+        (..., L, 3) origins (m) and (..., L, 3, 3) rotation matrices.
+    """
+    xp = get_namespace(values)
+    sines, cosines = xp.sin(values)[..., None, None], xp.cos(values)[..., None, None]
+    identity = make_constant((1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), values).reshape(3, 3)
+    rotations = constants.turns @ (identity + sines * constants.cross + (1.0 - cosines) * constants.cross_squared)
+    origins = constants.offsets + values[..., None] * constants.slides
+    for links, parents in levels:
+        carried = rotations[..., parents, :, :]
+        origins[..., links, :] = origins[..., parents, :] + (carried @ origins[..., links, :, None])[..., 0]
+        rotations[..., links, :, :] = carried @ rotations[..., links, :, :]
+    return origins, rotations
 
 
 def read_tree(urdf: Path) -> KinematicTree:

@@ -98,35 +98,36 @@ def compute_cross_products(left: npt.ArrayLike, right: npt.ArrayLike) -> Array:
     return product
 
 
-def quaternion_from_matrix(matrix: npt.ArrayLike) -> Array:
+def quaternion_from_matrix(matrix: AnyArray) -> AnyArray:
     """Convert rotation matrices (..., 3, 3) to unit quaternions (..., 4) xyzw (Shepperd's method).
 
     Recent SciPy versions orthogonalise the matrix first and older ones do not, which changes the eighth digit for
     matrices stored as float32; this function gives the same bits with every SciPy version.
     """
     q = unnormalized_quaternion_from_matrix(matrix)
-    unit: Array = q / np.sqrt(q[..., None, :] @ q[..., :, None])[..., 0]
-    return unit
+    return q / get_namespace(q).sqrt(q[..., None, :] @ q[..., :, None])[..., 0]
 
 
-def unnormalized_quaternion_from_matrix(matrix: npt.ArrayLike) -> Array:
+def unnormalized_quaternion_from_matrix(matrix: AnyArray) -> AnyArray:
     """Convert rotation matrices (..., 3, 3) to quaternions (..., 4) xyzw without normalisation.
 
     A quaternion is scaled by 4 times its largest entry.
     """
-    m = np.asarray(matrix, dtype=np.float64)
+    xp, given = as_arrays(matrix)
+    m = xp.astype(given, xp.float64, copy=False)
     trace = m[..., 0, 0] + m[..., 1, 1] + m[..., 2, 2]
-    largest = np.argmax(np.stack([m[..., 0, 0], m[..., 1, 1], m[..., 2, 2], trace], axis=-1), axis=-1)
+    largest = xp.argmax(xp.stack([m[..., 0, 0], m[..., 1, 1], m[..., 2, 2], trace], axis=-1), axis=-1)
     # Row i is the quaternion times four times its entry i; the largest entry is the most accurate divisor.
-    rows = np.empty((*trace.shape, 4, 4))
+    rows = trace.new_empty((*trace.shape, 4, 4)) if is_tensor(trace) else np.empty((*trace.shape, 4, 4))
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
         rows[..., i, i] = 1.0 - trace + 2.0 * m[..., i, i]
         rows[..., i, j] = rows[..., j, i] = m[..., j, i] + m[..., i, j]
         rows[..., i, 3] = rows[..., 3, i] = m[..., k, j] - m[..., j, k]
     rows[..., 3, 3] = 1.0 + trace
-    row: Array = np.take_along_axis(rows, largest[..., None, None], axis=-2)[..., 0, :]
-    return row
+    if is_tensor(rows):
+        return xp.take_along_dim(rows, largest[..., None, None], dim=-2)[..., 0, :]
+    return np.take_along_axis(rows, largest[..., None, None], axis=-2)[..., 0, :]
 
 
 def poses_from_matrices(matrices: npt.ArrayLike) -> Array:

@@ -7,9 +7,9 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.config import ProtocolConfig
+from handover_marl.geometry.arrays import AnyArray, get_namespace, make_constant
 
 Points = npt.NDArray[np.float32]
-Flags = npt.NDArray[np.bool_]
 NO_POINTS: Points = np.zeros((0, 3), dtype=np.float32)
 
 
@@ -55,7 +55,7 @@ class Contacts(NamedTuple):
 
 
 class ContactBatch(NamedTuple):
-    """Contacts of robot, hand and objects in k physics steps of n worlds, as arrays.
+    """Contacts of robot, hand and objects in k physics steps of n worlds, as arrays or tensors.
 
     Attributes:
         robot_touches_hand: Whether the Panda touches the human hand, (k, n).
@@ -68,13 +68,13 @@ class ContactBatch(NamedTuple):
         gripper_position: World position of the Panda's hand link (m), (k, n, 3).
     """
 
-    robot_touches_hand: Flags
-    robot_touches_object: Flags
-    fingers_touch: Flags
-    in_grasp_region: Flags
-    object_supported: Flags
-    object_height: npt.NDArray[np.floating]
-    gripper_position: npt.NDArray[np.floating]
+    robot_touches_hand: AnyArray
+    robot_touches_object: AnyArray
+    fingers_touch: AnyArray
+    in_grasp_region: AnyArray
+    object_supported: AnyArray
+    object_height: AnyArray
+    gripper_position: AnyArray
 
     @classmethod
     def from_contacts(cls, steps: Sequence[Contacts], config: ProtocolConfig) -> "ContactBatch":
@@ -107,7 +107,7 @@ class ContactBatch(NamedTuple):
         return cls(flags, flags, fingers, fingers, flags, height, position)
 
 
-def find_points_in_grasp_region(points: npt.NDArray[np.float32], config: ProtocolConfig) -> Flags:
+def find_points_in_grasp_region(points: AnyArray, config: ProtocolConfig) -> AnyArray:
     """Return whether points (..., 3) in a finger's frame (m) are in its grasp region."""
-    inside = (points > np.array(config.region_lower)) & (points < np.array(config.region_upper))
-    return np.asarray(inside.all(axis=-1))
+    lower, upper = (make_constant(bound, points) for bound in (config.region_lower, config.region_upper))
+    return get_namespace(points).all((points > lower) & (points < upper), axis=-1)

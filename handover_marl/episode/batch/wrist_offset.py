@@ -11,6 +11,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from handover_marl.config import TIME_STEP
+from handover_marl.geometry.arrays import AnyArray, get_namespace, is_tensor
 from handover_marl.geometry.poses import (
     multiply_quaternions,
     quaternions_from_euler,
@@ -22,7 +23,6 @@ from handover_marl.geometry.rotations import euler_from_quaternions
 
 Array = npt.NDArray[np.float64]
 Float32 = npt.NDArray[np.float32]
-Flags = npt.NDArray[np.bool_]
 
 _TOLERANCE = 1e-6  # m, rad
 # Smallest divisor of vectors that may have no length.
@@ -40,16 +40,16 @@ class _MotionLimits(NamedTuple):
         half: a dt / 2.
     """
 
-    speed: Array
-    change: Array
-    double: Array
-    quarter: Array
-    half: Array
+    speed: AnyArray
+    change: AnyArray
+    double: AnyArray
+    quarter: AnyArray
+    half: AnyArray
 
 
 def track_set_points(
-    values: Array, velocities: Array, set_points: Array, steps: int, limits: Array
-) -> tuple[Array, Array]:
+    values: AnyArray, velocities: AnyArray, set_points: AnyArray, steps: int, limits: AnyArray
+) -> tuple[AnyArray, AnyArray]:
     """Move wrist offsets towards set-points, with limited speed and acceleration.
 
     Args:
@@ -62,15 +62,32 @@ def track_set_points(
     Returns:
         Values and velocities (k, d, 2, 3) after each step.
     """
-    shape = (steps, *values.shape)
-    path, speeds = np.empty((steps, values.size // 3, 3)), np.empty((steps, values.size // 3, 3))
+    xp = get_namespace(values)
     goal, now, velocity = (array.reshape(-1, 3) for array in (set_points, values, velocities))
+    max_speed, acceleration = (xp.tile(limit, (len(values),)) for limit in limits)
+    change = acceleration * TIME_STEP
+    bounds = _MotionLimits(max_speed, change, 2.0 * acceleration, change**2 / 4.0, change / 2.0)
+    if is_tensor(values):
+        # Vectors stay at their goals. Choosing those that still move would have to read tensors of a GPU.
+        track = [(now.T, velocity.T, None)]
+        for _ in range(steps):
+            track.append(_track_step(*track[-1][:2], goal.T, bounds))
+        path, speeds = (xp.stack([one[k] for one in track[1:]]).swapaxes(1, 2) for k in range(2))
+    else:
+        path, speeds = _track_moving_vectors(now, velocity, goal, bounds, steps)
+    shape = (steps, *values.shape)
+    return path.reshape(shape), speeds.reshape(shape)
+
+
+def _track_moving_vectors(
+    now: Array, velocity: Array, goal: Array, bounds: _MotionLimits, steps: int
+) -> tuple[Array, Array]:
+    """Move vectors (m, 3) towards goals; return values and velocities (k, m, 3). Vectors at rest take no time."""
+    path, speeds = np.empty((steps, *goal.shape)), np.empty((steps, *goal.shape))
     path[:], speeds[:] = goal, 0.0
     active = np.flatnonzero((now != goal).any(axis=1) | velocity.any(axis=1))
     now, velocity, goal = now[active].T.copy(), velocity[active].T.copy(), goal[active].T.copy()
-    max_speed, acceleration = (np.tile(limit, len(values))[active] for limit in limits)
-    change = acceleration * TIME_STEP
-    bounds = _MotionLimits(max_speed, change, 2.0 * acceleration, change**2 / 4.0, change / 2.0)
+    bounds = _MotionLimits(*(bound[active] for bound in bounds))
     first = 0
     while len(active) and first < steps:
         # The same vectors move until one of them reaches its goal.
@@ -85,28 +102,25 @@ def track_set_points(
         first, left = rows.stop, ~is_reached
         active, now, velocity, goal = active[left], now[:, left], velocity[:, left], goal[:, left]
         bounds = _MotionLimits(*(bound[left] for bound in bounds))
-    return path.reshape(shape), speeds.reshape(shape)
+    return path, speeds
 
 
-def _track_step(now: Array, velocity: Array, goal: Array, limits: _MotionLimits) -> tuple[Array, Array, Flags]:
+def _track_step(
+    now: AnyArray, velocity: AnyArray, goal: AnyArray, limits: _MotionLimits
+) -> tuple[AnyArray, AnyArray, AnyArray]:
     """Advance vectors (3, m) by one step; return values, velocities, and which reached the goal."""
-    left = goal - now
+    xp, left = get_namespace(now), goal - now
     distance = _compute_column_lengths(left)
-    is_reached = distance < _TOLERANCE
-    is_reached &= _compute_column_lengths(velocity) <= limits.change
+    is_reached = (distance < _TOLERANCE) & (_compute_column_lengths(velocity) <= limits.change)
     # Highest speed that still allows to stop at the goal, in steps of finite length.
-    speed = np.sqrt(limits.double * distance + limits.quarter)
-    speed -= limits.half
-    np.minimum(limits.speed, speed, out=speed)
-    np.minimum(speed, distance / TIME_STEP, out=speed)
-    left *= speed
-    left /= np.maximum(distance, _TINY)
-    change = np.subtract(left, velocity, out=left)
-    change *= np.minimum(1.0, limits.change / np.maximum(_compute_column_lengths(change), _TINY))
+    speed = xp.minimum(limits.speed, xp.sqrt(limits.double * distance + limits.quarter) - limits.half)
+    speed = xp.minimum(speed, distance / TIME_STEP)
+    change = left * speed / xp.maximum(distance, _TINY) - velocity
+    change = change * xp.minimum(1.0, limits.change / xp.maximum(_compute_column_lengths(change), _TINY))
     velocity = velocity + change
     now = now + velocity * TIME_STEP
-    if np.count_nonzero(is_reached):
-        now[:, is_reached], velocity[:, is_reached] = goal[:, is_reached], 0.0
+    if is_tensor(now) or np.count_nonzero(is_reached):
+        now, velocity = xp.where(is_reached, goal, now), xp.where(is_reached, 0.0, velocity)
     return now, velocity, is_reached
 
 
@@ -171,8 +185,7 @@ def _continue_euler(quaternions: Array, counts: list[int], previous: Array) -> A
     return guess
 
 
-def _compute_column_lengths(vectors: Array) -> Array:
+def _compute_column_lengths(vectors: AnyArray) -> AnyArray:
     """Return the lengths (m,) of vectors (3, m)."""
     x, y, z = vectors * vectors
-    lengths: Array = np.sqrt(x + y + z)
-    return lengths
+    return get_namespace(vectors).sqrt(x + y + z)

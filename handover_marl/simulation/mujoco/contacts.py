@@ -5,6 +5,7 @@ inside the engine collect the data that the rules need in arrays of fixed shape.
 and of many worlds are therefore read in the same way.
 """
 
+import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -14,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.config import ProtocolConfig
+from handover_marl.geometry.arrays import AnyArray, ArrayFactory, get_namespace, is_tensor
 from handover_marl.simulation.contacts import NO_POINTS, ContactBatch, Contacts, find_points_in_grasp_region
 
 Array = npt.NDArray[np.float64]
@@ -95,10 +97,10 @@ class ContactReadings(NamedTuple):
         object_supported: Whether the target object touches the table or another object, (...).
     """
 
-    robot_touches_hand: npt.NDArray[np.bool_]
-    robot_object_force: Array
-    robot_touches_others: npt.NDArray[np.bool_]
-    object_supported: npt.NDArray[np.bool_]
+    robot_touches_hand: AnyArray
+    robot_object_force: AnyArray
+    robot_touches_others: AnyArray
+    object_supported: AnyArray
 
 
 class ContactSensors:
@@ -135,42 +137,57 @@ class ContactSensors:
         self._margin = margin
         self.height_index = height_index
 
-    def read_contacts(self, data: Array) -> ContactReadings:
+    def move_to(self, arrays: ArrayFactory) -> "ContactSensors":
+        """Return this layout for sensor data in the namespace and on the device of a factory."""
+        moved = copy.copy(self)
+        for name, value in vars(self).items():
+            if isinstance(value, np.ndarray):
+                setattr(moved, name, arrays.asarray(value))
+        return moved
+
+    def read_contacts(self, data: AnyArray) -> ContactReadings:
         """Return the contacts of robot, hand and object from sensor data (..., n)."""
+        xp = get_namespace(data)
+        return ContactReadings(
+            robot_touches_hand=xp.max(data[..., self._hand], axis=-1) > 0.0,
+            robot_object_force=self._sum_robot_forces(data),
+            robot_touches_others=xp.any(data[..., self._others] > 0.0, axis=-1),
+            object_supported=xp.max(data[..., self._supports], axis=-1) > 0.0,
+        )
+
+    def _sum_robot_forces(self, data: AnyArray) -> AnyArray:
+        """Return the sums (...) of the normal forces between robot and target object (N)."""
+        if is_tensor(data):
+            return data[..., self._robot].sum(-1)
         force = np.zeros(data.shape[:-1])
         if data[..., self._robot].any():
             for slot in self._robot:
                 # Summed one by one, so that rounding does not depend on the number of worlds.
                 force = force + data[..., slot]
-        return ContactReadings(
-            robot_touches_hand=data[..., self._hand].max(axis=-1) > 0.0,
-            robot_object_force=force,
-            robot_touches_others=np.asarray((data[..., self._others] > 0.0).any(axis=-1)),
-            object_supported=data[..., self._supports].max(axis=-1) > 0.0,
-        )
+        return force
 
     def read_hand_force(self, data: Array) -> float:
         """Return the sum of the normal forces between robot and human hand (N) from sensor data (n,)."""
         return float(data[self._hand].sum())
 
-    def read_finger_forces(self, data: Array) -> Array:
+    def read_finger_forces(self, data: AnyArray) -> AnyArray:
         """Return the normal forces (..., 2, 8) on the object in 8 contacts of each finger (N).
 
         The force is 0 if there are fewer contacts.
         """
         return data[..., self._forces]
 
-    def read_gripper_position(self, data: Array) -> Array:
+    def read_gripper_position(self, data: AnyArray) -> AnyArray:
         """Return the world position (..., 3) of the robot's hand link from sensor data (m)."""
         return data[..., self._gripper]
 
-    def read_finger_frames(self, data: Array) -> tuple[Array, Array]:
+    def read_finger_frames(self, data: AnyArray) -> tuple[AnyArray, AnyArray]:
         """Return world origins (..., 2, 3) in m and rotation matrices (..., 2, 3, 3) of the fingers."""
         frames = data[..., self._frames]
         axes = frames[..., 3:].reshape(*frames.shape[:-1], 3, 3)
-        return frames[..., :3], np.swapaxes(axes, -1, -2)
+        return frames[..., :3], axes.swapaxes(-1, -2)
 
-    def compute_finger_points(self, data: Array, origins: Array, rotations: Array) -> Array:
+    def compute_finger_points(self, data: AnyArray, origins: AnyArray, rotations: AnyArray) -> AnyArray:
         """Compute the points (..., 2, 8, 3) of 8 contacts of each finger in that finger's frame (m).
 
         Points without a force are invalid.
@@ -185,7 +202,7 @@ class ContactSensors:
         points = data[..., self._positions] + data[..., self._normals] * outwards[..., None]
         offsets, axes = points - origins[..., None, :], rotations[..., None, :, :]
         # Written out, so that rounding does not depend on the number of worlds.
-        return np.asarray(
+        return (
             offsets[..., 0, None] * axes[..., 0, :]
             + offsets[..., 1, None] * axes[..., 1, :]
             + offsets[..., 2, None] * axes[..., 2, :]
@@ -203,8 +220,8 @@ class SensorReadings:
     """
 
     sensors: ContactSensors
-    data: Array
-    qpos: Array
+    data: AnyArray
+    qpos: AnyArray
 
     def compute_contacts(self, released: bool) -> Contacts:
         """Return the contacts of one world in one physics step.
@@ -240,16 +257,17 @@ class SensorReadings:
             config: Bounds of the grasp region of the fingers.
         """
         sensors, data = self.sensors, self.data
-        readings = sensors.read_contacts(data)
+        xp, readings = get_namespace(data), sensors.read_contacts(data)
         touching = readings.robot_object_force > 0.0
-        fingers, inside = (np.zeros((*touching.shape, 2), dtype=bool) for _ in range(2))
-        if touching.any():
-            # Points are computed in the few steps with contact only.
-            near = data[touching]
+        fingers, inside = (xp.zeros_like(data[..., :2], dtype=xp.bool) for _ in range(2))
+        # In arrays, points are computed in the few steps with contact only.
+        steps = ... if is_tensor(data) else touching
+        if steps is ... or touching.any():
+            near = data[steps]
             pressed = sensors.read_finger_forces(near) > 0.0
-            fingers[touching] = pressed.any(axis=-1)
+            fingers[steps] = xp.any(pressed, axis=-1) & touching[steps][..., None]
             in_region = find_points_in_grasp_region(self._compute_finger_points(near), config)
-            inside[touching] = (pressed & in_region).any(axis=-1)
+            inside[steps] = xp.any(pressed & in_region, axis=-1) & touching[steps][..., None]
         return ContactBatch(
             robot_touches_hand=readings.robot_touches_hand,
             robot_touches_object=touching,
@@ -260,6 +278,6 @@ class SensorReadings:
             gripper_position=sensors.read_gripper_position(data),
         )
 
-    def _compute_finger_points(self, data: Array) -> npt.NDArray[np.float32]:
-        frames = self.sensors.read_finger_frames(data)
-        return self.sensors.compute_finger_points(data, *frames).astype(np.float32)
+    def _compute_finger_points(self, data: AnyArray) -> AnyArray:
+        xp, frames = get_namespace(data), self.sensors.read_finger_frames(data)
+        return xp.astype(self.sensors.compute_finger_points(data, *frames), xp.float32)

@@ -22,6 +22,7 @@ from scipy.spatial.transform import Rotation
 from handover_marl.config import OBJECT_DOF
 from handover_marl.errors import SimulationError
 from handover_marl.execution.options import is_pybullet_installed
+from handover_marl.geometry.arrays import AnyArray, get_namespace, is_tensor
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.poses import (
     quaternion_from_matrix,
@@ -200,20 +201,21 @@ def wxyz_from_xyzw(xyzw: npt.ArrayLike) -> Array:
     return np.asarray(xyzw, dtype=np.float64)[WXYZ]
 
 
-def wxyz_from_euler(angles: npt.NDArray[np.floating]) -> Array:
+def wxyz_from_euler(angles: AnyArray) -> AnyArray:
     """Convert intrinsic XYZ Euler angles (..., 3) (rad) to quaternions (..., 4) wxyz."""
     quaternions = quaternions_from_euler(angles.reshape(-1, 3))[:, WXYZ]
-    return np.asarray(quaternions.reshape(*angles.shape[:-1], 4))
+    return quaternions.reshape(*angles.shape[:-1], 4)
 
 
-def bullet_xyzw_from_wxyz(wxyz: Array) -> Array:
+def bullet_xyzw_from_wxyz(wxyz: AnyArray) -> AnyArray:
     """Convert quaternions (..., 4) from wxyz to xyzw, with the sign that Bullet returns."""
-    xyzw = wxyz[..., XYZW]
+    xp, xyzw = get_namespace(wxyz), wxyz[..., XYZW]
     w, others = xyzw[..., 3:], xyzw[..., :3]
     # Bullet reads quaternions off a matrix: w is positive if the trace is, else the largest other
     # component.
-    largest = np.take_along_axis(others, np.abs(others).argmax(axis=-1)[..., None], axis=-1)
-    return np.asarray(np.where(np.where(np.abs(w) > 0.5, w, largest) < 0.0, -xyzw, xyzw))
+    place = xp.argmax(xp.abs(others), axis=-1)[..., None]
+    largest = xp.take_along_dim(others, place, -1) if is_tensor(others) else np.take_along_axis(others, place, axis=-1)
+    return xp.where(xp.where(xp.abs(w) > 0.5, w, largest) < 0.0, -xyzw, xyzw)
 
 
 def chain_joints_from_poses(poses: Array, reference: npt.NDArray[np.floating]) -> Array:
