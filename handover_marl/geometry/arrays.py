@@ -104,9 +104,11 @@ class ArrayFactory:
         return self.xp.arange(count, dtype=self.xp.int64, device=self.device)
 
     def asarray(self, values: Any, dtype: str | None = None) -> AnyArray:
-        """Return values as an array, with their own number type by default."""
+        """Return values as an array, with their own number type by default; a tensor never shares NumPy's memory."""
         own = values if is_tensor(values) else np.asarray(values)
-        return self.xp.asarray(own, dtype=None if dtype is None else self._get_dtype(dtype), device=self.device)
+        is_copied = None if is_tensor(own) or self.xp is numpy_namespace else True
+        number_type = None if dtype is None else self._get_dtype(dtype)
+        return self.xp.asarray(own, dtype=number_type, device=self.device, copy=is_copied)
 
     def _get_dtype(self, name: str) -> Any:
         return getattr(self.xp, name)
@@ -141,11 +143,12 @@ class RowBank:
         self.rows = arrays.zeros((0, *shape), dtype)
 
     def extend(self, values: AnyArray) -> int:
-        """Append rows (k, *shape), and return the index of the first."""
-        first, self._count = self._count, self._count + len(values)
+        """Append rows (k, *shape), and return the index of the first; one row may have any shape of its size."""
+        new = self._arrays.asarray(values, self._dtype).reshape(-1, *self.rows.shape[1:])
+        first, self._count = self._count, self._count + len(new)
         if self._count > len(self.rows):
             missing = max(self._count, 2 * len(self.rows)) - len(self.rows)
             more = self._arrays.zeros((missing, *self.rows.shape[1:]), self._dtype)
             self.rows = self._arrays.xp.concat([self.rows, more])
-        self.rows[first : self._count] = self._arrays.asarray(values, self._dtype)
+        self.rows[first : self._count] = new
         return first

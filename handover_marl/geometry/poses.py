@@ -233,6 +233,13 @@ def select_nearest_euler(angles: AnyArray, previous: AnyArray) -> tuple[AnyArray
     return xp.astype(is_second, xp.int64), xp.where(is_second[:, None], turns[:, 1], turns[:, 0])
 
 
+def find_nearest_euler(angles: AnyArray, previous: AnyArray) -> AnyArray:
+    """Return the Euler angles (n, 3) of the same rotations that are nearest to the previous angles (n, 3)."""
+    xp, solutions = get_namespace(angles), _euler_solutions(angles)
+    solution, turns = select_nearest_euler(angles, previous)
+    return xp.where(solution[:, None] == 0, solutions[:, 0], solutions[:, 1]) + 2.0 * np.pi * turns
+
+
 def compute_pose_distances(pose: npt.ArrayLike, poses: Array, rotation_weight: float) -> Array:
     """Compute distances (..., n) in m^2 from poses (..., n, 7) to poses (..., 7), for the ranking of grasps.
 

@@ -3,14 +3,19 @@
 import importlib.util
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from handover_marl.assets.robot_model import PANDA_URDF
 from handover_marl.config import PandaConfig, PhysicsConfig
 from handover_marl.errors import OptionError, check_name
 from handover_marl.execution.options import is_pybullet_installed, require_modules, require_pybullet
+from handover_marl.geometry.arrays import ArrayFactory
 from handover_marl.simulation.clearance import DistanceQuery
 from handover_marl.simulation.grasp_validation import GraspValidationConfig, GraspValidator
 from handover_marl.simulation.world import BatchWorld, World
+
+if TYPE_CHECKING:
+    from handover_marl.simulation.mujoco.batches.warp_worlds import WarpWorlds
 
 EXACT, FAST, MUJOCO = "exact", "fast", "mujoco"
 #: "exact" equals HandoverSim's PyBullet simulation bit for bit; "fast" is PyBullet without the
@@ -103,7 +108,7 @@ def check_backend(backend: BatchBackend) -> None:
                 f"device must be 'cpu' with backend='threads', got {backend.device!r}; pass backend='warp'"
             )
         return
-    require_modules("backend='warp' (Python 3.11 or later)", "warp", "mujoco_warp", "warp")
+    require_modules("backend='warp' (Python 3.11 or later)", "warp", "mujoco_warp", "torch", "warp")
     from handover_marl.simulation.mujoco.batches.warp_model import is_device_available
 
     if not is_device_available(backend.device):
@@ -113,29 +118,40 @@ def check_backend(backend: BatchBackend) -> None:
         )
 
 
-def make_batch_worlds(config: PhysicsConfig, count: int, backend: BatchBackend) -> list[BatchWorld]:
+def make_batch_worlds(config: PhysicsConfig, count: int) -> list[BatchWorld]:
     """Create simulated worlds of MuJoCo without scenes, which are simulated in batches.
 
     Args:
         config: Constants of the worlds.
         count: Number of worlds.
-        backend: Engine and device of the simulation.
+
+    Raises:
+        OptionError: MuJoCo is not installed.
+    """
+    check_physics(MUJOCO)
+    from handover_marl.simulation.mujoco.batches.simulation import BatchSimulation
+    from handover_marl.simulation.mujoco.world import MujocoWorld
+
+    simulation = BatchSimulation(count)
+    return [MujocoWorld(config, simulation=simulation) for _ in range(count)]
+
+
+def make_device_worlds(config: PhysicsConfig, count: int, arrays: ArrayFactory) -> "WarpWorlds":
+    """Create worlds of MuJoCo Warp without scenes, whose state is on a device.
+
+    Args:
+        config: Constants of the worlds.
+        count: Number of worlds.
+        arrays: Creator of PyTorch tensors on the device.
 
     Raises:
         OptionError: A package or the device is missing.
     """
     check_physics(MUJOCO)
-    check_backend(backend)
-    from handover_marl.simulation.mujoco.batches.simulation import BatchSimulation
-    from handover_marl.simulation.mujoco.world import MujocoWorld
+    check_backend(BatchBackend(WARP, arrays.device.type))
+    from handover_marl.simulation.mujoco.batches.warp_worlds import WarpWorlds
 
-    if backend.name == WARP:
-        from handover_marl.simulation.mujoco.batches.warp_batch import WarpSimulation
-
-        simulation: BatchSimulation = WarpSimulation(count, backend.device)
-    else:
-        simulation = BatchSimulation(count)
-    return [MujocoWorld(config, simulation=simulation) for _ in range(count)]
+    return WarpWorlds(config, count, arrays)
 
 
 def make_distance_query(panda_urdf: Path, config: PandaConfig) -> DistanceQuery:

@@ -11,7 +11,7 @@ from handover_marl.episode.observations import MotionPreview, Observation, giver
 from handover_marl.episode.referee import Referee, ReleaseReason
 from handover_marl.geometry.model_files.meshes import check_collision_meshes
 from handover_marl.simulation.contacts import Contacts
-from handover_marl.simulation.engines import BatchBackend, make_batch_worlds
+from handover_marl.simulation.engines import make_batch_worlds
 
 Rows = npt.NDArray[np.int_]
 Flags = npt.NDArray[np.bool_]
@@ -33,7 +33,6 @@ class EpisodeBatch:
     Args:
         config: Simulated world, protocol and limits of the givers.
         count: Number n of episodes.
-        backend: Engine and device of the simulation.
 
     Attributes:
         config: Simulated world, protocol and limits of the givers.
@@ -43,7 +42,7 @@ class EpisodeBatch:
             `observation_space`.
     """
 
-    def __init__(self, config: WorldConfig, count: int, backend: BatchBackend) -> None:
+    def __init__(self, config: WorldConfig, count: int) -> None:
         self.config = config
         self.motion = GiverMotionBatch(count, config.giver)
         self._start = RefereeStateBatch.from_states([Referee(config.protocol).get_state()])
@@ -54,7 +53,7 @@ class EpisodeBatch:
         }
         self._preview_space = giver_observation_space(config.giver)
         self._previews: list[MotionPreview | None] = [None] * count
-        self._worlds = make_batch_worlds(config.physics, count, backend)
+        self._worlds = make_batch_worlds(config.physics, count)
 
     @property
     def released(self) -> Flags:

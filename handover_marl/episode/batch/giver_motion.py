@@ -13,6 +13,7 @@ from handover_marl.config import OBJECT_DOF, TIME_STEP, GiverConfig
 from handover_marl.datasets.dataset import Scene
 from handover_marl.episode.batch.wrist_offset import apply_wrist_offsets, track_set_points
 from handover_marl.episode.giver_motion import find_pick_up_frame, find_wrist_offset
+from handover_marl.geometry.arrays import AnyArray, get_namespace, make_constant
 from handover_marl.simulation.kinematic_paths import BASE_JOINTS, ReferenceMotion
 
 Array = npt.NDArray[np.float64]
@@ -117,7 +118,7 @@ class GiverMotionBatch:
             released: Whether each object has been released, so that it does not follow the hand, (r,).
             opening: Whether each hand opens after a voluntary release, (r,).
         """
-        rates = self._ramp_rates(rows, actions[:, 0].astype(np.float64), steps)
+        rates = ramp_rates(self.rate[rows], actions[:, 0].astype(np.float64), self._config.rate_change, steps)
         clocks = self._clock[rows, None] + np.cumsum(1.0 + rates, axis=1)
         # Rates often sum to halves; rounding to 9 digits first keeps float noise from deciding.
         frames = np.minimum(np.rint(np.round(clocks, 9)), self._last_frame[rows, None]).astype(np.int_)
@@ -157,14 +158,6 @@ class GiverMotionBatch:
         last = steps[motion.moving[moved]] - 1
         self.offset[who], self._velocity[who] = motion.offsets[last, index], motion.velocities[last, index]
         self._has_deviated[who] = True
-
-    def _ramp_rates(self, rows: Rows, targets: Array, steps: int) -> Array:
-        """Return playback rates minus 1 (r, k) that approach targets (r,) with limited slope."""
-        change = (targets - self.rate[rows])[:, None]
-        limits = np.arange(1, steps + 1) * (self._config.rate_change * TIME_STEP)
-        limited = np.clip(change, -limits, limits)
-        ramp: Array = np.where(np.abs(limited) < np.abs(change), self.rate[rows, None] + limited, targets[:, None])
-        return ramp
 
     def _apply_offsets(
         self, who: Rows, moving: Rows, references: list[ReferenceMotion], offsets: Array, released: Flags
@@ -220,6 +213,21 @@ class GiverMotionBatch:
         is_consecutive = last - first == len(frames) - 1 and bool((np.diff(frames) == 1).all())
         part = slice(first, last + 1) if is_consecutive else frames
         return ReferenceMotion(scene.object_dof[part], scene.hand_dof[part], self._present[row][part])
+
+
+def ramp_rates(rates: AnyArray, targets: AnyArray, max_slope: float, steps: int) -> AnyArray:
+    """Return playback rates minus 1 (r, k) after each of k steps that approach targets with limited slope.
+
+    Args:
+        rates: Present rates minus 1 (r,).
+        targets: Rates minus 1 (r,) to reach.
+        max_slope: Largest change of a rate (1/s).
+        steps: Number k of physics steps.
+    """
+    xp, change = get_namespace(rates), (targets - rates)[:, None]
+    limits = make_constant(tuple(range(1, steps + 1)), rates) * (max_slope * TIME_STEP)
+    limited = xp.minimum(xp.maximum(change, -limits), limits)
+    return xp.where(xp.abs(limited) < xp.abs(change), rates[:, None] + limited, targets[:, None])
 
 
 def _count_distinct_rows(*arrays: npt.NDArray[np.floating]) -> int:

@@ -25,8 +25,8 @@ from handover_marl.simulation.mujoco.sleep import SleepState
 
 Array = npt.NDArray[np.float64]
 
-# Position of an absent hand, out of everything's reach (m).
-_ABSENT = (0.0, 0.0, -10.0)
+#: Position of an absent hand, out of everything's reach (m).
+ABSENT = (0.0, 0.0, -10.0)
 
 
 class WorldController:
@@ -76,7 +76,7 @@ class WorldController:
         self._hand_kinematics = simulation.get_hand_kinematics(hand_urdf, scene.hand_links.tolist())
         moving = [link for link, joint in enumerate(tree.joints) if joint.kind != "fixed"]
         self._keypoint_kinematics = simulation.get_hand_kinematics(hand_urdf, select_keypoint_links(moving))
-        slot.get_controls()[1][scene.hand] = _ABSENT
+        slot.get_controls()[1][scene.hand] = ABSENT
         self._is_state_set = False
 
     @property
@@ -170,7 +170,7 @@ class WorldController:
             positions: Array (n, k, 3) to write positions to (m).
             quaternions: Array (n, k, 4) to write quaternions wxyz to.
         """
-        positions[:free_steps] = _ABSENT
+        positions[:free_steps] = ABSENT
         self.hand_free_steps = free_steps
         if free_steps >= len(positions):
             return
@@ -178,7 +178,7 @@ class WorldController:
         # Steps before the hand appears are free of contact, too.
         coming = np.flatnonzero(present[free_steps:])
         self.hand_free_steps = free_steps + (int(coming[0]) if len(coming) else len(present) - free_steps)
-        positions[free_steps:][~present[free_steps:]] = _ABSENT
+        positions[free_steps:][~present[free_steps:]] = ABSENT
         if not len(coming):
             return
         changes[self.hand_free_steps] = True

@@ -1,12 +1,12 @@
 """MuJoCo Warp models whose worlds have different objects and hands.
 
-All worlds of a model have one layout. A world's own hulls, masses and motors are in a row of the model's arrays.
+All worlds of a model have one layout. A world's own hulls, masses and motors are in a row of the model's arrays, which
+is copied on the device from the values of its scene.
 """
 
 import copy
 import dataclasses
 import functools
-from collections.abc import Sequence
 
 import mujoco
 import mujoco_warp
@@ -17,6 +17,7 @@ import warp
 from handover_marl.config import OBJECT_DOF, PhysicsConfig
 from handover_marl.datasets.dataset import SceneAssets
 from handover_marl.errors import OptionError
+from handover_marl.geometry.arrays import AnyArray, ArrayFactory, RowBank, get_namespace
 from handover_marl.simulation.mujoco.batches.mesh_pool import MeshPool
 from handover_marl.simulation.mujoco.scene_model import SceneModel, load_scene_model
 from handover_marl.simulation.mujoco.scene_spec import ABSENT_PREFIX, ModelPadding, load_object_parts
@@ -45,6 +46,8 @@ _ROW_FIELDS = (
     "actuator_forcerange",
     "actuator_acc0",
 )
+# Fields that change with the release of the target object, and the suffix of their values after it.
+_RELEASED_FIELDS, _RELEASED = ("geom_dataid", "actuator_forcerange"), "/released"
 # Largest number of degrees of freedom with dense matrices: MuJoCo Warp's limit.
 _MAX_DENSE = 60
 # Arrays that may differ, and do not influence the simulation.
@@ -97,18 +100,19 @@ def compute_layout(scene: SceneModel) -> tuple[object, ...]:
 
 
 class WarpModel:
-    """MuJoCo Warp model of a number of worlds.
+    """MuJoCo Warp model of a number of worlds, and the scenes of these worlds on the device.
 
     Args:
         scene: Padded scene model with the layout of all worlds.
         worlds: Number of worlds.
+        arrays: Creator of tensors on Warp's current device.
 
     Attributes:
         source: MuJoCo model with the options of MuJoCo Warp.
-        model: Model on Warp's current device.
+        model: Model on the device.
     """
 
-    def __init__(self, scene: SceneModel, worlds: int) -> None:
+    def __init__(self, scene: SceneModel, worlds: int, arrays: ArrayFactory) -> None:
         own = copy.copy(scene.model)
         # MuJoCo Warp refuses this flag; it never resets a world.
         own.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
@@ -116,67 +120,80 @@ class WarpModel:
         own.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE if own.nv <= _MAX_DENSE else mujoco.mjtJacobian.mjJAC_AUTO
         self.source = own
         # Absent hulls are left out of arrays of at least two rows only.
-        rows = max(worlds, 2)
-        self.model = mujoco_warp.put_model(own, dict.fromkeys(_ROW_FIELDS, rows))
+        self.model = mujoco_warp.put_model(own, dict.fromkeys(_ROW_FIELDS, max(worlds, 2)))
         # Version 4.0 leaves the velocity derivative of actuators out of the implicit integration of single free
         # bodies; without this list the objects are integrated like all other bodies.
         self.model.body_freeadr = warp.empty(0, dtype=int)
         self.model.opt.deterministic = int(mujoco_warp.DeterminismType.ALL)
         # Overflows raise an error instead.
         self.model.opt.warn_overflow = 0
-        self._meshes, self._mesh_numbers = MeshPool(), dict[SceneModel, npt.NDArray[np.int_]]()
-        self._values: dict[str, npt.NDArray[np.generic]] = {
-            name: getattr(self.model, name).numpy().copy() for name in _ROW_FIELDS
+        self._meshes, self._numbers = MeshPool(), dict[SceneModel, int]()
+        # Tensors that share the memory of the model's arrays, and the values of each scene.
+        self._rows = {name: warp.to_torch(getattr(self.model, name)) for name in _ROW_FIELDS}
+        fields = {**self._rows, **{name + _RELEASED: self._rows[name] for name in _RELEASED_FIELDS}}
+        self._scenes = {
+            name: RowBank(arrays, tuple(rows.shape[1:]), str(rows.dtype).removeprefix("torch."))
+            for name, rows in fields.items()
         }
-        self._scenes: list[tuple[SceneModel, bool] | None] = [None] * rows
-        self.set_rows([(scene, False)] * rows)
+        number, _ = self.add_scene(scene)
+        numbers = arrays.full(len(self._rows["body_mass"]), number, "int64")
+        self.select_scenes(numbers, arrays.zeros(len(numbers), "bool"))
 
-    def set_rows(self, scenes: Sequence[tuple[SceneModel, bool]]) -> bool:
-        """Set the scenes of the worlds in the first rows.
-
-        Args:
-            scenes: Scene model of each world, and whether its target object is released.
+    def add_scene(self, scene: SceneModel) -> tuple[int, bool]:
+        """Copy a scene to the device, unless it is there.
 
         Returns:
-            Whether arrays of the model were replaced, so that a captured graph is invalid.
+            Number of the scene; and whether arrays of the model were replaced, so that a captured graph is invalid.
         """
-        changed = {row: own for row, own in enumerate(scenes) if self._scenes[row] != own}
+        if scene in self._numbers:
+            return self._numbers[scene], False
         n_meshes = len(self._meshes.arrays.get("mesh_vertadr", ()))
-        for row, (scene, released) in changed.items():
-            for name, values in self._compute_row(scene, released).items():
-                self._values[name][row] = values
-            self._scenes[row] = scene, released
-        if changed:
-            for name, rows in self._values.items():
-                getattr(self.model, name).assign(rows)
+        values = self._compute_values(scene)
+        (self._numbers[scene],) = {self._scenes[name].extend(own) for name, own in values.items()}
         if len(self._meshes.arrays["mesh_vertadr"]) == n_meshes:
-            return False
+            return self._numbers[scene], False
         for name, array in self._meshes.arrays.items():
             setattr(self.model, name, warp.array(array, dtype=getattr(self.model, name).dtype))
         self.model.npolygonmax = self._meshes.max_polygon_vertices
         self.model.nmeshdegmax = self._meshes.max_vertex_polygons
-        return True
+        return self._numbers[scene], True
 
-    def _compute_row(self, scene: SceneModel, released: bool) -> dict[str, npt.NDArray[np.generic]]:
-        """Return the values of a world by field."""
+    def select_scenes(self, numbers: AnyArray, released: AnyArray) -> None:
+        """Set the scenes of the worlds in the first rows.
+
+        Args:
+            numbers: Numbers (m,) of the scenes.
+            released: Whether the target objects are released, (m,).
+        """
+        for name, rows in self._rows.items():
+            if name not in _RELEASED_FIELDS:
+                rows[: len(numbers)] = self._scenes[name].rows[numbers]
+        self.select_released(numbers, released)
+
+    def select_released(self, numbers: AnyArray, released: AnyArray) -> None:
+        """Set whether the target objects of the worlds in the first rows are released; see `select_scenes`."""
+        for name in _RELEASED_FIELDS:
+            rows, own = self._rows[name], (self._scenes[key].rows[numbers] for key in (name + _RELEASED, name))
+            mask = released.reshape(-1, *[1] * (rows.ndim - 1))
+            rows[: len(numbers)] = get_namespace(rows).where(mask, *own)
+
+    def _compute_values(self, scene: SceneModel) -> dict[str, npt.NDArray[np.generic]]:
+        """Return the values of a scene by field."""
         model, target = scene.model, scene.objects[0]
-        row = {name: getattr(model, name) for name in _ROW_FIELDS}
-        meshes = row["geom_dataid"] = self._number_meshes(scene)
+        values = {name: getattr(model, name) for name in _ROW_FIELDS}
         first, count = model.body_geomadr[target], model.body_geomnum[target]
-        if released:
-            start = scene.object_ctrl.start
-            row["actuator_forcerange"] = model.actuator_forcerange.copy()
-            row["actuator_forcerange"][start : start + OBJECT_DOF] = 0.0
-        else:
-            meshes[first + count // 2 : first + count] = -1
-        return {name: np.reshape(values, self._values[name].shape[1:]) for name, values in row.items()}
+        values["geom_dataid"] = self._number_meshes(scene)
+        for name in _RELEASED_FIELDS:
+            values[name + _RELEASED] = values[name].copy()
+        # The second copy of the target's hulls collides with supports.
+        values["geom_dataid"][first + count // 2 : first + count] = -1
+        start = scene.object_ctrl.start
+        values["actuator_forcerange" + _RELEASED][start : start + OBJECT_DOF] = 0.0
+        return values
 
     def _number_meshes(self, scene: SceneModel) -> npt.NDArray[np.int_]:
         """Return the number of each geom's mesh in the pool; -1 for absent hulls and other geoms."""
-        if scene not in self._mesh_numbers:
-            model = scene.model
-            numbers = self._meshes.add(model)[model.geom_dataid]
-            absent = [model.geom(number).name.startswith(ABSENT_PREFIX) for number in range(model.ngeom)]
-            self._mesh_numbers[scene] = np.where((model.geom_dataid < 0) | absent, -1, numbers)
-        found: npt.NDArray[np.int_] = self._mesh_numbers[scene].copy()
-        return found
+        model = scene.model
+        numbers = self._meshes.add(model)[model.geom_dataid]
+        absent = [model.geom(number).name.startswith(ABSENT_PREFIX) for number in range(model.ngeom)]
+        return np.where((model.geom_dataid < 0) | absent, -1, numbers)

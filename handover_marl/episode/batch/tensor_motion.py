@@ -1,0 +1,200 @@
+"""Motion of many givers on one device; see `handover_marl.episode.giver_motion` for one giver.
+
+The functions compute what `handover_marl.episode.batch.giver_motion` computes for NumPy arrays, without choosing rows
+by their values, which would have to be read from the device.
+"""
+
+from dataclasses import dataclass
+
+from handover_marl.config import TIME_STEP, GiverConfig
+from handover_marl.datasets.dataset import Scene
+from handover_marl.episode.batch.giver_motion import ramp_rates
+from handover_marl.episode.batch.recordings import Frames, RecordingBank
+from handover_marl.episode.batch.wrist_offset import track_set_points
+from handover_marl.geometry.arrays import AnyArray, ArrayFactory
+from handover_marl.geometry.poses import (
+    find_nearest_euler,
+    multiply_quaternions,
+    quaternions_from_euler,
+    rotate_points,
+)
+from handover_marl.geometry.rotations import euler_from_quaternions, quaternions_from_rotation_vectors
+from handover_marl.simulation.kinematic_paths import BASE_JOINTS
+from handover_marl.simulation.tensor_state import ReferenceBatch
+
+_HALF = BASE_JOINTS // 2
+
+
+@dataclass(frozen=True, eq=False)
+class TensorPlan:
+    """Planned motion of r givers in k physics steps.
+
+    Attributes:
+        rows: Indices (r,) of the givers.
+        reference: Targets of hands and objects.
+        states: States (r, k, ...) of the givers after each step, by the names of their attributes.
+    """
+
+    rows: AnyArray
+    reference: ReferenceBatch
+    states: dict[str, AnyArray]
+
+
+class TensorGiverMotion:
+    """Playback of one recorded scene for each of n givers, with their deviations; see `GiverMotionBatch`.
+
+    Args:
+        count: Number n of givers.
+        config: Limits of the deviation from the recordings.
+        arrays: Creator of tensors on the device.
+
+    Attributes:
+        frame: Present frame (n,) of each recording.
+        rate: Playback rates minus 1 (n,).
+        offset: Wrist displacement (m) and rotation vector (rad) of each giver, (n, 2, 3).
+        opened: Progress (n,) of each hand's opening, 0 to 1.
+    """
+
+    def __init__(self, count: int, config: GiverConfig, arrays: ArrayFactory) -> None:
+        self._config, self._arrays = config, arrays
+        self._bank = RecordingBank(config, arrays)
+        self._recordings, self.frame = arrays.zeros(count, "int64"), arrays.zeros(count, "int64")
+        self._clock, self.rate, self.opened = arrays.zeros(count), arrays.zeros(count), arrays.zeros(count)
+        self.offset, self._velocity = arrays.zeros((count, 2, 3)), arrays.zeros((count, 2, 3))
+        self._has_deviated = arrays.zeros(count, "bool")
+        # Last Euler angles of the hands' bases, from which the next ones continue without a jump.
+        self._angles = arrays.zeros((count, 3), "float32")
+        limits = [[config.speed, config.turn_speed], [config.acceleration, config.turn_acceleration]]
+        self._limits = arrays.asarray(limits, "float64")
+
+    def reset(self, row: int, scene: Scene) -> None:
+        """Start to play a scene."""
+        self._recordings[row] = self._bank.add(scene)
+        for state in (self.frame, self._clock, self.rate, self.opened, self.offset, self._velocity, self._has_deviated):
+            state[row] = 0
+        self._angles[row] = self._arrays.asarray(scene.hand_dof[0, _HALF:BASE_JOINTS])
+
+    @property
+    def holding(self) -> AnyArray:
+        """Whether each person has picked up the object, so that displacements take effect, (n,)."""
+        return self.frame >= self._bank.get_pick_up_frames(self._recordings)
+
+    @property
+    def deviation(self) -> AnyArray:
+        """(n, 7) playback rates minus 1, wrist displacements (m) and rotation vectors (rad), float32."""
+        xp = self._arrays.xp
+        return xp.astype(xp.concat([self.rate[:, None], self.offset.reshape(-1, 6)], axis=1), xp.float32)
+
+    def read_previews(self, rows: AnyArray) -> tuple[AnyArray, AnyArray]:
+        """Return the previews (r, k, 7) of wrists and target objects; see `RecordingBank.read_previews`."""
+        return self._bank.read_previews(self._recordings[rows], self.frame[rows])
+
+    def plan(self, rows: AnyArray, steps: int, actions: AnyArray, released: AnyArray, opening: AnyArray) -> TensorPlan:
+        """Return the motion of r givers in the next physics steps, without advancing the playback.
+
+        Args:
+            rows: Indices (r,) of the givers.
+            steps: Number of physics steps k.
+            actions: (r, 8) actions.
+            released: Whether each object has been released, so that it does not follow the hand, (r,).
+            opening: Whether each hand opens after a voluntary release, (r,).
+        """
+        xp, recordings = self._arrays.xp, self._recordings[rows]
+        actions = xp.astype(actions, xp.float64)
+        rates = ramp_rates(self.rate[rows], actions[:, 0], self._config.rate_change, steps)
+        clocks = self._clock[rows, None] + xp.cumsum(1.0 + rates, axis=1)
+        # Rates often sum to halves; rounding to 9 digits first keeps float noise from deciding.
+        frames = xp.astype(xp.round(xp.round(clocks * 1e9) / 1e9), xp.int64)
+        frames = xp.minimum(frames, self._bank.get_last_frames(recordings)[:, None])
+        recorded = self._bank.read_frames(recordings, frames)
+        # An object that is picked up during these steps must not move early.
+        set_points = xp.where(self.holding[rows, None], actions[:, 1:7], 0.0).reshape(-1, 2, 3)
+        moving = self._has_deviated[rows] | xp.any(set_points != 0.0, axis=(1, 2))
+        offset, velocity = self.offset[rows], self._velocity[rows]
+        offsets, velocities = (
+            part.swapaxes(0, 1) for part in track_set_points(offset, velocity, set_points, steps, self._limits)
+        )
+        progress = (
+            self.opened[rows, None]
+            + (TIME_STEP / self._config.opening_time) * (self._arrays.arange(steps) + 1) * opening[:, None]
+        )
+        opened = xp.clip(progress, 0.0, 1.0)
+        reference = self._make_reference(rows, recorded, offsets, moving, moving & ~released, opened)
+        states = {
+            "_clock": clocks,
+            "frame": frames,
+            "rate": rates,
+            "opened": opened,
+            "offset": offsets,
+            "_velocity": velocities,
+            "_has_deviated": xp.broadcast_to(moving[:, None], frames.shape),
+            "_angles": reference.hand[..., _HALF:BASE_JOINTS],
+        }
+        return TensorPlan(rows, reference, states)
+
+    def commit(self, plan: TensorPlan, steps: AnyArray) -> None:
+        """Advance the playback by the planned steps that were simulated.
+
+        Args:
+            plan: Motion as returned by `plan`.
+            steps: Number of simulated steps (r,) of each giver.
+        """
+        xp, rows = self._arrays.xp, plan.rows
+        places, last = self._arrays.arange(len(rows)), xp.clip(steps - 1, 0)
+        for name, values in plan.states.items():
+            state = getattr(self, name)
+            advanced = (steps > 0).reshape(-1, *[1] * (state.ndim - 1))
+            state[rows] = xp.where(advanced, values[places, last], state[rows])
+
+    def _make_reference(
+        self,
+        rows: AnyArray,
+        recorded: Frames,
+        offsets: AnyArray,
+        moving: AnyArray,
+        moves_object: AnyArray,
+        opened: AnyArray,
+    ) -> ReferenceBatch:
+        """Move hands and held objects with their wrists' offsets, and open hands.
+
+        Args:
+            rows: Indices (r,) of the givers.
+            recorded: Recorded frames (r, k).
+            offsets: Offsets (r, k, 2, 3) of the wrists.
+            moving: Whether each wrist has an offset, (r,).
+            moves_object: Whether the object moves with it, (r,).
+            opened: Progress (r, k) of the hands' opening.
+        """
+        xp, objects = self._arrays.xp, recorded.objects
+        positions = xp.astype(objects[..., :_HALF], xp.float64)
+        orientations = quaternions_from_euler(objects[..., _HALF:].reshape(-1, 3)).reshape(*objects.shape[:-1], 4)
+        base = recorded.hand[..., :BASE_JOINTS]
+        # The only value that the host reads from the device here.
+        if bool(xp.any(moving)):
+            base_position = xp.astype(base[..., :_HALF], xp.float64)
+            turns = quaternions_from_euler(base[..., _HALF:].reshape(-1, 3)).reshape(*base.shape[:-1], 4)
+            wrist = self._bank.get_wrist_offsets(self._recordings[rows])[:, None]
+            pivots = base_position + rotate_points(turns, wrist)
+            rotation = quaternions_from_rotation_vectors(offsets[..., 1, :])
+            moved = pivots + offsets[..., 0, :] + rotate_points(rotation, base_position - pivots)
+            angles = self._continue_angles(rows, multiply_quaternions(rotation, turns))
+            moved_base = xp.astype(xp.concat([moved, angles], axis=-1), xp.float32)
+            base = xp.where(moving[:, None, None], moved_base, base)
+            held, turned = positions[..., 0, :], multiply_quaternions(rotation, orientations[..., 0, :])
+            moved = pivots + offsets[..., 0, :] + rotate_points(rotation, held - pivots)
+            mask = moves_object[:, None, None]
+            positions[..., 0, :] = xp.where(mask, moved, held)
+            orientations[..., 0, :] = xp.where(mask, turned, orientations[..., 0, :])
+        openness = xp.astype(1.0 - self._config.opening * opened[..., None], xp.float32)
+        hand = xp.concat([base, recorded.hand[..., BASE_JOINTS:] * openness], axis=-1)
+        return ReferenceBatch(hand, recorded.hand_present, positions, orientations)
+
+    def _continue_angles(self, rows: AnyArray, quaternions: AnyArray) -> AnyArray:
+        """Return Euler angles (r, k, 3) of quaternions (r, k, 4) that continue the last ones without a jump."""
+        xp = self._arrays.xp
+        angles = euler_from_quaternions(quaternions.reshape(-1, 4)).reshape(*quaternions.shape[:-1], 3)
+        before, continued = xp.astype(self._angles[rows], xp.float64), []
+        for step in range(angles.shape[1]):
+            before = find_nearest_euler(angles[:, step], before)
+            continued.append(before)
+        return xp.stack(continued, axis=1)

@@ -1,0 +1,263 @@
+"""Worlds of one model layout that MuJoCo Warp steps together on a GPU, or on Warp's CPU device in tests.
+
+MuJoCo Warp computes in single precision. The state of all worlds is in tensors on the device.
+"""
+
+import contextlib
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import mujoco_warp
+import numpy as np
+import numpy.typing as npt
+import warp
+
+from handover_marl.config import PhysicsConfig, ProtocolConfig
+from handover_marl.geometry.arrays import AnyArray, ArrayFactory, to_numpy
+from handover_marl.simulation.contacts import ContactBatch, Contacts
+from handover_marl.simulation.mujoco.batches.warp_model import WarpModel
+from handover_marl.simulation.mujoco.contacts import SensorReadings
+from handover_marl.simulation.mujoco.engine import wxyz_from_euler
+from handover_marl.simulation.mujoco.scene_model import SceneModel
+
+# Memory for contacts and constraints of each world. Contacts are shared by all worlds of a group.
+_MAX_CONTACTS, _MAX_CONSTRAINTS = 128, 256
+# State that determines the motion of a world, and what is read after its last step.
+_STATE = ("qpos", "qvel", "qacc_warmstart")
+_KEPT = (*_STATE, "sensordata")
+_CONTROLS = ("ctrl", "mocap_pos", "mocap_quat")
+_FORCES = "xfrc_applied"
+_OVERFLOWS = mujoco_warp.OverflowType
+_FATAL_OVERFLOWS = {
+    _OVERFLOWS.NEFC: "constraints",
+    _OVERFLOWS.BROADPHASE: "pairs of near bodies",
+    _OVERFLOWS.NARROWPHASE: "contacts",
+    _OVERFLOWS.CCD: "convex collisions",
+    _OVERFLOWS.CONTACT_MATCH: "contacts of a sensor",
+}
+
+
+class StepControls(NamedTuple):
+    """Controls of r worlds in a physics step, or of c steps with the steps as second axis.
+
+    Attributes:
+        targets: Actuator targets (r, u).
+        positions: Positions (r, m, 3) of the mocap bodies (m).
+        quaternions: Quaternions wxyz (r, m, 4) of the mocap bodies.
+    """
+
+    targets: AnyArray
+    positions: AnyArray
+    quaternions: AnyArray
+
+
+@dataclass(eq=False)
+class WarpRollout:
+    """Worlds that are advanced together, step by step.
+
+    Attributes:
+        rows: Numbers (r,) of the worlds.
+        places: Index (d,) in `rows` of the world in each of the engine's first d rows.
+        scenes: Numbers (d,) of the scenes in these rows.
+        released: Whether the target objects in these rows are released, (d,).
+        kept: Last kept states (r, ...) of the worlds by name.
+    """
+
+    rows: AnyArray
+    places: AnyArray
+    scenes: AnyArray
+    released: AnyArray
+    kept: dict[str, AnyArray]
+
+
+class WarpGroup:
+    """Worlds whose models have one layout; rows are numbers of worlds, whether they are in this group or not.
+
+    Args:
+        scene: Padded scene model with the layout of the group.
+        count: Number n of worlds.
+        config: Constants of the worlds.
+        arrays: Creator of tensors on the device.
+
+    Attributes:
+        scene: Padded scene model with the layout of the group.
+        state: Joint positions, velocities, warm starts and sensor data (n, ...) by MuJoCo's names.
+        released: Whether the target object of each world is released, (n,).
+    """
+
+    def __init__(self, scene: SceneModel, count: int, config: PhysicsConfig, arrays: ArrayFactory) -> None:
+        self.scene, self._count, self._config, self._arrays = scene, count, config, arrays
+        self._device = str(arrays.device)
+        with warp.ScopedDevice(self._device):
+            self._model = WarpModel(scene, count, arrays)
+            self._data = mujoco_warp.make_data(self._model.source, count, _MAX_CONTACTS, njmax=_MAX_CONSTRAINTS)
+            # Tensors that share the memory of the engine's arrays.
+            names = (*_KEPT, *_CONTROLS, _FORCES, "xpos", "xquat", "overflow")
+            self._views = {name: warp.to_torch(getattr(self._data, name)) for name in names}
+        self._graphs: dict[int, warp.Graph] = {}
+        self._sensors = scene.contact_sensors.move_to(arrays)
+        self.state = {name: arrays.xp.zeros_like(self._views[name]) for name in _KEPT}
+        # The positions of orientation references do not change during an episode, and hands follow in each step.
+        self._mocap = {name: arrays.xp.zeros_like(self._views[name]) for name in ("mocap_pos", "mocap_quat")}
+        self.released, self._scenes = arrays.zeros(count, "bool"), arrays.zeros(count, "int64")
+        self._target_mass = arrays.zeros(count, "float32")
+        self._stream = arrays.xp.cuda.Stream(arrays.device) if arrays.device.type == "cuda" else None
+
+    def reset(
+        self, row: int, scene: SceneModel, robot_joints: npt.ArrayLike, object_joints: npt.NDArray[np.float32]
+    ) -> None:
+        """Set a world to the start of a scene, at rest.
+
+        Args:
+            row: Number of the world.
+            scene: Padded model of the scene.
+            robot_joints: Nine joint positions of the robot (rad, m).
+            object_joints: Joint positions (m, 6) of the objects: xyz (m), XYZ Euler angles (rad).
+        """
+        with warp.ScopedDevice(self._device):
+            number, is_replaced = self._model.add_scene(scene)
+        if is_replaced:
+            self._graphs.clear()
+        model, qpos = scene.model, scene.model.qpos0.copy()
+        qpos[scene.robot_qpos] = robot_joints
+        poses = np.concatenate([object_joints[:, :3], wxyz_from_euler(object_joints[:, 3:])], axis=1)
+        qpos[scene.object_qpos] = poses.ravel()
+        bodies = np.flatnonzero(model.body_mocapid >= 0)
+        starts = {"qpos": qpos, "mocap_pos": model.body_pos[bodies], "mocap_quat": model.body_quat[bodies]}
+        for name, array in {**self.state, **self._mocap}.items():
+            array[row] = self._arrays.asarray(starts[name], "float32") if name in starts else 0.0
+        self._scenes[row], self.released[row] = number, False
+        self._target_mass[row] = float(model.body_mass[scene.objects[0]])
+
+    def compute_body_poses(self, rows: AnyArray, bodies: list[int]) -> tuple[AnyArray, AnyArray]:
+        """Compute the world positions (r, b, 3) and quaternions wxyz (r, b, 4) of some bodies of the robot."""
+        count = len(rows)
+        with self._use_device():
+            self._data.nworld = count
+            self._views["qpos"][:count] = self.state["qpos"][rows]
+            self._model.select_scenes(self._scenes[rows], self.released[rows])
+            mujoco_warp.kinematics(self._model.model, self._data)
+            return self._views["xpos"][:count][:, bodies], self._views["xquat"][:count][:, bodies]
+
+    def start_rollout(self, rows: AnyArray) -> WarpRollout:
+        """Copy worlds to the engine, and return a rollout of them.
+
+        On a GPU the number of the engine's rows is a power of two, since each number needs a graph; further rows repeat
+        the first world.
+
+        Args:
+            rows: Numbers (r,) of worlds in this group.
+        """
+        count = n_rows = len(rows)
+        if self._stream is not None:
+            n_rows = int(min(self._count, 2 ** math.ceil(math.log2(count))))
+        places = self._arrays.xp.clip(self._arrays.arange(n_rows), 0, count - 1)
+        source = rows[places]
+        rollout = WarpRollout(rows, places, self._scenes[source], self.released[source], {})
+        with self._use_device():
+            self._data.nworld = n_rows
+            for name in _STATE:
+                self._views[name][:n_rows] = self.state[name][source]
+            self._views["overflow"].zero_()
+            self._model.select_scenes(rollout.scenes, rollout.released)
+            self._views[_FORCES][:n_rows] = 0.0
+            self._set_weights(rollout)
+        rollout.kept.update({name: array[rows] for name, array in self.state.items()})
+        return rollout
+
+    def step(self, rollout: WarpRollout, controls: StepControls, rules: ProtocolConfig) -> ContactBatch:
+        """Simulate one physics step of the worlds of a rollout, and return its contacts (1, r).
+
+        Args:
+            rollout: The rollout; no other one may have been started since.
+            controls: Controls of the worlds.
+            rules: Bounds of the grasp region of the fingers.
+        """
+        count, places = len(rollout.rows), rollout.places
+        with self._use_device():
+            for name, array in zip(_CONTROLS, controls, strict=True):
+                self._views[name][: len(places)] = array[places]
+            self._step()
+            data, qpos = (self._views[name][None, :count] for name in ("sensordata", "qpos"))
+            return SensorReadings(self._sensors, data, qpos).compute_contact_batch(rules)
+
+    def keep(self, rollout: WarpRollout, running: AnyArray) -> None:
+        """Keep the present states of some worlds (r,) of a rollout; the others stay at their last kept states."""
+        xp, count = self._arrays.xp, len(rollout.rows)
+        for name, kept in rollout.kept.items():
+            rollout.kept[name] = xp.where(running[:, None], self._views[name][:count], kept)
+
+    def release(self, rollout: WarpRollout, released: AnyArray) -> None:
+        """Release the target objects of some worlds (r,) of a rollout, from the next step on."""
+        rollout.released |= released[rollout.places]
+        with self._use_device():
+            self._model.select_released(rollout.scenes, rollout.released)
+            self._set_weights(rollout)
+
+    def finish(self, rollout: WarpRollout) -> str | None:
+        """Store the kept states of the worlds of a rollout.
+
+        Returns:
+            Why the states are invalid: memory of the device was too small, or a state is not finite; None if they are
+            valid.
+        """
+        count, xp = len(rollout.rows), self._arrays.xp
+        for name, kept in rollout.kept.items():
+            self.state[name][rollout.rows] = kept
+        self.released[rollout.rows] = rollout.released[:count]
+        overflows = int(np.bitwise_or.reduce(to_numpy(self._views["overflow"][:count])))
+        full = [name for bit, name in _FATAL_OVERFLOWS.items() if overflows & bit]
+        if full:
+            return f"too many {' and '.join(full)}."
+        is_finite = all(bool(xp.all(xp.isfinite(rollout.kept[name]))) for name in _STATE)
+        return None if is_finite else "Nan, Inf or huge value in the state."
+
+    def get_mocap_poses(self, rows: AnyArray) -> tuple[AnyArray, AnyArray]:
+        """Return positions (r, m, 3) and quaternions wxyz (r, m, 4) of the mocap bodies at the start (m)."""
+        return self._mocap["mocap_pos"][rows], self._mocap["mocap_quat"][rows]
+
+    def read_contact_batch(self, rows: AnyArray, rules: ProtocolConfig) -> ContactBatch:
+        """Return the contacts (1, r) of worlds in their last physics steps."""
+        data, qpos = (self.state[name][rows][None] for name in ("sensordata", "qpos"))
+        return SensorReadings(self._sensors, data, qpos).compute_contact_batch(rules)
+
+    def read_contacts(self, row: int, released: bool) -> Contacts:
+        """Return the contacts of a world in its last physics step; see `World.read_contacts`."""
+        data, qpos = (to_numpy(self.state[name][row]).astype(np.float64) for name in ("sensordata", "qpos"))
+        return SensorReadings(self.scene.contact_sensors, data, qpos).compute_contacts(released)
+
+    def _set_weights(self, rollout: WarpRollout) -> None:
+        """Apply the weights of released target objects as forces."""
+        weights = self._config.gravity * self._target_mass[rollout.rows][rollout.places]
+        body = int(self.scene.objects[0])
+        self._views[_FORCES][: len(rollout.places), body, 2] = weights * rollout.released
+
+    def _step(self) -> None:
+        """Simulate one step of the first `nworld` rows of the device."""
+        model, data = self._model.model, self._data
+        if data.nworld in self._graphs:
+            warp.capture_launch(self._graphs[data.nworld])
+            return
+        mujoco_warp.step(model, data)
+        if self._stream is not None:
+            # All kernels are compiled now, which is not possible while a graph is captured.
+            with warp.ScopedCapture() as capture:
+                mujoco_warp.step(model, data)
+            self._graphs[data.nworld] = capture.graph
+
+    @contextlib.contextmanager
+    def _use_device(self) -> Iterator[None]:
+        """Let Warp and PyTorch use the device, on a GPU in one stream, so that they wait for each other."""
+        with contextlib.ExitStack() as stack:
+            stack.enter_context(warp.ScopedDevice(self._device))
+            if self._stream is not None:
+                cuda = self._arrays.xp.cuda
+                outer = cuda.current_stream(self._arrays.device)
+                self._stream.wait_stream(outer)
+                stack.callback(outer.wait_stream, self._stream)
+                stack.enter_context(cuda.stream(self._stream))
+                # A graph cannot be captured in the default stream.
+                stack.enter_context(warp.ScopedStream(warp.stream_from_torch(self._stream)))
+            yield

@@ -1,0 +1,187 @@
+"""Worlds of many episodes in MuJoCo Warp: robots, objects and hands whose state stays on the device."""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.config import OBJECT_DOF, TIME_STEP, PhysicsConfig, ProtocolConfig
+from handover_marl.datasets.dataset import Scene
+from handover_marl.errors import ResetNeededError, SimulationError
+from handover_marl.geometry.arrays import AnyArray, ArrayFactory, make_constant
+from handover_marl.simulation.contacts import ContactBatch, Contacts
+from handover_marl.simulation.kinematic_paths import ReferenceMotion
+from handover_marl.simulation.mujoco.batches.warp_group import StepControls, WarpGroup
+from handover_marl.simulation.mujoco.batches.warp_hands import HandBatch, HandPath
+from handover_marl.simulation.mujoco.batches.warp_model import compute_layout, load_padded_model
+from handover_marl.simulation.mujoco.control import ABSENT
+from handover_marl.simulation.mujoco.engine import WXYZ, bullet_xyzw_from_wxyz, configure_engine
+from handover_marl.simulation.tensor_state import ReferenceBatch, WorldStateBatch
+
+# Physics steps whose controls are computed at a time: those of more steps take much memory.
+_CHUNK_STEPS = 25
+#: Function from the contacts (1, r) of a step to whether each world ran before it, and was released in it, (r,).
+JudgeFunction = Callable[[ContactBatch], tuple[AnyArray, AnyArray]]
+
+
+class WarpWorlds:
+    """Worlds of n episodes, simulated together by MuJoCo Warp.
+
+    The argument `rows` (r,) of methods has the numbers of the worlds to which a method applies. Worlds whose models
+    have different layouts are in different groups; rows of one call must be in one group, see `split`.
+
+    Args:
+        config: Constants of the worlds.
+        count: Number n of worlds.
+        arrays: Creator of tensors on the device.
+    """
+
+    def __init__(self, config: PhysicsConfig, count: int, arrays: ArrayFactory) -> None:
+        configure_engine()
+        self._config, self._count, self._arrays = config, count, arrays
+        self._hands = HandBatch(count, config.hand, arrays)
+        self._groups: dict[tuple[object, ...], WarpGroup] = {}
+        self._group_of: list[WarpGroup | None] = [None] * count
+        self._steps = arrays.zeros(count, "int64")
+
+    def reset(self, row: int, scene: Scene, start: ReferenceMotion, robot_joints: Sequence[float]) -> None:
+        """Load a scene and set robot, objects and hand to its start.
+
+        Args:
+            row: Number of the world.
+            scene: Scene to load.
+            start: Reference motion of one row: joint positions of hand and objects at the start.
+            robot_joints: Nine joint positions of the robot at the start (rad, m).
+
+        Raises:
+            OptionError: MuJoCo Warp cannot simulate the scene with the others.
+            SimulationError, DataFormatError: A model or a mesh cannot be read, or MuJoCo rejects it.
+        """
+        model = load_padded_model(scene.assets, self._config)
+        layout = compute_layout(model)
+        if layout not in self._groups:
+            self._groups[layout] = WarpGroup(model, self._count, self._config, self._arrays)
+        group = self._group_of[row] = self._groups[layout]
+        group.reset(row, model, robot_joints, start.objects[0])
+        self._steps[row] = 0
+        self._hands.reset(row, scene.assets.hand, start.hand[0] if start.hand_present[0] else None)
+
+    def split(self, rows: npt.NDArray[np.int_]) -> list[npt.NDArray[np.int_]]:
+        """Return the indices in `rows` (on the host) of the worlds of each group."""
+        groups = [self._group_of[row] for row in rows.tolist()]
+        return [
+            np.array([place for place, own in enumerate(groups) if own is group])
+            for group in self._groups.values()
+            if group in groups
+        ]
+
+    def release(self, rows: AnyArray) -> None:
+        """Release the target objects of worlds, from the next step on."""
+        for group in self._groups.values():
+            group.released[rows] = True
+
+    def simulate(
+        self,
+        rows: npt.NDArray[np.int_],
+        reference: ReferenceBatch,
+        robot_targets: AnyArray,
+        judge: JudgeFunction,
+        rules: ProtocolConfig,
+    ) -> AnyArray:
+        """Simulate the worlds of one group until all have ended, or for all steps of their references.
+
+        Args:
+            rows: Numbers (r,) of the worlds, on the host.
+            reference: Targets of hands and objects in k steps.
+            robot_targets: Joint targets (r, 9) of the robots (rad, m).
+            judge: Function that applies the rules to each step; worlds that have ended keep their last state.
+            rules: Bounds of the grasp region of the fingers.
+
+        Returns:
+            Number (r,) of simulated steps of each world.
+
+        Raises:
+            SimulationError: The engine failed; the states of these worlds are invalid.
+        """
+        xp, group, index = self._arrays.xp, self._find_group(rows), self._arrays.asarray(rows)
+        path = self._hands.track(index, reference.hand, reference.hand_present)
+        rollout, simulated = group.start_rollout(index), self._arrays.zeros(len(rows), "int64")
+        steps = reference.hand.shape[1]
+        for first in range(0, steps, _CHUNK_STEPS):
+            controls = self._make_controls(group, index, reference, path, slice(first, first + _CHUNK_STEPS))
+            controls.targets[..., group.scene.robot_ctrl] = robot_targets[:, None]
+            for step in range(controls.targets.shape[1]):
+                contacts = group.step(rollout, StepControls(*(array[:, step] for array in controls)), rules)
+                ran, released = judge(contacts)
+                group.keep(rollout, ran)
+                group.release(rollout, released)
+                simulated += ran
+            if not bool(xp.any(ran)):
+                break
+        reason = group.finish(rollout)
+        if reason is not None:
+            seconds = TIME_STEP * int(self._steps[index].max())
+            raise SimulationError(
+                f"MuJoCo Warp's simulation failed after {seconds:.3f} s: {reason} To go on, use "
+                "backend='threads', and report this."
+            )
+        self._hands.store(index, path, simulated)
+        self._steps[index] += simulated
+        return simulated
+
+    def read_state(self, rows: npt.NDArray[np.int_]) -> WorldStateBatch:
+        """Return the state of worlds of one group, whose numbers (r,) are on the host."""
+        xp, group, index = self._arrays.xp, self._find_group(rows), self._arrays.asarray(rows)
+        scene, qpos = group.scene, group.state["qpos"][index]
+        positions, quaternions = group.compute_body_poses(index, [scene.gripper])
+        objects = qpos[:, scene.object_qpos.start :].reshape(len(rows), -1, 7)
+        poses = xp.concat([xp.concat([positions, quaternions], axis=-1), objects], axis=1)
+        poses = xp.concat([poses[..., :3], bullet_xyzw_from_wxyz(poses[..., 3:])], axis=-1)
+        return WorldStateBatch(
+            robot_joint_position=qpos[:, scene.robot_qpos],
+            robot_joint_velocity=group.state["qvel"][index][:, scene.robot_qvel],
+            gripper_pose=poses[:, 0],
+            object_poses=poses[:, 1:],
+            hand_present=self._hands.present[index],
+            hand_dof_position=xp.astype(self._hands.joints[index], xp.float32),
+            hand_keypoints=xp.astype(self._hands.compute_keypoints(index), xp.float32),
+        )
+
+    def read_contact_batch(self, rows: npt.NDArray[np.int_], rules: ProtocolConfig) -> ContactBatch:
+        """Return the contacts (1, r) of worlds of one group in their last physics steps."""
+        return self._find_group(rows).read_contact_batch(self._arrays.asarray(rows), rules)
+
+    def read_contacts(self, row: int, released: bool) -> Contacts:
+        """Return the contacts of a world in its last physics step; see `World.read_contacts`."""
+        return self._find_group(np.array([row])).read_contacts(row, released)
+
+    def _find_group(self, rows: npt.NDArray[np.int_]) -> WarpGroup:
+        group = self._group_of[int(rows[0])]
+        if group is None:
+            raise ResetNeededError("the world has no scene; call reset() first")
+        return group
+
+    def _make_controls(
+        self, group: WarpGroup, rows: AnyArray, reference: ReferenceBatch, path: HandPath, steps: slice
+    ) -> StepControls:
+        """Return the controls (r, c, ...) of some steps, in which the robots' targets are zeros."""
+        xp, scene = self._arrays.xp, group.scene
+        wanted, present = reference.object_positions[:, steps], path.present[:, steps, None, None]
+        shape = wanted.shape[:2]
+        n_objects = (scene.model.nu - scene.object_ctrl.start) // OBJECT_DOF
+        targets = self._arrays.zeros((*shape, scene.model.nu), "float32")
+        # Actuators drive objects to world positions; the target orientation is that of a mocap body.
+        own = targets[..., scene.object_ctrl.start :].reshape(*shape, n_objects, OBJECT_DOF)
+        own[..., : OBJECT_DOF // 2] = wanted[..., :n_objects, :]
+        targets[..., scene.object_ctrl.start :] = own.reshape(*shape, -1)
+        start = scene.rotation_references.start
+        positions, quaternions = (
+            xp.broadcast_to(array[:, None], (*shape, *array.shape[1:])).clone() for array in group.get_mocap_poses(rows)
+        )
+        turns = reference.object_orientations[:, steps, :n_objects]
+        quaternions[..., start : start + n_objects, :] = turns[..., WXYZ]
+        links = self._arrays.asarray(scene.hand_links, "int64")
+        origins, rotations = self._hands.compute_link_poses(rows, path.joints[:, steps], links)
+        positions[..., scene.hand, :] = xp.where(present, origins, make_constant(ABSENT, origins))
+        quaternions[..., scene.hand, :] = xp.astype(rotations[..., WXYZ], xp.float32)
+        return StepControls(targets, positions, quaternions)
