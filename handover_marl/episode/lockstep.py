@@ -15,6 +15,8 @@ from handover_marl.simulation.world import BatchWorld
 Counts = npt.NDArray[np.int_]
 
 _ACTIVE, _PASSIVE = tuple(ReleaseReason).index(ReleaseReason.ACTIVE), tuple(ReleaseReason).index(ReleaseReason.PASSIVE)
+# The sensor readings of more worlds do not fit into the processor's cache.
+_ROLLOUT_WORLDS = 32
 # Steps of one rollout. Steps after a release or an episode's end are simulated in vain.
 _ROLLOUT_STEPS = 100
 
@@ -74,11 +76,10 @@ def simulate_worlds(
         SimulationError: The engine failed; the states of all worlds are invalid.
     """
     simulated = np.zeros(len(worlds), dtype=np.int_)
-    most = worlds[0].max_rollout_worlds if worlds else 0
 
     def prepare(numbers: list[int]) -> None:
-        for first in range(0, len(numbers), most):
-            part = numbers[first : first + most]
+        for first in range(0, len(numbers), _ROLLOUT_WORLDS):
+            part = numbers[first : first + _ROLLOUT_WORLDS]
             worlds[part[0]].prepare_rollout([worlds[one] for one in part], [robot_targets[one] for one in part])
 
     while running := np.flatnonzero((referees.status == 0) & (simulated < steps)).tolist():
@@ -89,12 +90,12 @@ def simulate_worlds(
             key, place = worlds[number].batch_key
             batches.setdefault(key, []).append((place, number))
         # Small batches are prepared together; a large one is prepared in its own rollouts.
-        small = [number for batch in batches.values() if len(batch) < most for _, number in batch]
+        small = [number for batch in batches.values() if len(batch) < _ROLLOUT_WORLDS for _, number in batch]
         prepare([number for number in small if not worlds[number].is_asleep])
         for batch in batches.values():
             ordered = [number for _, number in sorted(batch)]
-            for first in range(0, len(ordered), most):
-                part = np.array(ordered[first : first + most])
+            for first in range(0, len(ordered), _ROLLOUT_WORLDS):
+                part = np.array(ordered[first : first + _ROLLOUT_WORLDS])
                 own = [worlds[number] for number in part]
                 limit = steps - int(simulated[part].max())
                 targets = [robot_targets[number] for number in part]

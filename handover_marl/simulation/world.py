@@ -176,11 +176,6 @@ class BatchWorld(World):
 
     @property
     @abstractmethod
-    def max_rollout_worlds(self) -> int:
-        """Largest number of worlds in one rollout with this world."""
-
-    @property
-    @abstractmethod
     def batch_key(self) -> tuple[object, int]:
         """Key of this world's batch, which all worlds of the batch share, and this world's row in the batch."""
 

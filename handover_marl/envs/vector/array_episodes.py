@@ -61,7 +61,7 @@ class ArrayEpisodes:
         self._base = base
         config = base.config
         self._agents = list(template.possible_agents)
-        self._episodes = EpisodeBatch(config.world_config, count, backend)
+        self._episodes = EpisodeBatch(config.world_config, count)
         self._rewards = RewardBatch(config, self._episodes, count)
         self._has_returns = has_episode_returns(template)
         self._cycles = np.zeros(count, dtype=np.int_)

@@ -18,8 +18,8 @@ from handover_marl.simulation.kinematic_paths import (
     set_hand_references,
     set_object_references,
 )
+from handover_marl.simulation.mujoco.batches.mujoco_batch import BatchSlot
 from handover_marl.simulation.mujoco.batches.simulation import BatchSimulation
-from handover_marl.simulation.mujoco.batches.slots import BatchSlot
 from handover_marl.simulation.mujoco.engine import XYZW, wxyz_from_euler
 from handover_marl.simulation.mujoco.sleep import SleepState
 
@@ -242,7 +242,6 @@ def _compute_controls(controllers: Sequence[WorldController], targets: Array) ->
     scene = controllers[0].slot.scene
     objects = np.stack([one.reference.objects[one.controls_row :] for one in controllers])
     current = [np.stack(part) for part in zip(*(one.slot.get_controls() for one in controllers), strict=True)]
-    # Zeros remain for the absent objects of a padded model.
     controls = np.zeros((*objects.shape[:2], sum(part[0].size for part in current)))
     actuators, positions, quaternions = _split_controls(controllers[0].slot, controls)
     # The hand's bodies follow for each world.

@@ -16,6 +16,7 @@ from handover_marl.simulation.kinematic_paths import ReferenceMotion
 from handover_marl.simulation.mujoco.batches.simulation import BatchSimulation
 from handover_marl.simulation.mujoco.control import WorldController, prepare_controls
 from handover_marl.simulation.mujoco.engine import bullet_xyzw_from_wxyz, chain_joints_from_poses
+from handover_marl.simulation.mujoco.scene_model import load_scene_model
 from handover_marl.simulation.mujoco.sleep import SleepState
 from handover_marl.simulation.world import (
     AgentJoints,
@@ -74,7 +75,7 @@ class MujocoWorld(BatchWorld):
             start: Reference motion of one row: joint positions of hand and objects at the start.
             robot_joints: Nine joint positions of the robot at the start (rad, m).
         """
-        model = self._simulation.load_model(scene.assets, self._config)
+        model = load_scene_model(scene.assets, self._config)
         # A slot is invalid as soon as the next scene is loaded.
         previous, self._controller = self._controller, None
         slot = self._simulation.load_scene(model, None if previous is None else previous.slot)
@@ -82,8 +83,6 @@ class MujocoWorld(BatchWorld):
         self._controller = WorldController(slot, self._simulation, scene.assets.hand, config, start)
         self._scene = scene
         self._object_joints = start.objects[0].astype(np.float64)
-        if not self._simulation.can_sleep:
-            self._controller.wake()
 
     def set_reference(self, motion: ReferenceMotion) -> None:
         """Set the joint targets of hand and objects for the coming steps, one row per step."""
@@ -143,11 +142,6 @@ class MujocoWorld(BatchWorld):
     def max_rollout_steps(self) -> int:
         """Largest number of steps of the next rollout, valid after `prepare_rollout`."""
         return self.controller.remaining_steps
-
-    @property
-    def max_rollout_worlds(self) -> int:
-        """Largest number of worlds in one rollout with this world."""
-        return self._simulation.max_rollout_worlds
 
     def release_target(self) -> None:
         """Release the target object from the human hand, from the next step on."""

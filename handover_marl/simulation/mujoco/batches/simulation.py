@@ -10,12 +10,9 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.config import PhysicsConfig
-from handover_marl.datasets.dataset import SceneAssets
-from handover_marl.simulation.mujoco.batches.mujoco_batch import MujocoBatch
-from handover_marl.simulation.mujoco.batches.slots import BatchSlot, WorldBatch
+from handover_marl.simulation.mujoco.batches.mujoco_batch import BatchSlot, MujocoBatch
 from handover_marl.simulation.mujoco.engine import HandKinematics, configure_engine
-from handover_marl.simulation.mujoco.scene_model import RobotOnlyModel, SceneModel, load_scene_model
+from handover_marl.simulation.mujoco.scene_model import RobotOnlyModel, SceneModel
 from handover_marl.simulation.mujoco.sleep import RobotOnlyRollouts
 
 Array = npt.NDArray[np.float64]
@@ -31,33 +28,17 @@ class BatchSimulation:
 
     Args:
         count: Largest number of worlds.
-
-    Attributes:
-        can_sleep: Whether the robot is simulated alone while nothing is near it.
-        max_rollout_worlds: Largest number of worlds in one rollout.
     """
-
-    can_sleep = True
-    # The sensor readings of more worlds do not fit into the processor's cache.
-    max_rollout_worlds = 32
 
     def __init__(self, count: int) -> None:
         configure_engine()
         self._capacity = min(count, _MAX_BATCH_SIZE)
         self._buffers: dict[str, Array] = {}
-        self._batches: dict[tuple[object, ...], list[WorldBatch]] = {}
+        self._batches: dict[tuple[int, ...], list[MujocoBatch]] = {}
         self._robot_rollouts: dict[RobotOnlyModel, RobotOnlyRollouts] = {}
         self._hand_kinematics: dict[tuple[Path, int, tuple[int, ...]], HandKinematics] = {}
         # Groups that were empty when last checked, in the order in which they became so.
-        self._empty_batches: list[WorldBatch] = []
-
-    def load_model(self, assets: SceneAssets, config: PhysicsConfig) -> SceneModel:
-        """Compile the model of a scene for this simulation, or return it from the cache.
-
-        Raises:
-            SimulationError, DataFormatError: A model or a mesh cannot be read, or MuJoCo rejects it.
-        """
-        return load_scene_model(assets, config)
+        self._empty_batches: list[MujocoBatch] = []
 
     def load_scene(self, scene: SceneModel, previous: BatchSlot | None = None) -> BatchSlot:
         """Load a scene, and return its batch slot in the initial state of the model.
@@ -84,7 +65,7 @@ class BatchSimulation:
             kept = [*(one for one in self._empty_batches if one.is_empty and one is not world_batch), world_batch]
             self._empty_batches, dropped = kept[-_MAX_EMPTY_BATCHES:], kept[:-_MAX_EMPTY_BATCHES]
             for one in dropped:
-                self._batches[self._get_layout(one.scene)].remove(one)
+                self._batches[_get_layout(one.scene)].remove(one)
 
     def get_robot_rollouts(self, model: RobotOnlyModel) -> RobotOnlyRollouts:
         """Return the cache of rollouts without hand and objects, shared by all worlds."""
@@ -104,19 +85,17 @@ class BatchSimulation:
             self._hand_kinematics[key] = HandKinematics(urdf, np.array(links))
         return self._hand_kinematics[key]
 
-    def _find_batch(self, scene: SceneModel) -> WorldBatch:
-        """Return a world batch with a free row that accepts the scene's model."""
-        batches = self._batches.setdefault(self._get_layout(scene), [])
-        for world_batch in batches:
-            if world_batch.free_rows and world_batch.try_scene(scene, world_batch.free_rows[0]):
-                return world_batch
-        batches.append(self._make_batch(scene))
+    def _find_batch(self, scene: SceneModel) -> MujocoBatch:
+        """Return a batch with a free row that accepts the scene's model."""
+        batches = self._batches.setdefault(_get_layout(scene), [])
+        for batch in batches:
+            if batch.free_rows and batch.try_scene(scene, batch.free_rows[0]):
+                return batch
+        batches.append(MujocoBatch(scene, self._capacity, self._buffers))
         return batches[-1]
 
-    def _get_layout(self, scene: SceneModel) -> tuple[object, ...]:
-        """Return the array sizes of a scene's model, which are equal in all models of one layout."""
-        model = scene.model
-        return model.nq, model.nv, model.nu, model.nbody, model.ngeom, model.nbvh, model.nmocap, model.nsensordata
 
-    def _make_batch(self, scene: SceneModel) -> WorldBatch:
-        return MujocoBatch(scene, self._capacity, self._buffers)
+def _get_layout(scene: SceneModel) -> tuple[int, ...]:
+    """Return the array sizes of a scene's model, which are equal in all models of one layout."""
+    model = scene.model
+    return model.nq, model.nv, model.nu, model.nbody, model.ngeom, model.nbvh, model.nmocap, model.nsensordata
