@@ -1,6 +1,7 @@
 """Tests of the rules on arrays, which give the same states as the referee step by step."""
 
 import dataclasses
+import importlib.util
 
 import numpy as np
 import pytest
@@ -10,11 +11,14 @@ from hypothesis import strategies as st
 from handover_marl.config import ProtocolConfig
 from handover_marl.episode.lockstep import RefereeStateBatch, judge_steps
 from handover_marl.episode.referee import EpisodeStatus, Referee, RefereeState, ReleaseReason
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory, make_tensor_factory
 from handover_marl.simulation.contacts import NO_POINTS, ContactBatch, Contacts
 from tests.learning.training.scripts import script
 
 #: Rules with short periods, so that few steps lead to releases and ends of episodes.
 RULES = ProtocolConfig(release_steps=4, success_steps=3, horizon_steps=40)
+#: Namespaces of the arrays; tensors only if PyTorch is installed.
+FACTORIES = [NUMPY_ARRAYS, *([make_tensor_factory("cpu")] if importlib.util.find_spec("torch") else [])]
 INSIDE = np.array([[0.0, 0.0, 0.03]], dtype=np.float32)
 OUTSIDE = np.array([[0.02, 0.0, 0.03]], dtype=np.float32)
 
@@ -69,9 +73,9 @@ def without_final_count(last: int, state: RefereeState) -> tuple[int, RefereeSta
 
 
 @settings(max_examples=100)
-@given(streams(), st.integers(1, 60), st.booleans())
+@given(streams(), st.integers(1, 60), st.booleans(), st.sampled_from(FACTORIES))
 def test_arrays_give_the_states_of_the_referee(
-    episodes: list[list[Contacts]], chunk: int, releases_voluntarily: bool
+    episodes: list[list[Contacts]], chunk: int, releases_voluntarily: bool, factory: ArrayFactory
 ) -> None:
     referees = [Referee(RULES) for _ in episodes]
     restored = [Referee(RULES) for _ in episodes]
@@ -85,7 +89,8 @@ def test_arrays_give_the_states_of_the_referee(
         length = min(chunk, *(len(episodes[number]) - start[number] for number in running))
         parts = [episodes[number][start[number] : start[number] + length] for number in running]
         before = RefereeStateBatch.from_states([restored[number].get_state() for number in running])
-        last, states = judge_steps(before, arrays(parts), RULES)
+        before = RefereeStateBatch(*map(factory.asarray, before))
+        last, states = judge_steps(before, ContactBatch(*map(factory.asarray, arrays(parts))), RULES)
         for place, number in enumerate(running):
             expected = step_by_step(referees[number], parts[place])
             found = last[place], states.select(place)

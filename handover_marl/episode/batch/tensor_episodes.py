@@ -109,7 +109,8 @@ class TensorEpisodeBatch:
                 present = found.hand_present.reshape(-1, *[1] * (values.ndim - 1))
                 state[key][own] = xp.where(present, values, 0.0)
         state["released"][rows, 0] = xp.astype(self.released[rows], xp.float32)
-        state["time"][rows, 0] = xp.astype(self.referees.steps[rows] * TIME_STEP, xp.float32)
+        steps = xp.astype(self.referees.steps[rows], xp.float64)
+        state["time"][rows, 0] = xp.astype(steps * TIME_STEP, xp.float32)
 
     def select_state(self, rows: AnyArray) -> Observation:
         """Return copies (r, ...) of the full state of episodes at their last `observe`."""

@@ -114,12 +114,10 @@ class TensorGiverMotion:
         offsets, velocities = (
             part.swapaxes(0, 1) for part in track_set_points(offset, velocity, set_points, steps, self._limits)
         )
-        progress = (
-            self.opened[rows, None]
-            + (TIME_STEP / self._config.opening_time) * (self._arrays.arange(steps) + 1) * opening[:, None]
-        )
-        opened = xp.clip(progress, 0.0, 1.0)
-        reference = self._make_reference(rows, recorded, offsets, moving, moving & ~released, opened)
+        ticks = xp.astype(self._arrays.arange(steps) + 1, xp.float64) * opening[:, None]
+        opened = xp.clip(self.opened[rows, None] + TIME_STEP / self._config.opening_time * ticks, 0.0, 1.0)
+        closing = 1.0 - self._config.opening * opened * opening[:, None]
+        reference = self._make_reference(rows, recorded, offsets, moving, moving & ~released, closing)
         states = {
             "_clock": clocks,
             "frame": frames,
@@ -153,7 +151,7 @@ class TensorGiverMotion:
         offsets: AnyArray,
         moving: AnyArray,
         moves_object: AnyArray,
-        opened: AnyArray,
+        closing: AnyArray,
     ) -> ReferenceBatch:
         """Move hands and held objects with their wrists' offsets, and open hands.
 
@@ -163,7 +161,7 @@ class TensorGiverMotion:
             offsets: Offsets (r, k, 2, 3) of the wrists.
             moving: Whether each wrist has an offset, (r,).
             moves_object: Whether the object moves with it, (r,).
-            opened: Progress (r, k) of the hands' opening.
+            closing: Factors (r, k) of the finger angles, 1 for hands that do not open.
         """
         xp, objects = self._arrays.xp, recorded.objects
         positions = xp.astype(objects[..., :_HALF], xp.float64)
@@ -185,8 +183,8 @@ class TensorGiverMotion:
             mask = moves_object[:, None, None]
             positions[..., 0, :] = xp.where(mask, moved, held)
             orientations[..., 0, :] = xp.where(mask, turned, orientations[..., 0, :])
-        openness = xp.astype(1.0 - self._config.opening * opened[..., None], xp.float32)
-        hand = xp.concat([base, recorded.hand[..., BASE_JOINTS:] * openness], axis=-1)
+        fingers = recorded.hand[..., BASE_JOINTS:] * xp.astype(closing[..., None], xp.float32)
+        hand = xp.concat([base, fingers], axis=-1)
         return ReferenceBatch(hand, recorded.hand_present, positions, orientations)
 
     def _continue_angles(self, rows: AnyArray, quaternions: AnyArray) -> AnyArray:

@@ -1,10 +1,9 @@
-"""Tests of MuJoCo Warp's batches against MuJoCo's, on Warp's CPU device.
+"""Tests of MuJoCo Warp's worlds against MuJoCo's, on Warp's CPU device.
 
-All tests use one model layout, whose kernels Warp compiles in about two minutes and then caches.
+All tests use one model layout, whose kernels Warp compiles in about a minute and then caches.
 """
 
 import functools
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -17,23 +16,28 @@ import handover_marl
 from handover_marl.config import PandaConfig, PhysicsConfig, ProtocolConfig
 from handover_marl.datasets.dataset import Scene
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.envs.vector.vector_env import HandoverVectorEnv
-from handover_marl.errors import OptionError, SimulationError
-from handover_marl.simulation.engines import BatchBackend, make_batch_worlds
+from handover_marl.errors import OptionError, ResetNeededError, SimulationError
+from handover_marl.geometry.arrays import AnyArray, make_tensor_factory, to_numpy
+from handover_marl.geometry.poses import quaternions_from_euler
+from handover_marl.simulation.contacts import ContactBatch
+from handover_marl.simulation.engines import make_batch_worlds
 from handover_marl.simulation.kinematic_paths import ReferenceMotion
-from handover_marl.simulation.mujoco.batches import warp_batch
+from handover_marl.simulation.mujoco.batches import warp_group
+from handover_marl.simulation.mujoco.batches.warp_worlds import WarpWorlds
 from handover_marl.simulation.mujoco.world import MujocoWorld
+from handover_marl.simulation.tensor_state import ReferenceBatch
 from handover_marl.simulation.world import BatchWorld
 
 # The fingers start near the objects, so that they close in few steps.
 PANDA = replace(PandaConfig(), start_joints=(*PandaConfig().start_joints[:7], 0.026, 0.026))
 CONFIG, RULES = PhysicsConfig(panda=PANDA), ProtocolConfig()
 DATA = SyntheticDataset()
-WARP = BatchBackend("warp", "cpu")
-#: All batches have this many rows, so that they share kernels.
+TENSORS = make_tensor_factory("cpu")
+#: All simulations have this many rows, so that they share kernels.
 CAPACITY = 3
 CLOSED = [*PANDA.start_joints[:7], 0.0, 0.0]
 STEPS = 40
+Judgement = tuple[AnyArray, AnyArray]
 #: The closed fingers touch the first two of these objects.
 NAMES = ("011_banana", "052_extra_large_clamp", "040_large_marker")
 
@@ -73,109 +77,154 @@ def find_grasp_center() -> npt.NDArray[np.float32]:
     return np.asarray(pose[:3] + 0.1 * axis, dtype=np.float32)
 
 
-def start_worlds(backend: BatchBackend, scenes: list[Scene], xyz: npt.ArrayLike | None = None) -> list[BatchWorld]:
-    """Return worlds whose objects are at a position (m), by default between the fingers."""
+def start_batch_worlds(scenes: list[Scene], xyz: npt.ArrayLike | None = None) -> list[BatchWorld]:
+    """Return worlds of MuJoCo whose objects are at a position (m), by default between the fingers."""
     xyz = find_grasp_center() if xyz is None else xyz
-    worlds = make_batch_worlds(CONFIG, CAPACITY, backend)[: len(scenes)]
+    worlds = make_batch_worlds(CONFIG, CAPACITY)[: len(scenes)]
     for world, scene in zip(worlds, scenes, strict=True):
         world.reset(scene, place_object(scene, xyz, 1), PANDA.start_joints)
         world.set_reference(place_object(scene, xyz, STEPS))
-    if backend == WARP:
-        assert len({world.batch_key[0] for world in worlds}) == 1, "one batch has different objects and hands"
     return worlds
 
 
-def read_poses(worlds: list[BatchWorld]) -> npt.NDArray[np.float64]:
-    """Return the robots' joint positions and the objects' poses, (n, 16)."""
+def start_device_worlds(scenes: list[Scene], xyz: npt.ArrayLike | None = None) -> WarpWorlds:
+    """Return worlds of MuJoCo Warp, the first ones in these scenes with the objects at a position (m)."""
+    worlds = WarpWorlds(CONFIG, CAPACITY, TENSORS)
+    for row, scene in enumerate(scenes):
+        worlds.reset(
+            row, scene, place_object(scene, find_grasp_center() if xyz is None else xyz, 1), PANDA.start_joints
+        )
+    return worlds
+
+
+def make_reference(scenes: list[Scene], xyz: npt.ArrayLike | None = None, steps: int = STEPS) -> ReferenceBatch:
+    """Return the motion of `place_object` in every scene as tensors."""
+    xyz = find_grasp_center() if xyz is None else xyz
+    motions = [place_object(scene, xyz, steps) for scene in scenes]
+    objects = np.zeros((len(scenes), steps, 5, 6))
+    for own, motion in zip(objects, motions, strict=True):
+        own[:, : motion.objects.shape[1]] = motion.objects
+    turns = quaternions_from_euler(objects[..., 3:].reshape(-1, 3)).reshape(*objects.shape[:-1], 4)
+    hands, present = (np.stack([getattr(one, name) for one in motions]) for name in ("hand", "hand_present"))
+    return ReferenceBatch(*map(TENSORS.asarray, (hands, present, objects[..., :3], turns)))
+
+
+def simulate(
+    worlds: WarpWorlds, scenes: list[Scene], ends: list[int], rows: list[int] | None = None
+) -> list[ContactBatch]:
+    """Close the fingers in some worlds, each of which ends after a number of steps; return the contacts."""
+    steps, contacts = 0, []
+    last = TENSORS.asarray(ends)
+
+    def judge(found: ContactBatch) -> Judgement:
+        nonlocal steps
+        steps += 1
+        contacts.append(found)
+        return last >= steps, TENSORS.zeros(len(ends), "bool")
+
+    chosen = np.arange(len(scenes)) if rows is None else np.array(rows)
+    targets = TENSORS.asarray(np.tile(CLOSED, (len(scenes), 1)), "float32")
+    simulated = worlds.simulate(chosen, make_reference(scenes, steps=max(ends)), targets, judge, RULES)
+    assert simulated.tolist() == ends
+    return contacts
+
+
+def read_batch_poses(worlds: list[BatchWorld]) -> npt.NDArray[np.float64]:
+    """Return the robots' joint positions and the objects' poses of worlds of MuJoCo, (n, 16)."""
     states = [world.read_state() for world in worlds]
     return np.array([[*one.robot_joint_position, *one.object_poses[0]] for one in states], dtype=np.float64)
+
+
+def read_device_poses(worlds: WarpWorlds, rows: list[int]) -> npt.NDArray[np.float64]:
+    """Return the robots' joint positions and the objects' poses of worlds of MuJoCo Warp, (n, 16)."""
+    state = worlds.read_state(np.array(rows))
+    return np.concatenate([to_numpy(state.robot_joint_position), to_numpy(state.object_poses[:, 0])], axis=1).astype(
+        float
+    )
 
 
 @pytest.fixture(scope="module")
 def grasps() -> npt.NDArray[np.float64]:
     """Return joint positions and object poses (3, 16) of MuJoCo Warp's worlds after the fingers have closed."""
-    worlds = start_worlds(WARP, load_small_objects())
-    contacts = worlds[0].simulate_rollout(worlds, [CLOSED] * 3, STEPS, RULES).contacts
-    assert contacts.fingers_touch[-1].all(axis=-1).tolist() == [True, True, False]
-    return read_poses(worlds)
-
-
-def test_absent_objects_have_no_motion() -> None:
-    scene = next(one for one in load_small_objects() if len(one.assets.objects) < 5)
-    (world,) = start_worlds(WARP, [scene])
-    assert isinstance(world, MujocoWorld)
-    world.prepare_rollout([world], [CLOSED])
-    slot, controls = world.controller.slot, world.controller.coming_controls
-    assert not controls[:, slot.scene.object_ctrl.stop : slot.scene.model.nu].any()
-    assert len(controls) == STEPS
-    assert np.isfinite(controls).all()
+    scenes = load_small_objects()
+    worlds = start_device_worlds(scenes)
+    assert [places.tolist() for places in worlds.split(np.arange(3))] == [[0, 1, 2]], "one group has different objects"
+    contacts = simulate(worlds, scenes, [STEPS] * 3)
+    assert to_numpy(contacts[-1].fingers_touch[0]).all(axis=-1).tolist() == [True, True, False]
+    kept = worlds.read_contact_batch(np.arange(3), RULES)
+    np.testing.assert_array_equal(kept.fingers_touch, contacts[-1].fingers_touch)
+    assert worlds.read_contacts(0, False).both_fingers_touch
+    assert not worlds.read_contacts(2, False).both_fingers_touch
+    return read_device_poses(worlds, [0, 1, 2])
 
 
 def test_grasps_agree_with_the_c_engine(grasps: npt.NDArray[np.float64]) -> None:
-    worlds = start_worlds(BatchBackend(), load_small_objects())
+    worlds = start_batch_worlds(load_small_objects())
     for world in worlds:
         world.simulate_rollout([world], [CLOSED], STEPS, RULES)
     # Single precision changes the forces of the impact by some percent. Without contact there is no such difference.
-    difference = np.abs(grasps - read_poses(worlds))
+    difference = np.abs(grasps - read_batch_poses(worlds))
     assert difference[:, :12].max() < 1e-3
     assert difference[:, 12:].max() < 5e-3
     assert difference[2].max() < 1e-6
 
 
-def test_a_world_does_not_depend_on_the_others_or_on_truncated_steps(grasps: npt.NDArray[np.float64]) -> None:
-    worlds = start_worlds(WARP, load_small_objects()[1:])
-    rollout = worlds[0].simulate_rollout(worlds, [CLOSED] * 2, STEPS, RULES)
-    rollout.truncate(1, STEPS - 10)
-    worlds[1].simulate_rollout(worlds[1:], [CLOSED], 10, RULES)
-    np.testing.assert_array_equal(read_poses(worlds), grasps[1:])
+def test_a_world_does_not_depend_on_the_others_or_on_steps_after_its_end(grasps: npt.NDArray[np.float64]) -> None:
+    scenes = load_small_objects()
+    worlds = start_device_worlds([scenes[0], *scenes[1:]])
+    simulate(worlds, scenes[1:], [STEPS, STEPS - 10], rows=[1, 2])
+    assert np.abs(read_device_poses(worlds, [2]) - grasps[2:]).max() > 1e-6, "it has stopped earlier"
+    simulate(worlds, scenes[2:], [10], rows=[2])
+    np.testing.assert_array_equal(read_device_poses(worlds, [1, 2]), grasps[1:])
 
 
 def test_released_objects_lie_on_the_table() -> None:
-    found = []
-    for backend in (BatchBackend(), WARP):
-        worlds = start_worlds(backend, load_small_objects()[:1], (0.4, 0.3, 0.944))
-        worlds[0].release_target()
-        contacts = worlds[0].simulate_rollout(worlds, [CLOSED], STEPS, RULES).contacts
-        found.append((contacts.object_supported[:, 0], read_poses(worlds)[0, 9:]))
-    assert found[0][0].any()
-    np.testing.assert_array_equal(found[0][0], found[1][0])
-    np.testing.assert_allclose(found[0][1], found[1][1], atol=1e-4)
+    scenes, xyz = load_small_objects()[:1], (0.4, 0.3, 0.944)
+    (world,) = start_batch_worlds(scenes, xyz)
+    world.release_target()
+    expected = world.simulate_rollout([world], [CLOSED], STEPS, RULES).contacts.object_supported[:, 0]
+    assert expected.any()
+    for at_start in (True, False):
+        worlds, supported = start_device_worlds(scenes, xyz), []
+        if at_start:
+            worlds.release(TENSORS.asarray([0]))
+
+        def judge(
+            found: ContactBatch, supported: list[bool] = supported, now: bool = not at_start
+        ) -> tuple[AnyArray, AnyArray]:
+            supported.append(bool(found.object_supported[0, 0]))
+            return TENSORS.full(1, True, "bool"), TENSORS.full(1, now and len(supported) == 1, "bool")
+
+        targets = TENSORS.asarray([CLOSED], "float32")
+        worlds.simulate(np.array([0]), make_reference(scenes, xyz), targets, judge, RULES)
+        if at_start:
+            assert supported == expected.tolist()
+            np.testing.assert_allclose(
+                read_device_poses(worlds, [0])[0, 9:], read_batch_poses([world])[0, 9:], atol=1e-4
+            )
+        else:
+            assert supported[1:] == expected[:-1].tolist(), "an object falls from the step after its release on"
 
 
 def test_too_little_memory_for_contacts_raises_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(warp_batch, "_MAX_CONTACTS", 1)
-    worlds = start_worlds(WARP, load_small_objects()[:1])
+    monkeypatch.setattr(warp_group, "_MAX_CONTACTS", 1)
+    scenes = load_small_objects()[:1]
     message = r"failed after 0\.000 s: too many pairs of near bodies\. To go on, use backend='threads'"
     with pytest.raises(SimulationError, match=message):
-        worlds[0].simulate_rollout(worlds, [CLOSED], STEPS, RULES)
+        simulate(start_device_worlds(scenes), scenes, [STEPS])
 
 
 def test_a_state_that_is_not_finite_raises_an_error() -> None:
-    worlds = start_worlds(WARP, load_small_objects()[:1])
-    world = worlds[0]
-    assert isinstance(world, MujocoWorld)
-    world.prepare_rollout([world], [CLOSED])
-    world.controller.slot.qpos[2] = np.nan
+    scenes = load_small_objects()[:1]
+    worlds = WarpWorlds(CONFIG, CAPACITY, TENSORS)
+    worlds.reset(0, scenes[0], place_object(scenes[0], (0.4, np.nan, 1.0), 1), PANDA.start_joints)
     with pytest.raises(SimulationError, match="Nan"):
-        world.simulate_rollout([world], [CLOSED], 2, RULES)
+        simulate(worlds, scenes, [2])
 
 
-@pytest.fixture
-def envs() -> Iterator[HandoverVectorEnv]:
-    made = handover_marl.vector_env(
-        2, "receiver", "replay", dataset="generated:n=20", control_period=0.005, backend="warp"
-    )
-    yield made
-    made.close()
-
-
-def test_vector_env(envs: HandoverVectorEnv) -> None:
-    observations, _ = envs.reset(seed=0)
-    targets = observations["robot_joint_position"]
-    observations, _, terminations, truncations, _ = envs.step(targets)
-    assert not (terminations | truncations).any()
-    np.testing.assert_allclose(observations["time"], 0.005)
-    np.testing.assert_allclose(observations["robot_joint_position"], targets, atol=1e-3)
+def test_worlds_without_a_scene_are_refused() -> None:
+    with pytest.raises(ResetNeededError):
+        WarpWorlds(CONFIG, CAPACITY, TENSORS).read_state(np.array([0]))
 
 
 def test_options_of_vector_env() -> None:
@@ -183,6 +232,6 @@ def test_options_of_vector_env() -> None:
         handover_marl.vector_env(2, backend="warp", threads=2)
     with pytest.raises(OptionError, match="no camera"):
         handover_marl.vector_env(2, backend="warp", obs_mode="pointcloud", dataset="synthetic")
-    if not warp_batch.warp.is_cuda_available():
+    if not warp_group.warp.is_cuda_available():
         with pytest.raises(OptionError, match="needs an NVIDIA GPU"):
             handover_marl.vector_env(2, backend="warp", device="cuda")

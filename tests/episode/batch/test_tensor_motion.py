@@ -1,0 +1,92 @@
+"""Tests of the givers' motion on tensors, which agrees with the motion of each giver alone."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from handover_marl.episode.batch.recordings import RecordingBank
+from handover_marl.episode.giver_motion import NO_DEVIATION, Playback
+from handover_marl.episode.observations import MotionPreview
+from handover_marl.geometry.arrays import make_tensor_factory, to_numpy
+from handover_marl.geometry.poses import compute_rotation_angles, quaternions_from_euler
+from tests.episode.batch.test_giver_motion import CONFIG, COUNT, HIGH, SCENES
+
+pytest.importorskip("torch", reason="needs the extra `train`")
+
+from handover_marl.episode.batch.tensor_motion import TensorGiverMotion
+
+TENSORS = make_tensor_factory("cpu")
+ROWS = TENSORS.arange(COUNT)
+
+
+def start() -> tuple[TensorGiverMotion, list[Playback]]:
+    batch = TensorGiverMotion(COUNT, CONFIG, TENSORS)
+    for row, scene in enumerate(SCENES):
+        batch.reset(row, scene)
+    return batch, [Playback(scene, CONFIG) for scene in SCENES]
+
+
+def compare(batch: TensorGiverMotion, singles: list[Playback], rng: np.random.Generator, actions: np.ndarray) -> None:
+    """Plan and commit some steps, with random releases of the objects, and compare every value with single givers."""
+    steps = int(rng.integers(1, 201))
+    released = rng.random(COUNT) < 0.3
+    opening = released & (rng.random(COUNT) < 0.5)
+    plan = batch.plan(ROWS, steps, *map(TENSORS.asarray, (actions, released, opening)))
+    taken = np.where(rng.random(COUNT) < 0.8, steps, rng.integers(0, steps + 1, COUNT))
+    for row, single in enumerate(singles):
+        expected = single.plan(steps, actions[row], bool(released[row]), bool(opening[row]))
+        found = plan.reference
+        np.testing.assert_allclose(found.hand[row], expected.hand, rtol=0, atol=2e-6)
+        np.testing.assert_array_equal(found.hand_present[row], expected.hand_present)
+        count = expected.objects.shape[1]
+        np.testing.assert_allclose(found.object_positions[row, :, :count], expected.objects[..., :3], atol=1e-6)
+        turns = quaternions_from_euler(expected.objects[..., 3:].reshape(-1, 3)).reshape(steps, count, 4)
+        angles = compute_rotation_angles(to_numpy(found.object_orientations)[row, :, :count], turns)
+        np.testing.assert_allclose(angles, 0.0, atol=2e-6)
+        assert not found.object_positions[row, :, count:].any()
+        single.commit(int(taken[row]))
+    batch.commit(plan, TENSORS.asarray(taken))
+    np.testing.assert_array_equal(batch.frame, [single.frame for single in singles])
+    np.testing.assert_array_equal(batch.holding, [single.holding for single in singles])
+    np.testing.assert_allclose(batch.deviation, [single.deviation for single in singles], atol=1e-7)
+    np.testing.assert_allclose(batch.opened, [single.opened for single in singles], rtol=0, atol=1e-12)
+
+
+@settings(max_examples=6, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_random_actions_give_equal_motions(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    batch, singles = start()
+    actions = np.zeros((COUNT, 8), dtype=np.float32)
+    for number in range(14):
+        if number % 3 == 0:
+            actions = rng.uniform(-1.0, 1.0, (COUNT, 8)).astype(np.float32) * HIGH
+            actions[rng.random(COUNT) < 0.3] = NO_DEVIATION
+        compare(batch, singles, rng, actions)
+
+
+def test_a_reset_forgets_the_deviation() -> None:
+    batch, _ = start()
+    actions, held = TENSORS.asarray(np.tile(HIGH, (COUNT, 1))), TENSORS.zeros(COUNT, "bool")
+    for _ in range(20):
+        batch.commit(batch.plan(ROWS, 200, actions, held, held), TENSORS.full(COUNT, 200, "int64"))
+    assert to_numpy(batch.deviation)[:, 1:4].all()
+    batch.reset(0, SCENES[0])
+    assert not to_numpy(batch.deviation)[0].any()
+    assert to_numpy(batch.deviation)[1:].any(axis=1).all()
+    plan = batch.plan(ROWS[:1], 1, TENSORS.asarray(NO_DEVIATION[None]), held[:1], held[:1])
+    np.testing.assert_array_equal(plan.reference.hand[0], SCENES[0].hand_dof[1:2])
+
+
+def test_previews_are_those_of_single_givers() -> None:
+    bank = RecordingBank(CONFIG, TENSORS)
+    numbers = [bank.add(scene) for scene in SCENES]
+    assert [bank.add(scene) for scene in SCENES] == numbers, "a recording is copied once"
+    previews = [MotionPreview(scene, CONFIG) for scene in SCENES]
+    for frames in ([0, 0, 0, 0], [700, 3, 1500, 10], [scene.n_frames - 1 for scene in SCENES]):
+        wrists, objects = bank.read_previews(TENSORS.asarray(numbers), TENSORS.asarray(frames))
+        for row, (preview, frame) in enumerate(zip(previews, frames, strict=True)):
+            expected = preview.read_poses(frame)
+            np.testing.assert_allclose(wrists[row], expected[0], atol=1e-6)
+            np.testing.assert_allclose(objects[row], expected[1], atol=1e-6)
