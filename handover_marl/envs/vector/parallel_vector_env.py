@@ -11,6 +11,7 @@ from handover_marl.envs.vector.batch import BatchStep, EnvBatch, check_action_ar
 from handover_marl.envs.vector.results import select_rows
 from handover_marl.envs.wrappers.wrapper import ByAgent, WrappableEnv
 from handover_marl.errors import ActionError
+from handover_marl.geometry.arrays import to_numpy
 
 ParallelBatchStep = tuple[ByAgent, ByAgent, ByAgent, ByAgent, ByAgent]
 
@@ -108,7 +109,9 @@ class ParallelVectorEnv:
             raise ActionError(f"actions must be a dict of arrays for {' and '.join(self.possible_agents)}")
         step = self._batch.step(
             {
-                agent: check_action_array(values, self.single_action_space(agent), self.num_envs, agent)
+                agent: check_action_array(
+                    values, self.single_action_space(agent), self.num_envs, agent, self._batch.arrays
+                )
                 for agent, values in actions.items()
             }
         )
@@ -126,9 +129,9 @@ class ParallelVectorEnv:
         mask = np.isin(np.arange(self.num_envs), step.ended)
         for agent, own in infos.items():
             final_obs, final_info = (np.full(self.num_envs, None, dtype=object) for _ in range(2))
+            last = {key: to_numpy(values) for key, values in step.final.infos[agent].items()}
             for place, number in enumerate(step.ended.tolist()):
                 final_obs[number] = select_rows(step.final.observations[agent], place)
-                last = step.final.infos[agent]
                 final_info[number] = {key: values[place].item() for key, values in last.items()}
             own.update({"final_obs": final_obs, "final_info": final_info, "_final_obs": mask})
         return infos

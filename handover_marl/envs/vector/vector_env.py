@@ -22,6 +22,7 @@ from handover_marl.envs.vector.single_envs import WrapperFunction
 from handover_marl.envs.wrappers.wrapper import WrappableEnv
 from handover_marl.errors import OptionError, check_name
 from handover_marl.execution.options import count_available_cores, forward_signature
+from handover_marl.geometry.arrays import ArrayFactory, to_numpy
 from handover_marl.learning.encodings.custom_features import FeaturesLike
 from handover_marl.learning.encodings.custom_schemes import SchemeLike
 from handover_marl.policies.reference import PolicyLike
@@ -83,11 +84,11 @@ class HandoverVectorEnv(VectorEnv[Any, Any, Any]):
             raise OptionError(f"options must be a dict, got {options!r}")
         own = dict(options or {})
         mask = own.pop("reset_mask", None)
-        chosen = np.ones(self.num_envs, dtype=bool) if mask is None else np.asarray(mask)
+        chosen = np.ones(self.num_envs, dtype=bool) if mask is None else to_numpy(mask)
         if chosen.shape != (self.num_envs,) or chosen.dtype != bool or not chosen.any():
             raise OptionError(f"reset_mask must be {self.num_envs} truth values with at least one True, got {mask!r}")
         result = self._batch.reset(seed, own, chosen)
-        return result.observations[self._agent], _mask_infos(result.infos[self._agent], chosen)
+        return result.observations[self._agent], _mask_infos(result.infos[self._agent], chosen, self._batch.arrays)
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Step every environment for one control period, or until its action scheme needs outputs.
@@ -101,10 +102,10 @@ class HandoverVectorEnv(VectorEnv[Any, Any, Any]):
         """
         self._batch.require_running()
         agent = self._agent
-        values = check_action_array(actions, self.single_action_space, self.num_envs, agent)
+        values = check_action_array(actions, self.single_action_space, self.num_envs, agent, self._batch.arrays)
         step = self._batch.step({agent: values})
         observations, rewards, terminated, truncated, infos = (part[agent] for part in step.result)
-        infos = _mask_infos(infos, np.ones(self.num_envs, dtype=bool))
+        infos = _mask_infos(infos, np.ones(self.num_envs, dtype=bool), self._batch.arrays)
         if step.final is not None:
             infos |= self._make_final_infos(step.ended, step.final)
         return observations, rewards, terminated, truncated, infos
@@ -123,15 +124,17 @@ class HandoverVectorEnv(VectorEnv[Any, Any, Any]):
         final_obs = np.full(self.num_envs, None, dtype=object)
         for place, number in enumerate(ended.tolist()):
             final_obs[number] = select_rows(final.observations[self._agent], place)
-        infos = {}
+        arrays, infos = self._batch.arrays, {}
+        rows = arrays.asarray(ended)
         for key, values in final.infos[self._agent].items():
-            infos[key] = np.zeros((self.num_envs, *values.shape[1:]), dtype=values.dtype)
-            infos[key][ended] = values
+            shape = (self.num_envs, *values.shape[1:])
+            infos[key] = arrays.xp.zeros(shape, dtype=values.dtype, device=arrays.device)
+            infos[key][rows] = values
         return {
             "final_obs": final_obs,
             "_final_obs": mask,
-            "final_info": _mask_infos(infos, mask),
-            "_final_info": mask.copy(),
+            "final_info": _mask_infos(infos, mask, arrays),
+            "_final_info": arrays.asarray(mask.copy()),
         }
 
 
@@ -280,10 +283,10 @@ def vector_env(
     return ParallelVectorEnv(batch, template) if agent is None else HandoverVectorEnv(batch, template)
 
 
-def _mask_infos(infos: dict[str, Any], mask: npt.NDArray[np.bool_]) -> dict[str, Any]:
+def _mask_infos(infos: dict[str, Any], mask: npt.NDArray[np.bool_], arrays: ArrayFactory) -> dict[str, Any]:
     """Return the infos of the environments in a mask in Gymnasium's form: zeros elsewhere, and masks."""
-    masked = {}
+    masked, xp, chosen, is_complete = {}, arrays.xp, arrays.asarray(mask), mask.all()
     for key, values in infos.items():
-        masked[key] = values.copy() if mask.all() else np.where(mask, values, np.zeros_like(values))
-        masked[f"_{key}"] = mask.copy()
+        masked[key] = xp.asarray(values, copy=True) if is_complete else xp.where(chosen, values, xp.zeros_like(values))
+        masked[f"_{key}"] = xp.asarray(chosen, copy=True)
     return masked
