@@ -69,7 +69,7 @@ class ArrayEpisodes:
         self.arrays = arrays = self._episodes.arrays
         # Last argument of the parts on arrays, once these take it.
         self._last: Any = () if arrays is NUMPY_ARRAYS else (arrays,)
-        self._rewards = RewardBatch(config, self._episodes, count, *self._last)
+        self._rewards = RewardBatch(config, self._episodes, count)
         self._has_returns = has_episode_returns(template)
         self._cycles = arrays.zeros(count, "int64")
         self._terminated, self._truncated = arrays.zeros(count, "bool"), arrays.zeros(count, "bool")

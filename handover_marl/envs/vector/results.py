@@ -87,7 +87,7 @@ def _merge(count: int, parts: list[tuple[AnyArray, Any]]) -> Any:
     dtype = xp.result_type(*(values.dtype for _, values in parts))
     merged = xp.empty(shape, dtype=dtype, device=get_device(first))
     for rows, values in parts:
-        merged[rows] = values
+        merged[rows] = xp.astype(values, dtype, copy=False)
     return merged
 
 
