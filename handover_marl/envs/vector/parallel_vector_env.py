@@ -29,6 +29,10 @@ class ParallelVectorEnv:
       infos in "final_info" (n,), and the mask of these environments in "_final_obs" (n,).
     - "disabled": the caller resets.
 
+    With the backend "threads", all values are NumPy arrays. With "warp", they are PyTorch tensors on the device of the
+    simulation, except for "final_obs", a NumPy array of dictionaries of tensors or of tensors, "final_info", a NumPy
+    array of dictionaries of numbers, and "_final_obs", a NumPy mask.
+
     Args:
         batch: The environments.
         template: Single environment with the same spaces.
@@ -95,7 +99,7 @@ class ParallelVectorEnv:
         """Step every environment with the actions of both agents.
 
         Args:
-            actions: Actions (n, ...) by agent.
+            actions: Actions (n, ...) by agent, arrays or tensors; see `HandoverVectorEnv.step`.
 
         Returns:
             Observations, rewards, terminations, truncations and infos by agent.

@@ -41,6 +41,11 @@ class HandoverVectorEnv(VectorEnv[Any, Any, Any]):
     Environment k is seeded with `seed + k` and behaves as a single environment with that seed.
     Results have the form of Gymnasium's `SyncVectorEnv`.
 
+    With the backend "threads", all values are NumPy arrays. With "warp", observations, rewards, terminations,
+    truncations and infos are PyTorch tensors on the device of the simulation, also those in "final_info". "final_obs"
+    is a NumPy array (n,) of objects, the tensor or the dictionary of tensors of each environment whose episode has
+    ended, and its mask "_final_obs" is a NumPy array.
+
     Args:
         batch: The environments.
         template: Single environment with the same spaces.
@@ -74,7 +79,7 @@ class HandoverVectorEnv(VectorEnv[Any, Any, Any]):
             seed: Seed of the first environment, environment k gets `seed + k`; or a list with a seed
                 for each environment.
             options: Options that every environment gets: `{"scene_id": n}` chooses the scene; and
-                `reset_mask`, the mask of the environments to reset.
+                `reset_mask`, the mask of the environments to reset, an array or a tensor.
 
         Raises:
             OptionError: The number of seeds or the shape of the mask is wrong.
@@ -94,10 +99,11 @@ class HandoverVectorEnv(VectorEnv[Any, Any, Any]):
         """Step every environment for one control period, or until its action scheme needs outputs.
 
         Args:
-            actions: (n, ...) action of each environment.
+            actions: (n, ...) action of each environment. With the backend "warp", tensors on the device are not copied
+                through the memory of the processor; arrays and tensors of the processor are moved to the device.
 
         Raises:
-            ActionError: The actions are not a numeric array (n, ...).
+            ActionError: The actions are not a numeric array (n, ...), or are a tensor with a gradient.
             ResetNeededError: There was no reset, or a reset or step has failed since.
         """
         self._batch.require_running()
@@ -221,7 +227,8 @@ def vector_env(
             process simulates. On several cores, processes are faster than threads, but each needs memory for
             its own models.
         backend: Backend of the simulation: "threads" for MuJoCo on the processor, or "warp" for MuJoCo Warp,
-            which steps all environments together. Its results are not those of "threads" to the bit.
+            which steps all environments together and returns PyTorch tensors on `device`. Its results are not those of
+            "threads" to the bit.
         device: Device of the simulation: "cpu", or "cuda" for a GPU with "warp". MuJoCo Warp on "cpu" is for tests.
         trust: Whether a policy file may run code.
         config: Configuration of each environment; default: one made of `fields`.
