@@ -16,6 +16,8 @@ pytest.importorskip("torch", reason="needs the extra `train`")
 import torch
 
 import handover_marl
+from handover_marl.envs.custom_rewards import combine_rewards
+from handover_marl.envs.transition import Transition
 from handover_marl.envs.vector import array_episodes
 from handover_marl.envs.vector.policy_batches import make_policy_batch
 from handover_marl.envs.wrappers.episode_returns import EpisodeReturns
@@ -23,6 +25,7 @@ from handover_marl.errors import ActionError
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory, make_tensor_factory
 from handover_marl.geometry.panda import WAITING_JOINTS
 from handover_marl.learning.batch.encodings import make_feature_batch, make_scheme_batch
+from handover_marl.learning.encodings.choices import declare_size
 from tests.envs.vector.comparison import assert_same
 from tests.envs.vector.tensor_episodes import TensorEpisodes
 from tests.fake_device import DEVICE, FakeDevice
@@ -129,6 +132,29 @@ def test_features_and_action_schemes(
 def test_offers_that_last_a_whole_episode(request: pytest.FixtureRequest, autoreset: str) -> None:
     options = {"partner": "yang2021:wait=0.5", "features": "giver", "schemes": "offer", "autoreset": autoreset}
     compare(request, 6, "giver", {**ENCODED, **options})
+
+
+@declare_size(2)
+def count_features(observation: dict[str, Any]) -> np.ndarray:
+    return np.array([observation["time"][0], observation["gripper_pose"][2]], dtype=np.float32)
+
+
+@declare_size(1)
+def move_first_joint(outputs: np.ndarray, observation: dict[str, Any]) -> np.ndarray:
+    target = observation["robot_joint_position"].copy()
+    target[0] += 0.1 * outputs[0]
+    return target
+
+
+def reward_height(transition: Transition) -> dict[str, dict[str, float]]:
+    height = float(transition.next_state["gripper_pose"][2] - transition.state["gripper_pose"][2])
+    return {"receiver": {"height": height}, "giver": {"steps": 1e-3 * transition.infos["giver"]["steps"]}}
+
+
+@needs_tensor_parts
+def test_user_defined_parts_act_on_the_host(request: pytest.FixtureRequest) -> None:
+    options = {"partner": "tired", "features": count_features, "schemes": move_first_joint, "autoreset": "same_step"}
+    compare(request, 30, "receiver", {**SHORT, **options, "rewards": combine_rewards((0.5, reward_height), "sparse")})
 
 
 @needs_tensor_parts
