@@ -18,6 +18,7 @@ from handover_marl.envs.wrappers.freeze import FrozenPartnerEnv
 from handover_marl.envs.wrappers.wrapper import ByAgent, WrappableEnv
 from handover_marl.episode.spaces import STATE
 from handover_marl.errors import OptionError
+from handover_marl.geometry.arrays import to_numpy
 from handover_marl.policies.reference import PolicyLike
 from handover_marl.simulation.engines import MUJOCO, BatchBackend
 
@@ -57,6 +58,9 @@ class ArrayEnvs:
     for example while the robot waits. These periods of the next episode are simulated together with
     the current episode, which is faster than simulating them alone after a reset.
 
+    Indices of environments and of episodes are NumPy arrays; indices of episodes become arrays of `ArrayEpisodes`
+    where its methods are called.
+
     Args:
         template: Single environment of the configuration, with its wrappers; it is not simulated.
         count: Number n of environments.
@@ -66,6 +70,9 @@ class ArrayEnvs:
             next episode can be simulated in advance.
         load_scene: Function that loads a scene by its number.
         backend: Engine and device of the simulation.
+
+    Attributes:
+        arrays: Creator of the arrays that `reset` and `step` return.
     """
 
     def __init__(
@@ -82,6 +89,7 @@ class ArrayEnvs:
         self._base, self._agents = template.unwrapped, list(template.possible_agents)
         self._prepares = resets and isinstance(template, EncodedEnv) and len(self._agents) == 1
         self._episodes = ArrayEpisodes(template, count * (1 + self._prepares), partner, trust, backend)
+        self.arrays = self._episodes.arrays
         self._rngs, self._partner_rngs = ([seeding.np_random(None)[0] for _ in range(count)] for _ in range(2))
         # Number of the present episode of each environment, and of its next one, which has started.
         self._present, self._next = np.arange(count), np.full(count, _NONE)
@@ -111,9 +119,11 @@ class ArrayEnvs:
                     self._start(row, int(self._present[row]), options)
                 else:
                     self._present[row], self._free[row], self._next[row] = self._next[row], self._present[row], _NONE
-            while len(waiting := episodes.find_waiting(self._present[left])):
-                self._wait(waiting)
-            left = left[episodes.have_ended(self._present[left])]
+            present = self.arrays.asarray(self._present[left])
+            while len(waiting := episodes.find_waiting(present)):
+                episodes.clear_rewards(waiting)
+                episodes.advance(waiting, {})
+            left = left[to_numpy(episodes.have_ended(present))]
             if not len(left):
                 break
         else:
@@ -121,11 +131,11 @@ class ArrayEnvs:
                 f"no outputs of the {self._agents[0]} were needed in {_MAX_EPISODES} episodes in a row; choose "
                 "another partner or action scheme"
             )
-        result = episodes.make_result(self._present[rows])
-        return result._replace(rewards={agent: np.zeros(len(rows)) for agent in self._agents})
+        result = episodes.make_result(self.arrays.asarray(self._present[rows]))
+        return result._replace(rewards={agent: self.arrays.zeros(len(rows)) for agent in self._agents})
 
     def check_actions(self, actions: ByAgent) -> ByAgent:
-        """Check the actions or outputs (n, ...) of all environments, and return them as float32.
+        """Check the actions or outputs (n, ...) of all environments; see `ArrayEpisodes.check_actions`.
 
         Raises:
             ActionError: A number is not finite.
@@ -139,16 +149,16 @@ class ArrayEnvs:
             rows: Indices (r,) of environments with running episodes.
             actions: Checked actions or outputs (r, ...) by agent.
         """
-        episodes, present = self._episodes, self._present[rows]
+        episodes, present = self._episodes, self.arrays.asarray(self._present[rows])
         if self._prepares:
             self._start_next(rows)
         given = episodes.set_actions(present, actions)
         episodes.clear_rewards(present)
         active = present
         while len(active):
-            coming = episodes.find_waiting(self._next[self._next != _NONE])
+            coming = episodes.find_waiting(self.arrays.asarray(self._next[self._next != _NONE]))
             episodes.clear_rewards(coming)
-            episodes.advance(np.concatenate([active, coming]), given)
+            episodes.advance(self.arrays.xp.concat([active, coming]), given)
             active = episodes.find_waiting(active)
         return episodes.make_result(present)
 
@@ -158,10 +168,6 @@ class ArrayEnvs:
     def close(self) -> None:
         """Free the simulation."""
         self._episodes.close()
-
-    def _wait(self, waiting: Rows) -> None:
-        self._episodes.clear_rewards(waiting)
-        self._episodes.advance(waiting, {})
 
     def _start(self, row: int, episode: int, options: Mapping[str, Any] | None) -> None:
         """Start an episode of an environment in a scene that the options choose, or a drawn one."""

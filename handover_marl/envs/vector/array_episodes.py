@@ -1,9 +1,8 @@
 """Episodes with the policies and encodings of an environment, simulated together as arrays."""
 
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
 from handover_marl.datasets.dataset import Scene
 from handover_marl.envs.arguments import AGENTS, GIVER, RECEIVER
@@ -15,10 +14,11 @@ from handover_marl.envs.wrappers.encode import EncodedEnv
 from handover_marl.envs.wrappers.episode_returns import EpisodeReturns
 from handover_marl.envs.wrappers.freeze import DEFAULT_PARTNERS
 from handover_marl.envs.wrappers.wrapper import ByAgent, WrappableEnv
-from handover_marl.episode.batch.episodes import EpisodeBatch
+from handover_marl.episode.batch.make_episodes import make_episode_batch
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.episode.spaces import check_giver_action, check_receiver_action, check_vector
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, get_namespace, to_numpy
 from handover_marl.learning.batch.encodings import make_feature_batch, make_scheme_batch
 from handover_marl.learning.batch.features import FeatureBatch
 from handover_marl.learning.batch.schemes import SchemeBatch
@@ -28,8 +28,8 @@ from handover_marl.receivers.grasp_library import get_nearest_grasp_selector
 from handover_marl.receivers.grasp_selection import GraspSelectionBatch
 from handover_marl.simulation.engines import BatchBackend
 
-Rows = npt.NDArray[np.int_]
-Flags = npt.NDArray[np.bool_]
+Rows: TypeAlias = AnyArray
+Flags: TypeAlias = AnyArray
 
 
 def has_episode_returns(template: WrappableEnv) -> bool:
@@ -44,7 +44,8 @@ class ArrayEpisodes:
     """Simulator of episodes of one configuration on arrays, with their rewards, features and action schemes.
 
     An episode equals an episode of a single environment with the wrappers `freeze` and `encode`. The
-    argument `rows` (r,) of methods contains the indices of the episodes to which a method applies.
+    argument `rows` (r,) of methods contains the indices of the episodes to which a method applies. All arrays are
+    those of the simulation: NumPy arrays, or PyTorch tensors on its device.
 
     Args:
         template: Single environment of the configuration, with its wrappers; it is not simulated.
@@ -52,6 +53,9 @@ class ArrayEpisodes:
         partner: Policy of the agent that is not controlled from outside.
         trust: Whether a policy file may run code.
         backend: Engine and device of the simulation.
+
+    Attributes:
+        arrays: Creator of the simulation's arrays.
     """
 
     def __init__(
@@ -64,14 +68,18 @@ class ArrayEpisodes:
         self._episodes = EpisodeBatch(config.world_config, count)
         self._rewards = RewardBatch(config, self._episodes, count)
         self._has_returns = has_episode_returns(template)
-        self._cycles = np.zeros(count, dtype=np.int_)
-        self._terminated, self._truncated = np.zeros(count, dtype=bool), np.zeros(count, dtype=bool)
+        self._cycles = arrays.zeros(count, "int64")
+        self._terminated, self._truncated = arrays.zeros(count, "bool"), arrays.zeros(count, "bool")
+        space = base.action_space(GIVER)
+        self._giver_limits = arrays.asarray(space.low), arrays.asarray(space.high)
         self._partner: PolicyBatch | None = None
         if len(self._agents) == 1:
             (self._partner_agent,) = set(AGENTS) - set(self._agents)
             chosen = DEFAULT_PARTNERS[self._agents[0]] if partner is None else partner
             reference = parse_policy(self._partner_agent, chosen, trust)
-            self._partner = make_policy_batch(reference, base.dataset, config.world_config, config.setup, count)
+            self._partner = make_policy_batch(
+                reference, base.dataset, config.world_config, config.setup, count, *self._last
+            )
         self._features: dict[str, FeatureBatch] = {}
         self._schemes: dict[str, SchemeBatch] = {}
         if isinstance(template, EncodedEnv):
@@ -79,10 +87,10 @@ class ArrayEpisodes:
 
     def _make_encodings(self, template: EncodedEnv, count: int) -> None:
         context = self._base.policy_context
-        selection = GraspSelectionBatch(get_nearest_grasp_selector(context), count)
+        selection = GraspSelectionBatch(get_nearest_grasp_selector(context), count, *self._last)
         for agent, (features, scheme) in template.choices.items():
-            self._features[agent] = make_feature_batch(agent, features, context, selection, count)
-            self._schemes[agent] = make_scheme_batch(agent, scheme, context, selection, count)
+            self._features[agent] = make_feature_batch(agent, features, context, selection, count, *self._last)
+            self._schemes[agent] = make_scheme_batch(agent, scheme, context, selection, count, *self._last)
 
     @property
     def can_wait(self) -> bool:
@@ -90,19 +98,21 @@ class ArrayEpisodes:
         return len(self._agents) == 1 and bool(self._schemes)
 
     def check_actions(self, actions: ByAgent) -> ByAgent:
-        """Check the actions or outputs (n, ...) of all environments, and return them as float32.
+        """Check the actions or outputs (n, ...) of all environments; return them as float32 arrays of the simulation.
 
         Raises:
             ActionError: A number is not finite.
         """
         return {agent: self._check_actions(agent, values) for agent, values in actions.items()}
 
-    def _check_actions(self, agent: str, actions: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
+    def _check_actions(self, agent: str, actions: AnyArray) -> AnyArray:
+        xp = get_namespace(actions)
         with np.errstate(over="ignore"):
-            values = actions.astype(np.float32)
-        wrong = np.flatnonzero(~np.isfinite(values).all(axis=1))
+            values = self.arrays.asarray(xp.astype(actions, xp.float32))
+        xp = self.arrays.xp
+        wrong = xp.nonzero(~xp.all(xp.isfinite(values), axis=1))[0]
         if len(wrong):
-            row = actions[wrong[0]]
+            row = to_numpy(values[wrong[0]])
             if agent in self._schemes:
                 check_vector(f"outputs of the {agent}", row, len(row), "within [-1, 1]")
             elif agent == RECEIVER:
@@ -119,7 +129,7 @@ class ArrayEpisodes:
             seed: Seed of the partner.
             robot_seed: Seed of the robot's initial joint positions.
         """
-        episodes, rows = self._episodes, np.array([row])
+        episodes, rows = self._episodes, self.arrays.asarray([row])
         episodes.reset(row, scene, robot_seed)
         if self._partner is not None:
             self._partner.reset(row, seed, scene.info.object_names)
@@ -138,7 +148,7 @@ class ArrayEpisodes:
 
     def have_ended(self, rows: Rows) -> Flags:
         """Return whether each episode has ended, (r,)."""
-        return np.asarray(self._terminated[rows] | self._truncated[rows])
+        return self._terminated[rows] | self._truncated[rows]
 
     def find_waiting(self, rows: Rows) -> Rows:
         """Return the indices of the running episodes whose action scheme needs no outputs now."""
@@ -167,25 +177,25 @@ class ArrayEpisodes:
             rows: Indices (r,) of running episodes.
             given: Actions (r, ...) of agents without action scheme, by agent.
         """
-        config, episodes, actions = self._base.config, self._episodes, dict(given)
+        config, episodes, actions, xp = self._base.config, self._episodes, dict(given), self.arrays.xp
         if self._partner is not None:
             agent, steps = self._partner_agent, episodes.referees.steps[rows]
             actions[agent] = self._partner.act(rows, lambda some: self._select_observation(agent, some), steps)
         for agent, scheme in self._schemes.items():
             actions[agent] = scheme.compute_actions(rows, self._select_observation(agent, rows))
-        space = self._base.action_space(GIVER)
-        actions[GIVER] = np.clip(actions[GIVER], space.low, space.high)
+        low, high = self._giver_limits
+        # For NumPy several times as fast as `xp.clip`.
+        actions[GIVER] = xp.minimum(xp.maximum(actions[GIVER], low), high)
         episodes.advance(rows, actions[RECEIVER], config.control_steps, actions[GIVER])
         episodes.observe(rows)
         self._cycles[rows] += 1
         status, timeout = episodes.referees.status[rows], int(EpisodeStatus.TIMEOUT)
         terminated = (status & ~timeout) != 0
-        cut_off = (
-            np.zeros(len(rows), dtype=bool) if config.max_cycles is None else self._cycles[rows] >= config.max_cycles
-        )
-        self._terminated[rows] = terminated
-        self._truncated[rows] = ((status & timeout) != 0) | (cut_off & ~terminated)
-        self._rewards.add(rows, actions, self._terminated[rows], self._truncated[rows])
+        truncated = (status & timeout) != 0
+        if config.max_cycles is not None:
+            truncated |= (self._cycles[rows] >= config.max_cycles) & ~terminated
+        self._terminated[rows], self._truncated[rows] = terminated, truncated
+        self._rewards.add(rows, actions, terminated, truncated)
 
     def make_result(self, rows: Rows) -> EnvResult:
         """Return observations and infos of episodes, and their rewards since the last `clear_rewards`."""

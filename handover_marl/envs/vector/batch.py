@@ -15,6 +15,7 @@ from gymnasium.vector import AutoresetMode
 from handover_marl.envs.vector.results import EnvResult, merge_results, replace_rows, select_rows
 from handover_marl.envs.wrappers.wrapper import ByAgent
 from handover_marl.errors import ActionError, OptionError, ResetNeededError, SimulationError
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, ArrayFactory, is_tensor
 
 Rows = npt.NDArray[np.int_]
 Flags = npt.NDArray[np.bool_]
@@ -23,7 +24,13 @@ _BUSY = "another thread is using the vector environment; call reset() and step()
 
 
 class Envs(Protocol):
-    """Interface of the environments that one thread simulates; `rows` are indices of environments."""
+    """Interface of the environments that one thread simulates; `rows` are indices of environments, a NumPy array.
+
+    Attributes:
+        arrays: Creator of the arrays that `reset` and `step` return.
+    """
+
+    arrays: ArrayFactory
 
     def reset(self, rows: Rows, seeds: Sequence[int | None], options: Mapping[str, Any] | None) -> EnvResult:
         """Start episodes in the environments `rows` (r,), with a seed for each."""
@@ -47,7 +54,7 @@ class BatchStep(NamedTuple):
     Attributes:
         result: Result of the step; for environments that were reset, it has the observations and infos
             of the reset.
-        ended: Environments (e,) that were reset in the step that ended their episodes.
+        ended: Environments (e,) that were reset in the step that ended their episodes, a NumPy array.
         final: Result (e, ...) of the steps that ended these episodes; None if there are none.
     """
 
@@ -88,7 +95,7 @@ class _ThreadEnvs:
             parts.append((waiting, self.reset(waiting, [None] * len(waiting), None)))
         running = np.setdiff1d(np.arange(count), waiting)
         if len(running):
-            parts.append((running, self.envs.step(running, {agent: own[running] for agent, own in actions.items()})))
+            parts.append((running, self.envs.step(running, select_rows(actions, running))))
         result = merge_results(count, parts)
         ended = np.flatnonzero(result.ended)
         if self._autoreset is not AutoresetMode.SAME_STEP or not len(ended):
@@ -114,6 +121,7 @@ class EnvBatch:
     Attributes:
         num_envs: Number n of environments.
         autoreset: Gymnasium's mode of the reset after an episode's end.
+        arrays: Creator of the arrays that `reset` and `step` return.
         is_running: Whether every environment has been reset, and no reset or step has failed since.
     """
 
@@ -122,6 +130,7 @@ class EnvBatch:
         self._is_closed, self._process, self._lock = False, os.getpid(), threading.Lock()
         parts = np.array_split(np.arange(num_envs), min(threads, num_envs))
         self._thread_envs = [_ThreadEnvs(make(len(rows)), rows, autoreset) for rows in parts]
+        self.arrays = self._thread_envs[0].envs.arrays
         self._pool = ThreadPoolExecutor(len(parts)) if len(parts) > 1 else None
         self._latest: EnvResult | None = None
 
@@ -194,7 +203,7 @@ class EnvBatch:
         checked = self._thread_envs[0].envs.check_actions(actions)
         with self._exclude_other_threads():
             self.is_running = False
-            parts = self._map(lambda envs: envs.step({agent: own[envs.rows] for agent, own in checked.items()}))
+            parts = self._map(lambda envs: envs.step(select_rows(checked, envs.rows)))
             self.is_running = True
         results = [(envs.rows, part.result) for envs, part in zip(self._thread_envs, parts, strict=True)]
         self._latest = merge_results(self.num_envs, results)
@@ -260,7 +269,9 @@ class EnvBatch:
         return [None if one is None else int(one) for one in seeds]
 
 
-def check_action_array(actions: object, space: spaces.Space[Any], count: int, agent: str) -> npt.NDArray[Any]:
+def check_action_array(
+    actions: Any, space: spaces.Space[Any], count: int, agent: str, arrays: ArrayFactory = NUMPY_ARRAYS
+) -> AnyArray:
     """Check the shape and type of the actions of all environments, and return them as an array.
 
     Args:
@@ -268,11 +279,20 @@ def check_action_array(actions: object, space: spaces.Space[Any], count: int, ag
         space: Action space of the agent in one environment.
         count: Number of environments.
         agent: Name of the agent, for errors.
+        arrays: Creator of the environments' arrays; if it creates tensors, tensors are returned unchanged.
 
     Raises:
         ActionError: The actions are not a numeric array of this shape.
     """
     shape = (count, *(space.shape or ()))
+    if is_tensor(actions) and arrays is not NUMPY_ARRAYS:
+        is_number = arrays.xp.isdtype(actions.dtype, ("integral", "real floating"))
+        if tuple(actions.shape) != shape or not is_number or actions.requires_grad:
+            gradient = " with a gradient; pass tensor.detach()" if actions.requires_grad else ""
+            raise ActionError(
+                f"actions of the {agent} must have shape {shape}, got {actions.dtype} {tuple(actions.shape)}{gradient}"
+            )
+        return actions
     try:
         values = np.asarray(actions)
     except (ValueError, TypeError, RuntimeError) as error:  # ragged lists, tensors with a gradient or on a GPU

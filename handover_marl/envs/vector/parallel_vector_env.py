@@ -11,6 +11,7 @@ from handover_marl.envs.vector.batch import BatchStep, EnvBatch, check_action_ar
 from handover_marl.envs.vector.results import select_rows
 from handover_marl.envs.wrappers.wrapper import ByAgent, WrappableEnv
 from handover_marl.errors import ActionError
+from handover_marl.geometry.arrays import to_numpy
 
 ParallelBatchStep = tuple[ByAgent, ByAgent, ByAgent, ByAgent, ByAgent]
 
@@ -27,6 +28,10 @@ class ParallelVectorEnv:
       the last rewards. `infos[agent]` then has the last observations in "final_obs" (n,), the last
       infos in "final_info" (n,), and the mask of these environments in "_final_obs" (n,).
     - "disabled": the caller resets.
+
+    With the backend "threads", all values are NumPy arrays. With "warp", they are PyTorch tensors on the device of the
+    simulation, except for "final_obs", a NumPy array of dictionaries of tensors or of tensors, "final_info", a NumPy
+    array of dictionaries of numbers, and "_final_obs", a NumPy mask.
 
     Args:
         batch: The environments.
@@ -94,7 +99,7 @@ class ParallelVectorEnv:
         """Step every environment with the actions of both agents.
 
         Args:
-            actions: Actions (n, ...) by agent.
+            actions: Actions (n, ...) by agent, arrays or tensors; see `HandoverVectorEnv.step`.
 
         Returns:
             Observations, rewards, terminations, truncations and infos by agent.
@@ -108,7 +113,9 @@ class ParallelVectorEnv:
             raise ActionError(f"actions must be a dict of arrays for {' and '.join(self.possible_agents)}")
         step = self._batch.step(
             {
-                agent: check_action_array(values, self.single_action_space(agent), self.num_envs, agent)
+                agent: check_action_array(
+                    values, self.single_action_space(agent), self.num_envs, agent, self._batch.arrays
+                )
                 for agent, values in actions.items()
             }
         )
@@ -126,9 +133,9 @@ class ParallelVectorEnv:
         mask = np.isin(np.arange(self.num_envs), step.ended)
         for agent, own in infos.items():
             final_obs, final_info = (np.full(self.num_envs, None, dtype=object) for _ in range(2))
+            last = {key: to_numpy(values) for key, values in step.final.infos[agent].items()}
             for place, number in enumerate(step.ended.tolist()):
                 final_obs[number] = select_rows(step.final.observations[agent], place)
-                last = step.final.infos[agent]
                 final_info[number] = {key: values[place].item() for key, values in last.items()}
             own.update({"final_obs": final_obs, "final_info": final_info, "_final_obs": mask})
         return infos

@@ -16,6 +16,7 @@ from handover_marl.envs.wrappers.wrapper import ByAgent
 from handover_marl.errors import WorkerError
 from handover_marl.execution.options import open_missing_descriptors
 from handover_marl.execution.worker import make_picklable
+from handover_marl.geometry.arrays import NUMPY_ARRAYS
 
 Rows = npt.NDArray[np.int_]
 
@@ -30,6 +31,8 @@ class ProcessEnvs:
         make: Function that makes a number of environments; must be picklable by cloudpickle.
         count: Number of environments.
     """
+
+    arrays = NUMPY_ARRAYS
 
     def __init__(self, make: Callable[[int], Envs], count: int) -> None:
         open_missing_descriptors()

@@ -1,12 +1,17 @@
-"""Results of steps and resets of many environments as arrays, joined and divided by rows."""
+"""Results of steps and resets of many environments as arrays, joined and divided by rows.
+
+The arrays of one result are NumPy arrays, or PyTorch tensors on one device. Indices of environments are NumPy arrays.
+"""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from array_api_compat import device as get_device
 
 from handover_marl.envs.wrappers.wrapper import ByAgent
+from handover_marl.geometry.arrays import AnyArray, get_namespace, to_numpy
 
 Rows = npt.NDArray[np.int_]
 Flags = npt.NDArray[np.bool_]
@@ -31,24 +36,30 @@ class EnvResult(NamedTuple):
 
     @property
     def ended(self) -> Flags:
-        """Whether each episode has ended, (r,)."""
+        """Whether each episode has ended, a NumPy array (r,)."""
         parts = [*self.terminated.values(), *self.truncated.values()]
-        return np.asarray(np.any(parts, axis=0))
+        xp = get_namespace(*parts)
+        return to_numpy(xp.any(xp.stack(parts), axis=0))
 
 
 def merge_results(count: int, parts: Sequence[tuple[Rows, EnvResult]]) -> EnvResult:
     """Join results of different rows to one result of `count` rows; a later part replaces earlier parts."""
     if len(parts) == 1 and len(parts[0][0]) == count:
         return parts[0][1]
-    return EnvResult(*(_merge(count, [(rows, result[k]) for rows, result in parts]) for k in range(5)))
+    placed = [(move_to_device(rows, result.rewards), result) for rows, result in parts]
+    return EnvResult(*(_merge(count, [(rows, result[k]) for rows, result in placed]) for k in range(5)))
 
 
 def select_rows(values: Any, rows: Rows | int) -> Any:
     """Return some rows, or one, of the arrays in dictionaries and tuples."""
+    return _select(values, rows if isinstance(rows, int) else move_to_device(rows, values))
+
+
+def _select(values: Any, rows: AnyArray) -> Any:
     if isinstance(values, Mapping):
-        return {key: select_rows(value, rows) for key, value in values.items()}
+        return {key: _select(value, rows) for key, value in values.items()}
     if isinstance(values, tuple):
-        chosen = [select_rows(value, rows) for value in values]
+        chosen = [_select(value, rows) for value in values]
         return EnvResult(*chosen) if isinstance(values, EnvResult) else tuple(chosen)
     return values[rows]
 
@@ -56,22 +67,31 @@ def select_rows(values: Any, rows: Rows | int) -> Any:
 def replace_rows(values: Any, rows: Rows, others: Any) -> Any:
     """Return copies of the arrays in dictionaries and tuples, with some rows replaced."""
     count = len(_first_array(values))
-    return _merge(count, [(np.arange(count), values), (rows, others)])
+    everything, some = (move_to_device(own, values) for own in (np.arange(count), rows))
+    return _merge(count, [(everything, values), (some, others)])
 
 
-def _merge(count: int, parts: list[tuple[Rows, Any]]) -> Any:
+def move_to_device(array: npt.NDArray[Any], values: Any) -> AnyArray:
+    """Return a NumPy array in the namespace and on the device of the arrays in dictionaries and tuples."""
+    like = _first_array(values)
+    return get_namespace(like).asarray(array, device=get_device(like))
+
+
+def _merge(count: int, parts: list[tuple[AnyArray, Any]]) -> Any:
     first = parts[0][1]
     if isinstance(first, Mapping):
         return {key: _merge(count, [(rows, values[key]) for rows, values in parts]) for key in first}
     if isinstance(first, tuple):
         return tuple(_merge(count, [(rows, values[k]) for rows, values in parts]) for k in range(len(first)))
-    merged = np.empty((count, *first.shape[1:]), dtype=np.result_type(*(values.dtype for _, values in parts)))
+    xp, shape = get_namespace(first), (count, *first.shape[1:])
+    dtype = xp.result_type(*(values.dtype for _, values in parts))
+    merged = xp.empty(shape, dtype=dtype, device=get_device(first))
     for rows, values in parts:
-        merged[rows] = values
+        merged[rows] = xp.astype(values, dtype, copy=False)
     return merged
 
 
-def _first_array(values: Any) -> npt.NDArray[Any]:
+def _first_array(values: Any) -> AnyArray:
     while isinstance(values, (Mapping, tuple)):
         values = next(iter(values.values())) if isinstance(values, Mapping) else values[0]
-    return np.asarray(values)
+    return values

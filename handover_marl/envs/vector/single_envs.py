@@ -10,6 +10,7 @@ from gymnasium.vector.utils import concatenate, create_empty_array
 from handover_marl.envs.vector.results import EnvResult
 from handover_marl.envs.wrappers.wrapper import ByAgent, WrappableEnv, check_env
 from handover_marl.errors import OptionError
+from handover_marl.geometry.arrays import NUMPY_ARRAYS
 
 Rows = npt.NDArray[np.int_]
 #: Function or class that wraps the environment by a `pettingzoo.utils.BaseParallelWrapper`.
@@ -26,6 +27,8 @@ class SingleEnvs:
     Attributes:
         envs: The environments.
     """
+
+    arrays = NUMPY_ARRAYS
 
     def __init__(self, make: Callable[[], WrappableEnv], count: int) -> None:
         self.envs = [make() for _ in range(count)]

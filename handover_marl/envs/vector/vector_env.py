@@ -22,6 +22,7 @@ from handover_marl.envs.vector.single_envs import WrapperFunction
 from handover_marl.envs.wrappers.wrapper import WrappableEnv
 from handover_marl.errors import OptionError, check_name
 from handover_marl.execution.options import count_available_cores, forward_signature
+from handover_marl.geometry.arrays import ArrayFactory, to_numpy
 from handover_marl.learning.encodings.custom_features import FeaturesLike
 from handover_marl.learning.encodings.custom_schemes import SchemeLike
 from handover_marl.policies.reference import PolicyLike
@@ -39,6 +40,11 @@ class HandoverVectorEnv(VectorEnv[Any, Any, Any]):
 
     Environment k is seeded with `seed + k` and behaves as a single environment with that seed.
     Results have the form of Gymnasium's `SyncVectorEnv`.
+
+    With the backend "threads", all values are NumPy arrays. With "warp", observations, rewards, terminations,
+    truncations and infos are PyTorch tensors on the device of the simulation, also those in "final_info". "final_obs"
+    is a NumPy array (n,) of objects, the tensor or the dictionary of tensors of each environment whose episode has
+    ended, and its mask "_final_obs" is a NumPy array.
 
     Args:
         batch: The environments.
@@ -73,7 +79,7 @@ class HandoverVectorEnv(VectorEnv[Any, Any, Any]):
             seed: Seed of the first environment, environment k gets `seed + k`; or a list with a seed
                 for each environment.
             options: Options that every environment gets: `{"scene_id": n}` chooses the scene; and
-                `reset_mask`, the mask of the environments to reset.
+                `reset_mask`, the mask of the environments to reset, an array or a tensor.
 
         Raises:
             OptionError: The number of seeds or the shape of the mask is wrong.
@@ -83,28 +89,29 @@ class HandoverVectorEnv(VectorEnv[Any, Any, Any]):
             raise OptionError(f"options must be a dict, got {options!r}")
         own = dict(options or {})
         mask = own.pop("reset_mask", None)
-        chosen = np.ones(self.num_envs, dtype=bool) if mask is None else np.asarray(mask)
+        chosen = np.ones(self.num_envs, dtype=bool) if mask is None else to_numpy(mask)
         if chosen.shape != (self.num_envs,) or chosen.dtype != bool or not chosen.any():
             raise OptionError(f"reset_mask must be {self.num_envs} truth values with at least one True, got {mask!r}")
         result = self._batch.reset(seed, own, chosen)
-        return result.observations[self._agent], _mask_infos(result.infos[self._agent], chosen)
+        return result.observations[self._agent], _mask_infos(result.infos[self._agent], chosen, self._batch.arrays)
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Step every environment for one control period, or until its action scheme needs outputs.
 
         Args:
-            actions: (n, ...) action of each environment.
+            actions: (n, ...) action of each environment. With the backend "warp", tensors on the device are not copied
+                through the memory of the processor; arrays and tensors of the processor are moved to the device.
 
         Raises:
-            ActionError: The actions are not a numeric array (n, ...).
+            ActionError: The actions are not a numeric array (n, ...), or are a tensor with a gradient.
             ResetNeededError: There was no reset, or a reset or step has failed since.
         """
         self._batch.require_running()
         agent = self._agent
-        values = check_action_array(actions, self.single_action_space, self.num_envs, agent)
+        values = check_action_array(actions, self.single_action_space, self.num_envs, agent, self._batch.arrays)
         step = self._batch.step({agent: values})
         observations, rewards, terminated, truncated, infos = (part[agent] for part in step.result)
-        infos = _mask_infos(infos, np.ones(self.num_envs, dtype=bool))
+        infos = _mask_infos(infos, np.ones(self.num_envs, dtype=bool), self._batch.arrays)
         if step.final is not None:
             infos |= self._make_final_infos(step.ended, step.final)
         return observations, rewards, terminated, truncated, infos
@@ -123,15 +130,17 @@ class HandoverVectorEnv(VectorEnv[Any, Any, Any]):
         final_obs = np.full(self.num_envs, None, dtype=object)
         for place, number in enumerate(ended.tolist()):
             final_obs[number] = select_rows(final.observations[self._agent], place)
-        infos = {}
+        arrays, infos = self._batch.arrays, {}
+        rows = arrays.asarray(ended)
         for key, values in final.infos[self._agent].items():
-            infos[key] = np.zeros((self.num_envs, *values.shape[1:]), dtype=values.dtype)
-            infos[key][ended] = values
+            shape = (self.num_envs, *values.shape[1:])
+            infos[key] = arrays.xp.zeros(shape, dtype=values.dtype, device=arrays.device)
+            infos[key][rows] = values
         return {
             "final_obs": final_obs,
             "_final_obs": mask,
-            "final_info": _mask_infos(infos, mask),
-            "_final_info": mask.copy(),
+            "final_info": _mask_infos(infos, mask, arrays),
+            "_final_info": arrays.asarray(mask.copy()),
         }
 
 
@@ -218,7 +227,8 @@ def vector_env(
             process simulates. On several cores, processes are faster than threads, but each needs memory for
             its own models.
         backend: Backend of the simulation: "threads" for MuJoCo on the processor, or "warp" for MuJoCo Warp,
-            which steps all environments together. Its results are not those of "threads" to the bit.
+            which steps all environments together and returns PyTorch tensors on `device`. Its results are not those of
+            "threads" to the bit.
         device: Device of the simulation: "cpu", or "cuda" for a GPU with "warp". MuJoCo Warp on "cpu" is for tests.
         trust: Whether a policy file may run code.
         config: Configuration of each environment; default: one made of `fields`.
@@ -280,10 +290,10 @@ def vector_env(
     return ParallelVectorEnv(batch, template) if agent is None else HandoverVectorEnv(batch, template)
 
 
-def _mask_infos(infos: dict[str, Any], mask: npt.NDArray[np.bool_]) -> dict[str, Any]:
+def _mask_infos(infos: dict[str, Any], mask: npt.NDArray[np.bool_], arrays: ArrayFactory) -> dict[str, Any]:
     """Return the infos of the environments in a mask in Gymnasium's form: zeros elsewhere, and masks."""
-    masked = {}
+    masked, xp, chosen, is_complete = {}, arrays.xp, arrays.asarray(mask), mask.all()
     for key, values in infos.items():
-        masked[key] = values.copy() if mask.all() else np.where(mask, values, np.zeros_like(values))
-        masked[f"_{key}"] = mask.copy()
+        masked[key] = xp.asarray(values, copy=True) if is_complete else xp.where(chosen, values, xp.zeros_like(values))
+        masked[f"_{key}"] = xp.asarray(chosen, copy=True)
     return masked

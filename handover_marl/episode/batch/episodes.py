@@ -9,6 +9,7 @@ from handover_marl.episode.batch.giver_motion import GiverMotionBatch, PlannedMo
 from handover_marl.episode.lockstep import RefereeStateBatch, simulate_worlds
 from handover_marl.episode.observations import MotionPreview, Observation, giver_observation_space, observation_space
 from handover_marl.episode.referee import Referee, ReleaseReason
+from handover_marl.geometry.arrays import NUMPY_ARRAYS
 from handover_marl.geometry.model_files.meshes import check_collision_meshes
 from handover_marl.simulation.contacts import Contacts
 from handover_marl.simulation.engines import make_batch_worlds

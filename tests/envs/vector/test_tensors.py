@@ -1,0 +1,184 @@
+"""Tests of environments whose episodes are tensors on a device, against environments of NumPy arrays.
+
+Physics is the same on both sides, so that all results agree to the accuracy of the arrays' functions.
+"""
+
+import inspect
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco", reason="needs the extra `mujoco`")
+pytest.importorskip("torch", reason="needs the extra `train`")
+
+import torch
+
+import handover_marl
+from handover_marl.envs.custom_rewards import combine_rewards
+from handover_marl.envs.transition import Transition
+from handover_marl.envs.vector import array_episodes
+from handover_marl.envs.vector.policy_batches import make_policy_batch
+from handover_marl.envs.wrappers.episode_returns import EpisodeReturns
+from handover_marl.errors import ActionError
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory, make_tensor_factory
+from handover_marl.geometry.panda import WAITING_JOINTS
+from handover_marl.learning.batch.encodings import make_feature_batch, make_scheme_batch
+from handover_marl.learning.encodings.choices import declare_size
+from tests.envs.vector.comparison import assert_same
+from tests.envs.vector.tensor_episodes import TensorEpisodes
+from tests.fake_device import DEVICE, FakeDevice
+
+COUNT = 4
+OPTIONS: dict[str, Any] = {"setup": "s0", "split": "train", "dataset": "synthetic", "threads": 1, "rewards": "shaped"}
+#: Options of short episodes, so that all of them end and new ones start.
+SHORT: dict[str, Any] = {**OPTIONS, "max_cycles": 13, "control_period": 0.13}
+#: Options of episodes in which the receiver acts after it has waited, and in which all episodes end.
+ENCODED: dict[str, Any] = {**OPTIONS, "control_period": 0.2, "max_cycles": 20}
+
+needs_tensor_parts = pytest.mark.skipif(
+    any(
+        "arrays" not in inspect.signature(function).parameters
+        for function in (make_policy_batch, make_feature_batch, make_scheme_batch)
+    ),
+    reason="needs rewards, policies, features and action schemes that take tensors",
+)
+
+
+@pytest.fixture
+def on_device(monkeypatch: pytest.MonkeyPatch) -> Iterator[ArrayFactory]:
+    """Make vector environments simulate tensors on a device."""
+    with FakeDevice(), monkeypatch.context() as patch:
+        patch.setattr(array_episodes, "make_episode_batch", TensorEpisodes)
+        yield make_tensor_factory(DEVICE.type)
+
+
+def rollout(arrays: ArrayFactory, steps: int, agent: str | None, options: dict[str, Any]) -> list[Any]:
+    """Return the results of resets of all and of some environments, and of steps with random actions."""
+    envs, rng = handover_marl.vector_env(COUNT, agent, **options), np.random.default_rng(0)
+
+    def draw(space: Any) -> Any:
+        # Joint positions near those of the waiting robot.
+        middle = np.array(WAITING_JOINTS) if space.shape[1:] == (9,) else 0.0
+        return arrays.asarray(middle + 0.3 * rng.normal(size=space.shape), "float32")
+
+    chosen = arrays.asarray(np.array([True, False, True, False]))
+    masked = {"reset_mask": chosen, "scene_id": envs.scene_ids[3]}
+    resets: list[dict[str, Any]] = [{"seed": 3}] if agent is None else [{"seed": 3}, {}, {"options": masked}]
+    found: list[Any] = []
+    for arguments in resets:
+        found.append(envs.reset(**arguments))
+        for _ in range(steps // len(resets)):
+            if agent is None:
+                found.append(envs.step({one: draw(envs.action_space(one)) for one in envs.possible_agents}))
+            else:
+                found.append(envs.step(draw(envs.action_space)))
+    envs.close()
+    return found
+
+
+def compare(request: pytest.FixtureRequest, steps: int, agent: str | None, options: dict[str, Any]) -> None:
+    """Compare a rollout on the device with one of NumPy arrays, in which episodes end."""
+    expected = rollout(NUMPY_ARRAYS, steps, agent, options)
+    found = rollout(request.getfixturevalue("on_device"), steps, agent, options)
+    assert_same(found, expected)
+    ended = [end for step in expected if len(step) == 5 for end in step[2:4]]
+    flags = ended if agent is not None else [own for end in ended for own in end.values()]
+    assert any(one.any() for one in flags), "no episode has ended"
+
+
+@needs_tensor_parts
+@pytest.mark.parametrize(
+    ("agent", "options"),
+    [
+        ("receiver", {"partner": "replay", "autoreset": "next_step"}),
+        ("receiver", {"partner": "noisy", "autoreset": "same_step", "wrappers": [EpisodeReturns]}),
+        ("giver", {"partner": "yang2021:wait=0.2", "autoreset": "same_step", "rewards": "sparse"}),
+        (None, {"autoreset": "next_step"}),
+        (None, {"autoreset": "same_step"}),
+    ],
+    ids=str,
+)
+def test_raw_observations_and_actions(
+    request: pytest.FixtureRequest, agent: str | None, options: dict[str, Any]
+) -> None:
+    compare(request, 30 if agent is not None else 16, agent, {**SHORT, **options})
+
+
+@needs_tensor_parts
+@pytest.mark.parametrize(
+    ("agent", "options"),
+    [
+        (
+            "receiver",
+            {"partner": "cooperative", "features": "close", "schemes": "grasp_servo", "autoreset": "next_step"},
+        ),
+        ("receiver", {"partner": "hesitant", "features": "close", "schemes": "grasp_servo", "autoreset": "same_step"}),
+        ("receiver", {"partner": "hurried", "features": "close_stack", "schemes": "cartesian_delta"}),
+        ("giver", {"partner": "yang2021:wait=0.5", "features": "giver", "schemes": "deviation"}),
+        (None, {"features": {"giver": "giver", "receiver": "grasp"}, "schemes": {"receiver": "joint_delta"}}),
+    ],
+    ids=str,
+)
+def test_features_and_action_schemes(
+    request: pytest.FixtureRequest, agent: str | None, options: dict[str, Any]
+) -> None:
+    compare(request, 30, agent, {**ENCODED, **options})
+
+
+@needs_tensor_parts
+@pytest.mark.parametrize("autoreset", ["next_step", "same_step"])
+def test_offers_that_last_a_whole_episode(request: pytest.FixtureRequest, autoreset: str) -> None:
+    options = {"partner": "yang2021:wait=0.5", "features": "giver", "schemes": "offer", "autoreset": autoreset}
+    compare(request, 6, "giver", {**ENCODED, **options})
+
+
+@declare_size(2)
+def count_features(observation: dict[str, Any]) -> np.ndarray:
+    return np.array([observation["time"][0], observation["gripper_pose"][2]], dtype=np.float32)
+
+
+@declare_size(1)
+def move_first_joint(outputs: np.ndarray, observation: dict[str, Any]) -> np.ndarray:
+    target = observation["robot_joint_position"].copy()
+    target[0] += 0.1 * outputs[0]
+    return target
+
+
+def reward_height(transition: Transition) -> dict[str, dict[str, float]]:
+    height = float(transition.next_state["gripper_pose"][2] - transition.state["gripper_pose"][2])
+    return {"receiver": {"height": height}, "giver": {"steps": 1e-3 * transition.infos["giver"]["steps"]}}
+
+
+@needs_tensor_parts
+def test_user_defined_parts_act_on_the_host(request: pytest.FixtureRequest) -> None:
+    options = {"partner": "tired", "features": count_features, "schemes": move_first_joint, "autoreset": "same_step"}
+    compare(request, 30, "receiver", {**SHORT, **options, "rewards": combine_rewards((0.5, reward_height), "sparse")})
+
+
+@needs_tensor_parts
+def test_wrong_numbers_change_nothing(on_device: ArrayFactory) -> None:
+    envs = handover_marl.vector_env(2, "receiver", "replay", **SHORT)
+    envs.reset(seed=1)
+    actions = on_device.asarray(np.tile(np.array(WAITING_JOINTS, np.float32), (2, 1)))
+    wrong = torch.where(on_device.arange(9) == 4, torch.nan, actions)
+    with pytest.raises(ActionError, match="component 4 is nan, which is not finite"):
+        envs.step(wrong)
+    with pytest.raises(ActionError, match=r"must have shape \(2, 9\)"):
+        envs.step(actions[:1])
+    observations, *_ = envs.step(actions)
+    np.testing.assert_allclose(observations["time"].tolist(), [[0.13], [0.13]], atol=1e-6)
+    envs.close()
+
+
+@needs_tensor_parts
+def test_actions_may_be_arrays_or_tensors_of_the_processor(on_device: ArrayFactory) -> None:
+    envs = handover_marl.vector_env(2, "receiver", "replay", **SHORT)
+    actions = np.tile(WAITING_JOINTS, (2, 1))
+    found = []
+    for values in (actions, actions.astype(np.float32)[::-1], torch.as_tensor(actions), on_device.asarray(actions)):
+        envs.reset(seed=1)
+        found.append(envs.step(values)[0]["robot_joint_position"].tolist())
+    envs.close()
+    assert found[0] == found[1] == found[2] == found[3]
