@@ -4,25 +4,22 @@ Actions equal those of single givers to 1e-6 after the rounding to float32, and 
 batch.
 """
 
+import math
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from handover_marl.episode.observations import Observation
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory, to_numpy
 from handover_marl.geometry.poses import compute_lengths
 from handover_marl.givers.cooperative import CooperativeGiver
-from handover_marl.givers.cooperative_batch import CooperativeBatch, compute_grip_distances, make_giver_actions
+from handover_marl.givers.cooperative_batch import CooperativeBatch, compute_grip_distances, make_giver_actions, widen
 from handover_marl.givers.noisy import NoisyGiver
 from handover_marl.givers.replay import ReplayGiver
 from handover_marl.givers.timing import HesitantGiver, HurriedGiver, StopWhenNearGiver
 from handover_marl.givers.withdrawing import WithdrawingGiver
-from handover_marl.policies.batch import ArrayPolicy, PolicyBatch
+from handover_marl.policies.batch import Actions, ArrayPolicy, PolicyBatch, Rows
 from handover_marl.policies.policy import Policy
-
-Actions = npt.NDArray[np.float32]
-Rows = npt.NDArray[np.int_]
 
 _PAUSE = -1.0  # playback rate minus 1
 
@@ -32,15 +29,15 @@ class ReplayBatch(ArrayPolicy[ReplayGiver]):
 
     def decide(self, rows: Rows, observation: Observation) -> Actions:
         """Return the actions (r, 8) that follow the recordings."""
-        return make_giver_actions(len(rows))
+        return make_giver_actions(len(rows), arrays=self._arrays)
 
 
 class HurriedBatch(ArrayPolicy[HurriedGiver]):
     """Batch of `HurriedGiver`."""
 
-    def __init__(self, policy: HurriedGiver, count: int) -> None:
-        super().__init__(policy, count)
-        self._rate = np.zeros(count)
+    def __init__(self, policy: HurriedGiver, count: int, arrays: ArrayFactory = NUMPY_ARRAYS) -> None:
+        super().__init__(policy, count, arrays=arrays)
+        self._rate = arrays.zeros(count)
 
     def start(self, row: int, seed: int | None) -> None:
         """Draw the playback speed of an episode."""
@@ -49,7 +46,7 @@ class HurriedBatch(ArrayPolicy[HurriedGiver]):
 
     def decide(self, rows: Rows, observation: Observation) -> Actions:
         """Return the actions (r, 8) that replay at the speeds drawn for these episodes."""
-        return make_giver_actions(len(rows), rate=self._rate[rows])
+        return make_giver_actions(len(rows), rate=self._rate[rows], arrays=self._arrays)
 
 
 class StopWhenNearBatch(ArrayPolicy[StopWhenNearGiver]):
@@ -58,14 +55,15 @@ class StopWhenNearBatch(ArrayPolicy[StopWhenNearGiver]):
     def decide(self, rows: Rows, observation: Observation) -> Actions:
         """Return the actions (r, 8) that pause near the gripper."""
         is_near = compute_grip_distances(observation) < self._policy.config.distance
-        return make_giver_actions(len(rows), rate=np.where(is_near, _PAUSE, 0.0))
+        return make_giver_actions(len(rows), rate=self._arrays.xp.where(is_near, _PAUSE, 0.0), arrays=self._arrays)
 
 
 class HesitantBatch(ArrayPolicy[HesitantGiver]):
     """Batch of `HesitantGiver`, whose random numbers are drawn episode by episode."""
 
-    def __init__(self, policy: HesitantGiver, count: int) -> None:
-        super().__init__(policy, count)
+    def __init__(self, policy: HesitantGiver, count: int, arrays: ArrayFactory = NUMPY_ARRAYS) -> None:
+        super().__init__(policy, count, arrays=arrays)
+        # On the host, like the random numbers.
         self._until = np.zeros(count)
         self._rngs = [np.random.default_rng(0)] * count
 
@@ -76,23 +74,24 @@ class HesitantBatch(ArrayPolicy[HesitantGiver]):
     def decide(self, rows: Rows, observation: Observation) -> Actions:
         """Return the actions (r, 8) that pause, or replay at the recorded speed."""
         giver, config = self._policy, self._policy.config
-        now = observation["time"][:, 0].astype(np.float64)
-        for row, time in zip(rows.tolist(), now.tolist(), strict=True):
+        now, numbers = to_numpy(observation["time"][:, 0]).astype(np.float64), to_numpy(rows)
+        for row, time in zip(numbers.tolist(), now.tolist(), strict=True):
             rng = self._rngs[row]
             if time >= self._until[row] and rng.random() < config.pauses_per_second * giver.control_period:
                 self._until[row] = time + rng.uniform(config.shortest_pause, config.longest_pause)
-        return make_giver_actions(len(rows), rate=np.where(now < self._until[rows], _PAUSE, 0.0))
+        rate = self._arrays.asarray(np.where(now < self._until[numbers], _PAUSE, 0.0))
+        return make_giver_actions(len(rows), rate=rate, arrays=self._arrays)
 
 
 class NoisyBatch(ArrayPolicy[NoisyGiver]):
     """Batch of `NoisyGiver`, whose random numbers are drawn episode by episode."""
 
-    def __init__(self, policy: NoisyGiver, count: int) -> None:
-        super().__init__(policy, count)
-        self._rngs, self._deviation = [np.random.default_rng(0)] * count, np.zeros((count, 7))
-        config = policy.config
-        self._scale = np.array([config.rate, *[config.displacement] * 3, *[config.rotation] * 3])
-        self._decay = np.exp(-policy.control_period / config.time_constant)
+    def __init__(self, policy: NoisyGiver, count: int, arrays: ArrayFactory = NUMPY_ARRAYS) -> None:
+        super().__init__(policy, count, arrays=arrays)
+        self._rngs, self._deviation = [np.random.default_rng(0)] * count, arrays.zeros((count, 7))
+        config, decay = policy.config, np.exp(-policy.control_period / policy.config.time_constant)
+        scale = np.array([config.rate, *[config.displacement] * 3, *[config.rotation] * 3])
+        self._decay, self._scale = float(decay), np.sqrt(1.0 - decay**2) * scale
 
     def start(self, row: int, seed: int | None) -> None:
         """Start an episode without deviation."""
@@ -101,44 +100,43 @@ class NoisyBatch(ArrayPolicy[NoisyGiver]):
     def decide(self, rows: Rows, observation: Observation) -> Actions:
         """Return the actions (r, 8) with the next random deviations."""
         noise = np.array([self._rngs[row].standard_normal(7) for row in rows.tolist()])
-        self._deviation[rows] = (
-            self._decay * self._deviation[rows] + np.sqrt(1.0 - self._decay**2) * self._scale * noise
-        )
-        deviation = self._deviation[rows]
-        return make_giver_actions(len(rows), deviation[:, 0], deviation[:, 1:4], deviation[:, 4:])
+        deviation = self._decay * self._deviation[rows] + self._arrays.asarray(self._scale * noise)
+        self._deviation[rows] = deviation
+        return make_giver_actions(len(rows), deviation[:, 0], deviation[:, 1:4], deviation[:, 4:], arrays=self._arrays)
 
 
 class WithdrawingBatch(ArrayPolicy[WithdrawingGiver]):
     """Batch of `WithdrawingGiver`."""
 
-    def __init__(self, policy: WithdrawingGiver, count: int) -> None:
-        super().__init__(policy, count)
-        self._last_distance, self._until = np.full(count, np.nan), np.full(count, -1.0)
-        self._displacement = np.zeros((count, 3))
+    def __init__(self, policy: WithdrawingGiver, count: int, arrays: ArrayFactory = NUMPY_ARRAYS) -> None:
+        super().__init__(policy, count, arrays=arrays)
+        self._last_distance, self._until = arrays.full(count, math.nan), arrays.full(count, -1.0)
+        self._displacement = arrays.zeros((count, 3))
 
     def start(self, row: int, seed: int | None) -> None:
         """Start an episode without deviation."""
-        self._last_distance[row], self._until[row], self._displacement[row] = np.nan, -1.0, 0.0
+        self._last_distance[row], self._until[row], self._displacement[row] = math.nan, -1.0, 0.0
 
     def decide(self, rows: Rows, observation: Observation) -> Actions:
         """Return the actions (r, 8) that withdraw the hands, or follow the recordings."""
-        giver, config = self._policy, self._policy.config
-        now = observation["time"][:, 0].astype(np.float64)
+        xp, giver, config = self._arrays.xp, self._policy, self._policy.config
+        now = widen(observation["time"][:, 0])
         away = observation["hand_keypoints"][:, 0] - observation["gripper_pose"][:, :3]
-        distance = compute_lengths(away).astype(np.float64)
+        distance = widen(compute_lengths(away))
         speed = (self._last_distance[rows] - distance) / giver.control_period
         self._last_distance[rows] = distance
         # Before the second decision the speed is nan, which is not above the limit.
         is_present = observation["hand_present"][:, 0] != 0.0
         flees = is_present & (distance < config.max_distance) & (speed > config.max_speed)
-        self._until[rows[flees]] = now[flees] + config.return_after
-        withdrawal = config.withdrawal * away / np.maximum(compute_lengths(away), 1e-6)[:, None]
-        self._displacement[rows[flees]] = withdrawal[flees]
-        is_away = now < self._until[rows]
-        return make_giver_actions(len(rows), displacement=np.where(is_away[:, None], self._displacement[rows], 0.0))
+        until = xp.where(flees, now + config.return_after, self._until[rows])
+        withdrawal = config.withdrawal * away / compute_lengths(away).clip(1e-6)[:, None]
+        displacement = xp.where(flees[:, None], withdrawal, self._displacement[rows])
+        self._until[rows], self._displacement[rows] = until, displacement
+        displacement = xp.where((now < until)[:, None], displacement, 0.0)
+        return make_giver_actions(len(rows), displacement=displacement, arrays=self._arrays)
 
 
-_BATCHES: dict[type[Policy], Callable[[Any, int], PolicyBatch]] = {
+_BATCHES: dict[type[Policy], Callable[..., PolicyBatch]] = {
     ReplayGiver: ReplayBatch,
     HurriedGiver: HurriedBatch,
     StopWhenNearGiver: StopWhenNearBatch,
@@ -149,12 +147,13 @@ _BATCHES: dict[type[Policy], Callable[[Any, int], PolicyBatch]] = {
 }
 
 
-def make_giver_batch(policy: Policy, count: int) -> PolicyBatch | None:
+def make_giver_batch(policy: Policy, count: int, arrays: ArrayFactory = NUMPY_ARRAYS) -> PolicyBatch | None:
     """Return the batch of a scripted giver, or None for a giver that has none.
 
     Args:
         policy: Giver of a single episode. A subclass of a scripted giver has no batch.
         count: Number of episodes.
+        arrays: Creator of the arrays.
     """
     batch = _BATCHES.get(type(policy))
-    return None if batch is None else batch(policy, count)
+    return None if batch is None else batch(policy, count, arrays=arrays)

@@ -1,21 +1,27 @@
-"""Policies that act in many episodes at once, as one policy on arrays or as one policy per episode."""
+"""Policies that act in many episodes at once, as one policy on arrays or as one policy per episode.
+
+Policies on arrays work with NumPy arrays or with PyTorch tensors; `HostPolicyBatch` lets others act in episodes whose
+arrays are tensors.
+"""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from typing import Generic, TypeVar
+from typing import Generic, TypeAlias, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
 from handover_marl.config import PANDA_DOF
 from handover_marl.episode.loop import PolicyScheduler, steps_from_hold_time
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.spaces import GIVER_ACTION_SIZE
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, ArrayFactory, to_numpy
 from handover_marl.policies.policy import Giver, Policy
 
 PolicyType = TypeVar("PolicyType", bound=Policy)
-Actions = npt.NDArray[np.float32]
-Rows = npt.NDArray[np.int_]
+#: Actions (r, ...), float32.
+Actions: TypeAlias = AnyArray
+#: Indices (r,) of episodes.
+Rows: TypeAlias = AnyArray
 #: Function that returns the observations (r, ...) of the episodes with given numbers (r,).
 ObserveFunction = Callable[[Rows], Observation]
 
@@ -85,6 +91,30 @@ class SequentialPolicyBatch(PolicyBatch):
         )
 
 
+class HostPolicyBatch(PolicyBatch):
+    """Batch of policies on NumPy arrays that act in episodes whose arrays are tensors.
+
+    Args:
+        batch: Batch of policies that takes and returns NumPy arrays.
+        arrays: Creator of the episodes' arrays.
+    """
+
+    def __init__(self, batch: PolicyBatch, arrays: ArrayFactory) -> None:
+        self._batch, self._arrays = batch, arrays
+
+    def reset(self, row: int, seed: int | None, object_names: Sequence[str]) -> None:
+        """Start an episode; see `PolicyBatch.reset`."""
+        self._batch.reset(row, seed, object_names)
+
+    def act(self, rows: Rows, observe: ObserveFunction, steps: Rows) -> Actions:
+        """Return the current actions (r, ...); see `PolicyBatch.act`."""
+
+        def observe_on_host(some: Rows) -> Observation:
+            return {key: to_numpy(values) for key, values in observe(self._arrays.asarray(some)).items()}
+
+        return self._arrays.asarray(self._batch.act(to_numpy(rows), observe_on_host, to_numpy(steps)))
+
+
 class ArrayPolicy(PolicyBatch, Generic[PolicyType]):
     """Base class of policies that compute the actions of all episodes as arrays.
 
@@ -95,13 +125,16 @@ class ArrayPolicy(PolicyBatch, Generic[PolicyType]):
         policy: Policy of a single episode; its parameters apply to all episodes.
         count: Number of episodes.
         agent: Agent that acts, "giver" or "receiver"; default: that of the policy's class.
+        arrays: Creator of the arrays.
     """
 
-    def __init__(self, policy: PolicyType, count: int, agent: str | None = None) -> None:
-        self._policy, self._hold_steps = policy, steps_from_hold_time(policy.hold_time)
+    def __init__(
+        self, policy: PolicyType, count: int, agent: str | None = None, arrays: ArrayFactory = NUMPY_ARRAYS
+    ) -> None:
+        self._policy, self._hold_steps, self._arrays = policy, steps_from_hold_time(policy.hold_time), arrays
         is_giver = isinstance(policy, Giver) if agent is None else agent == "giver"
-        self._actions = np.zeros((count, GIVER_ACTION_SIZE if is_giver else PANDA_DOF), dtype=np.float32)
-        self._due = np.zeros(count, dtype=np.int64)
+        self._actions = arrays.zeros((count, GIVER_ACTION_SIZE if is_giver else PANDA_DOF), "float32")
+        self._due = arrays.zeros(count, "int64")
 
     def reset(self, row: int, seed: int | None, object_names: Sequence[str]) -> None:
         """Start an episode; see `PolicyBatch.reset`."""
@@ -110,11 +143,11 @@ class ArrayPolicy(PolicyBatch, Generic[PolicyType]):
 
     def act(self, rows: Rows, observe: ObserveFunction, steps: Rows) -> Actions:
         """Return the current actions (r, ...); see `PolicyBatch.act`."""
-        is_due = steps >= self._due[rows]
-        if is_due.any():
-            due = rows[is_due]
+        numbers = self._arrays.xp.nonzero(steps >= self._due[rows])[0]
+        if len(numbers):
+            due = rows[numbers]
             self._actions[due] = self.decide(due, observe(due))
-            self._due[due] = steps[is_due] + self.count_hold_steps(due)
+            self._due[due] = steps[numbers] + self.count_hold_steps(due)
         return self._actions[rows]
 
     def start(self, row: int, seed: int | None) -> None:
@@ -125,9 +158,9 @@ class ArrayPolicy(PolicyBatch, Generic[PolicyType]):
             seed: Seed of the policy.
         """
 
-    def count_hold_steps(self, rows: Rows) -> Rows:
-        """Return the physics steps (r,) for which the last actions of episodes are held; default: as the policy."""
-        return np.full(len(rows), self._hold_steps)
+    def count_hold_steps(self, rows: Rows) -> int | AnyArray:
+        """Return the physics steps, (r,) or one for all, for which actions are held; default: as the policy."""
+        return self._hold_steps
 
     @abstractmethod
     def decide(self, rows: Rows, observation: Observation) -> Actions:

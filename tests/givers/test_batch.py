@@ -8,10 +8,12 @@ import pytest
 
 from handover_marl import givers
 from handover_marl.episode.observations import Observation
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, is_tensor, to_numpy
 from handover_marl.givers.batch import make_giver_actions, make_giver_batch
 from handover_marl.givers.cooperative import CooperativeGiver
 from handover_marl.policies.policy import make_giver_action
 from tests.givers.test_givers import seen
+from tests.tensors import make_observe_function, make_strict_tensors
 
 COUNT = 6
 NAMES = (
@@ -89,6 +91,38 @@ def test_batches_act_as_single_givers(name: str) -> None:
         assert np.ptp(acted, axis=(0, 1)).any()
     if name.startswith("cooperative"):
         assert np.array(acted)[..., 7].any(), "no object was released"
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_batches_of_tensors_act_as_those_of_arrays(name: str) -> None:
+    """The actions are equal after resets of single rows, too, and when only some rows decide."""
+    with make_strict_tensors() as tensors:
+        makers = (NUMPY_ARRAYS, tensors)
+        batches = [make_giver_batch(givers.make(name), COUNT, arrays) for arrays in makers]
+        starts, acted = np.zeros(COUNT, dtype=np.int64), []
+        for decision, observations in enumerate(draw_observations(2, 120)):
+            observation = stack(observations)
+            for row in range(COUNT) if decision == 0 else [decision // 7] if decision in (7, 14, 21) else []:
+                starts[row] = 100 * decision
+                for batch in batches:
+                    assert batch is not None
+                    batch.reset(row, 10 * decision + row, ("025_mug",))
+            for rows in (np.array([1, 3, 4]), np.array([5, 2]), np.array([0])):
+                if rows[0] == 5 and decision % 3 == 0:
+                    continue
+                found = []
+                for batch, arrays in zip(batches, makers, strict=True):
+                    assert batch is not None
+                    steps = arrays.asarray(100 * decision - starts[rows])
+                    found.append(batch.act(arrays.asarray(rows), make_observe_function(observation, arrays), steps))
+                assert is_tensor(found[1])
+                assert to_numpy(found[1]).dtype == np.float32
+                np.testing.assert_allclose(to_numpy(found[1]), found[0], rtol=0, atol=1e-6)
+                acted += list(found[0])
+        if name != "replay":
+            assert np.ptp(acted, axis=0).any()
+        if name.startswith("cooperative"):
+            assert np.array(acted)[..., 7].any(), "no object was released"
 
 
 def test_a_subclass_has_no_batch() -> None:

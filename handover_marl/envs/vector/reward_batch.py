@@ -1,29 +1,40 @@
-"""Rewards of episodes that are simulated together; each episode has a reward function of its own."""
+"""Rewards of episodes that are simulated together.
+
+Each episode has a reward function of its own; built-in rewards of episodes whose arrays are tensors are computed for
+all of them at once.
+"""
 
 import functools
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Iterable, Mapping
+from typing import TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
 from handover_marl.envs.arguments import AGENTS, GIVER, RECEIVER
+from handover_marl.envs.array_rewards import ArrayRewards
 from handover_marl.envs.config import EnvConfig
-from handover_marl.envs.custom_rewards import make_reward_source, resolve_rewards
+from handover_marl.envs.custom_rewards import RewardSource, make_reward_source, resolve_rewards
 from handover_marl.envs.rewards import RewardConfig, RewardFunction, RewardState, Terms
 from handover_marl.envs.transition import TransitionRecorder
 from handover_marl.episode.batch.episodes import EpisodeBatch
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.referee import EpisodeStatus
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, to_numpy
 from handover_marl.geometry.panda import FINGERTIPS
 from handover_marl.geometry.poses import transform_points
 
 #: Name of the sum of rewards in infos; the sum of a term is `return/NAME`.
 RETURN = "return"
 
-Rows = npt.NDArray[np.int_]
-Flags = npt.NDArray[np.bool_]
-Actions = Mapping[str, npt.NDArray[np.float32]]
+#: Indices (r,) of episodes.
+Rows: TypeAlias = AnyArray
+#: Flags (r,).
+Flags: TypeAlias = AnyArray
+#: Actions (r, ...), float32, by agent.
+Actions: TypeAlias = Mapping[str, AnyArray]
+
+# Indices in the sums of rewards.
+_SINCE_CLEAR, _SINCE_START = 0, 1
 
 
 class RewardBatch:
@@ -33,25 +44,31 @@ class RewardBatch:
         config: Configuration of the environment, with the rewards.
         episodes: The episodes.
         count: Number n of episodes.
-
-    Attributes:
-        totals: Rewards (n,) by agent.
-        terms: Reward terms by agent and name: arrays (n,); without names before the first `start`.
     """
 
     def __init__(self, config: EnvConfig, episodes: EpisodeBatch, count: int) -> None:
         self._episodes, self._count = episodes, count
+        self._arrays = episodes.arrays
         goal, rewards = config.world_config.protocol.goal_center, resolve_rewards(config.rewards)
+        self._array_rewards: ArrayRewards | None = None
         self._functions: list[RewardFunction] = []
-        self._sources: list[Any] = []
-        if isinstance(rewards, RewardConfig):
-            self._functions = [RewardFunction(rewards, goal) for _ in range(count)]
-        else:
+        self._sources: list[RewardSource] = []
+        if not isinstance(rewards, RewardConfig):
             self._sources = [make_reward_source(rewards, goal) for _ in range(count)]
             self._recorders = [TransitionRecorder(config.control_period) for _ in range(count)]
-        self.totals = {agent: np.zeros(count) for agent in AGENTS}
-        self.terms: dict[str, dict[str, npt.NDArray[np.float64]]] = {agent: {} for agent in AGENTS}
-        self._returns = {agent: {RETURN: np.zeros(count)} for agent in AGENTS}
+        elif self._arrays == NUMPY_ARRAYS:
+            self._functions = [RewardFunction(rewards, goal) for _ in range(count)]
+        else:
+            self._array_rewards = ArrayRewards(rewards, goal, episodes, count)
+        # Names of the terms by agent, and sums (n, 2, 1 + k) of rewards and of k terms: since the last `clear`, and
+        # since the start of the episode.
+        self._names: dict[str, list[str]] = {agent: [] for agent in AGENTS}
+        self._sums = {agent: self._arrays.zeros((count, 2, 1)) for agent in AGENTS}
+
+    @property
+    def totals(self) -> dict[str, AnyArray]:
+        """Rewards (n,) by agent."""
+        return {agent: sums[:, _SINCE_CLEAR, 0] for agent, sums in self._sums.items()}
 
     def start(self, row: int) -> None:
         """Start an episode, whose first state has been observed.
@@ -59,20 +76,25 @@ class RewardBatch:
         Raises:
             RewardError: A user-defined reward fails.
         """
-        if self._functions:
+        terms: Mapping[str, Iterable[str]]
+        rows = self._arrays.asarray(np.array([row]))
+        if self._array_rewards is not None:
+            terms = self._array_rewards.start(rows)
+        elif self._functions:
             terms = self._functions[row].reset(self._read_state(row))
         else:
-            (observations,) = self._observe(np.array([row]))
-            terms = self._sources[row].start(self._recorders[row].start(observations, self._make_infos(row)))
+            (observations,), (infos,) = self._observe(rows), self._make_infos(rows)
+            terms = self._sources[row].start(self._recorders[row].start(observations, infos))
         for agent, own in terms.items():
-            for name in [name for name in own if name not in self.terms[agent]]:
-                self.terms[agent][name] = np.zeros(self._count)
-                self._returns[agent][f"{RETURN}/{name}"] = np.zeros(self._count)
-            for sums in self._returns[agent].values():
-                sums[row] = 0.0
-        self.clear(np.array([row]))
+            names = self._names[agent]
+            new = [name for name in own if name not in names]
+            if new:
+                names += new
+                zeros = self._arrays.zeros((self._count, 2, len(new)))
+                self._sums[agent] = self._arrays.xp.concat([self._sums[agent], zeros], axis=2)
+            self._sums[agent][row] = 0.0
 
-    def make_infos(self, agent: str, rows: Rows, has_returns: bool) -> dict[str, npt.NDArray[np.float64]]:
+    def make_infos(self, agent: str, rows: Rows, has_returns: bool) -> dict[str, AnyArray]:
         """Return the infos of an agent in episodes: arrays (r,) of the reward terms.
 
         Args:
@@ -80,15 +102,17 @@ class RewardBatch:
             rows: Indices (r,) of the episodes.
             has_returns: Whether to include the sums since the starts of the episodes, see `EpisodeReturns`.
         """
-        infos = {f"reward/{name}": values[rows] for name, values in self.terms[agent].items()}
-        returns = {name: sums[rows] for name, sums in self._returns[agent].items()} if has_returns else {}
-        return {**infos, **returns}
+        names, sums = self._names[agent], self._sums[agent][rows]
+        infos = {f"reward/{name}": sums[:, _SINCE_CLEAR, 1 + number] for number, name in enumerate(names)}
+        if has_returns:
+            infos[RETURN] = sums[:, _SINCE_START, 0]
+            infos |= {f"{RETURN}/{name}": sums[:, _SINCE_START, 1 + number] for number, name in enumerate(names)}
+        return infos
 
     def clear(self, rows: Rows) -> None:
         """Set the rewards of episodes to zero."""
-        for agent in AGENTS:
-            for array in (self.totals[agent], *self.terms[agent].values()):
-                array[rows] = 0.0
+        for sums in self._sums.values():
+            sums[rows, _SINCE_CLEAR] = 0.0
 
     def add(self, rows: Rows, actions: Actions, terminated: Flags, truncated: Flags) -> None:
         """Add the rewards of a control step.
@@ -102,44 +126,62 @@ class RewardBatch:
         Raises:
             RewardError: A user-defined reward fails.
         """
-        observations = self._observe(rows) if self._sources else []
-        for number, (row, bits) in enumerate(zip(rows.tolist(), self._episodes.referees.status[rows], strict=True)):
-            status = EpisodeStatus(int(bits))
-            if self._functions:
-                read_state = functools.partial(self._read_state, row)
-                self._add_terms(row, self._functions[row].compute_terms(status, read_state))
-                continue
+        if not len(rows):
+            return
+        xp, values = self._arrays.xp, {}
+        if self._array_rewards is not None:
+            for agent, terms in self._array_rewards.compute_terms(rows).items():
+                columns = [terms[name] for name in self._names[agent]]
+                values[agent] = xp.stack([sum(columns[1:], columns[0]), *columns], axis=1)
+        else:
+            found = self._compute_terms(rows, actions, terminated, truncated)
+            for agent, names in self._names.items():
+                own = [terms[agent] for terms in found]
+                lines = [[sum(one.values(), 0.0), *(one.get(name, 0.0) for name in names)] for one in own]
+                values[agent] = self._arrays.asarray(np.array(lines))
+        for agent, sums in self._sums.items():
+            sums[rows] += values[agent][:, None]
+
+    def _compute_terms(
+        self, rows: Rows, actions: Actions, terminated: Flags, truncated: Flags
+    ) -> list[dict[str, Terms]]:
+        """Return the terms of each episode by agent."""
+        found, numbers = [], rows.tolist()
+        status = [EpisodeStatus(bits) for bits in self._episodes.referees.status[rows].tolist()]
+        if self._functions:
+            for row, own in zip(numbers, status, strict=True):
+                found.append(self._functions[row].compute_terms(own, functools.partial(self._read_state, row)))
+            return found
+        observations, infos = self._observe(rows), self._make_infos(rows)
+        given = {agent: to_numpy(values) for agent, values in actions.items()}
+        ends = list(zip(terminated.tolist(), truncated.tolist(), strict=True))
+        for number, row in enumerate(numbers):
             transition = self._recorders[row].record(
                 observations[number],
-                {agent: values[number] for agent, values in actions.items()},
-                infos=self._make_infos(row),
+                {agent: values[number] for agent, values in given.items()},
+                infos=infos[number],
                 contacts=self._episodes.read_contacts(row),
-                status=status,
-                terminated=bool(terminated[number]),
-                truncated=bool(truncated[number]),
+                status=status[number],
+                terminated=ends[number][0],
+                truncated=ends[number][1],
             )
-            self._add_terms(row, self._sources[row].compute(transition))
-
-    def _add_terms(self, row: int, terms: dict[str, Terms]) -> None:
-        for agent, own in terms.items():
-            for name, value in own.items():
-                self.terms[agent][name][row] += value
-                self._returns[agent][f"{RETURN}/{name}"][row] += value
-            reward = sum(own.values(), 0.0)
-            self.totals[agent][row] += reward
-            self._returns[agent][RETURN][row] += reward
+            found.append(self._sources[row].compute(transition))
+        return found
 
     def _observe(self, rows: Rows) -> list[dict[str, Observation]]:
         """Return the observations of both agents in each episode."""
         found = {RECEIVER: self._episodes.select_state(rows), GIVER: self._episodes.select_giver_observation(rows)}
+        own = {agent: {key: to_numpy(values) for key, values in one.items()} for agent, one in found.items()}
         return [
-            {agent: {key: values[number] for key, values in own.items()} for agent, own in found.items()}
+            {agent: {key: values[number] for key, values in one.items()} for agent, one in own.items()}
             for number in range(len(rows))
         ]
 
-    def _make_infos(self, row: int) -> dict[str, dict[str, float]]:
-        own = {key: values.item() for key, values in self._episodes.make_infos(np.array([row])).items()}
-        return {agent: dict(own) for agent in AGENTS}
+    def _make_infos(self, rows: Rows) -> list[dict[str, dict[str, float]]]:
+        """Return the infos of both agents in each episode."""
+        columns = {key: values.tolist() for key, values in self._episodes.make_infos(rows).items()}
+        own = [dict(zip(columns, line, strict=True)) for line in zip(*columns.values(), strict=True)]
+        return [{agent: dict(one) for agent in AGENTS} for one in own]
 
     def _read_state(self, row: int) -> RewardState:
         episodes = self._episodes
