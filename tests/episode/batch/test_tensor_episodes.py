@@ -30,9 +30,12 @@ def compare(arrays: EpisodeBatch, tensors: TensorEpisodeBatch, atol: float) -> N
     expected, found = arrays.select_giver_observation(rows), tensors.select_giver_observation(indices)
     assert found.keys() == expected.keys()
     for key, values in expected.items():
-        # Moving objects lag by another part of a step: here motors move them, in MuJoCo's sleeping worlds equations.
-        tolerance = 20.0 * atol if key in ("object_poses", "robot_joint_velocity") else atol
-        np.testing.assert_allclose(found[key], values, rtol=0, atol=tolerance, err_msg=key)
+        # Here motors move the objects, in MuJoCo's sleeping worlds equations: an object turns at another rate at its
+        # release, and falls accordingly.
+        tolerance = atol * np.ones(values.shape[-1])
+        tolerance[...] *= 20.0 if key == "robot_joint_velocity" else 1.0
+        tolerance[3:] *= 60.0 if key == "object_poses" else 1.0
+        assert (np.abs(to_numpy(found[key]) - values) <= tolerance).all(), key
         assert to_numpy(found[key]).dtype == values.dtype
     infos = tensors.make_infos(indices)
     for key, values in arrays.make_infos(rows).items():
