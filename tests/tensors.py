@@ -6,7 +6,9 @@ from typing import Any
 
 import pytest
 
-from handover_marl.geometry.arrays import ArrayFactory, make_tensor_factory
+from handover_marl.episode.observations import Observation
+from handover_marl.geometry.arrays import ArrayFactory, make_tensor_factory, to_numpy
+from handover_marl.policies.batch import ObserveFunction
 
 
 @contextlib.contextmanager
@@ -26,3 +28,8 @@ def make_strict_tensors() -> Iterator[ArrayFactory]:
         patch.setattr(torch.Tensor, "__array__", refuse)
         patch.setattr(torch.Tensor, "cpu", lambda tensor: tensor.as_subclass(HostTensor))
         yield make_tensor_factory("cpu")
+
+
+def make_observe_function(observation: Observation, arrays: ArrayFactory) -> ObserveFunction:
+    """Return the function that selects rows of an observation, in the namespace of `arrays`."""
+    return lambda rows: {key: arrays.asarray(values[to_numpy(rows)]) for key, values in observation.items()}

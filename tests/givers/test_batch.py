@@ -2,19 +2,18 @@
 
 import functools
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 import pytest
 
 from handover_marl import givers
 from handover_marl.episode.observations import Observation
-from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, is_tensor, to_numpy
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, is_tensor, to_numpy
 from handover_marl.givers.batch import make_giver_actions, make_giver_batch
 from handover_marl.givers.cooperative import CooperativeGiver
 from handover_marl.policies.policy import make_giver_action
 from tests.givers.test_givers import seen
-from tests.tensors import make_strict_tensors
+from tests.tensors import make_observe_function, make_strict_tensors
 
 COUNT = 6
 NAMES = (
@@ -113,13 +112,9 @@ def test_batches_of_tensors_act_as_those_of_arrays(name: str) -> None:
                     continue
                 found = []
                 for batch, arrays in zip(batches, makers, strict=True):
-
-                    def observe(some: AnyArray, arrays: Any = arrays, now: Observation = observation) -> Observation:
-                        return {key: arrays.asarray(values[to_numpy(some)]) for key, values in now.items()}
-
                     assert batch is not None
                     steps = arrays.asarray(100 * decision - starts[rows])
-                    found.append(batch.act(arrays.asarray(rows), observe, steps))
+                    found.append(batch.act(arrays.asarray(rows), make_observe_function(observation, arrays), steps))
                 assert is_tensor(found[1])
                 assert to_numpy(found[1]).dtype == np.float32
                 np.testing.assert_allclose(to_numpy(found[1]), found[0], rtol=0, atol=1e-6)

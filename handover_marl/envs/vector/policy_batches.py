@@ -9,9 +9,17 @@ import numpy.typing as npt
 from handover_marl.config import WorldConfig
 from handover_marl.datasets.dataset import Dataset
 from handover_marl.episode.spaces import check_giver_action, check_receiver_action, giver_action_space
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory, to_numpy
 from handover_marl.givers.batch import make_giver_batch
 from handover_marl.learning.batch.network_policies import make_network_policy_batch
-from handover_marl.policies.batch import Actions, ObserveFunction, PolicyBatch, Rows, SequentialPolicyBatch
+from handover_marl.policies.batch import (
+    Actions,
+    HostPolicyBatch,
+    ObserveFunction,
+    PolicyBatch,
+    Rows,
+    SequentialPolicyBatch,
+)
 from handover_marl.policies.policy import Policy
 from handover_marl.policies.population_policies import PopulationPolicy
 from handover_marl.policies.reference import PolicyReference
@@ -27,10 +35,17 @@ class PopulationBatch(PolicyBatch):
         policy: Policy of a single episode.
         batches: Batch of each member for all episodes.
         count: Number of episodes.
+        arrays: Creator of the episodes' arrays.
     """
 
-    def __init__(self, policy: PopulationPolicy, batches: Sequence[PolicyBatch], count: int) -> None:
-        self._policy, self._batches = policy, batches
+    def __init__(
+        self,
+        policy: PopulationPolicy,
+        batches: Sequence[PolicyBatch],
+        count: int,
+        arrays: ArrayFactory = NUMPY_ARRAYS,
+    ) -> None:
+        self._policy, self._batches, self._arrays = policy, batches, arrays
         self._numbers = np.zeros(count, dtype=np.int_)
 
     def reset(self, row: int, seed: int | None, object_names: Sequence[str]) -> None:
@@ -41,15 +56,22 @@ class PopulationBatch(PolicyBatch):
 
     def act(self, rows: Rows, observe: ObserveFunction, steps: Rows) -> Actions:
         """Return the current actions (r, ...); see `PolicyBatch.act`."""
-        numbers = self._numbers[rows]
+        arrays, numbers = self._arrays, self._numbers[to_numpy(rows)]
         groups = [np.flatnonzero(numbers == number) for number in np.unique(numbers)]
-        parts = [self._batches[numbers[own[0]]].act(rows[own], observe, steps[own]) for own in groups]
-        actions: Actions = np.concatenate(parts)[np.argsort(np.concatenate(groups))]
-        return actions
+        parts = []
+        for group in groups:
+            own = arrays.asarray(group)
+            parts.append(self._batches[numbers[group[0]]].act(rows[own], observe, steps[own]))
+        return arrays.xp.concat(parts)[arrays.asarray(np.argsort(np.concatenate(groups)))]
 
 
 def make_policy_batch(
-    reference: PolicyReference, dataset: Dataset, config: WorldConfig, setup: str | None, count: int
+    reference: PolicyReference,
+    dataset: Dataset,
+    config: WorldConfig,
+    setup: str | None,
+    count: int,
+    arrays: ArrayFactory = NUMPY_ARRAYS,
 ) -> PolicyBatch:
     """Make a policy for n environments: on arrays if there is such a version, else one per environment.
 
@@ -59,6 +81,7 @@ def make_policy_batch(
         config: World and rules for the policy.
         setup: Official setup that is played.
         count: Number n of environments.
+        arrays: Creator of the environments' arrays. Policies that work with NumPy arrays only get copies on the host.
 
     Raises:
         PolicyError: The constructor of the policy fails.
@@ -68,19 +91,18 @@ def make_policy_batch(
     def check(action: object) -> npt.NDArray[np.float32]:
         return check_giver_action(action, space) if reference.agent == "giver" else check_receiver_action(action)
 
-    return _make_batch(functools.partial(reference.make, dataset, config, setup), count, check)
+    return _make_batch(functools.partial(reference.make, dataset, config, setup), count, check, arrays)
 
 
-def _make_batch(make: Callable[[], Policy], count: int, check: Check) -> PolicyBatch:
+def _make_batch(make: Callable[[], Policy], count: int, check: Check, arrays: ArrayFactory) -> PolicyBatch:
     first = make()
-    batch = (
-        make_giver_batch(first, count)
-        or make_receiver_batch(first, count)
-        or make_network_policy_batch(first, count, check)
-    )
+    batch = make_giver_batch(first, count, arrays) or make_network_policy_batch(first, count, check, arrays)
     if batch is not None:
         return batch
     if isinstance(first, PopulationPolicy):
         makers = [functools.partial(first.make_member, number) for number in range(len(first.members))]
-        return PopulationBatch(first, [_make_batch(maker, count, check) for maker in makers], count)
-    return SequentialPolicyBatch([first, *(make() for _ in range(count - 1))], check)
+        return PopulationBatch(first, [_make_batch(maker, count, check, arrays) for maker in makers], count, arrays)
+    batch = make_receiver_batch(first, count)
+    if batch is None:
+        batch = SequentialPolicyBatch([first, *(make() for _ in range(count - 1))], check)
+    return batch if arrays == NUMPY_ARRAYS else HostPolicyBatch(batch, arrays)

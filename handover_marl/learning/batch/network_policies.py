@@ -2,15 +2,15 @@
 
 For equal features, the outputs of the network equal those of a single policy to the bit. Features and action schemes
 of a batch differ from single ones by up to 1e-6, so that actions equal those of single policies to 1e-5. Actions do
-not depend on the other episodes of the batch.
+not depend on the other episodes of the batch. For PyTorch tensors, outputs equal those of a single policy to 1e-5.
 """
 
+import functools
 from collections.abc import Callable
-
-import numpy as np
-import numpy.typing as npt
+from typing import Any
 
 from handover_marl.episode.observations import Observation
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, ArrayFactory, to_numpy
 from handover_marl.learning.adapters.function_policy import FunctionPolicy
 from handover_marl.learning.adapters.network_policy import NetworkPolicy
 from handover_marl.learning.batch.encodings import find_scheme_batch
@@ -18,13 +18,49 @@ from handover_marl.learning.batch.features import FEATURE_BATCHES, FeatureBatch
 from handover_marl.learning.batch.schemes import SchemeBatch
 from handover_marl.learning.learned_policy import LearnedPolicy
 from handover_marl.learning.policy_spec import DenseNetwork
-from handover_marl.policies.batch import ArrayPolicy, PolicyBatch
+from handover_marl.policies.batch import Actions, ArrayPolicy, PolicyBatch, Rows
 from handover_marl.policies.policy import Policy
 from handover_marl.receivers.grasp_library import get_nearest_grasp_selector
 from handover_marl.receivers.grasp_selection import GraspSelectionBatch
 
-Actions = npt.NDArray[np.float32]
-Rows = npt.NDArray[np.int_]
+
+class TensorNetwork:
+    """Multilayer perceptron with the outputs of a `DenseNetwork`, evaluated on the device of its inputs.
+
+    Args:
+        network: Network, whose weights are copied to the device.
+        arrays: Creator of tensors on the device.
+    """
+
+    def __init__(self, network: DenseNetwork, arrays: ArrayFactory) -> None:
+        # Not at the top, because PyTorch is optional.
+        from torch.nn import functional
+
+        self._xp, self._functions, self._network = arrays.xp, functional, network
+        copy = functools.partial(arrays.asarray, dtype="float32")
+        self._layers = [
+            (copy(weight.T), copy(bias)) for weight, bias in zip(network.weights, network.biases, strict=True)
+        ]
+        scaling, bounds = network.normalization, network.bounds
+        self._scaling = scaling and tuple(map(arrays.asarray, (scaling.mean, scaling.scale, scaling.clip)))
+        self._bounds = bounds and (copy(bounds.low), copy(bounds.high))
+
+    def __call__(self, inputs: AnyArray) -> AnyArray:
+        """Return the outputs (r, n_outputs), float32, for inputs (r, n_inputs)."""
+        network, values = self._network, inputs
+        if self._scaling:
+            mean, scale, clip = self._scaling
+            values = ((values - mean) / scale).clip(-clip, clip)
+        values = self._xp.astype(values, self._xp.float32)
+        names = [network.activation] * (len(self._layers) - 1) + [network.output]
+        for (weight, bias), name in zip(self._layers, names, strict=True):
+            values = values @ weight + bias
+            # PyTorch's functions have the names of `ACTIVATIONS`.
+            values = values if name == "identity" else getattr(self._functions, name)(values)
+        if not self._bounds:
+            return values
+        low, high = self._bounds
+        return low + (values + 1.0) / 2.0 * (high - low) if network.bounds.is_scaled else values.clip(low, high)
 
 
 class NetworkPolicyBatch(ArrayPolicy[NetworkPolicy]):
@@ -36,6 +72,7 @@ class NetworkPolicyBatch(ArrayPolicy[NetworkPolicy]):
         scheme: Action scheme of n episodes.
         count: Number n of episodes.
         check: Function that checks an action that is not finite, and raises an error.
+        arrays: Creator of the arrays.
     """
 
     def __init__(
@@ -45,9 +82,12 @@ class NetworkPolicyBatch(ArrayPolicy[NetworkPolicy]):
         scheme: SchemeBatch,
         count: int,
         check: Callable[[object], Actions],
+        arrays: ArrayFactory = NUMPY_ARRAYS,
     ) -> None:
-        super().__init__(policy, count, policy.scheme.agent)
+        super().__init__(policy, count, policy.scheme.agent, arrays)
         self._features, self._scheme, self._check = features, scheme, check
+        function: Any = policy.function
+        self._network = function if arrays == NUMPY_ARRAYS else TensorNetwork(function, arrays)
 
     def start(self, row: int, seed: int | None) -> None:
         """Clear the state of the previous episode."""
@@ -60,29 +100,38 @@ class NetworkPolicyBatch(ArrayPolicy[NetworkPolicy]):
         Raises:
             ActionError: An action, or an output of an adapted policy, is not finite.
         """
-        needs = np.flatnonzero(self._scheme.needs_outputs(rows, observation))
+        needs = self._arrays.xp.nonzero(self._scheme.needs_outputs(rows, observation))[0]
         if len(needs):
             inputs = self._features(rows[needs], {key: values[needs] for key, values in observation.items()})
             self._scheme.set_outputs(rows[needs], self._evaluate(inputs))
         actions = self._scheme.compute_actions(rows, observation)
-        for number in np.flatnonzero(~np.isfinite(actions).all(axis=1)):
-            self._check(actions[number])
+        for number in self._find_not_finite(actions):
+            self._check(to_numpy(actions[number]))
         return actions
 
-    def _evaluate(self, inputs: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-        outputs: npt.NDArray[np.float32] = self._policy.function(inputs)
-        for number in np.flatnonzero(~np.isfinite(outputs).all(axis=1)):
-            outputs[number] = self._policy.evaluate(inputs[number])
+    def _evaluate(self, inputs: AnyArray) -> AnyArray:
+        outputs = self._network(inputs)
+        for number in self._find_not_finite(outputs):
+            outputs[number] = self._arrays.asarray(self._policy.evaluate(to_numpy(inputs[number])))
         return outputs
 
+    def _find_not_finite(self, vectors: AnyArray) -> list[int]:
+        """Return the indices of vectors (r, k) with a number that is not finite."""
+        xp = self._arrays.xp
+        found: list[int] = xp.nonzero(~xp.all(xp.isfinite(vectors), axis=1))[0].tolist()
+        return found
 
-def make_network_policy_batch(policy: Policy, count: int, check: Callable[[object], Actions]) -> PolicyBatch | None:
+
+def make_network_policy_batch(
+    policy: Policy, count: int, check: Callable[[object], Actions], arrays: ArrayFactory = NUMPY_ARRAYS
+) -> PolicyBatch | None:
     """Return the batch of a policy with a dense network, built-in features and a built-in action scheme.
 
     Args:
         policy: Policy of a single episode.
         count: Number of episodes.
         check: Function that checks an action.
+        arrays: Creator of the arrays.
 
     Returns:
         The batch, or None for other policies: PyTorch modules, graphs and user-defined encodings are evaluated
@@ -94,9 +143,10 @@ def make_network_policy_batch(policy: Policy, count: int, check: Callable[[objec
     if not isinstance(policy.function, DenseNetwork):
         return None
     context = policy.scheme.context
-    selection = GraspSelectionBatch(get_nearest_grasp_selector(context), count)
-    scheme = find_scheme_batch(policy.scheme, selection, count)
+    selection = GraspSelectionBatch(get_nearest_grasp_selector(context), count, arrays)
+    scheme = find_scheme_batch(policy.scheme, selection, count, arrays)
     known = FEATURE_BATCHES[policy.scheme.agent].get(policy.features) if isinstance(policy.features, str) else None
     if known is None or scheme is None:
         return None
-    return NetworkPolicyBatch(policy, known(context, selection, count), scheme, count, check)
+    features = known(context, selection, count, arrays)
+    return NetworkPolicyBatch(policy, features, scheme, count, check, arrays)

@@ -2,6 +2,7 @@
 
 import functools
 import itertools
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,8 @@ from handover_marl.config import WorldConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.envs.vector.policy_batches import make_policy_batch
 from handover_marl.errors import ActionError
-from handover_marl.learning.batch.network_policies import NetworkPolicyBatch, make_network_policy_batch
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory, is_tensor, to_numpy
+from handover_marl.learning.batch.network_policies import NetworkPolicyBatch, TensorNetwork, make_network_policy_batch
 from handover_marl.learning.features import available_features, count_features
 from handover_marl.learning.learned_policy import LearnedPolicy
 from handover_marl.learning.policy_files import write_policy
@@ -32,6 +34,7 @@ from handover_marl.learning.schemes import available_schemes, scheme_size
 from handover_marl.policies.batch import SequentialPolicyBatch
 from handover_marl.policies.reference import parse_policy
 from tests.learning.batch.test_encodings import AGENTS, CONTEXT, COUNT, ROWS, choices, draw_observation, select
+from tests.tensors import make_observe_function, make_strict_tensors
 
 PAIRS = [
     (agent, features, scheme)
@@ -78,6 +81,51 @@ def test_a_network_of_many_inputs_equals_one_of_each_to_the_bit(
     np.testing.assert_array_equal(found, np.stack([network(one) for one in inputs]))
 
 
+@given(
+    seed=st.integers(0, 10_000),
+    sizes=st.tuples(st.integers(1, 60), st.integers(1, 20)),
+    output=st.booleans(),
+    activation=st.sampled_from(sorted(ACTIVATIONS)),
+)
+def test_a_network_of_tensors_has_the_same_outputs(
+    seed: int, sizes: tuple[int, int], output: bool, activation: str
+) -> None:
+    network = draw_network(*sizes, seed, activation)
+    if output:
+        network = replace(network, output=activation)
+    inputs = np.random.default_rng(seed).normal(0.0, 2.0, (7, sizes[0])).astype(np.float32)
+    with make_strict_tensors() as tensors:
+        found = to_numpy(TensorNetwork(network, tensors)(tensors.asarray(inputs)))
+    assert found.dtype == np.float32
+    np.testing.assert_allclose(found, network(inputs), rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize(("agent", "features", "scheme"), PAIRS)
+def test_a_batch_of_tensors_acts_as_one_of_arrays(agent: str, features: str, scheme: str, tmp_path: Path) -> None:
+    network = draw_network(count_features(agent, features), scheme_size(agent, scheme), len(features + scheme))
+    path = write(tmp_path / "policy.npz", agent, features, scheme, network)
+    with make_strict_tensors() as tensors:
+        makers = (NUMPY_ARRAYS, tensors)
+        policy = LearnedPolicy(agent, CONTEXT, path)
+        batches = [make_network_policy_batch(policy, COUNT, np.asarray, arrays) for arrays in makers]
+        starts = np.zeros(COUNT, dtype=np.int64)
+        for decision in range(8):
+            observation = draw_observation(decision)
+            for row in ROWS.tolist() if decision == 0 else [decision]:
+                starts[row] = 100 * decision
+                for batch in batches:
+                    assert batch is not None
+                    batch.reset(row, row, ("025_mug",))
+            rows = ROWS[decision % 3 :: 2]
+            found = []
+            for batch, arrays in zip(batches, makers, strict=True):
+                assert batch is not None
+                steps = arrays.asarray(100 * decision - starts[rows])
+                found.append(batch.act(arrays.asarray(rows), make_observe_function(observation, arrays), steps))
+            assert is_tensor(found[1])
+            np.testing.assert_allclose(to_numpy(found[1]), found[0], rtol=1e-5, atol=1e-5)
+
+
 @pytest.mark.parametrize(("agent", "features", "scheme"), PAIRS)
 def test_a_batch_acts_as_single_policies(agent: str, features: str, scheme: str, tmp_path: Path) -> None:
     network = draw_network(count_features(agent, features), scheme_size(agent, scheme), len(features + scheme))
@@ -105,9 +153,9 @@ def test_a_batch_acts_as_single_policies(agent: str, features: str, scheme: str,
             np.testing.assert_array_equal(held, found)
 
 
-def make_batch(policy: Any, agent: str = "receiver") -> Any:
+def make_batch(policy: Any, agent: str = "receiver", arrays: ArrayFactory = NUMPY_ARRAYS) -> Any:
     reference = parse_policy(agent, policy, trust=True)
-    return make_policy_batch(reference, SyntheticDataset(), WorldConfig(), "s0", 2)
+    return make_policy_batch(reference, SyntheticDataset(), WorldConfig(), "s0", 2, arrays)
 
 
 def test_dense_networks_are_evaluated_in_one_call(tmp_path: Path) -> None:
@@ -143,10 +191,13 @@ def test_outputs_that_are_not_finite_are_refused(tmp_path: Path) -> None:
     network = DenseNetwork((huge,), (np.zeros(9, dtype=np.float32),))
     path = write(tmp_path / "policy.npz", "receiver", "receiver", "receiver", network)
     observation = draw_observation(0)
-    for policy in (f"learned:{path}", handover_marl.as_receiver(path)):
-        batch = make_batch(policy)
-        with np.errstate(all="ignore"), pytest.raises(ActionError, match="finite"):
-            batch.act(ROWS[:2], functools.partial(select, observation), 0 * ROWS[:2])
+    with make_strict_tensors() as tensors:
+        for policy, arrays in itertools.product(
+            (f"learned:{path}", handover_marl.as_receiver(path)), (NUMPY_ARRAYS, tensors)
+        ):
+            batch, rows = make_batch(policy, arrays=arrays), arrays.arange(2)
+            with np.errstate(all="ignore"), pytest.raises(ActionError, match="finite"):
+                batch.act(rows, make_observe_function(observation, arrays), 0 * rows)
 
 
 OPTIONS: dict[str, Any] = {"setup": "s0", "split": "train", "dataset": "synthetic", "control_period": 0.2}

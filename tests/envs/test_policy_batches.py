@@ -1,0 +1,106 @@
+"""Tests of policies in batches of tensors: they act as in batches of NumPy arrays."""
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from handover_marl.config import WorldConfig
+from handover_marl.datasets.synthetic import SyntheticDataset
+from handover_marl.envs.vector.policy_batches import PopulationBatch, make_policy_batch
+from handover_marl.episode.observations import Observation
+from handover_marl.errors import ActionError
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory, is_tensor, to_numpy
+from handover_marl.givers.batch import NoisyBatch
+from handover_marl.policies.batch import HostPolicyBatch, PolicyBatch
+from handover_marl.policies.policy import Giver
+from handover_marl.policies.reference import parse_policy
+from tests.evaluation.strangers.populations import write_population
+from tests.learning.batch.test_encodings import COUNT, draw_observation
+from tests.tensors import make_observe_function, make_strict_tensors
+
+DATA = SyntheticDataset()
+
+
+class CountingGiver(Giver):
+    """User-defined giver whose action is the number of its decisions, and the time of the observation."""
+
+    name = "counting"
+
+    def reset(self, seed: int | None = None) -> None:
+        self.seed, self.count = seed, 0
+
+    def act(self, observation: Observation) -> np.ndarray:
+        assert type(observation["time"]) is np.ndarray
+        self.count += 1
+        action = np.zeros(8, dtype=np.float32)
+        action[1:4] = 0.01 * self.count, 0.001 * (self.seed or 0), 0.01 * observation["time"][0]
+        return action
+
+
+class InfiniteGiver(CountingGiver):
+    """Giver with a wrong action."""
+
+    name = "infinite"
+
+    def act(self, observation: Observation) -> np.ndarray:
+        return super().act(observation) + np.float32(np.inf)
+
+
+def make_batch(agent: str, policy: Any, arrays: ArrayFactory) -> PolicyBatch:
+    return make_policy_batch(parse_policy(agent, policy, trust=True), DATA, WorldConfig(), "s0", COUNT, arrays)
+
+
+def compare(agent: str, policy: Any) -> list[PolicyBatch]:
+    """Compare the actions of some rows after resets of all rows and of single rows; return both batches."""
+    with make_strict_tensors() as tensors:
+        makers = (NUMPY_ARRAYS, tensors)
+        batches = [make_batch(agent, policy, arrays) for arrays in makers]
+        starts, rng = np.zeros(COUNT, dtype=np.int64), np.random.default_rng(0)
+        for decision in range(8):
+            observation = draw_observation(decision)
+            for row in range(COUNT) if decision == 0 else [decision]:
+                starts[row] = 100 * decision
+                for batch in batches:
+                    batch.reset(row, 10 * decision + row, ("025_mug",))
+            rows = rng.permutation(COUNT)[: COUNT // 2 + decision]
+            steps = 100 * decision - starts[rows]
+            found = [
+                batch.act(arrays.asarray(rows), make_observe_function(observation, arrays), arrays.asarray(steps))
+                for batch, arrays in zip(batches, makers, strict=True)
+            ]
+            assert is_tensor(found[1])
+            assert to_numpy(found[1]).dtype == found[0].dtype == np.float32
+            np.testing.assert_allclose(to_numpy(found[1]), found[0], rtol=0, atol=1e-6)
+            assert found[0].any()
+    return batches
+
+
+@pytest.mark.parametrize(("agent", "policy"), [("receiver", "yang2021:wait=0.5"), ("giver", CountingGiver)])
+def test_policies_without_code_for_tensors_act_on_the_host(agent: str, policy: Any) -> None:
+    arrays, tensors = compare(agent, policy)
+    assert type(tensors) is HostPolicyBatch
+    assert type(arrays) is not HostPolicyBatch
+
+
+def test_givers_with_code_for_tensors_act_on_the_device() -> None:
+    assert [type(batch) for batch in compare("giver", "noisy")] == [NoisyBatch, NoisyBatch]
+
+
+def test_members_of_a_population_act_on_tensors(tmp_path: Path) -> None:
+    path = os.fspath(write_population(tmp_path))
+    for batch in compare("giver", ("population", {"population": path, "partners": "all"})):
+        assert type(batch) is PopulationBatch
+        assert len(np.unique(batch._numbers)) > 1
+
+
+def test_actions_on_the_host_are_checked() -> None:
+    with make_strict_tensors() as tensors:
+        batch = make_batch("giver", InfiniteGiver, tensors)
+        for row in range(COUNT):
+            batch.reset(row, None, ("025_mug",))
+        rows = tensors.arange(COUNT)
+        with pytest.raises(ActionError, match="finite"):
+            batch.act(rows, make_observe_function(draw_observation(0), tensors), 0 * rows)
