@@ -89,7 +89,7 @@ class GraspSelectionBatch:
         """Return the costs (r, g) of the gripper's motions to grasps (r, g, 7), all in the object's frame."""
         xp = get_namespace(grasps)
         x, y, z, w = (grasps[..., 3 + axis] * gripper[:, None, 3 + axis] for axis in range(4))
-        angles = 2.0 * xp.acos(xp.clip(xp.abs(x + y + z + w), None, 1.0))
+        angles = 2.0 * xp.acos(xp.abs(x + y + z + w).clip(None, 1.0))
         x, y, z = (grasps[..., axis] - gripper[:, None, axis] for axis in range(3))
         return xp.sqrt(x * x + y * y + z * z) + self._selector.rotation_weight * angles
 
@@ -114,10 +114,10 @@ class GraspSelectionBatch:
             order = _sort_by_cost(costs[left], min(candidates, number - 1))
             bound = xp.inf if candidates >= number else costs[left, order[:, candidates]]
             # Of equally good grasps, the first one counts.
-            some = xp.sort(order[:, :candidates], axis=1)
+            some = xp.sort(order[:, :candidates], axis=1, stable=False)
             distances = self._compute_clearances(index[left], some, joints[left])
             distances[~present[left]] = MAX_CLEARANCE
-            missing = xp.clip(self._selector.desired_clearance - distances, 0.0, None)
+            missing = (self._selector.desired_clearance - distances).clip(0.0)
             totals = costs[left[:, None], some] + self._selector.clearance_weight * missing
             chosen = xp.argmin(totals, axis=1)
             place = arrays.arange(len(left))
@@ -134,9 +134,9 @@ class GraspSelectionBatch:
         origins, axes = (array[index[:, None], grasps] for array in self._table.arrays)
         x, y, z = (joints[:, None, :, axis] - origins[..., None, axis] for axis in range(3))
         u, v, w = (axes[..., None, axis] for axis in range(3))
-        along = xp.clip(x * u + y * v + z * w, BACK_Z, TIP_Z)
+        along = (x * u + y * v + z * w).clip(BACK_Z, TIP_Z)
         x, y, z = x - along * u, y - along * v, z - along * w
-        return xp.clip(xp.sqrt(xp.min(x * x + y * y + z * z, axis=-1)), None, MAX_CLEARANCE)
+        return xp.sqrt(xp.min(x * x + y * y + z * z, axis=-1)).clip(None, MAX_CLEARANCE)
 
 
 def _sort_by_cost(costs: AnyArray, place: int) -> AnyArray:

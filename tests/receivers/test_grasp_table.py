@@ -1,7 +1,6 @@
 """Tests of the table of grasps, on NumPy arrays and on PyTorch tensors."""
 
 import numpy as np
-import pytest
 
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory, to_numpy
 from handover_marl.receivers.grasp_library import GraspTable

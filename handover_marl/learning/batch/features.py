@@ -62,7 +62,7 @@ def compute_handover_frames(observation: Observation) -> tuple[AnyArray, AnyArra
     length = xp.where(is_long, length, 1.0)
     x, y = xp.where(is_long, to_gripper[:, 0] / length, 1.0), xp.where(is_long, to_gripper[:, 1] / length, 0.0)
     zeros, ones = xp.zeros_like(x), xp.ones_like(x)
-    return origins, stack_last([stack_last(column) for column in ([x, y, zeros], [-y, x, zeros], [zeros, zeros, ones])])
+    return origins, stack_last([x, -y, zeros, y, x, zeros, zeros, zeros, ones]).reshape(len(x), 3, 3)
 
 
 def rotate_to_frame(axes: AnyArray, vectors: AnyArray) -> AnyArray:

@@ -25,7 +25,7 @@ class DeviationBatch(SchemeBatch):
     def compute_actions(self, rows: AnyArray, observation: Observation) -> AnyArray:
         """Return the actions (r, 8): the outputs in physical units, within the actions' bounds."""
         xp = self._arrays.xp
-        return xp.astype(xp.clip(self._outputs[rows] * self._high, self._low, self._high), xp.float32)
+        return xp.astype((self._outputs[rows] * self._high).clip(self._low, self._high), xp.float32)
 
 
 class HandoverPoseBatch(SchemeBatch):
@@ -97,5 +97,5 @@ class HandoverPoseBatch(SchemeBatch):
         xp, away = self._arrays.xp, observation["hand_keypoints"][:, 0] - observation["gripper_pose"][:, :3]
         size = xp.astype(compute_lengths(away), xp.float64)[:, None]
         length = (self._outputs[rows, 6:] + 1.0) / 2.0 * self._scheme.withdraw
-        withdrawal = shift + length * away / xp.clip(size, 1e-6, None)
+        withdrawal = shift + length * away / size.clip(1e-6)
         self._withdrawal[rows[begins]], self._withdrawn[rows[begins]] = withdrawal[begins], True

@@ -39,7 +39,7 @@ class JointSchemeBatch(SchemeBatch):
     def _limit_targets(self, arm: AnyArray, closed: AnyArray) -> AnyArray:
         """Return target positions (r, 9) from those of arms (r, 7) in rad and whether grippers close, (r,)."""
         xp = self._arrays.xp
-        clipped = xp.clip(arm, self._low[:ARM_DOF], self._high[:ARM_DOF])
+        clipped = arm.clip(self._low[:ARM_DOF], self._high[:ARM_DOF])
         fingers = xp.where(closed, CLOSED, OPEN)[:, None]
         return xp.astype(xp.concat([clipped, fingers, fingers], axis=1), xp.float32)
 
@@ -162,11 +162,11 @@ class GraspServoBatch(CartesianDeltaBatch):
         local = rotate_points(conjugate_quaternions(target), offsets)
         angle = compute_rotation_magnitudes(multiply_quaternions(conjugate_quaternions(present), target))
         lateral = xp.hypot(local[:, 0], local[:, 1])
-        standoff = servo.standoff_per_offset * xp.clip(lateral - servo.aligned, 0.0, None)
-        standoff = standoff + servo.standoff_per_angle * xp.clip(angle - servo.aligned_angle, 0.0, None)
-        return xp.clip(standoff, None, servo.max_standoff)
+        standoff = servo.standoff_per_offset * (lateral - servo.aligned).clip(0.0)
+        standoff = standoff + servo.standoff_per_angle * (angle - servo.aligned_angle).clip(0.0)
+        return standoff.clip(None, servo.max_standoff)
 
 
 def _limit_norm(vectors: AnyArray, length: float) -> AnyArray:
     xp, norm = get_namespace(vectors), compute_lengths(vectors)[:, None]
-    return xp.where(norm <= length, vectors, vectors * (length / xp.clip(norm, length, None)))
+    return xp.where(norm <= length, vectors, vectors * (length / norm.clip(length)))

@@ -50,7 +50,7 @@ class SchemeBatch(ABC):
     def set_outputs(self, rows: AnyArray, outputs: AnyArray) -> None:
         """Store new network outputs (r, size), clipped to [-1, 1]."""
         xp = self._arrays.xp
-        self._outputs[rows] = xp.clip(xp.astype(outputs, xp.float64), -1.0, 1.0)
+        self._outputs[rows] = xp.astype(outputs, xp.float64).clip(-1.0, 1.0)
 
     @abstractmethod
     def compute_actions(self, rows: AnyArray, observation: Observation) -> AnyArray:
@@ -67,7 +67,8 @@ class RawSchemeBatch(SchemeBatch):
 
     def set_outputs(self, rows: AnyArray, outputs: AnyArray) -> None:
         """Store new network outputs (r, size) without clipping."""
-        self._outputs[rows] = self._arrays.asarray(outputs, "float64")
+        xp = self._arrays.xp
+        self._outputs[rows] = xp.astype(outputs, xp.float64)
 
     def compute_actions(self, rows: AnyArray, observation: Observation) -> AnyArray:
         """Return the current outputs as the actions, float32."""
