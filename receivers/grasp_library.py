@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.episode.observations import Observation
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, ArrayFactory, to_numpy
 from handover_marl.geometry.panda import GRIPPER_FROM_HAND, HALF_TURN
 from handover_marl.geometry.poses import (
     compose,
@@ -77,43 +78,43 @@ class GraspTable:
     """Grasps of object classes in arrays, which are padded to the largest number of grasps of a class.
 
     Args:
-        load: Function from a class number to arrays (g, ...) of the class's g grasps, or None without any; called when
-            a class is needed first.
+        load: Function from a class number to NumPy arrays (g, ...) of the class's g grasps, or None without any; called
+            when a class is needed first.
+        arrays: Creator of the arrays.
 
     Attributes:
         arrays: Array (c, g, ...) for each array of `load`, padded with zeros.
         is_grasp: Whether there is a grasp at each place of the arrays, (c, g).
     """
 
-    def __init__(self, load: Callable[[int], tuple[Array, ...] | None]) -> None:
-        self._load, self._index = load, dict[int, int]()
-        self.arrays: list[Array] = []
-        self.is_grasp = np.zeros((0, 0), dtype=bool)
+    def __init__(self, load: Callable[[int], tuple[Array, ...] | None], arrays: ArrayFactory = NUMPY_ARRAYS) -> None:
+        self._load, self._index, self._factory = load, dict[int, int](), arrays
+        self.arrays: list[AnyArray] = []
+        self.is_grasp = arrays.zeros((0, 0), "bool")
 
-    def find(self, classes: npt.NDArray[np.number]) -> npt.NDArray[np.int_]:
+    def find(self, classes: AnyArray) -> AnyArray:
         """Return the index (r,) of each class number in the arrays, -1 for a class without grasps."""
-        numbers = classes.astype(int).tolist()
+        numbers = to_numpy(classes).astype(int).tolist()
         for number in sorted(set(numbers) - self._index.keys()):
             known = self._load(number)
             self._index[number] = -1 if known is None else len(self.is_grasp)
             if known is not None:
                 self._append(known)
-        return np.array([self._index[number] for number in numbers])
+        return self._factory.asarray([self._index[number] for number in numbers])
 
     def _append(self, known: tuple[Array, ...]) -> None:
         width = max(self.is_grasp.shape[1], len(known[0]))
         old = self.arrays or [np.zeros((0, 0, *array.shape[1:])) for array in known]
-        self.arrays = [_append_padded(before, array, width) for before, array in zip(old, known, strict=True)]
-        self.is_grasp = _append_padded(self.is_grasp, np.ones(len(known[0]), dtype=bool), width)
+        self.arrays = [self._append_padded(before, array, width) for before, array in zip(old, known, strict=True)]
+        self.is_grasp = self._append_padded(self.is_grasp, np.ones(len(known[0]), dtype=bool), width)
 
-
-def _append_padded(arrays: npt.NDArray[Any], array: npt.NDArray[Any], width: int) -> npt.NDArray[Any]:
-    """Append an array (g, ...) to arrays (c, w, ...), all padded with zeros to a width."""
-    parts = (
-        np.pad(part, [(0, 0), (0, width - part.shape[1]), *[(0, 0)] * (part.ndim - 2)])
-        for part in (arrays, array[None])
-    )
-    return np.concatenate(list(parts))
+    def _append_padded(self, arrays: AnyArray, array: npt.NDArray[Any], width: int) -> AnyArray:
+        """Append an array (g, ...) to arrays (c, w, ...), all padded with zeros to a width."""
+        parts = (
+            np.pad(part, [(0, 0), (0, width - part.shape[1]), *[(0, 0)] * (part.ndim - 2)])
+            for part in (to_numpy(arrays), array[None])
+        )
+        return self._factory.asarray(np.concatenate(list(parts)))
 
 
 class NearestGraspSelector:

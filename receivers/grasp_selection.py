@@ -4,14 +4,11 @@ Poses are those of the hand link, position (m) and quaternion xyzw.
 """
 
 import numpy as np
-import numpy.typing as npt
 
 from handover_marl.episode.observations import Observation
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, ArrayFactory, get_namespace, is_tensor
 from handover_marl.geometry.poses import compose, inverse_transform_points, invert_pose
 from handover_marl.receivers.grasp_library import BACK_Z, MAX_CLEARANCE, TIP_Z, GraspTable, NearestGraspSelector
-
-Array = npt.NDArray[np.float64]
-Rows = npt.NDArray[np.int_]
 
 # Number of grasps per episode whose clearance is computed first: those of lowest cost without it.
 _FIRST_CANDIDATES = 24
@@ -26,18 +23,18 @@ class GraspSelectionBatch:
     Args:
         selector: Selector of single episodes, with the weights of the cost and the known grasps.
         count: Number n of episodes.
+        arrays: Creator of the arrays.
     """
 
-    def __init__(self, selector: NearestGraspSelector, count: int) -> None:
-        self._selector = selector
-        self._inputs: Array | None = None
-        self._selected, self._clearances = np.zeros((count, 7)), np.zeros(count)
-        self._exists = np.zeros(count, dtype=bool)
-        self._count = count
+    def __init__(self, selector: NearestGraspSelector, count: int, arrays: ArrayFactory = NUMPY_ARRAYS) -> None:
+        self._selector, self._count, self._arrays = selector, count, arrays
+        self._inputs: AnyArray | None = None
+        self._selected, self._clearances = arrays.zeros((count, 7)), arrays.zeros(count)
+        self._exists = arrays.zeros(count, "bool")
         # Grasps (c, g, 7) and their z axes (c, g, 3).
-        self._table = GraspTable(selector.load_known)
+        self._table = GraspTable(selector.load_known, arrays)
 
-    def select(self, rows: Rows, observation: Observation) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
+    def select(self, rows: AnyArray, observation: Observation) -> tuple[AnyArray, AnyArray, AnyArray]:
         """Select a grasp of the object to hand over in episodes.
 
         Args:
@@ -48,7 +45,8 @@ class GraspSelectionBatch:
             World poses (r, 7) of the hand link at the grasps; distances (r,) of the person's hand
             from the gripper there (m); and whether there is a grasp, (r,).
         """
-        inputs = np.concatenate(
+        xp = self._arrays.xp
+        inputs = xp.concat(
             [
                 observation["gripper_pose"],
                 observation["object_poses"][:, 0],
@@ -59,43 +57,45 @@ class GraspSelectionBatch:
             axis=1,
         )
         if self._inputs is None:
-            self._inputs = np.full((self._count, inputs.shape[1]), np.nan)
-        changed = np.flatnonzero((self._inputs[rows] != inputs).any(axis=1))
+            shape = (self._count, inputs.shape[1])
+            self._inputs = xp.full(shape, xp.nan, dtype=inputs.dtype, device=self._arrays.device)
+        changed = xp.nonzero(xp.any(self._inputs[rows] != inputs, axis=1))[0]
         if len(changed):
             who = rows[changed]
             self._inputs[who] = inputs[changed]
             self._compute(who, {key: values[changed] for key, values in observation.items()})
         return self._selected[rows], self._clearances[rows], self._exists[rows]
 
-    def _compute(self, rows: Rows, observation: Observation) -> None:
+    def _compute(self, rows: AnyArray, observation: Observation) -> None:
+        xp = self._arrays.xp
         index = self._table.find(observation["object_classes"][:, 0])
         self._exists[rows] = index >= 0
-        known = np.flatnonzero(index >= 0)
+        known = xp.nonzero(index >= 0)[0]
         if not len(known):
             return
-        item = observation["object_poses"][known, 0].astype(np.float64)
-        gripper = compose(invert_pose(item), observation["gripper_pose"][known].astype(np.float64))
+        item = xp.astype(observation["object_poses"][known, 0], xp.float64)
+        gripper = compose(invert_pose(item), xp.astype(observation["gripper_pose"][known], xp.float64))
         index = index[known]
         grasps = self._table.arrays[0][index]
         costs = self._compute_motion_costs(grasps, gripper)
-        costs[~self._table.is_grasp[index]] = np.inf
+        costs[~self._table.is_grasp[index]] = xp.inf
         joints = inverse_transform_points(item[:, None], observation["hand_keypoints"][known])
         present = observation["hand_present"][known, 0] != 0.0
         best, clearances = self._find_best(costs, index, joints, present)
-        self._selected[rows[known]] = compose(item, grasps[np.arange(len(known)), best])
+        self._selected[rows[known]] = compose(item, grasps[self._arrays.arange(len(known)), best])
         self._clearances[rows[known]] = clearances
 
-    def _compute_motion_costs(self, grasps: Array, gripper: Array) -> Array:
+    def _compute_motion_costs(self, grasps: AnyArray, gripper: AnyArray) -> AnyArray:
         """Return the costs (r, g) of the gripper's motions to grasps (r, g, 7), all in the object's frame."""
+        xp = get_namespace(grasps)
         x, y, z, w = (grasps[..., 3 + axis] * gripper[:, None, 3 + axis] for axis in range(4))
-        angles = 2.0 * np.arccos(np.minimum(np.abs(x + y + z + w), 1.0))
+        angles = 2.0 * xp.acos(xp.abs(x + y + z + w).clip(None, 1.0))
         x, y, z = (grasps[..., axis] - gripper[:, None, axis] for axis in range(3))
-        costs: Array = np.sqrt(x * x + y * y + z * z) + self._selector.rotation_weight * angles
-        return costs
+        return xp.sqrt(x * x + y * y + z * z) + self._selector.rotation_weight * angles
 
     def _find_best(
-        self, costs: Array, index: Rows, joints: Array, present: npt.NDArray[np.bool_]
-    ) -> tuple[Rows, Array]:
+        self, costs: AnyArray, index: AnyArray, joints: AnyArray, present: AnyArray
+    ) -> tuple[AnyArray, AnyArray]:
         """Return the best grasp (r,) of each episode and the person's clearance there.
 
         Clearances are computed for the grasps of lowest cost first. The others are not needed if the
@@ -107,20 +107,20 @@ class GraspSelectionBatch:
             joints: Joints (r, 16, 3) of the persons' hands in the objects' frames (m).
             present: Whether there is a hand, (r,).
         """
-        count, number = costs.shape
-        best, clearances = np.zeros(count, dtype=np.int_), np.zeros(count)
-        left, candidates = np.arange(count), min(_FIRST_CANDIDATES, number)
+        xp, arrays, (count, number) = self._arrays.xp, self._arrays, costs.shape
+        best, clearances = arrays.zeros(count, "int64"), arrays.zeros(count)
+        left, candidates = arrays.arange(count), min(_FIRST_CANDIDATES, number)
         while len(left):
-            order = np.argpartition(costs[left], min(candidates, number - 1), axis=1)
-            bound = np.inf if candidates >= number else costs[left, order[:, candidates]]
+            order = _sort_by_cost(costs[left], min(candidates, number - 1))
+            bound = xp.inf if candidates >= number else costs[left, order[:, candidates]]
             # Of equally good grasps, the first one counts.
-            some = np.sort(order[:, :candidates], axis=1)
+            some = xp.sort(order[:, :candidates], axis=1, stable=False)
             distances = self._compute_clearances(index[left], some, joints[left])
             distances[~present[left]] = MAX_CLEARANCE
-            missing = np.maximum(0.0, self._selector.desired_clearance - distances)
+            missing = (self._selector.desired_clearance - distances).clip(0.0)
             totals = costs[left[:, None], some] + self._selector.clearance_weight * missing
-            chosen = totals.argmin(axis=1)
-            place = np.arange(len(left))
+            chosen = xp.argmin(totals, axis=1)
+            place = arrays.arange(len(left))
             best[left], clearances[left] = some[place, chosen], distances[place, chosen]
             left = left[~(totals[place, chosen] < bound)]
             if candidates >= number:
@@ -128,12 +128,17 @@ class GraspSelectionBatch:
             candidates = number
         return best, clearances
 
-    def _compute_clearances(self, index: Rows, grasps: Rows, joints: Array) -> Array:
+    def _compute_clearances(self, index: AnyArray, grasps: AnyArray, joints: AnyArray) -> AnyArray:
         """Return the smallest distances (r, k) in m of hand joints to the gripper's axis at k grasps."""
+        xp = get_namespace(joints)
         origins, axes = (array[index[:, None], grasps] for array in self._table.arrays)
         x, y, z = (joints[:, None, :, axis] - origins[..., None, axis] for axis in range(3))
         u, v, w = (axes[..., None, axis] for axis in range(3))
-        along = np.clip(x * u + y * v + z * w, BACK_Z, TIP_Z)
+        along = (x * u + y * v + z * w).clip(BACK_Z, TIP_Z)
         x, y, z = x - along * u, y - along * v, z - along * w
-        clearances: Array = np.minimum(np.sqrt((x * x + y * y + z * z).min(axis=-1)), MAX_CLEARANCE)
-        return clearances
+        return xp.sqrt(xp.min(x * x + y * y + z * z, axis=-1)).clip(None, MAX_CLEARANCE)
+
+
+def _sort_by_cost(costs: AnyArray, place: int) -> AnyArray:
+    """Return the indices (r, g) of grasps in an order in which those before a place cost at most what others cost."""
+    return costs.argsort(dim=1) if is_tensor(costs) else np.argpartition(costs, place, axis=1)

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.errors import SimulationError
+from handover_marl.geometry.arrays import AnyArray, as_arrays, is_tensor
 from handover_marl.geometry.kinematic_tree import KinematicTree
 from handover_marl.geometry.panda import FINGER_LINKS, HAND_LINK, OPEN
 from handover_marl.geometry.poses import (
@@ -107,7 +108,7 @@ class ArmKinematics:
         jacobian: Array = columns.transpose(1, 0, 2)
         return jacobian
 
-    def compute_hand_jacobians(self, joints: Array) -> tuple[Array, Array]:
+    def compute_hand_jacobians(self, joints: AnyArray) -> tuple[AnyArray, AnyArray]:
         """Compute Jacobians and rotations of the robot's hand for arm joints (n, 7) in rad.
 
         The result of each configuration does not depend on the others to the last bit.
@@ -115,22 +116,24 @@ class ArmKinematics:
         Returns:
             Jacobians (n, 6, 7): linear rows (m/rad), then angular; and rotations (n, 3, 3).
         """
-        origin, rotation = np.zeros((3, len(joints))), np.repeat(np.eye(3)[..., None], len(joints), axis=2)
+        xp, angles, identity = as_arrays(joints, np.eye(3)[..., None])
+        origin, rotation = xp.zeros_like(angles.T[:3]), xp.broadcast_to(identity, (3, 3, len(angles)))
         origins, axes = [], []
-        sines, cosines = np.sin(joints.T), np.cos(joints.T)
+        sines, cosines = xp.sin(angles.T), xp.cos(angles.T)
         for (offset, turn), sine, cosine in zip(self._segments, sines, cosines, strict=True):
             origin = origin + _combine(offset, rotation)
             x, y, z = (_combine(column, rotation) for column in turn.T)
-            rotation = np.stack([cosine * x + sine * y, cosine * y - sine * x, z])
+            rotation = xp.stack([cosine * x + sine * y, cosine * y - sine * x, z])
             origins.append(origin)
             axes.append(z)
         offset, turn = self._hand
         hand = origin + _combine(offset, rotation)
-        levers = hand - np.stack(origins)
-        (ax, ay, az), (lx, ly, lz) = np.moveaxis(np.stack(axes), 1, 0), np.moveaxis(levers, 1, 0)
-        rows = [ay * lz - az * ly, az * lx - ax * lz, ax * ly - ay * lx, ax, ay, az]
-        columns = np.stack([_combine(column, rotation) for column in turn.T])
-        return np.ascontiguousarray(np.stack(rows).transpose(2, 0, 1)), columns.transpose(2, 1, 0)
+        (ax, ay, az), (lx, ly, lz) = xp.stack(axes, axis=1), hand[:, None] - xp.stack(origins, axis=1)
+        rows = xp.stack([ay * lz - az * ly, az * lx - ax * lz, ax * ly - ay * lx, ax, ay, az])
+        columns = xp.stack([_combine(column, rotation) for column in turn.T])
+        jacobians, rotations = xp.permute_dims(rows, (2, 0, 1)), xp.permute_dims(columns, (2, 1, 0))
+        # NumPy's rounding of sums depends on the order in memory.
+        return jacobians if is_tensor(jacobians) else np.ascontiguousarray(jacobians), rotations
 
 
 class IndependentArmKinematics(ArmKinematics):
@@ -159,10 +162,9 @@ class IndependentArmKinematics(ArmKinematics):
         return LinkFrames(frames[..., :3, 3].transpose(1, 2, 0), frames[..., :3, :3].transpose(1, 2, 3, 0))
 
 
-def _combine(weights: Array, vectors: Array) -> Array:
+def _combine(weights: Array, vectors: AnyArray) -> AnyArray:
     """Return the sum of vectors (3, 3, n), weighted by the three weights along the first axis, (3, n)."""
-    combined: Array = weights[0] * vectors[0] + weights[1] * vectors[1] + weights[2] * vectors[2]
-    return combined
+    return weights[0] * vectors[0] + weights[1] * vectors[1] + weights[2] * vectors[2]
 
 
 def transform_body_points(frames: LinkFrames, on_links: Sequence[Array]) -> Array:

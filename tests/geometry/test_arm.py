@@ -75,3 +75,14 @@ def test_other_robots_are_refused(fake_data: Path) -> None:
     hand = next((fake_data / "assets").glob("*_right/mano.urdf"))
     with pytest.raises(SimulationError, match="panda_hand"):
         ArmKinematics(read_tree(hand))
+
+
+@given(seeds)
+def test_hand_jacobians_are_those_of_the_chain(seed: int) -> None:
+    torch = pytest.importorskip("torch", reason="needs the extra `train`")
+    joints = random_joints(seed, 5)
+    chain = ARM.compute_chain_frames(joints)
+    expected = ARM.compute_jacobian(chain).transpose(2, 0, 1), chain.rotations[-1].transpose(2, 0, 1)
+    for found in (ARM.compute_hand_jacobians(joints), ARM.compute_hand_jacobians(torch.as_tensor(joints))):
+        for one, other in zip(found, expected, strict=True):
+            np.testing.assert_allclose(one, other, atol=1e-12)

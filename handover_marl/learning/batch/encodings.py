@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from typing import Any
 
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory
 from handover_marl.learning.action_scheme import ActionScheme
 from handover_marl.learning.batch.features import FEATURE_BATCHES, FeatureBatch, SequentialFeatureBatch
 from handover_marl.learning.batch.giver_schemes import DeviationBatch, HandoverPoseBatch
@@ -28,7 +29,7 @@ from handover_marl.learning.schemes import make_scheme
 from handover_marl.policies.policy import PolicyContext
 from handover_marl.receivers.grasp_selection import GraspSelectionBatch
 
-_SCHEME_BATCHES: dict[type[ActionScheme], Callable[[Any, GraspSelectionBatch, int], SchemeBatch]] = {
+_SCHEME_BATCHES: dict[type[ActionScheme], Callable[[Any, GraspSelectionBatch, int, ArrayFactory], SchemeBatch]] = {
     RawGiverScheme: RawSchemeBatch,
     RawReceiverScheme: RawSchemeBatch,
     JointPositionScheme: JointPositionBatch,
@@ -41,7 +42,12 @@ _SCHEME_BATCHES: dict[type[ActionScheme], Callable[[Any, GraspSelectionBatch, in
 
 
 def make_feature_batch(
-    agent: str, choice: FeaturesLike, context: PolicyContext, selection: GraspSelectionBatch, count: int
+    agent: str,
+    choice: FeaturesLike,
+    context: PolicyContext,
+    selection: GraspSelectionBatch,
+    count: int,
+    arrays: ArrayFactory = NUMPY_ARRAYS,
 ) -> FeatureBatch:
     """Make an agent's features for n episodes: built-in features work on arrays, others episode by episode.
 
@@ -51,27 +57,36 @@ def make_feature_batch(
         context: Robot, task and known grasps of the objects.
         selection: Selector of grasps.
         count: Number n of episodes.
+        arrays: Creator of the arrays.
     """
     known = FEATURE_BATCHES[agent].get(choice) if isinstance(choice, str) else None
     if known is not None:
-        return known(context, selection, count)
-    return SequentialFeatureBatch([make_features(agent, choice, context, trust=True) for _ in range(count)])
+        return known(context, selection, count, arrays)
+    return SequentialFeatureBatch([make_features(agent, choice, context, trust=True) for _ in range(count)], arrays)
 
 
-def find_scheme_batch(scheme: ActionScheme, selection: GraspSelectionBatch, count: int) -> SchemeBatch | None:
+def find_scheme_batch(
+    scheme: ActionScheme, selection: GraspSelectionBatch, count: int, arrays: ArrayFactory = NUMPY_ARRAYS
+) -> SchemeBatch | None:
     """Return the batch of a built-in action scheme for n episodes; None for a user-defined one.
 
     Args:
         scheme: Scheme of a single episode; its parameters apply to all episodes.
         selection: Selector of grasps.
         count: Number n of episodes.
+        arrays: Creator of the arrays.
     """
     batch = _SCHEME_BATCHES.get(type(scheme))
-    return None if batch is None else batch(scheme, selection, count)
+    return None if batch is None else batch(scheme, selection, count, arrays)
 
 
 def make_scheme_batch(
-    agent: str, choice: SchemeLike, context: PolicyContext, selection: GraspSelectionBatch, count: int
+    agent: str,
+    choice: SchemeLike,
+    context: PolicyContext,
+    selection: GraspSelectionBatch,
+    count: int,
+    arrays: ArrayFactory = NUMPY_ARRAYS,
 ) -> SchemeBatch:
     """Make an agent's action scheme for n episodes: built-in schemes work on arrays, others episode by episode.
 
@@ -81,9 +96,11 @@ def make_scheme_batch(
         context: Robot, task and known grasps of the objects.
         selection: Selector of grasps.
         count: Number n of episodes.
+        arrays: Creator of the arrays.
     """
     first = make_scheme(agent, choice, context, trust=True)
-    batch = find_scheme_batch(first, selection, count)
+    batch = find_scheme_batch(first, selection, count, arrays)
     if batch is not None:
         return batch
-    return SequentialSchemeBatch([first, *(make_scheme(agent, choice, context, trust=True) for _ in range(count - 1))])
+    others = (make_scheme(agent, choice, context, trust=True) for _ in range(count - 1))
+    return SequentialSchemeBatch([first, *others], arrays)

@@ -8,28 +8,29 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 
 import numpy as np
-import numpy.typing as npt
 from gymnasium import spaces
-from scipy.spatial.transform import Rotation
 
 from handover_marl.config import TIME_STEP
 from handover_marl.episode.observations import Observation, giver_observation_space, observation_space
-from handover_marl.geometry.poses import compute_lengths, multiply_quaternions, rotate_points
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, ArrayFactory, get_namespace, stack_last, to_numpy
+from handover_marl.geometry.poses import (
+    IDENTITY,
+    compute_lengths,
+    conjugate_quaternions,
+    multiply_quaternions,
+    normalize_quaternions,
+    rotate_points,
+)
+from handover_marl.geometry.rotations import matrices_from_quaternions, rotation_vectors_from_quaternions
 from handover_marl.geometry.ycb import LARGEST_YCB_CLASS
 from handover_marl.learning.encodings.custom_features import AgentFeatures
 from handover_marl.learning.features import GRASP_SCALE, N_STACKED, SCALE, GraspProximityFeatures, count_features
 from handover_marl.policies.policy import PolicyContext
 from handover_marl.receivers.grasp_selection import GraspSelectionBatch
 
-Array = npt.NDArray[np.float64]
-Vectors = npt.NDArray[np.float32]
-Rows = npt.NDArray[np.int_]
-
-_CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
-
 
 class FeatureBatch(ABC):
-    """Function from observations of r episodes to feature vectors."""
+    """Function from observations of r episodes to feature vectors, float32."""
 
     def reset(self, row: int) -> None:  # noqa: B027
         """Clear the values that are stored from the previous episode.
@@ -39,7 +40,7 @@ class FeatureBatch(ABC):
         """
 
     @abstractmethod
-    def __call__(self, rows: Rows, observation: Observation) -> Vectors:
+    def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
         """Return the feature vectors (r, m).
 
         Args:
@@ -48,31 +49,30 @@ class FeatureBatch(ABC):
         """
 
 
-def compute_handover_frames(observation: Observation) -> tuple[Array, Array]:
+def compute_handover_frames(observation: Observation) -> tuple[AnyArray, AnyArray]:
     """Return the handover frames of r episodes; see `features.handover_frame`.
 
     Returns:
         Origins (r, 3) in the world (m), and axes as columns (r, 3, 3).
     """
-    origins = observation["replay_object_poses"][:, -1, :3].astype(np.float64)
-    to_gripper = observation["gripper_pose"][:, :2] - origins[:, :2]
+    origins = _widen(observation["replay_object_poses"][:, -1, :3])
+    xp, to_gripper = get_namespace(origins), observation["gripper_pose"][:, :2] - origins[:, :2]
     length = compute_lengths(to_gripper)
     is_long = length > 1e-6
-    x, y = np.where(is_long, to_gripper.T / np.where(is_long, length, 1.0), [[1.0], [0.0]])
-    axes = np.zeros((len(origins), 3, 3))
-    axes[:, 0, 0], axes[:, 0, 1], axes[:, 1, 0], axes[:, 1, 1], axes[:, 2, 2] = x, -y, y, x, 1.0
-    return origins, axes
+    length = xp.where(is_long, length, 1.0)
+    x, y = xp.where(is_long, to_gripper[:, 0] / length, 1.0), xp.where(is_long, to_gripper[:, 1] / length, 0.0)
+    zeros, ones = xp.zeros_like(x), xp.ones_like(x)
+    return origins, stack_last([x, -y, zeros, y, x, zeros, zeros, zeros, ones]).reshape(len(x), 3, 3)
 
 
-def rotate_to_frame(axes: Array, vectors: Array) -> Array:
+def rotate_to_frame(axes: AnyArray, vectors: AnyArray) -> AnyArray:
     """Transform vectors (r, ..., 3) from the world to frames whose axes are the columns of (r, 3, 3)."""
     matrix = axes.reshape(len(axes), *[1] * (vectors.ndim - 2), 3, 3)
     parts = [vectors[..., axis, None] * matrix[..., axis, :] for axis in range(3)]
-    rotated: Array = parts[0] + parts[1] + parts[2]
-    return rotated
+    return parts[0] + parts[1] + parts[2]
 
 
-def rotate_to_world(axes: Array, vectors: Array) -> Array:
+def rotate_to_world(axes: AnyArray, vectors: AnyArray) -> AnyArray:
     """Transform vectors (r, 3) to the world from frames whose axes are the columns of (r, 3, 3)."""
     return rotate_to_frame(axes.swapaxes(1, 2), vectors)
 
@@ -82,32 +82,33 @@ class GiverFeatureBatch(FeatureBatch):
 
     Args:
         context: Task, with the position of the goal.
+        arrays: Creator of the arrays.
     """
 
-    def __init__(self, context: PolicyContext) -> None:
-        self._goal = np.array(context.protocol.goal_center)
+    def __init__(self, context: PolicyContext, arrays: ArrayFactory = NUMPY_ARRAYS) -> None:
+        self._goal, self._classes = arrays.asarray(context.protocol.goal_center), _list_classes(arrays)
 
-    def __call__(self, rows: Rows, observation: Observation) -> Vectors:
+    def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
         """Return the features (r, 39)."""
         origins, axes = compute_handover_frames(observation)
-        wrists = observation["replay_wrist_poses"][:, -1, :3].astype(np.float64)
-        later = _normalize(observation["replay_object_poses"][:, -1, 3:])
+        xp, wrists = get_namespace(origins), _widen(observation["replay_wrist_poses"][:, -1, :3])
+        later = normalize_quaternions(_widen(observation["replay_object_poses"][:, -1, 3:]))
         # The fingers keep their position relative to the object until then.
-        now = observation["object_poses"][:, 0].astype(np.float64)
-        fingers = observation["hand_keypoints"][:, 1:].astype(np.float64).mean(axis=1) - now[:, :3]
-        fingers = rotate_points(_normalize(now[:, 3:]) * _CONJUGATE, fingers)
+        now = _widen(observation["object_poses"][:, 0])
+        fingers = xp.mean(_widen(observation["hand_keypoints"][:, 1:]), axis=1) - now[:, :3]
+        fingers = rotate_points(conjugate_quaternions(normalize_quaternions(now[:, 3:])), fingers)
         gripper = observation["gripper_pose"][:, :3] - origins
-        orientation = Rotation.from_quat(later).as_matrix()
+        orientation = matrices_from_quaternions(later)
         parts = [
-            SCALE * np.stack([compute_lengths(gripper[:, :2]), gripper[:, 2]], axis=1) - 5.0,
+            SCALE * xp.stack([compute_lengths(gripper[:, :2]), gripper[:, 2]], axis=1) - 5.0,
             SCALE * (origins - self._goal),
             SCALE * rotate_to_frame(axes, wrists - origins),
             SCALE * rotate_to_frame(axes, rotate_points(later, fingers)),
             _relative_columns(axes, orientation),
             observation["released"],
-            _one_hot_classes(observation),
+            _one_hot_classes(observation, self._classes),
         ]
-        return np.concatenate(parts, axis=1).astype(np.float32)
+        return xp.astype(xp.concat(parts, axis=1), xp.float32)
 
 
 class ReceiverFeatureBatch(FeatureBatch):
@@ -115,25 +116,26 @@ class ReceiverFeatureBatch(FeatureBatch):
 
     Args:
         context: Task, with the position of the goal and the longest duration.
+        arrays: Creator of the arrays.
     """
 
-    def __init__(self, context: PolicyContext) -> None:
-        self._goal = np.array(context.protocol.goal_center)
+    def __init__(self, context: PolicyContext, arrays: ArrayFactory = NUMPY_ARRAYS) -> None:
+        self._goal, self._classes = arrays.asarray(context.protocol.goal_center), _list_classes(arrays)
         self._duration = context.protocol.horizon_steps * TIME_STEP
 
-    def __call__(self, rows: Rows, observation: Observation) -> Vectors:
+    def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
         """Return the features (r, 56)."""
-        gripper, items = (observation[key].astype(np.float64) for key in ("gripper_pose", "object_poses"))
-        axes = Rotation.from_quat(gripper[:, 3:]).as_matrix()
-        keypoints = observation["hand_keypoints"].astype(np.float64)
-        hand = np.stack([keypoints[:, 0], keypoints[:, 1:].mean(axis=1)], axis=1)
-        hand = np.where(observation["hand_present"][..., None] != 0.0, hand, gripper[:, None, :3])
-        goal = np.broadcast_to(self._goal, (len(rows), 1, 3))
-        positions = np.concatenate([items[:, :1, :3], hand, goal], axis=1) - gripper[:, None, :3]
+        gripper, items = _widen(observation["gripper_pose"]), _widen(observation["object_poses"])
+        xp, axes = get_namespace(gripper), matrices_from_quaternions(gripper[:, 3:])
+        keypoints = _widen(observation["hand_keypoints"])
+        hand = xp.stack([keypoints[:, 0], xp.mean(keypoints[:, 1:], axis=1)], axis=1)
+        hand = xp.where(observation["hand_present"][..., None] != 0.0, hand, gripper[:, None, :3])
+        goal = xp.broadcast_to(self._goal, (len(rows), 1, 3))
+        positions = xp.concat([items[:, :1, :3], hand, goal], axis=1) - gripper[:, None, :3]
         joints, velocities = observation["robot_joint_position"], observation["robot_joint_velocity"]
         parts = [
             rotate_to_frame(axes, 0.5 * SCALE * positions).reshape(len(rows), -1),
-            _relative_columns(axes, Rotation.from_quat(items[:, 0, 3:]).as_matrix()),
+            _relative_columns(axes, matrices_from_quaternions(items[:, 0, 3:])),
             axes[:, 2],
             50.0 * joints[:, 7:] - 1.0,
             10.0 * velocities[:, 7:],
@@ -141,9 +143,9 @@ class ReceiverFeatureBatch(FeatureBatch):
             observation["released"],
             observation["time"] / self._duration,
             observation["hand_present"],
-            _one_hot_classes(observation),
+            _one_hot_classes(observation, self._classes),
         ]
-        return np.concatenate(parts, axis=1).astype(np.float32)
+        return xp.astype(xp.concat(parts, axis=1), xp.float32)
 
 
 class GraspFeatureBatch(FeatureBatch):
@@ -152,26 +154,32 @@ class GraspFeatureBatch(FeatureBatch):
     Args:
         context: Robot, task and known grasps of the objects.
         selection: Selector of grasps.
+        arrays: Creator of the arrays.
     """
 
-    def __init__(self, context: PolicyContext, selection: GraspSelectionBatch) -> None:
-        self._selection, self._receiver = selection, ReceiverFeatureBatch(context)
+    def __init__(
+        self, context: PolicyContext, selection: GraspSelectionBatch, arrays: ArrayFactory = NUMPY_ARRAYS
+    ) -> None:
+        self._selection, self._receiver = selection, ReceiverFeatureBatch(context, arrays)
+        self._identity = arrays.asarray(IDENTITY.copy())
 
-    def __call__(self, rows: Rows, observation: Observation) -> Vectors:
+    def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
         """Return the features (r, 64), those of the grasp last."""
-        return np.concatenate([self._receiver(rows, observation), self.grasp(rows, observation)], axis=1)
+        vectors = [self._receiver(rows, observation), self.grasp(rows, observation)]
+        return get_namespace(vectors[0]).concat(vectors, axis=1)
 
-    def grasp(self, rows: Rows, observation: Observation) -> Vectors:
+    def grasp(self, rows: AnyArray, observation: Observation) -> AnyArray:
         """Return the features (r, 8) of the best reachable grasps; zeros if no grasp is reachable."""
         grasps, clearances, exists = self._selection.select(rows, observation)
-        grasps = np.where(exists[:, None], grasps, [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
-        gripper = observation["gripper_pose"].astype(np.float64)
-        gripper_from_world = _normalize(gripper[:, 3:]) * _CONJUGATE
-        rotation = Rotation.from_quat(multiply_quaternions(gripper_from_world, _normalize(grasps[:, 3:]))).as_rotvec()
+        xp, gripper = get_namespace(grasps), _widen(observation["gripper_pose"])
+        grasps = xp.where(exists[:, None], grasps, self._identity)
+        gripper_from_world = conjugate_quaternions(normalize_quaternions(gripper[:, 3:]))
+        gripper_from_grasp = multiply_quaternions(gripper_from_world, normalize_quaternions(grasps[:, 3:]))
+        rotation = rotation_vectors_from_quaternions(gripper_from_grasp)
         translation = GRASP_SCALE * rotate_points(gripper_from_world, grasps[:, :3] - gripper[:, :3])
-        ones = np.ones(len(rows))
-        parts = np.concatenate([translation, rotation, np.stack([10.0 * clearances, ones], axis=1)], axis=1)
-        return np.where(exists[:, None], parts, 0.0).astype(np.float32)
+        others = xp.stack([10.0 * clearances, xp.ones_like(clearances)], axis=1)
+        parts = xp.concat([translation, rotation, others], axis=1)
+        return xp.astype(xp.where(exists[:, None], parts, 0.0), xp.float32)
 
 
 class GraspProximityFeatureBatch(FeatureBatch):
@@ -180,23 +188,25 @@ class GraspProximityFeatureBatch(FeatureBatch):
     Args:
         context: Robot, task and known grasps of the objects.
         selection: Selector of grasps.
+        arrays: Creator of the arrays.
     """
 
-    def __init__(self, context: PolicyContext, selection: GraspSelectionBatch) -> None:
-        self._grasp = GraspFeatureBatch(context, selection)
+    def __init__(
+        self, context: PolicyContext, selection: GraspSelectionBatch, arrays: ArrayFactory = NUMPY_ARRAYS
+    ) -> None:
+        self._grasp = GraspFeatureBatch(context, selection, arrays)
 
-    def __call__(self, rows: Rows, observation: Observation) -> Vectors:
+    def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
         """Return the features (r, 12) of grasps and grippers."""
         grasp = self._grasp.grasp(rows, observation)
+        xp, scales = get_namespace(grasp), GraspProximityFeatures
         translation, rotation, exists = grasp[:, :3], grasp[:, 3:6], grasp[:, 7:]
-        distance, angle = (compute_lengths(vectors)[:, None].astype(np.float64) for vectors in (translation, rotation))
-        scales = GraspProximityFeatures
-        near = np.exp(-distance / GRASP_SCALE / scales.position_scale)
-        aligned = np.exp(-angle / scales.angle_scale)
+        distance, angle = (_widen(compute_lengths(vectors)[:, None]) for vectors in (translation, rotation))
+        near = xp.exp(-distance / GRASP_SCALE / scales.position_scale)
+        aligned = xp.exp(-angle / scales.angle_scale)
         fingers = 50.0 * observation["robot_joint_position"][:, 7:] - 1.0
-        proximity = np.concatenate([near * exists, aligned * exists], axis=1)
-        parts = [translation, rotation, proximity, fingers, observation["released"], exists]
-        return np.concatenate(parts, axis=1).astype(np.float32)
+        parts = [translation, rotation, near * exists, aligned * exists, fingers, observation["released"], exists]
+        return xp.astype(xp.concat(parts, axis=1), xp.float32)
 
 
 class StackedFeatureBatch(FeatureBatch):
@@ -206,21 +216,22 @@ class StackedFeatureBatch(FeatureBatch):
         features: Batch of the features of one observation.
         size: Number of these features.
         count: Number of episodes.
+        arrays: Creator of the arrays.
     """
 
-    def __init__(self, features: FeatureBatch, size: int, count: int) -> None:
+    def __init__(self, features: FeatureBatch, size: int, count: int, arrays: ArrayFactory = NUMPY_ARRAYS) -> None:
         self._features = features
-        self._stacks = np.zeros((count, N_STACKED, size), dtype=np.float32)
-        self._times = np.full(count, -1.0)
+        self._stacks = arrays.zeros((count, N_STACKED, size), "float32")
+        self._times = arrays.full(count, -1.0)
 
     def reset(self, row: int) -> None:
         """Forget the decisions of the previous episode."""
         self._features.reset(row)
         self._stacks[row], self._times[row] = 0.0, -1.0
 
-    def __call__(self, rows: Rows, observation: Observation) -> Vectors:
+    def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
         """Return the stacked features (r, N_STACKED * size), those of the present decision first."""
-        times = observation["time"][:, 0].astype(np.float64)
+        times = _widen(observation["time"][:, 0])
         later = rows[times != self._times[rows]]
         self._stacks[later, 1:] = self._stacks[later, :-1]
         self._times[rows] = times
@@ -238,66 +249,71 @@ class FlatFeatureBatch(FeatureBatch):
     def __init__(self, space: spaces.Dict) -> None:
         self._keys = list(space.spaces)
 
-    def __call__(self, rows: Rows, observation: Observation) -> Vectors:
+    def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
         """Return the complete observations as vectors (r, n)."""
-        return np.concatenate([observation[key].reshape(len(rows), -1) for key in self._keys], axis=1)
+        parts = [observation[key].reshape(len(rows), -1) for key in self._keys]
+        return get_namespace(*parts).concat(parts, axis=1)
 
 
 class SequentialFeatureBatch(FeatureBatch):
-    """Batch of n user-defined features, one for each episode, that are called one after another.
+    """Batch of n user-defined features, one for each episode, that are called one after another with NumPy arrays.
 
     Args:
         features: Features of each episode.
+        arrays: Creator of the feature vectors.
     """
 
-    def __init__(self, features: Sequence[AgentFeatures]) -> None:
-        self._features = features
+    def __init__(self, features: Sequence[AgentFeatures], arrays: ArrayFactory = NUMPY_ARRAYS) -> None:
+        self._features, self._arrays = features, arrays
 
     def reset(self, row: int) -> None:
         """Clear the values that the features store from the previous episode."""
         self._features[row].reset()
 
-    def __call__(self, rows: Rows, observation: Observation) -> Vectors:
+    def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
         """Return the feature vectors (r, m); see `FeatureBatch`."""
-        return np.stack(
-            [
-                self._features[row]({key: values[number].copy() for key, values in observation.items()})
-                for number, row in enumerate(rows.tolist())
-            ]
-        )
+        own = {key: to_numpy(values) for key, values in observation.items()}
+        vectors = [
+            self._features[row]({key: values[number].copy() for key, values in own.items()})
+            for number, row in enumerate(rows.tolist())
+        ]
+        return self._arrays.asarray(np.stack(vectors))
 
 
-#: Batches of features by agent and name: functions of context, selector of grasps and number of episodes.
-FEATURE_BATCHES: dict[str, dict[str, Callable[[PolicyContext, GraspSelectionBatch, int], FeatureBatch]]] = {
+#: Batches of features by agent and name: functions of context, selector of grasps, number of episodes and creator of
+#: the arrays.
+FEATURE_BATCHES: dict[str, dict[str, Callable[[PolicyContext, GraspSelectionBatch, int, ArrayFactory], FeatureBatch]]]
+FEATURE_BATCHES = {
     "giver": {
-        "giver": lambda context, *_: GiverFeatureBatch(context),
+        "giver": lambda context, selection, count, arrays: GiverFeatureBatch(context, arrays),
         "flat_giver": lambda *_: FlatFeatureBatch(giver_observation_space()),
     },
     "receiver": {
-        "receiver": lambda context, *_: ReceiverFeatureBatch(context),
+        "receiver": lambda context, selection, count, arrays: ReceiverFeatureBatch(context, arrays),
         "flat_receiver": lambda *_: FlatFeatureBatch(observation_space()),
-        "grasp": lambda context, selection, _: GraspFeatureBatch(context, selection),
-        "close": lambda context, selection, _: GraspProximityFeatureBatch(context, selection),
-        "close_stack": lambda context, selection, count: StackedFeatureBatch(
-            GraspProximityFeatureBatch(context, selection), count_features("receiver", "close"), count
+        "grasp": lambda context, selection, count, arrays: GraspFeatureBatch(context, selection, arrays),
+        "close": lambda context, selection, count, arrays: GraspProximityFeatureBatch(context, selection, arrays),
+        "close_stack": lambda context, selection, count, arrays: StackedFeatureBatch(
+            GraspProximityFeatureBatch(context, selection, arrays), count_features("receiver", "close"), count, arrays
         ),
     },
 }
 
 
-def _normalize(quaternions: npt.NDArray[np.floating]) -> Array:
-    """Return unit quaternions (..., 4), float64."""
-    wide = quaternions.astype(np.float64)
-    unit: Array = wide / np.sqrt((wide**2).sum(axis=-1, keepdims=True))
-    return unit
+def _widen(array: AnyArray) -> AnyArray:
+    xp = get_namespace(array)
+    return xp.astype(array, xp.float64)
 
 
-def _relative_columns(axes: Array, rotations: Array) -> Array:
+def _relative_columns(axes: AnyArray, rotations: AnyArray) -> AnyArray:
     """Return the first two columns of rotations (r, 3, 3) in frames (r, 3, 3), row by row, (r, 6)."""
-    columns: Array = rotate_to_frame(axes, rotations.swapaxes(1, 2))[:, :2].swapaxes(1, 2).reshape(len(axes), 6)
-    return columns
+    return rotate_to_frame(axes, rotations.swapaxes(1, 2))[:, :2].swapaxes(1, 2).reshape(len(axes), 6)
 
 
-def _one_hot_classes(observation: Observation) -> Vectors:
-    classes = observation["object_classes"][:, :1].astype(int)
-    return np.asarray(classes == np.arange(1, LARGEST_YCB_CLASS + 1), dtype=np.float32)
+def _list_classes(arrays: ArrayFactory) -> AnyArray:
+    return arrays.arange(LARGEST_YCB_CLASS) + 1
+
+
+def _one_hot_classes(observation: Observation, classes: AnyArray) -> AnyArray:
+    xp = get_namespace(classes)
+    return xp.astype(xp.astype(observation["object_classes"][:, :1], xp.int64) == classes, xp.float32)

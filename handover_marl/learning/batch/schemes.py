@@ -8,15 +8,11 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from handover_marl.episode.observations import Observation
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, ArrayFactory, to_numpy
 from handover_marl.learning.action_scheme import ActionScheme
 from handover_marl.receivers.grasp_selection import GraspSelectionBatch
-
-Actions = npt.NDArray[np.float32]
-Rows = npt.NDArray[np.int_]
-Flags = npt.NDArray[np.bool_]
 
 
 class SchemeBatch(ABC):
@@ -26,15 +22,18 @@ class SchemeBatch(ABC):
         scheme: Scheme of a single episode; its parameters apply to all episodes.
         selection: Selector of grasps.
         count: Number n of episodes.
+        arrays: Creator of the arrays.
 
     Attributes:
         size: Number of outputs.
     """
 
-    def __init__(self, scheme: ActionScheme, selection: GraspSelectionBatch, count: int) -> None:
+    def __init__(
+        self, scheme: ActionScheme, selection: GraspSelectionBatch, count: int, arrays: ArrayFactory = NUMPY_ARRAYS
+    ) -> None:
         self.size, self.wait = scheme.size, scheme.wait
-        self._selection = selection
-        self._outputs = np.zeros((count, scheme.size))
+        self._selection, self._arrays = selection, arrays
+        self._outputs = arrays.zeros((count, scheme.size))
 
     def reset(self, row: int) -> None:
         """Clear the state of the previous episode.
@@ -44,17 +43,18 @@ class SchemeBatch(ABC):
         """
         self._outputs[row] = 0.0
 
-    def needs_outputs(self, rows: Rows, observation: Observation) -> Flags:
+    def needs_outputs(self, rows: AnyArray, observation: Observation) -> AnyArray:
         """Return whether the network must be evaluated now, in each of r episodes."""
-        return np.ones(len(rows), dtype=bool)
+        return self._arrays.full(len(rows), True, "bool")
 
-    def set_outputs(self, rows: Rows, outputs: npt.NDArray[np.floating]) -> None:
+    def set_outputs(self, rows: AnyArray, outputs: AnyArray) -> None:
         """Store new network outputs (r, size), clipped to [-1, 1]."""
-        self._outputs[rows] = np.clip(outputs.astype(np.float64), -1.0, 1.0)
+        xp = self._arrays.xp
+        self._outputs[rows] = xp.astype(outputs, xp.float64).clip(-1.0, 1.0)
 
     @abstractmethod
-    def compute_actions(self, rows: Rows, observation: Observation) -> Actions:
-        """Return the agent's actions (r, ...) for the current outputs.
+    def compute_actions(self, rows: AnyArray, observation: Observation) -> AnyArray:
+        """Return the agent's actions (r, ...) for the current outputs, float32.
 
         Args:
             rows: Indices (r,) of the episodes.
@@ -65,43 +65,49 @@ class SchemeBatch(ABC):
 class RawSchemeBatch(SchemeBatch):
     """Batch of `RawScheme`: the outputs are the actions."""
 
-    def set_outputs(self, rows: Rows, outputs: npt.NDArray[np.floating]) -> None:
+    def set_outputs(self, rows: AnyArray, outputs: AnyArray) -> None:
         """Store new network outputs (r, size) without clipping."""
-        self._outputs[rows] = outputs
+        xp = self._arrays.xp
+        self._outputs[rows] = xp.astype(outputs, xp.float64)
 
-    def compute_actions(self, rows: Rows, observation: Observation) -> Actions:
+    def compute_actions(self, rows: AnyArray, observation: Observation) -> AnyArray:
         """Return the current outputs as the actions, float32."""
-        return self._outputs[rows].astype(np.float32)
+        xp = self._arrays.xp
+        return xp.astype(self._outputs[rows], xp.float32)
 
 
 class SequentialSchemeBatch(SchemeBatch):
-    """Batch of n user-defined action schemes, one for each episode, that are called one after another.
+    """Batch of n user-defined schemes, one for each episode, that are called one after another with NumPy arrays.
 
     Args:
         schemes: Scheme of each episode.
+        arrays: Creator of the actions.
     """
 
-    def __init__(self, schemes: Sequence[ActionScheme]) -> None:
+    def __init__(self, schemes: Sequence[ActionScheme], arrays: ArrayFactory = NUMPY_ARRAYS) -> None:
         self.size = schemes[0].size
-        self._schemes = schemes
+        self._schemes, self._arrays = schemes, arrays
 
     def reset(self, row: int) -> None:
         """Clear the state of the previous episode."""
         self._schemes[row].reset()
 
-    def needs_outputs(self, rows: Rows, observation: Observation) -> Flags:
+    def needs_outputs(self, rows: AnyArray, observation: Observation) -> AnyArray:
         """Return whether the network must be evaluated now, in each of r episodes."""
-        return np.array([scheme.needs_outputs(one) for scheme, one in self._pair(rows, observation)], dtype=bool)
+        needs = [scheme.needs_outputs(one) for scheme, one in self._pair(rows, observation)]
+        return self._arrays.asarray(needs, "bool")
 
-    def set_outputs(self, rows: Rows, outputs: npt.NDArray[np.floating]) -> None:
+    def set_outputs(self, rows: AnyArray, outputs: AnyArray) -> None:
         """Store new network outputs (r, size)."""
-        for row, own in zip(rows.tolist(), outputs, strict=True):
+        for row, own in zip(rows.tolist(), to_numpy(outputs), strict=True):
             self._schemes[row].set_outputs(own)
 
-    def compute_actions(self, rows: Rows, observation: Observation) -> Actions:
+    def compute_actions(self, rows: AnyArray, observation: Observation) -> AnyArray:
         """Return the agent's actions (r, ...) for the current outputs."""
-        return np.stack([scheme.compute_action(one) for scheme, one in self._pair(rows, observation)])
+        actions = [scheme.compute_action(one) for scheme, one in self._pair(rows, observation)]
+        return self._arrays.asarray(np.stack(actions))
 
-    def _pair(self, rows: Rows, observation: Observation) -> Iterator[tuple[ActionScheme, Observation]]:
+    def _pair(self, rows: AnyArray, observation: Observation) -> Iterator[tuple[ActionScheme, Observation]]:
+        own = {key: to_numpy(values) for key, values in observation.items()}
         for number, row in enumerate(rows.tolist()):
-            yield self._schemes[row], {key: values[number].copy() for key, values in observation.items()}
+            yield self._schemes[row], {key: values[number].copy() for key, values in own.items()}
