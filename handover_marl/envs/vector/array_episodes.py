@@ -18,7 +18,7 @@ from handover_marl.episode.batch.make_episodes import make_episode_batch
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.episode.spaces import check_giver_action, check_receiver_action, check_vector
-from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, get_namespace, to_numpy
+from handover_marl.geometry.arrays import AnyArray, get_namespace, to_numpy
 from handover_marl.learning.batch.encodings import make_feature_batch, make_scheme_batch
 from handover_marl.learning.batch.features import FeatureBatch
 from handover_marl.learning.batch.schemes import SchemeBatch
@@ -65,7 +65,8 @@ class ArrayEpisodes:
         self._base = base
         config = base.config
         self._agents = list(template.possible_agents)
-        self._episodes = EpisodeBatch(config.world_config, count)
+        self._episodes = make_episode_batch(config.world_config, count, backend)
+        arrays = self.arrays = self._episodes.arrays
         self._rewards = RewardBatch(config, self._episodes, count)
         self._has_returns = has_episode_returns(template)
         self._cycles = arrays.zeros(count, "int64")
@@ -77,20 +78,18 @@ class ArrayEpisodes:
             (self._partner_agent,) = set(AGENTS) - set(self._agents)
             chosen = DEFAULT_PARTNERS[self._agents[0]] if partner is None else partner
             reference = parse_policy(self._partner_agent, chosen, trust)
-            self._partner = make_policy_batch(
-                reference, base.dataset, config.world_config, config.setup, count, *self._last
-            )
+            self._partner = make_policy_batch(reference, base.dataset, config.world_config, config.setup, count, arrays)
         self._features: dict[str, FeatureBatch] = {}
         self._schemes: dict[str, SchemeBatch] = {}
         if isinstance(template, EncodedEnv):
             self._make_encodings(template, count)
 
     def _make_encodings(self, template: EncodedEnv, count: int) -> None:
-        context = self._base.policy_context
-        selection = GraspSelectionBatch(get_nearest_grasp_selector(context), count, *self._last)
+        context, arrays = self._base.policy_context, self.arrays
+        selection = GraspSelectionBatch(get_nearest_grasp_selector(context), count, arrays)
         for agent, (features, scheme) in template.choices.items():
-            self._features[agent] = make_feature_batch(agent, features, context, selection, count, *self._last)
-            self._schemes[agent] = make_scheme_batch(agent, scheme, context, selection, count, *self._last)
+            self._features[agent] = make_feature_batch(agent, features, context, selection, count, arrays)
+            self._schemes[agent] = make_scheme_batch(agent, scheme, context, selection, count, arrays)
 
     @property
     def can_wait(self) -> bool:

@@ -16,7 +16,7 @@ from handover_marl.envs.config import EnvConfig
 from handover_marl.envs.custom_rewards import RewardSource, make_reward_source, resolve_rewards
 from handover_marl.envs.rewards import RewardConfig, RewardFunction, RewardState, Terms
 from handover_marl.envs.transition import TransitionRecorder
-from handover_marl.episode.batch.episodes import EpisodeBatch
+from handover_marl.episode.batch.make_episodes import AnyEpisodeBatch
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, to_numpy
@@ -46,7 +46,7 @@ class RewardBatch:
         count: Number n of episodes.
     """
 
-    def __init__(self, config: EnvConfig, episodes: EpisodeBatch, count: int) -> None:
+    def __init__(self, config: EnvConfig, episodes: AnyEpisodeBatch, count: int) -> None:
         self._episodes, self._count = episodes, count
         self._arrays = episodes.arrays
         goal, rewards = config.world_config.protocol.goal_center, resolve_rewards(config.rewards)

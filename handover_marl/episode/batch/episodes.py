@@ -36,12 +36,15 @@ class EpisodeBatch:
         count: Number n of episodes.
 
     Attributes:
+        arrays: Creator of arrays in the namespace of this batch.
         config: Simulated world, protocol and limits of the givers.
         motion: Motion of the givers.
         referees: Referee states.
         state: Full state of all episodes after their last `observe`: arrays (n, ...) by the keys of
             `observation_space`.
     """
+
+    arrays = NUMPY_ARRAYS
 
     def __init__(self, config: WorldConfig, count: int) -> None:
         self.config = config

@@ -3,7 +3,6 @@
 Physics is the same on both sides, so that all results agree to the accuracy of the arrays' functions.
 """
 
-import inspect
 from collections.abc import Iterator
 from typing import Any
 
@@ -19,12 +18,10 @@ import handover_marl
 from handover_marl.envs.custom_rewards import combine_rewards
 from handover_marl.envs.transition import Transition
 from handover_marl.envs.vector import array_episodes
-from handover_marl.envs.vector.policy_batches import make_policy_batch
 from handover_marl.envs.wrappers.episode_returns import EpisodeReturns
 from handover_marl.errors import ActionError
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory, make_tensor_factory
 from handover_marl.geometry.panda import WAITING_JOINTS
-from handover_marl.learning.batch.encodings import make_feature_batch, make_scheme_batch
 from handover_marl.learning.encodings.choices import declare_size
 from tests.envs.vector.comparison import assert_same
 from tests.envs.vector.tensor_episodes import TensorEpisodes
@@ -36,14 +33,6 @@ OPTIONS: dict[str, Any] = {"setup": "s0", "split": "train", "dataset": "syntheti
 SHORT: dict[str, Any] = {**OPTIONS, "max_cycles": 13, "control_period": 0.13}
 #: Options of episodes in which the receiver acts after it has waited, and in which all episodes end.
 ENCODED: dict[str, Any] = {**OPTIONS, "control_period": 0.2, "max_cycles": 20}
-
-needs_tensor_parts = pytest.mark.skipif(
-    any(
-        "arrays" not in inspect.signature(function).parameters
-        for function in (make_policy_batch, make_feature_batch, make_scheme_batch)
-    ),
-    reason="needs rewards, policies, features and action schemes that take tensors",
-)
 
 
 @pytest.fixture
@@ -88,7 +77,6 @@ def compare(request: pytest.FixtureRequest, steps: int, agent: str | None, optio
     assert any(one.any() for one in flags), "no episode has ended"
 
 
-@needs_tensor_parts
 @pytest.mark.parametrize(
     ("agent", "options"),
     [
@@ -106,7 +94,6 @@ def test_raw_observations_and_actions(
     compare(request, 30 if agent is not None else 16, agent, {**SHORT, **options})
 
 
-@needs_tensor_parts
 @pytest.mark.parametrize(
     ("agent", "options"),
     [
@@ -127,7 +114,6 @@ def test_features_and_action_schemes(
     compare(request, 30, agent, {**ENCODED, **options})
 
 
-@needs_tensor_parts
 @pytest.mark.parametrize("autoreset", ["next_step", "same_step"])
 def test_offers_that_last_a_whole_episode(request: pytest.FixtureRequest, autoreset: str) -> None:
     options = {"partner": "yang2021:wait=0.5", "features": "giver", "schemes": "offer", "autoreset": autoreset}
@@ -151,13 +137,11 @@ def reward_height(transition: Transition) -> dict[str, dict[str, float]]:
     return {"receiver": {"height": height}, "giver": {"steps": 1e-3 * transition.infos["giver"]["steps"]}}
 
 
-@needs_tensor_parts
 def test_user_defined_parts_act_on_the_host(request: pytest.FixtureRequest) -> None:
     options = {"partner": "tired", "features": count_features, "schemes": move_first_joint, "autoreset": "same_step"}
     compare(request, 30, "receiver", {**SHORT, **options, "rewards": combine_rewards((0.5, reward_height), "sparse")})
 
 
-@needs_tensor_parts
 def test_wrong_numbers_change_nothing(on_device: ArrayFactory) -> None:
     envs = handover_marl.vector_env(2, "receiver", "replay", **SHORT)
     envs.reset(seed=1)
@@ -172,7 +156,6 @@ def test_wrong_numbers_change_nothing(on_device: ArrayFactory) -> None:
     envs.close()
 
 
-@needs_tensor_parts
 def test_actions_may_be_arrays_or_tensors_of_the_processor(on_device: ArrayFactory) -> None:
     envs = handover_marl.vector_env(2, "receiver", "replay", **SHORT)
     actions = np.tile(WAITING_JOINTS, (2, 1))
