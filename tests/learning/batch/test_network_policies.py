@@ -97,7 +97,9 @@ def test_a_network_of_tensors_has_the_same_outputs(
     with make_strict_tensors() as tensors:
         found = to_numpy(TensorNetwork(network, tensors)(tensors.asarray(inputs)))
     assert found.dtype == np.float32
-    np.testing.assert_allclose(found, network(inputs), rtol=1e-5, atol=1e-6)
+    expected = network(inputs)
+    # Sums of large terms that cancel each other are as accurate as the terms.
+    np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-6 * (1.0 + np.abs(expected).max()))
 
 
 @pytest.mark.parametrize(("agent", "features", "scheme"), PAIRS)
