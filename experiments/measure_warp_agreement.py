@@ -25,6 +25,7 @@ from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.evaluation.reports.tables import format_percent_rate, format_table
 from handover_marl.execution.files import write_atomically
 from handover_marl.execution.options import describe_machine
+from handover_marl.geometry.arrays import to_numpy
 from handover_marl.learning.training.scene_arguments import SetupArgs
 from handover_marl.policies.policy import make_giver_action
 from handover_marl.simulation.engines import CPU, THREADS, WARP, BatchBackend
@@ -87,19 +88,20 @@ def simulate(args: Args, scenes: Sequence[int], backend: BatchBackend) -> Outcom
     template = freeze(HandoverEnv(config), "giver", args.receiver, trust=args.trust)
     episodes = ArrayEpisodes(template, len(scenes), args.receiver, args.trust, backend)
     dataset = template.unwrapped.dataset
-    started, rows = time.perf_counter(), np.arange(len(scenes))
+    started, rows, arrays = time.perf_counter(), np.arange(len(scenes)), episodes.arrays
     for row, scene in enumerate(scenes):
         episodes.start(row, dataset.load_scene(scene), scene)
     periods = -(-args.horizon // config.control_steps)
     for period in range(periods):
-        running = rows[~episodes.have_ended(rows)]
+        running = rows[~episodes.have_ended(arrays.asarray(rows))]
         if not len(running):
             break
-        episodes.advance(running, {"giver": np.tile(make_giver_action(), (len(running), 1))})
+        actions = np.tile(make_giver_action(), (len(running), 1))
+        episodes.advance(arrays.asarray(running), {"giver": arrays.asarray(actions)})
         if period % 20 == 0:
             print(f"{backend.name}: {period} of {periods} periods, {len(running)} running", file=sys.stderr, flush=True)
     seconds = time.perf_counter() - started
-    infos = episodes.make_result(rows).infos["giver"]
+    infos = {key: to_numpy(own) for key, own in episodes.make_result(arrays.asarray(rows)).infos["giver"].items()}
     episodes.close()
     return Outcomes(infos["status"], infos["steps"], infos["release_step"], seconds)
 

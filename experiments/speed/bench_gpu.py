@@ -15,6 +15,7 @@ from measuring import OutputArgs, describe_conditions
 
 import handover_marl
 from handover_marl.evaluation.reports.tables import format_table
+from handover_marl.geometry.arrays import make_tensor_factory
 from handover_marl.learning.training.scene_arguments import SetupArgs
 from handover_marl.simulation.engines import CPU, CUDA, WARP
 
@@ -54,17 +55,21 @@ def measure(args: Args, count: int) -> tuple[float, float]:
     )
     envs.reset(seed=0)
     rng = np.random.default_rng(0)
-    outputs = rng.uniform(-1.0, 1.0, (1 + args.decisions, *envs.action_space.shape)).astype(np.float32)
+    # On the device from the start, as those of a network.
+    outputs = make_tensor_factory(args.device).asarray(
+        rng.uniform(-1.0, 1.0, (1 + args.decisions, *envs.action_space.shape)), "float32"
+    )
     _, _, _, _, infos = envs.step(outputs[0])
-    simulated, started = 0, time.perf_counter()
+    simulated, started = infos["steps"] * 0, time.perf_counter()
     for output in outputs[1:]:
         before = infos["steps"]
         _, _, _, _, infos = envs.step(output)
         # Steps of an episode that starts again are not counted.
-        simulated += int(np.maximum(infos["steps"] - before, 0).sum())
+        simulated += (infos["steps"] - before).clip(0)
+    total = int(simulated.sum())
     seconds = time.perf_counter() - started
     envs.close()
-    return simulated / seconds, args.decisions * count / seconds
+    return total / seconds, args.decisions * count / seconds
 
 
 def main(args: Args) -> None:
