@@ -90,10 +90,10 @@ def simulate(args: Args, scenes: Sequence[int], backend: BatchBackend) -> Outcom
     dataset = template.unwrapped.dataset
     started, rows, arrays = time.perf_counter(), np.arange(len(scenes)), episodes.arrays
     for row, scene in enumerate(scenes):
-        episodes.start(row, dataset.load_scene(scene), scene)
+        episodes.start(row, dataset.load_scene(scene), seed=scene, robot_seed=scene)
     periods = -(-args.horizon // config.control_steps)
     for period in range(periods):
-        running = rows[~episodes.have_ended(arrays.asarray(rows))]
+        running = rows[~to_numpy(episodes.have_ended(arrays.asarray(rows)))]
         if not len(running):
             break
         actions = np.tile(make_giver_action(), (len(running), 1))
