@@ -3,17 +3,17 @@
     python experiments/training/train_receiver_ppo.py --data-dir DIR --out runs/ppo.npz
 
 The policy learns from the sparse reward when to close the gripper and how to correct the approach to a grasp. The
-script needs the extras `train` and `mujoco`. The policy file runs without PyTorch:
+script needs the extras `train` and `mujoco`, and with `--backend warp` the extra `warp`: environments and networks are
+then on one device, for example `--backend warp --device cuda --num-envs 1024`. The policy file runs without PyTorch:
 `handover-marl benchmark --setup s0 --receiver learned:runs/ppo.npz`.
 """
 
 import time
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
 import torch
 import tyro
 from torch import nn
@@ -25,6 +25,7 @@ from handover_marl.learning.policy_files import check_policy_path, write_policy
 from handover_marl.learning.policy_spec import PolicySpec
 from handover_marl.learning.training.dense_networks import dense_network_from_module, make_mlp
 from handover_marl.learning.training.scene_arguments import SetupArgs
+from handover_marl.simulation.engines import CPU, THREADS, WARP
 
 ACTIONS, CONTROL_PERIOD, MAX_CYCLES = "grasp_servo", 0.2, 40
 
@@ -41,7 +42,9 @@ class Args(SetupArgs):
         decisions: Largest number of decisions of the receiver in all environments together.
         minutes: Largest wall-clock time of the training (min), without the evaluation.
         num_envs: Number of environments.
-        workers: Number of processes that simulate the environments.
+        workers: Number of processes that simulate the environments; not used with the backend "warp".
+        backend: Backend of the environments: "threads" for MuJoCo on the processor, or "warp" for MuJoCo Warp.
+        device: Device of environments and networks with the backend "warp": cuda, or cpu for tests.
         rollout: Number of decisions in each environment between updates.
         epochs: Number of passes over the collected decisions in each update.
         minibatch_size: Number of decisions per gradient step.
@@ -64,6 +67,8 @@ class Args(SetupArgs):
     minutes: float = 30.0
     num_envs: int = 64
     workers: int = 2
+    backend: str = THREADS
+    device: str = CPU
     rollout: int = 16
     epochs: int = 8
     minibatch_size: int = 256
@@ -111,6 +116,7 @@ class Collector:
     def __init__(self, number: int, args: Args) -> None:
         self.args, self.outcomes = args, list[bool]()
         count = args.num_envs // args.workers
+        where = {"processes": 1} if args.backend == THREADS else {"backend": args.backend, "device": args.device}
         self.envs = handover_marl.vector_env(
             count,
             "receiver",
@@ -118,15 +124,15 @@ class Collector:
             features=args.features,
             schemes=ACTIONS,
             autoreset="same_step",
-            processes=1,
             setup=args.setup,
             split="train",
             dataset=args.dataset,
             data_dir=args.data_dir,
             control_period=CONTROL_PERIOD,
             max_cycles=MAX_CYCLES,
+            **where,
         )
-        self.generator = torch.Generator().manual_seed(args.seed * args.workers + number)
+        self.generator = torch.Generator(args.device).manual_seed(args.seed * args.workers + number)
         first_seed = args.seed * args.num_envs + number * count
         self.features = torch.as_tensor(self.envs.reset(seed=first_seed)[0])
 
@@ -141,9 +147,12 @@ class Collector:
 
     def _step(self, model: ActorCritic) -> tuple[torch.Tensor, ...]:
         features, policy = self.features, model.compute_distribution(self.features)
-        actions = policy.mean + policy.stddev * torch.randn(policy.mean.shape, generator=self.generator)
-        found, rewards, terminated, truncated, infos = self.envs.step(actions.numpy())
-        for number in np.flatnonzero(terminated | truncated).tolist():
+        noise = torch.randn(policy.mean.shape, generator=self.generator, device=self.args.device)
+        actions = policy.mean + policy.stddev * noise
+        given = actions if self.args.backend == WARP else actions.numpy()
+        found, rewards, terminated, truncated, infos = self.envs.step(given)
+        ended = torch.as_tensor(terminated | truncated)
+        for number in ended.nonzero()[:, 0].tolist():
             status = int(infos["final_info"]["status"][number])
             self.outcomes.append(status == handover_marl.EpisodeStatus.SUCCESS)
             if not terminated[number]:
@@ -152,8 +161,7 @@ class Collector:
                 rewards[number] += self.args.discount * model.compute_value(last).item()
         self.features = torch.as_tensor(found)
         log_probs, values = policy.log_prob(actions).sum(-1), model.compute_value(features)
-        continues = torch.as_tensor(~(terminated | truncated)).float()
-        return features, actions, log_probs, values, torch.as_tensor(rewards).float(), continues
+        return features, actions, log_probs, values, torch.as_tensor(rewards).float(), (~ended).float()
 
 
 def compute_advantages(
@@ -173,7 +181,7 @@ def update(model: ActorCritic, optimizer: torch.optim.Optimizer, batch: Batch, a
     count = batch.advantages.numel()
     rows = Batch(*(part.reshape(count, *part.shape[2:]) for part in batch))
     for _ in range(args.epochs):
-        for numbers in torch.randperm(count).split(args.minibatch_size):
+        for numbers in torch.randperm(count).to(args.device).split(args.minibatch_size):
             part = Batch(*(values[numbers] for values in rows))
             policy = model.compute_distribution(part.features)
             ratio = (policy.log_prob(part.actions).sum(-1) - part.log_probs).exp()
@@ -194,7 +202,8 @@ def train(args: Args) -> ActorCritic:
     with ThreadPoolExecutor(args.workers) as pool:
         collectors = list(pool.map(lambda number: Collector(number, args), range(args.workers)))
         envs = collectors[0].envs
-        model = ActorCritic(envs.single_observation_space.shape[0], envs.single_action_space.shape[0], args)
+        sizes = envs.single_observation_space.shape[0], envs.single_action_space.shape[0]
+        model = ActorCritic(*sizes, args).to(args.device)
         optimizer = torch.optim.Adam(model.parameters(), args.learning_rate)
         decisions, first_step = 0, time.monotonic()
         while decisions < args.decisions and time.monotonic() - started < 60.0 * args.minutes:
@@ -213,7 +222,7 @@ def train(args: Args) -> ActorCritic:
             )
     for collector in collectors:
         collector.envs.close()
-    return model
+    return model.cpu()
 
 
 def evaluate(args: Args) -> None:
@@ -230,6 +239,8 @@ def evaluate(args: Args) -> None:
 
 def main(args: Args) -> Path:
     args = args.resolve_setup()
+    if args.backend == WARP:
+        args = replace(args, workers=1)
     check_policy_path(args.out)
     model = train(args)
     args.out.parent.mkdir(parents=True, exist_ok=True)
