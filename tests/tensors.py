@@ -2,7 +2,6 @@
 
 import contextlib
 from collections.abc import Iterator
-from typing import Any
 
 import pytest
 
@@ -12,22 +11,13 @@ from handover_marl.policies.batch import ObserveFunction
 
 
 @contextlib.contextmanager
-def make_strict_tensors() -> Iterator[ArrayFactory]:
-    """Yield the creator of tensors that NumPy refuses, as those on a GPU, unless they are copied with `Tensor.cpu`."""
-    torch: Any = pytest.importorskip("torch")
-    original = torch.Tensor.__array__
+def make_device_tensors() -> Iterator[ArrayFactory]:
+    """Yield the creator of tensors on a device that refuses what a GPU refuses; see `fake_device.FakeDevice`."""
+    pytest.importorskip("torch")
+    from tests.fake_device import DEVICE, FakeDevice
 
-    class HostTensor(torch.Tensor):  # type: ignore[misc]
-        __array__ = original
-        __torch_function__ = torch._C._disabled_torch_function_impl
-
-    def refuse(*_: object) -> None:
-        raise TypeError("NumPy cannot read this tensor; copy it with to_numpy()")
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(torch.Tensor, "__array__", refuse)
-        patch.setattr(torch.Tensor, "cpu", lambda tensor: tensor.as_subclass(HostTensor))
-        yield make_tensor_factory("cpu")
+    with FakeDevice():
+        yield make_tensor_factory(DEVICE.type)
 
 
 def make_observe_function(observation: Observation, arrays: ArrayFactory) -> ObserveFunction:

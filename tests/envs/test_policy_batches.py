@@ -19,7 +19,7 @@ from handover_marl.policies.policy import Giver
 from handover_marl.policies.reference import parse_policy
 from tests.evaluation.strangers.populations import write_population
 from tests.learning.batch.test_encodings import COUNT, draw_observation
-from tests.tensors import make_observe_function, make_strict_tensors
+from tests.tensors import make_device_tensors, make_observe_function
 
 DATA = SyntheticDataset()
 
@@ -55,7 +55,7 @@ def make_batch(agent: str, policy: Any, arrays: ArrayFactory) -> PolicyBatch:
 
 def compare(agent: str, policy: Any) -> list[PolicyBatch]:
     """Compare the actions of some rows after resets of all rows and of single rows; return both batches."""
-    with make_strict_tensors() as tensors:
+    with make_device_tensors() as tensors:
         makers = (NUMPY_ARRAYS, tensors)
         batches = [make_batch(agent, policy, arrays) for arrays in makers]
         starts, rng = np.zeros(COUNT, dtype=np.int64), np.random.default_rng(0)
@@ -97,7 +97,7 @@ def test_members_of_a_population_act_on_tensors(tmp_path: Path) -> None:
 
 
 def test_actions_on_the_host_are_checked() -> None:
-    with make_strict_tensors() as tensors:
+    with make_device_tensors() as tensors:
         batch = make_batch("giver", InfiniteGiver, tensors)
         for row in range(COUNT):
             batch.reset(row, None, ("025_mug",))

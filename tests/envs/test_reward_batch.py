@@ -20,7 +20,7 @@ from handover_marl.episode.observations import Observation
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, ArrayFactory, is_tensor, to_numpy
 from handover_marl.simulation.contacts import Contacts
 from tests.learning.batch.test_encodings import COUNT, draw_observation
-from tests.tensors import make_strict_tensors
+from tests.tensors import make_device_tensors
 
 AGENTS = ("giver", "receiver")
 GOAL = np.array(OFFICIAL_CONFIG.protocol.goal_center)
@@ -70,7 +70,7 @@ class FakeEpisodes:
 def compare(rewards: Any, seed: int, steps: int = 4) -> dict[str, dict[str, np.ndarray]]:
     """Compare the sums and infos of both namespaces after each call; return the last infos by agent."""
     config = replace(EnvConfig(), rewards=rewards)
-    with make_strict_tensors() as tensors:
+    with make_device_tensors() as tensors:
         makers = (NUMPY_ARRAYS, tensors)
         episodes: list[Any] = [FakeEpisodes(arrays) for arrays in makers]
         batches = [RewardBatch(config, own, COUNT) for own in episodes]

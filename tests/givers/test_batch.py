@@ -13,7 +13,7 @@ from handover_marl.givers.batch import make_giver_actions, make_giver_batch
 from handover_marl.givers.cooperative import CooperativeGiver
 from handover_marl.policies.policy import make_giver_action
 from tests.givers.test_givers import seen
-from tests.tensors import make_observe_function, make_strict_tensors
+from tests.tensors import make_device_tensors, make_observe_function
 
 COUNT = 6
 NAMES = (
@@ -96,7 +96,7 @@ def test_batches_act_as_single_givers(name: str) -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_batches_of_tensors_act_as_those_of_arrays(name: str) -> None:
     """The actions are equal after resets of single rows, too, and when only some rows decide."""
-    with make_strict_tensors() as tensors:
+    with make_device_tensors() as tensors:
         makers = (NUMPY_ARRAYS, tensors)
         batches = [make_giver_batch(givers.make(name), COUNT, arrays) for arrays in makers]
         starts, acted = np.zeros(COUNT, dtype=np.int64), []

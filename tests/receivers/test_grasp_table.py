@@ -4,7 +4,7 @@ import numpy as np
 
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory, to_numpy
 from handover_marl.receivers.grasp_library import GraspTable
-from tests.tensors import make_strict_tensors
+from tests.tensors import make_device_tensors
 
 #: Arrays of the grasps of three classes; class 4 has none.
 KNOWN = {
@@ -40,5 +40,5 @@ def test_arrays_grow_with_the_classes() -> None:
 
 
 def test_tensors_grow_with_the_classes() -> None:
-    with make_strict_tensors() as arrays:
+    with make_device_tensors() as arrays:
         check_table(arrays)

@@ -34,7 +34,7 @@ from handover_marl.learning.schemes import available_schemes, scheme_size
 from handover_marl.policies.batch import SequentialPolicyBatch
 from handover_marl.policies.reference import parse_policy
 from tests.learning.batch.test_encodings import AGENTS, CONTEXT, COUNT, ROWS, choices, draw_observation, select
-from tests.tensors import make_observe_function, make_strict_tensors
+from tests.tensors import make_device_tensors, make_observe_function
 
 PAIRS = [
     (agent, features, scheme)
@@ -94,7 +94,7 @@ def test_a_network_of_tensors_has_the_same_outputs(
     if output:
         network = replace(network, output=activation)
     inputs = np.random.default_rng(seed).normal(0.0, 2.0, (7, sizes[0])).astype(np.float32)
-    with make_strict_tensors() as tensors:
+    with make_device_tensors() as tensors:
         found = to_numpy(TensorNetwork(network, tensors)(tensors.asarray(inputs)))
     assert found.dtype == np.float32
     expected = network(inputs)
@@ -106,7 +106,7 @@ def test_a_network_of_tensors_has_the_same_outputs(
 def test_a_batch_of_tensors_acts_as_one_of_arrays(agent: str, features: str, scheme: str, tmp_path: Path) -> None:
     network = draw_network(count_features(agent, features), scheme_size(agent, scheme), len(features + scheme))
     path = write(tmp_path / "policy.npz", agent, features, scheme, network)
-    with make_strict_tensors() as tensors:
+    with make_device_tensors() as tensors:
         makers = (NUMPY_ARRAYS, tensors)
         policy = LearnedPolicy(agent, CONTEXT, path)
         batches = [make_network_policy_batch(policy, COUNT, np.asarray, arrays) for arrays in makers]
@@ -193,7 +193,7 @@ def test_outputs_that_are_not_finite_are_refused(tmp_path: Path) -> None:
     network = DenseNetwork((huge,), (np.zeros(9, dtype=np.float32),))
     path = write(tmp_path / "policy.npz", "receiver", "receiver", "receiver", network)
     observation = draw_observation(0)
-    with make_strict_tensors() as tensors:
+    with make_device_tensors() as tensors:
         for policy, arrays in itertools.product(
             (f"learned:{path}", handover_marl.as_receiver(path)), (NUMPY_ARRAYS, tensors)
         ):

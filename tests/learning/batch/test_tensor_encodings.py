@@ -20,7 +20,7 @@ from handover_marl.learning.receiver_schemes import JointDeltaScheme
 from handover_marl.learning.schemes import available_schemes
 from handover_marl.receivers.grasp_selection import GraspSelectionBatch
 from tests.learning.batch.test_encodings import AGENTS, CONTEXT, SELECTOR, choices, draw_observation, select
-from tests.tensors import make_strict_tensors
+from tests.tensors import make_device_tensors
 
 COUNT = 6
 STEPS = 35
@@ -62,7 +62,7 @@ def test_recorded_observations_have_all_states() -> None:
 
 @pytest.fixture
 def arrays() -> Iterator[ArrayFactory]:
-    with make_strict_tensors() as factory:
+    with make_device_tensors() as factory:
         yield factory
 
 
