@@ -1,5 +1,6 @@
 """Tests of vector environments in MuJoCo Warp, on Warp's CPU device, against those in MuJoCo."""
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -8,9 +9,12 @@ import pytest
 pytest.importorskip("mujoco_warp", reason="needs the extra `warp`")
 
 import torch
+import warp
 
 import handover_marl
 from handover_marl.geometry.arrays import to_numpy
+from handover_marl.simulation.mujoco.batches import warp_model
+from tests.fake_device import DEVICE, DeviceTensor, FakeDevice
 
 # As many environments as there are worlds in the tests of MuJoCo Warp, so that they share kernels.
 COUNT = 3
@@ -63,4 +67,38 @@ def test_learning_givers_return_tensors() -> None:
     assert features.dtype == torch.float32
     assert np.isfinite(to_numpy(features)).all()
     assert rewards.shape == (COUNT,)
+    envs.close()
+
+
+@pytest.fixture
+def emulated_gpu(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Let MuJoCo Warp simulate on the processor, with tensors of an emulated GPU."""
+    scoped_device, to_torch = warp.ScopedDevice, warp.to_torch
+    monkeypatch.setattr(warp, "ScopedDevice", lambda _: scoped_device("cpu"))
+    monkeypatch.setattr(warp, "to_torch", lambda array: to_torch(array).as_subclass(DeviceTensor))
+    monkeypatch.setattr(torch.cuda, "Stream", lambda _: None)
+    monkeypatch.setattr(warp_model, "is_device_available", lambda _: True)
+    with FakeDevice():
+        yield
+
+
+@pytest.mark.usefixtures("emulated_gpu")
+@pytest.mark.parametrize(
+    ("agent", "partner", "encoding"),
+    [
+        ("receiver", "cooperative", {"features": "close_stack", "schemes": "cartesian_delta"}),
+        ("receiver", "noisy", {}),
+        ("giver", "yang2021", {"features": "giver", "schemes": "deviation"}),
+    ],
+)
+def test_nothing_leaves_the_device_by_chance(agent: str, partner: str, encoding: dict[str, Any]) -> None:
+    envs = handover_marl.vector_env(COUNT, agent, partner, backend="warp", device="cuda", **OPTIONS, **encoding)
+    envs.reset(seed=0)
+    for _ in range(4):
+        actions = torch.zeros(envs.action_space.shape, device=DEVICE)
+        observations, rewards, *_, infos = envs.step(actions)
+    values = observations if isinstance(observations, dict) else {"features": observations}
+    for tensor in (*values.values(), rewards, infos["steps"]):
+        assert isinstance(tensor, DeviceTensor)
+    assert to_numpy(infos["steps"]).tolist() == [10] * COUNT
     envs.close()
