@@ -80,7 +80,8 @@ def test_encoded_models_act_as_there(kind: str, normalized: bool, tmp_path: Path
     for observation in seen:
         inputs = training.normalize_obs(observation) if normalized else observation
         expected, _ = model.predict(inputs, deterministic=True)
-        np.testing.assert_allclose(found.function(observation), expected, atol=1e-5)
+        # Features without normalization are large, and processors sum their products in different orders.
+        np.testing.assert_allclose(found.function(observation), expected, atol=1e-5 if normalized else 1e-4)
     direct = handover_marl.as_receiver(model).make(DATA)
     assert direct.hold_time == 0.2
     np.testing.assert_array_equal(direct.evaluate(seen[0]), found.function(seen[0]))  # type: ignore[attr-defined]

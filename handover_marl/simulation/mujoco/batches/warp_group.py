@@ -53,7 +53,7 @@ class StepControls(NamedTuple):
     quaternions: AnyArray
 
 
-@dataclass(eq=False)
+@dataclass(frozen=True, eq=False)
 class WarpRollout:
     """Worlds that are advanced together, step by step.
 
@@ -191,7 +191,7 @@ class WarpGroup:
 
     def release(self, rollout: WarpRollout, released: AnyArray) -> None:
         """Release the target objects of some worlds (r,) of a rollout, from the next step on."""
-        rollout.released |= released[rollout.places]
+        rollout.released[:] = rollout.released | released[rollout.places]
         with self._use_device():
             self._model.select_released(rollout.scenes, rollout.released)
             self._set_weights(rollout)
