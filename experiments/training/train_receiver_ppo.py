@@ -25,7 +25,7 @@ from handover_marl.learning.policy_files import check_policy_path, write_policy
 from handover_marl.learning.policy_spec import PolicySpec
 from handover_marl.learning.training.dense_networks import dense_network_from_module, make_mlp
 from handover_marl.learning.training.scene_arguments import SetupArgs
-from handover_marl.simulation.engines import CPU, THREADS, WARP
+from handover_marl.simulation.engines import CPU, THREADS, WARP, BatchBackend, check_backend
 
 ACTIONS, CONTROL_PERIOD, MAX_CYCLES = "grasp_servo", 0.2, 40
 
@@ -239,6 +239,7 @@ def evaluate(args: Args) -> None:
 
 def main(args: Args) -> Path:
     args = args.resolve_setup()
+    check_backend(BatchBackend(args.backend, args.device))
     if args.backend == WARP:
         args = replace(args, workers=1)
     check_policy_path(args.out)

@@ -38,7 +38,7 @@ def get_namespace(*arrays: object) -> Any:
 def as_arrays(*values: Any) -> tuple[Any, ...]:
     """Return the common namespace of values, and the values as arrays of it, tensors on one device.
 
-    Numbers and lists become float64.
+    Numbers and lists become arrays of their own number type.
     """
     xp = get_namespace(*values)
     if xp is numpy_namespace:
@@ -62,7 +62,7 @@ def _make_constant(values: tuple[float, ...], device: Any) -> AnyArray:
 
 
 def to_numpy(array: AnyArray) -> npt.NDArray[Any]:
-    """Return an array as a NumPy array; a tensor on the processor shares its memory, others are copied."""
+    """Return an array as a NumPy array: itself, a view of a tensor on the processor, or a copy of one on a GPU."""
     return np.asarray(array.detach().cpu() if is_tensor(array) else array)
 
 
@@ -143,7 +143,7 @@ class RowBank:
         self.rows = arrays.zeros((0, *shape), dtype)
 
     def extend(self, values: AnyArray) -> int:
-        """Append rows (k, *shape), and return the index of the first; one row may have any shape of its size."""
+        """Append rows (k, *shape), and return the index of the first. A single row needs no first axis."""
         new = self._arrays.asarray(values, self._dtype).reshape(-1, *self.rows.shape[1:])
         first, self._count = self._count, self._count + len(new)
         if self._count > len(self.rows):

@@ -1,6 +1,7 @@
 """Conversions of rotations: unit quaternions (..., 4) xyzw, matrices (..., 3, 3) and rotation vectors (..., 3).
 
-NumPy arrays are converted by SciPy, tensors by the same formulas in double precision.
+NumPy arrays are converted by SciPy, tensors by the same formulas in double precision. Arrays have one batch axis (n,),
+tensors may have any.
 """
 
 import warnings

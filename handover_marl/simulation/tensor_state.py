@@ -24,7 +24,7 @@ class ReferenceBatch:
 
 @dataclass(frozen=True, eq=False)
 class WorldStateBatch:
-    """State of n worlds, tensors of float32 (world frame, m, rad); quaternions are xyzw.
+    """State of n worlds, tensors of float32 and bool (world frame, m, rad); quaternions are xyzw.
 
     Attributes:
         robot_joint_position: Positions (n, 9) of the Pandas' arm and finger joints.

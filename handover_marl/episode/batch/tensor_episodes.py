@@ -155,7 +155,7 @@ class TensorEpisodeBatch:
 
     def close(self) -> None:
         """Free the simulation; memory of the device is free once nothing refers to its tensors."""
-        del self._worlds
+        self._worlds.close()
 
     def _release_voluntarily(self, rows: AnyArray) -> None:
         """Release the objects that are still held, by the givers' choice."""

@@ -110,10 +110,12 @@ class TensorGiverMotion:
         # An object that is picked up during these steps must not move early.
         set_points = xp.where(self.holding[rows, None], actions[:, 1:7], 0.0).reshape(-1, 2, 3)
         moving = self._has_deviated[rows] | xp.any(set_points != 0.0, axis=(1, 2))
-        offset, velocity = self.offset[rows], self._velocity[rows]
-        offsets, velocities = (
-            part.swapaxes(0, 1) for part in track_set_points(offset, velocity, set_points, steps, self._limits)
-        )
+        # The only value that is read from the device here; most givers follow their recordings.
+        offsets, wrist_states = None, dict[str, AnyArray]()
+        if bool(xp.any(moving)):
+            track = track_set_points(self.offset[rows], self._velocity[rows], set_points, steps, self._limits)
+            offsets, velocities = (part.swapaxes(0, 1) for part in track)
+            wrist_states = {"offset": offsets, "_velocity": velocities}
         ticks = xp.astype(self._arrays.arange(steps) + 1, xp.float64) * opening[:, None]
         opened = xp.clip(self.opened[rows, None] + TIME_STEP / self._config.opening_time * ticks, 0.0, 1.0)
         closing = 1.0 - self._config.opening * opened * opening[:, None]
@@ -123,8 +125,7 @@ class TensorGiverMotion:
             "frame": frames,
             "rate": rates,
             "opened": opened,
-            "offset": offsets,
-            "_velocity": velocities,
+            **wrist_states,
             "_has_deviated": xp.broadcast_to(moving[:, None], frames.shape),
             "_angles": reference.hand[..., _HALF:BASE_JOINTS],
         }
@@ -148,7 +149,7 @@ class TensorGiverMotion:
         self,
         rows: AnyArray,
         recorded: Frames,
-        offsets: AnyArray,
+        offsets: AnyArray | None,
         moving: AnyArray,
         moves_object: AnyArray,
         closing: AnyArray,
@@ -158,7 +159,7 @@ class TensorGiverMotion:
         Args:
             rows: Indices (r,) of the givers.
             recorded: Recorded frames (r, k).
-            offsets: Offsets (r, k, 2, 3) of the wrists.
+            offsets: Offsets (r, k, 2, 3) of the wrists; None if no wrist has one.
             moving: Whether each wrist has an offset, (r,).
             moves_object: Whether the object moves with it, (r,).
             closing: Factors (r, k) of the finger angles, 1 for hands that do not open.
@@ -167,8 +168,7 @@ class TensorGiverMotion:
         positions = xp.astype(objects[..., :_HALF], xp.float64)
         orientations = quaternions_from_euler(objects[..., _HALF:].reshape(-1, 3)).reshape(*objects.shape[:-1], 4)
         base = recorded.hand[..., :BASE_JOINTS]
-        # The only value that the host reads from the device here.
-        if bool(xp.any(moving)):
+        if offsets is not None:
             base_position = xp.astype(base[..., :_HALF], xp.float64)
             turns = quaternions_from_euler(base[..., _HALF:].reshape(-1, 3)).reshape(*base.shape[:-1], 4)
             wrist = self._bank.get_wrist_offsets(self._recordings[rows])[:, None]

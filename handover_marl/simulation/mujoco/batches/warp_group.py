@@ -55,7 +55,7 @@ class StepControls(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class WarpRollout:
-    """Worlds that are advanced together, step by step.
+    """Worlds that are advanced together, step by step. Its tensors are updated in place.
 
     Attributes:
         rows: Numbers (r,) of the worlds.
@@ -63,6 +63,7 @@ class WarpRollout:
         scenes: Numbers (d,) of the scenes in these rows.
         released: Whether the target objects in these rows are released, (d,).
         kept: Last kept states (r, ...) of the worlds by name.
+        overflow: Bits (r,) of the engine's memory that was too small for a world while it ran.
     """
 
     rows: AnyArray
@@ -70,6 +71,7 @@ class WarpRollout:
     scenes: AnyArray
     released: AnyArray
     kept: dict[str, AnyArray]
+    overflow: AnyArray
 
 
 class WarpGroup:
@@ -90,7 +92,8 @@ class WarpGroup:
     def __init__(self, scene: SceneModel, count: int, config: PhysicsConfig, arrays: ArrayFactory) -> None:
         self.scene, self._count, self._config, self._arrays = scene, count, config, arrays
         self._device = str(arrays.device)
-        with warp.ScopedDevice(self._device):
+        self._stream = arrays.xp.cuda.Stream(arrays.device) if arrays.device.type == "cuda" else None
+        with self._use_device():
             self._model = WarpModel(scene, count, arrays)
             self._data = mujoco_warp.make_data(self._model.source, count, _MAX_CONTACTS, njmax=_MAX_CONSTRAINTS)
             # Tensors that share the memory of the engine's arrays.
@@ -103,7 +106,6 @@ class WarpGroup:
         self._mocap = {name: arrays.xp.zeros_like(self._views[name]) for name in ("mocap_pos", "mocap_quat")}
         self.released, self._scenes = arrays.zeros(count, "bool"), arrays.zeros(count, "int64")
         self._target_mass = arrays.zeros(count, "float32")
-        self._stream = arrays.xp.cuda.Stream(arrays.device) if arrays.device.type == "cuda" else None
 
     def reset(
         self, row: int, scene: SceneModel, robot_joints: npt.ArrayLike, object_joints: npt.NDArray[np.float32]
@@ -116,7 +118,10 @@ class WarpGroup:
             robot_joints: Nine joint positions of the robot (rad, m).
             object_joints: Joint positions (m, 6) of the objects: xyz (m), XYZ Euler angles (rad).
         """
-        with warp.ScopedDevice(self._device):
+        if self._stream is not None:
+            # Arrays of the model may be replaced, which a running step must not read any more.
+            self._stream.synchronize()
+        with self._use_device():
             number, is_replaced = self._model.add_scene(scene)
         if is_replaced:
             self._graphs.clear()
@@ -145,7 +150,7 @@ class WarpGroup:
         """Copy worlds to the engine, and return a rollout of them.
 
         On a GPU the number of the engine's rows is a power of two, since each number needs a graph; further rows repeat
-        the first world.
+        the worlds in their order, and their results are not used.
 
         Args:
             rows: Numbers (r,) of worlds in this group.
@@ -153,9 +158,10 @@ class WarpGroup:
         count = n_rows = len(rows)
         if self._stream is not None:
             n_rows = int(min(self._count, 2 ** math.ceil(math.log2(count))))
-        places = self._arrays.xp.clip(self._arrays.arange(n_rows), 0, count - 1)
-        source = rows[places]
-        rollout = WarpRollout(rows, places, self._scenes[source], self.released[source], {})
+        places = self._arrays.arange(n_rows) % count
+        source, kept = rows[places], {name: array[rows] for name, array in self.state.items()}
+        overflow = self._arrays.zeros(count, "int32")
+        rollout = WarpRollout(rows, places, self._scenes[source], self.released[source], kept, overflow)
         with self._use_device():
             self._data.nworld = n_rows
             for name in _STATE:
@@ -164,7 +170,6 @@ class WarpGroup:
             self._model.select_scenes(rollout.scenes, rollout.released)
             self._views[_FORCES][:n_rows] = 0.0
             self._set_weights(rollout)
-        rollout.kept.update({name: array[rows] for name, array in self.state.items()})
         return rollout
 
     def step(self, rollout: WarpRollout, controls: StepControls, rules: ProtocolConfig) -> ContactBatch:
@@ -188,6 +193,7 @@ class WarpGroup:
         xp, count = self._arrays.xp, len(rollout.rows)
         for name, kept in rollout.kept.items():
             rollout.kept[name] = xp.where(running[:, None], self._views[name][:count], kept)
+        rollout.overflow[:] |= xp.where(running, self._views["overflow"][:count], 0)
 
     def release(self, rollout: WarpRollout, released: AnyArray) -> None:
         """Release the target objects of some worlds (r,) of a rollout, from the next step on."""
@@ -207,7 +213,7 @@ class WarpGroup:
         for name, kept in rollout.kept.items():
             self.state[name][rollout.rows] = kept
         self.released[rollout.rows] = rollout.released[:count]
-        overflows = int(np.bitwise_or.reduce(to_numpy(self._views["overflow"][:count])))
+        overflows = int(np.bitwise_or.reduce(to_numpy(rollout.overflow)))
         full = [name for bit, name in _FATAL_OVERFLOWS.items() if overflows & bit]
         if full:
             return f"too many {' and '.join(full)}."

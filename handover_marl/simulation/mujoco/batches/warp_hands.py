@@ -38,7 +38,7 @@ class HandBatch:
         arrays: Creator of tensors on the device.
 
     Attributes:
-        joints: Joint positions (n, 51) (m, rad), those of the last step with a hand.
+        joints: Joint positions (n, 51) (m, rad), undefined without a hand.
         present: Whether there is a hand, (n,).
     """
 

@@ -7,6 +7,8 @@ is copied on the device from the values of its scene.
 import copy
 import dataclasses
 import functools
+import hashlib
+from weakref import WeakKeyDictionary
 
 import mujoco
 import mujoco_warp
@@ -127,7 +129,9 @@ class WarpModel:
         self.model.opt.deterministic = int(mujoco_warp.DeterminismType.ALL)
         # Overflows raise an error instead.
         self.model.opt.warn_overflow = 0
-        self._meshes, self._numbers = MeshPool(), dict[SceneModel, int]()
+        self._meshes = MeshPool()
+        # Numbers of scenes by their values: a model that is compiled again is another object with the same values.
+        self._numbers, self._known = dict[bytes, int](), WeakKeyDictionary[SceneModel, int]()
         # Tensors that share the memory of the model's arrays, and the values of each scene.
         self._rows = {name: warp.to_torch(getattr(self.model, name)) for name in _ROW_FIELDS}
         fields = {**self._rows, **{name + _RELEASED: self._rows[name] for name in _RELEASED_FIELDS}}
@@ -145,18 +149,21 @@ class WarpModel:
         Returns:
             Number of the scene; and whether arrays of the model were replaced, so that a captured graph is invalid.
         """
-        if scene in self._numbers:
-            return self._numbers[scene], False
+        if scene in self._known:
+            return self._known[scene], False
         n_meshes = len(self._meshes.arrays.get("mesh_vertadr", ()))
         values = self._compute_values(scene)
-        (self._numbers[scene],) = {self._scenes[name].extend(own) for name, own in values.items()}
+        key = hashlib.sha256(b"".join(own.tobytes() for own in values.values())).digest()
+        if key not in self._numbers:
+            (self._numbers[key],) = {self._scenes[name].extend(own) for name, own in values.items()}
+        number = self._known[scene] = self._numbers[key]
         if len(self._meshes.arrays["mesh_vertadr"]) == n_meshes:
-            return self._numbers[scene], False
+            return number, False
         for name, array in self._meshes.arrays.items():
             setattr(self.model, name, warp.array(array, dtype=getattr(self.model, name).dtype))
         self.model.npolygonmax = self._meshes.max_polygon_vertices
         self.model.nmeshdegmax = self._meshes.max_vertex_polygons
-        return self._numbers[scene], True
+        return number, True
 
     def select_scenes(self, numbers: AnyArray, released: AnyArray) -> None:
         """Set the scenes of the worlds in the first rows.

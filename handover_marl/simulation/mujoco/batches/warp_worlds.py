@@ -20,7 +20,8 @@ from handover_marl.simulation.tensor_state import ReferenceBatch, WorldStateBatc
 
 # Physics steps whose controls are computed at a time: those of more steps take much memory.
 _CHUNK_STEPS = 25
-#: Function from the contacts (1, r) of a step to whether each world ran before it, and was released in it, (r,).
+#: Function that applies the rules to the contacts (1, r) of a step. It returns two masks (r,): the worlds that were
+#: running before the step, and the worlds whose object was released in it.
 JudgeFunction = Callable[[ContactBatch], tuple[AnyArray, AnyArray]]
 
 
@@ -67,8 +68,14 @@ class WarpWorlds:
         self._hands.reset(row, scene.assets.hand, start.hand[0] if start.hand_present[0] else None)
 
     def split(self, rows: npt.NDArray[np.int_]) -> list[npt.NDArray[np.int_]]:
-        """Return the indices in `rows` (on the host) of the worlds of each group."""
+        """Return the indices in `rows` (on the host) of the worlds of each group.
+
+        Raises:
+            ResetNeededError: A world has no scene.
+        """
         groups = [self._group_of[row] for row in rows.tolist()]
+        if None in groups:
+            raise ResetNeededError("a world has no scene; call reset() first")
         return [
             np.array([place for place, own in enumerate(groups) if own is group])
             for group in self._groups.values()
@@ -154,6 +161,11 @@ class WarpWorlds:
     def read_contacts(self, row: int, released: bool) -> Contacts:
         """Return the contacts of a world in its last physics step; see `World.read_contacts`."""
         return self._find_group(np.array([row])).read_contacts(row, released)
+
+    def close(self) -> None:
+        """Free the worlds."""
+        self._groups.clear()
+        self._group_of = [None] * self._count
 
     def _find_group(self, rows: npt.NDArray[np.int_]) -> WarpGroup:
         group = self._group_of[int(rows[0])]
