@@ -4,9 +4,10 @@ A namespace is that of the Python array API standard, as `array-api-compat` prov
 the namespace of their arguments; objects with arrays as state get an `ArrayFactory`.
 """
 
+import contextlib
 import functools
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
@@ -77,6 +78,15 @@ def stack_last(parts: Sequence[AnyArray]) -> AnyArray:
     for place, part in enumerate(parts):
         stacked[..., place] = part
     return stacked
+
+
+@contextlib.contextmanager
+def disable_gradients() -> Iterator[None]:
+    """Compute without gradients; tensors can be changed later, also if the caller is in PyTorch's inference mode."""
+    import torch
+
+    with torch.inference_mode(False), torch.no_grad():
+        yield
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from gymnasium.vector import AutoresetMode
 from handover_marl.envs.vector.results import EnvResult, merge_results, replace_rows, select_rows
 from handover_marl.envs.wrappers.wrapper import ByAgent
 from handover_marl.errors import ActionError, OptionError, ResetNeededError, SimulationError
-from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, ArrayFactory, is_tensor
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, ArrayFactory, disable_gradients, is_tensor
 
 Rows = npt.NDArray[np.int_]
 Flags = npt.NDArray[np.bool_]
@@ -252,7 +252,8 @@ class EnvBatch:
         if not self._lock.acquire(blocking=False):
             raise SimulationError(_BUSY)
         try:
-            yield
+            with contextlib.nullcontext() if self.arrays == NUMPY_ARRAYS else disable_gradients():
+                yield
         finally:
             self._lock.release()
 

@@ -57,6 +57,19 @@ def compare(found: dict[str, Any], expected: dict[str, Any]) -> None:
         np.testing.assert_allclose(found[key], values, atol=tolerance, err_msg=key)
 
 
+def test_environments_can_be_stepped_in_the_inference_mode_of_a_collector() -> None:
+    envs = handover_marl.vector_env(COUNT, "receiver", "replay", backend="warp", **OPTIONS)
+    with torch.inference_mode():
+        observations, _ = envs.reset(seed=0)
+        for _ in range(4):
+            observations, *_ = envs.step(observations["robot_joint_position"])
+    # Outside this mode, tensors that were made in it cannot be changed.
+    observations, _ = envs.reset(seed=1)
+    assert not observations["robot_joint_position"].is_inference()
+    envs.close()
+    envs.close()
+
+
 def test_learning_givers_return_tensors() -> None:
     envs = handover_marl.vector_env(
         COUNT, "giver", "hold", features="giver", schemes="deviation", backend="warp", **OPTIONS
