@@ -10,10 +10,10 @@ from collections.abc import Callable
 import numpy as np
 
 from handover_marl.episode.observations import Observation
-from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory, to_numpy
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory, to_numpy, widen
 from handover_marl.geometry.poses import compute_lengths
 from handover_marl.givers.cooperative import CooperativeGiver
-from handover_marl.givers.cooperative_batch import CooperativeBatch, compute_grip_distances, make_giver_actions, widen
+from handover_marl.givers.cooperative_batch import CooperativeBatch, compute_grip_distances, make_giver_actions
 from handover_marl.givers.noisy import NoisyGiver
 from handover_marl.givers.replay import ReplayGiver
 from handover_marl.givers.timing import HesitantGiver, HurriedGiver, StopWhenNearGiver

@@ -5,7 +5,7 @@ from typing import TypeAlias
 
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.spaces import GIVER_ACTION_SIZE
-from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, ArrayFactory, get_namespace
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, ArrayFactory, widen
 from handover_marl.geometry.poses import compute_dot_products, compute_lengths, rotate_points
 from handover_marl.geometry.rotations import quaternions_from_rotation_vectors
 from handover_marl.givers.cooperative import CooperativeGiver, HandoverPoseTimer
@@ -41,12 +41,6 @@ def make_giver_actions(
 def compute_grip_distances(observation: Observation) -> AnyArray:
     """Return the distances (r,) of the grippers from the objects' origins (m), float64."""
     return widen(compute_lengths(observation["gripper_pose"][:, :3] - observation["object_poses"][:, 0, :3]))
-
-
-def widen(array: AnyArray) -> AnyArray:
-    """Return an array as float64."""
-    xp = get_namespace(array)
-    return xp.astype(array, xp.float64)
 
 
 class PoseTimerBatch:

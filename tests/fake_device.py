@@ -1,4 +1,4 @@
-"""PyTorch device "cuda" without a GPU, which refuses what a GPU refuses.
+"""Emulation of the PyTorch device "cuda" on the processor, for tests of code that runs on a GPU.
 
 Tensors of this device are in the processor's memory. They cannot be converted to NumPy arrays before `cpu()`, and no
 function takes them together with NumPy arrays or with tensors of the processor, except for numbers.

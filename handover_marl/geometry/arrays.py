@@ -67,6 +67,17 @@ def to_numpy(array: AnyArray) -> npt.NDArray[Any]:
     return np.asarray(array.detach().cpu() if is_tensor(array) else array)
 
 
+def widen(array: AnyArray) -> AnyArray:
+    """Return an array as float64."""
+    xp = get_namespace(array)
+    return xp.astype(array, xp.float64)
+
+
+def expand_mask(mask: AnyArray, like: AnyArray) -> AnyArray:
+    """Append axes of length 1 to a mask (n,), so that it broadcasts to an array (n, ...)."""
+    return mask.reshape(-1, *[1] * (like.ndim - 1))
+
+
 def stack_last(parts: Sequence[AnyArray]) -> AnyArray:
     """Stack arrays of one shape along a new last axis."""
     first = parts[0]

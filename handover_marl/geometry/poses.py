@@ -177,15 +177,16 @@ def compute_rotation_angles(first: npt.ArrayLike, second: npt.ArrayLike) -> Arra
 
 
 def quaternions_from_euler(angles: AnyArray) -> AnyArray:
-    """Convert XYZ Euler angles (n, 3) in rad to unit quaternions (n, 4) xyzw.
+    """Convert XYZ Euler angles (..., 3) in rad to unit quaternions (..., 4) xyzw.
 
     The result equals SciPy's bit for bit and is computed several times as fast.
     """
     xp, given = as_arrays(angles)
-    half = xp.astype(given, xp.float64, copy=False).T / 2.0
+    half = xp.astype(given.reshape(-1, 3), xp.float64, copy=False).T / 2.0
     (sx, sy, sz), (cx, cy, cz) = xp.sin(half), xp.cos(half)
     x, y, z, w = sx * cy, cx * sy, sx * sy, cx * cy
-    return xp.stack([x * cz + y * sz, y * cz - x * sz, z * cz + w * sz, w * cz - z * sz], axis=-1)
+    quaternions = xp.stack([x * cz + y * sz, y * cz - x * sz, z * cz + w * sz, w * cz - z * sz], axis=-1)
+    return quaternions.reshape(*given.shape[:-1], 4)
 
 
 def unwrap_euler(angles: Array, previous: Array) -> Array:

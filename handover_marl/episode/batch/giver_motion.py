@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from handover_marl.config import OBJECT_DOF, TIME_STEP, GiverConfig
 from handover_marl.datasets.dataset import Scene
+from handover_marl.episode.batch.recordings import NEVER
 from handover_marl.episode.batch.wrist_offset import apply_wrist_offsets, track_set_points
 from handover_marl.episode.giver_motion import find_pick_up_frame, find_wrist_offset
 from handover_marl.geometry.arrays import AnyArray, get_namespace, make_constant
@@ -20,9 +21,6 @@ Array = npt.NDArray[np.float64]
 Float32 = npt.NDArray[np.float32]
 Rows = npt.NDArray[np.int_]
 Flags = npt.NDArray[np.bool_]
-
-# Pick-up frame of objects that are never picked up.
-_NEVER = np.iinfo(np.int_).max
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +72,7 @@ class GiverMotionBatch:
         self._scenes: list[Scene | None] = [None] * count
         self._present: list[Flags] = [np.zeros(0, dtype=bool)] * count
         self._base_from_wrist = np.zeros((count, 3))
-        self._last_frame, self._pick_up = np.zeros(count, dtype=np.int_), np.full(count, _NEVER)
+        self._last_frame, self._pick_up = np.zeros(count, dtype=np.int_), np.full(count, NEVER)
         self._clock, self.frame, self.rate = np.zeros(count), np.zeros(count, dtype=np.int_), np.zeros(count)
         self.offset, self._velocity = np.zeros((count, 2, 3)), np.zeros((count, 2, 3))
         self._has_deviated, self.opened = np.zeros(count, dtype=bool), np.zeros(count)
@@ -92,7 +90,7 @@ class GiverMotionBatch:
         self._present[row] = scene.is_hand_present(np.arange(scene.n_frames))
         self._base_from_wrist[row] = find_wrist_offset(scene)
         pick_up = find_pick_up_frame(scene)
-        self._last_frame[row], self._pick_up[row] = scene.n_frames - 1, _NEVER if pick_up is None else pick_up
+        self._last_frame[row], self._pick_up[row] = scene.n_frames - 1, NEVER if pick_up is None else pick_up
         for state in (self._clock, self.frame, self.rate, self.offset, self._velocity, self._has_deviated, self.opened):
             state[row] = 0
         self._last[row] = scene.hand_dof[0, :BASE_JOINTS], scene.object_dof[0, 0]

@@ -88,12 +88,10 @@ class RecordingBank:
         last = self.get_last_frames(recordings)[:, None]
         own = self.read_frames(recordings, xp.minimum(frames[:, None] + self._ahead, last))
         bases, objects = own.hand[..., :OBJECT_DOF], own.objects[..., 0, :]
-        orientations = _quaternions(bases[..., 3:])
+        orientations = quaternions_from_euler(bases[..., 3:])
         wrists = bases[..., :3] + rotate_points(orientations, self.get_wrist_offsets(recordings)[:, None])
         poses = xp.astype(xp.concat([wrists, orientations], axis=-1), xp.float32)
-        objects = xp.astype(xp.concat([objects[..., :3], _quaternions(objects[..., 3:])], axis=-1), xp.float32)
+        objects = xp.astype(
+            xp.concat([objects[..., :3], quaternions_from_euler(objects[..., 3:])], axis=-1), xp.float32
+        )
         return xp.where(own.hand_present[..., None], poses, 0.0), objects
-
-
-def _quaternions(angles: AnyArray) -> AnyArray:
-    return quaternions_from_euler(angles.reshape(-1, 3)).reshape(*angles.shape[:-1], 4)

@@ -8,7 +8,7 @@ from handover_marl.episode.batch.tensor_motion import TensorGiverMotion
 from handover_marl.episode.lockstep import RefereeStateBatch, judge_steps
 from handover_marl.episode.observations import Observation, observation_space
 from handover_marl.episode.referee import Referee, ReleaseReason
-from handover_marl.geometry.arrays import AnyArray, make_tensor_factory, to_numpy
+from handover_marl.geometry.arrays import AnyArray, expand_mask, make_tensor_factory, to_numpy
 from handover_marl.geometry.model_files.meshes import check_collision_meshes
 from handover_marl.simulation.contacts import ContactBatch, Contacts
 from handover_marl.simulation.engines import make_device_worlds
@@ -106,8 +106,7 @@ class TensorEpisodeBatch:
             state["hand_present"][own] = xp.astype(found.hand_present[:, None], xp.float32)
             for key in ("hand_dof_position", "hand_keypoints"):
                 values = getattr(found, key)
-                present = found.hand_present.reshape(-1, *[1] * (values.ndim - 1))
-                state[key][own] = xp.where(present, values, 0.0)
+                state[key][own] = xp.where(expand_mask(found.hand_present, values), values, 0.0)
         state["released"][rows, 0] = xp.astype(self.released[rows], xp.float32)
         steps = xp.astype(self.referees.steps[rows], xp.float64)
         state["time"][rows, 0] = xp.astype(steps * TIME_STEP, xp.float32)
@@ -170,11 +169,13 @@ class TensorEpisodeBatch:
 
         def judge(contacts: ContactBatch) -> tuple[AnyArray, AnyArray]:
             nonlocal states
-            ran = states.status == 0
+            was_running = states.status == 0
             _, after = judge_steps(states, contacts, self.config.protocol)
-            released = ran & (after.release >= 0) & (states.release < 0)
-            states = RefereeStateBatch(*(xp.where(ran, new, old) for new, old in zip(after, states, strict=True)))
-            return ran, released
+            released = was_running & (after.release >= 0) & (states.release < 0)
+            states = RefereeStateBatch(
+                *(xp.where(was_running, new, old) for new, old in zip(after, states, strict=True))
+            )
+            return was_running, released
 
         simulated = self._worlds.simulate(to_numpy(rows), plan.reference, robot_targets, judge, self.config.protocol)
         self.referees.assign_rows(rows, states)

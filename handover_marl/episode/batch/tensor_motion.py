@@ -11,7 +11,7 @@ from handover_marl.datasets.dataset import Scene
 from handover_marl.episode.batch.giver_motion import ramp_rates
 from handover_marl.episode.batch.recordings import Frames, RecordingBank
 from handover_marl.episode.batch.wrist_offset import track_set_points
-from handover_marl.geometry.arrays import AnyArray, ArrayFactory
+from handover_marl.geometry.arrays import AnyArray, ArrayFactory, expand_mask
 from handover_marl.geometry.poses import (
     find_nearest_euler,
     multiply_quaternions,
@@ -142,8 +142,7 @@ class TensorGiverMotion:
         places, last = self._arrays.arange(len(rows)), xp.clip(steps - 1, 0)
         for name, values in plan.states.items():
             state = getattr(self, name)
-            advanced = (steps > 0).reshape(-1, *[1] * (state.ndim - 1))
-            state[rows] = xp.where(advanced, values[places, last], state[rows])
+            state[rows] = xp.where(expand_mask(steps > 0, state), values[places, last], state[rows])
 
     def _make_reference(
         self,
@@ -166,11 +165,11 @@ class TensorGiverMotion:
         """
         xp, objects = self._arrays.xp, recorded.objects
         positions = xp.astype(objects[..., :_HALF], xp.float64)
-        orientations = quaternions_from_euler(objects[..., _HALF:].reshape(-1, 3)).reshape(*objects.shape[:-1], 4)
+        orientations = quaternions_from_euler(objects[..., _HALF:])
         base = recorded.hand[..., :BASE_JOINTS]
         if offsets is not None:
             base_position = xp.astype(base[..., :_HALF], xp.float64)
-            turns = quaternions_from_euler(base[..., _HALF:].reshape(-1, 3)).reshape(*base.shape[:-1], 4)
+            turns = quaternions_from_euler(base[..., _HALF:])
             wrist = self._bank.get_wrist_offsets(self._recordings[rows])[:, None]
             pivots = base_position + rotate_points(turns, wrist)
             rotation = quaternions_from_rotation_vectors(offsets[..., 1, :])

@@ -12,7 +12,15 @@ from gymnasium import spaces
 
 from handover_marl.config import TIME_STEP
 from handover_marl.episode.observations import Observation, giver_observation_space, observation_space
-from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, ArrayFactory, get_namespace, stack_last, to_numpy
+from handover_marl.geometry.arrays import (
+    NUMPY_ARRAYS,
+    AnyArray,
+    ArrayFactory,
+    get_namespace,
+    stack_last,
+    to_numpy,
+    widen,
+)
 from handover_marl.geometry.poses import (
     IDENTITY,
     compute_lengths,
@@ -55,7 +63,7 @@ def compute_handover_frames(observation: Observation) -> tuple[AnyArray, AnyArra
     Returns:
         Origins (r, 3) in the world (m), and axes as columns (r, 3, 3).
     """
-    origins = _widen(observation["replay_object_poses"][:, -1, :3])
+    origins = widen(observation["replay_object_poses"][:, -1, :3])
     xp, to_gripper = get_namespace(origins), observation["gripper_pose"][:, :2] - origins[:, :2]
     length = compute_lengths(to_gripper)
     is_long = length > 1e-6
@@ -91,11 +99,11 @@ class GiverFeatureBatch(FeatureBatch):
     def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
         """Return the features (r, 39)."""
         origins, axes = compute_handover_frames(observation)
-        xp, wrists = get_namespace(origins), _widen(observation["replay_wrist_poses"][:, -1, :3])
-        later = normalize_quaternions(_widen(observation["replay_object_poses"][:, -1, 3:]))
+        xp, wrists = get_namespace(origins), widen(observation["replay_wrist_poses"][:, -1, :3])
+        later = normalize_quaternions(widen(observation["replay_object_poses"][:, -1, 3:]))
         # The fingers keep their position relative to the object until then.
-        now = _widen(observation["object_poses"][:, 0])
-        fingers = xp.mean(_widen(observation["hand_keypoints"][:, 1:]), axis=1) - now[:, :3]
+        now = widen(observation["object_poses"][:, 0])
+        fingers = xp.mean(widen(observation["hand_keypoints"][:, 1:]), axis=1) - now[:, :3]
         fingers = rotate_points(conjugate_quaternions(normalize_quaternions(now[:, 3:])), fingers)
         gripper = observation["gripper_pose"][:, :3] - origins
         orientation = matrices_from_quaternions(later)
@@ -125,9 +133,9 @@ class ReceiverFeatureBatch(FeatureBatch):
 
     def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
         """Return the features (r, 56)."""
-        gripper, items = _widen(observation["gripper_pose"]), _widen(observation["object_poses"])
+        gripper, items = widen(observation["gripper_pose"]), widen(observation["object_poses"])
         xp, axes = get_namespace(gripper), matrices_from_quaternions(gripper[:, 3:])
-        keypoints = _widen(observation["hand_keypoints"])
+        keypoints = widen(observation["hand_keypoints"])
         hand = xp.stack([keypoints[:, 0], xp.mean(keypoints[:, 1:], axis=1)], axis=1)
         hand = xp.where(observation["hand_present"][..., None] != 0.0, hand, gripper[:, None, :3])
         goal = xp.broadcast_to(self._goal, (len(rows), 1, 3))
@@ -171,7 +179,7 @@ class GraspFeatureBatch(FeatureBatch):
     def grasp(self, rows: AnyArray, observation: Observation) -> AnyArray:
         """Return the features (r, 8) of the best reachable grasps; zeros if no grasp is reachable."""
         grasps, clearances, exists = self._selection.select(rows, observation)
-        xp, gripper = get_namespace(grasps), _widen(observation["gripper_pose"])
+        xp, gripper = get_namespace(grasps), widen(observation["gripper_pose"])
         grasps = xp.where(exists[:, None], grasps, self._identity)
         gripper_from_world = conjugate_quaternions(normalize_quaternions(gripper[:, 3:]))
         gripper_from_grasp = multiply_quaternions(gripper_from_world, normalize_quaternions(grasps[:, 3:]))
@@ -201,7 +209,7 @@ class GraspProximityFeatureBatch(FeatureBatch):
         grasp = self._grasp.grasp(rows, observation)
         xp, scales = get_namespace(grasp), GraspProximityFeatures
         translation, rotation, exists = grasp[:, :3], grasp[:, 3:6], grasp[:, 7:]
-        distance, angle = (_widen(compute_lengths(vectors)[:, None]) for vectors in (translation, rotation))
+        distance, angle = (widen(compute_lengths(vectors)[:, None]) for vectors in (translation, rotation))
         near = xp.exp(-distance / GRASP_SCALE / scales.position_scale)
         aligned = xp.exp(-angle / scales.angle_scale)
         fingers = 50.0 * observation["robot_joint_position"][:, 7:] - 1.0
@@ -231,7 +239,7 @@ class StackedFeatureBatch(FeatureBatch):
 
     def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
         """Return the stacked features (r, N_STACKED * size), those of the present decision first."""
-        times = _widen(observation["time"][:, 0])
+        times = widen(observation["time"][:, 0])
         later = rows[times != self._times[rows]]
         self._stacks[later, 1:] = self._stacks[later, :-1]
         self._times[rows] = times
@@ -298,11 +306,6 @@ FEATURE_BATCHES = {
         ),
     },
 }
-
-
-def _widen(array: AnyArray) -> AnyArray:
-    xp = get_namespace(array)
-    return xp.astype(array, xp.float64)
 
 
 def _relative_columns(axes: AnyArray, rotations: AnyArray) -> AnyArray:

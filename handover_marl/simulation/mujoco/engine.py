@@ -203,8 +203,7 @@ def wxyz_from_xyzw(xyzw: npt.ArrayLike) -> Array:
 
 def wxyz_from_euler(angles: AnyArray) -> AnyArray:
     """Convert intrinsic XYZ Euler angles (..., 3) (rad) to quaternions (..., 4) wxyz."""
-    quaternions = quaternions_from_euler(angles.reshape(-1, 3))[:, WXYZ]
-    return quaternions.reshape(*angles.shape[:-1], 4)
+    return quaternions_from_euler(angles)[..., WXYZ]
 
 
 def bullet_xyzw_from_wxyz(wxyz: AnyArray) -> AnyArray:

@@ -26,7 +26,7 @@ from handover_marl.simulation.mujoco.scene_model import SceneModel
 _MAX_CONTACTS, _MAX_CONSTRAINTS = 128, 256
 # State that determines the motion of a world, and what is read after its last step.
 _STATE = ("qpos", "qvel", "qacc_warmstart")
-_KEPT = (*_STATE, "sensordata")
+_STORED = (*_STATE, "sensordata")
 _CONTROLS = ("ctrl", "mocap_pos", "mocap_quat")
 _FORCES = "xfrc_applied"
 _OVERFLOWS = mujoco_warp.OverflowType
@@ -62,7 +62,7 @@ class WarpRollout:
         places: Index (d,) in `rows` of the world in each of the engine's first d rows.
         scenes: Numbers (d,) of the scenes in these rows.
         released: Whether the target objects in these rows are released, (d,).
-        kept: Last kept states (r, ...) of the worlds by name.
+        states: Last states (r, ...) of the worlds while they ran, by name.
         overflow: Bits (r,) of the engine's memory that was too small for a world while it ran.
     """
 
@@ -70,7 +70,7 @@ class WarpRollout:
     places: AnyArray
     scenes: AnyArray
     released: AnyArray
-    kept: dict[str, AnyArray]
+    states: dict[str, AnyArray]
     overflow: AnyArray
 
 
@@ -97,11 +97,11 @@ class WarpGroup:
             self._model = WarpModel(scene, count, arrays)
             self._data = mujoco_warp.make_data(self._model.source, count, _MAX_CONTACTS, njmax=_MAX_CONSTRAINTS)
             # Tensors that share the memory of the engine's arrays.
-            names = (*_KEPT, *_CONTROLS, _FORCES, "xpos", "xquat", "overflow")
+            names = (*_STORED, *_CONTROLS, _FORCES, "xpos", "xquat", "overflow")
             self._views = {name: warp.to_torch(getattr(self._data, name)) for name in names}
         self._graphs: dict[int, warp.Graph] = {}
         self._sensors = scene.contact_sensors.move_to(arrays)
-        self.state = {name: arrays.xp.zeros_like(self._views[name]) for name in _KEPT}
+        self.state = {name: arrays.xp.zeros_like(self._views[name]) for name in _STORED}
         # The positions of orientation references do not change during an episode, and hands follow in each step.
         self._mocap = {name: arrays.xp.zeros_like(self._views[name]) for name in ("mocap_pos", "mocap_quat")}
         self.released, self._scenes = arrays.zeros(count, "bool"), arrays.zeros(count, "int64")
@@ -188,11 +188,11 @@ class WarpGroup:
             data, qpos = (self._views[name][None, :count] for name in ("sensordata", "qpos"))
             return SensorReadings(self._sensors, data, qpos).compute_contact_batch(rules)
 
-    def keep(self, rollout: WarpRollout, running: AnyArray) -> None:
-        """Keep the present states of some worlds (r,) of a rollout; the others stay at their last kept states."""
+    def store_states(self, rollout: WarpRollout, running: AnyArray) -> None:
+        """Store the present states of the running worlds (r,) of a rollout; the others have their last states."""
         xp, count = self._arrays.xp, len(rollout.rows)
-        for name, kept in rollout.kept.items():
-            rollout.kept[name] = xp.where(running[:, None], self._views[name][:count], kept)
+        for name, kept in rollout.states.items():
+            rollout.states[name] = xp.where(running[:, None], self._views[name][:count], kept)
         rollout.overflow[:] |= xp.where(running, self._views["overflow"][:count], 0)
 
     def release(self, rollout: WarpRollout, released: AnyArray) -> None:
@@ -203,21 +203,21 @@ class WarpGroup:
             self._set_weights(rollout)
 
     def finish(self, rollout: WarpRollout) -> str | None:
-        """Store the kept states of the worlds of a rollout.
+        """Set the worlds of a rollout to their last states.
 
         Returns:
             Why the states are invalid: memory of the device was too small, or a state is not finite; None if they are
             valid.
         """
         count, xp = len(rollout.rows), self._arrays.xp
-        for name, kept in rollout.kept.items():
+        for name, kept in rollout.states.items():
             self.state[name][rollout.rows] = kept
         self.released[rollout.rows] = rollout.released[:count]
         overflows = int(np.bitwise_or.reduce(to_numpy(rollout.overflow)))
         full = [name for bit, name in _FATAL_OVERFLOWS.items() if overflows & bit]
         if full:
             return f"too many {' and '.join(full)}."
-        is_finite = all(bool(xp.all(xp.isfinite(rollout.kept[name]))) for name in _STATE)
+        is_finite = all(bool(xp.all(xp.isfinite(rollout.states[name]))) for name in _STATE)
         return None if is_finite else "Nan, Inf or huge value in the state."
 
     def get_mocap_poses(self, rows: AnyArray) -> tuple[AnyArray, AnyArray]:

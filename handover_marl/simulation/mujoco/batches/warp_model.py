@@ -19,7 +19,7 @@ import warp
 from handover_marl.config import OBJECT_DOF, PhysicsConfig
 from handover_marl.datasets.dataset import SceneAssets
 from handover_marl.errors import OptionError
-from handover_marl.geometry.arrays import AnyArray, ArrayFactory, RowBank, get_namespace
+from handover_marl.geometry.arrays import AnyArray, ArrayFactory, RowBank, expand_mask, get_namespace
 from handover_marl.simulation.mujoco.batches.mesh_pool import MeshPool
 from handover_marl.simulation.mujoco.scene_model import SceneModel, load_scene_model
 from handover_marl.simulation.mujoco.scene_spec import ABSENT_PREFIX, ModelPadding, load_object_parts
@@ -181,8 +181,7 @@ class WarpModel:
         """Set whether the target objects of the worlds in the first rows are released; see `select_scenes`."""
         for name in _RELEASED_FIELDS:
             rows, own = self._rows[name], (self._scenes[key].rows[numbers] for key in (name + _RELEASED, name))
-            mask = released.reshape(-1, *[1] * (rows.ndim - 1))
-            rows[: len(numbers)] = get_namespace(rows).where(mask, *own)
+            rows[: len(numbers)] = get_namespace(rows).where(expand_mask(released, rows), *own)
 
     def _compute_values(self, scene: SceneModel) -> dict[str, npt.NDArray[np.generic]]:
         """Return the values of a scene by field."""

@@ -119,11 +119,11 @@ class WarpWorlds:
             controls.targets[..., group.scene.robot_ctrl] = robot_targets[:, None]
             for step in range(controls.targets.shape[1]):
                 contacts = group.step(rollout, StepControls(*(array[:, step] for array in controls)), rules)
-                ran, released = judge(contacts)
-                group.keep(rollout, ran)
+                was_running, released = judge(contacts)
+                group.store_states(rollout, was_running)
                 group.release(rollout, released)
-                simulated += ran
-            if not bool(xp.any(ran)):
+                simulated += was_running
+            if not bool(xp.any(was_running)):
                 break
         reason = group.finish(rollout)
         if reason is not None:
@@ -163,7 +163,7 @@ class WarpWorlds:
         return self._find_group(np.array([row])).read_contacts(row, released)
 
     def close(self) -> None:
-        """Free the worlds."""
+        """Free the memory of all worlds; none can be simulated until its next reset."""
         self._groups.clear()
         self._group_of = [None] * self._count
 
