@@ -6,10 +6,14 @@ import numpy.typing as npt
 from handover_marl.simulation.camera.frames import (
     EMPTY_DEPTH,
     FAR,
+    GROUND,
     HALF_SIZE_PX,
     IMAGE_SIZE,
+    LIGHT,
     NEAR,
     SAMPLE_OFFSET_PX,
+    SHADE,
+    SKY,
     CameraImage,
     SegmentationLabel,
 )
@@ -19,9 +23,6 @@ from handover_marl.simulation.camera.screen_bounds import Pixels, find_candidate
 Array = npt.NDArray[np.float32]
 
 _NO_PIXELS = np.zeros(0, dtype=np.int64)
-# Direction towards the light in the world, and brightness of faces turned away from it.
-_LIGHT, _SHADE = np.array([0.22, -0.44, 0.87]), 0.5
-_SKY, _GROUND = (255, 255, 255), (150, 150, 150)
 # View frustum: inward normals of its planes near, far and four sides, and their offsets. The sides are moved outwards,
 # since pixels are sampled up to one pixel off their centre.
 _FRUSTUM = np.array([[0, 0, 1], [0, 0, -1], [-1, 0, 1], [1, 0, 1], [0, -1, 1], [0, 1, 1]], dtype=np.float32)
@@ -56,7 +57,7 @@ class Framebuffer:
         self._rotation, self._position = rotation, position
         self._depth = np.full(IMAGE_SIZE * IMAGE_SIZE, EMPTY_DEPTH, dtype=np.float32)
         self._labels = np.full(IMAGE_SIZE * IMAGE_SIZE, SegmentationLabel.BACKGROUND, dtype=np.uint8)
-        self._rgb = np.full((IMAGE_SIZE * IMAGE_SIZE, 3), _SKY, dtype=np.uint8) if color else None
+        self._rgb = np.full((IMAGE_SIZE * IMAGE_SIZE, 3), SKY, dtype=np.uint8) if color else None
 
     def add_ground(self) -> None:
         """Draw the ground plane z = 0 of the world frame."""
@@ -66,7 +67,7 @@ class Framebuffer:
         is_hit = (depth > NEAR) & (depth < EMPTY_DEPTH)
         self._depth[is_hit] = depth[is_hit]
         if self._rgb is not None:
-            self._rgb[is_hit] = _GROUND
+            self._rgb[is_hit] = GROUND
 
     def add(self, meshes: PosedMeshes) -> Pixels:
         """Draw a body and return the numbers of the changed pixels.
@@ -184,8 +185,8 @@ class Framebuffer:
 
 def _shade_faces(normals: Array, meshes: PosedMeshes, link: int, faces: npt.NDArray[np.int32]) -> npt.NDArray[np.uint8]:
     """Return the shaded colours (n, 3) of n mesh faces of a link, by face normals and light."""
-    cosine = normals @ meshes.rotations[link].T @ _LIGHT / np.maximum(np.linalg.norm(normals, axis=1), 1e-12)
-    brightness = _SHADE + (1.0 - _SHADE) * np.clip(cosine, 0.0, 1.0)
+    cosine = normals @ meshes.rotations[link].T @ np.array(LIGHT) / np.maximum(np.linalg.norm(normals, axis=1), 1e-12)
+    brightness = SHADE + (1.0 - SHADE) * np.clip(cosine, 0.0, 1.0)
     colors = np.rint(255.0 * meshes.body.colors[link][faces] * brightness[:, None])
     shaded: npt.NDArray[np.uint8] = colors.astype(np.uint8)
     return shaded

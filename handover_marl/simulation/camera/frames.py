@@ -1,4 +1,4 @@
-"""Optics of the wrist camera and its images: projection, deprojection, segmentation labels.
+"""Optics of the wrist camera and its images: projection, deprojection, segmentation labels, shading.
 
 The camera is HandoverSim's: a pinhole at (0.036, 0, 0.036) m in the Panda's hand link that looks along the link's z
 axis; image right is the link's y axis, image down its negative x axis. Images have 224 x 224 pixels, 90 degrees field
@@ -17,6 +17,8 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.errors import check_name
+from handover_marl.geometry.arrays import AnyArray, get_namespace, stack_last
+from handover_marl.geometry.panda import CAMERA_LINK
 
 Array = npt.NDArray[np.float32]
 
@@ -29,6 +31,10 @@ FAR: Final = 2.0
 EMPTY_DEPTH: Final = np.float32(1.9999951)
 #: Position of the pinhole in the hand link's frame (m).
 CAMERA_POSITION_IN_HAND: Final = (0.036, 0.0, 0.036)
+#: Axes of the camera (right, down, ahead) in the hand link's frame, as columns.
+HAND_FROM_CAMERA: Final = ((0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+#: Links of the robot that the camera does not see: its own housing is nearer than the near plane.
+INVISIBLE_LINKS: Final = (CAMERA_LINK,)
 
 #: Names of the deprojection models.
 HANDOVERSIM_MODEL, PINHOLE_MODEL = "handoversim", "pinhole"
@@ -41,7 +47,18 @@ SAMPLE_OFFSET_PX: Final = (0.0, 1.0)
 
 # HandoverSim computes tan(45 degrees) in float32, which makes the focal length the largest number below 112.
 _FOCAL = np.nextafter(np.float32(HALF_SIZE_PX), np.float32(0.0))
-_SCALE, _SHIFT = np.float32(1.0) / _FOCAL, -np.float32(HALF_SIZE_PX) / _FOCAL
+_SCALE, _SHIFT = float(np.float32(1.0) / _FOCAL), float(-np.float32(HALF_SIZE_PX) / _FOCAL)
+
+#: Distance behind a back face, which is invisible, at which a ray continues (m).
+BACK_FACE_OFFSET: Final = 1e-5
+#: A ray that meets more back faces than this is dropped.
+MAX_BACK_FACES: Final = 32
+#: Direction towards the light in the world, and brightness of faces turned away from it.
+LIGHT: Final = (0.22, -0.44, 0.87)
+SHADE: Final = 0.5
+#: Red, green and blue of the sky and of the ground, 0 to 255.
+SKY: Final = (255, 255, 255)
+GROUND: Final = (150, 150, 150)
 
 
 class SegmentationLabel(IntEnum):
@@ -89,16 +106,33 @@ def deproject(depth: Array, mask: npt.NDArray[np.bool_], camera_model: str = HAN
     Raises:
         UnknownNameError: There is no camera model of that name.
     """
-    check_name("camera_model", camera_model, CAMERA_MODELS)
     pixels = np.flatnonzero(mask)
-    down, right = (number.astype(np.float32) for number in np.divmod(pixels, IMAGE_SIZE))
-    if camera_model == PINHOLE_MODEL:
-        right, down = right + np.float32(SAMPLE_OFFSET_PX[0]), down + np.float32(SAMPLE_OFFSET_PX[1])
-    z = depth.ravel()[pixels]
-    x = np.float32(CAMERA_POSITION_IN_HAND[0]) - z * (_SCALE * down + _SHIFT)
-    y = z * (_SCALE * right + _SHIFT)
-    points: Array = np.stack([x, y, z + np.float32(CAMERA_POSITION_IN_HAND[2])], axis=1)
+    points: Array = compute_points(pixels, depth.ravel()[pixels], camera_model)
     return points
+
+
+def compute_points(pixels: AnyArray, depth: AnyArray, camera_model: str = HANDOVERSIM_MODEL) -> AnyArray:
+    """Compute the 3D points of pixels of wrist-camera depth images.
+
+    Args:
+        pixels: (...) numbers of the pixels in image order, NumPy array or tensor.
+        depth: (...) float32 depth of these pixels along the viewing axis (m).
+        camera_model: Name of the deprojection model, one of `CAMERA_MODELS`.
+
+    Returns:
+        (..., 3) float32 points in the hand link's frame (m).
+
+    Raises:
+        UnknownNameError: There is no camera model of that name.
+    """
+    check_name("camera_model", camera_model, CAMERA_MODELS)
+    xp = get_namespace(pixels)
+    down, right = (xp.astype(number, xp.float32) for number in (pixels // IMAGE_SIZE, pixels % IMAGE_SIZE))
+    if camera_model == PINHOLE_MODEL:
+        right, down = right + SAMPLE_OFFSET_PX[0], down + SAMPLE_OFFSET_PX[1]
+    x = CAMERA_POSITION_IN_HAND[0] - depth * (_SCALE * down + _SHIFT)
+    y = depth * (_SCALE * right + _SHIFT)
+    return stack_last([x, y, depth + CAMERA_POSITION_IN_HAND[2]])
 
 
 def depth_from_buffer(buffer: Array) -> Array:

@@ -15,16 +15,16 @@ from handover_marl.errors import SimulationError
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.model_files.meshes import read_visual_meshes
 from handover_marl.geometry.model_files.urdf import read_model_mtimes
-from handover_marl.geometry.panda import CAMERA_LINK
-from handover_marl.simulation.camera.frames import SegmentationLabel
+from handover_marl.simulation.camera.frames import (
+    BACK_FACE_OFFSET,
+    INVISIBLE_LINKS,
+    MAX_BACK_FACES,
+    SegmentationLabel,
+)
 
 Array = npt.NDArray[np.float32]
 Float64Array = npt.NDArray[np.float64]
 
-# Distance behind a back face at which a ray continues (m).
-_BACK_FACE_OFFSET = np.float32(1e-5)
-# A ray that meets more back faces than this is dropped.
-_MAX_BACK_FACES = 32
 _ORIGIN = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
 
@@ -74,7 +74,7 @@ class RayMesh:
         """
         ray, begin = np.arange(len(directions)), np.full(len(directions), near, dtype=np.float32)
         hits = []
-        for _ in range(_MAX_BACK_FACES + 1):
+        for _ in range(MAX_BACK_FACES + 1):
             found = self._scene.run(start + begin[:, None] * directions, directions, dists=far - begin, output=1)
             is_hit = found["primID"] >= 0
             ray, directions, far = ray[is_hit], directions[is_hit], far[is_hit]
@@ -85,7 +85,7 @@ class RayMesh:
                 break
             # Back faces are invisible: the ray continues behind them.
             ray, directions, far = ray[is_back], directions[is_back], far[is_back]
-            begin = depth[is_back] + _BACK_FACE_OFFSET
+            begin = depth[is_back] + np.float32(BACK_FACE_OFFSET)
         rays, depths, faces = zip(*hits, strict=True)
         return RayHits(np.concatenate(rays), np.concatenate(depths), np.concatenate(faces))
 
@@ -207,5 +207,4 @@ def load_ray_body(urdf: Path, label: SegmentationLabel, base: tuple[float, ...] 
 
 @functools.lru_cache(maxsize=64)
 def _load_ray_body(urdf: Path, changed: tuple[int, ...], label: SegmentationLabel, base: tuple[float, ...]) -> RayBody:
-    # The camera does not see its own housing, which is nearer than the near plane.
-    return RayBody(urdf, label, base, (CAMERA_LINK,) if label is SegmentationLabel.ROBOT else ())
+    return RayBody(urdf, label, base, INVISIBLE_LINKS if label is SegmentationLabel.ROBOT else ())

@@ -11,12 +11,15 @@ from handover_marl.config import PhysicsConfig
 from handover_marl.datasets.dataset import SceneAssets
 from handover_marl.geometry.panda import HAND_LINK
 from handover_marl.simulation.camera.framebuffer import Framebuffer
-from handover_marl.simulation.camera.frames import CAMERA_POSITION_IN_HAND, CameraImage, SegmentationLabel
+from handover_marl.simulation.camera.frames import (
+    CAMERA_POSITION_IN_HAND,
+    HAND_FROM_CAMERA,
+    CameraImage,
+    SegmentationLabel,
+)
 from handover_marl.simulation.camera.ray_body import PosedMeshes, load_ray_body
 from handover_marl.simulation.world import JointSnapshot
 
-# The camera's axes (right, down, ahead) in the hand link's frame, as columns.
-_HAND_FROM_CAMERA = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 _NO_JOINTS = np.zeros(0, dtype=np.float32)
 
 
@@ -73,7 +76,7 @@ class RayCamera:
 
     def _compute_camera_frame(self, now: JointSnapshot) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
         rotation, origin = self._panda.compute_link_frame(self._hand_link, now.robot)
-        return rotation @ _HAND_FROM_CAMERA, origin + rotation @ np.array(CAMERA_POSITION_IN_HAND)
+        return rotation @ np.array(HAND_FROM_CAMERA), origin + rotation @ np.array(CAMERA_POSITION_IN_HAND)
 
     def _pose_targets(self, now: JointSnapshot) -> list[PosedMeshes]:
         hand = [] if now.hand is None else [self._hand.pose_meshes(now.hand)]
