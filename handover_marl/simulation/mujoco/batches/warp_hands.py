@@ -7,10 +7,10 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.config import HAND_DOF, HandConfig
-from handover_marl.errors import OptionError
-from handover_marl.geometry.arrays import AnyArray, ArrayFactory, RowBank
-from handover_marl.geometry.kinematic_tree import KinematicTree, TreeConstants, compute_tree_frames, read_tree
+from handover_marl.geometry.arrays import AnyArray, ArrayFactory
+from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.poses import quaternion_from_matrix
+from handover_marl.geometry.tree_bank import TreeBank
 from handover_marl.simulation.kinematic_paths import list_hand_motors, select_keypoint_links
 
 
@@ -46,10 +46,8 @@ class HandBatch:
         self._arrays = arrays
         self._gains = arrays.asarray([motor.position_gain for motor in list_hand_motors(config)], "float64")
         self.joints, self.present = arrays.zeros((count, HAND_DOF)), arrays.zeros(count, "bool")
-        self._hands = arrays.zeros(count, "int64")
-        self._numbers: dict[tuple[Path, int], int] = {}
-        self._structure: list[npt.NDArray[np.int_]] = []
-        self._constants: list[RowBank] = []
+        self._hands, self._trees = arrays.zeros(count, "int64"), TreeBank("hands", arrays)
+        self._keypoint_links: AnyArray = None
 
     def reset(self, row: int, urdf: Path, joints: npt.NDArray[np.float32] | None) -> None:
         """Place a hand.
@@ -62,10 +60,10 @@ class HandBatch:
         Raises:
             OptionError: The hand has other joints than the hands before.
         """
-        key = urdf, urdf.stat().st_mtime_ns
-        if key not in self._numbers:
-            self._numbers[key] = self._add(urdf)
-        self._hands[row], self.present[row] = self._numbers[key], joints is not None
+        self._hands[row], self.present[row] = self._trees.add(urdf), joints is not None
+        if self._keypoint_links is None:
+            moving = [link for link, joint in enumerate(read_tree(urdf).joints) if joint.kind != "fixed"]
+            self._keypoint_links = self._arrays.asarray(select_keypoint_links(moving))
         if joints is not None:
             self.joints[row] = self._arrays.asarray(joints, "float64")
 
@@ -109,39 +107,10 @@ class HandBatch:
             joints: Joint positions (r, k, 51) (m, rad).
             links: Numbers (l,) of the links.
         """
-        origins, rotations = self._compute_frames(rows, joints)
+        origins, rotations = self._trees.compute_link_frames(self._hands[rows], joints)
         return origins[..., links, :], quaternion_from_matrix(rotations[..., links, :, :])
 
     def compute_keypoints(self, rows: AnyArray) -> AnyArray:
         """Compute the positions (r, 16, 3) of wrists and finger-joint origins (m)."""
-        origins, _ = self._compute_frames(rows, self.joints[rows][:, None])
+        origins, _ = self._trees.compute_link_frames(self._hands[rows], self.joints[rows][:, None])
         return origins[:, 0, self._keypoint_links]
-
-    def _compute_frames(self, rows: AnyArray, joints: AnyArray) -> tuple[AnyArray, AnyArray]:
-        xp, hands = self._arrays.xp, self._hands[rows]
-        constants = TreeConstants(*(bank.rows[hands][:, None] for bank in self._constants))
-        values = xp.concat([joints, xp.zeros_like(joints[..., :1])], axis=-1)[..., self._columns]
-        return compute_tree_frames(constants, self._levels, values)
-
-    def _add(self, urdf: Path) -> int:
-        """Copy the constants of a hand to the device, and return its number."""
-        tree = read_tree(urdf)
-        structure = [tree.columns, *(part for level in tree.levels for part in level)]
-        if not self._constants:
-            self._set_structure(tree, structure)
-        same = len(structure) == len(self._structure)
-        if not same or not all(map(np.array_equal, structure, self._structure)):
-            raise OptionError(
-                f"{urdf}: all hands must have the same joints with backend='warp', this one has others; use "
-                "backend='threads'"
-            )
-        (number,) = {bank.extend(part) for bank, part in zip(self._constants, tree.constants, strict=True)}
-        return number
-
-    def _set_structure(self, tree: KinematicTree, structure: list[npt.NDArray[np.int_]]) -> None:
-        arrays, self._structure = self._arrays, structure
-        self._constants = [RowBank(arrays, part.shape, "float64") for part in tree.constants]
-        self._columns = arrays.asarray(tree.columns)
-        self._levels = [(arrays.asarray(links), arrays.asarray(parents)) for links, parents in tree.levels]
-        moving = [link for link, joint in enumerate(tree.joints) if joint.kind != "fixed"]
-        self._keypoint_links = arrays.asarray(select_keypoint_links(moving))
