@@ -3,9 +3,7 @@
 MuJoCo Warp computes in single precision. The state of all worlds is in tensors on the device.
 """
 
-import contextlib
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -17,6 +15,7 @@ import warp
 from handover_marl.config import PhysicsConfig, ProtocolConfig
 from handover_marl.geometry.arrays import AnyArray, ArrayFactory, to_numpy
 from handover_marl.simulation.contacts import ContactBatch, Contacts
+from handover_marl.simulation.mujoco.batches.warp_device import WarpDevice
 from handover_marl.simulation.mujoco.batches.warp_model import WarpModel
 from handover_marl.simulation.mujoco.contacts import SensorReadings
 from handover_marl.simulation.mujoco.engine import wxyz_from_euler
@@ -91,9 +90,8 @@ class WarpGroup:
 
     def __init__(self, scene: SceneModel, count: int, config: PhysicsConfig, arrays: ArrayFactory) -> None:
         self.scene, self._count, self._config, self._arrays = scene, count, config, arrays
-        self._device = str(arrays.device)
-        self._stream = arrays.xp.cuda.Stream(arrays.device) if arrays.device.type == "cuda" else None
-        with self._use_device():
+        self._device = WarpDevice(arrays)
+        with self._device.use():
             self._model = WarpModel(scene, count, arrays)
             self._data = mujoco_warp.make_data(self._model.source, count, _MAX_CONTACTS, njmax=_MAX_CONSTRAINTS)
             # Tensors that share the memory of the engine's arrays.
@@ -118,10 +116,9 @@ class WarpGroup:
             robot_joints: Nine joint positions of the robot (rad, m).
             object_joints: Joint positions (m, 6) of the objects: xyz (m), XYZ Euler angles (rad).
         """
-        if self._stream is not None:
-            # Arrays of the model may be replaced, which a running step must not read any more.
-            self._stream.synchronize()
-        with self._use_device():
+        # Arrays of the model may be replaced, which a running step must not read any more.
+        self._device.synchronize()
+        with self._device.use():
             number, is_replaced = self._model.add_scene(scene)
         if is_replaced:
             self._graphs.clear()
@@ -139,7 +136,7 @@ class WarpGroup:
     def compute_body_poses(self, rows: AnyArray, bodies: list[int]) -> tuple[AnyArray, AnyArray]:
         """Compute the world positions (r, b, 3) and quaternions wxyz (r, b, 4) of some bodies of the robot."""
         count = len(rows)
-        with self._use_device():
+        with self._device.use():
             self._data.nworld = count
             self._views["qpos"][:count] = self.state["qpos"][rows]
             self._model.select_scenes(self._scenes[rows], self.released[rows])
@@ -156,13 +153,13 @@ class WarpGroup:
             rows: Numbers (r,) of worlds in this group.
         """
         count = n_rows = len(rows)
-        if self._stream is not None:
+        if self._device.stream is not None:
             n_rows = int(min(self._count, 2 ** math.ceil(math.log2(count))))
         places = self._arrays.arange(n_rows) % count
         source, kept = rows[places], {name: array[rows] for name, array in self.state.items()}
         overflow = self._arrays.zeros(count, "int32")
         rollout = WarpRollout(rows, places, self._scenes[source], self.released[source], kept, overflow)
-        with self._use_device():
+        with self._device.use():
             self._data.nworld = n_rows
             for name in _STATE:
                 self._views[name][:n_rows] = self.state[name][source]
@@ -181,7 +178,7 @@ class WarpGroup:
             rules: Bounds of the grasp region of the fingers.
         """
         count, places = len(rollout.rows), rollout.places
-        with self._use_device():
+        with self._device.use():
             for name, array in zip(_CONTROLS, controls, strict=True):
                 self._views[name][: len(places)] = array[places]
             self._step()
@@ -198,7 +195,7 @@ class WarpGroup:
     def release(self, rollout: WarpRollout, released: AnyArray) -> None:
         """Release the target objects of some worlds (r,) of a rollout, from the next step on."""
         rollout.released[:] = rollout.released | released[rollout.places]
-        with self._use_device():
+        with self._device.use():
             self._model.select_released(rollout.scenes, rollout.released)
             self._set_weights(rollout)
 
@@ -247,23 +244,8 @@ class WarpGroup:
             warp.capture_launch(self._graphs[data.nworld])
             return
         mujoco_warp.step(model, data)
-        if self._stream is not None:
+        if self._device.stream is not None:
             # All kernels are compiled now, which is not possible while a graph is captured.
             with warp.ScopedCapture() as capture:
                 mujoco_warp.step(model, data)
             self._graphs[data.nworld] = capture.graph
-
-    @contextlib.contextmanager
-    def _use_device(self) -> Iterator[None]:
-        """Let Warp and PyTorch use the device, on a GPU in one stream, so that they wait for each other."""
-        with contextlib.ExitStack() as stack:
-            stack.enter_context(warp.ScopedDevice(self._device))
-            if self._stream is not None:
-                cuda = self._arrays.xp.cuda
-                outer = cuda.current_stream(self._arrays.device)
-                self._stream.wait_stream(outer)
-                stack.callback(outer.wait_stream, self._stream)
-                stack.enter_context(cuda.stream(self._stream))
-                # A graph cannot be captured in the default stream.
-                stack.enter_context(warp.ScopedStream(warp.stream_from_torch(self._stream)))
-            yield
