@@ -198,7 +198,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
             self._rng, _ = seeding.np_random(seed)
         scene = self.dataset.load_scene(self._choose_scene(options))
         self._episode.reset(scene, draw_robot_seed(self.np_random, self.config.world_config))
-        self._episode.seed_camera(self._spawn_camera_seed())
+        self._episode.seed_camera(spawn_camera_seed(self.np_random))
         self._cycles = 0
         observations = self._observe()
         infos = self._make_infos()
@@ -320,11 +320,6 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         chosen = check_scene_option(options or {}, self.scene_ids, self._split_name)
         return int(self.np_random.choice(self.scene_ids)) if chosen is None else chosen
 
-    def _spawn_camera_seed(self) -> int:
-        # Spawned, so that the scenes drawn do not depend on the camera.
-        seeds = self.np_random.bit_generator.seed_seq.spawn(1)  # type: ignore[attr-defined]
-        return int(seeds[0].generate_state(1)[0])
-
     def _observe(self) -> Observations:
         state = self._observation = self._episode.observe()
         views = {GIVER: self._episode.observe_giver(state), RECEIVER: state}
@@ -371,6 +366,12 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
 def draw_robot_seed(rng: np.random.Generator, config: WorldConfig) -> int:
     """Draw the seed of the robot's initial joint positions; without noise the generator keeps its state."""
     return int(rng.integers(2**32)) if config.initial_joint_noise else 0
+
+
+def spawn_camera_seed(rng: np.random.Generator) -> int:
+    """Return another seed of a wrist camera, 32 bits; the generator's numbers do not depend on it."""
+    seeds = rng.bit_generator.seed_seq.spawn(1)  # type: ignore[attr-defined]
+    return int(seeds[0].generate_state(1)[0])
 
 
 def _add_terms(infos: dict[str, Info], terms: dict[str, Terms]) -> dict[str, Info]:

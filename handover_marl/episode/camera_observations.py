@@ -41,13 +41,14 @@ Cloud = npt.NDArray[np.float32]
 #: Points of a subsampled cloud in an observation.
 N_POINTS = 1024
 
-# Clouds of an observation: key, segmentation label, and random stream that subsamples the cloud in a step.
-_CLOUDS = (
+#: Clouds of an observation: key, segmentation label, and random stream that subsamples the cloud in a step.
+CLOUDS = (
     ("wrist_object_points", SegmentationLabel.TARGET, 0),
     ("wrist_hand_points", SegmentationLabel.HAND, 1),
     ("wrist_other_points", SegmentationLabel.OTHER_OBJECT, 3),
 )
-_N_CLOUDS = {POINTCLOUD: 2, FULL_POINTCLOUD: 2, SCENE_POINTCLOUD: 3}
+#: Number of clouds by kind of camera data.
+N_CLOUDS = {POINTCLOUD: 2, FULL_POINTCLOUD: 2, SCENE_POINTCLOUD: 3}
 _NOISE_STREAM = 2
 # Contents of an image; a later one contains the pixels of those before it.
 _TARGETS, _OBJECTS, _WHOLE = range(3)
@@ -82,10 +83,10 @@ def camera_observation_space(obs_mode: str) -> dict[str, spaces.Space[Any]]:
     """
     check_obs_mode(obs_mode)
     data = get_camera_data_kind(obs_mode)
-    counts = spaces.Box(0.0, float(IMAGE_SIZE * IMAGE_SIZE), (_N_CLOUDS.get(data or "", 0),), np.float32)
+    counts = spaces.Box(0.0, float(IMAGE_SIZE * IMAGE_SIZE), (N_CLOUDS.get(data or "", 0),), np.float32)
     if data in (POINTCLOUD, SCENE_POINTCLOUD):
         cloud = spaces.Box(-np.inf, np.inf, (N_POINTS, 3), np.float32)
-        return {**{key: cloud for key, *_ in _CLOUDS[: _N_CLOUDS[data]]}, "wrist_point_counts": counts}
+        return {**{key: cloud for key, *_ in CLOUDS[: N_CLOUDS[data]]}, "wrist_point_counts": counts}
     if data == FULL_POINTCLOUD:
         whole = spaces.Box(-np.inf, np.inf, (IMAGE_SIZE * IMAGE_SIZE, 3), np.float32)
         joints = spaces.Box(-np.inf, np.inf, (PANDA_DOF,), np.float64)
@@ -234,7 +235,7 @@ class WristCamera:
                 "wrist_rgb": frame.rgb,
             }
         content = _OBJECTS if data == SCENE_POINTCLOUD else _TARGETS
-        clouds = self._compute_clouds(self._get_image(world, steps, content), world, _N_CLOUDS[data])
+        clouds = self._compute_clouds(self._get_image(world, steps, content), world, N_CLOUDS[data])
         counts = np.array([len(cloud) for cloud in clouds], dtype=np.float32)
         if data == FULL_POINTCLOUD:
             return {
@@ -244,15 +245,15 @@ class WristCamera:
                 "robot_joint_position_exact": world.read_joints_float64(),
             }
         points = {
-            key: self._subsample(cloud, steps, stream) for (key, _, stream), cloud in zip(_CLOUDS, clouds, strict=False)
+            key: self._subsample(cloud, steps, stream) for (key, _, stream), cloud in zip(CLOUDS, clouds, strict=False)
         }
         return {**points, "wrist_point_counts": counts}
 
     def _compute_clouds(self, image: CameraImage, world: World, count: int) -> list[Cloud]:
-        """Compute the first `count` point clouds of `_CLOUDS` in the robot's hand link frame."""
+        """Compute the first `count` point clouds of `CLOUDS` in the robot's hand link frame."""
         clouds = [
             deproject(image.depth, image.compute_mask(label), self._config.camera_model)
-            for _, label, _ in _CLOUDS[:count]
+            for _, label, _ in CLOUDS[:count]
         ]
         if not self.has_latency or self._scene is None:
             return clouds

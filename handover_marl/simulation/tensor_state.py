@@ -43,3 +43,20 @@ class WorldStateBatch:
     hand_present: AnyArray
     hand_dof_position: AnyArray
     hand_keypoints: AnyArray
+
+
+@dataclass(frozen=True, eq=False)
+class JointSnapshotBatch:
+    """Joint positions and poses of the bodies of n worlds at one time (world frame, m, rad), float32.
+
+    Attributes:
+        robot: Positions (n, 9) of the Pandas' joints.
+        hand: Positions (n, 51) of the hands' joints, undefined without a hand.
+        hand_present: Whether there is a hand, (n,), bool.
+        objects: Poses (n, 5, 7) of the objects, quaternions xyzw; those of absent objects are undefined.
+    """
+
+    robot: AnyArray
+    hand: AnyArray
+    hand_present: AnyArray
+    objects: AnyArray

@@ -1,5 +1,6 @@
 """Handover environments whose episodes are simulated together as arrays."""
 
+import copy
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -8,19 +9,25 @@ import numpy.typing as npt
 from gymnasium.utils import seeding
 
 from handover_marl.datasets.dataset import Scene
-from handover_marl.envs.arguments import check_scene_option
-from handover_marl.envs.handover_env import HandoverEnv, draw_robot_seed
+from handover_marl.envs.arguments import RECEIVER, check_scene_option
+from handover_marl.envs.custom_rewards import resolve_rewards
+from handover_marl.envs.handover_env import HandoverEnv, draw_robot_seed, spawn_camera_seed
+from handover_marl.envs.reward_terms import TermWeights
+from handover_marl.envs.rewards import RewardConfig
 from handover_marl.envs.vector.array_episodes import ArrayEpisodes
 from handover_marl.envs.vector.results import EnvResult
 from handover_marl.envs.wrappers.encode import EncodedEnv
 from handover_marl.envs.wrappers.episode_returns import EpisodeReturns
 from handover_marl.envs.wrappers.freeze import FrozenPartnerEnv
 from handover_marl.envs.wrappers.wrapper import ByAgent, WrappableEnv
-from handover_marl.episode.spaces import STATE
+from handover_marl.episode.batch.camera_observations import DEVICE_KINDS
+from handover_marl.episode.spaces import STATE, get_camera_data_kind
 from handover_marl.errors import OptionError
 from handover_marl.geometry.arrays import to_numpy
+from handover_marl.learning.encodings.choices import is_reference
 from handover_marl.policies.reference import PolicyLike
-from handover_marl.simulation.engines import MUJOCO, BatchBackend
+from handover_marl.simulation.camera.renderers import RAYS, resolve_renderer
+from handover_marl.simulation.engines import MUJOCO, WARP, BatchBackend
 
 Rows = npt.NDArray[np.int_]
 
@@ -29,17 +36,20 @@ _MAX_EPISODES = 100
 _NONE = -1
 
 
-def can_use_arrays(template: WrappableEnv) -> bool:
+def can_use_arrays(template: WrappableEnv, backend: BatchBackend) -> bool:
     """Return whether `ArrayEnvs` can simulate environments like a single one.
 
-    They can in MuJoCo's physics without camera, and with no wrappers but `EpisodeReturns`, `freeze` and
-    `encode`, in this order.
+    They can in MuJoCo's physics with no wrappers but `EpisodeReturns`, `freeze` and `encode`, in this order; without
+    camera, or with "warp" and a camera that passes `check_device_camera`.
 
     Args:
         template: Single environment of the configuration, with its wrappers.
+        backend: Engine and device of the simulation.
     """
     config = template.unwrapped.config
-    if config.physics != MUJOCO or config.obs_mode != STATE or config.render_mode is not None:
+    if config.physics != MUJOCO or config.render_mode is not None:
+        return False
+    if config.obs_mode != STATE and backend.name != WARP:
         return False
     env: Any = template
     for wrapper in (EncodedEnv, FrozenPartnerEnv, EpisodeReturns):
@@ -48,6 +58,50 @@ def can_use_arrays(template: WrappableEnv) -> bool:
                 return False
             env = env.env
     return type(env) is HandoverEnv
+
+
+def check_device_camera(template: WrappableEnv) -> None:
+    """Check that the wrist camera can be simulated with the backend "warp", if there is one.
+
+    Args:
+        template: Single environment of the configuration, with its wrappers.
+
+    Raises:
+        OptionError: The camera has data or noise that only "threads" can simulate, or the partner, a user-defined
+            reward or a user-defined action scheme observes it.
+    """
+    config, advice = template.unwrapped.config, "with backend='warp'"
+    env: Any = template
+    while not isinstance(env, HandoverEnv):
+        if isinstance(env, FrozenPartnerEnv) and env.policy.obs_mode != STATE:
+            raise OptionError(
+                f"the partner must not use the camera {advice}, got {env.policy.name!r} with "
+                f"obs_mode={env.policy.obs_mode!r}; use backend='threads'"
+            )
+        env = env.env
+    if config.obs_mode == STATE:
+        return
+    kind = get_camera_data_kind(config.obs_mode)
+    if kind not in DEVICE_KINDS:
+        raise OptionError(
+            f"obs_mode must have one of {', '.join(DEVICE_KINDS)} {advice}, got {config.obs_mode!r}; use "
+            "backend='threads'"
+        )
+    if config.camera_noise is not None:
+        raise OptionError(f"camera_noise must be None {advice}, got {config.camera_noise!r}; use backend='threads'")
+    if resolve_renderer(config.renderer, config.physics) != RAYS:
+        raise OptionError(f"renderer must be 'rays' {advice}, got {config.renderer!r}; use backend='threads'")
+    if not isinstance(resolve_rewards(config.rewards), (RewardConfig, TermWeights)):
+        raise OptionError(
+            f"rewards must be built-in ones with a camera {advice}, got {config.rewards!r}; use backend='threads'"
+        )
+    if isinstance(template, EncodedEnv) and RECEIVER in template.choices:
+        scheme = template.choices[RECEIVER][1]
+        if not isinstance(scheme, str) or is_reference(scheme):
+            raise OptionError(
+                f"the action scheme must be a built-in one with a camera {advice}, got {scheme!r}; use "
+                "backend='threads'"
+            )
 
 
 class ArrayEnvs:
@@ -94,7 +148,8 @@ class ArrayEnvs:
         # Number of the present episode of each environment, and of its next one, which has started.
         self._present, self._next = np.arange(count), np.full(count, _NONE)
         self._free = np.arange(count, 2 * count)
-        self._states_before: list[tuple[Any, Any]] = [(None, None)] * count
+        # Copies of the random generators from before the next episode was drawn.
+        self._rngs_before: list[tuple[np.random.Generator, np.random.Generator] | None] = [None] * count
 
     def reset(self, rows: Rows, seeds: Sequence[int | None], options: Mapping[str, Any] | None) -> EnvResult:
         """Start episodes, and simulate them until an action scheme needs outputs.
@@ -176,21 +231,20 @@ class ArrayEnvs:
         if scene_id is None:
             scene_id = int(self._rngs[row].choice(base.scene_ids))
         robot_seed = draw_robot_seed(self._rngs[row], base.config.world_config)
+        camera_seed = spawn_camera_seed(self._rngs[row])
         partner_seed = int(self._partner_rngs[row].integers(2**32))
-        self._episodes.start(episode, self._load_scene(scene_id), partner_seed, robot_seed)
+        self._episodes.start(episode, self._load_scene(scene_id), partner_seed, robot_seed, camera_seed)
 
     def _start_next(self, rows: Rows) -> None:
         """Start the next episode of environments that have none."""
         for row in rows[self._next[rows] == _NONE].tolist():
-            rngs = self._rngs[row], self._partner_rngs[row]
-            self._states_before[row] = rngs[0].bit_generator.state, rngs[1].bit_generator.state
+            self._rngs_before[row] = copy.deepcopy((self._rngs[row], self._partner_rngs[row]))
             self._start(row, int(self._free[row]), None)
             self._next[row] = self._free[row]
 
     def _discard_next(self, row: int) -> None:
         """Forget the next episode of an environment, as if its scene had not been drawn."""
-        if self._next[row] != _NONE:
-            rngs = self._rngs[row], self._partner_rngs[row]
-            for rng, state in zip(rngs, self._states_before[row], strict=True):
-                rng.bit_generator.state = state
+        before = self._rngs_before[row]
+        if self._next[row] != _NONE and before is not None:
+            self._rngs[row], self._partner_rngs[row] = before
             self._next[row] = _NONE

@@ -14,10 +14,11 @@ from handover_marl.envs.wrappers.encode import EncodedEnv
 from handover_marl.envs.wrappers.episode_returns import EpisodeReturns
 from handover_marl.envs.wrappers.freeze import DEFAULT_PARTNERS
 from handover_marl.envs.wrappers.wrapper import ByAgent, WrappableEnv
+from handover_marl.episode.batch.camera_observations import WristCameraBatch
 from handover_marl.episode.batch.make_episodes import make_episode_batch
-from handover_marl.episode.observations import Observation
+from handover_marl.episode.observations import Observation, select_receiver_observation
 from handover_marl.episode.referee import EpisodeStatus
-from handover_marl.episode.spaces import check_giver_action, check_receiver_action, check_vector
+from handover_marl.episode.spaces import STATE, check_giver_action, check_receiver_action, check_vector
 from handover_marl.geometry.arrays import AnyArray, get_namespace, to_numpy
 from handover_marl.learning.batch.encodings import make_feature_batch, make_scheme_batch
 from handover_marl.learning.batch.features import FeatureBatch
@@ -83,6 +84,12 @@ class ArrayEpisodes:
         self._schemes: dict[str, SchemeBatch] = {}
         if isinstance(template, EncodedEnv):
             self._make_encodings(template, count)
+        self._camera: WristCameraBatch | None = None
+        is_camera_used = RECEIVER not in self._features or self._features[RECEIVER].uses_camera
+        if config.obs_mode != STATE and RECEIVER in self._agents and is_camera_used:
+            self._camera = WristCameraBatch(
+                config.obs_mode, config.wrist_camera, config.world_config.physics, count, arrays
+            )
 
     def _make_encodings(self, template: EncodedEnv, count: int) -> None:
         context, arrays = self._base.policy_context, self.arrays
@@ -119,7 +126,7 @@ class ArrayEpisodes:
             check_giver_action(row, self._base.action_space(GIVER))
         return values
 
-    def start(self, row: int, scene: Scene, seed: int | None, robot_seed: int) -> None:
+    def start(self, row: int, scene: Scene, seed: int | None, robot_seed: int, camera_seed: int) -> None:
         """Start an episode.
 
         Args:
@@ -127,6 +134,7 @@ class ArrayEpisodes:
             scene: Scene of the episode.
             seed: Seed of the partner.
             robot_seed: Seed of the robot's initial joint positions.
+            camera_seed: Seed of the wrist camera.
         """
         episodes, rows = self._episodes, self.arrays.asarray([row])
         episodes.reset(row, scene, robot_seed)
@@ -136,6 +144,8 @@ class ArrayEpisodes:
             scheme.reset(row)
         for features in self._features.values():
             features.reset(row)
+        if self._camera is not None:
+            self._camera.reset(row, scene.assets, camera_seed)
         episodes.observe(rows)
         self._cycles[row] = 0
         self._terminated[row] = self._truncated[row] = False
@@ -201,6 +211,10 @@ class ArrayEpisodes:
         result = EnvResult({}, {}, {}, {}, {})
         for agent in self._agents:
             found = self._select_observation(agent, rows)
+            if agent == RECEIVER and self._camera is not None:
+                # Only here: neither built-in action schemes nor partners observe images.
+                images = self._camera.observe(rows, found, self._episodes.referees.steps[rows])
+                found = select_receiver_observation(found, images, self._base.config.obs_mode)
             result.observations[agent] = self._features[agent](rows, found) if agent in self._features else found
             terms = self._rewards.make_infos(agent, rows, self._has_returns)
             result.infos[agent] = {**self._episodes.make_infos(rows), **terms}
@@ -211,6 +225,8 @@ class ArrayEpisodes:
     def close(self) -> None:
         """Free the simulation."""
         self._episodes.close()
+        if self._camera is not None:
+            self._camera.close()
 
     def _select_observation(self, agent: str, rows: Rows) -> Observation:
         if agent == GIVER:

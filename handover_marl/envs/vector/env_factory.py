@@ -57,7 +57,7 @@ class EnvFactory:
     @property
     def has_arrays(self) -> bool:
         """Whether the environments are simulated together as arrays."""
-        return can_use_arrays(self.template)
+        return can_use_arrays(self.template, self.backend)
 
     def make(self, count: int) -> Envs:
         """Make a number of environments, which are simulated by one thread."""

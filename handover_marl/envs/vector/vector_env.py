@@ -13,6 +13,7 @@ from gymnasium.vector.utils import batch_space
 from handover_marl.envs.arguments import check_positive_integer
 from handover_marl.envs.config import EnvConfig, make_env_config
 from handover_marl.envs.handover_env import HandoverEnv
+from handover_marl.envs.vector.array_envs import check_device_camera
 from handover_marl.envs.vector.batch import EnvBatch, check_action_array
 from handover_marl.envs.vector.env_factory import EnvFactory
 from handover_marl.envs.vector.parallel_vector_env import ParallelVectorEnv
@@ -205,7 +206,8 @@ def vector_env(
     """Make many environments, which MuJoCo simulates together on several threads or in several processes.
 
     Each environment behaves as a single one with its seed, whatever the number of environments, threads and
-    processes. In other physics, with a camera or with wrappers, environments are stepped one after another.
+    processes. In other physics, with a camera or with wrappers, the backend "threads" steps environments one after
+    another.
 
     Args:
         num_envs: Number of environments.
@@ -228,7 +230,8 @@ def vector_env(
             its own models.
         backend: Backend of the simulation: "threads" for MuJoCo on the processor, or "warp" for MuJoCo Warp,
             which steps all environments together and returns PyTorch tensors on `device`. Its results are not those of
-            "threads" to the bit.
+            "threads" to the bit. It renders the wrist camera on the device, without noise, for all observation modes
+            but "full_pointcloud"; point clouds of more than 1024 points are other random subsets.
         device: Device of the simulation: "cpu", or "cuda" for a GPU with "warp". MuJoCo Warp on "cpu" is for tests.
         trust: Whether a policy file may run code.
         config: Configuration of each environment; default: one made of `fields`.
@@ -274,11 +277,13 @@ def vector_env(
     factory = EnvFactory(
         chosen, agent, partner, features, schemes, tuple(wrappers), trust, autoreset != "disabled", chosen_backend
     )
-    if backend == WARP and not factory.has_arrays:
-        raise OptionError(
-            "with backend='warp', environments must have physics='mujoco', no camera and no wrappers but "
-            "EpisodeReturns; use backend='threads'"
-        )
+    if backend == WARP:
+        check_device_camera(factory.template)
+        if not factory.has_arrays:
+            raise OptionError(
+                "with backend='warp', environments must have physics='mujoco', render_mode=None and no wrappers but "
+                "EpisodeReturns; use backend='threads'"
+            )
     template, make = factory.template, factory.make
     if processes is not None:
         parts = processes

@@ -38,7 +38,13 @@ from handover_marl.receivers.grasp_selection import GraspSelectionBatch
 
 
 class FeatureBatch(ABC):
-    """Function from observations of r episodes to feature vectors, float32."""
+    """Function from observations of r episodes to feature vectors, float32.
+
+    Attributes:
+        uses_camera: Whether the features may depend on the wrist camera's data.
+    """
+
+    uses_camera = False
 
     def reset(self, row: int) -> None:  # noqa: B027
         """Clear the values that are stored from the previous episode.
@@ -270,6 +276,8 @@ class SequentialFeatureBatch(FeatureBatch):
         features: Features of each episode.
         arrays: Creator of the feature vectors.
     """
+
+    uses_camera = True
 
     def __init__(self, features: Sequence[AgentFeatures], arrays: ArrayFactory = NUMPY_ARRAYS) -> None:
         self._features, self._arrays = features, arrays

@@ -1,0 +1,106 @@
+"""Wrist-camera observations of many episodes at once, as tensors on a device."""
+
+from handover_marl.config import PhysicsConfig
+from handover_marl.datasets.dataset import SceneAssets
+from handover_marl.episode.camera_observations import (
+    CLOUDS,
+    N_CLOUDS,
+    N_POINTS,
+    WristCameraConfig,
+    camera_observation_space,
+)
+from handover_marl.episode.observations import Observation
+from handover_marl.episode.spaces import POINTCLOUD, RGBD, SCENE_POINTCLOUD, get_camera_data_kind
+from handover_marl.geometry.arrays import AnyArray, ArrayFactory
+from handover_marl.simulation.camera.frames import IMAGE_SIZE, compute_points
+from handover_marl.simulation.tensor_state import JointSnapshotBatch
+
+#: Kinds of camera data that are rendered on a device.
+DEVICE_KINDS = (POINTCLOUD, SCENE_POINTCLOUD, RGBD)
+# Episodes whose images are in memory at a time: each takes about 1 MB.
+_CHUNK = 64
+
+
+class WristCameraBatch:
+    """Wrist cameras of n episodes without noise; images are rendered by ray casting with Warp.
+
+    Observations are those of `WristCamera` with the renderer "rays" to single precision, but clouds of more than 1024
+    points have another random subset of the points.
+
+    Args:
+        obs_mode: Observation mode of the receiver, with point clouds or images.
+        camera: Configuration of the cameras.
+        config: Poses of robot and table.
+        count: Number n of episodes.
+        arrays: Creator of tensors on the device.
+    """
+
+    def __init__(
+        self, obs_mode: str, camera: WristCameraConfig, config: PhysicsConfig, count: int, arrays: ArrayFactory
+    ) -> None:
+        # Imported here: ray casting on a device needs an extra.
+        from handover_marl.simulation.camera.warp_camera import WarpCamera
+
+        self._kind, self._model, self._arrays = get_camera_data_kind(obs_mode), camera.camera_model, arrays
+        self._shapes = {
+            key: (space.shape, str(space.dtype)) for key, space in camera_observation_space(obs_mode).items()
+        }
+        self._camera = WarpCamera(config, count, arrays)
+        self._seeds = arrays.zeros(count, "int64")
+
+    def reset(self, row: int, assets: SceneAssets, seed: int) -> None:
+        """Prepare the camera of an episode.
+
+        Args:
+            row: Index of the episode.
+            assets: Models of the scene.
+            seed: Seed of the subsampling of point clouds, 32 bits.
+        """
+        self._camera.reset(row, assets)
+        self._seeds[row] = seed
+
+    def observe(self, rows: AnyArray, state: Observation, steps: AnyArray) -> Observation:
+        """Return the camera data of r episodes; see `camera_observation_space`.
+
+        Args:
+            rows: Indices (r,) of the episodes.
+            state: Full state (r, ...) of these episodes.
+            steps: Numbers (r,) of simulated physics steps.
+        """
+        count = len(rows)
+        found = {key: self._arrays.zeros((count, *shape), dtype) for key, (shape, dtype) in self._shapes.items()}
+        for first in range(0, count, _CHUNK):
+            part = slice(first, first + _CHUNK)
+            now = JointSnapshotBatch(
+                robot=state["robot_joint_position"][part],
+                hand=state["hand_dof_position"][part],
+                hand_present=state["hand_present"][part, 0] > 0.0,
+                objects=state["object_poses"][part],
+            )
+            if self._kind == RGBD:
+                some = self._observe_images(rows[part], now)
+            else:
+                some = self._observe_clouds(rows[part], now, steps[part])
+            for key, values in some.items():
+                found[key][part] = values.reshape(-1, *self._shapes[key][0])
+        return found
+
+    def close(self) -> None:
+        """Free the models' meshes."""
+        self._camera.close()
+
+    def _observe_images(self, rows: AnyArray, now: JointSnapshotBatch) -> Observation:
+        images = self._camera.render_wrist_camera(rows, now, color=True)
+        return {"wrist_depth": images.depth, "wrist_segmentation": images.segmentation, "wrist_rgb": images.rgb}
+
+    def _observe_clouds(self, rows: AnyArray, now: JointSnapshotBatch, steps: AnyArray) -> Observation:
+        xp, found, counts = self._arrays.xp, {}, []
+        images = self._camera.render_targets(rows, now, with_others=self._kind == SCENE_POINTCLOUD)
+        for key, label, stream in CLOUDS[: N_CLOUDS[self._kind]]:
+            counts.append(xp.sum(images.segmentation == int(label), axis=1))
+            pixels = self._camera.sample_pixels(images, label, N_POINTS, self._seeds[rows], steps, stream)
+            is_point = pixels < IMAGE_SIZE * IMAGE_SIZE
+            some = xp.where(is_point, pixels, 0)
+            points = compute_points(some, xp.take_along_dim(images.depth, some, dim=1), self._model)
+            found[key] = xp.where(is_point[..., None], points, 0.0)
+        return {**found, "wrist_point_counts": xp.stack(counts, axis=1)}

@@ -1,0 +1,243 @@
+"""Wrist cameras of many worlds, rendered by ray casting on a device with Warp.
+
+Images equal those of `ray_camera.RayCamera` to single precision. All arrays are PyTorch tensors on the device.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import warp
+
+from handover_marl.config import MAX_OBJECTS, PhysicsConfig
+from handover_marl.datasets.dataset import SceneAssets
+from handover_marl.errors import ResetNeededError
+from handover_marl.geometry.arrays import AnyArray, ArrayFactory, widen
+from handover_marl.geometry.kinematic_tree import read_tree
+from handover_marl.geometry.panda import HAND_LINK
+from handover_marl.geometry.rotations import matrices_from_quaternions
+from handover_marl.geometry.tree_bank import TreeBank
+from handover_marl.simulation.camera.frames import (
+    CAMERA_POSITION_IN_HAND,
+    HAND_FROM_CAMERA,
+    IMAGE_SIZE,
+    INVISIBLE_LINKS,
+    SegmentationLabel,
+)
+from handover_marl.simulation.camera.warp_kernels import draw_keys, render_images
+from handover_marl.simulation.camera.warp_meshes import ORIGIN, WORLD, LinkMesh, MeshBank
+from handover_marl.simulation.mujoco.batches.warp_device import WarpDevice
+from handover_marl.simulation.tensor_state import JointSnapshotBatch
+
+#: Number of pixels of an image.
+N_PIXELS = IMAGE_SIZE * IMAGE_SIZE
+_TARGETS = (SegmentationLabel.TARGET, SegmentationLabel.HAND)
+_OBJECTS = (*_TARGETS, SegmentationLabel.OTHER_OBJECT)
+# Entries of a world's table of meshes: number of the mesh, number of its frame, and segmentation label.
+_MESH, _FRAME, _LABEL = range(3)
+
+
+class ImageBatch(NamedTuple):
+    """Wrist-camera images of r worlds, with the pixels in image order.
+
+    Attributes:
+        depth: (r, 50176) float32 depth along the viewing axis (m); `EMPTY_DEPTH` for background.
+        segmentation: (r, 50176) uint8 values of `SegmentationLabel`.
+        rgb: (r, 50176, 3) uint8 colours, or None.
+    """
+
+    depth: AnyArray
+    segmentation: AnyArray
+    rgb: AnyArray | None
+
+
+class WarpCamera:
+    """Wrist cameras of n worlds with visual meshes of their own.
+
+    The argument `rows` (r,) of methods has the numbers of the worlds to which a method applies.
+
+    Args:
+        config: Poses of robot and table.
+        count: Number n of worlds.
+        arrays: Creator of tensors on the device.
+    """
+
+    def __init__(self, config: PhysicsConfig, count: int, arrays: ArrayFactory) -> None:
+        self._config, self._arrays = config, arrays
+        self._device = WarpDevice(arrays)
+        self._robots, self._hands = TreeBank("robots", arrays), TreeBank("hands", arrays)
+        # Number of each world's robot and hand, and its table of meshes.
+        self._robot, self._hand = arrays.zeros(count, "int64"), arrays.zeros(count, "int64")
+        self._slots = arrays.zeros((count, 0, 3), "int64")
+        self._base_rotation = matrices_from_quaternions(arrays.asarray(config.panda.base_orientation, "float64"))
+        self._base_position = arrays.asarray(config.panda.base_position, "float64")
+        self._hand_from_camera = arrays.asarray(HAND_FROM_CAMERA, "float64")
+        self._camera_position = arrays.asarray(CAMERA_POSITION_IN_HAND, "float64")
+        self._hand_link = self._n_robot_links = self._n_hand_links = 0
+        self._bank: MeshBank | None = None
+
+    def reset(self, row: int, assets: SceneAssets) -> None:
+        """Load the models of a world's scene.
+
+        Args:
+            row: Number of the world.
+            assets: Models of the scene.
+
+        Raises:
+            OptionError: Robot or hand have other joints than those of the other worlds.
+            SimulationError, DataFormatError: A model or one of its meshes cannot be read.
+        """
+        panda, table = self._config.panda, (*self._config.table_position, *ORIGIN[3:])
+        robot_base = (*panda.base_position, *panda.base_orientation)
+        self._robot[row], self._hand[row] = self._robots.add(assets.panda), self._hands.add(assets.hand)
+        robot_links = [joint.link for joint in read_tree(assets.panda).joints]
+        self._hand_link, self._n_robot_links = robot_links.index(HAND_LINK), len(robot_links)
+        self._n_hand_links = len(read_tree(assets.hand).joints)
+        # Frames are those of the robot's links, of the hand's links, of the objects and of the world, in this order.
+        hand, item = self._n_robot_links, self._n_robot_links + self._n_hand_links
+        world = item + MAX_OBJECTS
+        slots: list[tuple[int, int, int]] = []
+
+        def add(meshes: list[LinkMesh], label: SegmentationLabel, frames: Sequence[int]) -> None:
+            slots.extend((mesh.number, world if mesh.link == WORLD else frames[mesh.link], label) for mesh in meshes)
+
+        with self._device.use():
+            bank = self._bank = self._bank or MeshBank(self._arrays)
+            for number, urdf in enumerate(assets.objects):
+                label = SegmentationLabel.OTHER_OBJECT if number else SegmentationLabel.TARGET
+                # All meshes of an object move with it.
+                slots.extend((mesh.number, item + number, label) for mesh in bank.add_model(urdf))
+            add(bank.add_model(assets.hand), SegmentationLabel.HAND, range(hand, item))
+            robot = bank.add_model(assets.panda, robot_base, INVISIBLE_LINKS)
+            add(robot, SegmentationLabel.ROBOT, range(hand))
+            add(bank.add_model(assets.table, table), SegmentationLabel.TABLE, ())
+        missing = len(slots) - self._slots.shape[1]
+        if missing > 0:
+            more = self._arrays.zeros((len(self._slots), missing, 3), "int64")
+            self._slots = self._arrays.xp.concat([self._slots, more], axis=1)
+        self._slots[row] = 0
+        self._slots[row, : len(slots)] = self._arrays.asarray(np.array(slots))
+
+    def render_wrist_camera(self, rows: AnyArray, now: JointSnapshotBatch, color: bool) -> ImageBatch:
+        """Render wrist-camera images with all bodies of the scenes.
+
+        Args:
+            rows: Numbers (r,) of the worlds.
+            now: Joint positions and poses of their bodies.
+            color: Whether to render the colours of the models' materials; textures are ignored.
+        """
+        return self._render(rows, now, tuple(SegmentationLabel), color)
+
+    def render_targets(self, rows: AnyArray, now: JointSnapshotBatch, with_others: bool = False) -> ImageBatch:
+        """Render the visible pixels of target objects and human hands; all others are background.
+
+        Args:
+            rows: Numbers (r,) of the worlds.
+            now: Joint positions and poses of their bodies.
+            with_others: Whether to render the other objects, too.
+        """
+        return self._render(rows, now, _OBJECTS if with_others else _TARGETS, False)
+
+    def sample_pixels(
+        self, images: ImageBatch, label: SegmentationLabel, limit: int, seeds: AnyArray, steps: AnyArray, stream: int
+    ) -> AnyArray:
+        """Choose at most `limit` pixels with a label in each of r images, without replacement.
+
+        The choice depends on the image, its seed, its number of steps and the stream only.
+
+        Args:
+            images: The images.
+            label: Label of the pixels.
+            limit: Largest number of pixels.
+            seeds: Seeds (r,), 32 bits, int64.
+            steps: Numbers (r,) of simulated steps, int64.
+            stream: Number of the random stream.
+
+        Returns:
+            Numbers (r, limit) of the pixels, ascending; `N_PIXELS` in place of missing pixels.
+        """
+        xp, segmentation = self._arrays.xp, images.segmentation
+        with self._device.use():
+            keys = xp.empty(segmentation.shape, dtype=xp.int64, device=self._arrays.device)
+            inputs = (warp.from_torch(segmentation), int(label), *map(warp.from_torch, (seeds, steps)), stream)
+            warp.launch(draw_keys, segmentation.shape, inputs, [warp.from_torch(keys)])
+            chosen = xp.topk(keys, limit, dim=1, largest=False, sorted=False).indices
+            is_labelled = xp.take_along_dim(segmentation, chosen, dim=1) == int(label)
+            return xp.sort(xp.where(is_labelled, chosen, N_PIXELS), axis=1)
+
+    def close(self) -> None:
+        """Free the meshes; no world can be rendered until its next reset."""
+        self._device.synchronize()
+        self._bank = None
+        self._slots = self._slots[:, :0]
+
+    def _render(
+        self, rows: AnyArray, now: JointSnapshotBatch, wanted: tuple[SegmentationLabel, ...], color: bool
+    ) -> ImageBatch:
+        if self._bank is None:
+            raise ResetNeededError("no world has a scene; call reset() first")
+        arrays, xp, bank = self._arrays, self._arrays.xp, self._bank
+        with self._device.use():
+            origins, rotations = self._compute_frames(rows, now)
+            hand_origin, hand_rotation = origins[:, self._hand_link], rotations[:, self._hand_link]
+            camera = hand_rotation @ self._hand_from_camera
+            pinhole = hand_origin + (hand_rotation @ self._camera_position[:, None])[..., 0]
+            slots = self._slots[rows]
+            meshes, frames, labels = slots[..., _MESH], slots[..., _FRAME], slots[..., _LABEL]
+            is_absent = (labels == int(SegmentationLabel.HAND)) & ~now.hand_present[:, None]
+            meshes = xp.where(is_absent, 0, meshes)
+            worlds = arrays.arange(len(rows))[:, None]
+            turns = camera[:, None].mT @ rotations[worlds, frames]
+            places = ((origins[worlds, frames] - pinhole[:, None])[..., None, :] @ camera[:, None])[..., 0, :]
+            spheres = widen(bank.spheres.rows[meshes])
+            centers = places + (turns @ spheres[..., :3, None])[..., 0]
+            inputs = (
+                (bank.identifiers.rows[meshes], warp.int64),
+                (labels, warp.int64),
+                (turns, warp.mat33),
+                (places, warp.vec3),
+                (xp.concat([centers, spheres[..., 3:]], axis=-1), warp.vec4),
+                (bank.first_colors.rows[meshes], warp.int64),
+                (bank.colors.rows, warp.vec3),
+                (camera, warp.mat33),
+                (pinhole[:, 2], warp.float32),
+            )
+            shape = (len(rows), N_PIXELS)
+            depth = xp.empty(shape, dtype=xp.float32, device=arrays.device)
+            segmentation = xp.empty(shape, dtype=xp.uint8, device=arrays.device)
+            rgb = xp.empty((*shape, 3) if color else (0, 0, 3), dtype=xp.uint8, device=arrays.device)
+            warp.launch(
+                render_images,
+                shape,
+                [
+                    *(self._convert(tensor, dtype) for tensor, dtype in inputs),
+                    sum(1 << label for label in wanted),
+                    SegmentationLabel.BACKGROUND in wanted,
+                ],
+                [warp.from_torch(tensor) for tensor in (depth, segmentation, rgb)],
+            )
+        return ImageBatch(depth, segmentation, rgb if color else None)
+
+    def _convert(self, tensor: AnyArray, dtype: type) -> "warp.array":
+        """Return a tensor as an array of Warp, with float64 numbers rounded to float32."""
+        xp = self._arrays.xp
+        own = xp.astype(tensor, xp.float32) if tensor.dtype == xp.float64 else tensor
+        return warp.from_torch(own.contiguous(), dtype)
+
+    def _compute_frames(self, rows: AnyArray, now: JointSnapshotBatch) -> tuple[AnyArray, AnyArray]:
+        """Return world origins (r, f, 3) and rotations (r, f, 3, 3) of all frames of the tables of meshes."""
+        xp = self._arrays.xp
+        origins, rotations = self._robots.compute_link_frames(self._robot[rows], widen(now.robot)[:, None])
+        robots = origins[:, 0] @ self._base_rotation.mT + self._base_position, self._base_rotation @ rotations[:, 0]
+        origins, rotations = self._hands.compute_link_frames(self._hand[rows], widen(now.hand)[:, None])
+        objects = widen(now.objects)
+        world = xp.zeros_like(objects[:, :1, :3]), xp.zeros_like(rotations[:, 0, :1])
+        world[1].diagonal(dim1=-2, dim2=-1)[:] = 1.0
+        parts = (
+            robots,
+            (origins[:, 0], rotations[:, 0]),
+            (objects[..., :3], matrices_from_quaternions(objects[..., 3:])),
+            world,
+        )
+        joined = (xp.concat(own, axis=1) for own in zip(*parts, strict=True))
+        return next(joined), next(joined)

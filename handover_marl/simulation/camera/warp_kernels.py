@@ -1,0 +1,213 @@
+"""Kernels of the ray caster on a device; see `warp_camera.WarpCamera`.
+
+Pixels are numbered row by row. All frames are in the camera's frame: x right, y down, z ahead (m).
+"""
+
+import warp
+
+from handover_marl.simulation.camera.frames import (
+    BACK_FACE_OFFSET,
+    EMPTY_DEPTH,
+    GROUND,
+    HALF_SIZE_PX,
+    IMAGE_SIZE,
+    LIGHT,
+    MAX_BACK_FACES,
+    NEAR,
+    SAMPLE_OFFSET_PX,
+    SHADE,
+    SKY,
+    SegmentationLabel,
+)
+
+_IMAGE_SIZE, _HALF_SIZE = warp.constant(IMAGE_SIZE), warp.constant(HALF_SIZE_PX)
+_OFFSET_RIGHT, _OFFSET_DOWN = map(warp.constant, SAMPLE_OFFSET_PX)
+_NEAR, _EMPTY_DEPTH = warp.constant(NEAR), warp.constant(float(EMPTY_DEPTH))
+_BACK_FACE_OFFSET, _MAX_BACK_FACES = warp.constant(BACK_FACE_OFFSET), warp.constant(MAX_BACK_FACES)
+_LIGHT, _SHADE = warp.constant(warp.vec3(*LIGHT)), warp.constant(SHADE)
+_SKY, _GROUND = (warp.constant(warp.vec3(*map(float, color))) for color in (SKY, GROUND))
+_BACKGROUND = warp.constant(int(SegmentationLabel.BACKGROUND))
+# Larger than every sampling key.
+_NO_KEY = warp.constant(warp.int64(2**32))
+# Multipliers of the hash function "lowbias32" (C. Wellons, 2018).
+_FIRST, _SECOND = warp.constant(warp.uint32(0x7FEB352D)), warp.constant(warp.uint32(0x846CA68B))
+
+
+@warp.func
+def compute_ray(pixel: int) -> warp.vec3:
+    """Return the direction of a pixel's ray, with z = 1."""
+    column, row = pixel % _IMAGE_SIZE, pixel // _IMAGE_SIZE
+    right = float(column) + _OFFSET_RIGHT - _HALF_SIZE
+    down = float(row) + _OFFSET_DOWN - _HALF_SIZE
+    return warp.vec3(right / _HALF_SIZE, down / _HALF_SIZE, 1.0)
+
+
+@warp.func
+def is_near_sphere(ray: warp.vec3, sphere: warp.vec4, far: float) -> bool:
+    """Return whether a ray from the near plane to depth `far` may hit a sphere, given by center and radius."""
+    center, radius = warp.vec3(sphere[0], sphere[1], sphere[2]), sphere[3]
+    if center[2] + radius < _NEAR or center[2] - radius > far:
+        return False
+    return warp.length_sq(warp.cross(center, ray)) <= radius * radius * warp.length_sq(ray)
+
+
+@warp.struct
+class FaceHit:
+    """Front face of a mesh that a ray hits first.
+
+    Attributes:
+        depth: Depth of the hit (m).
+        face: Number of the face; -1 without a hit.
+        normal: Outward unit normal of the face in the mesh's frame.
+    """
+
+    depth: float
+    face: int
+    normal: warp.vec3
+
+
+@warp.func
+def cast_ray(mesh: warp.uint64, rotation: warp.mat33, origin: warp.vec3, ray: warp.vec3, far: float) -> FaceHit:
+    """Return the first front face of a mesh, posed in the camera's frame, that a ray hits before depth `far`."""
+    mesh_from_camera = warp.transpose(rotation)
+    start, direction = -(mesh_from_camera * origin), mesh_from_camera * ray
+    hit = FaceHit()
+    hit.face = -1
+    # Numbers that a loop changes must have a type.
+    begin, left = warp.float32(_NEAR), warp.int32(_MAX_BACK_FACES)
+    while left >= 0:
+        query = warp.mesh_query_ray(mesh, start + begin * direction, direction, far - begin)
+        left -= 1
+        if not query.result:
+            left = -1
+        elif warp.dot(query.normal, direction) < 0.0:
+            hit.depth = begin + query.t
+            hit.face = query.face
+            hit.normal = query.normal
+            left = -1
+        else:
+            # Back faces are invisible: the ray continues behind them.
+            begin = begin + query.t + _BACK_FACE_OFFSET
+    return hit
+
+
+@warp.kernel(enable_backward=False)
+def render_images(
+    meshes: warp.array2d[warp.int64],
+    labels: warp.array2d[warp.int64],
+    rotations: warp.array2d[warp.mat33],
+    origins: warp.array2d[warp.vec3],
+    spheres: warp.array2d[warp.vec4],
+    first_colors: warp.array2d[warp.int64],
+    colors: warp.array[warp.vec3],
+    cameras: warp.array[warp.mat33],
+    heights: warp.array[float],
+    wanted: int,
+    has_ground: bool,
+    depths: warp.array2d[float],
+    segmentation: warp.array2d[warp.uint8],
+    rgb: warp.array3d[warp.uint8],
+) -> None:
+    """Render the wanted bodies of w worlds where no other body and no ground is before them; one thread per pixel.
+
+    Args:
+        meshes: Identifiers (w, s) of the meshes; 0 for none.
+        labels: Segmentation labels (w, s) of the meshes.
+        rotations: Rotation matrices (w, s) of the meshes.
+        origins: Origins (w, s) of the meshes.
+        spheres: Centers and radii (w, s) of bounding spheres of the meshes.
+        first_colors: Indices (w, s) in `colors` of the colours of the meshes' first faces.
+        colors: Red, green and blue (c,) of the faces of all meshes, 0 to 1.
+        cameras: Rotation matrices (w,) of the cameras in the world.
+        heights: Heights (w,) of the pinholes above the ground.
+        wanted: Bits of the labels of the wanted bodies.
+        has_ground: Whether to draw the ground.
+        depths: Depth (w, 50176), an output.
+        segmentation: Segmentation labels (w, 50176), an output.
+        rgb: Colours (w, 50176, 3), an output; (0, 0, 0) for images without colours.
+    """
+    world, pixel = warp.tid()
+    ray = compute_ray(pixel)
+    camera = cameras[world]
+    descent = camera[2, 0] * ray[0] + camera[2, 1] * ray[1] + camera[2, 2] * ray[2]
+    ground = warp.float32(_EMPTY_DEPTH)
+    if descent != 0.0:
+        ground = -heights[world] / descent
+    is_ground = ground > _NEAR and ground < _EMPTY_DEPTH
+    best, owner = warp.float32(_EMPTY_DEPTH), warp.int32(-1)
+    if is_ground:
+        best = ground
+    first = FaceHit()
+    for slot in range(meshes.shape[1]):
+        mesh = warp.uint64(meshes[world, slot])
+        is_wanted = (wanted >> int(labels[world, slot])) & 1 == 1
+        if is_wanted and mesh != warp.uint64(0) and is_near_sphere(ray, spheres[world, slot], best):
+            hit = cast_ray(mesh, rotations[world, slot], origins[world, slot], ray, best)
+            if hit.face >= 0:
+                best = hit.depth
+                owner = slot
+                first = hit
+    if owner >= 0:
+        # Other bodies are tested only against rays that hit a wanted one.
+        for slot in range(meshes.shape[1]):
+            mesh = warp.uint64(meshes[world, slot])
+            is_other = owner >= 0 and (wanted >> int(labels[world, slot])) & 1 == 0
+            if is_other and mesh != warp.uint64(0) and is_near_sphere(ray, spheres[world, slot], best):
+                hit = cast_ray(mesh, rotations[world, slot], origins[world, slot], ray, best)
+                if hit.face >= 0:
+                    owner = -1
+    color = warp.vec3(_SKY)
+    if owner >= 0:
+        depths[world, pixel] = best
+        segmentation[world, pixel] = warp.uint8(labels[world, owner])
+    else:
+        segmentation[world, pixel] = warp.uint8(_BACKGROUND)
+        if has_ground and is_ground:
+            depths[world, pixel] = ground
+            color = warp.vec3(_GROUND)
+        else:
+            depths[world, pixel] = _EMPTY_DEPTH
+    if rgb.shape[0] > 0:
+        if owner >= 0:
+            cosine = warp.dot(camera * (rotations[world, owner] * first.normal), _LIGHT)
+            brightness = _SHADE + (1.0 - _SHADE) * warp.clamp(cosine, 0.0, 1.0)
+            color = 255.0 * brightness * colors[int(first_colors[world, owner]) + first.face]
+        for channel in range(3):
+            rgb[world, pixel, channel] = warp.uint8(warp.rint(color[channel]))
+
+
+@warp.func
+def scramble(value: warp.uint32) -> warp.uint32:
+    """Return a pseudo-random number of 32 bits; those of different values differ."""
+    mixed = (value ^ (value >> warp.uint32(16))) * _FIRST
+    mixed = (mixed ^ (mixed >> warp.uint32(15))) * _SECOND
+    return mixed ^ (mixed >> warp.uint32(16))
+
+
+@warp.kernel(enable_backward=False)
+def draw_keys(
+    segmentation: warp.array2d[warp.uint8],
+    label: int,
+    seeds: warp.array[warp.int64],
+    steps: warp.array[warp.int64],
+    stream: int,
+    keys: warp.array2d[warp.int64],
+) -> None:
+    """Draw a key of each pixel with a label, from which `WarpCamera.sample_pixels` chooses; one thread per pixel.
+
+    Keys depend on seed, steps, stream and pixel only, and differ within an image.
+
+    Args:
+        segmentation: Segmentation labels (w, 50176).
+        label: Label of the pixels that get a key.
+        seeds: Seeds (w,), 32 bits.
+        steps: Numbers (w,) of simulated steps.
+        stream: Number of the random stream.
+        keys: Keys (w, 50176), 0 to 2^32 - 1, and 2^32 for other pixels, an output.
+    """
+    world, pixel = warp.tid()
+    keys[world, pixel] = _NO_KEY
+    if int(segmentation[world, pixel]) == label:
+        state = scramble(warp.uint32(seeds[world])) + warp.uint32(stream)
+        state = scramble(state) + warp.uint32(steps[world])
+        keys[world, pixel] = warp.int64(scramble(scramble(state) + warp.uint32(pixel)))

@@ -1,0 +1,98 @@
+"""Visual meshes of URDF models on a device, for ray casting with Warp."""
+
+from collections.abc import Collection
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import warp
+from scipy.spatial.transform import Rotation
+
+from handover_marl.geometry.arrays import ArrayFactory, RowBank
+from handover_marl.geometry.kinematic_tree import read_tree
+from handover_marl.geometry.model_files.meshes import VisualMesh, read_visual_meshes
+from handover_marl.geometry.model_files.urdf import read_model_mtimes
+
+#: Link number of meshes whose vertices are in the world frame.
+WORLD = -1
+ORIGIN = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+
+
+class LinkMesh(NamedTuple):
+    """Mesh of one link of a model.
+
+    Attributes:
+        number: Number of the mesh in its `MeshBank`.
+        link: Number of the link in whose frame the mesh is; `WORLD` for meshes that never move.
+    """
+
+    number: int
+    link: int
+
+
+class MeshBank:
+    """Visual meshes on Warp's current device; a model whose files have not changed is copied once.
+
+    Mesh 0 is none: its identifier is 0.
+
+    Args:
+        arrays: Creator of tensors on the device.
+
+    Attributes:
+        identifiers: Identifiers (m,) of Warp's meshes, int64.
+        spheres: Centers and radii (m, 4) of bounding spheres in the meshes' frames (m).
+        first_colors: Indices (m,) in `colors` of the colours of the meshes' first faces.
+        colors: Red, green and blue (c, 3) of the faces of all meshes, 0 to 1.
+    """
+
+    def __init__(self, arrays: ArrayFactory) -> None:
+        self.identifiers, self.first_colors = RowBank(arrays, (), "int64"), RowBank(arrays, (), "int64")
+        self.spheres, self.colors = RowBank(arrays, (4,), "float32"), RowBank(arrays, (3,), "float32")
+        # Identifiers are valid as long as the meshes live.
+        self._meshes: list[warp.Mesh] = []
+        self._models: dict[tuple[object, ...], list[LinkMesh]] = {}
+        self._extend(0, np.zeros(4), np.zeros((1, 3)))
+
+    def add_model(self, urdf: Path, base: tuple[float, ...] = ORIGIN, without: Collection[str] = ()) -> list[LinkMesh]:
+        """Copy the meshes of a model to the device, unless they are there, and return them.
+
+        Args:
+            urdf: Model file.
+            base: (7,) world pose of the base link, xyz (m) and quaternion xyzw.
+            without: Names of links to leave out.
+
+        Raises:
+            SimulationError, DataFormatError: The model or one of its meshes cannot be read.
+        """
+        key = (urdf, read_model_mtimes(urdf), base)
+        if key not in self._models:
+            self._models[key] = self._add_model(urdf, base, without)
+        return self._models[key]
+
+    def _add_model(self, urdf: Path, base: tuple[float, ...], without: Collection[str]) -> list[LinkMesh]:
+        tree, found = read_tree(urdf), []
+        origins, rotations = (frames[0] for frames in tree.compute_link_frames(np.zeros((1, tree.n_dof))))
+        world_from_base = Rotation.from_quat(base[3:])
+        for mesh in read_visual_meshes(urdf, tree, without):
+            vertices, link = mesh.vertices.astype(np.float64), mesh.link
+            if tree.n_dof == 0 and link != WORLD:
+                vertices, link = vertices @ rotations[link].T + origins[link], WORLD
+            if link == WORLD:
+                vertices = world_from_base.apply(vertices) + base[:3]
+            found.append(LinkMesh(self._add_mesh(vertices.astype(np.float32), mesh), link))
+        return found
+
+    def _add_mesh(self, vertices: npt.NDArray[np.float32], mesh: VisualMesh) -> int:
+        own = warp.Mesh(warp.array(vertices, dtype=warp.vec3), warp.array(mesh.faces.ravel(), dtype=warp.int32))
+        self._meshes.append(own)
+        center = (vertices.min(axis=0) + vertices.max(axis=0)) / 2.0
+        radius = np.linalg.norm(vertices - center, axis=1).max()
+        # Larger than the rounding error of the test of a ray.
+        return self._extend(own.id, np.array([*center, 1.001 * radius + 1e-5]), mesh.colors)
+
+    def _extend(self, identifier: int, sphere: npt.NDArray[np.float64], colors: npt.NDArray[np.floating]) -> int:
+        self.first_colors.extend(np.array([self.colors.extend(colors)]))
+        self.spheres.extend(sphere)
+        # Kernels take the bits of an unsigned number.
+        return self.identifiers.extend(np.array([identifier], dtype=np.uint64).view(np.int64))
