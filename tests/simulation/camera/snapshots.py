@@ -1,0 +1,55 @@
+"""Random joint positions in which the wrist camera sees hand and objects, for both ray casters."""
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from handover_marl.config import MAX_OBJECTS, PhysicsConfig
+from handover_marl.datasets.dataset import Scene
+from handover_marl.geometry.arrays import ArrayFactory
+from handover_marl.geometry.kinematic_tree import read_tree
+from handover_marl.geometry.panda import HAND_LINK, LOWER_LIMITS, UPPER_LIMITS
+from handover_marl.geometry.poses import quaternions_from_euler
+from handover_marl.simulation.camera.frames import CAMERA_POSITION_IN_HAND, HAND_FROM_CAMERA
+from handover_marl.simulation.tensor_state import JointSnapshotBatch
+from handover_marl.simulation.world import JointSnapshot
+
+
+def draw_snapshot(
+    scene: Scene, config: PhysicsConfig, rng: np.random.Generator, has_hand: bool = True, nearest: float = 0.0
+) -> JointSnapshot:
+    """Draw an arm pose, and poses of hand and objects `nearest` to 0.6 m before the camera; bodies may overlap."""
+    low, high = np.array(LOWER_LIMITS), np.array(UPPER_LIMITS)
+    robot = (low + rng.uniform(0.1, 0.9, 9) * (high - low)).astype(np.float32)
+    count = len(scene.assets.objects) + 1
+    ahead = rng.uniform(nearest, 0.6, (count, 1))
+    aside = rng.uniform(-0.7, 0.7, (count, 2)) * np.maximum(ahead, 0.05)
+    dof = np.c_[place_in_view(scene, config, robot, np.c_[aside, ahead]), rng.uniform(-np.pi, np.pi, (count, 3))]
+    hand = np.concatenate([dof[0], rng.uniform(-0.8, 0.8, 45)]).astype(np.float32)
+    return JointSnapshot(robot, hand if has_hand else None, dof[1:].astype(np.float32))
+
+
+def place_in_view(
+    scene: Scene, config: PhysicsConfig, robot: npt.NDArray[np.float32], places: npt.ArrayLike
+) -> npt.NDArray[np.float64]:
+    """Return world positions (n, 3) of points given right, down and ahead of the camera (m)."""
+    tree = read_tree(scene.assets.panda)
+    origins, turns = (value[0] for value in tree.compute_link_frames(robot[None]))
+    link = [joint.link for joint in tree.joints].index(HAND_LINK)
+    base = Rotation.from_quat(config.panda.base_orientation)
+    points = np.asarray(places) @ np.array(HAND_FROM_CAMERA).T + CAMERA_POSITION_IN_HAND
+    return np.asarray(base.apply(points @ turns[link].T + origins[link]) + config.panda.base_position)
+
+
+def stack_snapshots(snapshots: list[JointSnapshot], arrays: ArrayFactory) -> JointSnapshotBatch:
+    """Return snapshots of several worlds as tensors."""
+    objects = np.zeros((len(snapshots), MAX_OBJECTS, 7))
+    for own, one in zip(objects, snapshots, strict=True):
+        own[: len(one.objects)] = np.c_[one.objects[:, :3], quaternions_from_euler(one.objects[:, 3:])]
+    hands = [np.zeros(51, np.float32) if one.hand is None else one.hand for one in snapshots]
+    return JointSnapshotBatch(
+        robot=arrays.asarray(np.array([one.robot for one in snapshots])),
+        hand=arrays.asarray(np.array(hands)),
+        hand_present=arrays.asarray(np.array([one.hand is not None for one in snapshots])),
+        objects=arrays.asarray(objects, "float32"),
+    )
