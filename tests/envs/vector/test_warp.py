@@ -1,6 +1,5 @@
 """Tests of vector environments in MuJoCo Warp, on Warp's CPU device, against those in MuJoCo."""
 
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -9,12 +8,10 @@ import pytest
 pytest.importorskip("mujoco_warp", reason="needs the extra `warp`")
 
 import torch
-import warp
 
 import handover_marl
 from handover_marl.geometry.arrays import to_numpy
-from handover_marl.simulation.mujoco.batches import warp_model
-from tests.fake_device import DEVICE, DeviceTensor, FakeDevice
+from tests.fake_device import DEVICE, DeviceTensor
 
 # As many environments as there are worlds in the tests of MuJoCo Warp, so that they share kernels.
 COUNT = 3
@@ -81,18 +78,6 @@ def test_learning_givers_return_tensors() -> None:
     assert np.isfinite(to_numpy(features)).all()
     assert rewards.shape == (COUNT,)
     envs.close()
-
-
-@pytest.fixture
-def emulated_gpu(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Let MuJoCo Warp simulate on the processor, with tensors of an emulated GPU."""
-    scoped_device, to_torch = warp.ScopedDevice, warp.to_torch
-    monkeypatch.setattr(warp, "ScopedDevice", lambda _: scoped_device("cpu"))
-    monkeypatch.setattr(warp, "to_torch", lambda array: to_torch(array).as_subclass(DeviceTensor))
-    monkeypatch.setattr(torch.cuda, "Stream", lambda _: None)
-    monkeypatch.setattr(warp_model, "is_device_available", lambda _: True)
-    with FakeDevice():
-        yield
 
 
 @pytest.mark.usefixtures("emulated_gpu")

@@ -1,0 +1,189 @@
+"""Tests of wrist-camera observations of vector environments in MuJoCo Warp, on Warp's CPU device."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco_warp", reason="needs the extra `warp`")
+pytest.importorskip("embreex", reason="needs the extra `vision`")
+
+import torch
+
+import handover_marl
+from handover_marl.envs.custom_rewards import combine_rewards
+from handover_marl.envs.vector import array_episodes
+from handover_marl.episode.batch import camera_observations
+from handover_marl.errors import OptionError
+from handover_marl.geometry.arrays import to_numpy
+from handover_marl.learning.encodings.choices import declare_size
+from tests.envs.vector.test_warp import COUNT, OPTIONS
+from tests.fake_device import DEVICE, DeviceTensor
+
+#: Vector environments whose receivers are controlled from outside.
+RECEIVERS: dict[str, Any] = {**OPTIONS, "agent": "receiver", "partner": "replay"}
+WARP: dict[str, Any] = {"backend": "warp"}
+SEED = 5
+
+
+def read_rows(observations: Any) -> list[dict[str, np.ndarray]]:
+    """Return the observations of all environments as NumPy arrays."""
+    return [{key: to_numpy(values[row]) for key, values in observations.items()} for row in range(COUNT)]
+
+
+def assert_same_points(found: dict[str, np.ndarray], expected: dict[str, np.ndarray]) -> None:
+    """Assert that clouds that are not subsampled have the same points, but for few at edges."""
+    counts, others = found["wrist_point_counts"], expected["wrist_point_counts"]
+    assert np.abs(counts - others).max() <= 2
+    for number, key in enumerate(("wrist_object_points", "wrist_hand_points", "wrist_other_points")[: len(counts)]):
+        own, other = (
+            cloud[: int(count)] for cloud, count in ((found[key], counts[number]), (expected[key], others[number]))
+        )
+        if 0 < counts[number] <= 1024:
+            distances = np.linalg.norm(own[:, None] - other, axis=-1).min(axis=1)
+            assert (distances < 1e-4).mean() > 0.98
+        assert not found[key][len(own) :].any()
+
+
+@pytest.mark.parametrize("camera_model", ["handoversim", "pinhole"])
+def test_clouds_equal_those_of_single_environments(camera_model: str) -> None:
+    options: dict[str, Any] = {"obs_mode": "state+scene_pointcloud", "camera_model": camera_model}
+    envs = handover_marl.vector_env(COUNT, **WARP, **RECEIVERS, **options)
+    observations, _ = envs.reset(seed=SEED)
+    found = read_rows(observations)
+    assert any(0 < one["wrist_point_counts"][1] <= 1024 for one in found)
+    for row, own in enumerate(found):
+        assert envs.single_observation_space.contains(own)
+        single = handover_marl.parallel_env(
+            dataset=OPTIONS["dataset"], physics="mujoco", **options, rewards=OPTIONS["rewards"]
+        )
+        expected, _ = single.reset(seed=SEED + row)
+        assert_same_points(own, expected["receiver"])
+        single.close()
+    envs.close()
+
+
+@pytest.mark.parametrize("obs_mode", ["pointcloud", "scene_pointcloud", "rgbd", "state+pointcloud", "state+rgbd"])
+def test_spaces_contain_observations(obs_mode: str) -> None:
+    envs = handover_marl.vector_env(COUNT, obs_mode=obs_mode, **WARP, **RECEIVERS)
+    observations, _ = envs.reset(seed=SEED)
+    for row in read_rows(observations):
+        assert envs.single_observation_space.contains(row)
+    assert set(observations) == set(envs.single_observation_space)
+    if "rgbd" in obs_mode:
+        assert len(torch.unique(observations["wrist_segmentation"])) > 3
+    envs.close()
+
+
+def test_observations_of_ended_episodes() -> None:
+    """All episodes end after three steps; "final_obs" has the last image of an episode and the others the first."""
+    envs = handover_marl.vector_env(COUNT, obs_mode="pointcloud", **WARP, **RECEIVERS)
+    observations, _ = envs.reset(seed=SEED)
+    rows = [read_rows(observations)]
+    for _ in range(3):
+        observations, _, _, truncations, infos = envs.step(observations["robot_joint_position"] + 0.02)
+        rows.append(read_rows(observations))
+    assert truncations.all()
+    for row in range(COUNT):
+        last = {key: to_numpy(values) for key, values in infos["final_obs"][row].items()}
+        assert envs.single_observation_space.contains(last)
+        np.testing.assert_allclose(last["time"], 0.03, atol=1e-6)
+        # The robot has moved, and the object has not.
+        assert np.abs(last["wrist_object_points"] - rows[2][row]["wrist_object_points"]).max() > 1e-4
+    envs.close()
+
+
+def test_episodes_and_their_clouds_repeat(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Clouds depend on the seed of an environment, neither on the others nor on the size of chunks."""
+    monkeypatch.setattr(camera_observations, "N_POINTS", 32)
+    monkeypatch.setitem(camera_observations.camera_observation_space.__globals__, "N_POINTS", 32)
+    found = []
+    for chunk in (64, 2):
+        monkeypatch.setattr(camera_observations, "_CHUNK", chunk)
+        envs = handover_marl.vector_env(COUNT, obs_mode="pointcloud", **WARP, **RECEIVERS)
+        observations, _ = envs.reset(seed=[SEED, SEED, SEED + 1])
+        found.append(read_rows(observations))
+        envs.close()
+    for first, second in zip(*found, strict=True):
+        np.testing.assert_equal(first, second)
+    np.testing.assert_equal(found[0][0], found[0][1])
+    assert (found[0][0]["wrist_point_counts"][0]) > 32
+
+
+@declare_size(2)
+def count_points(observation: dict[str, Any]) -> np.ndarray:
+    assert "object_poses" not in observation
+    return np.array(observation["wrist_point_counts"][:2], dtype=np.float32)
+
+
+def test_user_defined_features_observe_the_camera() -> None:
+    envs = handover_marl.vector_env(
+        COUNT, features=count_points, schemes="joint_delta", obs_mode="pointcloud", **WARP, **RECEIVERS
+    )
+    plain = handover_marl.vector_env(COUNT, obs_mode="pointcloud", **WARP, **RECEIVERS)
+    np.testing.assert_array_equal(envs.reset(seed=SEED)[0], plain.reset(seed=SEED)[0]["wrist_point_counts"])
+    envs.close()
+    plain.close()
+
+
+def test_images_are_rendered_only_for_those_who_read_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    made, rendered = [], []
+
+    class CountingCamera(camera_observations.WristCameraBatch):
+        def __init__(self, *arguments: Any) -> None:
+            super().__init__(*arguments)
+            made.append(self)
+
+        def observe(self, rows: Any, *arguments: Any) -> Any:
+            rendered.append(len(rows))
+            return super().observe(rows, *arguments)
+
+    monkeypatch.setattr(array_episodes, "WristCameraBatch", CountingCamera)
+    options = {**WARP, **OPTIONS, "obs_mode": "state+pointcloud"}
+    for agent, features in (("receiver", "close"), ("giver", None)):
+        envs = handover_marl.vector_env(
+            COUNT, agent, "replay" if agent == "receiver" else "hold", features=features, **options
+        )
+        envs.reset(seed=0)
+        envs.close()
+    assert not made
+    envs = handover_marl.vector_env(COUNT, **WARP, **{**RECEIVERS, "obs_mode": "pointcloud"})
+    observations, _ = envs.reset(seed=0)
+    envs.step(observations["robot_joint_position"])
+    envs.close()
+    assert rendered == [COUNT, COUNT]
+
+
+@pytest.mark.usefixtures("emulated_gpu")
+@pytest.mark.parametrize("obs_mode", ["state+scene_pointcloud", "rgbd"])
+def test_nothing_leaves_the_device_by_chance(obs_mode: str) -> None:
+    envs = handover_marl.vector_env(COUNT, obs_mode=obs_mode, device="cuda", **WARP, **RECEIVERS)
+    envs.reset(seed=0)
+    observations, *_ = envs.step(torch.zeros(envs.action_space.shape, device=DEVICE))
+    for key, tensor in observations.items():
+        assert isinstance(tensor, DeviceTensor), key
+    envs.close()
+
+
+@declare_size(1)
+def move(outputs: np.ndarray, observation: dict[str, Any]) -> np.ndarray:
+    return np.asarray(observation["robot_joint_position"])
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"obs_mode": "full_pointcloud"}, "obs_mode must have one of pointcloud, scene_pointcloud, rgbd with"),
+        ({"obs_mode": "state+full_pointcloud"}, "got 'state\\+full_pointcloud'; use backend='threads'"),
+        ({"camera_noise": "realsense"}, "camera_noise must be None with backend='warp', got 'realsense'; use backend"),
+        ({"renderer": "bullet"}, "renderer must be 'rays' with backend='warp', got 'bullet'; use backend='threads'"),
+        ({"rewards": combine_rewards("sparse")}, "rewards must be built-in ones with a camera with backend='warp'"),
+        ({"schemes": move, "features": count_points}, "the action scheme must be a built-in one with a camera"),
+        ({"agent": "giver", "partner": "vision", "obs_mode": "state"}, "the partner must not use the camera with"),
+    ],
+    ids=str,
+)
+def test_what_the_device_cannot_observe_is_refused(options: dict[str, Any], message: str) -> None:
+    chosen = {**RECEIVERS, "obs_mode": "pointcloud", **options}
+    with pytest.raises(OptionError, match=f"{message}.*"):
+        handover_marl.vector_env(2, **WARP, **chosen)
