@@ -1,9 +1,11 @@
 """Measure the speed of vector environments with MuJoCo Warp against the number of environments.
 
     python experiments/speed/bench_gpu.py --sizes 256 1024 4096
+    python experiments/speed/bench_gpu.py --obs-mode pointcloud
 
-Random outputs of the receiver are repeated until every environment has made some decisions. The first step of each
-number of environments, which compiles kernels, is not measured.
+Random outputs of the receiver are repeated until every environment has made some decisions. With a camera, they are
+changes of the joint positions, and the observations are not replaced by features. The first step of each number of
+environments, which compiles kernels, is not measured.
 """
 
 import time
@@ -14,10 +16,14 @@ import tyro
 from measuring import OutputArgs, describe_conditions
 
 import handover_marl
+from handover_marl.episode.spaces import STATE
 from handover_marl.evaluation.reports.tables import format_table
-from handover_marl.geometry.arrays import make_tensor_factory
+from handover_marl.geometry.arrays import AnyArray, make_tensor_factory
 from handover_marl.learning.training.scene_arguments import SetupArgs
 from handover_marl.simulation.engines import CPU, CUDA, WARP
+
+# Largest change of a joint position in a control period without action scheme (rad, m).
+_LARGEST_CHANGE = 0.1
 
 
 @dataclass(frozen=True)
@@ -29,22 +35,26 @@ class Args(SetupArgs, OutputArgs):
         decisions: Number of measured steps of each vector environment.
         device: Device of MuJoCo Warp: cuda, or cpu.
         control_period: Time for which an action holds (s).
+        obs_mode: Observation mode of the receiver, "state" or one with point clouds or images.
     """
 
     sizes: tuple[int, ...] = (64, 256, 1024, 4096)
     decisions: int = 20
     device: str = CUDA
     control_period: float = 0.2
+    obs_mode: str = STATE
 
 
 def measure(args: Args, count: int) -> tuple[float, float]:
     """Return the physics steps and the decisions per second of a number of environments."""
+    # Images are rendered only for observations that are returned.
+    encoding = {"features": "close", "schemes": "grasp_servo"} if args.obs_mode == STATE else {}
     envs = handover_marl.vector_env(
         count,
         "receiver",
         "cooperative",
-        features="close",
-        schemes="grasp_servo",
+        **encoding,
+        obs_mode=args.obs_mode,
         autoreset="same_step",
         backend=WARP,
         device=args.device,
@@ -53,19 +63,26 @@ def measure(args: Args, count: int) -> tuple[float, float]:
         data_dir=args.data_dir,
         control_period=args.control_period,
     )
-    envs.reset(seed=0)
+    observations, _ = envs.reset(seed=0)
     rng = np.random.default_rng(0)
     # On the device from the start, as those of a network.
     outputs = make_tensor_factory(args.device).asarray(
         rng.uniform(-1.0, 1.0, (1 + args.decisions, *envs.action_space.shape)), "float32"
     )
-    _, _, _, _, infos = envs.step(outputs[0])
-    simulated, started = infos["steps"] * 0, time.perf_counter()
+
+    def step(output: AnyArray) -> AnyArray:
+        """Step all environments, and return their numbers of simulated steps."""
+        nonlocal observations
+        actions = output if encoding else observations["robot_joint_position"] + _LARGEST_CHANGE * output
+        observations, _, _, _, infos = envs.step(actions)
+        return infos["steps"]
+
+    now = step(outputs[0])
+    simulated, started = now * 0, time.perf_counter()
     for output in outputs[1:]:
-        before = infos["steps"]
-        _, _, _, _, infos = envs.step(output)
+        before, now = now, step(output)
         # Steps of an episode that starts again are not counted.
-        simulated += (infos["steps"] - before).clip(0)
+        simulated += (now - before).clip(0)
     total = int(simulated.sum())
     seconds = time.perf_counter() - started
     envs.close()
@@ -80,7 +97,7 @@ def main(args: Args) -> None:
         rows.append((count, f"{steps:,.0f}", f"{decisions:,.1f}"))
     device = f"Device: {describe_device(args.device)}. {describe_conditions()}."
     table = format_table(("environments", "physics steps/s", "decisions/s"), rows)
-    args.publish("Speed of MuJoCo Warp", device, table)
+    args.publish("Speed of MuJoCo Warp", f"Observation mode: {args.obs_mode}. {device}", table)
 
 
 def describe_device(device: str) -> str:
