@@ -17,7 +17,9 @@ import handover_marl
 from handover_marl.config import WorldConfig
 from handover_marl.envs.custom_rewards import combine_rewards
 from handover_marl.envs.transition import Transition
+from handover_marl.envs.vector.array_episodes import ArrayEpisodes
 from handover_marl.envs.vector.vector_env import HandoverVectorEnv
+from handover_marl.episode.episode import Episode
 from handover_marl.errors import (
     ActionError,
     OptionError,
@@ -152,6 +154,27 @@ def test_the_next_episode_is_the_one_that_a_single_environment_draws(rewards: st
             actions = rng.uniform(-1.0, 1.0, (3, 7)).astype(np.float32)
             assert_equal(list(together.step(actions)), list(alone.step(actions)))
     together.close()
+
+
+def test_cameras_have_the_seeds_of_single_environments(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A next episode that was started in advance and is not used takes no seed of the camera."""
+    found, expected = [], []
+    start, seed_camera = ArrayEpisodes.start, Episode.seed_camera
+    monkeypatch.setattr(ArrayEpisodes, "start", lambda *values: (found.append(values[-1]), start(*values)))
+    monkeypatch.setattr(Episode, "seed_camera", lambda self, seed: (expected.append(seed), seed_camera(self, seed)))
+    options = {**OPTIONS, "control_period": 0.2}
+    together = handover_marl.vector_env(1, "receiver", features="close", schemes="grasp_servo", threads=1, **options)
+    alone = handover_marl.parallel_env(**options)
+    chosen = {"scene_id": together.scene_ids[4]}
+    together.reset(seed=5)
+    together.step(np.zeros((1, 7), np.float32))
+    together.reset(options=chosen)
+    together.close()
+    alone.reset(seed=5)
+    alone.reset(options=chosen)
+    assert len(found) == 3
+    assert [found[0], found[2]] == expected
+    assert len(set(expected)) == 2
 
 
 def test_own_features_and_schemes_are_those_of_single_environments() -> None:

@@ -41,9 +41,10 @@ class WristCameraBatch:
         # Imported here: ray casting on a device needs an extra.
         from handover_marl.simulation.camera.warp_camera import WarpCamera
 
-        self._kind, self._model, self._arrays = get_camera_data_kind(obs_mode), camera.camera_model, arrays
-        self._shapes = {
-            key: (space.shape, str(space.dtype)) for key, space in camera_observation_space(obs_mode).items()
+        self._kind, self._model, self._arrays = get_camera_data_kind(obs_mode) or "", camera.camera_model, arrays
+        # Shape and number type of each value.
+        self._formats = {
+            key: (space.shape or (), str(space.dtype)) for key, space in camera_observation_space(obs_mode).items()
         }
         self._camera = WarpCamera(config, count, arrays)
         self._seeds = arrays.zeros(count, "int64")
@@ -68,7 +69,7 @@ class WristCameraBatch:
             steps: Numbers (r,) of simulated physics steps.
         """
         count = len(rows)
-        found = {key: self._arrays.zeros((count, *shape), dtype) for key, (shape, dtype) in self._shapes.items()}
+        found = {key: self._arrays.zeros((count, *shape), dtype) for key, (shape, dtype) in self._formats.items()}
         for first in range(0, count, _CHUNK):
             part = slice(first, first + _CHUNK)
             now = JointSnapshotBatch(
@@ -82,7 +83,7 @@ class WristCameraBatch:
             else:
                 some = self._observe_clouds(rows[part], now, steps[part])
             for key, values in some.items():
-                found[key][part] = values.reshape(-1, *self._shapes[key][0])
+                found[key][part] = values.reshape(-1, *self._formats[key][0])
         return found
 
     def close(self) -> None:

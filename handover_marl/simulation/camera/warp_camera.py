@@ -15,6 +15,7 @@ from handover_marl.errors import ResetNeededError
 from handover_marl.geometry.arrays import AnyArray, ArrayFactory, widen
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.panda import HAND_LINK
+from handover_marl.geometry.poses import IDENTITY
 from handover_marl.geometry.rotations import matrices_from_quaternions
 from handover_marl.geometry.tree_bank import TreeBank
 from handover_marl.simulation.camera.frames import (
@@ -25,7 +26,7 @@ from handover_marl.simulation.camera.frames import (
     SegmentationLabel,
 )
 from handover_marl.simulation.camera.warp_kernels import draw_keys, render_images
-from handover_marl.simulation.camera.warp_meshes import ORIGIN, WORLD, LinkMesh, MeshBank
+from handover_marl.simulation.camera.warp_meshes import WORLD, DeviceMesh, MeshBank
 from handover_marl.simulation.mujoco.batches.warp_device import WarpDevice
 from handover_marl.simulation.tensor_state import JointSnapshotBatch
 
@@ -87,7 +88,7 @@ class WarpCamera:
             OptionError: Robot or hand have other joints than those of the other worlds.
             SimulationError, DataFormatError: A model or one of its meshes cannot be read.
         """
-        panda, table = self._config.panda, (*self._config.table_position, *ORIGIN[3:])
+        panda, table = self._config.panda, (*self._config.table_position, *IDENTITY[3:].tolist())
         robot_base = (*panda.base_position, *panda.base_orientation)
         self._robot[row], self._hand[row] = self._robots.add(assets.panda), self._hands.add(assets.hand)
         robot_links = [joint.link for joint in read_tree(assets.panda).joints]
@@ -98,7 +99,7 @@ class WarpCamera:
         world = item + MAX_OBJECTS
         slots: list[tuple[int, int, int]] = []
 
-        def add(meshes: list[LinkMesh], label: SegmentationLabel, frames: Sequence[int]) -> None:
+        def add(meshes: list[DeviceMesh], label: SegmentationLabel, frames: Sequence[int]) -> None:
             slots.extend((mesh.number, world if mesh.link == WORLD else frames[mesh.link], label) for mesh in meshes)
 
         with self._device.use():

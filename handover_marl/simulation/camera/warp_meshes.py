@@ -1,6 +1,5 @@
 """Visual meshes of URDF models on a device, for ray casting with Warp."""
 
-from collections.abc import Collection
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,13 +12,13 @@ from handover_marl.geometry.arrays import ArrayFactory, RowBank
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.model_files.meshes import VisualMesh, read_visual_meshes
 from handover_marl.geometry.model_files.urdf import read_model_mtimes
+from handover_marl.geometry.poses import IDENTITY
 
 #: Link number of meshes whose vertices are in the world frame.
 WORLD = -1
-ORIGIN = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
 
-class LinkMesh(NamedTuple):
+class DeviceMesh(NamedTuple):
     """Mesh of one link of a model.
 
     Attributes:
@@ -51,10 +50,12 @@ class MeshBank:
         self.spheres, self.colors = RowBank(arrays, (4,), "float32"), RowBank(arrays, (3,), "float32")
         # Identifiers are valid as long as the meshes live.
         self._meshes: list[warp.Mesh] = []
-        self._models: dict[tuple[object, ...], list[LinkMesh]] = {}
+        self._models: dict[tuple[object, ...], list[DeviceMesh]] = {}
         self._extend(0, np.zeros(4), np.zeros((1, 3)))
 
-    def add_model(self, urdf: Path, base: tuple[float, ...] = ORIGIN, without: Collection[str] = ()) -> list[LinkMesh]:
+    def add_model(
+        self, urdf: Path, base: tuple[float, ...] = tuple(IDENTITY.tolist()), without: tuple[str, ...] = ()
+    ) -> list[DeviceMesh]:
         """Copy the meshes of a model to the device, unless they are there, and return them.
 
         Args:
@@ -65,12 +66,12 @@ class MeshBank:
         Raises:
             SimulationError, DataFormatError: The model or one of its meshes cannot be read.
         """
-        key = (urdf, read_model_mtimes(urdf), base)
+        key = (urdf, read_model_mtimes(urdf), base, without)
         if key not in self._models:
             self._models[key] = self._add_model(urdf, base, without)
         return self._models[key]
 
-    def _add_model(self, urdf: Path, base: tuple[float, ...], without: Collection[str]) -> list[LinkMesh]:
+    def _add_model(self, urdf: Path, base: tuple[float, ...], without: tuple[str, ...]) -> list[DeviceMesh]:
         tree, found = read_tree(urdf), []
         origins, rotations = (frames[0] for frames in tree.compute_link_frames(np.zeros((1, tree.n_dof))))
         world_from_base = Rotation.from_quat(base[3:])
@@ -80,7 +81,7 @@ class MeshBank:
                 vertices, link = vertices @ rotations[link].T + origins[link], WORLD
             if link == WORLD:
                 vertices = world_from_base.apply(vertices) + base[:3]
-            found.append(LinkMesh(self._add_mesh(vertices.astype(np.float32), mesh), link))
+            found.append(DeviceMesh(self._add_mesh(vertices.astype(np.float32), mesh), link))
         return found
 
     def _add_mesh(self, vertices: npt.NDArray[np.float32], mesh: VisualMesh) -> int:
