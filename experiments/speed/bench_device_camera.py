@@ -136,10 +136,9 @@ def describe_agreement(found: ImageBatch, expected: list[CameraImage]) -> list[s
     is_alike = (np.abs(rgb - colors) <= _COLOR).all(axis=-1)
     counts = {label.name: int((others == label).sum()) for label in SegmentationLabel}
     return [
-        f"Labels agree at {100 * same.mean():.4f} % of {same.size:,} pixels (least of an image: "
-        f"{100 * same.mean(axis=1).min():.3f} %).",
-        f"Where labels agree, depths differ by less than 0.1 mm at {100 * is_near[same].mean():.4f} %, and colours by "
-        f"at most {_COLOR} at {100 * is_alike[same].mean():.4f} % of the pixels.",
+        f"Labels differ at {np.sum(~same)} of {same.size:,} pixels, at most at {(~same).sum(axis=1).max()} of an image.",
+        f"Where labels agree, depths differ by 0.1 mm or more at {np.sum(~is_near[same])} pixels, and colours by more "
+        f"than {_COLOR} at {np.sum(~is_alike[same])}.",
         f"Pixels by label: {', '.join(f'{name} {count:,}' for name, count in counts.items())}.",
     ]
 
