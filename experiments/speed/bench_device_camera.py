@@ -136,7 +136,7 @@ def describe_agreement(found: ImageBatch, expected: list[CameraImage]) -> list[s
     is_alike = (np.abs(rgb - colors) <= _COLOR).all(axis=-1)
     counts = {label.name: int((others == label).sum()) for label in SegmentationLabel}
     return [
-        f"Labels differ at {np.sum(~same)} of {same.size:,} pixels, at most at {(~same).sum(axis=1).max()} of an image.",
+        f"Labels differ at {np.sum(~same)} of {same.size:,} pixels, at most {(~same).sum(axis=1).max()} of an image.",
         f"Where labels agree, depths differ by 0.1 mm or more at {np.sum(~is_near[same])} pixels, and colours by more "
         f"than {_COLOR} at {np.sum(~is_alike[same])}.",
         f"Pixels by label: {', '.join(f'{name} {count:,}' for name, count in counts.items())}.",

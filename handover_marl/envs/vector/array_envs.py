@@ -70,12 +70,12 @@ def check_device_camera(template: WrappableEnv) -> None:
         OptionError: The camera has data or noise that only "threads" can simulate, or the partner, a user-defined
             reward or a user-defined action scheme observes it.
     """
-    config, advice = template.unwrapped.config, "with backend='warp'"
+    config, condition = template.unwrapped.config, "with backend='warp'"
     env: Any = template
     while not isinstance(env, HandoverEnv):
         if isinstance(env, FrozenPartnerEnv) and env.policy.obs_mode != STATE:
             raise OptionError(
-                f"the partner must not use the camera {advice}, got {env.policy.name!r} with "
+                f"the partner must not use the camera {condition}, got {env.policy.name!r} with "
                 f"obs_mode={env.policy.obs_mode!r}; use backend='threads'"
             )
         env = env.env
@@ -84,22 +84,22 @@ def check_device_camera(template: WrappableEnv) -> None:
     kind = get_camera_data_kind(config.obs_mode)
     if kind not in DEVICE_KINDS:
         raise OptionError(
-            f"obs_mode must have one of {', '.join(DEVICE_KINDS)} {advice}, got {config.obs_mode!r}; use "
+            f"obs_mode must have one of {', '.join(DEVICE_KINDS)} {condition}, got {config.obs_mode!r}; use "
             "backend='threads'"
         )
     if config.camera_noise is not None:
-        raise OptionError(f"camera_noise must be None {advice}, got {config.camera_noise!r}; use backend='threads'")
+        raise OptionError(f"camera_noise must be None {condition}, got {config.camera_noise!r}; use backend='threads'")
     if resolve_renderer(config.renderer, config.physics) != RAYS:
-        raise OptionError(f"renderer must be 'rays' {advice}, got {config.renderer!r}; use backend='threads'")
+        raise OptionError(f"renderer must be 'rays' {condition}, got {config.renderer!r}; use backend='threads'")
     if not isinstance(resolve_rewards(config.rewards), (RewardConfig, TermWeights)):
         raise OptionError(
-            f"rewards must be built-in ones with a camera {advice}, got {config.rewards!r}; use backend='threads'"
+            f"rewards must be built-in ones with a camera {condition}, got {config.rewards!r}; use backend='threads'"
         )
     if isinstance(template, EncodedEnv) and RECEIVER in template.choices:
         scheme = template.choices[RECEIVER][1]
         if not isinstance(scheme, str) or is_reference(scheme):
             raise OptionError(
-                f"the action scheme must be a built-in one with a camera {advice}, got {scheme!r}; use "
+                f"the action scheme must be a built-in one with a camera {condition}, got {scheme!r}; use "
                 "backend='threads'"
             )
 

@@ -7,12 +7,13 @@ from dataclasses import dataclass
 from handover_marl.datasets.dataset import Scene
 from handover_marl.envs.config import EnvConfig
 from handover_marl.envs.handover_env import HandoverEnv
-from handover_marl.envs.vector.array_envs import ArrayEnvs, can_use_arrays
+from handover_marl.envs.vector.array_envs import ArrayEnvs, can_use_arrays, check_device_camera
 from handover_marl.envs.vector.batch import Envs
 from handover_marl.envs.vector.single_envs import SingleEnvs, WrapperFunction, apply_wrapper
 from handover_marl.envs.wrappers.encode import encode
 from handover_marl.envs.wrappers.freeze import freeze
 from handover_marl.envs.wrappers.wrapper import WrappableEnv
+from handover_marl.errors import OptionError
 from handover_marl.learning.encodings.custom_features import FeaturesLike
 from handover_marl.learning.encodings.custom_schemes import SchemeLike
 from handover_marl.policies.reference import PolicyLike
@@ -58,6 +59,19 @@ class EnvFactory:
     def has_arrays(self) -> bool:
         """Whether the environments are simulated together as arrays."""
         return can_use_arrays(self.template, self.backend)
+
+    def check_device(self) -> None:
+        """Check that the environments can be simulated on a device, with the backend "warp".
+
+        Raises:
+            OptionError: They must be simulated with "threads".
+        """
+        check_device_camera(self.template)
+        if not self.has_arrays:
+            raise OptionError(
+                "with backend='warp', environments must have physics='mujoco', render_mode=None and no wrappers but "
+                "EpisodeReturns; use backend='threads'"
+            )
 
     def make(self, count: int) -> Envs:
         """Make a number of environments, which are simulated by one thread."""

@@ -13,7 +13,6 @@ from gymnasium.vector.utils import batch_space
 from handover_marl.envs.arguments import check_positive_integer
 from handover_marl.envs.config import EnvConfig, make_env_config
 from handover_marl.envs.handover_env import HandoverEnv
-from handover_marl.envs.vector.array_envs import check_device_camera
 from handover_marl.envs.vector.batch import EnvBatch, check_action_array
 from handover_marl.envs.vector.env_factory import EnvFactory
 from handover_marl.envs.vector.parallel_vector_env import ParallelVectorEnv
@@ -278,12 +277,7 @@ def vector_env(
         chosen, agent, partner, features, schemes, tuple(wrappers), trust, autoreset != "disabled", chosen_backend
     )
     if backend == WARP:
-        check_device_camera(factory.template)
-        if not factory.has_arrays:
-            raise OptionError(
-                "with backend='warp', environments must have physics='mujoco', render_mode=None and no wrappers but "
-                "EpisodeReturns; use backend='threads'"
-            )
+        factory.check_device()
     template, make = factory.template, factory.make
     if processes is not None:
         parts = processes

@@ -12,7 +12,7 @@ from handover_marl.episode.camera_observations import (
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.spaces import POINTCLOUD, RGBD, SCENE_POINTCLOUD, get_camera_data_kind
 from handover_marl.geometry.arrays import AnyArray, ArrayFactory
-from handover_marl.simulation.camera.frames import IMAGE_SIZE, compute_points
+from handover_marl.simulation.camera.frames import N_PIXELS, compute_points
 from handover_marl.simulation.tensor_state import JointSnapshotBatch
 
 #: Kinds of camera data that are rendered on a device.
@@ -100,7 +100,7 @@ class WristCameraBatch:
         for key, label, stream in CLOUDS[: N_CLOUDS[self._kind]]:
             counts.append(xp.sum(images.segmentation == int(label), axis=1))
             pixels = self._camera.sample_pixels(images, label, N_POINTS, self._seeds[rows], steps, stream)
-            is_point = pixels < IMAGE_SIZE * IMAGE_SIZE
+            is_point = pixels < N_PIXELS
             some = xp.where(is_point, pixels, 0)
             points = compute_points(some, xp.take_along_dim(images.depth, some, dim=1), self._model)
             found[key] = xp.where(is_point[..., None], points, 0.0)

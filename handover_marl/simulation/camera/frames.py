@@ -22,8 +22,9 @@ from handover_marl.geometry.panda import CAMERA_LINK
 
 Array = npt.NDArray[np.float32]
 
-#: Pixels per side, field of view (degrees, horizontal and vertical), and depth range (m).
+#: Pixels per side and of an image, field of view (degrees, horizontal and vertical), and depth range (m).
 IMAGE_SIZE: Final = 224
+N_PIXELS: Final = IMAGE_SIZE * IMAGE_SIZE
 FIELD_OF_VIEW: Final = 90.0
 NEAR: Final = 0.035
 FAR: Final = 2.0

@@ -21,8 +21,8 @@ from handover_marl.geometry.tree_bank import TreeBank
 from handover_marl.simulation.camera.frames import (
     CAMERA_POSITION_IN_HAND,
     HAND_FROM_CAMERA,
-    IMAGE_SIZE,
     INVISIBLE_LINKS,
+    N_PIXELS,
     SegmentationLabel,
 )
 from handover_marl.simulation.camera.warp_kernels import draw_keys, render_images
@@ -30,8 +30,6 @@ from handover_marl.simulation.camera.warp_meshes import WORLD, DeviceMesh, MeshB
 from handover_marl.simulation.mujoco.batches.warp_device import WarpDevice
 from handover_marl.simulation.tensor_state import JointSnapshotBatch
 
-#: Number of pixels of an image.
-N_PIXELS = IMAGE_SIZE * IMAGE_SIZE
 _TARGETS = (SegmentationLabel.TARGET, SegmentationLabel.HAND)
 _OBJECTS = (*_TARGETS, SegmentationLabel.OTHER_OBJECT)
 # Entries of a world's table of meshes: number of the mesh, number of its frame, and segmentation label.
@@ -74,7 +72,7 @@ class WarpCamera:
         self._base_position = arrays.asarray(config.panda.base_position, "float64")
         self._hand_from_camera = arrays.asarray(HAND_FROM_CAMERA, "float64")
         self._camera_position = arrays.asarray(CAMERA_POSITION_IN_HAND, "float64")
-        self._hand_link = self._n_robot_links = self._n_hand_links = 0
+        self._hand_link = 0
         self._bank: MeshBank | None = None
 
     def reset(self, row: int, assets: SceneAssets) -> None:
@@ -92,10 +90,10 @@ class WarpCamera:
         robot_base = (*panda.base_position, *panda.base_orientation)
         self._robot[row], self._hand[row] = self._robots.add(assets.panda), self._hands.add(assets.hand)
         robot_links = [joint.link for joint in read_tree(assets.panda).joints]
-        self._hand_link, self._n_robot_links = robot_links.index(HAND_LINK), len(robot_links)
-        self._n_hand_links = len(read_tree(assets.hand).joints)
+        self._hand_link = robot_links.index(HAND_LINK)
         # Frames are those of the robot's links, of the hand's links, of the objects and of the world, in this order.
-        hand, item = self._n_robot_links, self._n_robot_links + self._n_hand_links
+        hand = len(robot_links)
+        item = hand + len(read_tree(assets.hand).joints)
         world = item + MAX_OBJECTS
         slots: list[tuple[int, int, int]] = []
 
