@@ -230,8 +230,8 @@ def test_worlds_without_a_scene_are_refused() -> None:
 def test_options_of_vector_env() -> None:
     with pytest.raises(OptionError, match="must be left out with backend='warp', got 2 and None"):
         handover_marl.vector_env(2, backend="warp", threads=2)
-    with pytest.raises(OptionError, match="no camera"):
-        handover_marl.vector_env(2, backend="warp", obs_mode="pointcloud", dataset="synthetic")
+    with pytest.raises(OptionError, match="must have physics='mujoco'"):
+        handover_marl.vector_env(2, backend="warp", physics="fast", dataset="synthetic")
     if not warp_group.warp.is_cuda_available():
         with pytest.raises(OptionError, match="needs an NVIDIA GPU"):
             handover_marl.vector_env(2, backend="warp", device="cuda")
