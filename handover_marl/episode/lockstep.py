@@ -77,30 +77,24 @@ def simulate_worlds(
     """
     simulated = np.zeros(len(worlds), dtype=np.int_)
 
-    def prepare(numbers: list[int]) -> None:
-        for first in range(0, len(numbers), _ROLLOUT_WORLDS):
-            part = numbers[first : first + _ROLLOUT_WORLDS]
-            worlds[part[0]].prepare_rollout([worlds[one] for one in part], [robot_targets[one] for one in part])
-
     while running := np.flatnonzero((referees.status == 0) & (simulated < steps)).tolist():
-        # Preparing a sleeping world may wake it, which changes its batch.
-        prepare([number for number in running if worlds[number].is_asleep])
-        batches: dict[object, list[tuple[int, int]]] = {}
+        # Preparing a sleeping world may wake it, which changes its key.
+        for part in _split([number for number in running if worlds[number].is_asleep]):
+            worlds[part[0]].prepare_rollout([worlds[one] for one in part], [robot_targets[one] for one in part])
+        groups: dict[object, list[int]] = {}
         for number in running:
-            key, place = worlds[number].batch_key
-            batches.setdefault(key, []).append((place, number))
-        # Small batches are prepared together; a large one is prepared in its own rollouts.
-        small = [number for batch in batches.values() if len(batch) < _ROLLOUT_WORLDS for _, number in batch]
-        prepare([number for number in small if not worlds[number].is_asleep])
-        for batch in batches.values():
-            ordered = [number for _, number in sorted(batch)]
-            for first in range(0, len(ordered), _ROLLOUT_WORLDS):
-                part = np.array(ordered[first : first + _ROLLOUT_WORLDS])
-                own = [worlds[number] for number in part]
-                limit = steps - int(simulated[part].max())
-                targets = [robot_targets[number] for number in part]
-                simulated[part] += _simulate_rollout(own, targets, referees, part, limit, rules)
+            groups.setdefault(worlds[number].rollout_key, []).append(number)
+        for part in (part for group in groups.values() for part in _split(group)):
+            own, targets = [worlds[one] for one in part], [robot_targets[one] for one in part]
+            rows = np.array(part)
+            limit = steps - int(simulated[rows].max())
+            simulated[rows] += _simulate_rollout(own, targets, referees, rows, limit, rules)
     return simulated
+
+
+def _split(numbers: list[int]) -> list[list[int]]:
+    """Split the numbers of worlds into those of single rollouts."""
+    return [numbers[first : first + _ROLLOUT_WORLDS] for first in range(0, len(numbers), _ROLLOUT_WORLDS)]
 
 
 def _simulate_rollout(

@@ -132,7 +132,7 @@ def make_batch_worlds(config: PhysicsConfig, count: int) -> list[BatchWorld]:
     from handover_marl.simulation.mujoco.batches.simulation import BatchSimulation
     from handover_marl.simulation.mujoco.world import MujocoWorld
 
-    simulation = BatchSimulation(count)
+    simulation = BatchSimulation()
     return [MujocoWorld(config, simulation=simulation) for _ in range(count)]
 
 

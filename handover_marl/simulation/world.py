@@ -145,7 +145,7 @@ class World(ABC):
 
 
 class RolloutResult(NamedTuple):
-    """Contacts of k physics steps of n worlds that were simulated as one batch.
+    """Contacts of k physics steps of n worlds that were simulated together.
 
     Attributes:
         contacts: Contacts of all steps and worlds.
@@ -158,10 +158,10 @@ class RolloutResult(NamedTuple):
 
 
 class BatchWorld(World):
-    """World that can simulate many steps at once, in one batch with other worlds.
+    """World that can simulate many steps at once, together with other worlds.
 
     A world sleeps while no body can touch the robot for some steps. Sleeping and awake worlds are
-    in different batches.
+    not simulated together.
     """
 
     @property
@@ -172,21 +172,21 @@ class BatchWorld(World):
     @property
     @abstractmethod
     def max_rollout_steps(self) -> int:
-        """Largest number of steps of the next rollout, valid after `prepare_rollout`."""
+        """Largest number of steps of the next rollout, valid for a sleeping world after `prepare_rollout`."""
 
     @property
     @abstractmethod
-    def batch_key(self) -> tuple[object, int]:
-        """Key of this world's batch, which all worlds of the batch share, and this world's row in the batch."""
+    def rollout_key(self) -> object:
+        """Key that is equal for worlds that can be simulated in one rollout."""
 
     @classmethod
     def prepare_rollout(cls, worlds: Sequence[Self], robot_targets: Sequence[list[float]]) -> None:
-        """Compute the controls of several worlds for their coming steps.
+        """Prepare the coming steps of several sleeping worlds, which may wake them.
 
         One call for many worlds is faster than many calls.
 
         Args:
-            worlds: Worlds of any batch keys.
+            worlds: The worlds.
             robot_targets: Nine joint targets of each Panda (rad, m), float32 values.
         """
 
@@ -195,10 +195,10 @@ class BatchWorld(World):
     def simulate_rollout(
         cls, worlds: Sequence[Self], robot_targets: Sequence[list[float]], steps: int, rules: ProtocolConfig
     ) -> RolloutResult:
-        """Simulate several steps of worlds with the same batch key.
+        """Simulate several steps of worlds with the same rollout key.
 
         Args:
-            worlds: Worlds in the order of their rows in the batch.
+            worlds: The worlds.
             robot_targets: Nine joint targets of each Panda (rad, m), float32 values.
             steps: Number of steps, at most `max_rollout_steps` of any of the worlds.
             rules: Bounds of the grasp region of the fingers.

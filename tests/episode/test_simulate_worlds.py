@@ -43,8 +43,7 @@ class ScriptedWorld:
 
     def __init__(self, steps: list[Contacts], number: int, key: object, max_steps: int, is_asleep: bool) -> None:
         self.steps, self.target = steps, [float(number)] * 9
-        # The worlds' places in the batch are in reverse order.
-        self.batch_key = (key, -number)
+        self.rollout_key = key
         self.max_rollout_steps, self.is_asleep = max_steps, is_asleep
         self.position, self.is_prepared = 0, False
         self.releases: list[int] = []
@@ -57,6 +56,7 @@ class ScriptedWorld:
         assert [world.target for world in worlds] == robot_targets
         assert len(worlds) <= 32
         for world in worlds:
+            assert world.is_asleep
             assert not world.is_prepared
             world.is_prepared = True
 
@@ -65,9 +65,7 @@ class ScriptedWorld:
         cls, worlds: Sequence["ScriptedWorld"], robot_targets: Sequence[list[float]], steps: int, rules: ProtocolConfig
     ) -> RolloutResult:
         assert [world.target for world in worlds] == robot_targets
-        keys, places = zip(*(world.batch_key for world in worlds), strict=True)
-        assert len(set(keys)) == 1
-        assert list(places) == sorted(places)
+        assert len({world.rollout_key for world in worlds}) == 1
         assert 0 < steps <= min(world.max_rollout_steps for world in worlds)
         assert all(world.position + steps <= N_STEPS for world in worlds), "more steps than the reference motion has"
         cls.sizes.append(len(worlds))
@@ -76,7 +74,7 @@ class ScriptedWorld:
             ContactBatch.from_contacts(world.steps[world.position : world.position + steps], rules) for world in worlds
         ]
         for world in worlds:
-            assert world.is_prepared or world.batch_key[0] == "large"
+            assert world.is_prepared is world.is_asleep
             world.position += steps
             world.is_prepared = False
 

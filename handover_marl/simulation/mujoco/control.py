@@ -18,8 +18,8 @@ from handover_marl.simulation.kinematic_paths import (
     set_hand_references,
     set_object_references,
 )
-from handover_marl.simulation.mujoco.batches.mujoco_batch import BatchSlot
 from handover_marl.simulation.mujoco.batches.simulation import BatchSimulation
+from handover_marl.simulation.mujoco.batches.world_data import WorldData
 from handover_marl.simulation.mujoco.engine import XYZW, wxyz_from_euler
 from handover_marl.simulation.mujoco.sleep import SleepState
 
@@ -33,14 +33,15 @@ class WorldController:
     """Controller of one MuJoCo world during one episode.
 
     Args:
-        slot: Batch slot of the world.
-        simulation: Simulation of the batch, with computations that worlds share.
+        data: Model and state of the world.
+        simulation: Simulation of the worlds, with computations that they share.
         hand_urdf: Model of the human hand.
         config: Motors of all bodies, and gravity.
         start: Reference motion of one row: the initial state of hand and objects.
 
     Attributes:
-        slot: Batch slot of the world.
+        data: Model and state of the world.
+        robot: Simulation of the robot alone.
         hand: Trajectory of the hand, valid once it has tracked the reference; see `track_hand`.
         sleep: Sleep state of the world; None once the world is awake.
         reference: Current reference motion.
@@ -57,18 +58,18 @@ class WorldController:
 
     def __init__(
         self,
-        slot: BatchSlot,
+        data: WorldData,
         simulation: BatchSimulation,
         hand_urdf: Path,
         config: PhysicsConfig,
         start: ReferenceMotion,
     ) -> None:
-        scene = slot.scene
-        self.slot, self.reference, self.row = slot, start, -1
+        scene = data.scene
+        self.data, self.reference, self.row = data, start, -1
         tree = read_tree(hand_urdf)
         self.hand = HandTrajectory(tree, config.hand, start)
-        rollouts = simulation.get_robot_rollouts(scene.robot_only)
-        self.sleep: SleepState | None = SleepState(scene, rollouts, config, start)
+        self.robot = simulation.get_robot(scene.robot_only)
+        self.sleep: SleepState | None = SleepState(scene, self.robot, config, start)
         self.robot_target: list[float] | None = None
         self.is_tracked, self.release_pending = True, False
         self.controls, self.controls_row, self.hand_free_steps = np.zeros((0, 0)), 0, 0
@@ -76,7 +77,7 @@ class WorldController:
         self._hand_kinematics = simulation.get_hand_kinematics(hand_urdf, scene.hand_links.tolist())
         moving = [link for link, joint in enumerate(tree.joints) if joint.kind != "fixed"]
         self._keypoint_kinematics = simulation.get_hand_kinematics(hand_urdf, select_keypoint_links(moving))
-        slot.get_controls()[1][scene.hand] = ABSENT
+        data.mocap_pos[scene.hand] = ABSENT
         self._is_state_set = False
 
     @property
@@ -114,19 +115,19 @@ class WorldController:
         self.row, self._is_state_set = row, self.sleep is None
 
     def set_state(self) -> None:
-        """Write the state of a sleeping world to its batch slot, which is updated only on demand."""
+        """Write the state of a sleeping world to its data, which is updated only on demand."""
         if self.sleep is not None and not self._is_state_set:
-            slot, scene = self.slot, self.slot.scene
-            slot.qpos[scene.robot_qpos], slot.qvel[scene.robot_qvel] = self.sleep.get_robot_state(self.row)
-            slot.qpos[scene.object_qpos] = self.sleep.compute_object_poses(self.row).ravel()
+            data, scene = self.data, self.data.scene
+            data.qpos[scene.robot_qpos], data.qvel[scene.robot_qvel] = self.sleep.get_robot_state(self.row)
+            data.qpos[scene.object_qpos] = self.sleep.compute_object_poses(self.row).ravel()
             self._is_state_set = True
 
     def wake(self) -> None:
         """Wake the world: robot and objects are simulated together from the coming step on."""
         if self.sleep is not None:
             self.set_state()
-            self.slot.qvel[self.slot.scene.object_qvel] = self.sleep.compute_object_velocities(self.row).ravel()
-            self.slot.set_time(self.sleep.compute_time(self.row))
+            self.data.qvel[self.data.scene.object_qvel] = self.sleep.compute_object_velocities(self.row).ravel()
+            self.data.time[:] = self.sleep.compute_time(self.row)
             self.sleep, self.robot_target = None, None
 
     def wake_if_needed(self, target: list[float]) -> None:
@@ -146,19 +147,12 @@ class WorldController:
         """Release the target object if its release is pending."""
         if self.release_pending:
             self.wake()
-            self.slot.release_object(self._gravity)
+            self.data.release_object(self._gravity)
             self.release_pending = False
 
     def can_touch_hand(self, steps: int) -> bool:
         """Return whether the hand can touch the robot within a number of coming steps."""
         return self.row + 1 - self.controls_row + steps > self.hand_free_steps
-
-    def apply_coming_controls(self) -> None:
-        """Set the model and the controls of the world for the next physics step."""
-        self.slot.world_batch.select_models([self.slot], [self.can_touch_hand(1)])
-        parts = _split_controls(self.slot, self.coming_controls[0])
-        for array, part in zip(self.slot.get_controls(), parts, strict=True):
-            array[:] = part
 
     def place_hand(self, free_steps: int, positions: Array, quaternions: Array) -> None:
         """Compute the mocap poses of the hand's bodies in the remaining steps.
@@ -223,7 +217,7 @@ def prepare_controls(controllers: Sequence[WorldController], robot_targets: Sequ
         controller.wake_if_needed(target)
         if controller.sleep is None and controller.robot_target != target:
             controller.robot_target, controller.controls_row = target, controller.row + 1
-            model = controller.slot.scene.model
+            model = controller.data.scene.model
             # Models with equally many objects, actuators and mocap bodies have them in the same places.
             steps, objects = controller.reference.objects.shape[:2]
             key = (steps - controller.controls_row, objects, model.nu, model.nmocap)
@@ -239,14 +233,14 @@ def _compute_controls(controllers: Sequence[WorldController], targets: Array) ->
         controllers: Controllers of the worlds.
         targets: Joint targets (w, 9) of the robots (rad, m).
     """
-    scene = controllers[0].slot.scene
+    first = controllers[0].data
+    scene, references = first.scene, first.scene.rotation_references
     objects = np.stack([one.reference.objects[one.controls_row :] for one in controllers])
-    current = [np.stack(part) for part in zip(*(one.slot.get_controls() for one in controllers), strict=True)]
-    controls = np.zeros((*objects.shape[:2], sum(part[0].size for part in current)))
-    actuators, positions, quaternions = _split_controls(controllers[0].slot, controls)
-    # The hand's bodies follow for each world.
-    references = scene.rotation_references
-    positions[..., references, :], quaternions[:] = current[1][:, None, references], current[2][:, None]
+    # All controls are set below; those of the hand's bodies follow for each world.
+    controls = np.empty((*objects.shape[:2], first.ctrl.size + first.mocap_pos.size + first.mocap_quat.size))
+    actuators, positions, quaternions = first.split_controls(controls)
+    positions[..., references, :] = np.stack([one.data.mocap_pos[references] for one in controllers])[:, None]
+    quaternions[:] = np.stack([one.data.mocap_quat for one in controllers])[:, None]
     actuators[..., scene.robot_ctrl] = targets[:, None]
     # Actuators drive objects to world positions; the target orientation is that of a mocap body.
     object_targets = np.zeros(objects.shape)
@@ -261,29 +255,15 @@ def _compute_controls(controllers: Sequence[WorldController], targets: Array) ->
 
 def _count_hand_free_steps(controllers: Sequence[WorldController], targets: Array) -> npt.NDArray[np.int_]:
     """Return the numbers (w,) of coming steps in which each hand cannot touch its robot."""
-    slots = [controller.slot for controller in controllers]
-    scene = slots[0].scene
-    poses = [np.concatenate(slot.compute_body_poses(), axis=1)[scene.robot_only.links] for slot in slots]
+    worlds, scene = [one.data for one in controllers], controllers[0].data.scene
+    joints = np.array([world.qpos[scene.robot_qpos] for world in worlds])
+    velocities = np.array([world.qvel[scene.robot_qvel] for world in worlds])
+    poses = [
+        np.concatenate(one.robot.compute_body_poses(own), axis=1)[scene.robot_only.links]
+        for one, own in zip(controllers, joints, strict=True)
+    ]
     links = np.array(poses)[..., [0, 1, 2, *(3 + place for place in XYZW)]]
-    joints = np.array([slot.qpos[scene.robot_qpos] for slot in slots])
-    velocities = np.array([slot.qvel[scene.robot_qvel] for slot in slots])
     centers = np.array([one.hand.predict_positions(one.row + 1) for one in controllers])[:, :, None]
-    reach = np.array([[slot.scene.hand_reach] for slot in slots])
+    reach = np.array([[world.scene.hand_reach] for world in worlds])
     bounds = scene.robot_only.motion_bounds
     return bounds.count_contact_free_steps((joints, velocities), links, targets, centers, reach)[:, 0]
-
-
-def _split_controls(slot: BatchSlot, controls: Array) -> tuple[Array, Array, Array]:
-    """Split controls into actuator targets (..., u), mocap positions and quaternions.
-
-    Returns:
-        Views: targets (..., u), positions (..., m, 3) (m), quaternions wxyz (..., m, 4).
-    """
-    targets, positions, _ = slot.get_controls()
-    u, m = len(targets), len(positions)
-    shape = controls.shape[:-1]
-    return (
-        controls[..., :u],
-        controls[..., u : u + 3 * m].reshape(*shape, m, 3),
-        controls[..., u + 3 * m :].reshape(*shape, m, 4),
-    )

@@ -131,18 +131,17 @@ def stop_profiler() -> bool:
     return False
 
 
-def check_warnings(batch: Batch, rows: npt.NDArray[np.int32]) -> None:
-    """Raise an error if MuJoCo warned in some rows of a batch.
+def check_warnings(engine: Batch) -> None:
+    """Raise an error if MuJoCo warned in the world of an engine.
 
     Raises:
-        SimulationError: There were warnings; the simulated states of the rows are invalid.
+        SimulationError: There were warnings; the simulated state is invalid.
     """
-    counts = batch.warning[rows, :, 1]
+    details, counts = engine.warning[0].T
     if not counts.any():
         return
-    row = int(counts.any(axis=1).argmax())
-    found = [mujoco.mju_warningText(kind, batch.warning[rows[row], kind, 0]) for kind in np.flatnonzero(counts[row])]
-    seconds = float(batch.bind("time")[rows[row]])
+    found = [mujoco.mju_warningText(kind, details[kind]) for kind in np.flatnonzero(counts)]
+    seconds = float(engine.bind("time")[0])
     advice = "run this scene with physics='fast'" if is_pybullet_installed() else "leave this scene out"
     raise SimulationError(
         f"MuJoCo's simulation failed after {seconds:.3f} s: {' '.join(found)} To go on, {advice}, and report this."

@@ -48,8 +48,8 @@ class RobotTrajectory:
     sphere_centers: Array
 
 
-class RobotOnlyRollouts:
-    """Cache of MuJoCo rollouts of the robot without hand and objects.
+class RobotOnlySimulation:
+    """Simulation of the robot without hand and objects in MuJoCo, with a cache of rollouts.
 
     Most episodes start with the same motion from the initial pose to the waiting pose. Equal states
     and targets give bit-equal motions, so the cache does not change results.
@@ -60,9 +60,19 @@ class RobotOnlyRollouts:
 
     def __init__(self, model: RobotOnlyModel) -> None:
         self._model = model
-        self._batch = Batch(model.model, 1, nthread=1)
+        self._batch, self._data = Batch(model.model, 1, nthread=1), mujoco.MjData(model.model)
         self._state = [self._batch.bind(name) for name in _STATE]
         self._cache: OrderedDict[tuple[bytes, int], RobotTrajectory] = OrderedDict()
+
+    def compute_body_poses(self, joints: Array) -> tuple[Array, Array]:
+        """Compute the world positions (b, 3) (m) and quaternions wxyz (b, 4) of all bodies, valid until the next call.
+
+        Args:
+            joints: Nine joint positions of the robot (rad, m).
+        """
+        self._data.qpos[:] = joints
+        mujoco.mj_kinematics(self._model.model, self._data)
+        return self._data.xpos, self._data.xquat
 
     def start(self, joints: npt.ArrayLike) -> RobotTrajectory:
         """Return the trajectory, still without steps, of a robot at rest at joint positions (9,) (rad, m)."""
@@ -100,7 +110,7 @@ class RobotOnlyRollouts:
         batch.bind("time")[0], batch.warning[0] = TIME_STEP * elapsed, 0
         controls = np.repeat(state[None, -1:], steps, axis=1)
         found = batch.rollout(steps, controls, int(mujoco.mjtState.mjSTATE_CTRL), (*_STATE, "site_xpos"))
-        check_warnings(batch, np.zeros(1, dtype=np.int32))
+        check_warnings(batch)
         joints, velocities, warm_start = (
             np.concatenate([first[None], found[name][0]]) for first, name in zip(state[:-1], _STATE, strict=True)
         )
@@ -114,7 +124,7 @@ class SleepState:
 
     Args:
         scene: Model of the scene.
-        rollouts: Cache of rollouts of the robot without hand and objects.
+        robot: Simulation of the robot without hand and objects.
         config: Motors of the objects, and initial joint positions of the robot.
         start: Reference motion of one row: the initial state of the objects.
 
@@ -123,11 +133,11 @@ class SleepState:
     """
 
     def __init__(
-        self, scene: SceneModel, rollouts: RobotOnlyRollouts, config: PhysicsConfig, start: ReferenceMotion
+        self, scene: SceneModel, robot: RobotOnlySimulation, config: PhysicsConfig, start: ReferenceMotion
     ) -> None:
         self.objects = [ObjectTrajectory(config.objects, joints) for joints in start.objects[0]]
-        self._scene, self._rollouts = scene, rollouts
-        self._robot = rollouts.start(config.panda.start_joints)
+        self._scene, self._simulation = scene, robot
+        self._robot = robot.start(config.panda.start_joints)
         # Row of the robot trajectory's first step, number of its steps without a body near it, and
         # of steps before it.
         self._first, self._free, self._elapsed = 0, 0, 0
@@ -157,7 +167,7 @@ class SleepState:
         self._first, self._elapsed = row, self._elapsed + done
         bodies: list[HandTrajectory | ObjectTrajectory] = [hand, *self.objects]
         centers = np.stack([body.predict_positions(row) for body in bodies], axis=1)
-        self._robot = self._rollouts.simulate(self._robot, done, target, len(centers), self._elapsed)
+        self._robot = self._simulation.simulate(self._robot, done, target, len(centers), self._elapsed)
         radii = np.array([self._scene.hand_reach, *self._scene.object_reaches])
         near = self._scene.robot_only.motion_bounds.is_near(self._robot.sphere_centers, centers, radii)
         self._free = int(near.argmax()) if near.any() else len(near)

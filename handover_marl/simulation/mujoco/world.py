@@ -17,7 +17,6 @@ from handover_marl.simulation.mujoco.batches.simulation import BatchSimulation
 from handover_marl.simulation.mujoco.control import WorldController, prepare_controls
 from handover_marl.simulation.mujoco.engine import bullet_xyzw_from_wxyz, chain_joints_from_poses
 from handover_marl.simulation.mujoco.scene_model import load_scene_model
-from handover_marl.simulation.mujoco.sleep import SleepState
 from handover_marl.simulation.world import (
     AgentJoints,
     BatchWorld,
@@ -49,7 +48,7 @@ class MujocoWorld(BatchWorld):
         if window:
             raise OptionError('physics="mujoco" opens no window; use render_mode="rgb_array", or physics="fast"')
         self._config = config
-        self._simulation = simulation or BatchSimulation(1)
+        self._simulation = simulation or BatchSimulation()
         self._controller: WorldController | None = None
         self._scene: Scene | None = None
         # The angles of objects' chains continue from their last values.
@@ -76,11 +75,9 @@ class MujocoWorld(BatchWorld):
             robot_joints: Nine joint positions of the robot at the start (rad, m).
         """
         model = load_scene_model(scene.assets, self._config)
-        # A slot is invalid as soon as the next scene is loaded.
-        previous, self._controller = self._controller, None
-        slot = self._simulation.load_scene(model, None if previous is None else previous.slot)
+        data = self._simulation.load_scene(model)
         config = replace(self._config, panda=replace(self._config.panda, start_joints=tuple(robot_joints)))
-        self._controller = WorldController(slot, self._simulation, scene.assets.hand, config, start)
+        self._controller = WorldController(data, self._simulation, scene.assets.hand, config, start)
         self._scene = scene
         self._object_joints = start.objects[0].astype(np.float64)
 
@@ -93,8 +90,8 @@ class MujocoWorld(BatchWorld):
         controller = self.controller
         prepare_controls([controller], [robot_target])
         if controller.sleep is None:
-            controller.apply_coming_controls()
-            controller.slot.step()
+            touching = [controller.can_touch_hand(1)]
+            self._simulation.simulate([controller.data], touching, [controller.coming_controls[:1]])
         controller.set_row(controller.row + 1)
 
     @classmethod
@@ -106,32 +103,30 @@ class MujocoWorld(BatchWorld):
     def simulate_rollout(
         cls, worlds: Sequence["MujocoWorld"], robot_targets: Sequence[list[float]], steps: int, rules: ProtocolConfig
     ) -> RolloutResult:
-        """Simulate several steps of worlds of one batch; see `BatchWorld.simulate_rollout`."""
+        """Simulate several steps of worlds; see `BatchWorld.simulate_rollout`."""
         controllers = [world.controller for world in worlds]
         prepare_controls(controllers, robot_targets)
         if controllers[0].sleep is not None:
             return _skip_sleeping_steps(controllers, steps)
-        slots = [controller.slot for controller in controllers]
-        world_batch = slots[0].world_batch
-        world_batch.select_models(slots, [controller.can_touch_hand(steps) for controller in controllers])
-        rollout = world_batch.simulate(slots, [controller.coming_controls[:steps] for controller in controllers])
+        rollout = worlds[0]._simulation.simulate(
+            [controller.data for controller in controllers],
+            [controller.can_touch_hand(steps) for controller in controllers],
+            [controller.coming_controls[:steps] for controller in controllers],
+        )
         for controller in controllers:
             controller.row += steps
 
         def truncate(number: int, taken: int) -> None:
-            rollout.truncate(number, taken)
+            rollout.set_world(number, taken)
             controllers[number].row += taken - steps
 
-        return RolloutResult(rollout.readings.compute_contact_batch(rules), truncate)
+        return RolloutResult(rollout.make_readings().compute_contact_batch(rules), truncate)
 
     @property
-    def batch_key(self) -> tuple[object, int]:
-        """Key of the batch that simulates this world, and the world's row in it.
-
-        Worlds with equal keys may be simulated together. Worlds whose robot is simulated alone, because
-        nothing is near it, share one key.
-        """
-        return (SleepState, 0) if self.is_asleep else (self.controller.slot.world_batch, self.controller.slot.row)
+    def rollout_key(self) -> tuple[int, ...]:
+        """Key of the worlds that can be simulated in one rollout; see `BatchWorld.rollout_key`."""
+        model = self.controller.data.scene.model
+        return (0,) if self.is_asleep else (model.nq, model.nu, model.nmocap, model.nsensordata)
 
     @property
     def is_asleep(self) -> bool:
@@ -151,23 +146,23 @@ class MujocoWorld(BatchWorld):
         """Return the contacts of the last physics step; see `World.read_contacts`."""
         if self.is_asleep:
             return Contacts()
-        return self.controller.slot.read_sensors().compute_contacts(released)
+        return self.controller.data.read_sensors().compute_contacts(released)
 
     def read_state(self) -> WorldState:
         """Return the current state of robot, objects and human hand."""
         self.controller.set_state()
-        controller, slot, scene = self.controller, self.controller.slot, self.controller.slot.scene
+        controller, data, scene = self.controller, self.controller.data, self.controller.data.scene
         hand, row = controller.track_hand(), controller.row
-        positions, quaternions = slot.compute_body_poses()
+        positions, quaternions = controller.robot.compute_body_poses(data.qpos[scene.robot_qpos])
         # The gripper's pose, then the objects'.
         poses = np.concatenate(
-            [positions[scene.gripper], quaternions[scene.gripper], slot.qpos[scene.object_qpos]]
+            [positions[scene.gripper], quaternions[scene.gripper], data.qpos[scene.object_qpos]]
         ).reshape(-1, 7)
         poses[:, 3:] = bullet_xyzw_from_wxyz(poses[:, 3:])
         present = hand.is_present_after(row)
         return WorldState(
-            robot_joint_position=slot.qpos[scene.robot_qpos].astype(np.float32),
-            robot_joint_velocity=slot.qvel[scene.robot_qvel].astype(np.float32),
+            robot_joint_position=data.qpos[scene.robot_qpos].astype(np.float32),
+            robot_joint_velocity=data.qvel[scene.robot_qvel].astype(np.float32),
             gripper_pose=poses[0].astype(np.float32),
             object_poses=poses[1:].astype(np.float32),
             hand_dof_position=hand.get_joints_float32(row) if present else None,
@@ -183,15 +178,15 @@ class MujocoWorld(BatchWorld):
     def read_joints_float64(self) -> Array:
         """Return the robot's joint positions (9,) in double precision (rad, m)."""
         self.controller.set_state()
-        slot = self.controller.slot
-        joints: Array = slot.qpos[slot.scene.robot_qpos].copy()
+        data = self.controller.data
+        joints: Array = data.qpos[data.scene.robot_qpos].copy()
         return joints
 
     def read_object_joints(self) -> npt.NDArray[np.float32]:
         """Return the joint positions (n, 6) of n objects: xyz (m), Euler angles (rad), float32."""
         self.controller.set_state()
-        slot = self.controller.slot
-        poses = slot.qpos[slot.scene.object_qpos].reshape(-1, 7)
+        data = self.controller.data
+        poses = data.qpos[data.scene.object_qpos].reshape(-1, 7)
         self._object_joints = chain_joints_from_poses(poses, self._object_joints)
         joints: npt.NDArray[np.float32] = self._object_joints.astype(np.float32)
         return joints
@@ -207,8 +202,6 @@ class MujocoWorld(BatchWorld):
     def close(self) -> None:
         """Free the memory of the simulation."""
         self._scene_renderers.close()
-        if self._controller is not None:
-            self._simulation.free(self._controller.slot)
         self._scene = self._controller = None
 
 

@@ -1,8 +1,9 @@
-"""Tests of batches of worlds: their rows, models and memory."""
+"""Tests of the simulation of many worlds: their engines, models and memory."""
 
 import gc
 import weakref
 
+import numpy as np
 import pytest
 
 pytest.importorskip("mujoco")
@@ -30,64 +31,69 @@ def models(count: int) -> list[SceneModel]:
     return list(found.values())
 
 
-@pytest.fixture
-def max_empty_batches(monkeypatch: pytest.MonkeyPatch) -> int:
-    """Keep at most two batches without worlds."""
-    monkeypatch.setattr(batch_simulation, "_MAX_EMPTY_BATCHES", 2)
-    return 2
+def test_worlds_of_one_layout_share_an_engine() -> None:
+    simulation = BatchSimulation()
+    worlds = [simulation.load_scene(model) for model in models(6) * 2]
+    engines = {id(world._engine) for world in worlds}
+    assert len(engines) <= 6
+    for first, second in zip(worlds[:6], worlds[6:], strict=True):
+        assert first._engine is second._engine
 
 
-def n_batches(simulation: BatchSimulation) -> int:
-    return sum(len(batches) for batches in simulation._batches.values())
-
-
-def test_memory_does_not_grow_with_the_scenes_that_were_played(max_empty_batches: int) -> None:
-    simulation, slot = BatchSimulation(1), None
+def test_memory_does_not_grow_with_the_scenes_that_were_simulated(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(batch_simulation, "_MAX_ENGINES", 2)
+    simulation, engines = BatchSimulation(), []
     for model in models(6) * 2:
-        slot = simulation.load_scene(model, slot)
-        assert slot.world_batch.batch.model.nq == model.model.nq
-        assert n_batches(simulation) <= max_empty_batches + 1
+        engines.append(weakref.ref(simulation.load_scene(model)._engine))
+    gc.collect()
+    assert len({id(engine()) for engine in engines if engine() is not None}) <= 2
 
 
-def test_batches_with_worlds_are_kept(max_empty_batches: int) -> None:
-    simulation = BatchSimulation(2)
-    first, *others = models(6)
-    stays, moves = simulation.load_scene(first), None
-    world_batch = stays.world_batch
-    for model in others:
-        moves = simulation.load_scene(model, moves)
-    assert stays.world_batch is world_batch
-    moves = simulation.load_scene(first, moves)
-    assert moves.world_batch is world_batch
-    assert moves.row != stays.row
-    assert n_batches(simulation) <= max_empty_batches + 1
+def test_an_engine_of_another_layout_is_replaced(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(batch_simulation, "_get_layout", lambda model: (0,))
+    simulation = BatchSimulation()
+    found = models(6)
+    first, *others = (simulation.load_scene(model) for model in found)
+    assert any(world._engine is not first._engine for world in others)
+    for model, world in zip(found, (first, *others), strict=True):
+        assert world.qpos.shape == (model.model.nq,)
+        np.testing.assert_array_equal(world.qpos, model.model.qpos0)
 
 
-def test_free_rows_hold_no_model(max_empty_batches: int) -> None:
+def test_worlds_that_share_an_engine_keep_their_own_state() -> None:
     (model,) = models(1)
-    simulation = BatchSimulation(2)
-    slot = simulation.load_scene(model)
-    world_batch, row = slot.world_batch, slot.row
-    world_batch.models[row] = model.variants.select(True, False)
-    simulation.free(slot)
-    assert world_batch.models[row] is world_batch.scene.model
-    assert world_batch.is_empty
+    simulation = BatchSimulation()
+    together, alone = [simulation.load_scene(model) for _ in range(2)], BatchSimulation().load_scene(model)
+    steps = 20
+    controls = [
+        np.tile(np.concatenate([one.ctrl, one.mocap_pos.ravel(), one.mocap_quat.ravel()]), (steps, 1))
+        for one in together
+    ]
+    controls[1][:, model.robot_ctrl] = 0.3
+    rollout = simulation.simulate(together, [True, False], controls)
+    separate = BatchSimulation()
+    expected = separate.simulate([alone], [False], controls[1:])
+    np.testing.assert_array_equal(together[1].qpos, alone.qpos)
+    np.testing.assert_array_equal(together[1].sensordata, alone.sensordata)
+    assert not np.array_equal(together[0].qpos, alone.qpos)
+    # A world that is set back continues as if it had not been simulated further.
+    rollout.set_world(1, 7)
+    simulation.simulate([together[1]], [False], [controls[1][7:]])
+    np.testing.assert_array_equal(together[1].qpos, alone.qpos)
+    np.testing.assert_array_equal(together[1].qvel, expected.worlds[0].qvel)
 
 
 def test_model_variants_are_shared_while_worlds_hold_them() -> None:
     (model,) = models(1)
-    simulation = BatchSimulation(2)
-    slots = [simulation.load_scene(model), simulation.load_scene(model)]
-    shared = slots[0].select_model(hand=False)
-    assert shared is slots[1].select_model(hand=False) is slots[0].select_model(hand=False)
-    assert slots[0].select_model(hand=True) is model.model
+    simulation = BatchSimulation()
+    worlds = [simulation.load_scene(model), simulation.load_scene(model)]
+    shared = worlds[0].select_model(hand=False)
+    assert shared is worlds[1].select_model(hand=False) is worlds[0].select_model(hand=False)
+    assert worlds[0].select_model(hand=True) is model.model
     held = weakref.ref(shared)
     del shared
-    slots[0].world_batch.select_models(slots, [False, False])
-    for number, slot in enumerate(slots):
+    for number in range(len(worlds)):
         assert held() is not None
-        slots[number] = simulation.load_scene(model, slot)
-    del slot
-    slots[0].world_batch.select_models(slots, [True, True])
+        worlds[number] = simulation.load_scene(model)
     gc.collect()
     assert held() is None

@@ -16,7 +16,7 @@ from handover_marl.geometry.panda import WAITING_JOINTS
 from handover_marl.simulation.contacts import Contacts
 from handover_marl.simulation.mujoco import sleep
 from handover_marl.simulation.mujoco.scene_model import load_scene_model
-from handover_marl.simulation.mujoco.sleep import RobotOnlyRollouts
+from handover_marl.simulation.mujoco.sleep import RobotOnlySimulation
 from handover_marl.simulation.mujoco.world import MujocoWorld
 from tests.simulation.mujoco.test_world import INTO_THE_HAND
 
@@ -38,7 +38,7 @@ def begun(awake: bool = False) -> tuple[Episode, MujocoWorld]:
 
 
 def joints(world: MujocoWorld) -> npt.NDArray[np.float64]:
-    return np.concatenate([world.controller.slot.qpos, world.read_joints_float64()])
+    return np.concatenate([world.controller.data.qpos, world.read_joints_float64()])
 
 
 def test_sleeping_worlds_move_as_awake_ones() -> None:
@@ -90,13 +90,13 @@ def test_results_do_not_depend_on_the_division_of_steps(steps: int) -> None:
 def test_woken_objects_keep_their_velocity() -> None:
     """An object that wakes while it moves must neither jump nor stop."""
     episode, world = begun()
-    while np.abs(world.controller.slot.qvel[world.controller.slot.scene.object_qvel]).max() == 0.0:
+    while np.abs(world.controller.data.qvel[world.controller.data.scene.object_qvel]).max() == 0.0:
         episode.advance(START, 50)
         before = world.read_object_joints()[0]
         episode.advance(START, 1)
         if np.abs(world.read_object_joints()[0] - before)[:3].max() > 2e-4:
             world.controller.wake()
-    speeds = world.controller.slot.qvel[world.controller.slot.scene.object_qvel][:3]
+    speeds = world.controller.data.qvel[world.controller.data.scene.object_qvel][:3]
     assert np.linalg.norm(speeds) > 0.2
     now = world.read_object_joints()[0, :3]
     episode.advance(START, 1)
@@ -114,12 +114,12 @@ def test_sleeping_worlds_have_no_contacts_and_a_release_wakes_them() -> None:
 
 
 @pytest.fixture
-def robot() -> RobotOnlyRollouts:
-    return RobotOnlyRollouts(load_scene_model(SCENE.assets, PhysicsConfig()).robot_only)
+def robot() -> RobotOnlySimulation:
+    return RobotOnlySimulation(load_scene_model(SCENE.assets, PhysicsConfig()).robot_only)
 
 
 def test_equal_rollouts_of_the_robot_are_simulated_once(
-    robot: RobotOnlyRollouts, monkeypatch: pytest.MonkeyPatch
+    robot: RobotOnlySimulation, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sleep, "_CACHE_SIZE", 2)
     simulated, simulate = [], robot._simulate
@@ -138,7 +138,7 @@ def test_equal_rollouts_of_the_robot_are_simulated_once(
     np.testing.assert_array_equal(again.joints, first.joints)
 
 
-def test_bounding_spheres_move_with_the_links(robot: RobotOnlyRollouts) -> None:
+def test_bounding_spheres_move_with_the_links(robot: RobotOnlySimulation) -> None:
     path = robot.simulate(robot.start(START), 0, WAITING.tolist(), 300, 0)
     moved = np.abs(path.sphere_centers[-1] - path.sphere_centers[0]).max()
     assert 0.1 < moved < 1.0

@@ -151,8 +151,8 @@ def episode_states(episode: Episode, scene_id: int, looks: int) -> list[npt.NDAr
         episode.advance(targets[number * looks // 800], looks)
         episode.observe()
         if (number + 1) * looks % 400 == 0:
-            slot = world.controller.slot
-            states.append(np.concatenate([world.read_joints_float64(), slot.qpos, slot.qvel]))
+            data = world.controller.data
+            states.append(np.concatenate([world.read_joints_float64(), data.qpos, data.qvel]))
     return states
 
 
@@ -205,7 +205,7 @@ def test_a_state_that_is_not_finite_raises_an_error(
         target[2] = np.nan
     else:
         world_of(episode).controller.wake()
-        getattr(world_of(episode).controller.slot, what)[2] = np.nan
+        getattr(world_of(episode).controller.data, what)[2] = np.nan
     with pytest.raises(SimulationError, match=r"failed after 0\.0[12].* Nan"):
         episode.advance(target, 10)
     assert list(tmp_path.iterdir()) == [], "no log in the working folder"

@@ -1,77 +1,111 @@
-"""Batched simulation of worlds in MuJoCo, with one batch for each model layout.
+"""Simulation of many worlds in MuJoCo, in one thread. The states of a world do not depend on other worlds."""
 
-A single world is a batch of one. The states of a world do not depend on other worlds.
-"""
-
-import heapq
+import math
+from collections import OrderedDict
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import numpy.typing as npt
+from mujoco.batch import Batch
 
-from handover_marl.simulation.mujoco.batches.mujoco_batch import BatchSlot, MujocoBatch
+from handover_marl.simulation.mujoco.batches.world_data import WorldData
+from handover_marl.simulation.mujoco.contacts import SensorReadings
 from handover_marl.simulation.mujoco.engine import HandKinematics, configure_engine
 from handover_marl.simulation.mujoco.scene_model import RobotOnlyModel, SceneModel
-from handover_marl.simulation.mujoco.sleep import RobotOnlyRollouts
+from handover_marl.simulation.mujoco.sleep import RobotOnlySimulation
 
 Array = npt.NDArray[np.float64]
 
-# Largest number of worlds of a batch, whose memory is reserved even if few of them have its layout.
-_MAX_BATCH_SIZE = 64
-# Number of batches without worlds that are kept. A batch takes 5 MB, and 2 ms to make.
-_MAX_EMPTY_BATCHES = 8
+# Number of engines that are kept. An engine takes 2 MB and 1 ms to make; the scenes of s0 train need 37.
+_MAX_ENGINES = 64
+
+
+@dataclass(frozen=True, eq=False)
+class MujocoRollout:
+    """Rollout of k physics steps of n worlds, valid until the next rollout of the simulation.
+
+    Attributes:
+        worlds: The worlds.
+        controls: Controls (n, k, c) of all steps.
+        sensordata: Sensor data (n, k, s) of all steps.
+        motion: State (n, k, ...) after each step, as far as a step changes it.
+    """
+
+    worlds: Sequence[WorldData]
+    controls: Array
+    sensordata: Array
+    motion: Array
+
+    def make_readings(self) -> SensorReadings:
+        """Return the contact-sensor readings of k steps of n worlds."""
+        world = self.worlds[0]
+        qpos = world.get_joint_positions(self.motion)
+        return SensorReadings(world.scene.contact_sensors, self.sensordata.swapaxes(0, 1), qpos.swapaxes(0, 1))
+
+    def set_world(self, number: int, steps: int) -> None:
+        """Set a world to its state after some steps of the rollout.
+
+        Args:
+            number: Index of the world in the rollout.
+            steps: Number of steps, 1 to k.
+        """
+        place = number, steps - 1
+        self.worlds[number].set_step(self.controls[place], self.sensordata[place], self.motion[place])
 
 
 class BatchSimulation:
-    """Simulation of up to `count` worlds in MuJoCo batches, in one thread.
+    """Simulation of any number of worlds in MuJoCo, in one thread."""
 
-    Args:
-        count: Largest number of worlds.
-    """
-
-    def __init__(self, count: int) -> None:
+    def __init__(self) -> None:
         configure_engine()
-        self._capacity = min(count, _MAX_BATCH_SIZE)
+        # Memory of rollouts by name.
         self._buffers: dict[str, Array] = {}
-        self._batches: dict[tuple[int, ...], list[MujocoBatch]] = {}
-        self._robot_rollouts: dict[RobotOnlyModel, RobotOnlyRollouts] = {}
+        self._engines: OrderedDict[tuple[int, ...], Batch] = OrderedDict()
+        self._robots: dict[RobotOnlyModel, RobotOnlySimulation] = {}
         self._hand_kinematics: dict[tuple[Path, int, tuple[int, ...]], HandKinematics] = {}
-        # Groups that were empty when last checked, in the order in which they became so.
-        self._empty_batches: list[MujocoBatch] = []
 
-    def load_scene(self, scene: SceneModel, previous: BatchSlot | None = None) -> BatchSlot:
-        """Load a scene, and return its batch slot in the initial state of the model.
+    def load_scene(self, scene: SceneModel) -> WorldData:
+        """Return a world of a scene in the initial state of its model."""
+        layout = _get_layout(scene.model)
+        engine = self._engines.pop(layout, None)
+        if engine is None or not _accepts(engine, scene.model):
+            # One thread: further cores have simulations of their own.
+            engine = Batch(scene.model, 1, nthread=1)
+        self._engines[layout] = engine
+        if len(self._engines) > _MAX_ENGINES:
+            self._engines.popitem(last=False)
+        return WorldData(scene, engine)
+
+    def simulate(self, worlds: Sequence[WorldData], hands: Sequence[bool], controls: Sequence[Array]) -> MujocoRollout:
+        """Simulate k physics steps of worlds whose states have equal sizes.
 
         Args:
-            scene: Model of the scene.
-            previous: Slot of the world's previous episode, which becomes invalid.
+            worlds: The worlds, which are set to their states after the last step.
+            hands: Whether the hand can collide in these steps, for each world.
+            controls: Controls (k, c) of each world: actuator targets, mocap positions, mocap
+                quaternions wxyz.
+
+        Raises:
+            SimulationError: The engine failed; the states of these worlds are invalid.
         """
-        if previous is not None and previous.world_batch.try_scene(scene, previous.row):
-            slot = BatchSlot(previous.world_batch, previous.row, scene)
-        else:
-            if previous is not None:
-                self.free(previous)
-            world_batch = self._find_batch(scene)
-            slot = BatchSlot(world_batch, heapq.heappop(world_batch.free_rows), scene)
-        slot.world_batch.reset_row(slot.row)
-        return slot
+        first, shape = worlds[0], (len(worlds), len(controls[0]))
+        stacked = np.stack(controls, out=self._get_buffer("controls", (*shape, controls[0].shape[1])))
+        sensordata = self._get_buffer("sensordata", (*shape, len(first.sensordata)))
+        rollout = MujocoRollout(worlds, stacked, sensordata, self._get_buffer("motion", (*shape, first.motion_size)))
+        for number, (world, hand) in enumerate(zip(worlds, hands, strict=True)):
+            own = slice(number, number + 1)
+            world.simulate(hand, stacked[own], sensordata[own], rollout.motion[own])
+            rollout.set_world(number, shape[1])
+        return rollout
 
-    def free(self, slot: BatchSlot) -> None:
-        """Free the batch row of a slot; the slot becomes invalid."""
-        world_batch = slot.world_batch
-        world_batch.free_row(slot.row)
-        if world_batch.is_empty:
-            kept = [*(one for one in self._empty_batches if one.is_empty and one is not world_batch), world_batch]
-            self._empty_batches, dropped = kept[-_MAX_EMPTY_BATCHES:], kept[:-_MAX_EMPTY_BATCHES]
-            for one in dropped:
-                self._batches[_get_layout(one.scene)].remove(one)
-
-    def get_robot_rollouts(self, model: RobotOnlyModel) -> RobotOnlyRollouts:
-        """Return the cache of rollouts without hand and objects, shared by all worlds."""
-        if model not in self._robot_rollouts:
-            self._robot_rollouts[model] = RobotOnlyRollouts(model)
-        return self._robot_rollouts[model]
+    def get_robot(self, model: RobotOnlyModel) -> RobotOnlySimulation:
+        """Return the simulation of the robot without hand and objects, shared by all worlds."""
+        if model not in self._robots:
+            self._robots[model] = RobotOnlySimulation(model)
+        return self._robots[model]
 
     def get_hand_kinematics(self, urdf: Path, links: Sequence[int]) -> HandKinematics:
         """Return forward kinematics of a hand, shared by all worlds.
@@ -85,17 +119,23 @@ class BatchSimulation:
             self._hand_kinematics[key] = HandKinematics(urdf, np.array(links))
         return self._hand_kinematics[key]
 
-    def _find_batch(self, scene: SceneModel) -> MujocoBatch:
-        """Return a batch with a free row that accepts the scene's model."""
-        batches = self._batches.setdefault(_get_layout(scene), [])
-        for batch in batches:
-            if batch.free_rows and batch.try_scene(scene, batch.free_rows[0]):
-                return batch
-        batches.append(MujocoBatch(scene, self._capacity, self._buffers))
-        return batches[-1]
+    def _get_buffer(self, name: str, shape: tuple[int, ...]) -> Array:
+        """Return an uninitialized array of a shape, in memory that is reused for this name."""
+        size = math.prod(shape)
+        if name not in self._buffers or self._buffers[name].size < size:
+            self._buffers[name] = np.empty(size)
+        return self._buffers[name][:size].reshape(shape)
 
 
-def _get_layout(scene: SceneModel) -> tuple[int, ...]:
-    """Return the array sizes of a scene's model, which are equal in all models of one layout."""
-    model = scene.model
+def _get_layout(model: "mujoco.MjModel") -> tuple[int, ...]:
+    """Return the array sizes of a model that models of one layout share."""
     return model.nq, model.nv, model.nu, model.nbody, model.ngeom, model.nbvh, model.nmocap, model.nsensordata
+
+
+def _accepts(engine: Batch, model: "mujoco.MjModel") -> bool:
+    """Return whether a model has the layout of an engine."""
+    try:
+        engine.set_models(model)
+    except (ValueError, mujoco.FatalError):
+        return False
+    return True
