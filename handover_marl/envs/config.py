@@ -45,8 +45,8 @@ class EnvConfig:
         max_cycles: Control steps after which an episode is truncated; default: never.
         world_config: Simulated world, protocol and limits of the giver.
         robot: "panda", or "panda_camera" with HandoverSim's depth camera on its hand.
-        obs_mode: Observation mode of the receiver: "state", "pointcloud", "rgbd", "full_pointcloud",
-            or "state+" and one of the last three; both robots have a wrist camera.
+        obs_mode: Observation mode of the receiver: "state", "pointcloud", "scene_pointcloud", "rgbd",
+            "full_pointcloud", or "state+" and one of the last four; both robots have a wrist camera.
         renderer: Renderer of the wrist camera: "bullet" (PyBullet), "rays" (ray casting), or
             "auto": bullet in exact physics, rays otherwise.
         camera_model: "handoversim" shifts points by one pixel as HandoverSim does, "pinhole" does not.

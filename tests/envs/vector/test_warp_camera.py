@@ -17,6 +17,7 @@ from handover_marl.episode.batch import camera_observations
 from handover_marl.errors import OptionError
 from handover_marl.geometry.arrays import to_numpy
 from handover_marl.learning.encodings.choices import declare_size
+from handover_marl.simulation.camera.warp_camera import WarpCamera
 from tests.envs.vector.test_warp import COUNT, OPTIONS
 from tests.fake_device import DEVICE, DeviceTensor
 
@@ -73,6 +74,20 @@ def test_spaces_contain_observations(obs_mode: str) -> None:
     if "rgbd" in obs_mode:
         assert len(torch.unique(observations["wrist_segmentation"])) > 3
     envs.close()
+
+
+def test_clouds_are_subsampled_with_streams_of_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    sample, streams = WarpCamera.sample_pixels, []
+
+    def record(camera: WarpCamera, *arguments: Any) -> Any:
+        streams.append(arguments[-1])
+        return sample(camera, *arguments)
+
+    monkeypatch.setattr(WarpCamera, "sample_pixels", record)
+    envs = handover_marl.vector_env(COUNT, obs_mode="scene_pointcloud", **WARP, **RECEIVERS)
+    envs.reset(seed=SEED)
+    envs.close()
+    assert len(set(streams)) == len(streams) == 3
 
 
 def test_observations_of_ended_episodes() -> None:
