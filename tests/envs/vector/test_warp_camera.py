@@ -196,7 +196,7 @@ def move(outputs: np.ndarray, observation: dict[str, Any]) -> np.ndarray:
         ({"schemes": move, "features": count_points}, "the action scheme must be a built-in one with a camera"),
         ({"agent": "giver", "partner": "vision", "obs_mode": "state"}, "the partner must not use the camera with"),
     ],
-    ids=str,
+    ids=["full", "state and full", "noise", "renderer", "rewards", "scheme", "partner"],
 )
 def test_what_the_device_cannot_observe_is_refused(options: dict[str, Any], message: str) -> None:
     chosen = {**RECEIVERS, "obs_mode": "pointcloud", **options}
