@@ -79,14 +79,14 @@ def users_of(package: str) -> set[str]:
 @pytest.mark.parametrize(
     ("engine", "packages"),
     [
-        ("pybullet", {"bullet"}),
-        ("mujoco", {"mujoco", "mujoco.batches"}),
-        ("mujoco_warp", {"mujoco.batches"}),
-        ("warp", {"camera", "mujoco.batches"}),
+        ("pybullet", {"simulation.bullet"}),
+        ("mujoco", {"simulation.mujoco", "simulation.mujoco.batches"}),
+        ("mujoco_warp", {"simulation.mujoco.batches"}),
+        ("warp", {"simulation", "simulation.camera", "simulation.mujoco.batches"}),
     ],
 )
 def test_only_some_packages_import_an_engine(engine: str, packages: set[str]) -> None:
-    assert users_of(engine) == {f"handover_marl.simulation.{package}" for package in packages}
+    assert users_of(engine) == {f"handover_marl.{package}" for package in packages}
 
 
 def test_setup_cfg_lists_all_packages() -> None:

@@ -25,6 +25,7 @@ from handover_marl.simulation.camera.frames import (
     CAMERA_MODELS,
     HANDOVERSIM_MODEL,
     IMAGE_SIZE,
+    N_PIXELS,
     CameraImage,
     SegmentationLabel,
     deproject,
@@ -83,12 +84,12 @@ def camera_observation_space(obs_mode: str) -> dict[str, spaces.Space[Any]]:
     """
     check_obs_mode(obs_mode)
     data = get_camera_data_kind(obs_mode)
-    counts = spaces.Box(0.0, float(IMAGE_SIZE * IMAGE_SIZE), (N_CLOUDS.get(data or "", 0),), np.float32)
+    counts = spaces.Box(0.0, float(N_PIXELS), (N_CLOUDS.get(data or "", 0),), np.float32)
     if data in (POINTCLOUD, SCENE_POINTCLOUD):
         cloud = spaces.Box(-np.inf, np.inf, (N_POINTS, 3), np.float32)
         return {**{key: cloud for key, *_ in CLOUDS[: N_CLOUDS[data]]}, "wrist_point_counts": counts}
     if data == FULL_POINTCLOUD:
-        whole = spaces.Box(-np.inf, np.inf, (IMAGE_SIZE * IMAGE_SIZE, 3), np.float32)
+        whole = spaces.Box(-np.inf, np.inf, (N_PIXELS, 3), np.float32)
         joints = spaces.Box(-np.inf, np.inf, (PANDA_DOF,), np.float64)
         return {
             "wrist_object_cloud": whole,
@@ -239,8 +240,8 @@ class WristCamera:
         counts = np.array([len(cloud) for cloud in clouds], dtype=np.float32)
         if data == FULL_POINTCLOUD:
             return {
-                "wrist_object_cloud": _pad_cloud(clouds[0], IMAGE_SIZE * IMAGE_SIZE),
-                "wrist_hand_cloud": _pad_cloud(clouds[1], IMAGE_SIZE * IMAGE_SIZE),
+                "wrist_object_cloud": _pad_cloud(clouds[0], N_PIXELS),
+                "wrist_hand_cloud": _pad_cloud(clouds[1], N_PIXELS),
                 "wrist_point_counts": counts,
                 "robot_joint_position_exact": world.read_joints_float64(),
             }

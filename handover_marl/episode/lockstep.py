@@ -84,11 +84,11 @@ def simulate_worlds(
         groups: dict[object, list[int]] = {}
         for number in running:
             groups.setdefault(worlds[number].rollout_key, []).append(number)
-        for part in (part for group in groups.values() for part in _split(group)):
-            own, targets = [worlds[one] for one in part], [robot_targets[one] for one in part]
-            rows = np.array(part)
-            limit = steps - int(simulated[rows].max())
-            simulated[rows] += _simulate_rollout(own, targets, referees, rows, limit, rules)
+        for group in groups.values():
+            for part in _split(group):
+                own, targets, rows = [worlds[one] for one in part], [robot_targets[one] for one in part], np.array(part)
+                limit = steps - int(simulated[rows].max())
+                simulated[rows] += _simulate_rollout(own, targets, referees, rows, limit, rules)
     return simulated
 
 

@@ -3,21 +3,31 @@
 import functools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from handover_marl.datasets.dataset import Scene
+from handover_marl.envs.arguments import RECEIVER
 from handover_marl.envs.config import EnvConfig
+from handover_marl.envs.custom_rewards import resolve_rewards
 from handover_marl.envs.handover_env import HandoverEnv
-from handover_marl.envs.vector.array_envs import ArrayEnvs, can_use_arrays, check_device_camera
+from handover_marl.envs.reward_terms import TermWeights
+from handover_marl.envs.rewards import RewardConfig
+from handover_marl.envs.vector.array_envs import ArrayEnvs
 from handover_marl.envs.vector.batch import Envs
 from handover_marl.envs.vector.single_envs import SingleEnvs, WrapperFunction, apply_wrapper
-from handover_marl.envs.wrappers.encode import encode
-from handover_marl.envs.wrappers.freeze import freeze
+from handover_marl.envs.wrappers.encode import EncodedEnv, encode
+from handover_marl.envs.wrappers.episode_returns import EpisodeReturns
+from handover_marl.envs.wrappers.freeze import FrozenPartnerEnv, freeze
 from handover_marl.envs.wrappers.wrapper import WrappableEnv
+from handover_marl.episode.batch.camera_observations import DEVICE_KINDS
+from handover_marl.episode.spaces import STATE, get_camera_data_kind
 from handover_marl.errors import OptionError
+from handover_marl.learning.encodings.choices import is_reference
 from handover_marl.learning.encodings.custom_features import FeaturesLike
 from handover_marl.learning.encodings.custom_schemes import SchemeLike
 from handover_marl.policies.reference import PolicyLike
-from handover_marl.simulation.engines import BatchBackend
+from handover_marl.simulation.camera.renderers import RAYS, resolve_renderer
+from handover_marl.simulation.engines import MUJOCO, WARP, BatchBackend
 
 # A scene takes 0.7 MB, and 5 ms to read.
 _CACHED_SCENES = 512
@@ -58,7 +68,7 @@ class EnvFactory:
     @property
     def has_arrays(self) -> bool:
         """Whether the environments are simulated together as arrays."""
-        return can_use_arrays(self.template, self.backend)
+        return _can_use_arrays(self.template, self.backend)
 
     def check_device(self) -> None:
         """Check that the environments can be simulated on a device, with the backend "warp".
@@ -66,7 +76,7 @@ class EnvFactory:
         Raises:
             OptionError: They must be simulated with "threads".
         """
-        check_device_camera(self.template)
+        _check_device_camera(self.template)
         if not self.has_arrays:
             raise OptionError(
                 "with backend='warp', environments must have physics='mujoco', render_mode=None and no wrappers but "
@@ -92,3 +102,71 @@ class EnvFactory:
         if self.agent is not None:
             env = freeze(env, self.agent, self.partner, trust=self.trust)
         return env if self.features is None and self.schemes is None else encode(env, self.features, self.schemes)
+
+
+def _can_use_arrays(template: WrappableEnv, backend: BatchBackend) -> bool:
+    """Return whether `ArrayEnvs` can simulate environments like a single one.
+
+    They can in MuJoCo's physics with no wrappers but `EpisodeReturns`, `freeze` and `encode`, in this order; without
+    camera, or with "warp" and a camera that passes `_check_device_camera`.
+
+    Args:
+        template: Single environment of the configuration, with its wrappers.
+        backend: Engine and device of the simulation.
+    """
+    config = template.unwrapped.config
+    if config.physics != MUJOCO or config.render_mode is not None:
+        return False
+    if config.obs_mode != STATE and backend.name != WARP:
+        return False
+    env: Any = template
+    for wrapper in (EncodedEnv, FrozenPartnerEnv, EpisodeReturns):
+        if type(env) is wrapper:
+            if wrapper is FrozenPartnerEnv and env.policy.obs_mode != STATE:
+                return False
+            env = env.env
+    return type(env) is HandoverEnv
+
+
+def _check_device_camera(template: WrappableEnv) -> None:
+    """Check that the wrist camera can be simulated with the backend "warp", if there is one.
+
+    Args:
+        template: Single environment of the configuration, with its wrappers.
+
+    Raises:
+        OptionError: The camera has data or noise that only "threads" can simulate, or the partner, a user-defined
+            reward or a user-defined action scheme observes it.
+    """
+    config, condition = template.unwrapped.config, "with backend='warp'"
+    env: Any = template
+    while not isinstance(env, HandoverEnv):
+        if isinstance(env, FrozenPartnerEnv) and env.policy.obs_mode != STATE:
+            raise OptionError(
+                f"the partner must not use the camera {condition}, got {env.policy.name!r} with "
+                f"obs_mode={env.policy.obs_mode!r}; use backend='threads'"
+            )
+        env = env.env
+    if config.obs_mode == STATE:
+        return
+    kind = get_camera_data_kind(config.obs_mode)
+    if kind not in DEVICE_KINDS:
+        raise OptionError(
+            f"obs_mode must have one of {', '.join(DEVICE_KINDS)} {condition}, got {config.obs_mode!r}; use "
+            "backend='threads'"
+        )
+    if config.camera_noise is not None:
+        raise OptionError(f"camera_noise must be None {condition}, got {config.camera_noise!r}; use backend='threads'")
+    if resolve_renderer(config.renderer, config.physics) != RAYS:
+        raise OptionError(f"renderer must be 'rays' {condition}, got {config.renderer!r}; use backend='threads'")
+    if not isinstance(resolve_rewards(config.rewards), (RewardConfig, TermWeights)):
+        raise OptionError(
+            f"rewards must be built-in ones with a camera {condition}, got {config.rewards!r}; use backend='threads'"
+        )
+    if isinstance(template, EncodedEnv) and RECEIVER in template.choices:
+        scheme = template.choices[RECEIVER][1]
+        if not isinstance(scheme, str) or is_reference(scheme):
+            raise OptionError(
+                f"the action scheme must be a built-in one with a camera {condition}, got {scheme!r}; use "
+                "backend='threads'"
+            )

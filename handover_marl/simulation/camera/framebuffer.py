@@ -10,6 +10,7 @@ from handover_marl.simulation.camera.frames import (
     HALF_SIZE_PX,
     IMAGE_SIZE,
     LIGHT,
+    N_PIXELS,
     NEAR,
     SAMPLE_OFFSET_PX,
     SHADE,
@@ -55,9 +56,9 @@ class Framebuffer:
         self, rotation: npt.NDArray[np.float64], position: npt.NDArray[np.float64], color: bool = False
     ) -> None:
         self._rotation, self._position = rotation, position
-        self._depth = np.full(IMAGE_SIZE * IMAGE_SIZE, EMPTY_DEPTH, dtype=np.float32)
-        self._labels = np.full(IMAGE_SIZE * IMAGE_SIZE, SegmentationLabel.BACKGROUND, dtype=np.uint8)
-        self._rgb = np.full((IMAGE_SIZE * IMAGE_SIZE, 3), SKY, dtype=np.uint8) if color else None
+        self._depth = np.full(N_PIXELS, EMPTY_DEPTH, dtype=np.float32)
+        self._labels = np.full(N_PIXELS, SegmentationLabel.BACKGROUND, dtype=np.uint8)
+        self._rgb = np.full((N_PIXELS, 3), SKY, dtype=np.uint8) if color else None
 
     def add_ground(self) -> None:
         """Draw the ground plane z = 0 of the world frame."""

@@ -27,12 +27,12 @@ from handover_marl.simulation.camera.frames import (
 )
 from handover_marl.simulation.camera.warp_kernels import draw_keys, render_images
 from handover_marl.simulation.camera.warp_meshes import WORLD, DeviceMesh, MeshBank
-from handover_marl.simulation.mujoco.batches.warp_device import WarpDevice
 from handover_marl.simulation.tensor_state import JointSnapshotBatch
+from handover_marl.simulation.warp_device import WarpDevice
 
 _TARGETS = (SegmentationLabel.TARGET, SegmentationLabel.HAND)
 _OBJECTS = (*_TARGETS, SegmentationLabel.OTHER_OBJECT)
-# Entries of a world's table of meshes: number of the mesh, number of its frame, and segmentation label.
+# Entries of a mesh slot of a world: number of the mesh, number of its frame, and segmentation label.
 _MESH, _FRAME, _LABEL = range(3)
 
 
@@ -65,7 +65,7 @@ class WarpCamera:
         self._config, self._arrays = config, arrays
         self._device = WarpDevice(arrays)
         self._robots, self._hands = TreeBank("robots", arrays), TreeBank("hands", arrays)
-        # Number of each world's robot and hand, and its table of meshes.
+        # Number of each world's robot and hand, and its mesh slots: places for all meshes that the world shows.
         self._robot, self._hand = arrays.zeros(count, "int64"), arrays.zeros(count, "int64")
         self._slots = arrays.zeros((count, 0, 3), "int64")
         self._base_rotation = matrices_from_quaternions(arrays.asarray(config.panda.base_orientation, "float64"))
@@ -92,23 +92,25 @@ class WarpCamera:
         robot_links = [joint.link for joint in read_tree(assets.panda).joints]
         self._hand_link = robot_links.index(HAND_LINK)
         # Frames are those of the robot's links, of the hand's links, of the objects and of the world, in this order.
-        hand = len(robot_links)
-        item = hand + len(read_tree(assets.hand).joints)
-        world = item + MAX_OBJECTS
+        first_hand_frame = len(robot_links)
+        first_object_frame = first_hand_frame + len(read_tree(assets.hand).joints)
+        world_frame = first_object_frame + MAX_OBJECTS
         slots: list[tuple[int, int, int]] = []
 
         def add(meshes: list[DeviceMesh], label: SegmentationLabel, frames: Sequence[int]) -> None:
-            slots.extend((mesh.number, world if mesh.link == WORLD else frames[mesh.link], label) for mesh in meshes)
+            slots.extend(
+                (mesh.number, world_frame if mesh.link == WORLD else frames[mesh.link], label) for mesh in meshes
+            )
 
         with self._device.use():
             bank = self._bank = self._bank or MeshBank(self._arrays)
             for number, urdf in enumerate(assets.objects):
                 label = SegmentationLabel.OTHER_OBJECT if number else SegmentationLabel.TARGET
                 # All meshes of an object move with it.
-                slots.extend((mesh.number, item + number, label) for mesh in bank.add_model(urdf))
-            add(bank.add_model(assets.hand), SegmentationLabel.HAND, range(hand, item))
+                slots.extend((mesh.number, first_object_frame + number, label) for mesh in bank.add_model(urdf))
+            add(bank.add_model(assets.hand), SegmentationLabel.HAND, range(first_hand_frame, first_object_frame))
             robot = bank.add_model(assets.panda, robot_base, INVISIBLE_LINKS)
-            add(robot, SegmentationLabel.ROBOT, range(hand))
+            add(robot, SegmentationLabel.ROBOT, range(first_hand_frame))
             add(bank.add_model(assets.table, table), SegmentationLabel.TABLE, ())
         missing = len(slots) - self._slots.shape[1]
         if missing > 0:
@@ -224,7 +226,7 @@ class WarpCamera:
         return warp.from_torch(own.contiguous(), dtype)
 
     def _compute_frames(self, rows: AnyArray, now: JointSnapshotBatch) -> tuple[AnyArray, AnyArray]:
-        """Return world origins (r, f, 3) and rotations (r, f, 3, 3) of all frames of the tables of meshes."""
+        """Return world origins (r, f, 3) and rotations (r, f, 3, 3) of all frames that mesh slots refer to."""
         xp = self._arrays.xp
         origins, rotations = self._robots.compute_link_frames(self._robot[rows], widen(now.robot)[:, None])
         robots = origins[:, 0] @ self._base_rotation.mT + self._base_position, self._base_rotation @ rotations[:, 0]
@@ -238,5 +240,5 @@ class WarpCamera:
             (objects[..., :3], matrices_from_quaternions(objects[..., 3:])),
             world,
         )
-        joined = (xp.concat(own, axis=1) for own in zip(*parts, strict=True))
-        return next(joined), next(joined)
+        origins, rotations = (xp.concat(own, axis=1) for own in zip(*parts, strict=True))
+        return origins, rotations

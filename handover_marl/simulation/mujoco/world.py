@@ -125,8 +125,10 @@ class MujocoWorld(BatchWorld):
     @property
     def rollout_key(self) -> tuple[int, ...]:
         """Key of the worlds that can be simulated in one rollout; see `BatchWorld.rollout_key`."""
+        if self.is_asleep:
+            return ()  # Sleeping worlds of all sizes are advanced together.
         model = self.controller.data.scene.model
-        return (0,) if self.is_asleep else (model.nq, model.nu, model.nmocap, model.nsensordata)
+        return model.nq, model.nu, model.nmocap, model.nsensordata
 
     @property
     def is_asleep(self) -> bool:

@@ -34,17 +34,17 @@ def models(count: int) -> list[SceneModel]:
 def test_worlds_of_one_layout_share_an_engine() -> None:
     simulation = BatchSimulation()
     worlds = [simulation.load_scene(model) for model in models(6) * 2]
-    engines = {id(world._engine) for world in worlds}
+    engines = {id(world.engine) for world in worlds}
     assert len(engines) <= 6
     for first, second in zip(worlds[:6], worlds[6:], strict=True):
-        assert first._engine is second._engine
+        assert first.engine is second.engine
 
 
 def test_memory_does_not_grow_with_the_scenes_that_were_simulated(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(batch_simulation, "_MAX_ENGINES", 2)
     simulation, engines = BatchSimulation(), []
     for model in models(6) * 2:
-        engines.append(weakref.ref(simulation.load_scene(model)._engine))
+        engines.append(weakref.ref(simulation.load_scene(model).engine))
     gc.collect()
     assert len({id(engine()) for engine in engines if engine() is not None}) <= 2
 
@@ -54,7 +54,7 @@ def test_an_engine_of_another_layout_is_replaced(monkeypatch: pytest.MonkeyPatch
     simulation = BatchSimulation()
     found = models(6)
     first, *others = (simulation.load_scene(model) for model in found)
-    assert any(world._engine is not first._engine for world in others)
+    assert any(world.engine is not first.engine for world in others)
     for model, world in zip(found, (first, *others), strict=True):
         assert world.qpos.shape == (model.model.nq,)
         np.testing.assert_array_equal(world.qpos, model.model.qpos0)

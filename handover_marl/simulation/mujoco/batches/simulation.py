@@ -31,18 +31,18 @@ class MujocoRollout:
         worlds: The worlds.
         controls: Controls (n, k, c) of all steps.
         sensordata: Sensor data (n, k, s) of all steps.
-        motion: State (n, k, ...) after each step, as far as a step changes it.
+        step_states: Part (n, k, p) of the state that a step changes, after each step; see `WorldData`.
     """
 
     worlds: Sequence[WorldData]
     controls: Array
     sensordata: Array
-    motion: Array
+    step_states: Array
 
     def make_readings(self) -> SensorReadings:
         """Return the contact-sensor readings of k steps of n worlds."""
         world = self.worlds[0]
-        qpos = world.get_joint_positions(self.motion)
+        qpos = world.get_joint_positions(self.step_states)
         return SensorReadings(world.scene.contact_sensors, self.sensordata.swapaxes(0, 1), qpos.swapaxes(0, 1))
 
     def set_world(self, number: int, steps: int) -> None:
@@ -53,7 +53,7 @@ class MujocoRollout:
             steps: Number of steps, 1 to k.
         """
         place = number, steps - 1
-        self.worlds[number].set_step(self.controls[place], self.sensordata[place], self.motion[place])
+        self.worlds[number].set_step(self.controls[place], self.sensordata[place], self.step_states[place])
 
 
 class BatchSimulation:
@@ -94,10 +94,10 @@ class BatchSimulation:
         first, shape = worlds[0], (len(worlds), len(controls[0]))
         stacked = np.stack(controls, out=self._get_buffer("controls", (*shape, controls[0].shape[1])))
         sensordata = self._get_buffer("sensordata", (*shape, len(first.sensordata)))
-        rollout = MujocoRollout(worlds, stacked, sensordata, self._get_buffer("motion", (*shape, first.motion_size)))
+        step_states = self._get_buffer("step_states", (*shape, first.step_state_size))
+        rollout = MujocoRollout(worlds, stacked, sensordata, step_states)
         for number, (world, hand) in enumerate(zip(worlds, hands, strict=True)):
-            own = slice(number, number + 1)
-            world.simulate(hand, stacked[own], sensordata[own], rollout.motion[own])
+            world.simulate(hand, stacked[number], sensordata[number], step_states[number])
             rollout.set_world(number, shape[1])
         return rollout
 

@@ -1,4 +1,4 @@
-"""State of one world in MuJoCo during an episode, and the engine that advances it."""
+"""State of one world in MuJoCo during an episode, and its simulation."""
 
 import mujoco
 import numpy as np
@@ -14,8 +14,8 @@ Array = npt.NDArray[np.float64]
 _STATE = mujoco.mjtState
 # Controls of a step in MuJoCo's order: actuator targets, then mocap poses.
 _CONTROLS = int(_STATE.mjSTATE_CTRL | _STATE.mjSTATE_MOCAP_POS | _STATE.mjSTATE_MOCAP_QUAT)
-# State that a step changes: all components up to the warm start, the first ones of a state vector.
-_MOTION = 2 * int(_STATE.mjSTATE_WARMSTART) - 1
+# State that a step changes, the start of a state vector: all components from the time to the warm start.
+_STEP_STATE = 2 * int(_STATE.mjSTATE_WARMSTART) - 1
 
 
 class WorldData:
@@ -23,11 +23,12 @@ class WorldData:
 
     Args:
         scene: Model of the scene.
-        engine: MuJoCo batch of one world whose model has the layout of the scene's model. Worlds may share it,
-            since it gets the state of a world before every rollout.
+        engine: MuJoCo batch of one world whose model has the layout of the scene's model. Worlds may share an engine:
+            each rollout starts with setting its state.
 
     Attributes:
         scene: Model of the scene.
+        engine: MuJoCo batch that simulates the world.
         released: Whether the human has released the target object.
         qpos: Writable view of the joint positions (q,), like the following arrays.
         qvel: Joint velocities (v,).
@@ -39,8 +40,7 @@ class WorldData:
     """
 
     def __init__(self, scene: SceneModel, engine: Batch) -> None:
-        self.scene, self.released = scene, False
-        self._engine = engine
+        self.scene, self.engine, self.released = scene, engine, False
         # Variants that were used in this episode are held, since they are likely to be used again.
         self._variants: dict[tuple[bool, bool], mujoco.MjModel] = {}
         engine.set_models(scene.model)
@@ -55,9 +55,9 @@ class WorldData:
         self.sensordata = np.zeros(scene.model.nsensordata)
 
     @property
-    def motion_size(self) -> int:
-        """Number of values that `simulate` writes for each step."""
-        return int(mujoco.mj_stateSize(self.scene.model, _MOTION))
+    def step_state_size(self) -> int:
+        """Number p of the values of the state that a step changes: time, positions, velocities and warm start."""
+        return int(mujoco.mj_stateSize(self.scene.model, _STEP_STATE))
 
     def select_model(self, hand: bool) -> "mujoco.MjModel":
         """Return the variant of the scene model for the coming steps.
@@ -80,35 +80,35 @@ class WorldData:
         body = self.scene.objects[0]
         self._forces[body, 2] = gravity * float(self.scene.model.body_mass[body])
 
-    def simulate(self, hand: bool, controls: Array, sensordata: Array, motion: Array) -> None:
-        """Simulate k physics steps without changing this state.
+    def simulate(self, hand: bool, controls: Array, sensordata: Array, step_states: Array) -> None:
+        """Simulate k physics steps from this state, which is not changed; see `set_step`.
 
         Args:
             hand: Whether the hand can collide in these steps.
-            controls: Controls (1, k, c): actuator targets, mocap positions, mocap quaternions wxyz.
-            sensordata: Array (1, k, s) to write the sensor data of each step to.
-            motion: Array (1, k, `motion_size`) to write the motion of each step to.
+            controls: Controls (k, c): actuator targets, mocap positions, mocap quaternions wxyz.
+            sensordata: Array (k, s) to write the sensor data of each step to.
+            step_states: Array (k, p) to write the changed part of the state after each step to.
 
         Raises:
             SimulationError: The engine failed; the written values are invalid.
         """
-        engine, model = self._engine, self.select_model(hand)
+        engine, model = self.engine, self.select_model(hand)
         if engine.models is not model:
             engine.set_models(model)
         engine.state[0], engine.warning[0] = self._state, 0
-        records = {"sensordata": sensordata, _MOTION: motion}
-        engine.rollout(controls.shape[1], controls, _CONTROLS, tuple(records), out=records)
+        records = {"sensordata": sensordata[None], _STEP_STATE: step_states[None]}
+        engine.rollout(len(controls), controls[None], _CONTROLS, tuple(records), out=records)
         check_warnings(engine)
 
-    def set_step(self, controls: Array, sensordata: Array, motion: Array) -> None:
+    def set_step(self, controls: Array, sensordata: Array, step_state: Array) -> None:
         """Set the state to that after a simulated step.
 
         Args:
             controls: Controls (c,) of the step.
             sensordata: Sensor data (s,) of the step.
-            motion: Motion (`motion_size`,) after the step.
+            step_state: Changed part (p,) of the state after the step.
         """
-        self._state[: len(motion)], self.sensordata[:] = motion, sensordata
+        self._state[: len(step_state)], self.sensordata[:] = step_state, sensordata
         self.ctrl[:], self.mocap_pos[:], self.mocap_quat[:] = self.split_controls(controls)
 
     def split_controls(self, controls: Array) -> tuple[Array, Array, Array]:
@@ -121,10 +121,10 @@ class WorldData:
         positions, quaternions = controls[..., u : u + 3 * m], controls[..., u + 3 * m :]
         return controls[..., :u], positions.reshape(*shape, m, 3), quaternions.reshape(*shape, m, 4)
 
-    def get_joint_positions(self, motion: Array) -> Array:
-        """Return the joint positions (..., q) in arrays (..., `motion_size`) of motion."""
+    def get_joint_positions(self, step_states: Array) -> Array:
+        """Return the joint positions (..., q) from the changed parts (..., p) of states."""
         size = len(self.time)
-        positions: Array = motion[..., size : size + len(self.qpos)]
+        positions: Array = step_states[..., size : size + len(self.qpos)]
         return positions
 
     def read_sensors(self) -> SensorReadings:
