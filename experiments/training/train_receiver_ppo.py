@@ -8,8 +8,9 @@ then on one device, for example `--backend warp --device cuda --num-envs 1024`. 
 `handover-marl benchmark --setup s0 --receiver learned:runs/ppo.npz`.
 """
 
+import copy
 import time
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -46,6 +47,8 @@ class Args(SetupArgs):
         backend: Backend of the environments: "threads" for MuJoCo on the processor, or "warp" for MuJoCo Warp.
         device: Device of environments and networks with the backend "warp": cuda, or cpu for tests.
         rollout: Number of decisions in each environment between updates.
+        overlap: Whether the next rollout starts before the update, with the networks of the update before. Simulation
+            and learning then take place at the same time.
         epochs: Number of passes over the collected decisions in each update.
         minibatch_size: Number of decisions per gradient step.
         learning_rate: Learning rate of Adam.
@@ -70,6 +73,7 @@ class Args(SetupArgs):
     backend: str = THREADS
     device: str = CPU
     rollout: int = 16
+    overlap: bool = False
     epochs: int = 8
     minibatch_size: int = 256
     learning_rate: float = 1e-3
@@ -110,6 +114,13 @@ class Batch(NamedTuple):
     targets: torch.Tensor
 
 
+class Rollout(NamedTuple):
+    """Decisions of a collector, and whether the episodes that ended meanwhile were successes."""
+
+    batch: Batch
+    outcomes: list[bool]
+
+
 class Collector:
     """Collector of decisions from environments in a process, whose episodes continue in the next rollout."""
 
@@ -137,13 +148,13 @@ class Collector:
         self.features = torch.as_tensor(self.envs.reset(seed=first_seed)[0])
 
     @torch.no_grad()
-    def collect(self, model: ActorCritic) -> Batch:
-        """Return the decisions of one rollout."""
-        self.outcomes.clear()
+    def collect(self, model: ActorCritic) -> Rollout:
+        """Return the decisions and outcomes of one rollout."""
+        self.outcomes = []
         steps = [self._step(model) for _ in range(self.args.rollout)]
         features, actions, log_probs, values, rewards, continues = map(torch.stack, zip(*steps, strict=True))
         advantages = compute_advantages(rewards, values, continues, model.compute_value(self.features), self.args)
-        return Batch(features, actions, log_probs, advantages, advantages + values)
+        return Rollout(Batch(features, actions, log_probs, advantages, advantages + values), self.outcomes)
 
     def _step(self, model: ActorCritic) -> tuple[torch.Tensor, ...]:
         features, policy = self.features, model.compute_distribution(self.features)
@@ -176,6 +187,12 @@ def compute_advantages(
     return advantages
 
 
+def start_rollouts(pool: ThreadPoolExecutor, collectors: list[Collector], model: ActorCritic) -> list[Future[Rollout]]:
+    """Start a rollout of each collector with copies of the networks, which an update meanwhile does not change."""
+    networks = copy.deepcopy(model)
+    return [pool.submit(collector.collect, networks) for collector in collectors]
+
+
 def update(model: ActorCritic, optimizer: torch.optim.Optimizer, batch: Batch, args: Args) -> None:
     """Update the networks by PPO (Schulman et al., 2017)."""
     count = batch.advantages.numel()
@@ -206,14 +223,20 @@ def train(args: Args) -> ActorCritic:
         model = ActorCritic(*sizes, args).to(args.device)
         optimizer = torch.optim.Adam(model.parameters(), args.learning_rate)
         decisions, first_step = 0, time.monotonic()
-        while decisions < args.decisions and time.monotonic() - started < 60.0 * args.minutes:
-            batches = list(pool.map(lambda collector: collector.collect(model), collectors))
-            collected = time.monotonic()
-            batch = Batch(*(torch.cat(parts, dim=1) for parts in zip(*batches, strict=True)))
-            update(model, optimizer, batch, args)
-            now, decisions = time.monotonic(), decisions + batch.advantages.numel()
+        running = start_rollouts(pool, collectors, model)
+        while running:
+            rollouts = [rollout.result() for rollout in running]
+            batch = Batch(*(torch.cat(parts, dim=1) for parts in zip(*(each.batch for each in rollouts), strict=True)))
+            collected, decisions = time.monotonic(), decisions + batch.advantages.numel()
+            ends = decisions >= args.decisions or collected - started >= 60.0 * args.minutes
+            if not args.overlap:
+                update(model, optimizer, batch, args)
+            running = [] if ends else start_rollouts(pool, collectors, model)
+            if args.overlap:
+                update(model, optimizer, batch, args)
+            now = time.monotonic()
             learning_s += now - collected
-            outcomes = [outcome for collector in collectors for outcome in collector.outcomes]
+            outcomes = [outcome for rollout in rollouts for outcome in rollout.outcomes]
             print(
                 f"{decisions} decisions, {now - started:.1f} s, {decisions / (now - first_step):.0f} decisions/s "
                 f"(learning {learning_s:.1f} s): success of {len(outcomes)} training episodes "

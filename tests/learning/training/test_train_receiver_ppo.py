@@ -2,6 +2,8 @@
 
 import re
 import sys
+import threading
+import types
 from pathlib import Path
 from types import ModuleType
 
@@ -40,14 +42,49 @@ def test_training_and_evaluation(
     assert len(report.episodes) == 1
 
 
-def test_a_training_repeats_from_its_seed(train: ModuleType, tmp_path: Path) -> None:
+@pytest.mark.parametrize("overlap", [False, True])
+def test_a_training_repeats_from_its_seed(train: ModuleType, overlap: bool, tmp_path: Path) -> None:
     small = {"dataset": "synthetic", "num_envs": 2, "rollout": 4, "epochs": 1, "decisions": 16, "val_scenes": 0}
+    small |= {"overlap": overlap}
     files = [tmp_path / f"{name}.npz" for name in ("first", "again", "other")]
     for out, seed in zip(files, (1, 1, 2), strict=True):
         train.main(train.Args(out=out, seed=seed, **small))
     first, again, other = (read_numbers(file) for file in files)
     np.testing.assert_array_equal(first, again)
     assert (first != other).any()
+
+
+@pytest.mark.parametrize(("overlap", "updates_before"), [(False, [0, 1, 2, 3]), (True, [0, 0, 1, 2])])
+def test_networks_of_each_rollout(
+    train: ModuleType, overlap: bool, updates_before: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An update does not change the networks of a rollout that runs at the same time."""
+    found, updated = [], threading.Barrier(2)
+    decisions = torch.zeros(4, 2)
+
+    class Collector:
+        def __init__(self, number: int, args: object) -> None:
+            space = types.SimpleNamespace(shape=(3,))
+            self.envs = types.SimpleNamespace(
+                single_observation_space=space, single_action_space=space, close=lambda: None
+            )
+
+        def collect(self, model: torch.nn.Module) -> object:
+            if overlap and found:
+                updated.wait(timeout=60.0)
+            found.append(round(model.log_std[0].item()))
+            return train.Rollout(train.Batch(*[decisions] * 5), [])
+
+    def update(model: torch.nn.Module, optimizer: object, batch: object, args: object) -> None:
+        with torch.no_grad():
+            model.log_std += 1.0
+        if overlap and len(found) < len(updates_before):
+            updated.wait(timeout=60.0)
+
+    monkeypatch.setattr(train, "Collector", Collector)
+    monkeypatch.setattr(train, "update", update)
+    train.train(train.Args(overlap=overlap, workers=1, decisions=4 * decisions.numel(), initial_std=1.0))
+    assert found == updates_before
 
 
 def read_numbers(file: Path) -> np.ndarray:
