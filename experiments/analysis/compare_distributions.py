@@ -33,18 +33,18 @@ KEY_PERIOD = 0.04
 PALM_JOINT = ".//joint[@name='joint7']/origin"
 
 QUANTITIES = {
-    "offer x (m)": True,
-    "offer y (m)": True,
-    "offer z (m)": True,
+    "handover x (m)": True,
+    "handover y (m)": True,
+    "handover z (m)": True,
     "start x (m)": True,
     "start y (m)": True,
-    "object-to-wrist distance at the offer (m)": True,
+    "object-to-wrist distance at the handover (m)": True,
     "peak wrist speed (m/s)": True,
     "hand onset (s)": True,
     "duration (s)": True,
-    "tilt from start to offer (deg)": False,
-    "rotation from start to offer (deg)": False,
-    "fingers towards the robot at the offer (-y)": False,
+    "tilt from start to handover (deg)": False,
+    "rotation from start to handover (deg)": False,
+    "fingers towards the robot at the handover (-y)": False,
     "left hands": False,
 }
 
@@ -107,9 +107,9 @@ def measure_scene(scene: Scene) -> list[float]:
     hand = Rotation.from_euler("XYZ", visible[:, 3:6])
     wrist = visible[:, :3] + hand.apply(read_palm_position(scene.assets.hand))
     speeds = np.linalg.norm(np.diff(wrist[::KEY_STRIDE], axis=0), axis=1) / KEY_PERIOD
-    start, offer = (Rotation.from_euler("XYZ", target[frame, 3:]) for frame in (0, -1))
+    start, end = (Rotation.from_euler("XYZ", target[frame, 3:]) for frame in (0, -1))
     up = np.array([0.0, 0.0, 1.0])
-    tilt = np.arccos(np.clip(start.inv().apply(up) @ offer.inv().apply(up), -1.0, 1.0))
+    tilt = np.arccos(np.clip(start.inv().apply(up) @ end.inv().apply(up), -1.0, 1.0))
     return [
         *target[-1, :3],
         *target[0, :2],
@@ -118,7 +118,7 @@ def measure_scene(scene: Scene) -> list[float]:
         scene.hand_first * 0.001,
         (scene.n_frames - 1) * 0.001,
         float(np.degrees(tilt)),
-        float(np.degrees((offer * start.inv()).magnitude())),
+        float(np.degrees((end * start.inv()).magnitude())),
         float(-hand[-1].apply([sign, 0.0, 0.0])[1]),
         float(scene.info.side == "left"),
     ]

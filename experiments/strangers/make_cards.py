@@ -80,7 +80,7 @@ def format_card(population: Population, giver: Partner, events: Mapping[str, str
     parts.append(f"Policy: `{giver.policy}`")
     if options := list_options(population, giver):
         parts.append(format_table(["option", "value", "meaning and bounds"], options, max_width=1000))
-    rows = [*events.items(), ("outcomes changed by a nudge, %", noise_floor)]
+    rows = [*events.items(), ("outcomes changed by a perturbation, %", noise_floor)]
     parts.append(format_table([title for title, _ in rows], [[value for _, value in rows]], max_width=1000))
     return "\n\n".join(parts)
 
@@ -145,7 +145,8 @@ This page describes every giver of the population {population.label}, with which
   episode are white.
 - **Events**: means of three episodes with `reactive` on DexYCB, from the
   [selection of the population](../results/strangers.md); they describe the giver and are no estimates of success rates.
-- **Outcomes changed by a nudge**: the noise floor, see [controls](#controls); n is the number of nudged episodes.
+- **Outcomes changed by a perturbation**: the noise floor, see [controls](#controls); n is the number of perturbed
+  episodes.
 
 ```bash
 python experiments/strangers/render_film_sheets.py --out docs/reference/strangers_v1
@@ -159,18 +160,18 @@ The controls show how much of a difference between partners or methods may come 
 
 | control | what it shows |
 |---|---|
-| noise floor | share of episodes whose outcome changes if all joint targets of the robot are nudged |
+| noise floor | share of episodes whose outcome changes if all joint targets of the robot are perturbed |
 | random start | change of the success rate if the robot starts at another position |
 | no preview | change of the success rate if a giver does not observe its recording's next half second |
 | self-play against cross-play | difference between policies that were trained together and the same with others |
 
-A nudge adds {nudge:g} rad with random signs to the seven joint targets of the whole episode; the giver's random draws
-stay the same. Differences below the noise floor may be chance. With the {n_givers} of {n_all} givers that have been
-measured, {total} % of {n} outcomes changed. Random starts deviate by up to {start_noise:g} rad in each joint.
+A perturbation adds {nudge:g} rad with random signs to the seven joint targets of the whole episode; the giver's random
+draws stay the same. Differences below the noise floor may be chance. {n_givers} of {n_all} givers have been
+measured: {total} % of {n} outcomes changed. Random starts deviate by up to {start_noise:g} rad in each joint.
 
 The table has {n_scenes} scenes of the {setup} {split} split of {dataset} ({scenes}), receiver `{receiver}`,
 {physics} physics, version {version}. A dash stands for what has not been measured. Intervals are Wilson's for rates,
-and Agresti and Min's for differences, which are paired by scene. The nudged episodes of a scene are not independent,
+and Agresti and Min's for differences, which are paired by scene. The perturbed episodes of a scene are not independent,
 so that the intervals of the noise floor are too narrow.
 
 {table}
@@ -179,7 +180,7 @@ so that the intervals of the noise floor are too narrow.
 python experiments/strangers/measure_controls.py --data-dir DIR --out docs/results/data/strangers_controls.json
 ```
 
-The script measures what its output file lacks. For your own receiver, add `--receiver` and another file. The option
+The script continues an existing output file. For your own receiver, add `--receiver` and another file. The option
 `--initial-joint-noise 0.1` of `handover-marl pair` and `crossplay` draws other start positions, too.
 
 ### No preview

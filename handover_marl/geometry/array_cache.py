@@ -1,7 +1,6 @@
 """Cache files of arrays computed from object models, in the user's cache folder.
 
-The module needs platformdirs (extra `planning`). Several processes may share the folder: files are written
-atomically, and unreadable files are computed again.
+Several processes may share the folder: files are written atomically, and unreadable files are computed again.
 """
 
 import hashlib
@@ -13,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy.typing as npt
+import platformdirs
 
 from handover_marl.errors import HandoverError
 from handover_marl.execution.files import write_arrays
@@ -26,8 +26,6 @@ _log = logging.getLogger(__name__)
 
 def get_cache_folder(kind: str) -> Path:
     """Return the user's cache folder for one kind of files, below XDG_CACHE_HOME if that is set."""
-    import platformdirs
-
     return Path(platformdirs.user_cache_dir("handover_marl", appauthor=False)) / kind
 
 
