@@ -29,7 +29,8 @@ PROGRAMS = [page for page in PAGES if blocks(page, "python") and page.stem != "o
 NEEDS = {"docs/reference/environment.md": ("stable_baselines3",), "docs/how_to/wrist_camera.md": ("embreex",)} | {
     "docs/how_to/demonstrations.md": ("h5py", "minari", "embreex"),
     "docs/how_to/many_machines.md": ("ray",),
-    "docs/how_to/vector_environments.md": ("mujoco", "mujoco_warp", "torch", "array_api_compat", "embreex"),
+    "docs/how_to/gpu.md": ("mujoco_warp", "embreex"),
+    "docs/how_to/vector_environments.md": ("mujoco", "torch"),
     "docs/tutorials/own_network.md": ("stable_baselines3", "onnxruntime", "onnx"),
     "docs/tutorials/own_reward.md": ("mujoco", "stable_baselines3"),
 }
