@@ -38,7 +38,7 @@ class DisplacedConfig(CheckedConfig):
 
 
 class DisplacedGiver(Giver):
-    """Giver that displaces and rotates the recorded motion, by another random deviation in each episode.
+    """Giver that displaces and rotates the recorded motion, by a random deviation that is drawn for each episode.
 
     Displacements are uniformly distributed in a ball, rotations have a random axis and a uniform angle. The hand
     moves to the displaced motion once it has picked up the object.

@@ -5,7 +5,7 @@
 | method | partners of the trained policy |
 |---|---|
 | `best_response` | one partner, `--partner` |
-| `population` | another member of the population's train families in each episode |
+| `population` | a randomly drawn member of the population's train families in each episode |
 | `fictitious_co_play` | networks of several pairs, after half of their training and after all of it |
 | `history` | as `population`, with the features of the receiver's last four decisions (`close_stack`) |
 

@@ -114,10 +114,10 @@ def receiver_features(observation: Observation, protocol: ProtocolConfig) -> Vec
 
 
 class GraspFeatures:
-    """Function that appends features (8,) of the best reachable grasp to `receiver_features`.
+    """Function that appends features (8,) of the known grasp of lowest cost to `receiver_features`.
 
     In the gripper frame: translation to the grasp (3, scaled), rotation vector to it (3), clearance
-    of the gripper to the person's hand at the grasp (1, scaled), and whether a grasp exists (1).
+    of the gripper to the person's hand at the grasp (1, scaled), and whether grasps of the object are known (1).
 
     Args:
         context: Robot, task and known grasps of the objects.
@@ -132,7 +132,7 @@ class GraspFeatures:
         return np.concatenate([receiver_features(observation, self._protocol), self.grasp(observation)])
 
     def grasp(self, observation: Observation) -> Vector:
-        """Return the features (8,) of the best reachable grasp; zeros if no grasp is reachable."""
+        """Return features (8,) of the known grasp of lowest cost; zeros if no grasp of the object is known."""
         chosen = self._grasp_selector.select(observation)
         if chosen is None:
             return np.zeros(_N_GRASP, dtype=np.float32)
@@ -147,9 +147,9 @@ class GraspFeatures:
 class GraspProximityFeatures:
     """Function from an observation to 12 features that suffice to decide when to close the gripper.
 
-    In the gripper frame: translation (3) and rotation vector (3) to the best reachable grasp. Then
+    In the gripper frame: translation (3) and rotation vector (3) to the known grasp of lowest cost. Then
     follow the proximity of position and orientation to the grasp, which decay exponentially (2), the
-    finger joints (2), whether the object was released (1), and whether a grasp exists (1). With so
+    finger joints (2), whether the object was released (1), and whether grasps of the object are known (1). With so
     few features a policy learns to close the gripper from few episodes.
 
     Attributes:

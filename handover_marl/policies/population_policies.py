@@ -1,4 +1,4 @@
-"""Policies that act as another member of a population in each episode."""
+"""Policies that act as a randomly drawn member of a population in each episode."""
 
 from collections.abc import Sequence
 
@@ -13,9 +13,9 @@ from handover_marl.policies.reference import parse_policy
 
 
 class PopulationPolicy(Policy):
-    """Base class of policies that act as another member of a population in each episode.
+    """Base class of policies that act as a randomly drawn member of a population in each episode.
 
-    The seed of the episode draws the member, and all members are equally likely.
+    The seed of the episode determines the member, and all members are equally likely.
 
     Args:
         context: Robot and task, for the members.
@@ -85,8 +85,8 @@ class PopulationPolicy(Policy):
 
 
 class PopulationGiver(PopulationPolicy, Giver):
-    """Giver that acts as another giver of a population in each episode; see `PopulationPolicy`."""
+    """Giver that acts as a randomly drawn giver of a population in each episode; see `PopulationPolicy`."""
 
 
 class PopulationReceiver(PopulationPolicy, Receiver):
-    """Receiver that acts as another receiver of a population in each episode; see `PopulationPolicy`."""
+    """Receiver that acts as a randomly drawn receiver of a population in each episode; see `PopulationPolicy`."""

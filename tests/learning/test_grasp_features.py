@@ -1,4 +1,4 @@
-"""Tests of the features of the best reachable grasp."""
+"""Tests of the features of the known grasp of lowest cost."""
 
 from dataclasses import replace
 

@@ -183,7 +183,7 @@ class GraspFeatureBatch(FeatureBatch):
         return get_namespace(vectors[0]).concat(vectors, axis=1)
 
     def grasp(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return the features (r, 8) of the best reachable grasps; zeros if no grasp is reachable."""
+        """Return features (r, 8) of the known grasps of lowest cost; zeros if no grasp of an object is known."""
         grasps, clearances, exists = self._selection.select(rows, observation)
         xp, gripper = get_namespace(grasps), widen(observation["gripper_pose"])
         grasps = xp.where(exists[:, None], grasps, self._identity)

@@ -95,7 +95,7 @@ _PROXIMITY = (
     EncodingColumn("angle to the grasp", 1, "exp(-q / 0.2); 0 without a grasp", "rad", "-"),
     _FINGERS,
     _RELEASED,
-    EncodingColumn("grasp exists", 1, "1 with a reachable grasp, else 0", "1", "-"),
+    EncodingColumn("grasp exists", 1, "1 if grasps of the object are known, else 0", "1", "-"),
 )
 # Decisions of stacked features, and the other cells of their rows.
 _DECISIONS = ("present decision", "decision before it", "second decision before it", "third decision before it")
@@ -111,7 +111,7 @@ FEATURE_COLUMNS: dict[str, dict[str, tuple[EncodingColumn, ...]]] = {
             *_RECEIVER,
             *_GRASP,
             EncodingColumn("distance of the person's hand from the gripper at the grasp", 1, "10 q", "m", "-"),
-            EncodingColumn("grasp exists", 1, "1 with a reachable grasp, else 0", "1", "-"),
+            EncodingColumn("grasp exists", 1, "1 if grasps of the object are known, else 0", "1", "-"),
         ),
         "close": _PROXIMITY,
         "close_stack": tuple(
